@@ -1,0 +1,26 @@
+"""Regenerate every shipped synthetic campaign: python data/generators/make_all.py [FOLDER]."""
+
+import sys
+from pathlib import Path
+
+import accel_channel
+import desk_imu
+import redundant_imu
+import trihedral_imu
+
+CAMPAIGNS = {
+    "trihedral-imu": trihedral_imu,
+    "desk-imu": desk_imu,
+    "accel-channel": accel_channel,
+    "redundant-imu": redundant_imu,
+}
+
+
+def main(folder: Path) -> None:
+    for name, script in CAMPAIGNS.items():
+        values = script.generate(folder / name, script.SEED)
+        print(f"{name}: {len(values)} true values")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[1])

@@ -1,0 +1,31 @@
+"""From a plan and a seed to a campaign folder: draw the truth, simulate every run, write it all."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import truth
+import write
+from plan import Plan, read_out
+from sensor import Values
+
+
+def write_simulated(
+    folder: Path,
+    plan: Plan,
+    seed: int,
+    more_derived: Callable[[Values], dict[str, float]] = lambda values: {},
+) -> dict[str, float]:
+    """Write `plan` into `folder`; return true parameters and derived quantities, one flat dictionary."""
+    values = plan.draw(seed)
+    derived = truth.mounting_angles(plan.channels, plan.mountings, values)
+    derived |= truth.scale_factors(plan.channels, values)
+    derived |= more_derived(values)
+    nuisance = {}
+    write.write_campaign_file(folder, plan, seed, [write.run_entry(run) for run in plan.runs])
+    for run in plan.runs:
+        readings = read_out(plan, run, values, seed)
+        write.write_run(folder, plan, run, readings)
+        for channel, offset in zip(plan.channels, readings.run_offset, strict=True):
+            nuisance[f"run_offset[{channel.name},{run.name}]"] = float(offset)
+    write.write_truth(folder, plan, seed, values, derived, nuisance)
+    return values | derived

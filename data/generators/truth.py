@@ -1,0 +1,142 @@
+"""Where the true values come from: drawn from the priors that the matching model file states.
+
+Reading the priors from the model file itself makes the coverage of a Bayesian fit exact by construction.  Each
+value has its own random stream, seeded by the seed and its name, so that it does not depend on what else is
+drawn.  Seats and table axes take their spread from the equipment that the campaign names.
+"""
+
+import re
+import tomllib
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from kinematics import Mounting, Table, rotation
+from sensor import ARCSEC, Channel, Values, sensitive_axis
+
+MODELS = Path(__file__).resolve().parents[2] / "models"
+
+UNITS = {
+    "mounting_error.x": "arcsec", "mounting_error.y": "arcsec", "mounting_error.z": "arcsec",
+    "table_axis_tilt.x": "arcsec", "table_axis_tilt.y": "arcsec", "table_rate_error.rate_error": "ppm",
+    "lever_arm.x": "mm", "lever_arm.y": "mm", "lever_arm.z": "mm",
+    "gyro_bias.bias": "deg/h", "gyro_bias_temperature.slope": "deg/h/degC",
+    "gyro_scale_factor.scale": "ppm", "gyro_scale_temperature.slope": "ppm/degC",
+    "gyro_misalignment.toward_o": "arcsec", "gyro_misalignment.toward_s": "arcsec",
+    "gyro_g_sensitivity.d_i": "deg/h/g", "gyro_g_sensitivity.d_o": "deg/h/g",
+    "gyro_g_sensitivity.d_s": "deg/h/g",
+    "accel_bias.bias": "ug", "accel_bias_temperature.slope": "ug/degC",
+    "accel_scale_factor.scale": "ppm", "accel_scale_temperature.slope": "ppm/degC",
+    "accel_misalignment.toward_o": "arcsec", "accel_misalignment.toward_p": "arcsec",
+    "accel_quadratic.quadratic": "ug/g^2",
+    "converter_gain_drift.slope": "ppm/degC", "converter_offset_drift.slope": "output/degC",
+    "injection_error.gain": "ppm", "injection_error.offset": "ug",
+    "white_noise.sigma": "output", "run_scatter.tau": "output",
+}  # fmt: skip
+"""The datasheet unit in which each true value is stated."""
+
+_IN_BASE_UNIT = {
+    "arcsec": 1.0, "arcmin": 60.0, "deg": 3600.0, "ppm": 1.0, "%": 1e4, "deg/h": 1.0, "deg/s": 3600.0,
+    "ug": 1.0, "mg": 1e3, "mm": 1.0, "cm": 10.0, "ppm/degC": 1.0, "deg/h/degC": 1.0, "ug/degC": 1.0,
+    "deg/h/g": 1.0, "ug/g^2": 1.0, "output": 1.0, "output/degC": 1.0,
+}  # fmt: skip
+_PRIOR = re.compile(r"(\w+)\(\s*(.+?)\s*\)")
+_NUMBER_AND_UNIT = re.compile(r"([-+.\deE]+)\s*(\S*)")
+
+
+def stream(seed: int, name: str) -> np.random.Generator:
+    """The random stream that belongs to `name`."""
+    return np.random.default_rng([seed, zlib.crc32(name.encode())])
+
+
+def draw(prior: str, unit: str, generator: np.random.Generator) -> float:
+    """One value of a prior such as ``normal(0, 500 ppm)``, in `unit`."""
+    family, inside = _PRIOR.fullmatch(prior.strip()).groups()
+    numbers, factor = [], 1.0
+    for part in inside.split(","):
+        number, given = _NUMBER_AND_UNIT.fullmatch(part.strip()).groups()
+        numbers.append(float(number))
+        if given:
+            factor = _IN_BASE_UNIT[given] / _IN_BASE_UNIT[unit]
+    match family:
+        case "normal":
+            return factor * generator.normal(*numbers)
+        case "halfnormal":
+            return factor * abs(generator.normal(0.0, numbers[0]))
+        case "lognormal":
+            return factor * numbers[0] * float(np.exp(generator.normal(0.0, numbers[1])))
+        case "uniform":
+            return factor * generator.uniform(*numbers)
+    raise ValueError(f"unknown prior family '{family}'")
+
+
+def _applies(effect: dict, channel: Channel) -> bool:
+    if "channels" in effect:
+        return channel.name in effect["channels"]
+    if effect["name"].startswith("gyro_"):
+        return channel.kind == "gyro"
+    if effect["name"].startswith(("accel_", "lever_arm")):
+        return channel.kind == "accelerometer"
+    return True
+
+
+def from_model(model: str, channels: Iterable[Channel], seed: int) -> dict[str, float]:
+    """Draw every channel parameter for which models/`model`.toml states a prior."""
+    values: dict[str, float] = {}
+    channels = tuple(channels)
+    for effect in tomllib.loads((MODELS / f"{model}.toml").read_text(encoding="utf-8"))["effect"]:
+        for channel in channels:
+            if not _applies(effect, channel):
+                continue
+            for parameter, prior in effect.get("prior", {}).items():
+                kind = f"{effect['name']}.{parameter}"
+                name = f"{kind}[{channel.name}]"
+                values[name] = draw(prior, UNITS[kind], stream(seed, name))
+    return values
+
+
+def from_equipment(
+    mountings: Iterable[Mounting], tables: Iterable[Table], turning: Iterable[str], seed: int
+) -> dict[str, float]:
+    """Draw the errors of seats and table axes, and the rate errors of the tables in `turning`."""
+    spreads: dict[str, float] = {}
+    for mounting in mountings:
+        for axis in "xyz":
+            spreads[f"mounting_error.{axis}[{mounting.name}]"] = 60 * mounting.uncertainty_arcmin
+    for table in tables:
+        for axis in "xy" if table.axis_uncertainty_arcsec else "":
+            spreads[f"table_axis_tilt.{axis}[{table.name}]"] = table.axis_uncertainty_arcsec
+        if table.name in turning:
+            spreads[f"table_rate_error.rate_error[{table.name}]"] = table.rate_uncertainty_ppm
+    return {name: stream(seed, name).normal(0.0, spread) for name, spread in spreads.items()}
+
+
+def true_seat(mounting: Mounting, values: Values) -> np.ndarray:
+    """Body to table with the error of the seat in it."""
+    error = [values[f"mounting_error.{axis}[{mounting.name}]"] * ARCSEC for axis in "xyz"]
+    return mounting.body_to_table @ rotation(error)
+
+
+def mounting_angles(channels: Iterable[Channel], mountings: Iterable[Mounting], values: Values) -> dict[str, float]:
+    """True angle in deg between each sensitive axis and the rotation axis."""
+    angles = {}
+    channels = tuple(channels)
+    for mounting in mountings:
+        for channel in channels:
+            axis = true_seat(mounting, values) @ sensitive_axis(channel, values)
+            angles[f"mounting_angle[{channel.name},{mounting.name}]"] = float(
+                np.degrees(np.arctan2(np.hypot(axis[0], axis[1]), axis[2]))
+            )
+    return angles
+
+
+def scale_factors(channels: Iterable[Channel], values: Values) -> dict[str, float]:
+    """True scale factor at the reference temperature, output units per input unit."""
+    factors = {}
+    for channel in channels:
+        effect = "gyro_scale_factor" if channel.kind == "gyro" else "accel_scale_factor"
+        error = 1e-6 * values.get(f"{effect}.scale[{channel.name}]", 0.0)
+        factors[f"scale_factor[{channel.name}]"] = channel.scale * (1 + error)
+    return factors

@@ -1,0 +1,116 @@
+"""From columns in the units of the file to a `Run` in SI."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from imubayes.campaign.columns import COVARIATE_COLUMNS, NEEDS_TABLE, REFERENCE_COLUMNS, TEXT_COLUMNS, Layout
+from imubayes.campaign.findings import Finding
+from imubayes.campaign.schema import RunEntry
+from imubayes.run import Channel, Run, Tumble
+from imubayes.units import to_si
+
+FACTORS = {
+    "time_s": 1.0,
+    "power_on_s": 1.0,
+    "table_rate_deg_s": to_si("deg/s"),
+    "table_angle_deg": to_si("deg"),
+    "table_angle_span_deg": to_si("deg"),
+    "temperature_degC": 1.0,
+    "converter_temperature_degC": 1.0,
+    "current_mA": to_si("mA"),
+}
+"""Column → factor to the SI unit of its covariate."""
+
+TURN = 2 * np.pi
+
+
+def build_run(
+    entry: RunEntry,
+    numbers: Mapping[str, np.ndarray],
+    channels: Sequence[Channel],
+    notes: Sequence[str] = (),
+    tumble: Tumble | None = None,
+) -> Run:
+    """Return a run from its rows.
+
+    Parameters
+    ----------
+    entry : the run's entry in the campaign file.
+    numbers : column → shape (R,), in the units of the file; `samples` and `<channel>_sd` where known.
+    channels : all channels of the campaign.
+    notes : what the reduction did.
+    tumble : the moving part of a free tumble.
+    """
+    rows = len(next(iter(numbers.values())))
+    unknown = np.full(rows, np.nan)
+    covariates, said = _covariates(entry, numbers, rows)
+    return Run(
+        entry.name,
+        entry.procedure,
+        entry.table,
+        entry.mounting,
+        covariates,
+        np.stack([numbers.get(channel.name, unknown) for channel in channels], axis=1),
+        numbers.get("samples", np.ones(rows)),
+        np.stack([numbers.get(f"{channel.name}_sd", unknown) for channel in channels], axis=1),
+        None if entry.start is None else entry.start.isoformat(),
+        tumble,
+        (*notes, *said),
+    )
+
+
+def unused_columns(layout: Layout, run: str, where: str) -> list[Finding]:
+    """Name the columns that are understood but take no part in the rows."""
+    unused = [name for name in (*REFERENCE_COLUMNS, *TEXT_COLUMNS) if layout.has(name) and name != "segment"]
+    if not unused:
+        return []
+    what = f"{', '.join(unused)}: read and checked, not used"
+    return [
+        Finding("unused_columns", "warning", run, what, f"{where}, header", "", "nothing; the other columns are used")
+    ]
+
+
+def _covariates(
+    entry: RunEntry, numbers: Mapping[str, np.ndarray], rows: int
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    covariates = {
+        covariate: numbers[column] * FACTORS[column]
+        for column, covariate in COVARIATE_COLUMNS.items()
+        if column in numbers
+    }
+    notes: list[str] = []
+    rate = covariates.setdefault("table_rate", np.zeros(rows))
+    turning = rate != 0
+    angle = covariates.get("table_angle")
+    if angle is None:
+        if entry.procedure in NEEDS_TABLE and not turning.all():
+            notes.append("no angle column: the table is taken to stand at angle 0 where it is at rest")
+        angle = np.full(rows, np.nan)
+    elif np.any(np.isnan(angle) & ~turning):
+        notes.append(f"{np.sum(np.isnan(angle) & ~turning)} empty angles at rest are taken as 0")
+    covariates["table_angle"] = np.where(np.isnan(angle) & ~turning, 0.0, angle)
+    span = covariates.get("table_angle_span", np.full(rows, np.nan))
+    whole = np.where(np.isnan(covariates["table_angle"]), TURN, 0.0)
+    covariates["table_angle_span"] = np.where(np.isnan(span), whole, span)
+    for name in ("temperature", "converter_temperature"):
+        _fill_temperature(name, covariates, entry, rows, notes)
+    return covariates, notes
+
+
+def _fill_temperature(
+    name: str, covariates: dict[str, np.ndarray], entry: RunEntry, rows: int, notes: list[str]
+) -> None:
+    values = covariates.get(name)
+    if values is not None and np.isnan(values).all():
+        values = covariates.pop(name)
+        values = None
+    if values is None:
+        if name == "temperature" and entry.temperature_degC is not None:
+            covariates[name] = np.full(rows, entry.temperature_degC)
+        return
+    empty = np.isnan(values)
+    if empty.any():
+        axis = covariates.get("time", np.arange(rows, dtype=float))
+        covariates[name] = np.where(empty, np.interp(axis, axis[~empty], values[~empty]), values)
+        notes.append(f"{np.sum(empty)} missing values of {name} are interpolated between their neighbours")

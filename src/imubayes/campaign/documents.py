@@ -1,0 +1,188 @@
+"""From a TOML file to a validated record, with every problem in it named at its line.
+
+Reading never stops at the first fault: what the parser, the schema and the later checks find is collected
+in a `Ledger`, which knows the places of the keys, and raised together.
+"""
+
+import re
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from imubayes.campaign.schema import SECTIONS
+from imubayes.campaign.toml_lines import Path as KeyPath
+from imubayes.campaign.toml_lines import key_lines, line_of
+from imubayes.errors import InputError, Problem, closest_first
+
+_PLACE = re.compile(r"\s*\(at (?:line (\d+), column \d+|end of document)\)")
+
+
+@dataclass
+class Ledger:
+    """The problems found so far in one document, and where its keys stand."""
+
+    file: Path
+    lines: dict[KeyPath, int] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+
+    def where(self, *path: str | int) -> str:
+        """Return file, line and key of a path."""
+        line = line_of(path, self.lines)
+        place = f"{self.file}:{line}" if line else str(self.file)
+        return f"{place}, {spell(path)}" if path else place
+
+    def add(self, what: str, path: KeyPath, allowed: str, remedy: str) -> None:
+        """Note one problem at a key."""
+        self.problems.append(Problem(what, self.where(*path), allowed, remedy))
+
+    def stop_if_any(self) -> None:
+        """Raise what was collected."""
+        if self.problems:
+            raise InputError(self.problems)
+
+
+def spell(path: KeyPath) -> str:
+    """Write a key path as ``channel[2].scale`` (elements counted from 0)."""
+    text = ""
+    for part in path:
+        text += f"[{part}]" if isinstance(part, int) else (f".{part}" if text else part)
+    return text
+
+
+def read_document[Record: BaseModel](file: Path, record: type[Record]) -> tuple[Record, Ledger]:
+    """Read and validate one TOML file.
+
+    Raises
+    ------
+    InputError
+        with all problems of structure.
+    """
+    text = _text(file)
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(_syntax_problem(file, str(error))) from None
+    ledger = Ledger(file, key_lines(text))
+    try:
+        entry = record.model_validate(content)
+    except ValidationError as error:
+        for fault in error.errors(include_url=False):
+            _note_fault(ledger, record, content, fault)
+        raise InputError(ledger.problems) from None
+    return entry, ledger
+
+
+def _text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        near = sorted(path.name for path in file.parent.glob("*.toml")) if file.parent.is_dir() else []
+        raise InputError(
+            Problem(
+                f"there is no file '{file.name}'",
+                str(file),
+                closest_first(file.name, near) or "a TOML file",
+                "give the path of an existing file",
+            )
+        ) from None
+    except UnicodeDecodeError as error:
+        raise InputError(
+            Problem(
+                f"the file is not UTF-8 text (byte {error.start})",
+                str(file),
+                "UTF-8",
+                "save it as UTF-8 text",
+            )
+        ) from None
+    except OSError as error:
+        raise InputError(
+            Problem(f"the file cannot be read: {error.strerror}", str(file), "", "make the file readable")
+        ) from None
+
+
+def _syntax_problem(file: Path, message: str) -> Problem:
+    place = _PLACE.search(message)
+    line = f":{place[1]}" if place and place[1] else ""
+    return Problem(
+        f"the file is not valid TOML: {_PLACE.sub('', message)}",
+        f"{file}{line}",
+        'key = value, with text in "quotes" and tables as [name] or [[name]]',
+        "mend the syntax at this line",
+    )
+
+
+def _note_fault(ledger: Ledger, record: type[BaseModel], content: dict[str, Any], fault: Any) -> None:
+    path = tuple(part for part in fault["loc"] if part != "[key]")
+    kind, context = fault["type"], fault.get("ctx", {})
+    key = str(path[-1]) if path else ""
+    owner = _owner(record, path)
+    fields = list(owner.model_fields) if owner else []
+    if kind == "extra_forbidden":
+        ledger.add(f"unknown key '{key}'", path, closest_first(key, fields), "correct the key or remove it")
+    elif kind == "missing":
+        what = f"{_label(content, path[:-1])} has no '{key}'"
+        ledger.add(what, path, f"{key} = {_example(owner, key)}", f"add '{key}'")
+    elif kind == "literal_error":
+        options = [option.strip("'") for option in re.split(r", | or ", context["expected"])]
+        ledger.add(
+            f"{key} = {fault['input']!r} is not known",
+            path,
+            closest_first(str(fault["input"]), options),
+            "use one of the allowed values",
+        )
+    elif kind == "value_error":
+        ledger.add(str(context["error"]), path, ", ".join(fields), "mend this entry")
+    else:
+        ledger.add(
+            f"{spell(path) or 'the file'}: {_sentence(fault)}", path, _range(owner, key), "correct the value"
+        )
+
+
+def _sentence(fault: Any) -> str:
+    given = fault["input"]
+    shown = f" (it is {given!r})" if isinstance(given, str | int | float | bool) else ""
+    return fault["msg"][0].lower() + fault["msg"][1:] + shown
+
+
+def _owner(record: type[BaseModel], path: KeyPath) -> type[BaseModel] | None:
+    if len(path) <= 1:
+        return record
+    return SECTIONS[record].get(str(path[0]))
+
+
+def _label(content: dict[str, Any], path: KeyPath) -> str:
+    value: Any = content
+    for part in path:
+        value = value[part]
+    name = value.get("name") if isinstance(value, dict) else None
+    return f"{spell(path)} '{name}'" if path and name else (spell(path) or "the file")
+
+
+def _example(owner: type[BaseModel] | None, key: str) -> str:
+    if owner is None or key not in owner.model_fields:
+        return "…"
+    examples = {
+        "format": "1",
+        "kind": '"gyro" or "accelerometer"',
+        "per": '"deg/s"',
+        "input_axis": "[1, 0, 0]",
+    }
+    shape = str(owner.model_fields[key].annotation)
+    return examples.get(key, "a number" if "float" in shape else "text in quotes" if "str" in shape else "…")
+
+
+def _range(owner: type[BaseModel] | None, key: str) -> str:
+    if owner is None or key not in owner.model_fields:
+        return "see the data dictionary"
+    words = {"ge": "at least {}", "gt": "more than {}", "le": "at most {}", "lt": "less than {}"}
+    schema = owner.model_json_schema()["properties"][key]
+    names = {"minimum": "ge", "exclusiveMinimum": "gt", "maximum": "le", "exclusiveMaximum": "lt"}
+    variants = [schema, *schema.get("anyOf", [])]
+    bounds = [
+        words[names[k]].format(f"{v:g}") for variant in variants for k, v in variant.items() if k in names
+    ]
+    kinds = [variant["type"] for variant in variants if variant.get("type", "null") != "null"]
+    return " ".join([*kinds[:1], ", ".join(bounds)]).strip() or "see the data dictionary"

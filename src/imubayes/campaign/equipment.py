@@ -1,0 +1,192 @@
+"""From the entries of `campaign.toml` to SI records: site, channels, tables, mountings.
+
+Here the numbers leave their datasheet units, and here geometry is judged: an input axis must have a length,
+a mounting must be a rotation, a name must be given once.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from imubayes.campaign.documents import Ledger
+from imubayes.campaign.gravity import normal_gravity
+from imubayes.campaign.schema import ChannelEntry, MountingEntry, SiteEntry, TableEntry
+from imubayes.run import Channel, Mounting, Site, Table
+from imubayes.units import to_si
+
+DEGREE, ARCMIN, ARCSEC, PPM, MILLIAMPERE = (to_si(unit) for unit in ("deg", "arcmin", "arcsec", "ppm", "mA"))
+ROTATION_TOLERANCE = 1e-6  # a matrix written with seven decimals is a rotation to this
+SQUARENESS = math.sin(1 * DEGREE)  # an output axis given to within a degree of square is made square
+_ALLOWED_PER = {"gyro": ("deg/s", "deg/h", "rad/s"), "accelerometer": ("g", "m/s^2")}
+
+
+def build_site(entry: SiteEntry) -> Site:
+    """Return the site in SI; the gravity formula fills in where none was measured."""
+    latitude = entry.latitude_deg * DEGREE
+    gravity = entry.gravity_m_s2
+    return Site(
+        latitude, entry.height_m, normal_gravity(latitude, entry.height_m) if gravity is None else gravity
+    )
+
+
+def build_channels(entries: Sequence[ChannelEntry], gravity: float, ledger: Ledger) -> tuple[Channel, ...]:
+    """Return the channels in SI with complete axes; faults go to the ledger."""
+    refuse_repeats([entry.name for entry in entries], "channel", ledger)
+    channels = [_channel(entry, ("channel", index), gravity, ledger) for index, entry in enumerate(entries)]
+    return tuple(channel for channel in channels if channel is not None)
+
+
+def build_tables(entries: Sequence[TableEntry], ledger: Ledger) -> dict[str, Table]:
+    """Return the tables in SI, by name."""
+    refuse_repeats([entry.name for entry in entries], "table", ledger)
+    return {
+        entry.name: Table(
+            entry.name,
+            entry.azimuth_deg * DEGREE,
+            entry.elevation_deg * DEGREE,
+            _times(entry.axis_uncertainty_arcsec, ARCSEC),
+            _times(entry.rate_uncertainty_ppm, PPM),
+            _times(entry.angle_uncertainty_arcsec, ARCSEC),
+        )
+        for entry in entries
+    }
+
+
+def build_mountings(entries: Sequence[MountingEntry], ledger: Ledger) -> dict[str, Mounting]:
+    """Return the mountings in SI, by name; a matrix that is no rotation goes to the ledger."""
+    refuse_repeats([entry.name for entry in entries], "mounting", ledger)
+    mountings = {}
+    for index, entry in enumerate(entries):
+        matrix = np.array(entry.body_to_table) if entry.body_to_table else PRESETS[str(entry.preset)]
+        path = ("mounting", index, "body_to_table")
+        if fault := _not_a_rotation(matrix):
+            ledger.add(
+                f"body_to_table of mounting '{entry.name}' is not a rotation: {fault}",
+                path,
+                'three orthonormal rows with determinant +1, or preset = "trihedral" or "aligned"',
+                "write column k as body axis k in the table frame, with at least seven decimals",
+            )
+            continue
+        mountings[entry.name] = Mounting(
+            entry.name, _nearest_rotation(matrix), _times(entry.uncertainty_arcmin, ARCMIN)
+        )
+    return mountings
+
+
+def refuse_repeats(names: Iterable[str], section: str, ledger: Ledger) -> None:
+    """Note every name of a section that was given before."""
+    first: dict[str, int] = {}
+    for index, name in enumerate(names):
+        if name in first:
+            ledger.add(
+                f"the {section} name '{name}' is given twice",
+                (section, index, "name"),
+                f"a name not yet used (first use: {ledger.where(section, first[name], 'name')})",
+                f"rename one of the two {section}s",
+            )
+        first.setdefault(name, index)
+
+
+def complete_axes(input_axis: np.ndarray, output_axis: np.ndarray | None) -> np.ndarray:
+    """Return the rows I, O, S: unit vectors, O made square to I, S = I × O.
+
+    Where no output axis is given, it starts from the body axis least aligned with I (x before y before z).
+    """
+    first = input_axis / np.linalg.norm(input_axis)
+    start = np.eye(3)[np.argmin(np.round(np.abs(first), 12))] if output_axis is None else output_axis
+    second = start - (start @ first) * first
+    second /= np.linalg.norm(second)
+    return np.stack([first, second, np.cross(first, second)])
+
+
+def _channel(entry: ChannelEntry, path: tuple[str, int], gravity: float, ledger: Ledger) -> Channel | None:
+    before = len(ledger.problems)
+    input_axis = np.array(entry.input_axis, dtype=float)
+    output_axis = None if entry.output_axis is None else np.array(entry.output_axis, dtype=float)
+    if np.linalg.norm(input_axis) < 1e-9:
+        ledger.add(
+            f"the input axis of channel '{entry.name}' has no length",
+            (*path, "input_axis"),
+            "a direction in the body frame, such as [1, 0, 0]",
+            "give the nominal direction of the sensitive axis",
+        )
+    elif output_axis is not None:
+        _check_output_axis(entry, input_axis, output_axis, path, ledger)
+    if entry.scale == 0:
+        ledger.add(
+            f"the nominal scale of channel '{entry.name}' is zero",
+            (*path, "scale"),
+            "output units per input unit, negative where the output is reversed",
+            "give the nominal scale of the datasheet",
+        )
+    if entry.per not in _ALLOWED_PER[entry.kind]:
+        ledger.add(
+            f"a {entry.kind} cannot have its scale per '{entry.per}'",
+            (*path, "per"),
+            ", ".join(_ALLOWED_PER[entry.kind]),
+            "correct 'per' or 'kind'",
+        )
+    if len(ledger.problems) > before:
+        return None
+    current = entry.current_mA_per_g
+    return Channel(
+        entry.name,
+        entry.kind,
+        complete_axes(input_axis, output_axis),
+        entry.output_unit,
+        float(entry.scale),
+        entry.per,
+        entry.scale / to_si(entry.per, gravity),
+        float(entry.offset),
+        entry.noise,
+        None if current is None else current * MILLIAMPERE / gravity,
+    )
+
+
+def _check_output_axis(
+    entry: ChannelEntry,
+    input_axis: np.ndarray,
+    output_axis: np.ndarray,
+    path: tuple[str, int],
+    ledger: Ledger,
+) -> None:
+    length = float(np.linalg.norm(output_axis))
+    cosine = abs(input_axis @ output_axis) / (np.linalg.norm(input_axis) * length) if length > 1e-9 else 1.0
+    if cosine > SQUARENESS:
+        fault = "has no length" if length <= 1e-9 else "is not square to its input axis"
+        ledger.add(
+            f"the output axis of channel '{entry.name}' {fault}",
+            (*path, "output_axis"),
+            "a direction at a right angle to input_axis, to within 1 degree",
+            "correct output_axis, or leave it out",
+        )
+
+
+def _not_a_rotation(matrix: np.ndarray) -> str:
+    determinant = float(np.linalg.det(matrix))
+    worst = float(np.max(np.abs(matrix.T @ matrix - np.eye(3))))
+    if abs(determinant) < 1e-9:
+        return "it is singular"
+    if worst > ROTATION_TOLERANCE:
+        return f"its columns are off square or unit length by up to {worst:.2g}"
+    return "its determinant is -1 (a mirror image)" if determinant < 0 else ""
+
+
+def _nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    left, _, right = np.linalg.svd(matrix)
+    return left @ right
+
+
+def _trihedral() -> np.ndarray:
+    azimuth = np.array([0.0, 120.0, 240.0]) * DEGREE
+    across, along = math.sqrt(2 / 3), math.sqrt(1 / 3)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.full(3, along)])
+
+
+PRESETS = {"trihedral": _trihedral(), "aligned": np.eye(3)}
+"""Mountings with a name: the tri-rectangular pyramid, and body axes along the table's."""
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor

@@ -1,0 +1,177 @@
+"""One run: from its table file to rows in SI, with everything that is wrong with it.
+
+A run comes in one of three forms: rows that are means already (a `samples` column), a raw log of constant
+stimuli, which is reduced, or the raw log of a free tumble, whose motion matters too.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from imubayes.campaign.build_run import build_run, unused_columns
+from imubayes.campaign.checks import check_log, check_rows
+from imubayes.campaign.columns import lay_out
+from imubayes.campaign.findings import Finding
+from imubayes.campaign.monitor import Monitor
+from imubayes.campaign.reduction import BlockBuilder, Blocks, SegmentTracker, Span, reduce_log
+from imubayes.campaign.schema import RunEntry
+from imubayes.campaign.tables import TableSource, read_header
+from imubayes.campaign.tumble import reduce_tumble
+from imubayes.errors import InputError, Problem
+from imubayes.run import Channel, Mounting, Run, Site, Table
+
+
+@dataclass(frozen=True)
+class Equipment:
+    """What a run is judged against."""
+
+    site: Site
+    channels: tuple[Channel, ...]
+    tables: dict[str, Table]
+    mountings: dict[str, Mounting]
+
+
+@dataclass
+class Loaded:
+    """What came of one run: the run where it is usable, problems of the file, findings in the data."""
+
+    run: Run | None = None
+    problems: list[Problem] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
+
+    @property
+    def failed(self) -> bool:
+        """Whether something is wrong that stops the campaign."""
+        return bool(self.problems) or any(finding.severity == "error" for finding in self.findings)
+
+
+@dataclass(frozen=True)
+class _Survey:
+    rows: int
+    blocks: Blocks | None
+    labelled: list[Span] | None
+    findings: list[Finding]
+
+
+def load_run(file: Path, entry: RunEntry, channel_names: Sequence[str], equipment: Equipment | None) -> Loaded:
+    """Read one run table.
+
+    Parameters
+    ----------
+    file : the table.
+    entry : the run's entry in the campaign file.
+    channel_names : the channels that may have a column.
+    equipment : the campaign's equipment, or None where it is faulty; then only the file itself is judged.
+    """
+    loaded = Loaded()
+    try:
+        layout, loaded.problems = lay_out(read_header(file), channel_names, entry.ignore, entry.procedure, str(file))
+        if loaded.problems:
+            return loaded
+        _load(loaded, TableSource(file, layout), entry, equipment)
+    except InputError as error:
+        loaded.problems += error.problems
+    return loaded
+
+
+def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equipment | None) -> None:
+    survey = _survey(source, entry)
+    where = str(source.file)
+    loaded.findings += survey.findings
+    if survey.rows == 0:
+        loaded.findings.append(_empty(entry, where, "the table has a header and no rows"))
+    if loaded.failed or equipment is None:
+        return
+    if entry.procedure == "free_tumble":
+        run, found = _load_tumble(source, entry, equipment)
+        loaded.findings += found
+    elif source.layout.reduced:
+        numbers = _whole(source)
+        loaded.findings += _check_counts(numbers, source, entry)
+        run = build_run(entry, numbers, equipment.channels)
+    else:
+        assert survey.blocks is not None
+        loaded.findings += check_log(survey.blocks, entry.name, where)
+        rows = reduce_log(source, entry.procedure, survey.rows, survey.blocks, survey.labelled)
+        loaded.findings += [_unsteady(entry, where, rows.unsteady)] if rows.unsteady else []
+        run = build_run(entry, rows.numbers, equipment.channels, rows.notes)
+    if run.rows == 0:
+        loaded.findings.append(_empty(entry, where, "no stretch of constant stimulus was found in the log"))
+    if loaded.failed:
+        return
+    table, mounting = equipment.tables.get(entry.table or ""), equipment.mountings.get(entry.mounting or "")
+    loaded.findings += check_rows(run, equipment.channels, equipment.site, table, mounting, where)
+    loaded.findings += unused_columns(source.layout, entry.name, where)
+    warnings = tuple(f"{f.name}: {f.what}" for f in loaded.findings if f.severity == "warning")
+    loaded.run = None if loaded.failed else replace(run, notes=(*run.notes, *warnings))
+
+
+def _survey(source: TableSource, entry: RunEntry) -> _Survey:
+    layout = source.layout
+    monitor = Monitor(source, entry.name)
+    tracker = SegmentTracker() if "segment" in layout.texts and not layout.reduced else None
+    builder = None
+    if not layout.reduced and entry.procedure != "free_tumble":
+        builder = BlockBuilder([name for name in layout.numbers if not name.endswith("_sd")])
+    for batch in source:
+        if not batch.rows:
+            continue
+        monitor.push(batch)
+        if builder is not None:
+            builder.push(batch)
+        if tracker is not None:
+            tracker.push(batch)
+    blocks = builder.finish() if builder is not None and monitor.rows else None
+    return _Survey(monitor.rows, blocks, None if tracker is None else tracker.spans(), monitor.findings())
+
+
+def _whole(source: TableSource) -> dict[str, np.ndarray]:
+    batches = list(source)
+    return {name: np.concatenate([batch.numbers[name] for batch in batches]) for name in source.layout.numbers}
+
+
+def _load_tumble(source: TableSource, entry: RunEntry, equipment: Equipment) -> tuple[Run, list[Finding]]:
+    layout = source.layout
+    if layout.reduced:
+        raise InputError(
+            Problem(
+                "a free tumble is given as means, without the motion between its poses",
+                f"{source.file}, column 'samples'",
+                "a raw log: time_s and one column per channel",
+                "give the raw log of the whole recording",
+            )
+        )
+    reduced = reduce_tumble(_whole(source), equipment.channels, equipment.site.gravity, entry.initial_rest_s, source.file)
+    run = build_run(entry, reduced.numbers, equipment.channels, reduced.notes, reduced.tumble)
+    findings = [replace(finding, run=entry.name) for finding in reduced.findings]
+    return run, findings
+
+
+def _check_counts(numbers: dict[str, np.ndarray], source: TableSource, entry: RunEntry) -> list[Finding]:
+    wrong = {"samples": ~(numbers["samples"] >= 1)}
+    wrong |= {name: values < 0 for name, values in numbers.items() if name.endswith("_sd")}
+    return [
+        Finding(
+            "bad_count", "error", entry.name,
+            f"{int(rows.sum())} cells of '{name}' are {'below 1' if name == 'samples' else 'negative'}",
+            f"{source.place(int(np.argmax(rows)))}, column '{name}'",
+            "1 or more" if name == "samples" else "0 or more", "correct the cell",
+        )
+        for name, rows in wrong.items() if rows.any()
+    ]  # fmt: skip
+
+
+def _empty(entry: RunEntry, where: str, what: str) -> Finding:
+    allowed = "rows of readings; for a raw log, at least a second of constant stimulus"
+    return Finding("empty_run", "error", entry.name, what, where, allowed, "fill the table or remove the run")
+
+
+def _unsteady(entry: RunEntry, where: str, rows: tuple[int, ...]) -> Finding:
+    what = f"{len(rows)} labelled segments have a stimulus that changes inside"
+    allowed = "one rate, one angle or rest per segment"
+    remedy = "leave the label of transients empty"
+    return Finding("segment_not_constant", "warning", entry.name, what, f"{where}, column 'segment'", allowed, remedy)
+
+

@@ -1,0 +1,177 @@
+"""The second pass over a raw log: one row per span, by sums, with turns cut at exactly whole ones.
+
+While the table turns, everything that depends on its angle averages out over whole turns and only then.  The
+log is sampled, and a turn ends between two samples; the mean over turns is therefore the trapezoidal integral
+over angle up to the interpolated end, which for a smooth periodic signal is good to the third power of the
+angle between two samples.  The standard deviation of one sample is taken about the mean at rest, and from
+successive differences while turning, where the signal itself moves.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.campaign.reduction.detect import Span, wrap_degrees
+from imubayes.campaign.tables import Batch
+
+
+@dataclass(frozen=True)
+class Row:
+    """One reduced row.
+
+    Attributes
+    ----------
+    mean : per column, NaN where every cell was empty.
+    sd : per column, standard deviation of one sample, NaN where unknown.
+    samples : number of raw samples.
+    turns : whole turns the mean was taken over, 0 at rest or on a partial turn.
+    swept : angle swept in deg, 0 at rest, NaN where nothing tells.
+    rate : mean rate in deg/s from the angle column, 0 at rest, NaN where there is none.
+    angle_known : whether `mean` has the angle that belongs to it.
+    missing : whether cells were empty.
+    """
+
+    mean: np.ndarray
+    sd: np.ndarray
+    samples: int
+    turns: int
+    swept: float
+    rate: float
+    angle_known: bool
+    missing: bool
+
+
+def accumulate(
+    batches: Iterable[Batch], spans: Sequence[Span], columns: Sequence[str], interval: float | None
+) -> list[Row]:
+    """Return one row per span; `spans` are in order and do not overlap."""
+    sums: list[_SpanSum] = []
+    for batch in batches:
+        table = np.stack([batch.numbers[name] for name in columns], axis=1)
+        stop = batch.first + batch.rows
+        while len(sums) < len(spans) and spans[len(sums)].start < stop:
+            sums.append(_SpanSum(spans[len(sums)], columns, interval))
+        for total in reversed(sums):
+            if total.span.stop <= batch.first:
+                break
+            total.add(table[max(0, total.span.start - batch.first) : total.span.stop - batch.first])
+    return [total.row() for total in sums]
+
+
+class _SpanSum:
+    """Running sums of one span, shifted by its first row to keep their digits."""
+
+    def __init__(self, span: Span, columns: Sequence[str], interval: float | None):
+        index = {name: position for position, name in enumerate(columns)}
+        self.span = span
+        self._time, self._rate = index.get("time_s"), index.get("table_rate_deg_s")
+        self._angle = index.get("table_angle_deg")
+        self._interval = interval
+        self._rows = 0
+        self._last = np.zeros(0)
+        self._swept = 0.0
+        self._turns = 0
+        self._trackable = span.turning and (interval is not None or self._angle is not None)
+
+    def add(self, table: np.ndarray) -> None:
+        """Take in consecutive rows of the span, shape (n, columns)."""
+        if not len(table):
+            return
+        if self._rows == 0:
+            self._begin(table)
+        joined = np.concatenate([self._last[None, :], table])
+        values = np.where(np.isnan(joined), 0.0, joined - self._shift)
+        weight = (~np.isnan(joined)).astype(float)
+        if self._angle is not None:
+            values[0, self._angle] = self._angle_last
+            values[1:, self._angle] = self._unwrapped(joined)
+        if self._trackable:
+            self._cut_turns(joined, values, weight)
+        step = np.where(weight[1:] * weight[:-1] > 0, np.diff(values, axis=0), 0.0)
+        skip = 1 if self._rows == 0 else 0
+        self._step_square += (step[skip:] ** 2).sum(0)
+        self._steps += (weight[1:] * weight[:-1])[skip:].sum(0)
+        self._sum += values[1:].sum(0)
+        self._square += (values[1:] ** 2).sum(0)
+        self._weight += weight[1:].sum(0)
+        self._rows += len(table)
+        self._last = table[-1]
+        if self._angle is not None:
+            self._angle_last = values[-1, self._angle]
+
+    def row(self) -> Row:
+        """Return the finished row."""
+        total, weight, samples = self._sum, self._weight, self._rows
+        swept = self._swept * samples / max(samples - 1, 1)
+        if self._turns:
+            total, weight = self._turn_sum, self._turn_weight
+            samples, swept = round(float(np.max(weight))), 360.0 * self._turns
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mean = np.where(weight > 0, self._shift + total / weight, np.nan)
+            about = (self._square - self._sum**2 / self._weight) / (self._weight - 1)
+            plain = np.where(self._weight > 1, np.sqrt(np.maximum(about, 0.0)), np.nan)
+            stepwise = np.where(self._steps > 0, np.sqrt(self._step_square / (2 * self._steps)), np.nan)
+        turning = self.span.turning
+        known = self._angle is not None and self._turns == 0 and bool(np.isfinite(mean[self._angle]))
+        unknown_sweep = turning and not self._trackable
+        return Row(
+            mean,
+            stepwise if turning else plain,
+            samples,
+            self._turns,
+            np.nan if unknown_sweep else (swept if turning else 0.0),
+            self._rate_from_angle() if turning else 0.0,
+            known,
+            bool(np.any((self._weight > 0) & (self._weight < self._rows))),
+        )
+
+    def _rate_from_angle(self) -> float:
+        if self._angle is None or self._interval is None or self._rows < 2:
+            return float("nan")
+        return float(self._angle_last / ((self._rows - 1) * self._interval))
+
+    def _begin(self, table: np.ndarray) -> None:
+        width = table.shape[1]
+        self._shift = np.where(np.isnan(table[0]), 0.0, table[0])
+        self._last = table[0]
+        self._angle_last = 0.0
+        self._sum, self._square, self._weight = np.zeros(width), np.zeros(width), np.zeros(width)
+        self._step_square, self._steps = np.zeros(width), np.zeros(width)
+        self._first_weight = (~np.isnan(table[0])).astype(float)
+        self._turn_sum, self._turn_weight = np.zeros(width), np.zeros(width)
+
+    def _expected_step(self, joined: np.ndarray) -> np.ndarray:
+        """Return the angle in deg that the rate column predicts from each row to the next."""
+        rows = len(joined) - 1
+        if self._rate is None or self._interval is None:
+            return np.zeros(rows)
+        seconds = np.full(rows, self._interval) if self._time is None else np.diff(joined[:, self._time])
+        return np.where(np.isnan(joined[1:, self._rate]), 0.0, joined[1:, self._rate]) * seconds
+
+    def _unwrapped(self, joined: np.ndarray) -> np.ndarray:
+        """Return the angle since the first row of the span, without jumps at a full turn."""
+        expected = self._expected_step(joined)
+        step = expected + wrap_degrees(np.diff(joined[:, self._angle]) - expected)
+        return self._angle_last + np.cumsum(np.where(np.isnan(step), 0.0, step))
+
+    def _cut_turns(self, joined: np.ndarray, values: np.ndarray, weight: np.ndarray) -> None:
+        """Note the sums up to the last whole turn that ends within these rows."""
+        if self._angle is not None and weight[:, self._angle].all():
+            swept = np.abs(values[1:, self._angle])
+        else:
+            step = np.abs(self._expected_step(joined))
+            swept = self._swept + np.cumsum(step) - (step[0] if self._rows == 0 else 0.0)
+        swept = np.concatenate([[self._swept], np.maximum.accumulate(np.maximum(swept, self._swept))])
+        turns = int(swept[-1] // 360.0)
+        if turns > self._turns:
+            end = 360.0 * turns
+            before = min(int(np.searchsorted(swept, end, side="right")) - 1, len(swept) - 2)
+            part = (end - swept[before]) / max(swept[before + 1] - swept[before], 1e-300)
+            self._turn_sum = self._sum + values[1 : before + 1].sum(0)
+            self._turn_weight = self._weight + weight[1 : before + 1].sum(0)
+            inner, outer = part - 0.5 - part**2 / 2, part**2 / 2
+            self._turn_sum += inner * values[before] + outer * values[before + 1]
+            self._turn_weight += inner * weight[before] + outer * weight[before + 1] - 0.5 * self._first_weight
+            self._turns = turns
+        self._swept = float(swept[-1])

@@ -1,0 +1,112 @@
+"""From a raw log to rows: survey, spans, sums, and a plain account of what was done and left out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.campaign.columns import COVARIATE_COLUMNS, Layout
+from imubayes.campaign.reduction.accumulate import Row, accumulate
+from imubayes.campaign.reduction.blocks import Blocks
+from imubayes.campaign.reduction.detect import BIN_KELVIN, BIN_SECONDS, Span, constant_spans
+from imubayes.campaign.tables import TableSource
+
+BINNED = {"thermal_ramp", "current_injection"}
+"""Procedures in which the temperature is the stimulus, or runs beside it."""
+
+UNSTEADY = 0.02  # of the mean; a rate table holds its rate far better
+
+@dataclass(frozen=True)
+class Rows:
+    """Reduced rows in the units of the file, by column.
+
+    Attributes
+    ----------
+    numbers : column → shape (R,); the columns of covariates and channels, `samples` and `<channel>_sd`.
+    unsteady : indices of labelled segments in which the stimulus changes.
+    notes : what was done and left out.
+    """
+
+    numbers: dict[str, np.ndarray]
+    unsteady: tuple[int, ...]
+    notes: tuple[str, ...]
+
+
+def reduce_log(
+    source: TableSource, procedure: str, rows: int, blocks: Blocks, labelled: Sequence[Span] | None
+) -> Rows:
+    """Reduce a raw log to one row per span of constant stimulus.
+
+    Parameters
+    ----------
+    source : the log.
+    procedure : decides whether spans are cut by temperature.
+    rows : number of raw rows.
+    blocks : its survey.
+    labelled : spans from the `segment` column, where there is one.
+    """
+    layout = source.layout
+    by_temperature = procedure in BINNED and labelled is None
+    if labelled is None:
+        spans = constant_spans(blocks, layout.channels, by_temperature)
+    else:
+        spans = list(labelled)
+    columns = [name for name in (*COVARIATE_COLUMNS, *layout.channels) if layout.has(name)]
+    reduced = accumulate(source, spans, columns, blocks.interval) if spans else []
+    numbers = _columns(columns, layout, reduced)
+    if "time_s" not in numbers and blocks.interval is None and all(row.samples == 1 for row in reduced):
+        note = f"no 'samples' and no 'time_s' column: each of the {rows} rows is taken as one sample"
+        return Rows(numbers, (), (note,))
+    unsteady = _unsteady(columns, reduced) if labelled is not None else ()
+    return Rows(numbers, unsteady, _account(rows, reduced, by_temperature, labelled is not None))
+
+
+def _columns(columns: list[str], layout: Layout, reduced: list[Row]) -> dict[str, np.ndarray]:
+    mean = np.array([row.mean for row in reduced]).reshape(len(reduced), len(columns))
+    sd = np.array([row.sd for row in reduced]).reshape(len(reduced), len(columns))
+    numbers = {name: mean[:, index] for index, name in enumerate(columns)}
+    numbers |= {f"{name}_sd": sd[:, columns.index(name)] for name in layout.channels}
+    numbers["samples"] = np.array([float(row.samples) for row in reduced])
+    known = np.array([row.angle_known for row in reduced], dtype=bool)
+    still = np.array([row.swept == 0.0 for row in reduced], dtype=bool)
+    if "table_angle_deg" in numbers:
+        numbers["table_angle_deg"] = np.where(known, numbers["table_angle_deg"], np.nan)
+    elif not still.all():
+        numbers["table_angle_deg"] = np.where(still, 0.0, np.nan)
+    if "table_rate_deg_s" not in numbers and not still.all():
+        numbers["table_rate_deg_s"] = np.array([row.rate for row in reduced])
+    numbers["table_angle_span_deg"] = np.array([row.swept for row in reduced])
+    return numbers
+
+
+def _unsteady(columns: list[str], reduced: list[Row]) -> tuple[int, ...]:
+    watched = [columns.index(name) for name in ("table_rate_deg_s", "current_mA") if name in columns]
+    return tuple(
+        number
+        for number, row in enumerate(reduced)
+        if any(row.sd[index] > UNSTEADY * max(abs(row.mean[index]), 1e-9) for index in watched)
+    )
+
+
+def _account(rows: int, reduced: list[Row], by_temperature: bool, labelled: bool) -> tuple[str, ...]:
+    used = sum(row.samples for row in reduced)
+    rest = sum(1 for row in reduced if row.swept == 0.0)
+    whole = sum(1 for row in reduced if row.turns)
+    part = len(reduced) - rest - whole
+    how = "by the segment column" if labelled else "where the stimulus was constant"
+    if by_temperature:
+        how = f"in bins of at most {BIN_KELVIN:g} degC and {BIN_SECONDS:g} s"
+    notes = [f"{rows} raw rows reduced to {len(reduced)} means {how}: {rest} at rest, {len(reduced) - rest} turning"]
+    if rows > used:
+        share = 100 * (rows - used) / rows
+        notes.append(
+            f"{rows - used} raw rows ({share:.2g} %) left out: transients between constant stimuli, "
+            "settling, and what exceeds whole turns"
+        )
+    if whole:
+        notes.append(f"{whole} means while turning are cut to whole turns")
+    if part:
+        notes.append(f"{part} means while turning are over less than one full turn and keep their angle where known")
+    if any(row.missing for row in reduced):
+        notes.append("empty cells inside some means: these means are over the cells that are there")
+    return tuple(notes)

@@ -1,0 +1,47 @@
+"""Spans from the `segment` column: consecutive rows with the same label belong together; an empty label is
+"belongs to nothing" and is left out."""
+
+import numpy as np
+
+from imubayes.campaign.reduction.detect import REST_RATE, Span
+from imubayes.campaign.tables import Batch
+
+
+class SegmentTracker:
+    """Follows the labels through the batches."""
+
+    def __init__(self) -> None:
+        self._label: str | None = None
+        self._start = 0
+        self._spans: list[tuple[str | None, int, int]] = []
+        self._rate_sum: list[float] = []
+        self._rate = 0.0
+        self._rows = 0
+
+    def push(self, batch: Batch) -> None:
+        """Take in the next batch."""
+        labels = batch.texts["segment"]
+        rate = batch.numbers.get("table_rate_deg_s")
+        absolute = np.zeros(batch.rows) if rate is None else np.nan_to_num(np.abs(rate))
+        edges = [i for i in range(1, batch.rows) if labels[i] != labels[i - 1]]
+        for begin, end in zip([0, *edges], [*edges, batch.rows], strict=True):
+            if batch.first + begin == 0 or labels[begin] != self._label:
+                self._close(batch.first + begin)
+                self._label = labels[begin]
+            self._rate = max(self._rate, float(np.max(absolute[begin:end], initial=0.0)))
+        self._rows = batch.first + batch.rows
+
+    def spans(self) -> list[Span]:
+        """Return the labelled spans."""
+        self._close(self._rows)
+        return [
+            Span(start, stop, rate > REST_RATE)
+            for (label, start, stop), rate in zip(self._spans, self._rate_sum, strict=True)
+            if label is not None and stop > start
+        ]
+
+    def _close(self, row: int) -> None:
+        if row > self._start:
+            self._spans.append((self._label, self._start, row))
+            self._rate_sum.append(self._rate)
+        self._start, self._rate = row, 0.0

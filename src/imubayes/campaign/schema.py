@@ -1,0 +1,181 @@
+"""The two files an engineer writes, as schemas: `campaign.toml` (what was measured) and the model file.
+
+The schemas hold structure alone: which keys there are, of which type and in which range.  What needs more
+than one place to judge (a reference to a table, a matrix that must be a rotation) is looked at when the
+records are built, and whether an effect of the model exists is the business of the registry of effects.
+Every unknown key is refused, so a misspelt key never becomes a silently ignored setting.
+"""
+
+from datetime import date, datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, field_validator, model_validator
+
+PROCEDURE_NAMES = (
+    "rate_table",
+    "rotation_modulation",
+    "dividing_head",
+    "polar_tumble",
+    "servo_table",
+    "geographic_tumble",
+    "thermal_ramp",
+    "current_injection",
+    "reference_gyro",
+    "free_tumble",
+)
+
+Name = Annotated[str, Field(min_length=1, pattern=r"^[^\s\[\],][^\[\],]*$")]
+ColumnName = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z_][A-Za-z0-9_.\-]*$")]
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Uncertainty = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+Degrees = Annotated[float, Field(ge=-360, le=360)]
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class SiteEntry(_Entry):
+    """Where the test was made; a measured gravity wins over the WGS 84 formula."""
+
+    latitude_deg: float = Field(ge=-90, le=90)
+    height_m: float = Field(default=0.0, ge=-1000, le=20000)
+    gravity_m_s2: float | None = Field(default=None, ge=9.5, le=10.1)
+
+
+class UnitEntry(_Entry):
+    """The unit under test."""
+
+    serial: str = ""
+    description: str = ""
+
+
+class ChannelEntry(_Entry):
+    """One sensitive axis with its readout; `name` is its column in the run tables."""
+
+    name: ColumnName
+    kind: Literal["gyro", "accelerometer"]
+    input_axis: Vector
+    output_axis: Vector | None = None
+    output_unit: str
+    scale: float
+    per: Literal["deg/s", "deg/h", "rad/s", "g", "m/s^2"]
+    offset: float = 0.0
+    noise: Positive | None = None
+    current_mA_per_g: float | None = None
+
+
+class TableEntry(_Entry):
+    """A single-axis table: direction of its axis, and one-sigma uncertainties."""
+
+    name: Name
+    azimuth_deg: Degrees = 0.0
+    elevation_deg: float = Field(ge=-90, le=90)
+    axis_uncertainty_arcsec: Uncertainty | None = None
+    rate_uncertainty_ppm: Uncertainty | None = None
+    angle_uncertainty_arcsec: Uncertainty | None = None
+
+
+class MountingEntry(_Entry):
+    """How the unit sits on a table: a named preset or the rows of `body_to_table`."""
+
+    name: Name
+    preset: Literal["trihedral", "aligned"] | None = None
+    body_to_table: Annotated[list[Vector], Field(min_length=3, max_length=3)] | None = None
+    uncertainty_arcmin: Uncertainty | None = None
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> "MountingEntry":
+        if (self.preset is None) == (self.body_to_table is None):
+            raise ValueError("a mounting has either 'preset' or 'body_to_table', one of the two")
+        return self
+
+
+class RunEntry(_Entry):
+    """One run: what was done, on which equipment, and the table of its readings."""
+
+    name: Name
+    procedure: str
+    file: str = Field(min_length=1)
+    table: str | None = None
+    mounting: str | None = None
+    temperature_degC: float | None = Field(default=None, ge=-150, le=150)
+    start: datetime | date | None = None
+    initial_rest_s: Positive | None = None
+    ignore: list[str] = []
+
+
+class CampaignFile(_Entry):
+    """`campaign.toml`."""
+
+    format: Literal[1]
+    name: Name
+    notes: list[str] = []
+    site: SiteEntry
+    unit: UnitEntry = UnitEntry()
+    channel: list[ChannelEntry] = Field(min_length=1)
+    table: list[TableEntry] = []
+    mounting: list[MountingEntry] = []
+    run: list[RunEntry] = Field(min_length=1)
+
+
+class EffectEntry(BaseModel):
+    """One effect of a model; keys beyond the listed ones are options of that effect and must be scalars."""
+
+    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False, frozen=True)
+
+    name: Name
+    channels: Annotated[list[Name], Field(min_length=1)] | None = None
+    per: Literal["channel", "all", "run", "mounting"] | None = None
+    prior: dict[str, str] = {}
+
+    @field_validator("channels")
+    @classmethod
+    def _no_channel_twice(cls, value: list[str] | None) -> list[str] | None:
+        if value is not None and len(set(value)) < len(value):
+            raise ValueError("a channel is listed twice")
+        return value
+
+    @property
+    def options(self) -> dict[str, float | int | str | bool]:
+        """The effect's own options, such as ``reference_degC``."""
+        return dict(self.__pydantic_extra__ or {})
+
+
+class ModelFile(_Entry):
+    """A model: the list of effects that are taken to act."""
+
+    format: Literal[1]
+    name: Name
+    effect: list[EffectEntry] = Field(min_length=1)
+
+
+SECTIONS: dict[type[BaseModel], dict[str, type[BaseModel]]] = {
+    CampaignFile: {
+        "site": SiteEntry,
+        "unit": UnitEntry,
+        "channel": ChannelEntry,
+        "table": TableEntry,
+        "mounting": MountingEntry,
+        "run": RunEntry,
+    },
+    ModelFile: {"effect": EffectEntry},
+}
+"""The schema of each section of a file, by its key."""
+
+
+def campaign_schema() -> dict[str, JsonValue]:
+    """Return the JSON Schema of `campaign.toml`, for editors."""
+    return _with_dialect(CampaignFile.model_json_schema())
+
+
+def model_schema() -> dict[str, JsonValue]:
+    """Return the JSON Schema of a model file, for editors."""
+    schema = ModelFile.model_json_schema()
+    schema["$defs"]["EffectEntry"]["additionalProperties"] = {"type": ["number", "string", "boolean"]}
+    return _with_dialect(schema)
+
+
+def _with_dialect(schema: dict[str, Any]) -> dict[str, JsonValue]:
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

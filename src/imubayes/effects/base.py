@@ -1,0 +1,165 @@
+"""What an effect is: one physical cause, one formula, written for one sample.
+
+An effect is a small class whose fields are its parameters.  It says at which stage of the signal path it acts and which
+covariates it needs; it never sees a procedure, a file or another effect.  At its null values it is the identity, so that
+criticism can differentiate it before it is added.  The three bases differ in what they act on, and know how to act on all
+nodes and channels at once.
+
+A new effect is one class:
+
+    class GyroScaleAsymmetry(SignalEffect):
+        \"\"\"Scale factor that differs between the two directions of rotation.\"\"\"
+        name = "gyro_scale_asymmetry"
+        stage, order, kinds = Stage.SENSOR, Order.SCALE, ("gyro",)
+        needs = ("turning",)
+        asymmetry: Scalar = parameter("ppm", "normal(0, 100 ppm)", (10, 300), "half the difference …")
+
+        def apply(self, signal, sample):
+            return signal + self.asymmetry * jnp.abs(sample.rate[0])
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from enum import IntEnum
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from imubayes.run import Kind
+from imubayes.stimulus import Ambient, Experience, Motion, Sample, SignalPath
+from imubayes.types import Scalar
+
+
+class Stage(IntEnum):
+    """The stages of the signal path, in the order in which they are passed."""
+
+    TABLE = 1  # the table: its rate, angle and axis
+    MOUNTING = 2  # how the unit sits on it
+    PLACE = 3  # where a sensor sits in the unit
+    SENSOR = 4  # the sensor: input-referred signal in SI
+    CONVERTER = 5  # the readout: output units, without the nominal offset
+
+
+class Order(IntEnum):
+    """Places within the sensor and converter stages.
+
+    IEEE 1293 and 952 write the output as K1·(K0 + a_i + …): what is referred to the input is added first, the scale
+    factor multiplies the sum.
+    """
+
+    AXIS = 10
+    SENSITIVITY = 20
+    BIAS = 30
+    SCALE = 40
+    GAIN = 10
+    OFFSET = 20
+    LIMIT = 90
+
+
+class Effect(eqx.Module):
+    """Base of all effects.
+
+    Attributes
+    ----------
+    name : as in model files, on the command line and in results.
+    stage, order : where on the signal path.
+    per : what a value belongs to, for each value the names in its label: channel, run, mounting, table, pose.
+    kinds : kinds of channel that it can act on.
+    needs : what a run must supply (`imubayes.stimulus.Stimulus.supplies`).
+    excludes : effects that say the same in another way and may not stand in the same model for the same channel.
+    confused_with : what else would look alike, in words.
+    reference : source of the formula.
+    """
+
+    name: ClassVar[str]
+    stage: ClassVar[Stage]
+    order: ClassVar[int] = 0
+    per: ClassVar[tuple[str, ...]] = ("channel",)
+    kinds: ClassVar[tuple[Kind, ...]] = ("gyro", "accelerometer")
+    needs: ClassVar[tuple[str, ...]] = ()
+    excludes: ClassVar[tuple[str, ...]] = ()
+    hierarchical: ClassVar[str] = ""
+    confused_with: ClassVar[str] = ""
+    reference: ClassVar[str] = ""
+    nuisance: ClassVar[bool] = False
+
+    @classmethod
+    @abstractmethod
+    def advance(cls, make: Callable, values: dict, path: SignalPath, kind: str) -> SignalPath:
+        """Act on every node (and channel of one kind) of the path.
+
+        Parameters
+        ----------
+        make : builds the effect from one set of values.
+        values : parameter name → values, batched over nodes, channels or both; an axis of length 1 is shared.
+        path : the signal path so far.
+        kind : the kind of channel to act on; not used by effects of table and mounting.
+        """
+
+
+class MotionEffect(Effect):
+    """An effect on how the unit moves, at the stages TABLE and MOUNTING."""
+
+    @abstractmethod
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        """Return the motion as it truly is, at one instant."""
+
+    @classmethod
+    def advance(cls, make, values, path, kind):
+        nodes = path.motion.table_angle.shape[0]
+        spread = jax.tree.map(lambda value: jnp.broadcast_to(value, (nodes,)), values)
+        moved = jax.vmap(lambda one, motion, ambient: make(one).apply(motion, ambient))(
+            spread, path.motion, path.ambient
+        )
+        return eqx.tree_at(lambda p: p.motion, path, moved)
+
+
+class PlaceEffect(Effect):
+    """An effect of where in the unit a channel's sensor sits, at the stage PLACE."""
+
+    @abstractmethod
+    def apply(self, experience: Experience) -> Experience:
+        """Return what acts at the sensor's own place, at one instant."""
+
+    @classmethod
+    def advance(cls, make, values, path, kind):
+        moved = _over_channels(lambda one, experience: make(one).apply(experience), values)(
+            values, path.experience[kind]
+        )
+        return eqx.tree_at(lambda p: p.experience[kind], path, moved)
+
+
+class SignalEffect(Effect):
+    """An effect on one channel's signal, at the stages SENSOR and CONVERTER."""
+
+    @abstractmethod
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        """Return the signal after this effect, for one sample of one channel.
+
+        Parameters
+        ----------
+        signal : rad/s or m/s² at the sensor, output units at the converter.
+        sample : what the channel experiences.
+        """
+
+    @classmethod
+    def advance(cls, make, values, path, kind):
+        changed = _over_channels(lambda one, signal, sample: make(one).apply(signal, sample), values)(
+            values, path.signal[kind], path.sample[kind]
+        )
+        return eqx.tree_at(lambda p: p.signal[kind], path, changed)
+
+
+def _over_channels(function: Callable, values: dict) -> Callable:
+    """Batch a function over nodes × channels; values with a node axis of length 1 are shared by all nodes."""
+    shared = jax.tree.map(lambda value: value.shape[0] == 1, values)
+
+    def both(values, *state):
+        squeezed = jax.tree.map(lambda value, one: value[0] if one else value, values, shared)
+        node_axes = (jax.tree.map(lambda one: None if one else 0, shared), *(0 for _ in state))
+        channel_axes = (0,) * (1 + len(state))
+        return jax.vmap(jax.vmap(function, in_axes=channel_axes), in_axes=node_axes)(squeezed, *state)
+
+    return both

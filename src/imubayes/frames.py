@@ -1,0 +1,79 @@
+"""Rotations, differentiable to second order at zero angle.
+
+Frames: n local level (x East, y North, z Up), t table (z along the rotation axis), b body.  `C_nb` turns a
+vector given in b into n.  Products are written as sums over components, so that a compiler can fuse them into
+the elementwise work around; a batched 3 × 3 matrix product would break the loop into library calls.
+"""
+
+import jax.numpy as jnp
+
+from imubayes.types import Matrix3, Scalar, Vector3
+
+# Below this angle² the series of sin(x)/x and (1 − cos x)/x² to x⁴ is exact to the last bit of a double.
+_SERIES_BELOW = 1e-4
+
+
+def rotate(matrix: Matrix3, vector: Vector3) -> Vector3:
+    """Return matrix · vector."""
+    x, y, z = vector[0], vector[1], vector[2]
+    return jnp.stack([matrix[i, 0] * x + matrix[i, 1] * y + matrix[i, 2] * z for i in range(3)])
+
+
+def rotate_back(matrix: Matrix3, vector: Vector3) -> Vector3:
+    """Return matrixᵀ · vector."""
+    x, y, z = vector[0], vector[1], vector[2]
+    return jnp.stack([matrix[0, i] * x + matrix[1, i] * y + matrix[2, i] * z for i in range(3)])
+
+
+def compose(first: Matrix3, second: Matrix3) -> Matrix3:
+    """Return first · second."""
+    return jnp.stack([rotate(first, second[:, column]) for column in range(3)], axis=1)
+
+
+def cross(a: Vector3, b: Vector3) -> Vector3:
+    """Return a × b."""
+    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def exponential(rotation: Vector3) -> Matrix3:
+    """Return exp([rotation]×), the matrix of a rotation vector in rad.
+
+    Below a small angle the coefficients come from their series, and the branch not taken is fed a harmless
+    angle, so that first and second derivatives are finite and right at zero as well.
+    """
+    x, y, z = rotation[0], rotation[1], rotation[2]
+    square = x * x + y * y + z * z
+    small = square < _SERIES_BELOW
+    safe = jnp.where(small, 1.0, square)
+    angle = jnp.sqrt(safe)
+    sinc = jnp.where(small, 1 - square / 6 * (1 - square / 20 * (1 - square / 42)), jnp.sin(angle) / angle)
+    versine = jnp.where(
+        small, 0.5 - square / 24 * (1 - square / 30 * (1 - square / 56)), (1 - jnp.cos(angle)) / safe
+    )
+    return jnp.stack(
+        [
+            jnp.stack(
+                [1 - versine * (y * y + z * z), versine * x * y - sinc * z, versine * x * z + sinc * y]
+            ),
+            jnp.stack(
+                [versine * x * y + sinc * z, 1 - versine * (x * x + z * z), versine * y * z - sinc * x]
+            ),
+            jnp.stack(
+                [versine * x * z - sinc * y, versine * y * z + sinc * x, 1 - versine * (x * x + y * y)]
+            ),
+        ]
+    )
+
+
+def turn_about_z(matrix: Matrix3, angle: Scalar) -> Matrix3:
+    """Return matrix · Rz(angle), angle in rad."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    first, second = matrix[:, 0], matrix[:, 1]
+    return jnp.stack([c * first + s * second, c * second - s * first, matrix[:, 2]], axis=1)
+
+
+def small_rotation(matrix: Matrix3) -> Vector3:
+    """Return sin(θ)·axis of a rotation matrix: the rotation vector to third order, smooth everywhere."""
+    return 0.5 * jnp.stack(
+        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
+    )

@@ -1,0 +1,352 @@
+"""Declaring a model on a campaign: which parameters there are, what they mean, and the problem as arrays.
+
+This is where names end and arrays begin.  Everything that does not fit (an unknown effect, a channel of the wrong kind,
+an effect that no run can show, two effects that say the same) is collected and reported at once.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.earth import earth_rate
+from imubayes.effects.base import Effect, MotionEffect, Stage
+from imubayes.errors import InputError
+from imubayes.errors import Problem as Complaint
+from imubayes.model.closure import Transitions, nominal_inverse
+from imubayes.model.forward import Channels, Convert, EffectLayer, Emit, Instants, Layer, Project, Resolve, in_order
+from imubayes.model.instants import KINDS, Entries, Nodes, join_entries, join_nodes, readout_places
+from imubayes.model.labels import Belonging, colours
+from imubayes.model.likelihood import NoiseLayer, Observations, Problem, Sparsity
+from imubayes.model.members import Acting, act
+from imubayes.model.registry import Registry
+from imubayes.model.specification import EffectSpec, ModelSpec
+from imubayes.noise.base import Entry, EntryNoise, Noise
+from imubayes.parameters.vector import Layout, Parameter, Priors
+from imubayes.run import Campaign
+from imubayes.stimulus import Ambient, Motion
+
+# What a procedure's own unknowns need, whether or not the model file lists them.
+_IMPLIED_BY_TUMBLE = ("pose_attitude", "tumble_heading", "rotation_closure")
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model declared on a campaign.
+
+    Attributes
+    ----------
+    spec, registry, campaign : what it was made of.
+    layout, hyper_layout : names and priors of θ and of h, in the order of the flat vectors.
+    problem : the arrays.
+    nodes, entries : where they come from.
+    """
+
+    spec: ModelSpec
+    registry: Registry
+    campaign: Campaign
+    layout: Layout
+    hyper_layout: Layout
+    problem: Problem
+    nodes: Nodes
+    entries: Entries
+
+
+def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None) -> Model:
+    """Return a model declared on a campaign.
+
+    Raises
+    ------
+    InputError
+        with everything in the model that does not fit the campaign.
+    """
+    registry = (registry or Registry()).with_files(spec.files)
+    spec = _with_implied(spec, campaign)
+    nodes, entries = join_nodes(campaign), join_entries(campaign)
+    belonging = Belonging(campaign, nodes, entries)
+    acting: list[Acting] = []
+    problems: list[Complaint] = []
+    for one in spec.effects:
+        try:
+            acting.append(act(one, belonging, registry))
+        except InputError as error:
+            problems.extend(error.problems)
+    problems.extend(_conflicts(acting))
+    if not any(issubclass(one.member, EntryNoise) and "closure" not in one.member.kinds for one in acting):
+        problems.append(
+            Complaint(
+                "the model has no noise",
+                spec.where,
+                "white_noise",
+                'add [[effect]] name = "white_noise": without it no residual has a size to be compared with',
+            )
+        )
+    if problems:
+        raise InputError(problems)
+    layout = Layout(tuple(p for one in acting for p in one.parameters))
+    hyper_layout = Layout(tuple(p for one in acting for p in one.hyperparameters))
+    problem = as_arrays(_assemble(acting, belonging, layout, hyper_layout))
+    return Model(spec, registry, campaign, layout, hyper_layout, problem, nodes, entries)
+
+
+def _with_implied(spec: ModelSpec, campaign: Campaign) -> ModelSpec:
+    if all(run.tumble is None for run in campaign.runs):
+        return spec
+    listed = {one.name for one in spec.effects}
+    implied = tuple(
+        EffectSpec(name, where=f"{spec.where}: implied by free_tumble")
+        for name in _IMPLIED_BY_TUMBLE
+        if name not in listed
+    )
+    return ModelSpec(spec.name, spec.effects + implied, spec.files, spec.where)
+
+
+def _conflicts(acting: list[Acting]) -> list[Complaint]:
+    """Return complaints about effects that stand twice or exclude each other on the same channel."""
+    found = []
+    for place, one in enumerate(acting):
+        for other in acting[:place]:
+            shared = set(one.channels) & set(other.channels) or (not one.channels and not other.channels)
+            same = one.member.name == other.member.name
+            excluded = other.member.name in one.member.excludes or one.member.name in other.member.excludes
+            if shared and (same or excluded):
+                on = f" on {', '.join(sorted(shared))}" if isinstance(shared, set) else ""
+                what = (
+                    f"the effect '{one.member.name}' stands twice{on}"
+                    if same
+                    else f"'{one.member.name}' and '{other.member.name}' say the same{on}"
+                )
+                remedy = f"keep one of them, or give each its own 'channels' ({other.spec.where} is the other)"
+                found.append(Complaint(what, one.spec.where, "one effect for each cause and channel", remedy))
+    return found
+
+
+def _assemble(acting: list[Acting], belonging: Belonging, layout: Layout, hyper_layout: Layout) -> Problem:
+    campaign, nodes, entries = belonging.campaign, belonging.nodes, belonging.entries
+    places = {p.name: i for i, p in enumerate(layout.parameters)}
+    hyper_places = {p.name: i for i, p in enumerate(hyper_layout.parameters)}
+    nulls, null_of = _null_values(acting, len(layout))
+    channels = {kind: _channels(campaign, kind) for kind in KINDS if any(c.kind == kind for c in campaign.channels)}
+    instants = _instants(campaign, nodes)
+    effects = [one for one in acting if issubclass(one.member, Effect)]
+    layers: list[Layer] = [
+        Resolve(tuple((kind, len(channels[kind].scale)) for kind in channels)),
+        Project(channels),
+        Convert(channels, nodes.injected),
+        Emit(channels),
+        *(layer for one in effects for layer in _effect_layers(one, belonging, places, null_of)),
+    ]
+    reach = np.zeros((len(layout), len(entries)), dtype=bool)
+    for one in effects:
+        for parameter in one.parameters:
+            spread_channels = None if issubclass(one.member, MotionEffect) else one.channels
+            per = one.per_of(parameter.field)
+            label = () if parameter.label == ("all",) else parameter.label
+            felt = set(range(len(campaign.runs))) - one.gated
+            reach[places[parameter.name]] = belonging.reach(per, label, spread_channels, felt)
+    colour = colours(reach)
+    seeds = (colour[None, :] == np.arange(colour.max(initial=-1) + 1)[:, None]).astype(float)
+    spread_of, spread_unit = _spreads(acting, layout, hyper_places)
+    return Problem(
+        instants=instants,
+        channels=channels,
+        layers=in_order(layers),
+        transitions=_transitions(belonging, effects, channels, places, null_of),
+        turns=nodes.turns,
+        node_weight=nodes.stimulus.weight,
+        nulls=nulls,
+        priors=Priors.stack([p.prior for p in layout.parameters]),
+        hyper_priors=Priors.stack([p.prior for p in hyper_layout.parameters]),
+        noise=tuple(_noise_layer(one, belonging, hyper_places) for one in acting if issubclass(one.member, Noise)),
+        observations=_observations(belonging),
+        sparsity=Sparsity(colour, reach.T, seeds),
+        spread_of=spread_of,
+        spread_unit=spread_unit,
+    )
+
+
+def _null_values(acting: list[Acting], first: int) -> tuple[np.ndarray, dict[float, int]]:
+    values = sorted({d.null for one in acting for d in one.declared.values()} | {0.0})
+    return np.array(values), {value: first + place for place, value in enumerate(values)}
+
+
+def _channels(campaign: Campaign, kind: str) -> Channels:
+    chosen = [channel for channel in campaign.channels if channel.kind == kind]
+    return Channels(
+        axes=np.stack([channel.axes for channel in chosen]),
+        scale=np.array([channel.scale_si for channel in chosen]),
+        offset=np.array([channel.offset for channel in chosen]),
+        current_per_acceleration=np.array([channel.current_per_acceleration or np.inf for channel in chosen]),
+    )
+
+
+def _instants(campaign: Campaign, nodes: Nodes) -> Instants:
+    stimulus = nodes.stimulus
+    count = len(stimulus.row)
+    motion = Motion(
+        base=stimulus.base,
+        mounting=stimulus.mounting,
+        table_angle=stimulus.table_angle,
+        table_rate=stimulus.table_rate,
+        table_acceleration=stimulus.table_acceleration,
+        gravity=np.tile([0.0, 0.0, campaign.site.gravity], (count, 1)),
+        earth_rate=np.tile(earth_rate(campaign.site.latitude), (count, 1)),
+    )
+    return Instants(motion, Ambient(**stimulus.ambient), nodes.injected)
+
+
+def as_arrays(problem: Problem) -> Problem:
+    """Return the problem with JAX arrays in place of NumPy's, so that a jitted call does not copy them each time."""
+    return jax.tree.map(jnp.asarray, problem)
+
+
+def _effect_layers(
+    one: Acting, belonging: Belonging, places: dict[str, int], null_of: dict[float, int]
+) -> list[EffectLayer]:
+    member = one.member
+    assert issubclass(member, Effect)
+    kinds = ("",) if issubclass(member, MotionEffect) else tuple(k for k in KINDS if k in one.kinds)
+    layers = []
+    for kind in kinds:
+        names = [c.name for c in belonging.campaign.channels if c.kind == kind]
+        by_field = {}
+        for field, declared in one.fields.items():
+            labelled = {
+                (p.label if p.label != ("all",) else ()): places.get(p.name, 0)
+                for p in (*one.parameters, *one.hyperparameters)
+                if p.field == field
+            }
+            null = null_of[declared.null]
+            if field in one.hyper_fields:
+                labelled = {}
+            place = belonging.node_places(one.per_of(field), labelled, null, names, one.gated)
+            if names and "channel" not in one.per_of(field):
+                outside = [column for column, name in enumerate(names) if name not in one.channels]
+                place[:, outside] = null
+            by_field[field] = place if names else place[:, 0]
+        layers.append(EffectLayer(member, tuple(sorted(one.spec.options.items())), by_field, kind))
+    return layers
+
+
+def _spreads(acting, layout: Layout, hyper_places: dict[str, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return for each parameter the place of its learnt prior width in h, and its own prior's width."""
+    spread_of = np.full(len(layout), len(hyper_places))
+    unit = np.ones(len(layout))
+    by_name = {p.name: (one, p) for one in acting for p in one.parameters}
+    for place, parameter in enumerate(layout.parameters):
+        one, _ = by_name[parameter.name]
+        spread = one.declared[parameter.field].spread
+        if spread:
+            own = dict(zip(one.per_of(parameter.field), parameter.label, strict=True))
+            label = ",".join(own[axis] for axis in one.per_of(spread))
+            spread_of[place] = hyper_places[f"{parameter.effect}.{spread}[{label}]"]
+            unit[place] = parameter.prior.sd()
+    return spread_of, unit
+
+
+def _observations(belonging: Belonging) -> Observations:
+    entries = belonging.entries
+    key = entries.run * (len(belonging.campaign.channels) + 3) + entries.channel
+    _, group = np.unique(key, return_inverse=True)
+    sizes = np.bincount(group)
+    members = np.full((len(sizes), sizes.max(initial=1)), len(entries))
+    place = np.zeros(len(sizes), dtype=int)
+    for entry, one in enumerate(group.tolist()):
+        members[one, place[one]] = entry
+        place[one] += 1
+    return Observations(
+        value=entries.value.astype(float),
+        weight=np.ones(len(entries)),
+        entry=Entry(samples=entries.samples.astype(float)),
+        readout=readout_places(belonging.campaign, belonging.nodes, entries),
+        group=group,
+        members=members,
+    )
+
+
+def _noise_layer(one: Acting, belonging: Belonging, hyper_places: dict[str, int]) -> NoiseLayer:
+    """Return a noise member with places per entry, or per group for what is shared."""
+    entries, campaign = belonging.entries, belonging.campaign
+    names = [channel.name for channel in campaign.channels] + [""] * 3
+    shared = not issubclass(one.member, EntryNoise)
+    if shared:
+        key = entries.run * len(names) + entries.channel
+        _, first = np.unique(key, return_index=True)
+    else:
+        first = np.arange(len(entries))
+    run, channel, closing = entries.run[first], entries.channel[first], entries.closing[first]
+    acts = closing if "closure" in one.member.kinds else np.isin(channel, [names.index(c) for c in one.channels])
+    acts = acts & np.isin(run, list(one.runs))
+    labels = {(p.field, p.label): hyper_places[p.name] for p in one.hyperparameters}
+    places = {}
+    for field in one.fields:
+        per = one.per_of(field)
+        lookup = {}
+        for key_pair in set(zip(run.tolist(), channel.tolist(), strict=True)):
+            r, c = key_pair
+            label = tuple(names[c] if axis == "channel" else belonging.of_run(axis, r) or "" for axis in per)
+            lookup[key_pair] = labels.get((field, label if per else ("all",)), 0)
+        places[field] = np.array([lookup[pair] for pair in zip(run.tolist(), channel.tolist(), strict=True)])
+    return NoiseLayer(one.member, places, acts.astype(float))
+
+
+def _transitions(belonging, effects, channels, places, null_of) -> Transitions | None:
+    """Return the moving parts of all free tumbles, padded to the longest transition."""
+    campaign, nodes = belonging.campaign, belonging.nodes
+    tumbles = [(index, run.tumble) for index, run in enumerate(campaign.runs) if run.tumble is not None]
+    if not tumbles:
+        return None
+    steps = max(tumble.step.shape[1] for _, tumble in tumbles)
+    node_of = {(run, pose): node for node, (run, pose) in enumerate(zip(nodes.run, nodes.pose, strict=True))}
+
+    def padded(array: np.ndarray) -> np.ndarray:
+        return np.pad(array, [(0, 0), (0, steps - array.shape[1]), *[(0, 0)] * (array.ndim - 2)])
+
+    readings = np.concatenate([padded(tumble.readings) for _, tumble in tumbles])
+    start_node = np.concatenate([[node_of[i, pose] for pose in tumble.start] for i, tumble in tumbles])
+    by_kind = {}
+    for kind, one in channels.items():
+        columns = [index for index, channel in enumerate(campaign.channels) if channel.kind == kind]
+        # Padding reads the nominal offset: a unit at rest in free fall, whose steps have no length.
+        still = np.concatenate([padded(tumble.step) for _, tumble in tumbles]) == 0
+        by_kind[kind] = np.where(still[..., None], one.offset, readings[..., columns]).reshape(-1, len(columns))
+    node = np.repeat(start_node, steps)
+    moving = Belonging(campaign, _at(nodes, node), belonging.entries)
+    layers: list[Layer] = [
+        Project(channels),
+        Convert(channels, np.zeros(len(node))),
+        Emit(channels),
+        *(
+            layer
+            for one in effects
+            if one.member.stage >= Stage.SENSOR
+            for layer in _effect_layers(one, moving, places, null_of)
+        ),
+    ]
+    return Transitions(
+        start=start_node,
+        stop=np.concatenate([[node_of[i, pose] for pose in tumble.stop] for i, tumble in tumbles]),
+        step=np.concatenate([padded(tumble.step) for _, tumble in tumbles]),
+        readings=by_kind,
+        coning=np.concatenate([padded(tumble.coning) for _, tumble in tumbles]),
+        ambient=Ambient(**{name: values[node] for name, values in nodes.stimulus.ambient.items()}),
+        inverse={kind: nominal_inverse(one.axes) for kind, one in channels.items()},
+        layers=in_order(layers),
+    )
+
+
+def _at(nodes: Nodes, chosen: np.ndarray) -> Nodes:
+    """Return what labels need to know of chosen nodes."""
+    return Nodes(
+        nodes.stimulus,
+        nodes.run[chosen],
+        nodes.pose[chosen],
+        nodes.turns,
+        nodes.row_of,
+        nodes.injected[chosen],
+        nodes.supplies,
+    )
+
+
+__all__ = ["Model", "Parameter", "declare"]

@@ -1,0 +1,196 @@
+"""The signal path: one loop over layers, from the table's motion to the output of every channel.
+
+A layer is an effect together with the places of its values in the parameter vector, or one of four junctions that
+every path has: `Resolve` (motion → what acts on the body), `Project` (body → channel axes, where the signal starts),
+`Convert` (SI → output units; an injected current takes the sensor's place) and `Emit` (the nominal offset).  There is
+no case per kind of run and none per effect.
+"""
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.effects.base import Effect, Stage
+from imubayes.frames import compose, rotate, rotate_back, turn_about_z
+from imubayes.stimulus import Ambient, Experience, Motion, Sample, SignalPath
+from imubayes.types import Array, Float
+
+
+class Channels(eqx.Module):
+    """Constants of all channels of one kind (C of them).
+
+    Attributes
+    ----------
+    axes : shape (C, 3, 3), rows I, O, S in body axes.
+    scale : shape (C,), nominal output units per rad/s or m/s².
+    offset : shape (C,), output units.
+    current_per_acceleration : shape (C,), A per m/s²; infinite where the channel has no current output.
+    """
+
+    axes: Float[Array, "C 3 3"]
+    scale: Float[Array, " C"]
+    offset: Float[Array, " C"]
+    current_per_acceleration: Float[Array, " C"]
+
+
+class Instants(eqx.Module):
+    """The nodes of all runs, one after the other: nominal motion, circumstances, and where a current is injected."""
+
+    motion: Motion
+    ambient: Ambient
+    injected: Float[Array, " N"]
+
+
+class Layer(eqx.Module):
+    """One step of the signal path."""
+
+    stage: eqx.AbstractVar[Stage]
+
+    def __call__(self, path: SignalPath, values: Float[Array, " V"]) -> SignalPath:
+        """Return the path after this step; `values` are all parameters in SI, then the null values."""
+        raise TypeError("a layer is one of EffectLayer, Resolve, Project, Convert and Emit")
+
+
+class EffectLayer(Layer):
+    """An effect with the places of its values.
+
+    Attributes
+    ----------
+    effect : the class.
+    options : fixed settings of the effect.
+    places : field → integer array (1 or N, 1 or C) of places in the values; null values for channels and nodes that
+        the effect does not touch.
+    kind : kind of channel it acts on, empty for effects on the motion.
+    """
+
+    effect: type[Effect] = eqx.field(static=True)
+    options: tuple[tuple[str, float], ...] = eqx.field(static=True)
+    places: dict[str, Array]
+    kind: str = eqx.field(static=True)
+
+    @property
+    def stage(self) -> Stage:
+        return self.effect.stage
+
+    def __call__(self, path, values):
+        chosen = {field: values[place] for field, place in self.places.items()}
+        options = dict(self.options)
+        return self.effect.advance(lambda one: self.effect(**one, **options), chosen, path, self.kind)
+
+
+class Resolve(Layer):
+    """From the motion to what acts on the body, for every channel alike."""
+
+    counts: tuple[tuple[str, int], ...] = eqx.field(static=True)
+    stage: ClassVar[Stage] = Stage.MOUNTING
+
+    def __call__(self, path, values):
+        body = jax.vmap(on_body)(path.motion)
+        experience = {
+            kind: jax.tree.map(lambda leaf, count=count: jnp.broadcast_to(leaf[:, None], (len(leaf), count, 3)), body)
+            for kind, count in self.counts
+        }
+        return eqx.tree_at(lambda p: p.experience, path, experience)
+
+
+class Project(Layer):
+    """From body axes to each channel's own: here the signal starts."""
+
+    channels: dict[str, Channels]
+    stage: ClassVar[Stage] = Stage.PLACE
+
+    def __call__(self, path, values):
+        sample = {
+            kind: jax.vmap(jax.vmap(project, (0, 0, None)), (None, 0, 0))(
+                channels.axes, path.experience[kind], path.ambient
+            )
+            for kind, channels in self.channels.items()
+        }
+        sample = {
+            kind: eqx.tree_at(
+                lambda s: s.output_scale,
+                sample[kind],
+                jnp.broadcast_to(channels.scale, sample[kind].output_scale.shape),
+            )
+            for kind, channels in self.channels.items()
+        }
+        first = {"gyro": lambda s: s.rate[..., 0], "accelerometer": lambda s: s.force[..., 0]}
+        signal = {kind: first[kind](sample[kind]) for kind in self.channels}
+        return eqx.tree_at(lambda p: (p.sample, p.signal), path, (sample, signal))
+
+
+class Convert(Layer):
+    """From SI to output units; where a current is injected it stands for the sensor's own."""
+
+    channels: dict[str, Channels]
+    injected: Float[Array, " N"]
+    stage: ClassVar[Stage] = Stage.SENSOR
+
+    def __call__(self, path, values):
+        def converted(signal, channels):
+            equivalent = path.ambient.current[:, None] / channels.current_per_acceleration
+            return channels.scale * jnp.where(self.injected[:, None] > 0, equivalent, signal)
+
+        signal = {kind: converted(path.signal[kind], channels) for kind, channels in self.channels.items()}
+        return eqx.tree_at(lambda p: p.signal, path, signal)
+
+
+class Emit(Layer):
+    """The nominal offset."""
+
+    channels: dict[str, Channels]
+    stage: ClassVar[Stage] = Stage.CONVERTER
+
+    def __call__(self, path, values):
+        signal = {kind: path.signal[kind] + channels.offset for kind, channels in self.channels.items()}
+        return eqx.tree_at(lambda p: p.signal, path, signal)
+
+
+def on_body(motion: Motion) -> Experience:
+    """Return what acts on a body that moves like this, in body axes."""
+    turned = turn_about_z(motion.base, motion.table_angle)
+    body_to_local = compose(turned, motion.mounting)
+    axis = motion.mounting[2]
+    earth = rotate_back(body_to_local, motion.earth_rate)
+    return Experience(
+        rate=axis * motion.table_rate + earth,
+        force=rotate_back(body_to_local, motion.gravity),
+        table_rate=axis * motion.table_rate,
+        table_acceleration=axis * motion.table_acceleration,
+    )
+
+
+def project(axes, experience: Experience, ambient: Ambient) -> Sample:
+    """Return what one channel experiences along its own axes."""
+    return Sample(
+        rate=rotate(axes, experience.rate),
+        force=rotate(axes, experience.force),
+        acceleration=rotate(axes, experience.table_acceleration),
+        ambient=ambient,
+        output_scale=jnp.zeros_like(ambient.time),
+    )
+
+
+def start(instants: Instants) -> SignalPath:
+    """Return a path on which nothing has happened yet."""
+    return SignalPath(instants.motion, instants.ambient, {}, {}, {})
+
+
+def travel(layers: Sequence[Layer], path: SignalPath, values: Float[Array, " V"]) -> SignalPath:
+    """Pass every layer in turn."""
+    for layer in layers:
+        path = layer(path, values)
+    return path
+
+
+def in_order(layers: Sequence[Layer]) -> tuple[Layer, ...]:
+    """Sort layers by stage and order; a junction closes its stage."""
+
+    def key(layer: Layer) -> tuple[int, float]:
+        return layer.stage, layer.effect.order if isinstance(layer, EffectLayer) else np.inf
+
+    return tuple(sorted(layers, key=key))

@@ -1,0 +1,143 @@
+"""From runs to arrays: the nodes of all runs one after the other, and what was measured in them (NumPy only)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.procedures import PROCEDURES
+from imubayes.run import Campaign, Kind
+from imubayes.stimulus import AMBIENT_NAMES, Stimulus
+
+# Sorted, because that is the order in which JAX walks through a dictionary.
+KINDS: tuple[Kind, ...] = ("accelerometer", "gyro")
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Nodes of all runs (N of them), sorted by how many nodes their row has.
+
+    Attributes
+    ----------
+    stimulus : the arrays of `Stimulus`, joined; `ambient` has every covariate, 0 where a run lacks it.
+    run, pose : shape (N,), index of the run and pose, −1 where there is no pose.
+    turns : rows as (number of rows, nodes per row), in order.
+    row_of : shape (R,), global row (run after run) at each place of the sorted rows.
+    injected : shape (N,), 1 where a current is injected.
+    supplies : for each run what it supplies.
+    """
+
+    stimulus: Stimulus
+    run: np.ndarray
+    pose: np.ndarray
+    turns: tuple[tuple[int, int], ...]
+    row_of: np.ndarray
+    injected: np.ndarray
+    supplies: tuple[frozenset[str], ...]
+
+
+@dataclass(frozen=True)
+class Entries:
+    """What was measured, one entry per value (E of them).
+
+    The channel index counts the campaign's channels; a closing rotation's components count on from there.
+    `row` is the row within the run, or the transition for closing rotations.  `transition_start` and `_stop` are
+    poses, −1 for readouts.
+    """
+
+    run: np.ndarray
+    row: np.ndarray
+    channel: np.ndarray
+    value: np.ndarray
+    samples: np.ndarray
+    pose: np.ndarray
+    pose_stop: np.ndarray
+    closing: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+
+def join_nodes(campaign: Campaign) -> Nodes:
+    """Return the nodes of all runs of a campaign."""
+    parts = [PROCEDURES[run.procedure].stimulus(run, campaign) for run in campaign.runs]
+    first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
+    row = np.concatenate([part.row + first for part, first in zip(parts, first_row, strict=False)])
+    count = np.bincount(row, minlength=first_row[-1])
+    order = np.lexsort((row, count[row]))
+    sorted_rows = np.lexsort((np.arange(len(count)), count))
+    sizes, numbers = np.unique(count, return_counts=True)
+    run = np.concatenate([np.full(len(part.row), index) for index, part in enumerate(parts)])
+    return Nodes(
+        stimulus=_join(parts, order),
+        run=run[order],
+        pose=np.concatenate([part.pose for part in parts])[order],
+        turns=tuple((int(n), int(size)) for size, n in zip(sizes, numbers, strict=True)),
+        row_of=sorted_rows,
+        injected=np.concatenate([np.full(len(part.row), float(part.injected)) for part in parts])[order],
+        supplies=tuple(part.supplies for part in parts),
+    )
+
+
+def _join(parts: Sequence[Stimulus], order: np.ndarray) -> Stimulus:
+    def joined(name: str) -> np.ndarray:
+        return np.concatenate([getattr(part, name) for part in parts])[order]
+
+    ambient = {
+        name: np.concatenate([part.ambient.get(name, np.zeros(len(part.row))) for part in parts])[order]
+        for name in AMBIENT_NAMES
+    }
+    return Stimulus(
+        row=joined("row"),
+        weight=joined("weight"),
+        base=joined("base"),
+        mounting=joined("mounting"),
+        table_angle=joined("table_angle"),
+        table_rate=joined("table_rate"),
+        table_acceleration=joined("table_acceleration"),
+        ambient=ambient,
+        injected=False,
+        pose=joined("pose"),
+    )
+
+
+def join_entries(campaign: Campaign) -> Entries:
+    """Return all measured values of a campaign, readouts first, then closing rotations."""
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in Entries.__dataclass_fields__}
+    for index, run in enumerate(campaign.runs):
+        row, channel = np.nonzero(np.isfinite(run.observed))
+        pose = run.tumble.pose[row] if run.tumble is not None else np.full(len(row), -1)
+        _append(columns, index, row, channel, run.observed[row, channel], run.samples[row], pose, pose, False)
+    channels = len(campaign.channels)
+    for index, run in enumerate(campaign.runs):
+        if run.tumble is None:
+            continue
+        transition = np.repeat(np.arange(len(run.tumble.start)), 3)
+        component = channels + np.tile(np.arange(3), len(run.tumble.start))
+        start, stop = run.tumble.start[transition], run.tumble.stop[transition]
+        nothing = np.zeros(len(transition))
+        _append(columns, index, transition, component, nothing, nothing + 1, start, stop, True)
+    return Entries(**{name: np.concatenate(parts) for name, parts in columns.items()})
+
+
+def _append(columns, run, row, channel, value, samples, pose, pose_stop, closing) -> None:
+    count = len(row)
+    new = (np.full(count, run), row, channel, value, samples, pose, pose_stop, np.full(count, closing))
+    for name, part in zip(columns, new, strict=True):
+        columns[name].append(np.asarray(part))
+
+
+def readout_places(campaign: Campaign, nodes: Nodes, entries: Entries) -> np.ndarray:
+    """Return for each readout entry its place in the outputs, flattened kind after kind as rows × channels."""
+    kinds = [channel.kind for channel in campaign.channels]
+    counts = {kind: kinds.count(kind) for kind in KINDS}
+    within = np.array([kinds[:index].count(kind) for index, kind in enumerate(kinds)], dtype=int)
+    rows = len(nodes.row_of)
+    base = {"accelerometer": 0, "gyro": rows * counts["accelerometer"]}
+    first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
+    place_of_row = np.argsort(nodes.row_of)
+    readout = ~entries.closing
+    row = place_of_row[first_row[entries.run[readout]] + entries.row[readout]]
+    channel = entries.channel[readout]
+    width = np.array([counts[kind] for kind in kinds])[channel]
+    return np.array([base[kind] for kind in kinds])[channel] + row * width + within[channel]

@@ -1,0 +1,233 @@
+"""The problem as a pure function of arrays: parameters in, whitened residuals and log density out.
+
+A `Problem` is one pytree: the nominal motion, the layers of the signal path, the measured entries, the noise, the
+priors.  Nothing here closes over a campaign, so units of equal structure are stacked and treated in one vmap.
+
+With θ in z (prior: standard normal) and hyperparameters h in z, the log density is
+−½ |r|² − ½ log det Σ(h) + const with r = [L⁻¹(y − f(θ)), (z_θ)/s(h), z_h]: Σ = D + Σ_g T_g 1 1ᵀ (see
+`imubayes.noise.base`), and s(h) is 1 except for parameters whose prior width is itself learnt.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from imubayes.model.closure import Transitions, closing_rotations
+from imubayes.model.forward import Channels, Instants, Layer, start, travel
+from imubayes.noise.base import Entry, EntryNoise, Noise, SharedNoise
+from imubayes.parameters.vector import Priors
+from imubayes.stimulus import SignalPath
+from imubayes.types import Array, Bool, Float, Int, Scalar
+
+
+class NoiseLayer(eqx.Module):
+    """A noise member with the places of its values: one per entry, or per run and channel for what is shared.
+
+    `acts` is 1 where the member applies and 0 elsewhere.
+    """
+
+    noise: type[Noise] = eqx.field(static=True)
+    places: dict[str, Array]
+    acts: Float[Array, " M"]
+
+    def variances(self, h: Float[Array, " H"], entries: Entry | None) -> Float[Array, " M"]:
+        """Return the variance of every entry, or of every run and channel."""
+        chosen = {field: h[place] for field, place in self.places.items()}
+        if entries is not None:
+            found = jax.vmap(lambda one, entry: self.noise(**one).variance(entry))(chosen, entries)  # pyright: ignore
+        else:
+            found = jax.vmap(lambda one: self.noise(**one).shared_variance())(chosen)  # pyright: ignore
+        return self.acts * found
+
+
+class Observations(eqx.Module):
+    """What was measured (E entries in G groups, a group being one run and channel).
+
+    Attributes
+    ----------
+    value : shape (E,), output units; 0 for closing rotations, rad.
+    weight : shape (E,), 1, or 0 for an entry that is masked out.
+    entry : facts about each entry.
+    readout : shape (E_r,), place of each entry in the flattened outputs; closing rotations follow after these.
+    group : shape (E,), group of each entry.
+    members : shape (G, M), entries of each group, E where padded.
+    """
+
+    value: Float[Array, " E"]
+    weight: Float[Array, " E"]
+    entry: Entry
+    readout: Int[Array, " Er"]
+    group: Int[Array, " E"]
+    members: Int[Array, "G M"]
+
+
+class Sparsity(eqx.Module):
+    """Which entries a parameter can reach; parameters of one colour reach no entry together.
+
+    Attributes
+    ----------
+    colour : shape (P,).
+    reach : shape (E, P), bool.
+    seeds : shape (colours, P), 0 or 1.
+    """
+
+    colour: Int[Array, " P"]
+    reach: Bool[Array, "E P"]
+    seeds: Float[Array, "K P"]
+
+
+class Problem(eqx.Module):
+    """Everything the inference needs, as arrays.
+
+    Attributes
+    ----------
+    instants, channels, layers, transitions : the forward model.
+    turns : rows as (number of rows, nodes per row), in the order of the nodes; static.
+    node_weight : shape (N,).
+    nulls : shape (V − P,), the values behind the parameters at which effects do nothing.
+    priors, hyper_priors : from z to SI values, θ and h.
+    spread_of : shape (P,), place in h of the parameter's learnt prior width, H where the prior is fixed.
+    spread_unit : shape (P,), width of the parameter's own prior, SI.
+    """
+
+    instants: Instants
+    channels: dict[str, Channels]
+    layers: tuple[Layer, ...]
+    transitions: Transitions | None
+    turns: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    node_weight: Float[Array, " N"]
+    nulls: Float[Array, " nulls"]
+    priors: Priors
+    hyper_priors: Priors
+    noise: tuple[NoiseLayer, ...]
+    observations: Observations
+    sparsity: Sparsity
+    spread_of: Int[Array, " P"]
+    spread_unit: Float[Array, " P"]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Number of parameters and of hyperparameters."""
+        return self.spread_of.shape[-1], len(self.hyper_priors.order)
+
+
+def values_of(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " V"]:
+    """Return all values the layers refer to: parameters in SI, then nulls."""
+    return jnp.concatenate([problem.priors.values(z), problem.nulls])
+
+
+def signal_path(problem: Problem, z: Float[Array, " P"]) -> SignalPath:
+    """Return the signal path at every node."""
+    return travel(problem.layers, start(problem.instants), values_of(problem, z))
+
+
+def predict(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " E"]:
+    """Return the predicted value of every entry, output units (rad for closing rotations)."""
+    path = signal_path(problem, z)
+    outputs = [_row_means(problem, path.signal[kind]).reshape(-1) for kind in sorted(problem.channels)]
+    predicted = jnp.concatenate(outputs)[problem.observations.readout]
+    if problem.transitions is None:
+        return predicted
+    closing = closing_rotations(problem.transitions, problem.channels, path.motion, values_of(problem, z))
+    return jnp.concatenate([predicted, closing.reshape(-1)])
+
+
+def _row_means(problem: Problem, signal: Float[Array, "N C"]) -> Float[Array, "R C"]:
+    """Average the nodes of each row; rows come sorted by their number of nodes, so this is a reshape and a sum."""
+    weighted = signal * problem.node_weight[:, None]
+    means, place = [], 0
+    for rows, nodes in problem.turns:
+        block = weighted[place : place + rows * nodes]
+        means.append(block.reshape(rows, nodes, -1).sum(axis=1))
+        place += rows * nodes
+    return jnp.concatenate(means)
+
+
+class Whitener(eqx.Module):
+    """Σ(h)^(−½) of the data, in closed form, and its log determinant.
+
+    Attributes
+    ----------
+    precision_root : shape (E,), D^(−½), 0 where masked.
+    shrink : shape (G,), what the shared part takes off along each group's direction.
+    log_determinant : log det Σ.
+    """
+
+    precision_root: Float[Array, " E"]
+    shrink: Float[Array, " G"]
+    log_determinant: Scalar
+
+
+def _group_sum(values: Float[Array, " E"], observations: Observations) -> Float[Array, " G"]:
+    padded = jnp.concatenate([values, jnp.zeros(1)])
+    return padded[observations.members].sum(axis=1)
+
+
+def whitener(problem: Problem, h: Float[Array, " H"]) -> Whitener:
+    """Return the whitener at hyperparameters h (in z).
+
+    D + T 1 1ᵀ with u = D^(−½) 1 has the symmetric root D^(−½)… (I − κ û ûᵀ), κ = 1 − 1/√(1 + T |u|²).
+    """
+    values = problem.hyper_priors.values(h)
+    observations = problem.observations
+    diagonal = jnp.zeros_like(observations.value)
+    shared = jnp.zeros(observations.members.shape[0])
+    for layer in problem.noise:
+        if issubclass(layer.noise, EntryNoise):
+            diagonal = diagonal + layer.variances(values, observations.entry)
+        elif issubclass(layer.noise, SharedNoise):
+            shared = shared + layer.variances(values, None)
+    root = observations.weight / jnp.sqrt(diagonal)
+    direction = _group_sum(root**2, observations)
+    gain = 1 + shared * direction
+    safe = jnp.where(direction > 0, direction, 1.0)
+    shrink = (1 - 1 / jnp.sqrt(gain)) / safe
+    log_determinant = jnp.sum(observations.weight * jnp.log(diagonal)) + jnp.sum(jnp.log(gain))
+    return Whitener(root, shrink, log_determinant)
+
+
+def whiten(problem: Problem, by: Whitener, residual: Float[Array, " E"]) -> Float[Array, " E"]:
+    """Return Σ^(−½) · residual."""
+    scaled = by.precision_root * residual
+    along = _group_sum(by.precision_root * scaled, problem.observations)
+    return scaled - by.precision_root * (by.shrink * along)[problem.observations.group]
+
+
+def prior_widths(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " P"]:
+    """Return the standard deviation of each z_θ: 1, or what has been learnt of the spread."""
+    values = problem.hyper_priors.values(h)
+    widths = jnp.concatenate([values, jnp.ones(1)])[problem.spread_of]
+    return jnp.where(problem.spread_of < values.shape[0], widths / problem.spread_unit, 1.0)
+
+
+def residuals(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Float[Array, " EP"]:
+    """Return [L⁻¹(y − f(θ)), z_θ/s(h)]: half its squared norm is what a fit at given h minimises."""
+    data = whiten(problem, whitener(problem, h), problem.observations.value - predict(problem, z))
+    return jnp.concatenate([data, z / prior_widths(problem, h)])
+
+
+def log_normaliser(problem: Problem, h: Float[Array, " H"]) -> Scalar:
+    """Return the part of the log density that depends on h alone, its prior included."""
+    by = whitener(problem, h)
+    widths = jnp.sum(jnp.log(prior_widths(problem, h)))
+    entries = jnp.sum(problem.observations.weight)
+    constant = 0.5 * jnp.log(2 * jnp.pi) * (entries + problem.size[0] + problem.size[1])
+    return -0.5 * by.log_determinant - widths - 0.5 * jnp.sum(h**2) - constant
+
+
+def log_density(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Scalar:
+    """Return the joint log density of data, parameters and hyperparameters, in z."""
+    r = residuals(problem, z, h)
+    return -0.5 * jnp.sum(r**2) + log_normaliser(problem, h)
+
+
+def prediction_jacobian(problem: Problem, z: Float[Array, " P"]) -> Float[Array, "E P"]:
+    """Return ∂f/∂z.
+
+    One forward derivative per colour instead of one per parameter: parameters of one colour reach no common entry, so
+    their columns are told apart by their reach.
+    """
+    sparsity = problem.sparsity
+    _, push = jax.linearize(lambda one: predict(problem, one), z)
+    packed = jax.vmap(push)(sparsity.seeds)
+    return jnp.where(sparsity.reach, packed[sparsity.colour].T, 0.0)

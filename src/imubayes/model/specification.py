@@ -1,0 +1,36 @@
+"""What a model file says, free of the file: a list of effects with their settings."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class EffectSpec:
+    """One effect of a model.
+
+    Attributes
+    ----------
+    name : of the effect or noise member.
+    channels : the channels it acts on; None for all that it can act on.
+    per : who shares one value (channel, all, run, mounting); None for the effect's own choice.
+    prior : parameter → prior as written.
+    options : fixed settings of the effect.
+    where : file and key, for errors.
+    """
+
+    name: str
+    channels: tuple[str, ...] | None = None
+    per: str | None = None
+    prior: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, float] = field(default_factory=dict)
+    where: str = "model"
+
+
+@dataclass(frozen=True)
+class ModelSpec:
+    """A model: a name and its effects; `files` are sources of the user's own effects, as given."""
+
+    name: str
+    effects: tuple[EffectSpec, ...]
+    files: tuple[str, ...] = ()
+    where: str = "model"

@@ -1,0 +1,53 @@
+"""What a noise member is: a variance, either of one entry alone or shared by a run and channel.
+
+The covariance of the data is Σ = D + Σ_g T_g 1 1ᵀ: D is diagonal, the sum of the members' variances, and T_g is the
+variance of what all entries of run and channel g have in common.  The parameters of noise are hyperparameters: they
+change the width of the posterior, not the predicted output.
+"""
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import equinox as eqx
+
+from imubayes.types import Scalar
+
+
+class Entry(eqx.Module):
+    """What is known of one measured value besides the value.
+
+    Attributes
+    ----------
+    samples : number of raw samples in the mean.
+    """
+
+    samples: Scalar
+
+
+class Noise(eqx.Module):
+    """Base of all noise members; `kinds` says what it applies to (gyro, accelerometer, closure)."""
+
+    name: ClassVar[str]
+    per: ClassVar[tuple[str, ...]] = ("channel",)
+    kinds: ClassVar[tuple[str, ...]] = ("gyro", "accelerometer")
+    needs: ClassVar[tuple[str, ...]] = ()
+    excludes: ClassVar[tuple[str, ...]] = ()
+    confused_with: ClassVar[str] = ""
+    reference: ClassVar[str] = ""
+    nuisance: ClassVar[bool] = False
+
+
+class EntryNoise(Noise):
+    """Independent from entry to entry."""
+
+    @abstractmethod
+    def variance(self, entry: Entry) -> Scalar:
+        """Return the variance of one entry, output units squared."""
+
+
+class SharedNoise(Noise):
+    """Common to all entries of one run and channel."""
+
+    @abstractmethod
+    def shared_variance(self) -> Scalar:
+        """Return the variance of what the entries have in common, output units squared."""

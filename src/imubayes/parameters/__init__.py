@@ -1,0 +1,1 @@
+"""Parameters: what they are called, in which unit, and what was believed before the data."""

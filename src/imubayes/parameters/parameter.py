@@ -1,0 +1,65 @@
+"""What an effect says about each of its parameters, beside the field that holds it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+
+
+@dataclass(frozen=True)
+class Declared:
+    """The declaration of one parameter.
+
+    Attributes
+    ----------
+    unit : datasheet unit used in files, tables and reports.
+    prior : default prior, as written in a model file.
+    typical : smallest and largest magnitude met in practice, in `unit`.
+    meaning : a phrase that completes "this is …".
+    equipment : name of the equipment fact (see `imubayes.model.declaration`) that replaces the default prior's
+        width where the campaign states it, or empty.
+    null : the value, in SI, at which the effect does nothing.
+    per : what a value belongs to, where that differs from the effect's own `per`.
+    spread : name of the effect's parameter that is this one's standard deviation, learnt from the data.
+    """
+
+    unit: str
+    prior: str
+    typical: tuple[float, float]
+    meaning: str
+    equipment: str = ""
+    null: float = 0.0
+    per: tuple[str, ...] | None = None
+    spread: str = ""
+
+
+def parameter(
+    unit: str,
+    prior: str,
+    typical: tuple[float, float],
+    meaning: str,
+    equipment: str = "",
+    null: float = 0.0,
+    per: tuple[str, ...] | None = None,
+    spread: str = "",
+) -> Any:
+    """Declare a field of an effect as a parameter; see `Declared` for the arguments."""
+    declared = Declared(unit, prior, typical, meaning, equipment, null, per, spread)
+    return eqx.field(metadata={"parameter": declared})
+
+
+def option(default: float, meaning: str) -> Any:
+    """Declare a field of an effect as a fixed setting that a model file may change, such as a reference."""
+    return eqx.field(default=default, metadata={"option": meaning})
+
+
+def declared_parameters(effect: type) -> dict[str, Declared]:
+    """Return the parameters an effect or noise class declares, in the order of its fields."""
+    fields = effect.__dataclass_fields__.values()
+    return {field.name: field.metadata["parameter"] for field in fields if "parameter" in field.metadata}
+
+
+def declared_options(effect: type) -> dict[str, float]:
+    """Return the fixed settings an effect class has, with their defaults."""
+    fields = effect.__dataclass_fields__.values()
+    return {field.name: field.default for field in fields if "option" in field.metadata}

@@ -1,0 +1,103 @@
+"""Names against places in a flat vector, and the way from z to values.
+
+A `Layout` is the host-side list of scalar parameters.  `Priors` is the array side: the scalars sorted by family
+of prior, stacked, so that a whole vector goes from z to SI values in a handful of array operations and a stack
+of units in one vmap.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.parameters.priors import Prior
+from imubayes.types import Array, Float, Int
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One scalar parameter: `effect.parameter[label]` with unit, the unit's SI value, and prior in SI."""
+
+    effect: str
+    field: str
+    label: tuple[str, ...]
+    unit: str
+    factor: float
+    prior: Prior
+    nuisance: bool = False
+
+    @property
+    def name(self) -> str:
+        """The full name, as in model files, on the command line and in results."""
+        return f"{self.effect}.{self.field}[{','.join(self.label)}]"
+
+    @property
+    def prior_sd(self) -> float:
+        """Standard deviation of the prior in the datasheet unit."""
+        return self.prior.sd() / self.factor
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The scalar parameters in the order of the flat vector."""
+
+    parameters: tuple[Parameter, ...]
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names in order."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    def index(self, name: str) -> int:
+        """Return the place of a parameter; raises ValueError for an unknown name."""
+        return self.names.index(name)
+
+    def factors(self) -> np.ndarray:
+        """Return the SI value of each parameter's unit, shape (P,)."""
+        return np.array([parameter.factor for parameter in self.parameters], dtype=float)
+
+    def z_of(self, values: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Return z of values given in datasheet units, shape (P,)."""
+        pairs = zip(self.parameters, values, strict=True)
+        return np.array([float(p.prior.z(value * p.factor)) for p, value in pairs])
+
+
+class Priors(eqx.Module):
+    """The priors of a whole vector, stacked by family.
+
+    `sorted_by_family` lists the places of the vector family by family; `order` is its inverse.
+    """
+
+    families: tuple[Prior, ...]
+    sorted_by_family: Int[Array, " P"] | np.ndarray
+    order: Int[Array, " P"] | np.ndarray
+    counts: tuple[int, ...] = eqx.field(static=True)
+
+    @staticmethod
+    def stack(priors: Sequence[Prior]) -> "Priors":
+        """Sort priors by family and stack their numbers."""
+        kinds = list(dict.fromkeys(type(prior) for prior in priors))
+        places = [[i for i, prior in enumerate(priors) if type(prior) is kind] for kind in kinds]
+        stacked = tuple(
+            jax.tree.map(lambda *leaves: np.asarray(leaves, dtype=float), *[priors[i] for i in indices])
+            for indices in places
+        )
+        flat = np.array([i for indices in places for i in indices], dtype=int)
+        return Priors(stacked, flat, np.argsort(flat, kind="stable"), tuple(map(len, places)))
+
+    def values(self, z: Float[Array, " P"]) -> Float[Array, " P"]:
+        """Return SI values of a vector of z."""
+        if not self.families:
+            return z
+        sorted_z, parts, start = z[self.sorted_by_family], [], 0
+        for family, count in zip(self.families, self.counts, strict=True):
+            chosen = sorted_z[start : start + count]
+            parts.append(jax.vmap(lambda prior, one: prior.value(one))(family, chosen))
+            start += count
+        return jnp.concatenate(parts)[self.order]

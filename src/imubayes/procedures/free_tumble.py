@@ -1,0 +1,49 @@
+"""Free tumble: static poses of unknown attitude, the gyro carrying gravity from one to the next (P10).
+
+In each pose |f| = g, which determines the accelerometers.  The rotation between two poses, integrated from the gyros,
+must carry the first attitude into the second, which determines the gyros' scale factors and misalignments.  A pose is a
+mounting of unknown rotation: its three angles are parameters (`pose_attitude`).
+
+Source: Tedaldi, Pretto, Menegatti, "A robust and easy to implement method for IMU calibration without external
+equipments", ICRA 2014.
+"""
+
+import numpy as np
+
+from imubayes.errors import InputError, Problem
+from imubayes.procedures.base import Procedure, ambient_of
+from imubayes.run import Campaign, Run
+from imubayes.stimulus import Stimulus
+
+
+class FreeTumble(Procedure):
+    """No table: poses held still by hand or on a desk."""
+
+    name = "free_tumble"
+    needs = ("time_s",)
+    reference = "Tedaldi et al., ICRA 2014"
+
+    def stimulus(self, run: Run, campaign: Campaign) -> Stimulus:
+        if run.tumble is None:
+            raise InputError(
+                Problem(
+                    "this free tumble has no rotations between its poses",
+                    f"run '{run.name}'",
+                    "a raw log of all channels with time_s",
+                    "give the raw log, not means; the poses are found in it",
+                )
+            )
+        rows = np.arange(run.rows)
+        zero = np.zeros(run.rows)
+        return Stimulus(
+            row=rows,
+            weight=np.ones(run.rows),
+            base=np.broadcast_to(np.eye(3), (run.rows, 3, 3)),
+            mounting=run.tumble.attitude[run.tumble.pose],
+            table_angle=zero,
+            table_rate=zero,
+            table_acceleration=zero,
+            ambient=ambient_of(run, rows),
+            injected=False,
+            pose=run.tumble.pose,
+        )

@@ -1,0 +1,172 @@
+"""What was recorded, in SI, and on which equipment: the data that everything above works on.
+
+A `Campaign` is one unit's set of runs.  A `Run` holds rows: each row is the mean of `samples` raw samples
+taken while the stimulus was what the covariates say.  These are plain frozen records of NumPy arrays; files
+and units are the business of `imubayes.campaign`, pictures and datasheet units of `imubayes.report`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+Kind = Literal["gyro", "accelerometer"]
+
+COVARIATES: dict[str, str] = {
+    "time": "s",
+    "power_on": "s",
+    "table_rate": "rad/s",
+    "table_angle": "rad",
+    "table_angle_span": "rad",
+    "temperature": "degC",
+    "converter_temperature": "degC",
+    "current": "A",
+}
+"""Covariates a run may carry, and the SI unit of each (temperatures stay in °C)."""
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where the test was made: latitude in rad, height in m, gravity in m/s²."""
+
+    latitude: float
+    height: float
+    gravity: float
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One sensitive axis with its readout.
+
+    Attributes
+    ----------
+    name : its column in the run tables.
+    kind : ``gyro`` or ``accelerometer``.
+    axes : shape (3, 3); rows are the nominal input, output and spin/pendulous axis (I, O, S) in body axes,
+        a right-handed orthonormal set.
+    output_unit : free text, for labels.
+    scale : nominal output units per `per`.
+    per : input unit of the datasheet: deg/s, deg/h, rad/s, g or m/s^2.
+    scale_si : nominal output units per rad/s or per m/s².
+    offset : nominal output at zero input, output units.
+    noise : standard deviation of one raw sample, output units, or None where nothing is known.
+    current_per_acceleration : sensor current in A per m/s², or None; for injected currents.
+    """
+
+    name: str
+    kind: Kind
+    axes: np.ndarray
+    output_unit: str
+    scale: float
+    per: str
+    scale_si: float
+    offset: float = 0.0
+    noise: float | None = None
+    current_per_acceleration: float | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A single-axis table; angles in rad, rate uncertainty as a ratio; all uncertainties are one sigma."""
+
+    name: str
+    azimuth: float
+    elevation: float
+    axis_uncertainty: float | None = None
+    rate_uncertainty: float | None = None
+    angle_uncertainty: float | None = None
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """How the unit sits on a table: nominal body_to_table (3, 3), seat uncertainty per angle in rad."""
+
+    name: str
+    body_to_table: np.ndarray
+    uncertainty: float | None = None
+
+
+@dataclass(frozen=True)
+class Tumble:
+    """The moving part of a free tumble: what the gyros saw between one static pose and the next.
+
+    Attributes
+    ----------
+    pose : shape (R,); the pose (0, 1, …) that each row of the run was taken in.
+    attitude : shape (poses, 3, 3); first estimate of body → local level of each pose, heading arbitrary.
+    start, stop : shape (transitions,); the poses that a transition joins.
+    step : shape (transitions, K); length of each integration step in s, 0 where padded.
+    readings : shape (transitions, K, C); mean channel outputs over each step, output units, 0 where padded.
+    coning : shape (transitions, K, 3); body rotation vector of each step less its mean rate times its length, in
+        rad, from the nominal calibration: what averaging the rate over a step leaves out.
+    flagged : shape (poses,); True where the pose was disturbed and takes no part in the fit.
+    """
+
+    pose: np.ndarray
+    attitude: np.ndarray
+    start: np.ndarray
+    stop: np.ndarray
+    step: np.ndarray
+    readings: np.ndarray
+    coning: np.ndarray
+    flagged: np.ndarray
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recorded run, reduced to rows.
+
+    Attributes
+    ----------
+    name, procedure : as in the campaign file.
+    table, mounting : names in the campaign, or None where the procedure has none.
+    covariates : name (a key of `COVARIATES`) → shape (R,) in SI.  `table_angle` is NaN where a row is a mean
+        over whole turns.  `table_angle_span` is the angle swept during a row, 0 at rest.
+    observed : shape (R, C) over the campaign's channels, output units, NaN where missing.
+    samples : shape (R,) number of raw samples in each row's mean.
+    sample_sd : shape (R, C) standard deviation of the raw samples of each row, NaN where unknown.
+    start : ISO date and time of the run's beginning, or None.
+    tumble : the moving part, for a free tumble.
+    notes : what the reduction did and what it left out, one sentence each.
+    """
+
+    name: str
+    procedure: str
+    table: str | None
+    mounting: str | None
+    covariates: Mapping[str, np.ndarray]
+    observed: np.ndarray
+    samples: np.ndarray
+    sample_sd: np.ndarray
+    start: str | None = None
+    tumble: Tumble | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.samples)
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """One unit, its equipment and its runs; `digest` identifies the data (SHA-256 of files as read)."""
+
+    name: str
+    site: Site
+    channels: tuple[Channel, ...]
+    tables: Mapping[str, Table]
+    mountings: Mapping[str, Mounting]
+    runs: tuple[Run, ...]
+    serial: str = ""
+    digest: str = ""
+    notes: tuple[str, ...] = field(default=())
+
+    def only(self, *names: str) -> "Campaign":
+        """Return the campaign with the named runs alone, in their own order."""
+        return replace(self, runs=tuple(run for run in self.runs if run.name in names))
+
+    def with_run(self, run: Run) -> "Campaign":
+        """Return the campaign with one run more."""
+        return replace(self, runs=(*self.runs, run))

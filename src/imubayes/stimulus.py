@@ -1,0 +1,130 @@
+"""What a unit experiences, from the table's motion down to one channel's signal.
+
+The forward model is evaluated at *nodes*: instants at which the stimulus is known.  A recorded row is a mean over
+an interval, so a row owns one node when nothing moved and several, with weights, when the table turned meanwhile.
+A procedure turns a run into a `Stimulus` (NumPy); the classes below it are what travels along the signal path,
+each written for one node, and batched by vmap.
+"""
+
+from dataclasses import dataclass, fields
+
+import equinox as eqx
+import numpy as np
+
+from imubayes.types import Matrix3, Scalar, Vector3
+
+
+class Ambient(eqx.Module):
+    """The circumstances of one instant, as recorded: s, rad/s, rad, °C, A.
+
+    A covariate that the run does not carry is 0 here, and effects that need it do not act on that run.
+    """
+
+    time: Scalar
+    power_on: Scalar
+    table_rate: Scalar
+    table_angle: Scalar
+    temperature: Scalar
+    converter_temperature: Scalar
+    current: Scalar
+
+
+class Motion(eqx.Module):
+    """Where the unit is and how it turns, at one instant.
+
+    Attributes
+    ----------
+    base : C_nt at table angle 0.
+    mounting : body → table.
+    table_angle, table_rate, table_acceleration : of the table about its axis; rad, rad/s, rad/s².
+    gravity : specific force of a body at rest, in n, m/s².
+    earth_rate : the Earth's rotation in n, rad/s.
+    """
+
+    base: Matrix3
+    mounting: Matrix3
+    table_angle: Scalar
+    table_rate: Scalar
+    table_acceleration: Scalar
+    gravity: Vector3
+    earth_rate: Vector3
+
+
+class Experience(eqx.Module):
+    """What acts at the place of one channel, in body axes.
+
+    `rate` is inertial (rad/s), `force` the specific force (m/s²); `table_rate` and `table_acceleration` are the
+    table's rotation alone, which moves a point off the axis.
+    """
+
+    rate: Vector3
+    force: Vector3
+    table_rate: Vector3
+    table_acceleration: Vector3
+
+
+class Sample(eqx.Module):
+    """What one channel experiences, along its own nominal (I, O, S) axes, with the circumstances.
+
+    `output_scale` is the channel's nominal scale, output units per rad/s or m/s².
+    """
+
+    rate: Vector3
+    force: Vector3
+    acceleration: Vector3
+    ambient: Ambient
+    output_scale: Scalar
+
+
+class SignalPath(eqx.Module):
+    """What travels along the path: filled in from left to right as the stages are passed.
+
+    Leading axes are nodes for `motion` and `ambient`, nodes × channels for the others, which are kept per kind of
+    channel.  `signal` is input-referred in SI up to the converter, and in output units from there on.
+    """
+
+    motion: Motion
+    ambient: Ambient
+    experience: dict[str, Experience]
+    sample: dict[str, Sample]
+    signal: dict[str, Scalar]
+
+
+@dataclass(frozen=True)
+class Stimulus:
+    """The nodes of one run (n of them), in SI.
+
+    Attributes
+    ----------
+    row : shape (n,), the row of the run each node belongs to.
+    weight : shape (n,), sums to 1 over the nodes of a row.
+    base, mounting : shape (n, 3, 3), nominal.
+    table_angle, table_rate, table_acceleration : shape (n,).
+    ambient : covariate name → shape (n,), those that the run supplies.
+    injected : whether a current is fed to the converter in the sensor's place.
+    pose : shape (n,), static pose of a free tumble, else −1.
+    """
+
+    row: np.ndarray
+    weight: np.ndarray
+    base: np.ndarray
+    mounting: np.ndarray
+    table_angle: np.ndarray
+    table_rate: np.ndarray
+    table_acceleration: np.ndarray
+    ambient: dict[str, np.ndarray]
+    injected: bool
+    pose: np.ndarray
+
+    @property
+    def supplies(self) -> frozenset[str]:
+        """Names of what this run lets an effect see."""
+        seen = set(self.ambient)
+        if np.any(self.table_rate != 0):
+            seen.add("turning")
+        if self.injected:
+            seen.add("injection")
+        return frozenset(seen)
+
+
+AMBIENT_NAMES = tuple(field.name for field in fields(Ambient))

@@ -1,0 +1,23 @@
+"""Array shapes, by name.
+
+The letters used throughout: N nodes (instants at which the signal path is evaluated), R rows (recorded
+values), C channels of one kind, E entries (rows × channels that were measured), P parameters (θ, in z),
+H hyperparameters (noise scales, in z).
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+Scalar = Float[Array, ""]
+Vector3 = Float[Array, "3"]
+Matrix3 = Float[Array, "3 3"]
+Flag = Bool[Array, ""]
+Index = Int[Array, ""]
+
+
+def vector3(x: Scalar, y: Scalar, z: Scalar) -> Vector3:
+    """Return the vector of three components."""
+    return jnp.stack([x, y, z])
+
+
+__all__ = ["Array", "Bool", "Flag", "Float", "Index", "Int", "Matrix3", "Scalar", "Vector3", "vector3"]
