@@ -1,4 +1,4 @@
-"""Physical sanity of the reduced rows: do the channels follow the stimulus by about the nominal scale?
+"""Physical sanity of the reduced rows: the channels must follow the stimulus by about the nominal scale.
 
 A wrong unit shows as a factor.  Each channel is regressed on its nominal input; a slope near 57.3 means
 degrees against radians, near 9.81 means g against m/s².  These checks look for mistakes of bookkeeping, by
@@ -124,10 +124,11 @@ def _angle_in_radians(run: Run, where: str) -> Finding | None:
     given = degrees[known]
     if len(np.unique(given)) < 4 or np.max(np.abs(given)) > TURN * 1.01 or np.ptp(given) < 1.0:
         return None
-    votes = []
-    for values in run.observed[known].T:
-        if np.isfinite(values).all() and np.ptp(values) > 0:
-            votes.append(_harmonic_rest(given, values) < 0.25 * _harmonic_rest(given * DEGREE, values))
+    votes = [
+        _harmonic_rest(given, values) < 0.25 * _harmonic_rest(given * DEGREE, values)
+        for values in run.observed[known].T
+        if np.isfinite(values).all() and np.ptp(values) > 0
+    ]
     if not votes or np.mean(votes) <= 0.5:
         return None
     what = f"the angles reach {np.max(np.abs(given)):.4g} and the readings repeat with 2π of them"

@@ -138,14 +138,14 @@ def _missing(layout: Layout, channels: Sequence[str], procedure: str, where: str
                 "name the columns of readings as the channels of campaign.toml",
             )
         )
-    for group in REQUIRED_COLUMNS.get(procedure, ()):
-        if not any(layout.has(column) for column in group):
-            problems.append(
-                Problem(
-                    f"a run of procedure '{procedure}' needs the column '{group[0]}'",
-                    f"{where}, header",
-                    ", or ".join(group),
-                    "add the column, or correct 'procedure' of the run",
-                )
-            )
+    problems += [
+        Problem(
+            f"a run of procedure '{procedure}' needs the column '{group[0]}'",
+            f"{where}, header",
+            ", or ".join(group),
+            "add the column, or correct 'procedure' of the run",
+        )
+        for group in REQUIRED_COLUMNS.get(procedure, ())
+        if not any(layout.has(column) for column in group)
+    ]
     return problems

@@ -136,9 +136,7 @@ def _note_fault(ledger: Ledger, record: type[BaseModel], content: dict[str, Any]
     elif kind == "value_error":
         ledger.add(str(context["error"]), path, ", ".join(fields), "mend this entry")
     else:
-        ledger.add(
-            f"{spell(path) or 'the file'}: {_sentence(fault)}", path, _range(owner, key), "correct the value"
-        )
+        ledger.add(f"{spell(path) or 'the file'}: {_sentence(fault)}", path, _range(owner, key), "correct the value")
 
 
 def _sentence(fault: Any) -> str:
@@ -181,8 +179,6 @@ def _range(owner: type[BaseModel] | None, key: str) -> str:
     schema = owner.model_json_schema()["properties"][key]
     names = {"minimum": "ge", "exclusiveMinimum": "gt", "maximum": "le", "exclusiveMaximum": "lt"}
     variants = [schema, *schema.get("anyOf", [])]
-    bounds = [
-        words[names[k]].format(f"{v:g}") for variant in variants for k, v in variant.items() if k in names
-    ]
+    bounds = [words[names[k]].format(f"{v:g}") for variant in variants for k, v in variant.items() if k in names]
     kinds = [variant["type"] for variant in variants if variant.get("type", "null") != "null"]
     return " ".join([*kinds[:1], ", ".join(bounds)]).strip() or "see the data dictionary"

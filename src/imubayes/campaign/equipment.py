@@ -10,8 +10,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from imubayes.campaign.documents import Ledger
-from imubayes.campaign.gravity import normal_gravity
 from imubayes.campaign.schema import ChannelEntry, MountingEntry, SiteEntry, TableEntry
+from imubayes.earth import normal_gravity
 from imubayes.run import Channel, Mounting, Site, Table
 from imubayes.units import to_si
 
@@ -25,9 +25,7 @@ def build_site(entry: SiteEntry) -> Site:
     """Return the site in SI; the gravity formula fills in where none was measured."""
     latitude = entry.latitude_deg * DEGREE
     gravity = entry.gravity_m_s2
-    return Site(
-        latitude, entry.height_m, normal_gravity(latitude, entry.height_m) if gravity is None else gravity
-    )
+    return Site(latitude, entry.height_m, normal_gravity(latitude, entry.height_m) if gravity is None else gravity)
 
 
 def build_channels(entries: Sequence[ChannelEntry], gravity: float, ledger: Ledger) -> tuple[Channel, ...]:

@@ -34,9 +34,7 @@ def csv_faults(file: Path, layout: Layout) -> list[Problem]:
     return problems
 
 
-def _line_faults(
-    cells: list[str], wanted: list[tuple[int, str]], layout: Layout, where: str
-) -> list[Problem]:
+def _line_faults(cells: list[str], wanted: list[tuple[int, str]], layout: Layout, where: str) -> list[Problem]:
     if not cells:
         return []
     if len(cells) != len(layout.header):

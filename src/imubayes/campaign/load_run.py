@@ -143,7 +143,9 @@ def _load_tumble(source: TableSource, entry: RunEntry, equipment: Equipment) -> 
                 "give the raw log of the whole recording",
             )
         )
-    reduced = reduce_tumble(_whole(source), equipment.channels, equipment.site.gravity, entry.initial_rest_s, source.file)
+    reduced = reduce_tumble(
+        _whole(source), equipment.channels, equipment.site.gravity, entry.initial_rest_s, source.file
+    )
     run = build_run(entry, reduced.numbers, equipment.channels, reduced.notes, reduced.tumble)
     findings = [replace(finding, run=entry.name) for finding in reduced.findings]
     return run, findings
@@ -173,5 +175,3 @@ def _unsteady(entry: RunEntry, where: str, rows: tuple[int, ...]) -> Finding:
     allowed = "one rate, one angle or rest per segment"
     remedy = "leave the label of transients empty"
     return Finding("segment_not_constant", "warning", entry.name, what, f"{where}, column 'segment'", allowed, remedy)
-
-

@@ -132,7 +132,7 @@ class Monitor:
         joined = np.concatenate([[self._previous.get("time_s", np.nan)], time])
         step = np.diff(joined)
         still = np.flatnonzero(step == 0)
-        same = np.array([row for row in still if self._repeats_previous(batch, row)], dtype=int)
+        same = np.array([row for row in still.tolist() if self._repeats_previous(batch, row)], dtype=int)
         self._same.note(batch.first + same)
         self._back.note(batch.first + np.setdiff1d(np.flatnonzero(step <= 0), same))
         if self.interval is not None and not self.source.layout.reduced:

@@ -8,7 +8,6 @@ did not converge says so in a sentence.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import optimistix as optx
 
 from imubayes.inference.least_squares import GramCholesky, minimise
 from imubayes.inference.precision import Linearised, knowledge, linearise, log_marginal
@@ -25,8 +24,11 @@ from imubayes.types import Array, Bool, Float, Int, Scalar
 # A Newton decrement of 0.01 moves no estimate by more than a hundredth of its standard deviation.
 _DECREMENT = 1e-2
 # Rounds of θ and h in turns; the change of h per round, in units of its prior, that ends them.
-_ROUNDS, _SETTLED = 8, 1e-3
-_STEPS, _HYPER_STEPS = 60, 200
+_ROUNDS, _SETTLED = 8, 1e-2
+_STEPS, _HYPER_STEPS = 60, 30
+# Levenberg–Marquardt begins with a damping of 1 on the scale of the squared residual.  The prior damps already, so the
+# residual is scaled up until the first step is Gauss–Newton's; a step that fails raises the damping as usual.
+_UNDAMPED = 1e3
 
 
 class Mode(eqx.Module):
@@ -36,7 +38,7 @@ class Mode(eqx.Module):
     ----------
     z, h : shapes (P,) and (H,).
     decrement : √(gᵀH⁻¹g), the size of the step still to go, in posterior standard deviations.
-    log_evidence : Laplace estimate of log p(y) given ĥ, less the width of h.
+    marginal : the Laplace marginal of h at ĥ, with its curvature.
     steps : Levenberg–Marquardt steps in all.
     settled : whether h no longer changed.
     converged : whether all of it converged.
@@ -45,7 +47,7 @@ class Mode(eqx.Module):
     z: Float[Array, " P"]
     h: Float[Array, " H"]
     decrement: Scalar
-    log_evidence: Scalar
+    marginal: "Curvature"
     steps: Int[Array, ""]
     settled: Bool[Array, ""]
     converged: Bool[Array, ""]
@@ -77,46 +79,95 @@ def fit_parameters(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"
     """Return θ at given h, as a `LeastSquares` outcome: Levenberg–Marquardt from z."""
     residual = sparse_residual(problem, h)
     return minimise(
-        lambda one, _: residual(one), z, tolerance=1e-7, most_steps=_STEPS, linear_solver=GramCholesky()
+        lambda one, _: _UNDAMPED * residual(one),
+        z,
+        tolerance=1e-7,
+        most_steps=_STEPS,
+        linear_solver=GramCholesky(),
     )
 
 
-def fit_hyperparameters(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Float[Array, " H"]:
-    """Return the h that maximises the Laplace marginal of the linearised model."""
-    solver = optx.BFGS(rtol=1e-4, atol=1e-4)
-    return optx.minimise(
-        lambda one, _: -log_marginal(problem, about, one), solver, h, max_steps=_HYPER_STEPS, throw=False
-    ).value
+class Curvature(eqx.Module):
+    """The Laplace marginal of h at one point: value, gradient (H,) and the negative of its Hessian (H, H)."""
+
+    value: Scalar
+    gradient: Float[Array, " H"]
+    information: Float[Array, "H H"]
+
+
+def curvature(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Curvature:
+    """Return value, gradient and curvature of the Laplace marginal of h."""
+
+    def gradient_and_value(one):
+        value, gradient = jax.value_and_grad(log_marginal, argnums=2)(problem, about, one)
+        return gradient, (value, gradient)
+
+    hessian, (value, gradient) = jax.jacfwd(gradient_and_value, has_aux=True)(h)
+    return Curvature(value, gradient, -0.5 * (hessian + hessian.T))
+
+
+def newton_step(at: Curvature) -> Float[Array, " H"]:
+    """Return a step up the marginal: Newton's, with every curvature made positive and no longer than 1 per axis."""
+    eigenvalues, axes = jnp.linalg.eigh(at.information)
+    # Far from the mode the marginal may be flat or convex; the prior's own curvature, 1, is then the measure.
+    step = axes.T @ at.gradient / jnp.maximum(jnp.abs(eigenvalues), 0.1)
+    return axes @ jnp.clip(step, -1.0, 1.0)
+
+
+_fit_parameters = eqx.filter_jit(lambda problem, z, h: fit_parameters(problem, z, h))
+_linearise = eqx.filter_jit(linearise)
+_curvature = eqx.filter_jit(curvature)
+
+
+@eqx.filter_jit
+def _decrement(problem: Problem, about: Linearised, h: Float[Array, " H"]):
+    known, prior_precision = knowledge(problem, about, h), prior_widths(problem, h) ** -2
+    total = known.precision + jnp.diag(prior_precision)
+    gradient = known.gradient - prior_precision * about.z
+    step = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(total), True), gradient)
+    return step, jnp.sqrt(jnp.maximum(gradient @ step, 0.0))
 
 
 def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Mode:
-    """Return the joint fit, started from z and h."""
+    """Return the joint fit, started from z (P,) and h (H,).
 
-    def one_round(state):
-        z, h, _, steps, rounds, _ = state
-        fitted = fit_parameters(problem, z, h)
-        found = fit_hyperparameters(problem, linearise(problem, fitted.value), h)
-        change = jnp.max(jnp.abs(found - h), initial=0.0)
-        return fitted.value, found, change, steps + fitted.steps, rounds + 1, fitted.successful
-
-    def unsettled(state):
-        _, _, change, _, rounds, _ = state
-        return (rounds < _ROUNDS) & (change > _SETTLED)
-
-    begin = (z, h, jnp.asarray(jnp.inf), jnp.asarray(0), jnp.asarray(0), jnp.asarray(False))
-    z, h, change, steps, _, _ = jax.lax.while_loop(unsettled, one_round, begin)
-    about = linearise(problem, z)
-    known, prior_precision = knowledge(problem, about, h), prior_widths(problem, h) ** -2
-    total = known.precision + jnp.diag(prior_precision)
-    gradient = known.gradient - prior_precision * z
-    step = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(total), True), gradient)
-    decrement = jnp.sqrt(jnp.maximum(gradient @ step, 0.0))
-    settled = change <= _SETTLED
-    finite = jnp.all(jnp.isfinite(z)) & jnp.all(jnp.isfinite(h)) & jnp.isfinite(decrement)
+    The parts are pure functions of arrays and vmap over a stack of problems; this loop only decides how often they are
+    called.
+    """
+    steps, settled, about, at = 0, False, None, None
+    for _ in range(_ROUNDS):
+        fitted = _fit_parameters(problem, z, h)
+        steps += int(fitted.steps)
+        z = fitted.value
+        about = _linearise(problem, z)
+        before = h
+        h, at = _climb(problem, about, h)
+        settled = h.size == 0 or float(jnp.max(jnp.abs(h - before))) < _SETTLED
+        if settled or not bool(jnp.all(jnp.isfinite(h))):
+            break
+    assert about is not None and at is not None
+    step, decrement = _decrement(problem, about, h)
+    finite = bool(jnp.isfinite(decrement)) and bool(jnp.all(jnp.isfinite(h)))
     # The last Newton step is taken: it is the cheapest digit there is.
-    better = jnp.where(finite & (decrement < 1.0), z + step, z)
-    evidence = log_marginal(problem, about, h)
-    return Mode(better, h, decrement, evidence, steps, settled, finite & settled & (decrement < _DECREMENT))
+    last = z + step if finite and float(decrement) < 1.0 else z
+    converged = finite and settled and float(decrement) < _DECREMENT
+    return Mode(last, h, decrement, at, jnp.asarray(steps), jnp.asarray(settled), jnp.asarray(converged))
+
+
+def _climb(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> tuple[Float[Array, " H"], Curvature]:
+    """Return the mode of the Laplace marginal of h, and the curvature there."""
+    at = _curvature(problem, about, h)
+    for _ in range(_HYPER_STEPS):
+        step = newton_step(at)
+        if not step.size or float(jnp.max(jnp.abs(step))) < _SETTLED / 10:
+            break
+        length = 1.0
+        ahead = _curvature(problem, about, h + step)
+        while not float(ahead.value) >= float(at.value) - 1e-9 and length > 1e-3:
+            length *= 0.3
+            ahead = _curvature(problem, about, h + length * step)
+        h, at = h + length * step, ahead
+    return h, at
 
 
 def message(mode: Mode) -> str:

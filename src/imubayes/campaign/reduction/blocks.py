@@ -83,10 +83,7 @@ class BlockBuilder:
         return Blocks(
             joined.pop("start"),
             joined.pop("count"),
-            {
-                name: _ratio(joined[f"sum {name}"], joined[f"valid {name}"])
-                for name in self._columns
-            },
+            {name: _ratio(joined[f"sum {name}"], joined[f"valid {name}"]) for name in self._columns},
             _pick(joined, "low "),
             _pick(joined, "high "),
             _pick(joined, "first "),

@@ -7,6 +7,7 @@ into bins short enough for it to count as constant.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -129,7 +130,7 @@ def _bins(blocks: Blocks, first: int, last: int) -> list[tuple[int, int]]:
             edges.append(index)
             begin = index
     edges.append(last - first)
-    return [(first + a, first + b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [(first + a, first + b) for a, b in pairwise(edges)]
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:

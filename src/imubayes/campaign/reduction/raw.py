@@ -16,6 +16,7 @@ BINNED = {"thermal_ramp", "current_injection"}
 
 UNSTEADY = 0.02  # of the mean; a rate table holds its rate far better
 
+
 @dataclass(frozen=True)
 class Rows:
     """Reduced rows in the units of the file, by column.
@@ -32,9 +33,7 @@ class Rows:
     notes: tuple[str, ...]
 
 
-def reduce_log(
-    source: TableSource, procedure: str, rows: int, blocks: Blocks, labelled: Sequence[Span] | None
-) -> Rows:
+def reduce_log(source: TableSource, procedure: str, rows: int, blocks: Blocks, labelled: Sequence[Span] | None) -> Rows:
     """Reduce a raw log to one row per span of constant stimulus.
 
     Parameters
@@ -47,10 +46,7 @@ def reduce_log(
     """
     layout = source.layout
     by_temperature = procedure in BINNED and labelled is None
-    if labelled is None:
-        spans = constant_spans(blocks, layout.channels, by_temperature)
-    else:
-        spans = list(labelled)
+    spans = constant_spans(blocks, layout.channels, by_temperature) if labelled is None else list(labelled)
     columns = [name for name in (*COVARIATE_COLUMNS, *layout.channels) if layout.has(name)]
     reduced = accumulate(source, spans, columns, blocks.interval) if spans else []
     numbers = _columns(columns, layout, reduced)

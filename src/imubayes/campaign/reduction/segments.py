@@ -1,5 +1,7 @@
-"""Spans from the `segment` column: consecutive rows with the same label belong together; an empty label is
-"belongs to nothing" and is left out."""
+"""Spans from the `segment` column.
+
+Consecutive rows with the same label belong together; rows with an empty label belong to nothing and are left out.
+"""
 
 import numpy as np
 

@@ -1,10 +1,10 @@
-"""When a hand-held unit was at rest: intervals in which no channel scatters more than it does at rest.
+"""When a hand-held unit was at rest: intervals in which the accelerometers scatter no more than at rest.
 
-In every window of about a second the variance of each channel is compared with its own variance at rest (the
-beginning of the recording).  The largest ratio over the channels, the *unrest*, is near 1 at rest and orders
-of magnitude more while the unit is moved, and it has no units, so it serves accelerometers and gyros, counts
-and m/s² alike.  Which multiple separates the two is decided later, by how well |f| = g comes out (Tedaldi,
-Pretto, Menegatti, ICRA 2014).
+In every window of about a second the variance of each accelerometer is compared with its own variance during
+the rest at the beginning of the recording.  The largest ratio over the channels, the *unrest*, is near 1 at
+rest and orders of magnitude more while the unit is moved, and it has no unit.  Which multiple separates the
+two is decided later, by how well |f| = g comes out (Tedaldi, Pretto, Menegatti, ICRA 2014).  The gyros take no
+part here: they tell afterwards whether the unit was turned during an interval in which nothing shook.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,10 @@ import numpy as np
 
 WINDOW_SECONDS = 1.0
 LEAST_POSE_SECONDS = 0.8
-FLOOR_QUANTILE = 0.05  # the quietest twentieth of a recording is at rest
+QUIET_SHARE = 0.05  # the quietest twentieth of a recording is at rest
+INITIAL_UNREST = 20.0  # the rest at the beginning ends where the variance is this many times that of the quietest
+SAME_POSE = np.deg2rad(0.5)
+SAME_POSE_GAP_SECONDS = 5.0
 
 
 @dataclass(frozen=True)
@@ -24,42 +27,62 @@ class Rest:
     stop: int
 
 
-def unrest(readings: np.ndarray, interval: float, initial: Rest | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unrest of every sample, and each channel's variance at rest.
+@dataclass(frozen=True)
+class Pose:
+    """One static pose: a rest, or several in the same attitude with a knock between them."""
+
+    rests: tuple[Rest, ...]
+
+    @property
+    def start(self) -> int:
+        """First sample."""
+        return self.rests[0].start
+
+    @property
+    def stop(self) -> int:
+        """One past the last sample."""
+        return self.rests[-1].stop
+
+    def indices(self) -> np.ndarray:
+        """Return the samples that count."""
+        return np.concatenate([np.arange(rest.start, rest.stop) for rest in self.rests])
+
+
+def unrest(force: np.ndarray, interval: float, initial: Rest | None) -> np.ndarray:
+    """Return the unrest of every sample.
 
     Parameters
     ----------
-    readings : shape (N, C), any units.
+    force : accelerometer readings, shape (N, C), any units.
     interval : sampling interval in s.
     initial : a stretch known to be at rest; without it the quietest windows of the recording count as rest.
     """
     half = window_half(interval)
-    variance = windowed_variance(readings, half)
+    variance = windowed_variance(force, half)
     if initial is not None:
-        floor = variance[initial.start + half : max(initial.stop - half, initial.start + half + 1)].mean(0)
+        inner = variance[initial.start + half : initial.stop - half]
+        floor = (inner if len(inner) else variance[initial.start : initial.stop]).mean(0)
     else:
-        quiet = np.argsort(np.max(variance / np.median(variance, axis=0), axis=1))
-        floor = np.median(variance[quiet[: max(1, int(FLOOR_QUANTILE * len(quiet)))]], axis=0)
-    floor = np.maximum(floor, 1e-30 + 1e-12 * np.var(readings, axis=0))
-    return np.max(variance / floor, axis=1), floor
+        order = np.argsort(np.max(variance / np.median(variance, axis=0), axis=1))
+        floor = np.median(variance[order[: max(1, int(QUIET_SHARE * len(order)))]], axis=0)
+    floor = np.maximum(floor, 1e-12 * np.var(force, axis=0) + 1e-300)
+    return np.max(variance / floor, axis=1)
 
 
 def windowed_variance(readings: np.ndarray, half: int) -> np.ndarray:
     """Return the variance in the window of `2·half + 1` samples about every sample (ends repeated)."""
-    centred = readings - readings.mean(0)
     width = 2 * half + 1
-    padded = np.pad(centred, ((half + 1, half), (0, 0)), mode="edge")
-    padded[0] = 0.0
-    total, square = np.cumsum(padded, axis=0), np.cumsum(padded**2, axis=0)
+    padded = np.pad(readings - readings.mean(0), ((half, half), (0, 0)), mode="edge")
+    zero = np.zeros((1, readings.shape[1]))
+    total, square = (np.concatenate([zero, np.cumsum(p, axis=0)]) for p in (padded, padded**2))
     mean = (total[width:] - total[:-width]) / width
     return np.maximum((square[width:] - square[:-width]) / width - mean**2, 0.0)
 
 
-def rests(quiet: np.ndarray, interval: float) -> list[Rest]:
-    """Return the stretches where `quiet` holds, half a window in from the motion and long enough to count.
+def find_rests(quiet: np.ndarray, interval: float) -> list[Rest]:
+    """Return the stretches where `quiet` holds and that are long enough to count.
 
-    A window that touches motion is unquiet up to half a window before it begins, so the stretches need not be
-    narrowed.
+    A window that touches motion is unquiet from half a window before it, so the stretches keep their distance.
     """
     padded = np.concatenate([[False], quiet, [False]]).astype(np.int8)
     starts, stops = np.flatnonzero(np.diff(padded) == 1), np.flatnonzero(np.diff(padded) == -1)
@@ -67,17 +90,34 @@ def rests(quiet: np.ndarray, interval: float) -> list[Rest]:
     return [Rest(int(a), int(b)) for a, b in zip(starts, stops, strict=True) if b - a >= least]
 
 
-def initial_rest(readings: np.ndarray, interval: float, seconds: float | None) -> Rest:
-    """Return the rest at the beginning of the recording: as stated, or as long as it stays quiet."""
+def join_rests(rests: list[Rest], force: np.ndarray, interval: float) -> list[Pose]:
+    """Return the poses: neighbouring rests in the same attitude, soon after one another, are one pose."""
+    poses: list[Pose] = []
+    for rest in rests:
+        if poses and _same_attitude(poses[-1].rests[-1], rest, force, interval):
+            poses[-1] = Pose((*poses[-1].rests, rest))
+        else:
+            poses.append(Pose((rest,)))
+    return poses
+
+
+def initial_rest(force: np.ndarray, interval: float, seconds: float | None) -> Rest:
+    """Return the rest at the beginning of the recording: as stated, or for as long as it stays quiet."""
     if seconds is not None:
-        return Rest(0, max(2, min(len(readings), round(seconds / interval))))
-    ratio, _ = unrest(readings, interval, None)
-    loud = np.flatnonzero(ratio > 20.0)
-    begin = int(np.argmax(ratio <= 20.0))
-    after = loud[loud > begin]
-    return Rest(begin, int(after[0]) if len(after) else len(readings))
+        return Rest(0, max(2, min(len(force), round(seconds / interval))))
+    loud = unrest(force, interval, None) > INITIAL_UNREST
+    begin = int(np.argmin(loud))
+    after = np.flatnonzero(loud[begin:])
+    return Rest(begin, begin + int(after[0]) if len(after) else len(force))
 
 
 def window_half(interval: float) -> int:
     """Return half the window in samples."""
     return max(2, round(WINDOW_SECONDS / interval / 2))
+
+
+def _same_attitude(before: Rest, after: Rest, force: np.ndarray, interval: float) -> bool:
+    if (after.start - before.stop) * interval > SAME_POSE_GAP_SECONDS:
+        return False
+    first, second = force[before.start : before.stop].mean(0), force[after.start : after.stop].mean(0)
+    return bool(np.linalg.norm(first - second) < SAME_POSE * np.linalg.norm(first))

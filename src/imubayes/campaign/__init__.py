@@ -1,0 +1,32 @@
+"""Campaign folders in, SI records out: the only place where units come in.
+
+`load_campaign` reads a folder, `read_model_file` a model, `check_campaign` says what is odd about the data,
+and `convert` makes campaigns of foreign recordings.
+"""
+
+from imubayes.campaign.findings import FINDINGS, Finding
+from imubayes.campaign.readers import Inspection, check_campaign, inspect_campaign, load_campaign, read_model_file
+from imubayes.campaign.schema import (
+    PROCEDURE_NAMES,
+    CampaignFile,
+    EffectEntry,
+    ModelFile,
+    campaign_schema,
+    model_schema,
+)
+
+__all__ = [
+    "FINDINGS",
+    "PROCEDURE_NAMES",
+    "CampaignFile",
+    "EffectEntry",
+    "Finding",
+    "Inspection",
+    "ModelFile",
+    "campaign_schema",
+    "check_campaign",
+    "inspect_campaign",
+    "load_campaign",
+    "model_schema",
+    "read_model_file",
+]

@@ -1,0 +1,108 @@
+"""Plain text tables of any make: with or without a header, separated by commas, tabs, semicolons or spaces."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from imubayes.campaign.convert.options import DELIMITERS
+from imubayes.errors import InputError, Problem, closest_first
+
+_PLACE = re.compile(r"at row (\d+)")
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table as found: names (empty without a header), delimiter, and whether the first line is a header."""
+
+    file: Path
+    names: tuple[str, ...]
+    width: int
+    delimiter: str | None
+
+    @property
+    def has_header(self) -> bool:
+        """Whether the first line holds names."""
+        return bool(self.names)
+
+
+def look_at(file: Path, delimiter: str | None) -> TextTable:
+    """Return how a text table is written, judged by its first line."""
+    try:
+        with file.open(encoding="utf-8-sig") as stream:
+            line = stream.readline().strip()
+    except FileNotFoundError:
+        near = [path.name for path in file.parent.iterdir()] if file.parent.is_dir() else []
+        raise InputError(
+            Problem(
+                f"there is no file '{file}'",
+                str(file),
+                closest_first(file.name, near),
+                "give the path of the recording",
+            )
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            Problem(f"the file cannot be read as text: {error}", str(file), "UTF-8 text", "convert it")
+        ) from None
+    if not line:
+        raise InputError(Problem("the file is empty", str(file), "a table of numbers", "export the recording again"))
+    separator = DELIMITERS[delimiter] if delimiter else next((d for d in ("\t", ",", ";") if d in line), None)
+    cells = [cell.strip().strip('"') for cell in line.split(separator)]
+    header = any(not _is_number(cell) for cell in cells)
+    return TextTable(file, tuple(cells) if header else (), len(cells), separator)
+
+
+def pick_columns(table: TextTable, wanted: Mapping[str, str | int], file_option: str = "columns") -> dict[str, int]:
+    """Return the position (from 0) of each wanted column, given by name or by number from 1."""
+    positions, problems = {}, []
+    for target, source in wanted.items():
+        if str(source) in table.names:
+            positions[target] = table.names.index(str(source))
+        elif str(source).isdigit() and 1 <= int(source) <= table.width:
+            positions[target] = int(source) - 1
+        else:
+            there = closest_first(str(source), table.names) if table.names else f"1 … {table.width}"
+            problems.append(
+                Problem(
+                    f"there is no column '{source}' for '{target}'",
+                    f"{table.file}:1 (option {file_option})",
+                    there,
+                    f"say which column holds {target}: {target}=NAME or {target}=NUMBER",
+                )
+            )
+    if problems:
+        raise InputError(problems)
+    return positions
+
+
+def read_numbers(table: TextTable, positions: Mapping[str, int]) -> dict[str, np.ndarray]:
+    """Return the wanted columns as numbers."""
+    skip = int(table.has_header)
+    try:
+        values = np.loadtxt(
+            table.file, delimiter=table.delimiter, skiprows=skip, usecols=list(positions.values()), ndmin=2,
+            encoding="utf-8-sig",
+        )  # fmt: skip
+    except ValueError as error:
+        place = _PLACE.search(str(error))
+        line = f":{int(place[1]) + 1 + skip}" if place else ""
+        raise InputError(
+            Problem(
+                f"the table cannot be read: {str(error).splitlines()[0]}",
+                f"{table.file}{line}",
+                f"{table.width} numbers per line",
+                "correct the line, or choose other columns",
+            )
+        ) from None
+    return dict(zip(positions, values.T, strict=True))
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
