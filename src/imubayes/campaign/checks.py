@@ -122,24 +122,25 @@ def _angle_in_radians(run: Run, where: str) -> Finding | None:
     degrees = run.covariates["table_angle"] / DEGREE
     known = np.isfinite(degrees) & (run.covariates["table_angle_span"] == 0)
     given = degrees[known]
-    if len(np.unique(given)) < 4 or np.max(np.abs(given)) > TURN * 1.01 or np.ptp(given) < 1.0:
+    if len(np.unique(given)) < 5 or np.max(np.abs(given)) > TURN * 1.01 or np.ptp(given) < 1.0:
         return None
-    votes = [
-        _harmonic_rest(given, values) < 0.25 * _harmonic_rest(given * DEGREE, values)
+    repeats = [
+        _harmonic_rest(given, values) < min(0.02, 0.05 * _harmonic_rest(given * DEGREE, values))
         for values in run.observed[known].T
         if np.isfinite(values).all() and np.ptp(values) > 0
     ]
-    if not votes or np.mean(votes) <= 0.5:
+    if not any(repeats):
         return None
     what = f"the angles reach {np.max(np.abs(given)):.4g} and the readings repeat with 2π of them"
     return _angle_finding(run.name, what, where)
 
 
 def _harmonic_rest(angle: np.ndarray, values: np.ndarray) -> float:
+    """Return the share of the variance that one sine wave of the angle leaves over."""
     design = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
-    scaled = values / np.ptp(values)
+    scaled = (values - values.mean()) / np.std(values)
     rest = scaled - design @ np.linalg.lstsq(design, scaled, rcond=None)[0]
-    return float(rest @ rest) + 1e-12
+    return float(rest @ rest) / len(values) + 1e-12
 
 
 def _angle_finding(run: str, what: str, where: str) -> Finding:

@@ -6,10 +6,11 @@ records are built, and whether an effect of the model exists is the business of 
 Every unknown key is refused, so a misspelt key never becomes a silently ignored setting.
 """
 
+import math
 from datetime import date, datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, field_validator, model_validator
 
 PROCEDURE_NAMES = (
     "rate_table",
@@ -120,10 +121,20 @@ class CampaignFile(_Entry):
     run: list[RunEntry] = Field(min_length=1)
 
 
+def _scalar(value: Any) -> float | int | str | bool:
+    if not isinstance(value, int | float | str | bool) or (isinstance(value, float) and not math.isfinite(value)):
+        raise ValueError(f"an option of an effect must be a finite number, a text, true or false (it is {value!r})")
+    return value
+
+
+Option = Annotated[Any, AfterValidator(_scalar)]
+
+
 class EffectEntry(BaseModel):
     """One effect of a model; keys beyond the listed ones are options of that effect and must be scalars."""
 
     model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False, frozen=True)
+    __pydantic_extra__: dict[str, Option] = Field(init=False)  # pyright: ignore[reportIncompatibleVariableOverride]
 
     name: Name
     channels: Annotated[list[Name], Field(min_length=1)] | None = None

@@ -38,10 +38,11 @@ def key_lines(text: str) -> dict[Path, int]:
 
 
 def line_of(path: Path, lines: dict[Path, int]) -> int | None:
-    """Return the line of a path, or of the nearest enclosing key or table that has one."""
+    """Return the line of a path, of the first thing inside it, or of what encloses it."""
     while path:
-        if path in lines:
-            return lines[path]
+        inside = [line for key, line in lines.items() if key[: len(path)] == path]
+        if inside:
+            return lines.get(path, min(inside))
         path = path[:-1]
     return None
 

@@ -31,6 +31,14 @@ _STEPS, _HYPER_STEPS = 60, 30
 _UNDAMPED = 1e3
 
 
+class Curvature(eqx.Module):
+    """The Laplace marginal of h at one point: value, gradient (H,) and the negative of its Hessian (H, H)."""
+
+    value: Scalar
+    gradient: Float[Array, " H"]
+    information: Float[Array, "H H"]
+
+
 class Mode(eqx.Module):
     """Where the joint fit ended.
 
@@ -38,6 +46,7 @@ class Mode(eqx.Module):
     ----------
     z, h : shapes (P,) and (H,).
     decrement : √(gᵀH⁻¹g), the size of the step still to go, in posterior standard deviations.
+    about : the model linearised about z.
     marginal : the Laplace marginal of h at ĥ, with its curvature.
     steps : Levenberg–Marquardt steps in all.
     settled : whether h no longer changed.
@@ -47,7 +56,8 @@ class Mode(eqx.Module):
     z: Float[Array, " P"]
     h: Float[Array, " H"]
     decrement: Scalar
-    marginal: "Curvature"
+    about: Linearised
+    marginal: Curvature
     steps: Int[Array, ""]
     settled: Bool[Array, ""]
     converged: Bool[Array, ""]
@@ -87,14 +97,6 @@ def fit_parameters(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"
     )
 
 
-class Curvature(eqx.Module):
-    """The Laplace marginal of h at one point: value, gradient (H,) and the negative of its Hessian (H, H)."""
-
-    value: Scalar
-    gradient: Float[Array, " H"]
-    information: Float[Array, "H H"]
-
-
 def curvature(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Curvature:
     """Return value, gradient and curvature of the Laplace marginal of h."""
 
@@ -125,7 +127,7 @@ def _decrement(problem: Problem, about: Linearised, h: Float[Array, " H"]):
     total = known.precision + jnp.diag(prior_precision)
     gradient = known.gradient - prior_precision * about.z
     step = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(total), True), gradient)
-    return step, jnp.sqrt(jnp.maximum(gradient @ step, 0.0))
+    return jnp.sqrt(jnp.maximum(gradient @ step, 0.0))
 
 
 def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Mode:
@@ -145,13 +147,17 @@ def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) ->
         settled = h.size == 0 or float(jnp.max(jnp.abs(h - before))) < _SETTLED
         if settled or not bool(jnp.all(jnp.isfinite(h))):
             break
-    assert about is not None and at is not None
-    step, decrement = _decrement(problem, about, h)
+    assert about is not None
+    assert at is not None
+    decrement = _decrement(problem, about, h)
     finite = bool(jnp.isfinite(decrement)) and bool(jnp.all(jnp.isfinite(h)))
-    # The last Newton step is taken: it is the cheapest digit there is.
-    last = z + step if finite and float(decrement) < 1.0 else z
     converged = finite and settled and float(decrement) < _DECREMENT
-    return Mode(last, h, decrement, at, jnp.asarray(steps), jnp.asarray(settled), jnp.asarray(converged))
+    return Mode(z, h, decrement, about, at, jnp.asarray(steps), jnp.asarray(settled), jnp.asarray(converged))
+
+
+def fit_at(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Float[Array, " P"]:
+    """Return θ at given h, started from z: the compiled form of `fit_parameters`."""
+    return _fit_parameters(problem, z, h).value
 
 
 def _climb(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> tuple[Float[Array, " H"], Curvature]:

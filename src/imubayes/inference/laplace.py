@@ -17,15 +17,15 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 
-from imubayes.inference.fit import Curvature, Mode
-from imubayes.inference.precision import knowledge, linearise
+from imubayes.inference.fit import Mode
+from imubayes.inference.precision import knowledge, log_marginal
 from imubayes.model.likelihood import Problem, predict, prior_widths, whiten, whitener
 from imubayes.types import Array, Float, Scalar
 
 # A direction is weak where more than this share of its prior standard deviation is left; below it the ridge is straight.
-_WEAK_SD = 0.02
-# Second derivatives are taken over pairs: 24 directions make 300 of them.
-_MOST_WEAK = 24
+_WEAK_SD = 0.03
+# Second derivatives are taken over pairs: 20 directions make 210 of them.
+_MOST_WEAK = 20
 # The marginal of h is followed along each axis as far as its value has dropped by about 1, where half the mass lies.
 _PROBE = 1.4
 
@@ -60,7 +60,7 @@ class NestedLaplace(eqx.Module):
 
 def posterior_precision(problem: Problem, mode: Mode) -> Float[Array, "P P"]:
     """Return the Gauss–Newton precision of θ at the mode, in z."""
-    known = knowledge(problem, linearise(problem, mode.z), mode.h)
+    known = knowledge(problem, mode.about, mode.h)
     return known.precision + jnp.diag(prior_widths(problem, mode.h) ** -2)
 
 
@@ -77,10 +77,9 @@ class Blocks(eqx.Module):
 
 def split_by_scale(problem: Problem, mode: Mode) -> Blocks:
     """Return the blocks of precision and gradient that belong to each noise scale."""
-    about = linearise(problem, mode.z)
 
     def data_part(h):
-        known = knowledge(problem, about, h)
+        known = knowledge(problem, mode.about, h)
         return known.precision, known.gradient
 
     def per_scale(direction):
@@ -98,34 +97,36 @@ def split_by_scale(problem: Problem, mode: Mode) -> Blocks:
     return Blocks(blocks, gradients, whole - blocks.sum(0), gradient - gradients.sum(0), values, vectors)
 
 
-def bends(problem: Problem, mode: Mode, split: Blocks, weak: Float[Array, "P K"], strong_inverse: Float[Array, "P P"]):
-    """Return the acceleration along every pair of weak directions, shape (K, K, P).
+def bends(
+    problem: Problem, mode: Mode, weak: Float[Array, "P K"], reach: Float[Array, " K"], inverse: Float[Array, "P P"]
+) -> Float[Array, "K K P"]:
+    """Return the acceleration along every pair of weak directions.
+
+    The second derivatives are secants over one posterior standard deviation to each side, which is where the
+    proposal goes; the derivative at the mode itself would serve it less.
 
     Parameters
     ----------
-    weak : shape (P, K), orthonormal.
-    strong_inverse : shape (P, P), inverse of the precision restricted to the strong directions.
+    weak : shape (P, K), orthonormal weak directions.
+    reach : shape (K,), posterior standard deviation along each.
+    inverse : shape (P, P), inverse of the precision restricted to the strong directions.
     """
-    by = whitener(problem, mode.h)
-    about = linearise(problem, mode.z)
-
-    def second(pair):
-        def along(t):
-            return jax.jvp(lambda one: predict(problem, one), (mode.z + t * pair,), (pair,))[1]
-
-        return jax.jvp(along, (0.0,), (1.0,))[1]
-
     count = weak.shape[1]
+    steps = weak.T * reach[:, None]
     rows, columns = jnp.triu_indices(count)
-    sums = weak.T[rows] + weak.T[columns]
-    # ∂²f[a, b] = ½ (∂²f[a + b, a + b] − ∂²f[a, a] − ∂²f[b, b])
-    whole = jax.lax.map(second, sums, batch_size=16)
-    # A pair (a, a) was taken along 2a, which gives four times its own second derivative.
-    own = whole[jnp.where(rows == columns, size=count)[0]] / 4
-    mixed = 0.5 * (whole - own[rows] - own[columns])
-    # dᵀΣ⁻¹J for each second derivative d
-    pulled = jax.vmap(lambda d: about.jacobian.T @ _inverse_covariance(problem, by, d))(mixed)
-    acceleration = -pulled @ strong_inverse
+
+    def second(step):
+        ahead, behind = predict(problem, mode.z + step), predict(problem, mode.z - step)
+        return ahead + behind - 2 * centre
+
+    centre = problem.observations.value - mode.about.misfit
+    whole = jax.lax.map(second, steps[rows] + steps[columns], batch_size=16)
+    # ∂²f[a, b] = ½ (∂²f[a + b, a + b] − ∂²f[a, a] − ∂²f[b, b]); the pair (a, a) went along 2a, four times its own.
+    own = whole[jnp.nonzero(rows == columns, size=count)[0]] / 4
+    mixed = 0.5 * (whole - own[rows] - own[columns]) / (reach[rows] * reach[columns])[:, None]
+    by = whitener(problem, mode.h)
+    pulled = jax.vmap(lambda d: mode.about.jacobian.T @ _inverse_covariance(problem, by, d))(mixed)
+    acceleration = -pulled @ inverse
     result = jnp.zeros((count, count, weak.shape[0]))
     return result.at[rows, columns].set(acceleration).at[columns, rows].set(acceleration)
 
@@ -141,36 +142,34 @@ def _inverse_covariance(problem: Problem, by, vector: Float[Array, " E"]) -> Flo
 
 _split_by_scale = eqx.filter_jit(split_by_scale)
 _bends = eqx.filter_jit(bends)
+_log_marginal = eqx.filter_jit(log_marginal)
 
 
-def nested_laplace(problem: Problem, mode: Mode, marginal) -> NestedLaplace:
-    """Return the proposal about a mode.
-
-    Parameters
-    ----------
-    marginal : h → `Curvature` of the Laplace marginal; only values are used, to find the skew.
-    """
+def nested_laplace(problem: Problem, mode: Mode) -> NestedLaplace:
+    """Return the proposal about a mode."""
     split = _split_by_scale(problem, mode)
     count = min(int(jnp.sum(split.eigenvalues < _WEAK_SD**-2)), _MOST_WEAK)
     weak, strong = split.eigenvectors[:, :count], split.eigenvectors[:, count:]
     inverse = (strong / split.eigenvalues[count:]) @ strong.T
     size = mode.z.shape[0]
-    bend = _bends(problem, mode, split, weak, inverse) if count else jnp.zeros((0, 0, size))
-    axes, left, right = _split_normal(mode.marginal, mode.h, marginal)
+    reach = split.eigenvalues[:count] ** -0.5
+    bend = _bends(problem, mode, weak, reach, inverse) if count else jnp.zeros((0, 0, size))
+    axes, left, right = _split_normal(problem, mode)
     return NestedLaplace(
         mode.z, mode.h, axes, left, right, split.blocks, split.gradients, split.fixed, split.fixed_gradient, weak, bend
     )
 
 
-def _split_normal(at: Curvature, h: Float[Array, " H"], marginal):
+def _split_normal(problem: Problem, mode: Mode):
     """Return axes of the marginal of h with a standard deviation for each side."""
+    at, h = mode.marginal, mode.h
     eigenvalues, axes = jnp.linalg.eigh(at.information)
     # Where the marginal is flatter than the prior the Laplace width would be boundless; the prior has width 1.
     deviation = 1 / jnp.sqrt(jnp.maximum(eigenvalues, 1.0))
 
     def side(axis: int, sign: float) -> float:
         step = sign * _PROBE * deviation[axis]
-        drop = float(at.value - marginal(h + step * axes[:, axis]).value)
+        drop = float(at.value - _log_marginal(problem, mode.about, h + step * axes[:, axis]))
         # A normal drops by ½·_PROBE²; the width that would give the drop found here, within a factor of 2.
         ratio = jnp.clip(_PROBE / jnp.sqrt(2 * max(drop, 1e-3)), 0.5, 2.0)
         return float(deviation[axis] * ratio)
@@ -186,9 +185,7 @@ def _conditional(approximation: NestedLaplace, problem: Problem, h: Float[Array,
     values = problem.hyper_priors.values
     shrink = (values(approximation.h) / values(h)) ** 2
     prior_precision = prior_widths(problem, h) ** -2
-    precision = (
-        jnp.tensordot(shrink, approximation.blocks, 1) + approximation.fixed + jnp.diag(prior_precision)
-    )
+    precision = jnp.tensordot(shrink, approximation.blocks, 1) + approximation.fixed + jnp.diag(prior_precision)
     gradient = shrink @ approximation.gradients + approximation.fixed_gradient - prior_precision * approximation.z
     factor = jnp.linalg.cholesky(precision)
     step = solve_triangular(factor, gradient, lower=True)

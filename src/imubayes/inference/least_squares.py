@@ -82,12 +82,8 @@ def minimise(
     solver = optx.LevenbergMarquardt(
         rtol=tolerance, atol=tolerance, linear_solver=linear_solver or lx.QR(), norm=optx.max_norm
     )
-    solution = optx.least_squares(
-        residual, solver, guess, args=arguments, max_steps=most_steps, throw=False
-    )
-    return LeastSquares(
-        solution.value, solution.stats["num_steps"], solution.result == optx.RESULTS.successful
-    )
+    solution = optx.least_squares(residual, solver, guess, args=arguments, max_steps=most_steps, throw=False)
+    return LeastSquares(solution.value, solution.stats["num_steps"], solution.result == optx.RESULTS.successful)
 
 
 def covariance(jacobian: Float[Array, "E P"], variance: Scalar | float = 1.0) -> Float[Array, "P P"]:

@@ -10,22 +10,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.earth import earth_rate
 from imubayes.effects.base import Effect, MotionEffect, Stage
 from imubayes.errors import InputError
 from imubayes.errors import Problem as Complaint
+from imubayes.model.assembly import Assembly, assemble
 from imubayes.model.closure import Transitions, nominal_inverse
-from imubayes.model.forward import Channels, Convert, EffectLayer, Emit, Instants, Layer, Project, Resolve, in_order
-from imubayes.model.instants import KINDS, Entries, Nodes, join_entries, join_nodes, readout_places
+from imubayes.model.forward import Convert, Emit, Layer, Project, Resolve, in_order
+from imubayes.model.instants import Entries, Nodes, join_entries, join_nodes, readout_places
 from imubayes.model.labels import Belonging, colours
 from imubayes.model.likelihood import NoiseLayer, Observations, Problem, Sparsity
 from imubayes.model.members import Acting, act
 from imubayes.model.registry import Registry
 from imubayes.model.specification import EffectSpec, ModelSpec
 from imubayes.noise.base import Entry, EntryNoise, Noise
-from imubayes.parameters.vector import Layout, Parameter, Priors
+from imubayes.parameters.vector import Layout, Priors
 from imubayes.run import Campaign
-from imubayes.stimulus import Ambient, Motion
+from imubayes.stimulus import Ambient
 
 # What a procedure's own unknowns need, whether or not the model file lists them.
 _IMPLIED_BY_TUMBLE = ("pose_attitude", "tumble_heading", "rotation_closure")
@@ -40,7 +40,7 @@ class Model:
     spec, registry, campaign : what it was made of.
     layout, hyper_layout : names and priors of θ and of h, in the order of the flat vectors.
     problem : the arrays.
-    nodes, entries : where they come from.
+    nodes, entries, assembly : where they come from.
     """
 
     spec: ModelSpec
@@ -51,6 +51,7 @@ class Model:
     problem: Problem
     nodes: Nodes
     entries: Entries
+    assembly: Assembly
 
 
 def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None) -> Model:
@@ -84,10 +85,18 @@ def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = Non
         )
     if problems:
         raise InputError(problems)
-    layout = Layout(tuple(p for one in acting for p in one.parameters))
-    hyper_layout = Layout(tuple(p for one in acting for p in one.hyperparameters))
-    problem = as_arrays(_assemble(acting, belonging, layout, hyper_layout))
-    return Model(spec, registry, campaign, layout, hyper_layout, problem, nodes, entries)
+    assembly = assemble(tuple(acting), belonging)
+    return Model(
+        spec,
+        registry,
+        campaign,
+        assembly.layout,
+        assembly.hyper_layout,
+        as_arrays(_problem(assembly)),
+        nodes,
+        entries,
+        assembly,
+    )
 
 
 def _with_implied(spec: ModelSpec, campaign: Campaign) -> ModelSpec:
@@ -122,20 +131,20 @@ def _conflicts(acting: list[Acting]) -> list[Complaint]:
     return found
 
 
-def _assemble(acting: list[Acting], belonging: Belonging, layout: Layout, hyper_layout: Layout) -> Problem:
+def _problem(assembly: Assembly) -> Problem:
+    acting, belonging = assembly.acting, assembly.belonging
+    layout, hyper_layout, channels = assembly.layout, assembly.hyper_layout, assembly.channels
     campaign, nodes, entries = belonging.campaign, belonging.nodes, belonging.entries
     places = {p.name: i for i, p in enumerate(layout.parameters)}
     hyper_places = {p.name: i for i, p in enumerate(hyper_layout.parameters)}
-    nulls, null_of = _null_values(acting, len(layout))
-    channels = {kind: _channels(campaign, kind) for kind in KINDS if any(c.kind == kind for c in campaign.channels)}
-    instants = _instants(campaign, nodes)
     effects = [one for one in acting if issubclass(one.member, Effect)]
+    everywhere = np.arange(len(nodes.run))
     layers: list[Layer] = [
         Resolve(tuple((kind, len(channels[kind].scale)) for kind in channels)),
         Project(channels),
         Convert(channels, nodes.injected),
         Emit(channels),
-        *(layer for one in effects for layer in _effect_layers(one, belonging, places, null_of)),
+        *(layer for one in effects for layer in assembly.effect_layers(one, everywhere)),
     ]
     reach = np.zeros((len(layout), len(entries)), dtype=bool)
     for one in effects:
@@ -149,13 +158,13 @@ def _assemble(acting: list[Acting], belonging: Belonging, layout: Layout, hyper_
     seeds = (colour[None, :] == np.arange(colour.max(initial=-1) + 1)[:, None]).astype(float)
     spread_of, spread_unit = _spreads(acting, layout, hyper_places)
     return Problem(
-        instants=instants,
+        instants=assembly.instants,
         channels=channels,
         layers=in_order(layers),
-        transitions=_transitions(belonging, effects, channels, places, null_of),
+        transitions=_transitions(assembly, effects),
         turns=nodes.turns,
         node_weight=nodes.stimulus.weight,
-        nulls=nulls,
+        nulls=assembly.nulls,
         priors=Priors.stack([p.prior for p in layout.parameters]),
         hyper_priors=Priors.stack([p.prior for p in hyper_layout.parameters]),
         noise=tuple(_noise_layer(one, belonging, hyper_places) for one in acting if issubclass(one.member, Noise)),
@@ -166,67 +175,9 @@ def _assemble(acting: list[Acting], belonging: Belonging, layout: Layout, hyper_
     )
 
 
-def _null_values(acting: list[Acting], first: int) -> tuple[np.ndarray, dict[float, int]]:
-    values = sorted({d.null for one in acting for d in one.declared.values()} | {0.0})
-    return np.array(values), {value: first + place for place, value in enumerate(values)}
-
-
-def _channels(campaign: Campaign, kind: str) -> Channels:
-    chosen = [channel for channel in campaign.channels if channel.kind == kind]
-    return Channels(
-        axes=np.stack([channel.axes for channel in chosen]),
-        scale=np.array([channel.scale_si for channel in chosen]),
-        offset=np.array([channel.offset for channel in chosen]),
-        current_per_acceleration=np.array([channel.current_per_acceleration or np.inf for channel in chosen]),
-    )
-
-
-def _instants(campaign: Campaign, nodes: Nodes) -> Instants:
-    stimulus = nodes.stimulus
-    count = len(stimulus.row)
-    motion = Motion(
-        base=stimulus.base,
-        mounting=stimulus.mounting,
-        table_angle=stimulus.table_angle,
-        table_rate=stimulus.table_rate,
-        table_acceleration=stimulus.table_acceleration,
-        gravity=np.tile([0.0, 0.0, campaign.site.gravity], (count, 1)),
-        earth_rate=np.tile(earth_rate(campaign.site.latitude), (count, 1)),
-    )
-    return Instants(motion, Ambient(**stimulus.ambient), nodes.injected)
-
-
 def as_arrays(problem: Problem) -> Problem:
     """Return the problem with JAX arrays in place of NumPy's, so that a jitted call does not copy them each time."""
     return jax.tree.map(jnp.asarray, problem)
-
-
-def _effect_layers(
-    one: Acting, belonging: Belonging, places: dict[str, int], null_of: dict[float, int]
-) -> list[EffectLayer]:
-    member = one.member
-    assert issubclass(member, Effect)
-    kinds = ("",) if issubclass(member, MotionEffect) else tuple(k for k in KINDS if k in one.kinds)
-    layers = []
-    for kind in kinds:
-        names = [c.name for c in belonging.campaign.channels if c.kind == kind]
-        by_field = {}
-        for field, declared in one.fields.items():
-            labelled = {
-                (p.label if p.label != ("all",) else ()): places.get(p.name, 0)
-                for p in (*one.parameters, *one.hyperparameters)
-                if p.field == field
-            }
-            null = null_of[declared.null]
-            if field in one.hyper_fields:
-                labelled = {}
-            place = belonging.node_places(one.per_of(field), labelled, null, names, one.gated)
-            if names and "channel" not in one.per_of(field):
-                outside = [column for column, name in enumerate(names) if name not in one.channels]
-                place[:, outside] = null
-            by_field[field] = place if names else place[:, 0]
-        layers.append(EffectLayer(member, tuple(sorted(one.spec.options.items())), by_field, kind))
-    return layers
 
 
 def _spreads(acting, layout: Layout, hyper_places: dict[str, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -291,9 +242,9 @@ def _noise_layer(one: Acting, belonging: Belonging, hyper_places: dict[str, int]
     return NoiseLayer(one.member, places, acts.astype(float))
 
 
-def _transitions(belonging, effects, channels, places, null_of) -> Transitions | None:
+def _transitions(assembly: Assembly, effects: list[Acting]) -> Transitions | None:
     """Return the moving parts of all free tumbles, padded to the longest transition."""
-    campaign, nodes = belonging.campaign, belonging.nodes
+    campaign, nodes, channels = assembly.belonging.campaign, assembly.belonging.nodes, assembly.channels
     tumbles = [(index, run.tumble) for index, run in enumerate(campaign.runs) if run.tumble is not None]
     if not tumbles:
         return None
@@ -312,17 +263,11 @@ def _transitions(belonging, effects, channels, places, null_of) -> Transitions |
         still = np.concatenate([padded(tumble.step) for _, tumble in tumbles]) == 0
         by_kind[kind] = np.where(still[..., None], one.offset, readings[..., columns]).reshape(-1, len(columns))
     node = np.repeat(start_node, steps)
-    moving = Belonging(campaign, _at(nodes, node), belonging.entries)
     layers: list[Layer] = [
         Project(channels),
         Convert(channels, np.zeros(len(node))),
         Emit(channels),
-        *(
-            layer
-            for one in effects
-            if one.member.stage >= Stage.SENSOR
-            for layer in _effect_layers(one, moving, places, null_of)
-        ),
+        *(layer for one in effects if one.member.stage >= Stage.SENSOR for layer in assembly.effect_layers(one, node)),
     ]
     return Transitions(
         start=start_node,
@@ -334,19 +279,3 @@ def _transitions(belonging, effects, channels, places, null_of) -> Transitions |
         inverse={kind: nominal_inverse(one.axes) for kind, one in channels.items()},
         layers=in_order(layers),
     )
-
-
-def _at(nodes: Nodes, chosen: np.ndarray) -> Nodes:
-    """Return what labels need to know of chosen nodes."""
-    return Nodes(
-        nodes.stimulus,
-        nodes.run[chosen],
-        nodes.pose[chosen],
-        nodes.turns,
-        nodes.row_of,
-        nodes.injected[chosen],
-        nodes.supplies,
-    )
-
-
-__all__ = ["Model", "Parameter", "declare"]

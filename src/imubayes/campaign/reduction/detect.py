@@ -15,6 +15,7 @@ from imubayes.campaign.reduction.blocks import Blocks
 
 REST_RATE = 1e-6  # deg/s; a commanded rate below it is rest
 RATE_TOLERANCE = 1e-3  # of the rate: two rates closer than this are one
+NOISE_RANGE = 3.0  # times the usual range of a measured rate within a block: 9 of its standard deviations
 ANGLE_TOLERANCE = 0.01  # deg; positions of a dividing head lie further apart, encoder noise is smaller
 CURRENT_TOLERANCE = 1e-3  # of the largest current
 LEAST_SECONDS = 1.0  # shorter spans are on the way to somewhere
@@ -38,7 +39,9 @@ class Span:
         return self.stop - self.start
 
 
-def constant_spans(blocks: Blocks, channels: tuple[str, ...], by_temperature: bool = False) -> list[Span]:
+def constant_spans(
+    blocks: Blocks, channels: tuple[str, ...], by_temperature: bool = False, rest_only: bool = False
+) -> list[Span]:
     """Return the spans of constant stimulus, transients cut off, in the order of the log.
 
     Parameters
@@ -46,11 +49,13 @@ def constant_spans(blocks: Blocks, channels: tuple[str, ...], by_temperature: bo
     blocks : summary of the log.
     channels : columns whose settling is watched.
     by_temperature : cut into bins of `BIN_KELVIN` and `BIN_SECONDS` at most.
+    rest_only : turning is on the way from one position to the next, and left out.
     """
     rate, within, noise = _rate(blocks)
     turning = np.abs(rate) > np.maximum(REST_RATE, noise)
-    tolerance = RATE_TOLERANCE * np.abs(rate) + np.maximum(REST_RATE, 2 * noise)
+    tolerance = RATE_TOLERANCE * np.abs(rate) + np.maximum(REST_RATE, NOISE_RANGE * noise)
     steady = (within <= tolerance) & np.isfinite(rate)
+    steady &= ~(turning & rest_only)
     jump = _jumps(rate, tolerance) | (turning[1:] != turning[:-1])
     if "table_angle_deg" in blocks.mean:
         drift = np.abs(wrap_degrees(blocks.last["table_angle_deg"] - blocks.first["table_angle_deg"]))
@@ -110,10 +115,13 @@ def _settled(blocks: Blocks, channels: tuple[str, ...], first: int, last: int) -
     unsettled = np.zeros(length, dtype=bool)
     for channel in channels:
         values = blocks.mean[channel][first:last]
-        core = values[length // 10 : length - length // 10]
-        middle = np.nanmedian(core) if np.isfinite(core).any() else 0.0
-        spread = 1.4826 * np.nanmedian(np.abs(core - middle)) if np.isfinite(core).any() else np.inf
-        unsettled |= np.abs(values - middle) > SETTLED * max(float(spread), 1e-12)
+        core = values[length // 4 : length - length // 4]
+        core = core[np.isfinite(core)]
+        if len(core):
+            middle = np.median(core)
+            # The median alone is 0 for a coarse converter that mostly gives one code.
+            spread = max(1.4826 * float(np.median(np.abs(core - middle))), 0.5 * float(np.std(core)))
+            unsettled |= np.abs(values - middle) > SETTLED * spread + 1e-9 * np.abs(middle)
     most = (2 * length) // 5
     head, tail = np.flatnonzero(unsettled[:most]), np.flatnonzero(unsettled[::-1][:most])
     return first + (int(head[-1]) + 1 if len(head) else 0), last - (int(tail[-1]) + 1 if len(tail) else 0)

@@ -14,6 +14,10 @@ from imubayes.campaign.tables import TableSource
 BINNED = {"thermal_ramp", "current_injection"}
 """Procedures in which the temperature is the stimulus, or runs beside it."""
 
+AT_REST = {"dividing_head", "polar_tumble", "geographic_tumble", *BINNED}
+"""Procedures whose rows are all taken at rest."""
+
+CONSTANT = "where the stimulus was constant"
 UNSTEADY = 0.02  # of the mean; a rate table holds its rate far better
 
 
@@ -45,8 +49,12 @@ def reduce_log(source: TableSource, procedure: str, rows: int, blocks: Blocks, l
     labelled : spans from the `segment` column, where there is one.
     """
     layout = source.layout
-    by_temperature = procedure in BINNED and labelled is None
-    spans = constant_spans(blocks, layout.channels, by_temperature) if labelled is None else list(labelled)
+    by_temperature = procedure in BINNED
+    if labelled is not None:
+        spans, how = list(labelled), "by the segment column"
+    else:
+        spans = constant_spans(blocks, layout.channels, by_temperature, procedure in AT_REST)
+        how = f"in bins of at most {BIN_KELVIN:g} degC and {BIN_SECONDS:g} s" if by_temperature else CONSTANT
     columns = [name for name in (*COVARIATE_COLUMNS, *layout.channels) if layout.has(name)]
     reduced = accumulate(source, spans, columns, blocks.interval) if spans else []
     numbers = _columns(columns, layout, reduced)
@@ -54,7 +62,7 @@ def reduce_log(source: TableSource, procedure: str, rows: int, blocks: Blocks, l
         note = f"no 'samples' and no 'time_s' column: each of the {rows} rows is taken as one sample"
         return Rows(numbers, (), (note,))
     unsteady = _unsteady(columns, reduced) if labelled is not None else ()
-    return Rows(numbers, unsteady, _account(rows, reduced, by_temperature, labelled is not None))
+    return Rows(numbers, unsteady, _account(rows, reduced, how))
 
 
 def _columns(columns: list[str], layout: Layout, reduced: list[Row]) -> dict[str, np.ndarray]:
@@ -84,14 +92,11 @@ def _unsteady(columns: list[str], reduced: list[Row]) -> tuple[int, ...]:
     )
 
 
-def _account(rows: int, reduced: list[Row], by_temperature: bool, labelled: bool) -> tuple[str, ...]:
+def _account(rows: int, reduced: list[Row], how: str) -> tuple[str, ...]:
     used = sum(row.samples for row in reduced)
     rest = sum(1 for row in reduced if row.swept == 0.0)
     whole = sum(1 for row in reduced if row.turns)
     part = len(reduced) - rest - whole
-    how = "by the segment column" if labelled else "where the stimulus was constant"
-    if by_temperature:
-        how = f"in bins of at most {BIN_KELVIN:g} degC and {BIN_SECONDS:g} s"
     notes = [f"{rows} raw rows reduced to {len(reduced)} means {how}: {rest} at rest, {len(reduced) - rest} turning"]
     if rows > used:
         share = 100 * (rows - used) / rows
@@ -100,9 +105,9 @@ def _account(rows: int, reduced: list[Row], by_temperature: bool, labelled: bool
             "settling, and what exceeds whole turns"
         )
     if whole:
-        notes.append(f"{whole} means while turning are cut to whole turns")
+        notes.append(f"means while turning cut to whole turns: {whole}")
     if part:
-        notes.append(f"{part} means while turning are over less than one full turn and keep their angle where known")
+        notes.append(f"means over less than one full turn, which keep their angle where it is known: {part}")
     if any(row.missing for row in reduced):
         notes.append("empty cells inside some means: these means are over the cells that are there")
     return tuple(notes)

@@ -1,0 +1,76 @@
+# `make demo` and `make test` set themselves up in .venv first; the second call finds that done.
+
+VENV := .venv
+BIN := $(VENV)/bin
+UV := $(BIN)/uv
+READY := $(VENV)/.ready
+LOCK := requirements/uv.txt requirements/main+test.txt
+COMPILE = $(UV) pip compile --quiet --universal --python-version 3.12 --python $(BIN)/python \
+	--generate-hashes --no-header --no-emit-index-url $(UPGRADE)
+INSTALL = $(UV) pip install --quiet --python $(BIN)/python
+
+export UV_PYTHON_DOWNLOADS := never
+
+.PHONY: help setup demo test study bench data lock clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make demo    fit, sample and compare the shipped trihedral campaign"
+	@echo "make test    style, types and tests"
+	@echo "make study   the long statistical studies (coverage, simulation-based calibration)"
+	@echo "make bench   benchmarks"
+	@echo "make data    regenerate the shipped synthetic campaigns"
+	@echo "make lock    resolve the requirements anew (UPGRADE=--upgrade for the newest)"
+
+setup: $(READY)
+
+demo: $(READY)
+	$(BIN)/imubayes fit data/trihedral-imu --model models/trihedral-imu.toml --out results/trihedral-imu
+	$(BIN)/imubayes compare results/trihedral-imu
+
+test: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/pytest -n 2 --dist loadfile
+
+study: $(READY)
+	$(BIN)/pytest -m slow
+
+bench: $(VENV)/.ready-bench
+	$(BIN)/pytest benchmarks --benchmark-only
+
+data: $(READY)
+	$(BIN)/python data/generators/make_all.py
+
+lock: | $(UV)
+	$(COMPILE) requirements/uv.in -o requirements/uv.txt
+	$(COMPILE) pyproject.toml --extra plots --extra test requirements/build.in -o requirements/main+test.txt
+	$(COMPILE) pyproject.toml --extra bench -c requirements/main+test.txt -o requirements/bench.txt
+
+clean:
+	rm -rf $(VENV) .cache .pytest_cache .ruff_cache results
+
+# The first interpreter that is new enough and can make an environment.  A name may be there and still not run: pyenv's
+# shims fail where the version a folder asks for is not installed.
+$(BIN)/python:
+	@for python in python3 python3.13 python3.14 python3.12 "$${PYENV_ROOT:-$$HOME/.pyenv}"/versions/*/bin/python; do \
+		if "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 12))' 2>/dev/null; then \
+			echo "setting up $(VENV) with $$("$$python" --version)"; \
+			"$$python" -m venv $(VENV) && exit 0; \
+		fi; \
+	done; \
+	echo "imubayes needs Python 3.12 or newer, and none was found: install one (as python3.13, or with pyenv) and repeat." >&2; \
+	exit 2
+
+$(UV): | $(BIN)/python
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/uv.txt
+
+$(READY): $(LOCK) pyproject.toml | $(UV)
+	@$(UV) pip sync --quiet --python $(BIN)/python --require-hashes $(LOCK)
+	@$(INSTALL) --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.ready-bench: requirements/bench.txt $(READY)
+	@$(INSTALL) --require-hashes -r requirements/bench.txt
+	@touch $@

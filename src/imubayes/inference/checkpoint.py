@@ -1,0 +1,123 @@
+"""Checkpoints of the ensembles: emcee's HDF backend, written beside and renamed, so that a kill leaves the last whole one.
+
+A checkpoint carries fingerprints of the data, the model, the order of the parameters and the settings of the sampler.  One that
+differs in any of them is refused: a chain continued on other data would look like an answer.
+"""
+
+import os
+import shutil
+from collections.abc import Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+from emcee.backends import HDFBackend
+
+from imubayes.errors import InputError, Problem
+
+_WORDS = {
+    "data": "the data have changed",
+    "model": "the model has changed",
+    "parameters": "the parameters or their order have changed",
+    "sampler": "the seed or the size of the ensembles has changed",
+}
+
+
+class Checkpoint:
+    """A file that holds the chains of several ensembles.
+
+    Parameters
+    ----------
+    path : of the file.
+    ensembles, walkers, dimensions : sizes.
+    fingerprints : of data, model, parameters and sampler.
+    """
+
+    def __init__(self, path: Path, ensembles: int, walkers: int, dimensions: int, fingerprints: Mapping[str, str]):
+        self.path = path
+        self.ensembles, self.walkers, self.dimensions = ensembles, walkers, dimensions
+        self.fingerprints = dict(fingerprints)
+
+    def _names(self) -> list[str]:
+        return [f"ensemble_{number}" for number in range(self.ensembles)]
+
+    def create(self) -> None:
+        """Begin anew."""
+        beside = self._beside()
+        beside.unlink(missing_ok=True)
+        for name in self._names():
+            HDFBackend(str(beside), name=name).reset(self.walkers, self.dimensions)
+        with h5py.File(beside, "a") as file:
+            file.attrs.update(self.fingerprints)
+        self._put_in_place(beside)
+
+    def check(self) -> None:
+        """Raise InputError unless the file belongs to this fit."""
+        if not self.path.is_file():
+            raise InputError(
+                Problem("there is nothing to resume", str(self.path), "a checkpoint", "leave --resume out")
+            )
+        try:
+            with h5py.File(self.path, "r") as file:
+                found = {key: str(file.attrs.get(key, "")) for key in self.fingerprints}
+        except OSError as error:
+            raise InputError(
+                Problem(
+                    f"the checkpoint cannot be read ({error})",
+                    str(self.path),
+                    "a checkpoint written by this command",
+                    "remove the file and begin anew",
+                )
+            ) from None
+        changed = [key for key, value in self.fingerprints.items() if found[key] != value]
+        if changed:
+            raise InputError(
+                Problem(
+                    "the checkpoint is of another fit: " + "; ".join(_WORDS.get(key, key) for key in changed),
+                    str(self.path),
+                    "the same data, model, parameter order, seed and ensemble size",
+                    "restore them, or begin anew without --resume",
+                )
+            )
+
+    @contextmanager
+    def block(self):
+        """Give backends to sample a block into; what they hold becomes the checkpoint when the block is whole."""
+        beside = self._beside()
+        shutil.copyfile(self.path, beside)
+        yield [HDFBackend(str(beside), name=name) for name in self._names()]
+        self._put_in_place(beside)
+
+    def read(self) -> list[HDFBackend]:
+        """Return read-only backends on what is there."""
+        return [HDFBackend(str(self.path), name=name, read_only=True) for name in self._names()]
+
+    def chains(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return points (ensembles, steps, walkers, dimensions) and log densities without the last axis."""
+        if self.steps == 0:
+            empty = np.zeros((self.ensembles, 0, self.walkers))
+            return np.zeros((*empty.shape, self.dimensions)), empty
+        backends = self.read()
+        return (
+            np.stack([backend.get_chain() for backend in backends]),
+            np.stack([backend.get_log_prob() for backend in backends]),
+        )
+
+    @property
+    def steps(self) -> int:
+        """Number of whole steps of all ensembles."""
+        return min(int(backend.iteration) for backend in self.read())
+
+    def _beside(self) -> Path:
+        return self.path.with_name(f"{self.path.name}.{os.getpid()}.tmp")
+
+    def _put_in_place(self, beside: Path) -> None:
+        with open(beside, "rb") as file:
+            os.fsync(file.fileno())
+        os.replace(beside, self.path)
+        folder = os.open(self.path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)

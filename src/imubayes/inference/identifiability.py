@@ -1,0 +1,116 @@
+"""What the data determined and what they did not, said in names.
+
+For a quantity the share from the data is 1 − posterior variance / prior variance.  For combinations the same number is an
+eigenvalue matter: in z the prior is the unit normal, so an eigenvalue λ of the posterior precision means that the data
+contributed 1 − 1/λ along its direction.  The weak directions span a space without preferred axes; they are written in
+reduced echelon form, one named parameter leading each, which is how an engineer thinks of them: "this one together with
+those".  Quantities that are confused with each other are found among pairs of derived ones by the same measure.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+# A direction is reported where the data contributed less than this share of the knowledge.
+WEAK_SHARE = 0.5
+# Members of a combination below this share of its largest are left out of its name.
+_NAMED_SHARE, _MOST_NAMED, _MOST_DIRECTIONS = 0.15, 5, 12
+# A pair of derived quantities is a confusion where its worst combination is this unresolved and each alone looks better.
+_CONFUSED_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class WeakDirection:
+    """A combination that the data leave to the prior, and the share that did come from the data."""
+
+    combination: str
+    from_data: float
+
+
+def from_data(posterior_variance: np.ndarray, prior_variance: np.ndarray) -> np.ndarray:
+    """Return 1 − posterior/prior variance, within 0 … 1."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = 1 - posterior_variance / prior_variance
+    return np.clip(np.nan_to_num(share, nan=0.0), 0.0, 1.0)
+
+
+def effective_parameters(precision: np.ndarray) -> float:
+    """Return the number of parameters that the data determined: the sum of 1 − 1/λ."""
+    return float(np.sum(1 - 1 / np.maximum(np.linalg.eigvalsh(precision), 1.0)))
+
+
+def weak_directions(precision: np.ndarray, names: Sequence[str], hidden: np.ndarray) -> list[WeakDirection]:
+    """Return the combinations of parameters that the data left to the prior, weakest first.
+
+    Parameters
+    ----------
+    precision : shape (P, P), posterior precision in z.
+    names : of the parameters.
+    hidden : shape (P,), True for parameters that should not lead a combination.
+    """
+    values, vectors = np.linalg.eigh(precision)
+    weak = vectors[:, 1 - 1 / np.maximum(values, 1.0) < WEAK_SHARE]
+    if not weak.size:
+        return []
+    basis = _echelon(weak, hidden)
+    covariance = np.linalg.inv(precision)
+    found = []
+    for direction in basis.T:
+        share = 1 - direction @ covariance @ direction / (direction @ direction)
+        found.append(WeakDirection(_named(direction, names), float(np.clip(share, 0.0, 1.0))))
+    return sorted(found, key=lambda one: one.from_data)[:_MOST_DIRECTIONS]
+
+
+def _echelon(space: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """Return a basis of the column space in which each vector has a leading parameter of its own."""
+    rest, leads = space.copy(), []
+    for _ in range(space.shape[1]):
+        size = np.linalg.norm(rest, axis=1) * np.where(hidden, 0.1, 1.0)
+        size[leads] = -1.0
+        lead = int(np.argmax(size))
+        leads.append(lead)
+        row = rest[lead] / np.linalg.norm(rest[lead])
+        rest = rest - np.outer(rest @ row, row)
+    return space @ np.linalg.inv(space[leads])
+
+
+def _named(direction: np.ndarray, names: Sequence[str]) -> str:
+    order = np.argsort(-np.abs(direction))
+    direction = direction / direction[order[0]]
+    members = [i for i in order if abs(direction[i]) >= _NAMED_SHARE]
+    text = names[members[0]]
+    for member in members[1:_MOST_NAMED]:
+        sign = "+" if direction[member] > 0 else "−"
+        text += f" {sign} {abs(direction[member]):.2g}·{names[member]}"
+    if len(members) > _MOST_NAMED:
+        text += f" and {len(members) - _MOST_NAMED} more"
+    return text
+
+
+def confusions(
+    prior: np.ndarray, posterior: np.ndarray, names: Sequence[str], pairs: Sequence[tuple[int, int]]
+) -> list[WeakDirection]:
+    """Return pairs of derived quantities that the data do not tell apart, the worst first.
+
+    Parameters
+    ----------
+    prior, posterior : shape (D, D), covariances of the derived quantities to first order.
+    names : of the derived quantities.
+    pairs : which pairs to look at.
+    """
+    found = []
+    for i, j in pairs:
+        pick = np.ix_([i, j], [i, j])
+        scale = np.sqrt(np.diag(prior[pick]))
+        if np.any(scale <= 0):
+            continue
+        before, after = prior[pick] / np.outer(scale, scale), posterior[pick] / np.outer(scale, scale)
+        # Worst combination: the largest of posterior over prior variance.
+        root = np.linalg.cholesky(before + 1e-12 * np.eye(2))
+        whitened = np.linalg.solve(root, np.linalg.solve(root, after).T)
+        share = float(np.clip(1 - np.linalg.eigvalsh(whitened)[-1], 0.0, 1.0))
+        alone = 1 - np.diag(after) / np.diag(before)
+        if share < _CONFUSED_SHARE and np.all(alone < 0.9):
+            found.append(WeakDirection(f"{names[i]} against {names[j]}", share))
+    return sorted(found, key=lambda one: one.from_data)

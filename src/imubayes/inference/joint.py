@@ -1,0 +1,230 @@
+"""The whole way: from a declared model to a posterior and everything that is derived from it."""
+
+import hashlib
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.errors import InputError
+from imubayes.errors import Problem as Complaint
+from imubayes.inference.checkpoint import Checkpoint
+from imubayes.inference.fit import Mode, find_mode, fit_at, message
+from imubayes.inference.laplace import NestedLaplace, nested_laplace
+from imubayes.inference.moves import LaplaceProposal, LogDensity
+from imubayes.inference.sample import Chains, Settings, sample, walkers_for
+from imubayes.model.declaration import Model
+from imubayes.model.derived import Derived, derive
+from imubayes.model.likelihood import Problem, log_density, values_of
+
+# Starts are compared by their log density: within this they are the same mode or one as good, beyond the second they are
+# out of the running whatever their width.
+_SAME, _HOPELESS = 0.5, 30.0
+_PRIOR_DRAWS, _LAPLACE_DRAWS, _DERIVED_DRAWS = 2000, 4000, 4000
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """A joint fit with its posterior.
+
+    Attributes
+    ----------
+    model, derived : what was fitted.
+    mode : where the fit ended.
+    approximation : the nested Laplace approximation; None where the fit did not converge.
+    chains : the sampled posterior; None where it was not sampled.
+    points : shape (S, P + H), draws in z: sampled, or of the Laplace approximation.
+    derived_draws, prior_derived : shapes (S′, D) and (S″, D), in the units of their names.
+    seconds : time spent, by step.
+    """
+
+    model: Model
+    derived: Derived
+    mode: Mode
+    approximation: NestedLaplace | None
+    chains: Chains | None
+    points: np.ndarray
+    derived_draws: np.ndarray
+    prior_derived: np.ndarray
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit, and the sampling where there was any, converged."""
+        return bool(self.mode.converged) and (self.chains is None or self.chains.diagnosis.converged)
+
+    @property
+    def message(self) -> str:
+        """What did not converge, in a sentence; empty where all did."""
+        if not bool(self.mode.converged):
+            return message(self.mode)
+        return self.chains.diagnosis.message if self.chains is not None else ""
+
+
+def joint_fit(
+    model: Model,
+    sampling: Settings | None,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> JointFit:
+    """Fit a model and sample its posterior.
+
+    Parameters
+    ----------
+    model : as declared.
+    sampling : how to sample; None for the Laplace approximation alone.
+    checkpoint : file that the sampling is kept in; a temporary one where None.
+    resume : continue the checkpoint.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        where a checkpoint is to be resumed that belongs to another fit.
+    """
+    tell = progress or (lambda text: None)
+    _require_double_precision()
+    clock = time.perf_counter()
+    seconds = {}
+    problem = model.problem
+    with tempfile.TemporaryDirectory() as folder:
+        file = _checkpoint(model, sampling, checkpoint or Path(folder) / "checkpoint.h5") if sampling else None
+        if file is not None and resume:
+            file.check()
+        tell("fitting")
+        mode, others = _best_start(problem, sampling.seed if sampling else 0)
+        derived = derive(model.assembly)
+        if not bool(mode.converged):
+            return _unconverged(model, derived, mode, {"fit": time.perf_counter() - clock})
+        approximation = nested_laplace(problem, mode)
+        proposal = LaplaceProposal(approximation, problem)
+        seconds["fit"], clock = time.perf_counter() - clock, time.perf_counter()
+        chains = None
+        if sampling is not None and file is not None:
+            if not resume:
+                file.create()
+            density = LogDensity(problem, file.walkers // 2)
+            starts = _starts(proposal, mode, others, file, sampling)
+            names = model.layout.names + model.hyper_layout.names
+
+            def report(steps: int, word: str) -> None:
+                tell(f"sampling: {steps} steps" + (f" ({word})" if word else ""))
+
+            chains = sample(density, starts, names, sampling, file, proposal, report)
+            points = chains.points.reshape(-1, chains.points.shape[-1])
+        else:
+            points = proposal.draw(np.random.RandomState(0), _LAPLACE_DRAWS)
+        seconds["sample"] = time.perf_counter() - clock
+    tell("deriving")
+    draws, prior = _derived_draws(derived, problem, points)
+    return JointFit(model, derived, mode, approximation, chains, points, draws, prior, seconds)
+
+
+def _require_double_precision() -> None:
+    if jnp.result_type(float) != jnp.float64:
+        raise InputError(
+            Complaint(
+                "JAX runs in single precision",
+                "this Python process",
+                "float64: a part in a million of a scale factor is lost in float32",
+                'call jax.config.update("jax_enable_x64", True) before the first computation',
+            )
+        )
+
+
+def _checkpoint(model: Model, sampling: Settings, path: Path) -> Checkpoint:
+    dimensions = len(model.layout) + len(model.hyper_layout)
+    walkers = walkers_for(dimensions, sampling)
+    fingerprints = {
+        "data": data_hash(model),
+        "model": model_hash(model),
+        "parameters": _digest("\n".join(model.layout.names + model.hyper_layout.names).encode()),
+        "sampler": f"seed {sampling.seed}, {sampling.ensembles} ensembles of {walkers} walkers",
+    }
+    return Checkpoint(path, sampling.ensembles, walkers, dimensions, fingerprints)
+
+
+def _digest(*parts: bytes) -> str:
+    return hashlib.sha256(b"\0".join(parts)).hexdigest()
+
+
+def data_hash(model: Model) -> str:
+    """Return the SHA-256 of everything measured and of the nominal stimulus."""
+    problem = model.problem
+    arrays = jax.tree.leaves((problem.instants, problem.observations, problem.channels, problem.transitions))
+    return _digest(*(np.ascontiguousarray(array).tobytes() for array in arrays))
+
+
+def model_hash(model: Model) -> str:
+    """Return the SHA-256 of the model: its effects with channels, priors and settings, in order."""
+    listed = sorted(repr(replace(one, where="")) for one in model.spec.effects)
+    sources = [Path(file).read_text() for file in model.spec.files]
+    return _digest(*(text.encode() for text in (*listed, *sources)))
+
+
+def _best_start(problem: Problem, seed: int, dispersed: int = 3) -> tuple[Mode, list[np.ndarray]]:
+    """Fit from the middle of the prior and from draws of it; return the best, and other ends worth a look."""
+    size, hyper_size = problem.size
+    mode = find_mode(problem, jnp.zeros(size), jnp.zeros(hyper_size))
+    random = np.random.default_rng([seed, 1])
+    ends = [fit_at(problem, jnp.asarray(random.normal(size=size)), mode.h) for _ in range(dispersed)]
+    here = float(_density(problem, mode.z, mode.h))
+    densities = [float(_density(problem, end, mode.h)) for end in ends]
+    best = int(np.argmax(densities)) if densities else -1
+    if densities and (densities[best] > here + _SAME or (not bool(mode.converged) and np.isfinite(densities[best]))):
+        again = find_mode(problem, ends[best], mode.h)
+        if bool(again.converged) or not bool(mode.converged):
+            mode, here = again, float(_density(problem, again.z, again.h))
+    others = [
+        np.asarray(end)
+        for end, density in zip(ends, densities, strict=True)
+        if density < here - _SAME and density > here - _HOPELESS
+    ]
+    return mode, others
+
+
+_density = eqx.filter_jit(log_density)
+
+
+def _starts(
+    proposal: LaplaceProposal, mode: Mode, others: list[np.ndarray], file: Checkpoint, sampling: Settings
+) -> list[np.ndarray]:
+    """Return the first points of each ensemble: about the mode, or about another place a dispersed fit ended at."""
+    starts = []
+    for ensemble in range(sampling.ensembles):
+        random = np.random.RandomState(np.random.SeedSequence([sampling.seed, ensemble, 7]).generate_state(4))
+        points = proposal.draw(random, file.walkers)
+        if 0 < ensemble <= len(others):
+            points[:, : len(mode.z)] += others[ensemble - 1] - np.asarray(mode.z)
+        starts.append(points)
+    return starts
+
+
+@eqx.filter_jit
+def _derive_all(derived, problem: Problem, z):
+    return jax.lax.map(lambda one: derived(values_of(problem, one)), z, batch_size=500)
+
+
+def _derived_draws(derived: Derived, problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    size = problem.size[0]
+    chosen = np.linspace(0, len(points) - 1, _DERIVED_DRAWS).astype(int)
+    prior = np.random.default_rng(0).normal(size=(_PRIOR_DRAWS, size))
+    both = np.concatenate([points[chosen, :size], prior])
+    values = np.asarray(_derive_all(derived.derivation, problem, both))
+    return values[:_DERIVED_DRAWS], values[_DERIVED_DRAWS:]
+
+
+def _unconverged(model: Model, derived: Derived, mode: Mode, seconds: dict[str, float]) -> JointFit:
+    parameters, hyperparameters = model.problem.size
+    nothing = np.full((1, parameters + hyperparameters), np.nan)
+    missing = np.full((1, len(derived.names)), np.nan)
+    return JointFit(model, derived, mode, None, None, nothing, missing, missing, seconds)

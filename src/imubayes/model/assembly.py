@@ -1,0 +1,128 @@
+"""Effects and campaign put together: the pieces from which the problem and the derived quantities are built."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imubayes.earth import earth_rate
+from imubayes.effects.base import Effect, MotionEffect
+from imubayes.model.forward import Channels, EffectLayer, Instants
+from imubayes.model.instants import KINDS, Nodes
+from imubayes.model.labels import Belonging
+from imubayes.model.members import Acting
+from imubayes.parameters.vector import Layout
+from imubayes.run import Campaign
+from imubayes.stimulus import Ambient, Motion
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """What a model consists of on a campaign, before it becomes arrays.
+
+    Attributes
+    ----------
+    acting : the effects and noise members.
+    belonging : what nodes and entries belong to.
+    layout, hyper_layout : the scalars.
+    nulls : values at which effects do nothing, behind the parameters in the vector of values.
+    channels : constants of the channels, per kind.
+    instants : all nodes.
+    """
+
+    acting: tuple[Acting, ...]
+    belonging: Belonging
+    layout: Layout
+    hyper_layout: Layout
+    nulls: np.ndarray
+    channels: dict[str, Channels]
+    instants: Instants
+
+    def effect_layers(self, one: Acting, chosen: np.ndarray | None) -> list[EffectLayer]:
+        """Return the layers of an effect at chosen nodes; None stands for one node that belongs to no run."""
+        member = one.member
+        assert issubclass(member, Effect)
+        nodes = _nowhere(self.belonging.nodes) if chosen is None else _at(self.belonging.nodes, chosen)
+        belonging = replace(self.belonging, nodes=nodes)
+        places = {p.name: place for place, p in enumerate(self.layout.parameters)}
+        kinds = ("",) if issubclass(member, MotionEffect) else tuple(kind for kind in KINDS if kind in one.kinds)
+        layers = []
+        for kind in kinds:
+            names = [channel.name for channel in belonging.campaign.channels if channel.kind == kind]
+            by_field = {field: self._places(one, field, belonging, names, places) for field in one.declared}
+            layers.append(EffectLayer(member, tuple(sorted(one.spec.options.items())), by_field, kind))
+        return layers
+
+    def _places(
+        self, one: Acting, field: str, belonging: Belonging, names: list[str], places: dict[str, int]
+    ) -> np.ndarray:
+        """Return the places of one field's values: (1 or N, 1 or C), or (1 or N,) for effects on the motion."""
+        null = len(self.layout) + int(np.searchsorted(self.nulls, one.declared[field].null))
+        # A learnt prior width does not enter the signal: its place in the formula stays empty.
+        labelled = {
+            (() if p.label == ("all",) else p.label): places[p.name]
+            for p in one.parameters
+            if p.field == field and field not in one.hyper_fields
+        }
+        per = one.per_of(field)
+        place = belonging.node_places(per, labelled, null, names, one.gated)
+        if names and "channel" not in per:
+            place = np.where(np.isin(names, one.channels), place, null)
+        return place if names else place[:, 0]
+
+
+def assemble(acting: tuple[Acting, ...], belonging: Belonging) -> Assembly:
+    """Return the assembly of effects on a campaign."""
+    campaign = belonging.campaign
+    return Assembly(
+        acting=acting,
+        belonging=belonging,
+        layout=Layout(tuple(p for one in acting for p in one.parameters)),
+        hyper_layout=Layout(tuple(p for one in acting for p in one.hyperparameters)),
+        nulls=np.array(sorted({d.null for one in acting for d in one.declared.values()} | {0.0})),
+        channels={k: _channels(campaign, k) for k in KINDS if any(c.kind == k for c in campaign.channels)},
+        instants=_instants(campaign, belonging.nodes),
+    )
+
+
+def _channels(campaign: Campaign, kind: str) -> Channels:
+    chosen = [channel for channel in campaign.channels if channel.kind == kind]
+    return Channels(
+        axes=np.stack([channel.axes for channel in chosen]),
+        scale=np.array([channel.scale_si for channel in chosen]),
+        offset=np.array([channel.offset for channel in chosen]),
+        current_per_acceleration=np.array([channel.current_per_acceleration or np.inf for channel in chosen]),
+    )
+
+
+def _instants(campaign: Campaign, nodes: Nodes) -> Instants:
+    stimulus = nodes.stimulus
+    count = len(stimulus.row)
+    motion = Motion(
+        base=stimulus.base,
+        mounting=stimulus.mounting,
+        table_angle=stimulus.table_angle,
+        table_rate=stimulus.table_rate,
+        table_acceleration=stimulus.table_acceleration,
+        gravity=np.tile([0.0, 0.0, campaign.site.gravity], (count, 1)),
+        earth_rate=np.tile(earth_rate(campaign.site.latitude), (count, 1)),
+    )
+    return Instants(motion, Ambient(**stimulus.ambient), nodes.injected)
+
+
+def _at(nodes: Nodes, chosen: np.ndarray) -> Nodes:
+    """Return what labels need to know of chosen nodes."""
+    return Nodes(
+        nodes.stimulus,
+        nodes.run[chosen],
+        nodes.pose[chosen],
+        nodes.turns,
+        nodes.row_of,
+        nodes.injected[chosen],
+        nodes.supplies,
+    )
+
+
+def _nowhere(nodes: Nodes) -> Nodes:
+    """Return one node that belongs to no run and no pose."""
+    one = _at(nodes, np.zeros(1, dtype=int))
+    return replace(one, run=np.array([-1]), pose=np.array([-1]))

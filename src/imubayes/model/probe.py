@@ -1,0 +1,114 @@
+"""Derived quantities, found by probing the signal path: no effect is asked for by name.
+
+The true sensitive axis of a channel is the gradient of its output with respect to the rate (or specific force) it is
+exposed to, at rest and at the reference temperatures; its length is the scale factor, its angle to the table's axis in
+a mounting the true mounting angle.  The relative slope against converter temperature is a derivative as well.  An effect
+added tomorrow takes part in all of them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from imubayes.model.forward import Channels, Instants, Layer, start, travel
+from imubayes.stimulus import Ambient, Experience, Motion, SignalPath
+from imubayes.types import Array, Float
+
+REFERENCE_TEMPERATURE = 25.0  # °C, the catalogue's own
+
+
+class Probe(eqx.Module):
+    """Where the signal path is probed.
+
+    Attributes
+    ----------
+    channels : constants of all channels, per kind.
+    sensor_layers : from the projection on, at one node without run.
+    mountings : nominal motion of one node per mounting (M of them).
+    mounting_layers : effects on the motion at these nodes.
+    thermal : one node per run with a converter temperature (T of them), None where there is none.
+    thermal_layers : the whole path at these nodes.
+    thermal_input : kind → shape (T, C), nominal input in SI.
+    """
+
+    channels: dict[str, Channels]
+    sensor_layers: tuple[Layer, ...]
+    mountings: Motion
+    mounting_ambient: Ambient
+    mounting_layers: tuple[Layer, ...]
+    thermal: Instants | None
+    thermal_layers: tuple[Layer, ...]
+    thermal_input: dict[str, Float[Array, "T C"]]
+
+
+@dataclass(frozen=True)
+class DerivedName:
+    """Name, unit and the factor from the probe's number to that unit."""
+
+    name: str
+    unit: str
+    factor: float
+
+
+def sensitivities(probe: Probe, values: Float[Array, " V"]) -> dict[str, Float[Array, "C 3"]]:
+    """Return the gradient of every channel's output, kind → (C, 3), output units per rad/s or m/s² in body axes."""
+    found = {}
+    for kind, one in probe.channels.items():
+
+        def output(stimulus, kind=kind):
+            return _respond(probe, values, stimulus, kind)
+
+        found[kind] = jax.jacfwd(output)(jnp.zeros(3)) if one.scale.shape[0] else jnp.zeros((0, 3))
+    return found
+
+
+def _respond(probe: Probe, values, stimulus: Float[Array, " 3"], kind: str) -> Float[Array, " C"]:
+    zero = jnp.zeros(1)
+    nothing = jnp.zeros(3)
+    rate, force = (stimulus, nothing) if kind == "gyro" else (nothing, stimulus)
+    experience = {
+        name: Experience(*(jnp.broadcast_to(v, (1, one.scale.shape[0], 3)) for v in (rate, force, nothing, nothing)))
+        for name, one in probe.channels.items()
+    }
+    warm = jnp.full(1, REFERENCE_TEMPERATURE)
+    ambient = Ambient(zero, zero, zero, zero, warm, warm, zero)
+    motion = jax.tree.map(lambda leaf: leaf[:1], probe.mountings)
+    path = SignalPath(motion, ambient, experience, {}, {})
+    return travel(probe.sensor_layers, path, values).signal[kind][0]
+
+
+def axes_of_rotation(probe: Probe, values: Float[Array, " V"]) -> Float[Array, "M 3"]:
+    """Return the table's axis in body axes, for each mounting."""
+    path = SignalPath(probe.mountings, probe.mounting_ambient, {}, {}, {})
+    return travel(probe.mounting_layers, path, values).motion.mounting[:, 2, :]
+
+
+def thermal_slopes(probe: Probe, values: Float[Array, " V"]) -> dict[str, Float[Array, "T C"]]:
+    """Return d(output)/d(converter temperature) over the nominal output of the input, kind → (T, C), per °C."""
+    assert probe.thermal is not None
+    instants = probe.thermal
+
+    def output(temperature):
+        warmed = eqx.tree_at(lambda i: i.ambient.converter_temperature, instants, temperature)
+        return travel(probe.thermal_layers, start(warmed), values).signal
+
+    at = instants.ambient.converter_temperature
+    _, slope = jax.jvp(output, (at,), (jnp.ones_like(at),))
+    return {kind: slope[kind] / (one.scale * probe.thermal_input[kind]) for kind, one in probe.channels.items()}
+
+
+Derive = Callable[[Probe, Float[Array, " V"]], Float[Array, " D"]]
+
+
+def unit_vectors(vectors: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """Return vectors of length 1."""
+    return vectors / jnp.sqrt(jnp.sum(vectors**2, axis=-1, keepdims=True))
+
+
+def angle_between(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, "..."]:
+    """Return the angle between vectors, rad, accurate at 0° and 90° alike."""
+    a, b = unit_vectors(a), unit_vectors(b)
+    return 2 * jnp.arctan2(jnp.sqrt(jnp.sum((a - b) ** 2, axis=-1)), jnp.sqrt(jnp.sum((a + b) ** 2, axis=-1)))

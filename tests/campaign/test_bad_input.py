@@ -1,0 +1,264 @@
+"""Forty and more spoilt campaigns and model files: each is refused in four parts, at the right place."""
+# ruff: noqa: E501
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+import pytest
+from conftest import MODEL, write_csv
+
+from imubayes.campaign import load_campaign, read_model_file
+from imubayes.errors import InputError, Problem
+
+Spoil = Callable[[Path], None]
+
+
+def swap(file: str, old: str, new: str, every: bool = False) -> Spoil:
+    def spoil(folder: Path) -> None:
+        text = (folder / file).read_text()
+        assert old in text, f"{old!r} is not in {file}"
+        (folder / file).write_text(text.replace(old, new) if every else text.replace(old, new, 1))
+
+    return spoil
+
+
+def toml(old: str, new: str) -> Spoil:
+    return swap("campaign.toml", old, new)
+
+
+def column(file: str, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Spoil:
+    def spoil(folder: Path) -> None:
+        table = pacsv.read_csv(folder / file)
+        columns = {key: table.column(key) for key in table.column_names}
+        columns[name] = change(columns[name].to_numpy().astype(float))
+        write_csv(folder / file, columns)
+
+    return spoil
+
+
+def rename(file: str, old: str, new: str) -> Spoil:
+    return swap(file, f'"{old}"', f'"{new}"')
+
+
+def cells(file: str, line: int, position: int, value: str) -> Spoil:
+    def spoil(folder: Path) -> None:
+        lines = (folder / file).read_text().splitlines()
+        parts = lines[line - 1].split(",")
+        parts[position] = value
+        lines[line - 1] = ",".join(parts)
+        (folder / file).write_text("\n".join(lines) + "\n")
+
+    return spoil
+
+
+def cut(file: str, keep: float) -> Spoil:
+    def spoil(folder: Path) -> None:
+        data = (folder / file).read_bytes()
+        (folder / file).write_bytes(data[: int(len(data) * keep)])
+
+    return spoil
+
+
+def lines(file: str, change: Callable[[list[str]], list[str]]) -> Spoil:
+    def spoil(folder: Path) -> None:
+        (folder / file).write_text("\n".join(change((folder / file).read_text().splitlines())) + "\n")
+
+    return spoil
+
+
+def remove(file: str) -> Spoil:
+    return lambda folder: (folder / file).unlink()
+
+
+def nan_in_parquet(folder: Path) -> None:
+    table = pq.read_table(folder / "runs/ramp.parquet")
+    values = table.column("az").to_numpy().copy()
+    values[6] = np.nan
+    pq.write_table(
+        table.set_column(table.column_names.index("az"), "az", pa.array(values)), folder / "runs/ramp.parquet"
+    )
+
+
+def text_in_parquet(folder: Path) -> None:
+    table = pq.read_table(folder / "runs/ramp.parquet")
+    texts = pa.array(["warm"] * table.num_rows)
+    place = table.column_names.index("converter_temperature_degC")
+    pq.write_table(table.set_column(place, "converter_temperature_degC", texts), folder / "runs/ramp.parquet")
+
+
+def saturate(values: np.ndarray) -> np.ndarray:
+    return np.clip(values, -50000, 50000)
+
+
+RATES, POSITIONS, RAW = "runs/rates.csv", "runs/positions.csv", "runs/raw.csv"
+HEADER = 1
+
+# name → how it is spoilt, what the message must say, where it must point, what it must offer
+CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
+    "no campaign file": (remove("campaign.toml"), "no file 'campaign.toml'", "campaign.toml", "TOML"),
+    "broken toml": (toml("height_m = 100.0", "height_m = = 1"), "not valid TOML", r"campaign\.toml:6", "key = value"),
+    "key twice": (toml("height_m = 100.0", "height_m = 1.0\nheight_m = 2.0"), "not valid TOML", r"campaign\.toml:7", "key"),
+    "not utf-8": (lambda f: (f / "campaign.toml").write_bytes(b"name = \xff"), "not UTF-8", "campaign.toml", "UTF-8"),
+    "other format": (toml("format = 1", "format = 7"), "format = 7", r"campaign\.toml:1, format", "1"),
+    "no name": (toml('name = "small"\n', ""), "has no 'name'", r"campaign\.toml", "name"),
+    "unknown section": (toml("[unit]", "[units]"), "unknown key 'units'", r"campaign\.toml:9, units", "unit"),
+    "unknown key": (toml("height_m", "heigth_m"), "unknown key 'heigth_m'", r"campaign\.toml:6, site\.heigth_m", "height_m"),
+    "unknown key of a channel": (toml("offset = 0.0", "ofset = 0.0"), "unknown key", r":19, channel\[0\]\.ofset", "offset"),
+    "latitude out of range": (toml("latitude_deg = 45.0", "latitude_deg = 145.0"), "145", r":5, site\.latitude_deg", "at most 90"),
+    "latitude is text": (toml("latitude_deg = 45.0", 'latitude_deg = "45"'), "latitude_deg", r":5, site", "number"),
+    "gravity in g": (toml("gravity_m_s2 = 9.8", "gravity_m_s2 = 1.0"), "1.0", r":7, site\.gravity", "at least 9.5"),
+    "negative noise": (toml("noise = 2.0", "noise = -2.0"), "-2", r":20, channel\[0\]\.noise", "more than 0"),
+    "noise infinite": (toml("noise = 2.0", "noise = inf"), "finite", r":20, channel\[0\]\.noise", "number"),
+    "unknown kind": (toml('kind = "gyro"', 'kind = "giro"'), "'giro'", r":14, channel\[0\]\.kind", "gyro"),
+    "unknown per": (toml('per = "deg/s"', 'per = "deg/sec"'), "deg/sec", r":18, channel\[0\]\.per", "deg/s"),
+    "per of the wrong kind": (toml('per = "deg/s"', 'per = "g"'), "per 'g'", r":18, channel\[0\]\.per", "deg/s"),
+    "zero scale": (toml("scale = 1000.0", "scale = 0.0"), "scale", r":17, channel\[0\]\.scale", "output units"),
+    "input axis without length": (toml("input_axis = [1, 0, 0]", "input_axis = [0, 0, 0]"), "no length", r":15, channel\[0\]", "direction"),
+    "input axis of two numbers": (toml("input_axis = [1, 0, 0]", "input_axis = [1, 0]"), "at least 3", r":15, channel\[0\]", "array"),
+    "output axis along input": (
+        toml("input_axis = [1, 0, 0]", "input_axis = [1, 0, 0]\noutput_axis = [1, 0.1, 0]"),
+        "not square", r":16, channel\[0\]\.output_axis", "right angle",
+    ),
+    "channel twice": (toml('name = "gy"', 'name = "gx"'), "given twice", r"channel\[1\]\.name", "not yet used"),
+    "channel named like a column": (toml('name = "gy"', 'name = "samples"'), "already means", r"channel\[1\]\.name", "name"),
+    "no channel table": (toml("[[channel]]", "[[chanel]]"), "chanel", r"campaign\.toml:1\d, chanel", "channel"),
+    "elevation out of range": (toml("elevation_deg = 90.0", "elevation_deg = 200.0"), "200", r"table\[0\]\.elevation_deg", "at most 90"),
+    "negative uncertainty": (
+        toml("axis_uncertainty_arcsec = 20.0", "axis_uncertainty_arcsec = -1.0"), "-1", r"table\[0\]\.axis", "at least 0",
+    ),
+    "table twice": (toml('name = "head"', 'name = "rate"'), "given twice", r"table\[1\]\.name", "not yet used"),
+    "singular mounting": (toml("[[1, 0, 0], [0, 1, 0]", "[[1, 0, 0], [1, 0, 0]"), "singular", r"mounting\[0\]", "orthonormal"),
+    "mirrored mounting": (toml("[[1, 0, 0], [0, 1, 0]", "[[0, 1, 0], [1, 0, 0]"), "mirror", r"mounting\[0\]", "determinant"),
+    "mounting not orthonormal": (toml("[[1, 0, 0], [0, 1, 0]", "[[1, 0.2, 0], [0, 1, 0]"), "off square", r"mounting\[0\]", "orthonormal"),
+    "unknown preset": (toml('preset = "trihedral"', 'preset = "triheadral"'), "triheadral", r"mounting\[1\]", "trihedral"),
+    "preset and matrix missing": (toml('preset = "trihedral"', "uncertainty_arcmin = 1.0"), "either", r"mounting\[1\]", "preset"),
+    "run twice": (toml('name = "positions"', 'name = "rates"'), "given twice", r"run\[1\]\.name", "not yet used"),
+    "unknown procedure": (toml('procedure = "rate_table"', 'procedure = "rate_tabel"'), "rate_tabel", r"run\[0\]\.procedure", "rate_table"),
+    "wrong procedure": (toml('procedure = "dividing_head"', 'procedure = "rate_table"'), "table_rate_deg_s", r"positions\.csv, header", "table_rate"),
+    "missing covariate": (toml('procedure = "dividing_head"', 'procedure = "servo_table"'), "time_s", r"positions\.csv, header", "time_s"),
+    "injected current unknown": (
+        toml('procedure = "thermal_ramp"', 'procedure = "current_injection"'), "current", r"run\[2\]\.procedure", "current_mA_per_g",
+    ),
+    "unknown table": (toml('table = "head"', 'table = "heed"'), "'heed'", r"run\[1\]\.table", "head"),
+    "unknown mounting": (toml('mounting = "pyramid"', 'mounting = "piramid"'), "piramid", r"run\[0\]\.mounting", "pyramid"),
+    "no mounting": (toml('mounting = "pyramid"\n', ""), "no 'mounting'", r"run\[0\]", "pyramid"),
+    "bad date": (toml("start = 2026-03-01T08:00:00Z", 'start = "yesterday"'), "start", r"run\[0\]\.start", ""),
+    "missing file": (remove(RATES), "does not exist", r"campaign\.toml:\d+, run\[0\]\.file", "runs/"),
+    "misspelt file": (toml("runs/rates.csv", "runs/rate.csv"), "does not exist", r"run\[0\]\.file", "runs/rates.csv"),
+    "file is a folder": (toml("runs/rates.csv", "runs"), "is a folder", r"run\[0\]\.file", "csv"),
+    "empty file": (lambda f: (f / RATES).write_text(""), "empty", r"rates\.csv:1", "header"),
+    "header alone": (lines(RATES, lambda rows: rows[:1]), "empty_run", r"rates\.csv", "rows"),
+    "semicolons": (lines(RATES, lambda rows: [row.replace(",", ";") for row in rows]), "separated by", r"rates\.csv:1", "commas"),
+    "unknown column": (rename(RATES, "table_angle_deg", "table_angel_deg"), "table_angel_deg", r"rates\.csv, column", "table_angle_deg"),
+    "column twice": (rename(RATES, "gy", "gx"), "more than once", r"rates\.csv, header", "each used once"),
+    "no channel in the table": (
+        lambda f: write_csv(f / RATES, {"table_rate_deg_s": np.arange(3.0)}), "no channel", r"rates\.csv, header", "gx",
+    ),
+    "ragged line": (lines(RATES, lambda rows: [*rows[:3], rows[3] + ",1", *rows[4:]]), "cells", r"rates\.csv:4", "16 cells"),
+    "short line": (lines(RATES, lambda rows: [*rows[:4], "1,2", *rows[5:]]), "2 cells", r"rates\.csv:5", "16 cells"),
+    "not a number": (cells(RATES, 6, 5, "12.5V"), "'12.5V' is not a number", r"rates\.csv:6, column 'gy'", "decimal point"),
+    "decimal comma": (cells(RATES, 3, 5, '"1,5"'), "'1,5' is not a number", r"rates\.csv:3, column 'gy'", "decimal point"),
+    "nan": (cells(RATES, 4, 5, "nan"), "nan_values", r"rates\.csv:4, column 'gy'", "empty cell"),
+    "infinity": (cells(RATES, 5, 6, "-inf"), "nan_values", r"rates\.csv:5, column 'gz'", "empty cell"),
+    "nan in parquet": (nan_in_parquet, "nan_values", r"ramp\.parquet, row 7", "empty cell"),
+    "text in parquet": (text_in_parquet, "not numbers", r"ramp\.parquet, column", "floating-point"),
+    "truncated parquet": (cut("runs/ramp.parquet", 0.6), "damaged or cut short", r"ramp\.parquet", "Parquet"),
+    "parquet that is text": (lambda f: (f / "runs/ramp.parquet").write_text("a,b\n1,2\n"), "damaged", r"ramp\.parquet", "Parquet"),
+    "empty rate": (cells(RATES, 4, 1, ""), "missing_values", r"rates\.csv:4, column 'table_rate_deg_s'", "every row"),
+    "no samples": (cells(RATES, 4, 3, "0"), "bad_count", r"rates\.csv:4, column 'samples'", "1 or more"),
+    "negative deviation": (cells(RATES, 5, 10, "-2"), "bad_count", r"rates\.csv:5, column 'gx_sd'", "0 or more"),
+    "reversed time": (column(RATES, "time_s", lambda t: t[::-1]), "time_not_increasing", r"rates\.csv:3, column 'time_s'", "increase"),
+    "time stands still": (cells(RATES, 4, 0, "90"), "time_not_increasing", r"rates\.csv:4", "increase"),
+    "repeated row": (lines(RAW, lambda rows: [*rows[:9], rows[8], *rows[9:]]), "duplicate_row", r"raw\.csv:10", "each row once"),
+    "kelvin": (column(POSITIONS, "temperature_degC", lambda t: t + 273.15), "kelvin", r"positions\.csv:2", "Celsius"),
+    "angle in radians": (column(POSITIONS, "table_angle_deg", np.deg2rad), "angle_in_radians", r"positions\.csv, column", "degrees"),
+    "angle in radians while turning": (column(RAW, "table_angle_deg", np.deg2rad), "angle_in_radians", r"raw\.csv, column", "degrees"),
+    "rate in radians": (column(RATES, "table_rate_deg_s", np.deg2rad), "rate_unit", r"rates\.csv, column 'table_rate_deg_s'", "degrees per second"),
+    "gyro in radians": (column(RATES, "gy", np.deg2rad), "rate_unit", r"rates\.csv, column 'gy'", "1000 pulse/s per deg/s"),
+    "gyro per hour": (toml('per = "deg/s"', 'per = "deg/h"'), "rate_unit", r"rates\.csv, column 'gx'", "per deg/h"),
+    "accelerometer in m/s²": (column(POSITIONS, "ax", lambda a: a * 9.80665), "acceleration_unit", r"column 'ax'", "per g"),
+    "stuck channel": (column(RATES, "gz", np.zeros_like), "stuck_channel", r"rates\.csv, column 'gz'", "move"),
+    "saturated channel": (column(RATES, "gx", saturate), "saturated_channel", r"rates\.csv, column 'gx'", "range"),
+    "means of a free tumble": (toml('procedure = "rate_table"', 'procedure = "free_tumble"'), "free tumble", r"rates\.csv", "raw log"),
+    "free tumble at rest": (
+        toml('procedure = "thermal_ramp"', 'procedure = "free_tumble"'), "static poses", r"ramp\.parquet", "4 or more",
+    ),
+}  # fmt: skip
+
+MODELS: dict[str, tuple[str, str, str, str, str]] = {
+    "model: broken toml": ("[[effect]]", "[effect", "not valid TOML", r"m\.toml:4", "key"),
+    "model: other format": ("format = 1", "format = 2", "format = 2", r"m\.toml:1, format", "1"),
+    "model: no effects": (MODEL[MODEL.index("[[effect]]") :], "", "has no 'effect'", r"m\.toml", "effect"),
+    "model: no name": ('name = "gyro_scale_factor"\n', "", "has no 'name'", r"m\.toml:4, effect\[0\]", "name"),
+    "model: unknown section": ("[[effect]]", "[[efect]]", "efect", r"m\.toml:4, efect", "effect"),
+    "model: unknown per": ('per = "channel"', 'per = "chanel"', "chanel", r"m\.toml:7, effect\[0\]\.per", "channel"),
+    "model: channels not a list": ('["gx", "gz"]', '"gx"', "channels", r"m\.toml:6, effect\[0\]\.channels", ""),
+    "model: empty channels": ('["gx", "gz"]', "[]", "channels", r"m\.toml:6, effect\[0\]\.channels", ""),
+    "model: channel twice": ('["gx", "gz"]', '["gx", "gx"]', "twice", r"m\.toml:6, effect\[0\]\.channels", ""),
+    "model: prior is a number": ('"normal(0, 2000 ppm)"', "2000", "prior", r"m\.toml:8, effect\[0\]\.prior", ""),
+    "model: option is a table": ("reference_degC = 25.0", "reference_degC = [25.0]", "finite number", r"m\.toml:12, effect\[1\]", ""),
+    "model: option not finite": ("reference_degC = 25.0", "reference_degC = nan", "finite", r"m\.toml:12, effect\[1\]", ""),
+}  # fmt: skip
+
+
+def expect(problems: tuple[Problem, ...], what: str, where: str, allowed: str) -> None:
+    fitting = [p for p in problems if what in p.what and re.search(where, p.where) and allowed in p.allowed]
+    assert fitting, "\n".join(map(str, problems))
+    for problem in problems:
+        assert problem.what
+        assert problem.where
+        assert problem.remedy
+        assert "Traceback" not in str(problem)
+        assert "error:" in str(problem)
+        assert "do:" in str(problem)
+
+
+@pytest.mark.parametrize("name", CAMPAIGNS)
+def test_campaign(name: str, small: Path) -> None:
+    spoil, what, where, allowed = CAMPAIGNS[name]
+    spoil(small)
+    with pytest.raises(InputError) as caught:
+        load_campaign(small)
+    expect(caught.value.problems, what, where, allowed)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_model_file(name: str, tmp_path: Path) -> None:
+    old, new, what, where, allowed = MODELS[name]
+    assert old in MODEL
+    (tmp_path / "m.toml").write_text(MODEL.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        read_model_file(tmp_path / "m.toml")
+    expect(caught.value.problems, what, where, allowed)
+
+
+def test_model_file_missing(tmp_path: Path) -> None:
+    (tmp_path / "base.toml").write_text(MODEL)
+    with pytest.raises(InputError) as caught:
+        read_model_file(tmp_path / "bass.toml")
+    expect(caught.value.problems, "no file", "bass.toml", "base.toml")
+
+
+def test_all_problems_at_once(small: Path) -> None:
+    for name in ("latitude out of range", "unknown kind", "unknown preset"):
+        CAMPAIGNS[name][0](small)
+    with pytest.raises(InputError) as caught:
+        load_campaign(small)
+    assert len(caught.value.problems) == 3
+
+
+def test_files_and_references_at_once(small: Path) -> None:
+    for name in ("unknown mounting", "singular mounting", "not a number", "truncated parquet"):
+        CAMPAIGNS[name][0](small)
+    with pytest.raises(InputError) as caught:
+        load_campaign(small)
+    assert len(caught.value.problems) == 4
+
+
+def test_enough_of_them() -> None:
+    assert len(CAMPAIGNS) + len(MODELS) >= 40

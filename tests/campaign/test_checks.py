@@ -1,0 +1,123 @@
+"""Named findings: what is odd about the data is said by name, with the right severity, and nothing else is."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow.csv as pacsv
+import pytest
+from conftest import DEGREE, EARTH, GRAVITY, write_csv
+
+from imubayes.campaign import FINDINGS, check_campaign, inspect_campaign, load_campaign
+from imubayes.campaign.nominal import nominal_input
+from imubayes.run import Channel, Mounting, Site, Table
+
+Change = Callable[[dict], None]
+
+
+def alter(file: Path, change: Change) -> None:
+    table = pacsv.read_csv(file)
+    columns = {name: table.column(name).to_numpy().copy() for name in table.column_names}
+    change(columns)
+    write_csv(file, columns)
+
+
+def drop_seconds(columns: dict) -> None:
+    keep = (columns["time_s"] < 3) | (columns["time_s"] > 5)
+    for name in columns:
+        columns[name] = columns[name][keep]
+
+
+def freeze(columns: dict) -> None:
+    columns["ax"][500:900] = columns["ax"][500]
+
+
+def clip(columns: dict) -> None:
+    columns["gz"] = np.minimum(columns["gz"], 80_000.0)
+
+
+def reverse(columns: dict) -> None:
+    columns["gz"] = -columns["gz"]
+
+
+def double(columns: dict) -> None:
+    columns["gz"] = 3 * columns["gz"]
+
+
+def relabel(columns: dict) -> None:
+    columns["segment"] = np.array(["one"] * len(columns["time_s"]))
+
+
+def without_angle(columns: dict) -> None:
+    columns["table_rate_deg_s"] = columns["table_rate_deg_s"] / 100
+    columns["gz"] = columns["gz"] / 100
+    del columns["table_angle_deg"]
+
+
+def milli_g(columns: dict) -> None:
+    columns["az"] = columns["az"] / 1000
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "severity"),
+    [
+        (drop_seconds, "gap", "warning"),
+        (freeze, "stuck_channel", "warning"),
+        (clip, "saturated_channel", "warning"),
+        (reverse, "sign_reversed", "warning"),
+        (double, "scale_far_from_nominal", "warning"),
+        (relabel, "segment_not_constant", "warning"),
+        (without_angle, "partial_turn", "warning"),
+        (milli_g, "acceleration_unit", "error"),
+    ],
+)
+def test_raw_log(small: Path, change: Change, name: str, severity: str) -> None:
+    alter(small / "runs/raw.csv", change)
+    found = check_campaign(small)
+    assert {(finding.name, finding.severity, finding.run) for finding in found} == {(name, severity, "raw")}
+    assert found[0].name in FINDINGS
+    if severity == "warning":
+        campaign = load_campaign(small)
+        assert any(name in note for note in campaign.notes)
+        assert any(name in note for note in campaign.runs[-1].notes)
+    else:
+        assert inspect_campaign(small).campaign is None
+
+
+def test_coarse_converter_is_not_stuck(small: Path) -> None:
+    def coarse(columns: dict) -> None:
+        for name in ("gx", "gy", "gz", "ax", "ay", "az"):
+            columns[name] = 100.0 * np.round(columns[name] / 100)
+
+    alter(small / "runs/raw.csv", coarse)
+    assert not [f for f in check_campaign(small) if f.severity == "error"]
+
+
+def test_short_means_at_unknown_angle(small: Path) -> None:
+    def slow(columns: dict) -> None:
+        columns["time_s"] = np.arange(len(columns["time_s"])) * 2.0
+
+    alter(small / "runs/rates.csv", slow)
+    (finding,) = check_campaign(small)
+    assert finding.name == "partial_turn"
+    assert "20 deg/s" not in finding.where
+
+
+def test_nominal_input() -> None:
+    site = Site(45 * DEGREE, 0.0, GRAVITY)
+    rate, angle = np.array([1.0, 0.0, 0.0]), np.array([np.nan, 0.0, np.pi / 2])
+    flat = Mounting("flat", np.eye(3))
+    pole = Table("pole", 0.0, 45 * DEGREE)
+
+    def channel(kind: str, axis: list[float]) -> Channel:
+        return Channel("c", kind, np.array([axis, axis, axis]), "V", 1.0, "g", 1.0)
+
+    along = nominal_input(channel("gyro", [0, 0, 1]), pole, flat, site, rate, angle)
+    np.testing.assert_allclose(along, [1 + EARTH, EARTH, EARTH], rtol=1e-12)
+    across = nominal_input(channel("gyro", [0, 1, 0]), pole, flat, site, rate, angle)
+    np.testing.assert_allclose(across, 0, atol=1e-18)
+    # At angle 0 the table's y axis leans down from North by the colatitude.
+    force = nominal_input(channel("accelerometer", [0, 1, 0]), pole, flat, site, rate, angle)
+    np.testing.assert_allclose(force, [0, -GRAVITY * np.cos(45 * DEGREE), 0], atol=1e-15)
+    force = nominal_input(channel("accelerometer", [1, 0, 0]), pole, flat, site, rate, angle)
+    np.testing.assert_allclose(force, [0, 0, -GRAVITY * np.cos(45 * DEGREE)], atol=1e-15)

@@ -1,0 +1,176 @@
+"""Poses and motion of a free tumble, on a tumble whose motion is known exactly and on real recordings."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import GRAVITY
+
+from imubayes.campaign.equipment import complete_axes
+from imubayes.campaign.tumble import reduce_tumble
+from imubayes.campaign.tumble.magnitude import fit_magnitude
+from imubayes.campaign.tumble.motion import coning, mean_readings, rotation_over, step_edges
+from imubayes.campaign.tumble.rotation import exponential, logarithm, shortest
+from imubayes.run import Channel
+
+NAMES = ("ax", "ay", "az", "gx", "gy", "gz")
+HZ = 100.0
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def channels() -> tuple[Channel, ...]:
+    parts = []
+    for index, name in enumerate(NAMES):
+        kind, per = ("gyro", "rad/s") if name.startswith("g") else ("accelerometer", "m/s^2")
+        parts.append(Channel(name, kind, complete_axes(np.eye(3)[index % 3], None), per, 1.0, per, 1.0))
+    return tuple(parts)
+
+
+def integrate(rate: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Body → level at every sample, the rate a straight line between samples."""
+    small = 0.5 * (rate[1:] + rate[:-1]) / HZ + np.cross(rate[:-1], rate[1:]) / HZ**2 / 12
+    attitude = [start]
+    for turn in exponential(small):
+        attitude.append(attitude[-1] @ turn)
+    return np.array(attitude)
+
+
+def tumble_log(poses: int = 16, seed: int = 0, noise: bool = True, twist_in: int | None = None):
+    """Rests of 4 s, turns of 1.5 s about random axes; columns, and body → level at every sample.
+
+    In pose `twist_in` the unit is turned about the vertical by a quarter of a radian, which no accelerometer feels.
+    """
+    rng = np.random.default_rng(seed)
+    attitude = [shortest(np.array([0.3, -0.2, 0.9]), UP)[None]]
+    rates = [np.zeros((1, 3))]
+    shaking = [np.zeros(1)]
+    for pose in range(poses):
+        if pose:
+            shape = np.sin(np.linspace(0, np.pi, round(1.5 * HZ))) ** 2
+            other = np.sin(np.linspace(0, 2 * np.pi, round(1.5 * HZ)))
+            axis, side = rng.normal(size=3), rng.normal(size=3)
+            turn = np.outer(shape, axis / np.linalg.norm(axis)) * rng.uniform(1.5, 3.5) + 0.8 * np.outer(other, side)
+            rates.append(turn)
+            shaking.append(np.linalg.norm(turn, axis=1))
+            attitude.append(integrate(np.vstack([rates[-2][-1:], turn]), attitude[-1][-1])[1:])
+        rest = np.zeros((round((4 if pose else 10) * HZ), 3))
+        if pose == twist_in:
+            rest[150:200] = 0.5 * attitude[-1][-1].T @ UP
+        rates.append(rest)
+        shaking.append(np.zeros(len(rest)))
+        attitude.append(integrate(np.vstack([rates[-2][-1:], rest]), attitude[-1][-1])[1:])
+    rate, attitudes, shake = np.concatenate(rates), np.concatenate(attitude), np.concatenate(shaking)[:, None]
+    force = attitudes.transpose(0, 2, 1) @ (GRAVITY * UP)
+    force = force + rng.normal(size=force.shape) * (0.02 + 0.5 * shake) * noise
+    gyro = rate + 0.01 + rng.normal(size=rate.shape) * 0.001 * noise
+    columns = {"time_s": np.arange(len(rate)) / HZ} | dict(zip(NAMES, np.hstack([force, gyro]).T, strict=True))
+    return columns, attitudes
+
+
+def test_poses_and_rows() -> None:
+    columns, attitude = tumble_log()
+    reduced = reduce_tumble(columns, channels(), GRAVITY, None, Path("log.csv"))
+    tumble = reduced.tumble
+    assert len(tumble.flagged) == 16
+    assert not tumble.flagged.any()
+    assert reduced.findings == ()
+    np.testing.assert_array_equal(tumble.start, np.arange(15))
+    np.testing.assert_array_equal(tumble.stop, np.arange(1, 16))
+    assert (reduced.numbers["samples"] > 250).all()
+    assert reduced.numbers["ax_sd"] == pytest.approx(0.02, rel=0.15)
+    middle = np.searchsorted(columns["time_s"], reduced.numbers["time_s"])
+    level = attitude[middle].transpose(0, 2, 1)[:, :, 2] * GRAVITY
+    np.testing.assert_allclose(np.stack([reduced.numbers[n] for n in NAMES[:3]], 1), level, atol=6e-3)
+
+
+def test_gravity_is_carried_from_pose_to_pose() -> None:
+    columns, attitude = tumble_log(noise=False)
+    force = np.stack([columns[name] for name in NAMES[:3]], axis=1)
+    columns |= dict(zip(NAMES, (force + 1e-4 * np.random.default_rng(1).normal(size=force.shape)).T, strict=False))
+    reduced = reduce_tumble(columns, channels(), GRAVITY, 9.0, Path("log.csv"))
+    tumble = reduced.tumble
+    middle = np.searchsorted(columns["time_s"], reduced.numbers["time_s"])
+    true = attitude[middle]
+    for index, (before, after) in enumerate(zip(tumble.start, tumble.stop, strict=True)):
+        rate = tumble.readings[index][:, 3:] - 0.01
+        turned = rotation_over(rate, tumble.step[index], tumble.coning[index])
+        error = logarithm(turned.T @ true[before].T @ true[after])
+        assert np.linalg.norm(error) < 2e-6
+    # The attitudes are right but for one common heading.
+    common = true[0] @ tumble.attitude[0].T
+    errors = logarithm(tumble.attitude.transpose(0, 2, 1) @ common.T @ true)
+    assert np.max(np.linalg.norm(errors, axis=1)) < 5e-4
+    assert tumble.step.max() <= 0.101
+    padding = tumble.step == 0
+    assert not tumble.readings[padding].any()
+    assert not tumble.coning[padding].any()
+
+
+def test_disturbed_pose_is_flagged_and_bridged() -> None:
+    columns, _ = tumble_log(twist_in=5)
+    reduced = reduce_tumble(columns, channels(), GRAVITY, None, Path("log.csv"))
+    assert list(np.flatnonzero(reduced.tumble.flagged)) == [5]
+    assert list(reduced.tumble.pose) == [pose for pose in range(16) if pose != 5]
+    assert len(reduced.numbers["samples"]) == 15
+    assert (4, 6) in list(zip(reduced.tumble.start, reduced.tumble.stop, strict=True))
+    assert "pose 5" in reduced.notes[-1]
+    assert "disturbed" in reduced.notes[-1]
+
+
+def test_force_of_wrong_length_is_an_outlier() -> None:
+    rng = np.random.default_rng(0)
+    force = rng.normal(size=(20, 3))
+    force *= GRAVITY / np.linalg.norm(force, axis=1, keepdims=True)
+    force = force * [1.01, 0.99, 1.002] + [0.1, -0.05, 0.2] + rng.normal(size=force.shape) * 1e-3
+    force[7] *= 1.01
+    fit = fit_magnitude(force, GRAVITY)
+    assert list(np.flatnonzero(fit.outliers)) == [7]
+    np.testing.assert_allclose(np.diag(fit.matrix), 1 / np.array([1.01, 0.99, 1.002]), atol=1e-3)
+    np.testing.assert_allclose(fit.offset, [0.1, -0.05, 0.2], atol=5e-3)
+
+
+def test_rotations() -> None:
+    vectors = np.random.default_rng(0).normal(size=(50, 3)) * np.geomspace(1e-12, 1.2, 50)[:, None]
+    np.testing.assert_allclose(logarithm(exponential(vectors)), vectors, rtol=1e-7, atol=1e-15)
+    np.testing.assert_allclose(exponential(np.array([0, 0, np.pi / 2])) @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    up = np.array([0.0, 0.0, 1.0])
+    for source in (np.array([0, 0, -2.0]), np.array([1.0, 2.0, 3.0]), up):
+        np.testing.assert_allclose(shortest(source, up) @ source, np.linalg.norm(source) * up, atol=1e-12)
+
+
+def test_coning_makes_a_coarse_step_exact() -> None:
+    def wobble(time: np.ndarray) -> np.ndarray:
+        return np.stack([2 * np.cos(50 * time), 2 * np.sin(50 * time), 0 * time], axis=1)
+
+    time = np.arange(500) * 1e-3
+    edges = np.array([0, 100, 200, 350, 499])
+    true = np.eye(3)
+    for turn in exponential(wobble((np.arange(4990) + 0.5) * 1e-4) * 1e-4):
+        true = true @ turn
+    length, mean = mean_readings(time, wobble(time), edges)
+    correction = coning(time, wobble(time), edges)
+    np.testing.assert_allclose(rotation_over(mean, length, correction), true, atol=1e-5)
+    assert np.linalg.norm(logarithm(true.T @ rotation_over(mean, length, 0 * correction))) > 1e-3
+
+
+def test_steps_are_short_when_fast() -> None:
+    time = np.arange(0, 2, 0.01)
+    rate = np.zeros((len(time), 3))
+    rate[100:, 0] = 6.0
+    edges = step_edges(time, rate, 10, 190)
+    assert edges[0] == 10
+    assert edges[-1] == 190
+    assert (np.diff(edges) > 0).all()
+    lengths = np.diff(time[edges])
+    assert lengths[0] == pytest.approx(0.1, rel=0.2)
+    assert lengths[-1] < 0.031
+
+
+def test_wrong_units_are_named() -> None:
+    columns, _ = tumble_log()
+    in_g = columns | {name: columns[name] / GRAVITY for name in NAMES[:3]}
+    names = [f.name for f in reduce_tumble(in_g, channels(), GRAVITY, None, Path("log.csv")).findings]
+    assert names == ["acceleration_unit"]
+    in_degrees = columns | {name: np.rad2deg(columns[name]) / 57.3**2 for name in NAMES[3:]}
+    names = [f.name for f in reduce_tumble(in_degrees, channels(), GRAVITY, None, Path("log.csv")).findings]
+    assert names == ["rate_unit"]
