@@ -139,6 +139,7 @@ def trihedral() -> np.ndarray:
 
 
 def write_csv(file: Path, columns: dict) -> None:
+    columns = {name: pa.array(values, from_pandas=True) for name, values in columns.items()}
     pacsv.write_csv(pa.table(columns), file, pacsv.WriteOptions(quoting_style="none"))
 
 

@@ -34,7 +34,7 @@ def toml(old: str, new: str) -> Spoil:
 def column(file: str, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Spoil:
     def spoil(folder: Path) -> None:
         table = pacsv.read_csv(folder / file)
-        columns = {key: table.column(key) for key in table.column_names}
+        columns = {key: table.column(key).combine_chunks() for key in table.column_names}
         columns[name] = change(columns[name].to_numpy().astype(float))
         write_csv(folder / file, columns)
 

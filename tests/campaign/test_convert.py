@@ -14,7 +14,9 @@ RECORDINGS = Path(__file__).parents[3] / "shared" / "data"
 real = pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the real recordings are not here")
 
 
-def write_log(file: Path, columns: dict, names: tuple[str, ...] = NAMES, header: str = "", delimiter: str = " ") -> Path:
+def write_log(
+    file: Path, columns: dict, names: tuple[str, ...] = NAMES, header: str = "", delimiter: str = " "
+) -> Path:
     values = np.stack([columns[name] for name in names], axis=1)
     np.savetxt(file, values, delimiter=delimiter, header=header, comments="", fmt="%.7g")
     return file

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imubayes.campaign.findings import Finding, Severity
+from imubayes.campaign.findings import Finding
 from imubayes.campaign.nominal import nominal_input
 from imubayes.campaign.reduction import Blocks
 from imubayes.run import Channel, Mounting, Run, Site, Table
@@ -41,7 +41,7 @@ def check_rows(
     run: Run, channels: Sequence[Channel], site: Site, table: Table | None, mounting: Mounting | None, where: str
 ) -> list[Finding]:
     """Check the rows of one run against what the nominal numbers predict."""
-    found = [*_stuck(run, channels, where), *_turns(run, where)]
+    found = _turns(run, where)
     if run.procedure == "current_injection":
         return found + _check_current(run, channels, where)
     if table is None or mounting is None or run.rows == 0:
@@ -53,6 +53,7 @@ def check_rows(
     for index, channel in enumerate(channels):
         stimulus = nominal_input(channel, table, mounting, site, rate, angle)
         measured = (run.observed[:, index] - channel.offset) / channel.scale_si
+        found += _stuck(run, channel, stimulus, run.observed[:, index], where)
         found += _saturated(run, channel, stimulus, run.observed[:, index], where)
         slopes.append((channel, _slope(channel, stimulus, measured)))
     return found + _judge(run, slopes, where)
@@ -148,24 +149,19 @@ def _angle_finding(run: str, what: str, where: str) -> Finding:
     return Finding("angle_in_radians", "error", run, what, place, "degrees", "multiply the angle column by 180/π")
 
 
-def _stuck(run: Run, channels: Sequence[Channel], where: str) -> list[Finding]:
-    moving = np.ptp(run.covariates["table_rate"]) > 0 if run.rows else False
-    still_moves = [np.ptp(v[np.isfinite(v)]) > 0 for v in run.observed.T if np.isfinite(v).sum() >= 5]
-    found = []
-    for index, channel in enumerate(channels):
-        values = run.observed[:, index]
-        values = values[np.isfinite(values)]
-        if len(values) >= 5 and np.ptp(values) == 0:
-            severity: Severity = "error" if moving or any(still_moves) else "warning"
-            found.append(
-                Finding(
-                    "stuck_channel", severity, run.name,
-                    f"channel '{channel.name}' has the one value {values[0]:g} in all {len(values)} rows",
-                    f"{where}, column '{channel.name}'", "readings that move with the input and with noise",
-                    "check the channel; leave its cells empty where it cannot be used",
-                )
-            )  # fmt: skip
-    return found
+def _stuck(run: Run, channel: Channel, stimulus: np.ndarray, observed: np.ndarray, where: str) -> list[Finding]:
+    good = np.isfinite(observed) & np.isfinite(stimulus)
+    x, y = stimulus[good], observed[good]
+    if len(y) < 3 or np.ptp(y) > 0 or np.ptp(x) <= LEAST_SPREAD[channel.kind]:
+        return []
+    return [
+        Finding(
+            "stuck_channel", "error", run.name,
+            f"channel '{channel.name}' has the one value {y[0] + 0.0:g} in all {len(y)} rows while its input changes",
+            f"{where}, column '{channel.name}'", "readings that move with the input",
+            "check the channel; leave its cells empty where it cannot be used",
+        )
+    ]  # fmt: skip
 
 
 def _saturated(run: Run, channel: Channel, stimulus: np.ndarray, observed: np.ndarray, where: str) -> list[Finding]:

@@ -110,7 +110,7 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
 
 def _survey(source: TableSource, entry: RunEntry) -> _Survey:
     layout = source.layout
-    monitor = Monitor(source, entry.name)
+    monitor = Monitor(source, entry.name, all_move=entry.procedure == "free_tumble")
     tracker = SegmentTracker() if "segment" in layout.texts and not layout.reduced else None
     builder = None
     if not layout.reduced and entry.procedure != "free_tumble":

@@ -84,10 +84,14 @@ class _Repeat:
 
 @dataclass
 class Monitor:
-    """Watches one table; `findings` tells what was seen."""
+    """Watches one table; `findings` tells what was seen.
+
+    With `all_move` every channel must move at some time, as in a free tumble, and one that does not is an error.
+    """
 
     source: TableSource
     run: str
+    all_move: bool = False
     rows: int = 0
     interval: float | None = None
     _back: _Tally = field(default_factory=_Tally)
@@ -208,8 +212,8 @@ class Monitor:
         found = []
         for name, seen in self._repeats.items():
             if seen.present >= 2 * STUCK_RUN and not seen.changed:
-                what = f"channel '{name}' has the one value {seen.value:g} in all {seen.present} samples"
-                found.append(self._about_channel("stuck_channel", "error", name, what))
+                what = f"channel '{name}' has the one value {seen.value + 0.0:g} in all {seen.present} samples"
+                found.append(self._about_channel("stuck_channel", "error" if self.all_move else "warning", name, what))
             if not seen.changed or seen.coarse:
                 continue
             plateaus = [(v, n) for v, n in ((seen.low, seen.at_low), (seen.high, seen.at_high)) if n >= PLATEAU_RUN]

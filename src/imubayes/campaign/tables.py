@@ -19,7 +19,7 @@ from imubayes.campaign.faults import csv_faults
 from imubayes.errors import InputError, Problem
 
 BATCH_ROWS = 65536
-BLOCK_BYTES = 4 << 20
+BLOCK_BYTES = 1 << 20
 KEEP_ROWS = 200_000  # at most this many rows of a table stay in memory (10 columns: 16 MB)
 
 
@@ -114,7 +114,7 @@ def read_header(file: Path) -> tuple[str, ...]:
 
 def _parquet(file: Path) -> pq.ParquetFile:
     try:
-        return pq.ParquetFile(file)
+        return pq.ParquetFile(file, pre_buffer=False)  # the buffer would be kept to the end of the file
     except (pa.ArrowException, OSError) as error:
         raise InputError(
             _unreadable(file, f"the Parquet file is damaged or cut short ({_first_line(error)})")

@@ -9,7 +9,8 @@ from imubayes.types import Scalar
 class AccelRunBias(SignalEffect):
     """Offset of each run, signal + b_r with b_r ~ normal(0, spread): the spread is learnt from all runs together.
 
-    `run_scatter` says the same with the offsets integrated out: choose it where the offsets themselves are of no interest.
+    `run_scatter` says the same with the offsets integrated out: choose it where the offsets themselves are of no
+    interest.
     """
 
     name = "accel_run_bias"

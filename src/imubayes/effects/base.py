@@ -1,9 +1,9 @@
 """What an effect is: one physical cause, one formula, written for one sample.
 
 An effect is a small class whose fields are its parameters.  It says at which stage of the signal path it acts and which
-covariates it needs; it never sees a procedure, a file or another effect.  At its null values it is the identity, so that
-criticism can differentiate it before it is added.  The three bases differ in what they act on, and know how to act on all
-nodes and channels at once.
+covariates it needs; it never sees a procedure, a file or another effect.  At its null values it is the identity, so
+that criticism can differentiate it before it is added.  The three bases differ in what they act on, and know how to
+act on all nodes and channels at once.
 
 A new effect is one class:
 

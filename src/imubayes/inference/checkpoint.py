@@ -1,7 +1,8 @@
-"""Checkpoints of the ensembles: emcee's HDF backend, written beside and renamed, so that a kill leaves the last whole one.
+"""Checkpoints of the ensembles: emcee's HDF backend, written beside and renamed.
 
-A checkpoint carries fingerprints of the data, the model, the order of the parameters and the settings of the sampler.  One that
-differs in any of them is refused: a chain continued on other data would look like an answer.
+A kill at any instant leaves the last whole one.  A checkpoint carries fingerprints of the data, the model, the order
+of the parameters and the settings of the sampler.  One that differs in any of them is refused: a chain continued on
+other data would look like an answer.
 """
 
 import os

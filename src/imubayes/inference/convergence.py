@@ -1,8 +1,8 @@
 """Has it converged?  Judged on independent ensembles, never on the walkers of one.
 
-Walkers of one ensemble move together: R̂ over walkers stays small with a frozen walker and misses a lost mode.  Nested R̂
-(Margossian et al. 2024) treats each ensemble as a superchain.  Effective sizes are the rank-normalised bulk and tail ones
-of Vehtari et al. 2021.  A verdict of "no" names the parameter.
+Walkers of one ensemble move together: R̂ over walkers stays small with a frozen walker and misses a lost mode.
+Nested R̂ (Margossian et al. 2024) treats each ensemble as a superchain.  Effective sizes are the rank-normalised
+bulk and tail ones of Vehtari et al. 2021.  A verdict of "no" names the parameter.
 """
 
 import warnings

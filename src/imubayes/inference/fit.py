@@ -1,8 +1,8 @@
 """The joint fit: θ by Levenberg–Marquardt at given noise scales, the noise scales by their Laplace marginal.
 
 The joint mode of θ and σ is biased low by about p/2n; the mode of the marginal, with θ integrated out, is not.  The two
-are found in turns, a few rounds of each, because θ hardly depends on the noise scales.  The outcome is a value: a fit that
-did not converge says so in a sentence.
+are found in turns, a few rounds of each, because θ hardly depends on the noise scales.  The outcome is a value: a
+fit that did not converge says so in a sentence.
 """
 
 import equinox as eqx

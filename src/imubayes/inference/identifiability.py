@@ -1,10 +1,11 @@
 """What the data determined and what they did not, said in names.
 
-For a quantity the share from the data is 1 − posterior variance / prior variance.  For combinations the same number is an
-eigenvalue matter: in z the prior is the unit normal, so an eigenvalue λ of the posterior precision means that the data
-contributed 1 − 1/λ along its direction.  The weak directions span a space without preferred axes; they are written in
-reduced echelon form, one named parameter leading each, which is how an engineer thinks of them: "this one together with
-those".  Quantities that are confused with each other are found among pairs of derived ones by the same measure.
+For a quantity the share from the data is 1 − posterior variance / prior variance.  For combinations the same number
+is an eigenvalue matter: in z the prior is the unit normal, so an eigenvalue λ of the posterior precision means that
+the data contributed 1 − 1/λ along its direction.  The weak directions span a space without preferred axes; they are
+written in reduced echelon form, one named parameter leading each, which is how an engineer thinks of them: "this
+one together with those".  Quantities that are confused with each other are found among pairs of derived ones by the
+same measure.
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,8 @@ import numpy as np
 WEAK_SHARE = 0.5
 # Members of a combination below this share of its largest are left out of its name.
 _NAMED_SHARE, _MOST_NAMED, _MOST_DIRECTIONS = 0.15, 5, 12
-# A pair of derived quantities is a confusion where its worst combination is this unresolved and each alone looks better.
+# A pair of derived quantities is a confusion where its worst combination is this unresolved and each alone looks
+# better.
 _CONFUSED_SHARE = 0.1
 
 

@@ -23,8 +23,8 @@ from imubayes.model.declaration import Model
 from imubayes.model.derived import Derived, derive
 from imubayes.model.likelihood import Problem, log_density, values_of
 
-# Starts are compared by their log density: within this they are the same mode or one as good, beyond the second they are
-# out of the running whatever their width.
+# Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
+# they are out of the running whatever their width.
 _SAME, _HOPELESS = 0.5, 30.0
 _PRIOR_DRAWS, _LAPLACE_DRAWS, _DERIVED_DRAWS = 2000, 4000, 4000
 

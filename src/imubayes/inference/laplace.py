@@ -1,15 +1,15 @@
 """The curved nested Laplace approximation: a proposal that nearly is the posterior.
 
 Three things make the plain normal about the mode useless in fifty dimensions, and each has its remedy here.
-The width of all θ depends on the noise scales: h is drawn first, from its Laplace marginal, and θ given h.  The marginal
-of a noise scale is skewed: each of its axes has its own width to the left and to the right (Rue, Martino & Chopin 2009,
-§ 6.5).  The few directions that the data leave to the prior are curved ridges: along them the strong directions are bent
-by half the second derivative, δ → δ + ½ Σ_ij w_i w_j A_ij with w the weak coordinates (geodesic acceleration, Transtrum &
-Sethna 2011).  The bend leaves w alone, so its determinant is 1 and it is undone by subtraction: the proposal's density is
-exact, whatever its quality.
+The width of all θ depends on the noise scales: h is drawn first, from its Laplace marginal, and θ given h.  The
+marginal of a noise scale is skewed: each of its axes has its own width to the left and to the right (Rue, Martino &
+Chopin 2009, § 6.5).  The few directions that the data leave to the prior are curved ridges: along them the strong
+directions are bent by half the second derivative, δ → δ + ½ Σ_ij w_i w_j A_ij with w the weak coordinates (geodesic
+acceleration, Transtrum & Sethna 2011).  The bend leaves w alone, so its determinant is 1 and it is undone by
+subtraction: the proposal's density is exact, whatever its quality.
 
-With scales d_j = log s_j(h)/s_j(ĥ), precision and gradient are Σ_j exp(−2 d_j) of blocks stored once, exact for independent
-noise and right to first order otherwise; each block is positive semidefinite.
+With scales d_j = log s_j(h)/s_j(ĥ), precision and gradient are Σ_j exp(−2 d_j) of blocks stored once, exact for
+independent noise and right to first order otherwise; each block is positive semidefinite.
 """
 
 import equinox as eqx
@@ -19,10 +19,11 @@ from jax.scipy.linalg import solve_triangular
 
 from imubayes.inference.fit import Mode
 from imubayes.inference.precision import knowledge, log_marginal
-from imubayes.model.likelihood import Problem, predict, prior_widths, whiten, whitener
+from imubayes.model.likelihood import Problem, inverse_covariance, predict, prior_widths, whitener
 from imubayes.types import Array, Float, Scalar
 
-# A direction is weak where more than this share of its prior standard deviation is left; below it the ridge is straight.
+# A direction is weak where more than this share of its prior standard deviation is left; below it the ridge is
+# straight.
 _WEAK_SD = 0.03
 # Second derivatives are taken over pairs: 20 directions make 210 of them.
 _MOST_WEAK = 20
@@ -125,19 +126,10 @@ def bends(
     own = whole[jnp.nonzero(rows == columns, size=count)[0]] / 4
     mixed = 0.5 * (whole - own[rows] - own[columns]) / (reach[rows] * reach[columns])[:, None]
     by = whitener(problem, mode.h)
-    pulled = jax.vmap(lambda d: mode.about.jacobian.T @ _inverse_covariance(problem, by, d))(mixed)
+    pulled = jax.vmap(lambda d: mode.about.jacobian.T @ inverse_covariance(problem, by, d)[0])(mixed)
     acceleration = -pulled @ inverse
     result = jnp.zeros((count, count, weak.shape[0]))
     return result.at[rows, columns].set(acceleration).at[columns, rows].set(acceleration)
-
-
-def _inverse_covariance(problem: Problem, by, vector: Float[Array, " E"]) -> Float[Array, " E"]:
-    # The whitener is D^(−½) followed by a symmetric matrix: Σ⁻¹ = D^(−½) M M D^(−½).
-    scaled = whiten(problem, by, vector)
-    members, group = problem.observations.members, problem.observations.group
-    padded = jnp.concatenate([by.precision_root * scaled, jnp.zeros(1)])
-    along = padded[members].sum(axis=1)
-    return by.precision_root * (scaled - by.precision_root * (by.shrink * along)[group])
 
 
 _split_by_scale = eqx.filter_jit(split_by_scale)

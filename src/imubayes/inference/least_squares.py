@@ -1,7 +1,9 @@
-"""Nonlinear least squares: Levenberg–Marquardt (optimistix) with two linear solvers.
+"""Nonlinear least squares: Levenberg–Marquardt (optimistix), in two kinds.
 
+For bare least squares the damping is Marquardt's: each parameter is measured by the length of its column of the
+Jacobian, so that neither the units of the parameters nor those of the data matter, and the linear algebra is QR.
 `GramCholesky` works on the column-scaled normal equations: half the digits, a tenth of the time.  It is for problems
-whose prior keeps the matrix well conditioned.  For bare least squares the default is QR.
+whose prior keeps the matrix well conditioned and gives all parameters one scale.
 """
 
 from collections.abc import Callable
@@ -16,6 +18,11 @@ import optimistix as optx
 
 from imubayes.types import Array, Bool, Float, Int, Scalar
 
+# Damping at the start, against columns of unit length: nearly Gauss–Newton, short of leaping onto a plateau.
+_FIRST_DAMPING = 1e-2
+# The step left that still counts as arrived: against each parameter, or as a share of the residual.
+_STEP_LEFT, _OFFSET_LEFT = 1e-5, 1e-4
+
 
 class GramCholesky(lx.AbstractLinearSolver[Any]):
     """Least squares through the Cholesky factor of AᵀA, columns scaled to unit length."""
@@ -24,7 +31,7 @@ class GramCholesky(lx.AbstractLinearSolver[Any]):
         matrix = operator.as_matrix()
         scale = jnp.sqrt(jnp.sum(matrix**2, axis=0))
         scale = jnp.where(scale > 0, scale, 1.0)
-        scaled = matrix / scale
+        scaled = matrix / scale[None, :]
         unravel = jax.flatten_util.ravel_pytree(
             jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), operator.in_structure())
         )[1]
@@ -46,6 +53,53 @@ class GramCholesky(lx.AbstractLinearSolver[Any]):
         return True
 
 
+class _Factorised(eqx.Module):
+    """The Jacobian at the last accepted point: J = Q·upper·diag(scale), with Qᵀ·residual and |residual|."""
+
+    scale: Float[Array, " P"]
+    upper: Float[Array, "P P"]
+    rotated: Float[Array, " P"]
+    length: Scalar
+
+
+class _ScaledDescent(optx.AbstractDescent[Any, Any, _Factorised]):
+    """The damped step: the least-squares solution of [J; √λ·diag(scale)] δ = [−r; 0] (Marquardt 1963).
+
+    The scale of a parameter never falls (Moré 1978), so that one whose column vanishes far from the minimum is not let
+    go.  One QR at an accepted point serves every damping tried there.
+    """
+
+    def init(self, y, f_info_struct):
+        size = y.shape[0]
+        return _Factorised(jnp.zeros(size), jnp.eye(size), jnp.zeros(size), jnp.zeros(()))
+
+    def query(self, y, f_info, state):
+        jacobian, residual = f_info.jac.as_matrix(), f_info.residual
+        scale = jnp.maximum(state.scale, jnp.sqrt(jnp.sum(jacobian**2, axis=0)))
+        scale = jnp.where(scale > 0, scale, 1.0)
+        q, upper = jnp.linalg.qr(jacobian / scale[None, :])
+        return _Factorised(scale, upper, q.T @ residual, jnp.linalg.norm(residual))
+
+    def step(self, step_size, state):
+        damping = _FIRST_DAMPING / jnp.maximum(step_size, jnp.finfo(step_size.dtype).tiny)
+        size = state.scale.shape[0]
+        q, upper = jnp.linalg.qr(jnp.concatenate([state.upper, jnp.sqrt(damping) * jnp.eye(size)]))
+        step = jax.scipy.linalg.solve_triangular(upper, q[:size].T @ state.rotated)
+        return -step / state.scale, optx.RESULTS.successful
+
+
+class _ScaledLevenbergMarquardt(optx.AbstractGaussNewton[Any, Any, Any]):
+    rtol: float
+    atol: float
+    norm: Callable = optx.max_norm
+    descent: optx.AbstractDescent = _ScaledDescent()
+    # A step is good when it brings three quarters of what the linear model promised (Moré 1978).
+    search: optx.AbstractSearch = optx.ClassicalTrustRegion(
+        high_cutoff=0.75, low_cutoff=1e-4, high_constant=3.0, low_constant=0.25
+    )
+    verbose: Callable = eqx.field(default=lambda **_: None)
+
+
 class LeastSquares(eqx.Module):
     """Outcome of a least-squares fit.
 
@@ -53,7 +107,7 @@ class LeastSquares(eqx.Module):
     ----------
     value : shape (P,), where it ended.
     steps : number of steps taken.
-    successful : whether the steps became smaller than the tolerance.
+    successful : whether it ended at a minimum.
     """
 
     value: Float[Array, " P"]
@@ -66,7 +120,7 @@ def minimise(
     guess: Float[Array, " P"],
     arguments: Any = None,
     tolerance: float = 1e-9,
-    most_steps: int = 100,
+    most_steps: int = 1000,
     linear_solver: lx.AbstractLinearSolver | None = None,
 ) -> LeastSquares:
     """Return the minimum of ½ |residual(x, arguments)|².
@@ -77,13 +131,29 @@ def minimise(
     guess : where to begin, shape (P,).
     tolerance : relative and absolute, of x and of the residual.
     most_steps : after so many steps the outcome is not successful.
-    linear_solver : of the damped Newton step; QR where None.
+    linear_solver : of the damped step with one scale for all parameters; None for scaled damping by QR.  In that case
+        success means that the undamped step still to go is small against the parameters or their standard errors,
+        whatever ended the steps: a plateau, where damping stops the steps, is not a minimum.
     """
-    solver = optx.LevenbergMarquardt(
-        rtol=tolerance, atol=tolerance, linear_solver=linear_solver or lx.QR(), norm=optx.max_norm
-    )
+    if linear_solver is None:
+        scaled = _ScaledLevenbergMarquardt(tolerance, tolerance)
+        solution = optx.least_squares(residual, scaled, guess, args=arguments, max_steps=most_steps, throw=False)
+        value, arrived = _arrived(solution.state.descent_state, solution.value, tolerance)
+        return LeastSquares(value, solution.stats["num_steps"], arrived)
+    solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance, linear_solver=linear_solver, norm=optx.max_norm)
     solution = optx.least_squares(residual, solver, guess, args=arguments, max_steps=most_steps, throw=False)
     return LeastSquares(solution.value, solution.stats["num_steps"], solution.result == optx.RESULTS.successful)
+
+
+def _arrived(
+    at: _Factorised, value: Float[Array, " P"], tolerance: float
+) -> tuple[Float[Array, " P"], Bool[Array, ""]]:
+    """Return the end point and whether it is a minimum, by the Gauss–Newton step that is left; a small one is taken."""
+    left = jax.scipy.linalg.solve_triangular(at.upper, at.rotated) / at.scale
+    small = jnp.max(jnp.abs(left) / (tolerance + jnp.abs(value))) < _STEP_LEFT
+    # Bates & Watts' relative offset: the part of the residual that the parameters could still take away.
+    flat = jnp.linalg.norm(at.rotated) < _OFFSET_LEFT * at.length
+    return jnp.where(small, value - left, value), jnp.all(jnp.isfinite(left)) & (small | flat)
 
 
 def covariance(jacobian: Float[Array, "E P"], variance: Scalar | float = 1.0) -> Float[Array, "P P"]:
@@ -93,6 +163,6 @@ def covariance(jacobian: Float[Array, "E P"], variance: Scalar | float = 1.0) ->
     """
     scale = jnp.sqrt(jnp.sum(jacobian**2, axis=0))
     scale = jnp.where(scale > 0, scale, 1.0)
-    upper = jnp.linalg.qr(jacobian / scale, mode="r")
+    upper = jnp.linalg.qr(jacobian / scale[None, :], mode="r")
     inverse = jax.scipy.linalg.solve_triangular(upper, jnp.eye(upper.shape[0])) / scale[:, None]
     return variance * inverse @ inverse.T

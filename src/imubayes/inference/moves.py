@@ -35,8 +35,8 @@ def _log_density(problem: Problem, points: Float[Array, "n PH"]) -> Float[Array,
 class LogDensity:
     """The log density of a problem for many points at once, in z.
 
-    Points are handed to the compiled function in batches of one size, so that it is compiled once.  What is not a number
-    counts as impossible; +∞ is an error, since a sampler would take it for the best of all points.
+    Points are handed to the compiled function in batches of one size, so that it is compiled once.  What is not a
+    number counts as impossible; +∞ is an error, since a sampler would take it for the best of all points.
     """
 
     def __init__(self, problem: Problem, batch: int):

@@ -1,7 +1,7 @@
 """What the data know about θ, as a function of the hyperparameters: precision, gradient and quadratic form.
 
-About a point the model is linear, y − f ≈ e − J δ.  With Σ(h) = D + Σ_g T_g 1 1ᵀ every product with Σ⁻¹ is a weighted sum
-less one rank-one term per run and channel, so the precision JᵀΣ⁻¹J costs one matrix product at any h.
+About a point the model is linear, y − f ≈ e − J δ.  With Σ(h) = D + Σ_g T_g 1 1ᵀ every product with Σ⁻¹ is a
+weighted sum less one rank-one term per run and channel, so the precision JᵀΣ⁻¹J costs one matrix product at any h.
 """
 
 import equinox as eqx

@@ -1,8 +1,8 @@
 """Sampling: independent emcee ensembles that run until they agree.
 
-Four ensembles, each of its own seed, begin from fits that were started far apart in the prior, so that a second mode, where
-there is one, is found by one of them and shows as disagreement.  They advance in blocks; after each block the checkpoint
-is replaced as a whole and convergence is judged.
+Four ensembles, each of its own seed, begin from fits that were started far apart in the prior, so that a second
+mode, where there is one, is found by one of them and shows as disagreement.  They advance in blocks; after each
+block the checkpoint is replaced as a whole and convergence is judged.
 """
 
 import math
@@ -31,8 +31,8 @@ _MOST_NUMBERS = 50_000_000
 class Settings:
     """How to sample; `walkers` of 0 takes the smallest number that emcee's moves allow.
 
-    `least_steps` are taken by each ensemble after the burn-in even when fewer would do; `most_steps` of 0 is what memory
-    allows.
+    `least_steps` are taken by each ensemble after the burn-in even when fewer would do; `most_steps` of 0 is what
+    memory allows.
     """
 
     ensembles: int = 4

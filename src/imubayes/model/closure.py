@@ -1,10 +1,10 @@
 """Closing a free tumble: the gyros must carry each pose into the next.
 
-While the unit is moved by hand nothing is known of its motion but what its own sensors say.  The signal path is therefore
-run backwards: the readings are inverted to angular rate and specific force (a fixed point of a few rounds, since every
-channel is nominal to some percent), the rates are integrated, and what is observed is that the rotation so found leads
-from the attitude of one pose to that of the next.  The Earth's rotation is taken out exactly, in the local level:
-C_nb(stop) = exp(−ω_E Δt) · C_nb(start) · Π exp(ω_k Δt_k + coning_k).
+While the unit is moved by hand nothing is known of its motion but what its own sensors say.  The signal path is
+therefore run backwards: the readings are inverted to angular rate and specific force (a fixed point of a few
+rounds, since every channel is nominal to some percent), the rates are integrated, and what is observed is that the
+rotation so found leads from the attitude of one pose to that of the next.  The Earth's rotation is taken out
+exactly, in the local level: C_nb(stop) = exp(−ω_E Δt) · C_nb(start) · Π exp(ω_k Δt_k + coning_k).
 """
 
 import equinox as eqx

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import Effect, MotionEffect, Stage
-from imubayes.errors import InputError
+from imubayes.errors import InputError, closest_first
 from imubayes.errors import Problem as Complaint
 from imubayes.model.assembly import Assembly, assemble
 from imubayes.model.closure import Transitions, nominal_inverse
@@ -24,6 +24,7 @@ from imubayes.model.registry import Registry
 from imubayes.model.specification import EffectSpec, ModelSpec
 from imubayes.noise.base import Entry, EntryNoise, Noise
 from imubayes.parameters.vector import Layout, Priors
+from imubayes.procedures import PROCEDURES
 from imubayes.run import Campaign
 from imubayes.stimulus import Ambient
 
@@ -62,6 +63,7 @@ def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = Non
     InputError
         with everything in the model that does not fit the campaign.
     """
+    _refuse_unknown_procedures(campaign)
     registry = (registry or Registry()).with_files(spec.files)
     spec = _with_implied(spec, campaign)
     nodes, entries = join_nodes(campaign), join_entries(campaign)
@@ -97,6 +99,20 @@ def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = Non
         entries,
         assembly,
     )
+
+
+def _refuse_unknown_procedures(campaign: Campaign) -> None:
+    unknown = [run for run in campaign.runs if run.procedure not in PROCEDURES]
+    if unknown:
+        raise InputError(
+            Complaint(
+                f"a run of procedure '{run.procedure}' cannot be fitted",
+                f"campaign '{campaign.name}', run '{run.name}'",
+                closest_first(run.procedure, PROCEDURES),
+                "take the run out of campaign.toml, or give it the procedure that describes it",
+            )
+            for run in unknown
+        )
 
 
 def _with_implied(spec: ModelSpec, campaign: Campaign) -> ModelSpec:

@@ -17,8 +17,8 @@ from imubayes.run import Campaign, Channel
 from imubayes.stimulus import AMBIENT_NAMES
 from imubayes.units import to_si
 
-# Where neither the campaign nor the spread of raw samples says how noisy a channel is: a thousandth of what was recorded,
-# known to a factor of e³ = 20 either way.
+# Where neither the campaign nor the spread of raw samples says how noisy a channel is: a thousandth of what was
+# recorded, known to a factor of e³ = 20 either way.
 _UNKNOWN_NOISE_SHARE, _UNKNOWN_NOISE_LOG_SD = 1e-3, 3.0
 _SHARING = {"channel": ("channel",), "all": (), "run": ("channel", "run"), "mounting": ("channel", "mounting")}
 _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
@@ -170,16 +170,16 @@ def _channels(spec: EffectSpec, member: Member, campaign: Campaign, problems: li
 
 def _refuse_unknown(spec: EffectSpec, declared: dict, options: dict, problems: list[Problem]) -> None:
     for given, known, what in ((spec.prior, declared, "parameter"), (spec.options, options, "setting")):
-        for name in given:
-            if name not in known:
-                problems.append(
-                    Problem(
-                        f"'{spec.name}' has no {what} '{name}'",
-                        spec.where,
-                        closest_first(name, known) or f"no {what}s",
-                        f"correct the name; `imubayes effects {spec.name}` lists them",
-                    )
-                )
+        problems.extend(
+            Problem(
+                f"'{spec.name}' has no {what} '{name}'",
+                spec.where,
+                closest_first(name, known) or f"no {what}s",
+                f"correct the name; `imubayes effects {spec.name}` lists them",
+            )
+            for name in given
+            if name not in known
+        )
     for name, value in spec.options.items():
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if name in options and not (number and np.isfinite(value)):

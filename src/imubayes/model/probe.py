@@ -2,8 +2,8 @@
 
 The true sensitive axis of a channel is the gradient of its output with respect to the rate (or specific force) it is
 exposed to, at rest and at the reference temperatures; its length is the scale factor, its angle to the table's axis in
-a mounting the true mounting angle.  The relative slope against converter temperature is a derivative as well.  An effect
-added tomorrow takes part in all of them.
+a mounting the true mounting angle.  The relative slope against converter temperature is a derivative as well.  An
+effect added tomorrow takes part in all of them.
 """
 
 from collections.abc import Callable

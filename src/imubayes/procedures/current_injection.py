@@ -1,7 +1,7 @@
 """Current injection: a known current takes the accelerometer's place at the converter (P8).
 
-It stands for inputs that no table gives, 12 g and more, and what the sensor itself does drops out: this is what tells the
-converter's gain drift from the sensor's.
+It stands for inputs that no table gives, 12 g and more, and what the sensor itself does drops out: this is what
+tells the converter's gain drift from the sensor's.
 """
 
 from imubayes.procedures.base import Procedure, table_stimulus

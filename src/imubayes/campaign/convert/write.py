@@ -39,7 +39,7 @@ def write_campaign(
     try:
         for name, columns in tables.items():
             (draft / name).parent.mkdir(parents=True, exist_ok=True)
-            pacsv.write_csv(pa.table(dict(columns)), draft / name, pacsv.WriteOptions(quoting_style="none"))
+            _write_csv(draft / name, columns)
         (draft / CAMPAIGN_FILE).write_text(tomlkit.dumps(document), encoding="utf-8")
         problems = inspect_campaign(draft).problems if check else ()
         if problems:
@@ -63,6 +63,12 @@ def refuse_occupied(out: Path) -> None:
                 "choose another name, or remove the folder first",
             )
         )
+
+
+def _write_csv(file: Path, columns: Mapping[str, np.ndarray]) -> None:
+    with file.open("wb") as stream:
+        stream.write((",".join(columns) + "\n").encode())
+        pacsv.write_csv(pa.table(dict(columns)), stream, pacsv.WriteOptions(include_header=False))
 
 
 def _umask() -> int:

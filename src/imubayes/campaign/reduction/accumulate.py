@@ -24,6 +24,7 @@ class Row:
     ----------
     mean : per column, NaN where every cell was empty.
     sd : per column, standard deviation of one sample, NaN where unknown.
+    spread : per column, standard deviation about the mean, whatever the cause.
     samples : number of raw samples.
     turns : whole turns the mean was taken over, 0 at rest or on a partial turn.
     swept : angle swept in deg, 0 at rest, NaN where nothing tells.
@@ -34,6 +35,7 @@ class Row:
 
     mean: np.ndarray
     sd: np.ndarray
+    spread: np.ndarray
     samples: int
     turns: int
     swept: float
@@ -96,7 +98,7 @@ class _SpanSum:
         self._square += (values[1:] ** 2).sum(0)
         self._weight += weight[1:].sum(0)
         self._rows += len(table)
-        self._last = table[-1]
+        self._last = table[-1].copy()
         if self._angle is not None:
             self._angle_last = values[-1, self._angle]
 
@@ -118,6 +120,7 @@ class _SpanSum:
         return Row(
             mean,
             stepwise if turning else plain,
+            plain,
             samples,
             self._turns,
             np.nan if unknown_sweep else (swept if turning else 0.0),
@@ -134,7 +137,7 @@ class _SpanSum:
     def _begin(self, table: np.ndarray) -> None:
         width = table.shape[1]
         self._shift = np.where(np.isnan(table[0]), 0.0, table[0])
-        self._last = table[0]
+        self._last = table[0].copy()
         self._angle_last = 0.0
         self._sum, self._square, self._weight = np.zeros(width), np.zeros(width), np.zeros(width)
         self._step_square, self._steps = np.zeros(width), np.zeros(width)

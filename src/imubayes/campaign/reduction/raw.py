@@ -88,7 +88,7 @@ def _unsteady(columns: list[str], reduced: list[Row]) -> tuple[int, ...]:
     return tuple(
         number
         for number, row in enumerate(reduced)
-        if any(row.sd[index] > UNSTEADY * max(abs(row.mean[index]), 1e-9) for index in watched)
+        if any(row.spread[index] > UNSTEADY * max(abs(row.mean[index]), 1e-9) for index in watched)
     )
 
 

@@ -1,0 +1,134 @@
+"""The Python interface: the same words as on the command line."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import xarray
+
+from imubayes.campaign import ModelFile, load_campaign, read_model_file
+from imubayes.inference.design import next_runs
+from imubayes.inference.joint import JointFit, joint_fit
+from imubayes.inference.posterior import posterior_tree
+from imubayes.inference.sample import Settings
+from imubayes.model.declaration import declare
+from imubayes.model.specification import EffectSpec, ModelSpec
+from imubayes.report.folder import CHECKPOINT, write_result
+from imubayes.report.residuals import Residuals, residuals_of
+from imubayes.report.summary import summarise
+from imubayes.report.html import summary_html
+from imubayes.report.terminal import summary_text
+from imubayes.run import Campaign
+
+
+@dataclass(frozen=True)
+class Result:
+    """A fit with everything that is reported of it; shows itself in a terminal and in a notebook.
+
+    Attributes
+    ----------
+    fit : the joint fit.
+    summary : contents of `summary.json`.
+    residuals : one line per run, row and channel.
+    folder : the result folder, None where none was written.
+    """
+
+    fit: JointFit
+    summary: dict[str, Any]
+    residuals: Residuals
+    folder: Path | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether fit and sampling converged."""
+        return self.fit.converged
+
+    def posterior(self) -> xarray.DataTree:
+        """Return the posterior as an ArviZ tree."""
+        return posterior_tree(self.fit)
+
+    def __repr__(self) -> str:
+        return summary_text(self.summary)
+
+    def _repr_html_(self) -> str:
+        return summary_html(self.summary)
+
+
+def load_model(path: str | Path) -> ModelSpec:
+    """Read a model file; its own effects are looked for beside it.
+
+    Raises
+    ------
+    InputError
+        with everything that is wrong with the file.
+    """
+    path = Path(path)
+    return specification(read_model_file(path), path)
+
+
+def specification(file: ModelFile, path: Path) -> ModelSpec:
+    """Return what a model file says, free of the file."""
+    effects = tuple(
+        EffectSpec(
+            name=entry.name,
+            channels=tuple(entry.channels) if entry.channels is not None else None,
+            per=entry.per,
+            prior=dict(entry.prior),
+            options=dict(entry.model_extra or {}),
+            where=f"{path}: effect {place + 1} ({entry.name})",
+        )
+        for place, entry in enumerate(file.effect)
+    )
+    files = tuple(str(path.parent / name) for name in file.files)
+    return ModelSpec(file.name, effects, files, str(path))
+
+
+def fit(
+    campaign: Campaign | str | Path,
+    model: ModelSpec | str | Path,
+    out: str | Path | None = None,
+    *,
+    sample: bool = True,
+    seed: int = 0,
+    resume: bool = False,
+    settings: Settings | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Result:
+    """Fit all runs of a campaign jointly and sample the posterior.
+
+    Parameters
+    ----------
+    campaign : a campaign, or its folder.
+    model : a model, or its file.
+    out : result folder to write; None for none.
+    sample : whether to sample, or to stay with the Laplace approximation.
+    seed : of the sampler.
+    resume : continue the checkpoint in `out`.
+    settings : of the sampler, beyond the seed.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for anything that cannot be used; nothing is written then.
+    """
+    clock = time.perf_counter()
+    campaign = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
+    model = model if isinstance(model, ModelSpec) else load_model(model)
+    declared = declare(model, campaign)
+    load_seconds = time.perf_counter() - clock
+    folder = Path(out) if out is not None else None
+    checkpoint = folder / CHECKPOINT if folder is not None else None
+    if folder is not None and not resume:
+        folder.mkdir(parents=True, exist_ok=True)
+    sampling = replace(settings or Settings(), seed=seed) if sample else None
+    fitted = joint_fit(declared, sampling, checkpoint, resume, progress)
+    residuals = residuals_of(fitted)
+    summary = summarise(fitted, residuals)
+    summary["seconds"]["load"] = load_seconds
+    summary["next_runs"] = next_runs(fitted, summary)
+    if folder is not None:
+        write_result(folder, fitted, summary, residuals)
+    return Result(fitted, summary, residuals, folder)

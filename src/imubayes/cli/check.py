@@ -1,0 +1,40 @@
+"""`imubayes check`: what is there, and what is wrong."""
+
+import json
+import sys
+from pathlib import Path
+
+
+def check(campaign: Path, *, model: Path | None = None, json_output: bool = False) -> int:
+    """Read everything, say what is there and what is wrong.
+
+    Example: imubayes check data/trihedral-imu --model models/trihedral-imu.toml
+
+    Parameters
+    ----------
+    campaign
+        Folder with campaign.toml.
+    model
+        Model file to check against the campaign.
+    json_output
+        Print one JSON object on standard output.
+    """
+    from imubayes.campaign import inspect_campaign
+    from imubayes.report.inspection import inspection_json, print_inspection
+
+    inspection = inspect_campaign(campaign)
+    declared = None
+    if model is not None:
+        from imubayes.cli.session import start_jax
+
+        start_jax()
+        from imubayes.api import load_model
+        from imubayes.model.declaration import declare
+
+        declared = declare(load_model(model), inspection.campaign)
+    if json_output:
+        json.dump(inspection_json(inspection, declared), sys.stdout, ensure_ascii=False)
+        print()
+    else:
+        print_inspection(inspection, declared)
+    return 0

@@ -1,0 +1,56 @@
+"""`imubayes fit`: the main job."""
+
+import json
+import sys
+from pathlib import Path
+
+
+def fit(
+    campaign: Path,
+    *,
+    model: Path,
+    out: Path,
+    sample: bool = True,
+    seed: int = 0,
+    resume: bool = False,
+    json_output: bool = False,
+    verbose: bool = False,
+) -> int:
+    """Fit all runs of a campaign jointly, sample the posterior, and write the result folder.
+
+    Example: imubayes fit data/trihedral-imu --model models/trihedral-imu.toml --out results/trihedral-imu
+
+    Parameters
+    ----------
+    campaign
+        Folder with campaign.toml.
+    model
+        Model file.
+    out
+        Result folder to write.
+    sample
+        Sample the posterior; with --no-sample the Laplace approximation stands for it.
+    seed
+        Seed of the sampler.
+    resume
+        Continue the sampling that was interrupted.
+    json_output
+        Print summary.json on standard output.
+    verbose
+        List every parameter, also those of single poses.
+    """
+    from imubayes.cli.session import progress, start_jax
+
+    start_jax()
+    from imubayes.api import fit as fit_campaign
+    from imubayes.report.terminal import print_summary
+
+    with progress() as tell:
+        result = fit_campaign(campaign, model, out, sample=sample, seed=seed, resume=resume, progress=tell)
+    if json_output:
+        json.dump(result.summary, sys.stdout, ensure_ascii=False)
+        print()
+    else:
+        print_summary(result.summary, verbose=verbose)
+        print(f"\nresult in {out}; next: imubayes compare {out}")
+    return 0 if result.converged else 1

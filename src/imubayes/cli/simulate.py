@@ -1,0 +1,27 @@
+"""`imubayes simulate`: a synthetic campaign with a truth file."""
+
+from pathlib import Path
+
+
+def simulate(plan: Path, *, out: Path, seed: int | None = None) -> int:
+    """Simulate the runs of a plan: a campaign folder with a truth file.
+
+    Example: imubayes simulate data/plan-example.toml --out campaigns/simulated
+
+    Parameters
+    ----------
+    plan
+        Plan file: site, channels, tables, mountings, the model, and what each run does.
+    out
+        Campaign folder to make.
+    seed
+        Of the random numbers, in the place of the plan's own.
+    """
+    from imubayes.cli.session import start_jax
+
+    start_jax()
+    from imubayes.campaign.simulate import simulate_plan
+
+    folder = simulate_plan(plan, out, seed)
+    print(f"campaign in {folder}, truth in {folder / 'truth.toml'}; next: imubayes check {folder}")
+    return 0

@@ -1,0 +1,1 @@
+"""Where units go out: tables, pictures and documents of a result."""

@@ -1,0 +1,86 @@
+"""The result folder: written beside and put in place as a whole, so that there is never half a result."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from imubayes.errors import InputError, Problem
+from imubayes.inference.joint import JointFit
+from imubayes.inference.posterior import posterior_tree
+from imubayes.model.specification import ModelSpec
+from imubayes.report.residuals import Residuals
+
+CHECKPOINT = "checkpoint.h5"
+SUMMARY = "summary.json"
+
+
+def write_result(folder: Path, fit: JointFit, summary: dict[str, Any], residuals: Residuals) -> None:
+    """Write `summary.json`, `posterior.nc`, `residuals.parquet`, `model.toml` and the user's effect files.
+
+    What an earlier fit wrote is replaced; other files of the folder stay.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    beside = folder / f".writing-{os.getpid()}"
+    shutil.rmtree(beside, ignore_errors=True)
+    beside.mkdir()
+    try:
+        (beside / SUMMARY).write_text(json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        residuals.table.write_parquet(beside / "residuals.parquet")
+        (beside / "model.toml").write_text(model_text(fit.model.spec))
+        for file in fit.model.spec.files:
+            shutil.copyfile(file, beside / Path(file).name)
+        if bool(fit.mode.converged):
+            posterior_tree(fit).to_netcdf(str(beside / "posterior.nc"), engine="h5netcdf")
+        else:
+            (folder / "posterior.nc").unlink(missing_ok=True)
+        # The summary comes last: where it stands, the rest stands too.
+        for file in sorted(beside.iterdir(), key=lambda one: one.name == SUMMARY):
+            os.replace(file, folder / file.name)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+
+
+def model_text(spec: ModelSpec) -> str:
+    """Return a model as the text of a model file."""
+    document = tomlkit.document()
+    document["format"] = 1
+    document["name"] = spec.name
+    if spec.files:
+        document["files"] = [Path(file).name for file in spec.files]
+    effects = tomlkit.aot()
+    for one in spec.effects:
+        entry = tomlkit.table()
+        entry["name"] = one.name
+        if one.channels is not None:
+            entry["channels"] = list(one.channels)
+        if one.per is not None:
+            entry["per"] = one.per
+        if one.prior:
+            prior = tomlkit.inline_table()
+            prior.update(one.prior)
+            entry["prior"] = prior
+        for key, value in one.options.items():
+            entry[key] = value
+        effects.append(entry)
+    document["effect"] = effects
+    return tomlkit.dumps(document)
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    """Return the summary of a result folder; raises InputError where there is none or it is damaged."""
+    file = folder / SUMMARY
+    try:
+        return json.loads(file.read_text())
+    except (OSError, ValueError) as error:
+        raise InputError(
+            Problem(
+                "this is not a result folder" if not file.is_file() else f"the summary is damaged ({error})",
+                str(file),
+                "a folder written by `imubayes fit … --out FOLDER`",
+                "correct the path, or run the fit again",
+            )
+        ) from None

@@ -1,0 +1,122 @@
+"""Reading a result folder back, and saying what is wrong with one that cannot be read."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from imubayes.errors import InputError, Problem, closest_first
+
+FORMAT = 1
+_FILES = ("summary.json", "residuals.parquet")
+_KEYS = ("campaign", "model", "converged", "parameters", "derived", "runs", "chi2", "dof")
+_LISTS = {
+    "parameters": ("name", "unit", "mean", "sd", "q025", "q975", "from_data"),
+    "derived": ("name", "unit", "mean", "sd", "q025", "q975", "from_data"),
+    "runs": ("name", "channel", "n", "chi2", "rms", "unit"),
+}
+_COLUMNS = (
+    "run", "procedure", "row", "channel", "kind", "observed", "predicted", "sd", "model_sd", "residual",
+    "output_unit", "input_residual", "input_sd", "input_unit", "whitened",
+)  # fmt: skip
+_AGAIN = "run `imubayes fit` again with this folder as --out"
+
+
+@dataclass(frozen=True)
+class StoredResult:
+    """A result folder as read: the summary, the residuals, and where the posterior is (None without sampling)."""
+
+    folder: Path
+    summary: dict[str, Any]
+    residuals: pl.DataFrame
+    posterior: Path | None
+
+
+def read_stored(folder: str | Path) -> StoredResult:
+    """Read a result folder.
+
+    Raises
+    ------
+    InputError
+        if it is missing, incomplete or damaged; every problem is in it.
+    """
+    folder = Path(folder)
+    missing = _missing(folder)
+    if missing:
+        raise InputError(missing)
+    problems: list[Problem] = []
+    summary = _summary(folder / "summary.json", problems)
+    residuals = _residuals(folder / "residuals.parquet", problems)
+    posterior = folder / "posterior.nc"
+    if summary is not None and summary.get("sampled", True) and not posterior.is_file():
+        problems.append(
+            Problem("the posterior is not there", str(posterior), "posterior.nc, as written by the fit", _AGAIN)
+        )
+    if problems or summary is None or residuals is None:
+        raise InputError(problems)
+    return StoredResult(folder, summary, residuals, posterior if posterior.is_file() else None)
+
+
+def damaged(file: Path, reason: object) -> Problem:
+    """Return the problem of a file that is there but cannot be read."""
+    detail = " ".join(str(reason).split())[:200]
+    return Problem(f"{file.name} cannot be read: {detail}", str(file), "a whole file, as the fit wrote it", _AGAIN)
+
+
+def _missing(folder: Path) -> list[Problem]:
+    allowed = "a result folder with " + ", ".join(_FILES)
+    if not folder.exists():
+        beside = folder.parent if folder.parent.is_dir() else Path()
+        near = sorted(path.parent.name for path in beside.glob("*/summary.json"))
+        listed = f"{allowed}; beside it: {closest_first(folder.name, near)}" if near else allowed
+        return [Problem("there is no such result folder", str(folder), listed, "name the folder given to --out")]
+    if not folder.is_dir():
+        return [Problem("this is a file, not a result folder", str(folder), allowed, "name the folder it lies in")]
+    return [
+        Problem(f"the result folder has no {name}", str(folder / name), allowed, _AGAIN)
+        for name in _FILES
+        if not (folder / name).is_file()
+    ]
+
+
+def _summary(file: Path, problems: list[Problem]) -> dict[str, Any] | None:
+    try:
+        summary = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        problems.append(damaged(file, error))
+        return None
+    if not isinstance(summary, dict) or summary.get("format") != FORMAT:
+        found = summary.get("format") if isinstance(summary, dict) else type(summary).__name__
+        problems.append(Problem(f"format is {found!r}", f"{file}, key format", f"format = {FORMAT}", _AGAIN))
+        return None
+    absent = [key for key in _KEYS if key not in summary]
+    for key, wanted in _LISTS.items():
+        entries = summary.get(key)
+        if key in summary and not (isinstance(entries, list) and all(isinstance(one, dict) for one in entries)):
+            absent.append(f"{key} (a list of objects)")
+        elif entries:
+            absent += [f"{key}[{i}].{name}" for i, one in enumerate(entries) for name in wanted if name not in one][:3]
+    if absent:
+        problems.append(Problem(f"the summary lacks {', '.join(absent)}", str(file), ", ".join(_KEYS), _AGAIN))
+        return None
+    return summary
+
+
+def _residuals(file: Path, problems: list[Problem]) -> pl.DataFrame | None:
+    try:
+        frame = pl.read_parquet(file)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        problems.append(damaged(file, error))
+        return None
+    absent = [name for name in _COLUMNS if name not in frame.columns]
+    if absent:
+        problems.append(
+            Problem(f"the residuals lack the columns {', '.join(absent)}", str(file), ", ".join(_COLUMNS), _AGAIN)
+        )
+        return None
+    if frame.is_empty():
+        problems.append(Problem("the residuals have no rows", str(file), "one row per run, row and channel", _AGAIN))
+        return None
+    return frame

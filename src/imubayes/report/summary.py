@@ -1,0 +1,130 @@
+"""The summary of a fit: every number that is reported, in datasheet units, with what the data contributed to it."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from imubayes.inference.identifiability import (
+    WeakDirection,
+    confusions,
+    effective_parameters,
+    from_data,
+    weak_directions,
+)
+from imubayes.inference.joint import JointFit
+from imubayes.inference.laplace import posterior_precision
+from imubayes.inference.posterior import in_units
+from imubayes.model.likelihood import values_of
+from imubayes.parameters.vector import Parameter
+from imubayes.report.residuals import Residuals
+
+_INTERVAL = (2.5, 97.5)
+
+
+def summarise(fit: JointFit, residuals: Residuals) -> dict[str, Any]:
+    """Return the contents of `summary.json` (see the interface notes in the README)."""
+    model = fit.model
+    precision = np.asarray(posterior_precision(model.problem, fit.mode)) if bool(fit.mode.converged) else None
+    entries = int(np.sum(model.problem.observations.weight))
+    dof = entries - (effective_parameters(precision) if precision is not None else len(model.layout))
+    weak = _weak(fit, precision) if precision is not None else []
+    return {
+        "format": 1,
+        "campaign": model.campaign.name,
+        "model": model.spec.name,
+        "converged": fit.converged,
+        "message": fit.message,
+        "sampled": fit.chains is not None,
+        "interval": "95 % equal-tailed",
+        "uncertainty": "standard deviation of the joint posterior distribution (GUM, type A and B combined)",
+        "acceptance": None if fit.chains is None else fit.chains.acceptance,
+        "parameters": _parameters(fit),
+        "derived": _derived(fit),
+        "runs": residuals.by_run_and_channel(),
+        "chi2": residuals.chi2,
+        "dof": round(dof, 1),
+        "log_evidence": _log_evidence(fit),
+        "weak_directions": [{"combination": one.combination, "from_data": one.from_data} for one in weak],
+        "next_runs": [],
+        "notes": [*model.campaign.notes, *(f"{run.name}: {note}" for run in model.campaign.runs for note in run.notes)],
+        "seconds": {"load": 0.0, "fit": 0.0, "sample": 0.0} | fit.seconds,
+    }
+
+
+def _parameters(fit: JointFit) -> list[dict[str, Any]]:
+    """Return one line per parameter; numbers are null where the fit did not converge."""
+    parameters = fit.model.layout.parameters + fit.model.hyper_layout.parameters
+    values = in_units(fit, fit.points)
+    best = in_units(fit, np.concatenate([fit.mode.z, fit.mode.h])[None])[0]
+    usable = bool(fit.mode.converged)
+    diagnosis = fit.chains.diagnosis if fit.chains is not None else None
+    lines = []
+    for place, parameter in enumerate(parameters):
+        draws = values[:, place]
+        line = {"name": parameter.name, "unit": parameter.unit, **_numbers(draws, usable)}
+        line["nuisance"] = parameter.nuisance
+        line["map"] = float(best[place]) if usable else None
+        prior_sd = parameter.prior_sd
+        line["prior_sd"] = prior_sd if np.isfinite(prior_sd) else None
+        line["from_data"] = _share(parameter, draws, fit.points[:, place]) if usable else None
+        for key in ("r_hat", "ess_bulk", "ess_tail"):
+            line[key] = float(getattr(diagnosis, key)[place]) if diagnosis is not None else None
+        lines.append(line)
+    return lines
+
+
+def _share(parameter: Parameter, draws: np.ndarray, z: np.ndarray) -> float:
+    """Return the share the data contributed; in z where the prior has no standard deviation."""
+    if np.isfinite(parameter.prior_sd):
+        return float(from_data(np.var(draws), np.array(parameter.prior_sd**2)))
+    return float(from_data(np.var(z), np.array(1.0)))
+
+
+def _numbers(draws: np.ndarray, usable: bool) -> dict[str, float | None]:
+    if not usable:
+        return dict.fromkeys(("mean", "sd", "q025", "q975"))
+    low, high = np.percentile(draws, _INTERVAL)
+    return {"mean": float(draws.mean()), "sd": float(draws.std()), "q025": float(low), "q975": float(high)}
+
+
+def _derived(fit: JointFit) -> list[dict[str, Any]]:
+    usable = bool(fit.mode.converged)
+    lines = []
+    for place, name in enumerate(fit.derived.names):
+        draws, prior = fit.derived_draws[:, place], fit.prior_derived[:, place]
+        line = {"name": name.name, "unit": name.unit, **_numbers(draws, usable)}
+        line["prior_sd"] = float(prior.std()) if usable else None
+        line["from_data"] = float(from_data(np.var(draws), np.var(prior))) if usable else None
+        lines.append(line)
+    return lines
+
+
+def _weak(fit: JointFit, precision: np.ndarray) -> list[WeakDirection]:
+    """Return what the data did not determine: pairs of derived quantities first, then combinations of parameters."""
+    model = fit.model
+    gradient = np.asarray(
+        jax.jit(jax.jacfwd(lambda z: fit.derived.derivation(values_of(model.problem, z))))(fit.mode.z)
+    )
+    prior, posterior = gradient @ gradient.T, gradient @ np.linalg.solve(precision, gradient.T)
+    names = [name.name for name in fit.derived.names]
+    pairs = [
+        (i, j)
+        for i, first in enumerate(names)
+        for j, second in enumerate(names)
+        if first.startswith("scale_factor[") and second.startswith(f"mounting_angle[{first[13:-1]},")
+    ]
+    hidden = np.array([parameter.nuisance for parameter in model.layout.parameters])
+    shown = [name for name, hide in zip(model.layout.names, hidden, strict=True) if not hide]
+    found = weak_directions(precision, model.layout.names, hidden)
+    # A combination of nuisance parameters alone, such as the heading of a tumble, is of no interest.
+    named = [one for one in found if any(name in one.combination for name in shown)]
+    return confusions(prior, posterior, names, pairs) + named
+
+
+def _log_evidence(fit: JointFit) -> float | None:
+    """Return the Laplace estimate of log p(y), h integrated out as well."""
+    if not bool(fit.mode.converged):
+        return None
+    _, log_determinant = np.linalg.slogdet(np.asarray(fit.mode.marginal.information))
+    return float(fit.mode.marginal.value + 0.5 * len(fit.mode.h) * np.log(2 * np.pi) - 0.5 * log_determinant)

@@ -1,0 +1,22 @@
+"""Tests run strict: double precision, no silent promotion of rank or type, shapes and types checked at every call."""
+
+from pathlib import Path
+
+import jax
+from jaxtyping import install_import_hook
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+# Everything compiled is kept, so that only the first run of the tests pays for it.
+jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parents[1] / ".cache" / "jax-tests"))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+# The hook must stand before the first import of the package, which test modules make after this file.
+install_import_hook("imubayes", "strict_types.checked")
+
+
+def pytest_configure(config):
+    # Two test processes share the cache: an entry that is still being written is compiled again.
+    config.addinivalue_line("filterwarnings", "ignore:Error (reading|writing) persistent compilation cache:UserWarning")

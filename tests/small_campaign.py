@@ -1,0 +1,192 @@
+"""A small campaign that shows every effect: two tables, two mountings, a ramp and an injection, outputs by the model.
+
+Made of records, not of files: these tests are about the floors below the reader.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from imubayes.earth import normal_gravity
+from imubayes.effects.base import Effect
+from imubayes.model.declaration import Model, declare
+from imubayes.model.likelihood import predict
+from imubayes.model.registry import Registry
+from imubayes.model.specification import EffectSpec, ModelSpec
+from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table, Tumble
+
+LATITUDE, HEIGHT = np.radians(34.25), 400.0
+GRAVITY = normal_gravity(LATITUDE, HEIGHT)
+DEGREE, ARCSEC = np.pi / 180, np.pi / 648000
+GYRO_SCALE, ACCEL_SCALE = 1000.0 / DEGREE, 2000.0 / GRAVITY  # pulse/s per rad/s and per m/s²
+
+
+def _axes(first: int) -> np.ndarray:
+    return np.eye(3)[[first, (first + 1) % 3, (first + 2) % 3]]
+
+
+def channels() -> tuple[Channel, ...]:
+    gyros = [
+        Channel(f"g{axis}", "gyro", _axes(i), "pulse/s", 1000.0, "deg/s", GYRO_SCALE, offset=3.0 * i, noise=0.5)
+        for i, axis in enumerate("xyz")
+    ]
+    accels = [
+        Channel(
+            f"a{axis}", "accelerometer", _axes(i), "pulse/s", 2000.0, "g", ACCEL_SCALE,
+            noise=0.05, current_per_acceleration=1.2e-3 / GRAVITY,
+        )
+        for i, axis in enumerate("xyz")
+    ]  # fmt: skip
+    return (*gyros, *accels)
+
+
+def _run(name: str, procedure: str, table: str | None, mounting: str | None, rows: int, **columns) -> Run:
+    zero = np.zeros(rows)
+    covariates = {"table_rate": zero, "table_angle": zero, "table_angle_span": zero, **columns}
+    filled = {key: np.broadcast_to(np.asarray(value, dtype=float), (rows,)).copy() for key, value in covariates.items()}
+    shape = (rows, 6)
+    return Run(
+        name, procedure, table, mounting, filled, np.zeros(shape), np.full(rows, 100), np.full(shape, np.nan)
+    )
+
+
+def _rate(name: str, mounting: str, temperature: float) -> Run:
+    rates = np.array([0, 100, -100, 20, -20, 0]) * DEGREE
+    angle = np.where(rates != 0, np.nan, 0.0)
+    span = np.where(rates != 0, 2 * np.pi, 0.0)
+    return _run(
+        name, "rate_table", "rate", mounting, 6,
+        table_rate=rates, table_angle=angle, table_angle_span=span,
+        temperature=temperature, converter_temperature=temperature + 5,
+    )  # fmt: skip
+
+
+def _head(name: str, mounting: str, temperature: float) -> Run:
+    angle = np.arange(8) * np.pi / 4 + 0.1
+    return _run(
+        name, "dividing_head", "head", mounting, 8,
+        table_angle=angle, temperature=temperature, converter_temperature=temperature - 3,
+    )  # fmt: skip
+
+
+def campaign() -> Campaign:
+    """Return the campaign without outputs."""
+    root = np.sqrt
+    azimuth = np.arange(3) * 2 * np.pi / 3
+    pyramid = np.array([root(2 / 3) * np.cos(azimuth), root(2 / 3) * np.sin(azimuth), np.full(3, 1 / root(3))])
+    runs = [
+        _rate("rate-flat", "flat", 25.0),
+        _rate("rate-pyramid", "pyramid", 35.0),
+        _rate("rate-x-up", "x-up", 20.0),
+        *(_head(f"head-{seat}-{t}", seat, float(t)) for seat in ("flat", "x-up", "pyramid") for t in (20, 45)),
+        _run(
+            "ramp", "thermal_ramp", "head", "flat", 6,
+            table_angle=0.4, temperature=30.0, converter_temperature=np.linspace(20, 55, 6), time=np.arange(6) * 600.0,
+        ),
+        _injection("inject", 12.0),
+        _injection("inject-low", 2.0),
+    ]  # fmt: skip
+    x_up = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    return Campaign(
+        "small",
+        Site(LATITUDE, HEIGHT, GRAVITY),
+        channels(),
+        {
+            "rate": Table("rate", 0.0, np.pi / 2, 20 * ARCSEC, 5e-6, ARCSEC),
+            "head": Table("head", 0.3, 0.0, 20 * ARCSEC, 5e-6, ARCSEC),
+        },
+        {
+            "flat": Mounting("flat", np.eye(3), 300 * ARCSEC),
+            "pyramid": Mounting("pyramid", pyramid, 300 * ARCSEC),
+            "x-up": Mounting("x-up", x_up, 300 * ARCSEC),
+        },
+        tuple(runs),
+    )
+
+
+def _injection(name: str, multiple: float) -> Run:
+    run = _run(
+        name, "current_injection", None, None, 4,
+        current=multiple * 1.2e-3, converter_temperature=np.linspace(20, 50, 4),
+    )  # fmt: skip
+    observed = run.observed.copy()
+    observed[:, :3] = np.nan  # a current goes into accelerometer channels alone
+    return replace(run, observed=observed)
+
+
+def tumble_campaign() -> Campaign:
+    """Return a free tumble of five poses with the turns between them, without outputs."""
+    poses = [(0.0, 0.0, 0.0), (1.5, 0.0, 0.0), (0.0, 1.5, 0.0), (0.0, -1.5, 0.3), (3.0, 0.0, 0.0)]
+    attitude = np.stack([_rotation(np.array(pose)) for pose in poses])
+    steps, transitions = 6, len(poses) - 1
+    step = np.full((transitions, steps), 0.25)
+    step[1, 5] = 0.0  # a shorter transition, padded
+    readings = np.zeros((transitions, steps, 6))
+    for k in range(transitions):
+        turn = _vector(attitude[k].T @ attitude[k + 1])
+        rate = turn / step[k].sum()
+        readings[k, :, :3] = rate * GYRO_SCALE + np.array([0.0, 3.0, 6.0])
+        readings[k, :, 3:] = attitude[k][2] * GRAVITY * ACCEL_SCALE
+    tumble = Tumble(
+        np.arange(len(poses)), attitude, np.arange(transitions), np.arange(1, transitions + 1), step, readings,
+        np.zeros((transitions, steps, 3)), np.zeros(len(poses), dtype=bool),
+    )  # fmt: skip
+    rows = len(poses)
+    run = Run(
+        "tumble", "free_tumble", None, None, {"time": np.arange(rows) * 30.0, "temperature": np.full(rows, 25.0)},
+        np.zeros((rows, 6)), np.full(rows, 100), np.full((rows, 6), np.nan), tumble=tumble,
+    )  # fmt: skip
+    return Campaign("tumble", Site(LATITUDE, HEIGHT, GRAVITY), channels(), {}, {}, (run,))
+
+
+def _rotation(vector: np.ndarray) -> np.ndarray:
+    angle = float(np.linalg.norm(vector))
+    if angle == 0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * skew + (1 - np.cos(angle)) * skew @ skew
+
+
+def _vector(matrix: np.ndarray) -> np.ndarray:
+    angle = np.arccos(np.clip((np.trace(matrix) - 1) / 2, -1, 1))
+    skew = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])
+    return skew * (0.5 if angle == 0 else angle / (2 * np.sin(angle)))
+
+
+def spec(*names: str, noise: tuple[str, ...] = ("white_noise",)) -> ModelSpec:
+    """Return a model of the named effects and white noise."""
+    return ModelSpec("small", tuple(EffectSpec(name, where=f"model: {name}") for name in (*names, *noise)))
+
+
+def table_effects() -> tuple[str, ...]:
+    """Return the names of all effects that a campaign on tables can show together."""
+    return tuple(
+        name
+        for name, member in Registry().members.items()
+        if issubclass(member, Effect) and "pose" not in member.per and name != "tumble_heading"
+    )
+
+
+def simulated(model: Model, z: np.ndarray, seed: int) -> Campaign:
+    """Return the model's campaign with outputs at z and white noise as its channels state."""
+    rng = np.random.default_rng(seed)
+    predicted = np.asarray(predict(model.problem, z))
+    entries, runs = model.entries, [replace(r, observed=r.observed.copy()) for r in model.campaign.runs]
+    noise = np.array([channel.noise for channel in model.campaign.channels])
+    for value, run, row, channel, samples, closing in zip(
+        predicted, entries.run, entries.row, entries.channel, entries.samples, entries.closing, strict=True
+    ):
+        if not closing:
+            runs[run].observed[row, channel] = value + noise[channel] / np.sqrt(samples) * rng.standard_normal()
+    return replace(model.campaign, runs=tuple(runs))
+
+
+@cache
+def full_model() -> Model:
+    """Return all effects of a campaign on tables in one model."""
+    chosen = tuple(name for name in table_effects() if not name.endswith("_run_bias"))
+    return declare(spec(*chosen, noise=("white_noise", "run_scatter")), campaign())
+
+
