@@ -15,10 +15,11 @@ from imubayes.inference.posterior import posterior_tree
 from imubayes.inference.sample import Settings
 from imubayes.model.declaration import declare
 from imubayes.model.specification import EffectSpec, ModelSpec
+from imubayes.procedures import PROCEDURES
 from imubayes.report.folder import CHECKPOINT, write_result
+from imubayes.report.html import summary_html
 from imubayes.report.residuals import Residuals, residuals_of
 from imubayes.report.summary import summarise
-from imubayes.report.html import summary_html
 from imubayes.report.terminal import summary_text
 from imubayes.run import Campaign
 
@@ -76,7 +77,8 @@ def specification(file: ModelFile, path: Path) -> ModelSpec:
             channels=tuple(entry.channels) if entry.channels is not None else None,
             per=entry.per,
             prior=dict(entry.prior),
-            options=dict(entry.model_extra or {}),
+            options={key: value for key, value in (entry.model_extra or {}).items() if key != "optional"},
+            optional=bool((entry.model_extra or {}).get("optional", False)),
             where=f"{path}: effect {place + 1} ({entry.name})",
         )
         for place, entry in enumerate(file.effect)
@@ -115,7 +117,7 @@ def fit(
         for anything that cannot be used; nothing is written then.
     """
     clock = time.perf_counter()
-    campaign = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
+    campaign = campaign if isinstance(campaign, Campaign) else load_campaign(campaign, tuple(PROCEDURES))
     model = model if isinstance(model, ModelSpec) else load_model(model)
     declared = declare(model, campaign)
     load_seconds = time.perf_counter() - clock

@@ -120,7 +120,8 @@ class Stimulus:
     def supplies(self) -> frozenset[str]:
         """Names of what this run lets an effect see."""
         seen = set(self.ambient)
-        if np.any(self.table_rate != 0):
+        # Between the poses of a free tumble the unit is turned by hand.
+        if np.any(self.table_rate != 0) or np.any(self.pose >= 0):
             seen.add("turning")
         if self.injected:
             seen.add("injection")

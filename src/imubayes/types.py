@@ -5,8 +5,13 @@ values), C channels of one kind, E entries (rows × channels that were measured)
 H hyperparameters (noise scales, in z).
 """
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+# What is NumPy when a model is declared is a JAX array when it is computed with.
+Array = jax.Array | np.ndarray
 
 Scalar = Float[Array, ""]
 Vector3 = Float[Array, "3"]

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
-from conftest import MODEL, write_csv
+from small_files import MODEL, write_csv
 
 from imubayes.campaign import load_campaign, read_model_file
 from imubayes.errors import InputError, Problem
@@ -100,7 +100,7 @@ HEADER = 1
 
 # name → how it is spoilt, what the message must say, where it must point, what it must offer
 CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
-    "no campaign file": (remove("campaign.toml"), "no file 'campaign.toml'", "campaign.toml", "TOML"),
+    "no campaign file": (remove("campaign.toml"), "no file 'campaign.toml'", "campaign.toml", "a folder with campaign.toml"),
     "broken toml": (toml("height_m = 100.0", "height_m = = 1"), "not valid TOML", r"campaign\.toml:6", "key = value"),
     "key twice": (toml("height_m = 100.0", "height_m = 1.0\nheight_m = 2.0"), "not valid TOML", r"campaign\.toml:7", "key"),
     "not utf-8": (lambda f: (f / "campaign.toml").write_bytes(b"name = \xff"), "not UTF-8", "campaign.toml", "UTF-8"),
@@ -201,6 +201,7 @@ MODELS: dict[str, tuple[str, str, str, str, str]] = {
     "model: empty channels": ('["gx", "gz"]', "[]", "channels", r"m\.toml:6, effect\[0\]\.channels", ""),
     "model: channel twice": ('["gx", "gz"]', '["gx", "gx"]', "twice", r"m\.toml:6, effect\[0\]\.channels", ""),
     "model: prior is a number": ('"normal(0, 2000 ppm)"', "2000", "prior", r"m\.toml:8, effect\[0\]\.prior", ""),
+    "model: missing file": ('name = "small"', 'name = "small"\nfiles = ["own.py"]', "'own.py' does not exist", r"m\.toml:3, files", "Python file"),
     "model: option is a table": ("reference_degC = 25.0", "reference_degC = [25.0]", "finite number", r"m\.toml:12, effect\[1\]", ""),
     "model: option not finite": ("reference_degC = 25.0", "reference_degC = nan", "finite", r"m\.toml:12, effect\[1\]", ""),
 }  # fmt: skip
@@ -237,6 +238,15 @@ def test_model_file(name: str, tmp_path: Path) -> None:
     expect(caught.value.problems, what, where, allowed)
 
 
+def test_no_such_campaign(small: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        load_campaign(small.parent / "smell")
+    expect(caught.value.problems, "no folder", "smell", "small")
+    with pytest.raises(InputError) as caught:
+        load_campaign(small.parent)
+    expect(caught.value.problems, "no file", "campaign.toml", "small")
+
+
 def test_model_file_missing(tmp_path: Path) -> None:
     (tmp_path / "base.toml").write_text(MODEL)
     with pytest.raises(InputError) as caught:
@@ -258,6 +268,30 @@ def test_files_and_references_at_once(small: Path) -> None:
     with pytest.raises(InputError) as caught:
         load_campaign(small)
     assert len(caught.value.problems) == 4
+
+
+def test_structure_and_data_at_once(small: Path) -> None:
+    for name in ("unknown key", "unknown kind", "singular mounting", "unknown table", "not a number", "kelvin"):
+        CAMPAIGNS[name][0](small)
+    with pytest.raises(InputError) as caught:
+        load_campaign(small)
+    assert len(caught.value.problems) == 6
+
+
+def test_injected_current_in_amperes(small: Path) -> None:
+    swap("campaign.toml", 'per = "g"', 'per = "g"\ncurrent_mA_per_g = 1.2')(small)
+    swap("campaign.toml", 'procedure = "thermal_ramp"', 'procedure = "current_injection"')(small)
+    table = pq.read_table(small / "runs/ramp.parquet")
+    for current, fine in ((14.4, True), (0.0144, False)):
+        columns = {"current_mA": np.full(table.num_rows, current), "ax": 240000.0 + np.arange(table.num_rows) % 7}
+        kept = {name: table.column(name) for name in ("time_s", "converter_temperature_degC")}
+        pq.write_table(pa.table(kept | columns), small / "runs/ramp.parquet")
+        if fine:
+            run = load_campaign(small).runs[2]
+            assert run.covariates["current"][0] == pytest.approx(0.0144)
+        else:
+            with pytest.raises(InputError, match="current_unit"):
+                load_campaign(small)
 
 
 def test_enough_of_them() -> None:

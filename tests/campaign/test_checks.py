@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.csv as pacsv
 import pytest
-from conftest import DEGREE, EARTH, GRAVITY, write_csv
+from small_files import DEGREE, EARTH, GRAVITY, write_csv
 
 from imubayes.campaign import FINDINGS, check_campaign, inspect_campaign, load_campaign
 from imubayes.campaign.nominal import nominal_input

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_tumble import NAMES, tumble_log
+from tumble_files import NAMES, tumble_log
 
 from imubayes.campaign import load_campaign
 from imubayes.campaign.convert import convert, write_campaign

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
-from conftest import DEGREE, GRAVITY, MODEL
+from small_files import DEGREE, GRAVITY, MODEL
 
 from imubayes.campaign import (
     PROCEDURE_NAMES,

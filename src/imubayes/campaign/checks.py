@@ -208,11 +208,20 @@ def _turns(run: Run, where: str) -> list[Finding]:
 
 
 def _check_current(run: Run, channels: Sequence[Channel], where: str) -> list[Finding]:
+    """Compare each channel that can be driven by current with what the current stands for."""
     found = []
     for index, channel in enumerate(channels):
-        if channel.current_per_acceleration and "current" in run.covariates:
-            stimulus = run.covariates["current"] / channel.current_per_acceleration
-            slope = _slope(channel, stimulus, (run.observed[:, index] - channel.offset) / channel.scale_si)
-            if math.isfinite(slope):
-                found += slope_findings(run.name, channel, slope, where)
+        if not channel.current_per_acceleration or "current" not in run.covariates:
+            continue
+        stimulus = run.covariates["current"] / channel.current_per_acceleration
+        measured = (run.observed[:, index] - channel.offset) / channel.scale_si
+        good = np.isfinite(measured) & (stimulus != 0)
+        ratio = float(np.median(measured[good] / stimulus[good])) if good.any() else 1.0
+        if _is_factor(ratio, 1000.0):
+            what = f"channel '{channel.name}' answers the current {ratio:.4g} times as much as it should: A for mA?"
+            place = f"{where}, column 'current_mA'"
+            remedy = "convert the column to mA, or correct current_mA_per_g"
+            found.append(Finding("current_unit", "error", run.name, what, place, "milliamperes", remedy))
+        else:
+            found += slope_findings(run.name, channel, ratio, where)
     return found

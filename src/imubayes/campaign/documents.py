@@ -52,13 +52,22 @@ def spell(path: KeyPath) -> str:
     return text
 
 
-def read_document[Record: BaseModel](file: Path, record: type[Record]) -> tuple[Record, Ledger]:
-    """Read and validate one TOML file.
+@dataclass(frozen=True)
+class Document[Record: BaseModel]:
+    """One TOML file as read: its content, the validated record where it is sound, and what was found."""
+
+    content: dict[str, Any]
+    entry: Record | None
+    ledger: Ledger
+
+
+def read_document[Record: BaseModel](file: Path, record: type[Record]) -> Document[Record]:
+    """Read and validate one TOML file; faults of structure go to the ledger.
 
     Raises
     ------
     InputError
-        with all problems of structure.
+        where the file cannot be read or is not TOML.
     """
     text = _text(file)
     try:
@@ -71,8 +80,8 @@ def read_document[Record: BaseModel](file: Path, record: type[Record]) -> tuple[
     except ValidationError as error:
         for fault in error.errors(include_url=False):
             _note_fault(ledger, record, content, fault)
-        raise InputError(ledger.problems) from None
-    return entry, ledger
+        return Document(content, None, ledger)
+    return Document(content, entry, ledger)
 
 
 def _text(file: Path) -> str:

@@ -5,7 +5,7 @@ a mounting must be a rotation, a name must be given once.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -28,16 +28,16 @@ def build_site(entry: SiteEntry) -> Site:
     return Site(latitude, entry.height_m, normal_gravity(latitude, entry.height_m) if gravity is None else gravity)
 
 
-def build_channels(entries: Sequence[ChannelEntry], gravity: float, ledger: Ledger) -> tuple[Channel, ...]:
+def build_channels(entries: Mapping[int, ChannelEntry], gravity: float, ledger: Ledger) -> tuple[Channel, ...]:
     """Return the channels in SI with complete axes; faults go to the ledger."""
-    refuse_repeats([entry.name for entry in entries], "channel", ledger)
-    channels = [_channel(entry, ("channel", index), gravity, ledger) for index, entry in enumerate(entries)]
+    refuse_repeats({index: entry.name for index, entry in entries.items()}, "channel", ledger)
+    channels = [_channel(entry, ("channel", index), gravity, ledger) for index, entry in entries.items()]
     return tuple(channel for channel in channels if channel is not None)
 
 
-def build_tables(entries: Sequence[TableEntry], ledger: Ledger) -> dict[str, Table]:
+def build_tables(entries: Mapping[int, TableEntry], ledger: Ledger) -> dict[str, Table]:
     """Return the tables in SI, by name."""
-    refuse_repeats([entry.name for entry in entries], "table", ledger)
+    refuse_repeats({index: entry.name for index, entry in entries.items()}, "table", ledger)
     return {
         entry.name: Table(
             entry.name,
@@ -47,15 +47,15 @@ def build_tables(entries: Sequence[TableEntry], ledger: Ledger) -> dict[str, Tab
             _times(entry.rate_uncertainty_ppm, PPM),
             _times(entry.angle_uncertainty_arcsec, ARCSEC),
         )
-        for entry in entries
+        for entry in entries.values()
     }
 
 
-def build_mountings(entries: Sequence[MountingEntry], ledger: Ledger) -> dict[str, Mounting]:
+def build_mountings(entries: Mapping[int, MountingEntry], ledger: Ledger) -> dict[str, Mounting]:
     """Return the mountings in SI, by name; a matrix that is no rotation goes to the ledger."""
-    refuse_repeats([entry.name for entry in entries], "mounting", ledger)
+    refuse_repeats({index: entry.name for index, entry in entries.items()}, "mounting", ledger)
     mountings = {}
-    for index, entry in enumerate(entries):
+    for index, entry in entries.items():
         matrix = np.array(entry.body_to_table) if entry.body_to_table else PRESETS[str(entry.preset)]
         path = ("mounting", index, "body_to_table")
         if fault := _not_a_rotation(matrix):
@@ -72,10 +72,10 @@ def build_mountings(entries: Sequence[MountingEntry], ledger: Ledger) -> dict[st
     return mountings
 
 
-def refuse_repeats(names: Iterable[str], section: str, ledger: Ledger) -> None:
+def refuse_repeats(names: Mapping[int, str], section: str, ledger: Ledger) -> None:
     """Note every name of a section that was given before."""
     first: dict[str, int] = {}
-    for index, name in enumerate(names):
+    for index, name in names.items():
         if name in first:
             ledger.add(
                 f"the {section} name '{name}' is given twice",

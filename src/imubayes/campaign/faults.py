@@ -60,6 +60,6 @@ def _line_faults(cells: list[str], wanted: list[tuple[int, str]], layout: Layout
 
 def _is_number(cell: str) -> bool:
     try:
-        return not cell.strip() or float(cell) is not None
+        return not cell or (float(cell) is not None and "_" not in cell)
     except ValueError:
         return False

@@ -23,6 +23,7 @@ FINDINGS: dict[str, str] = {
     "rate_unit": "the rate column or the gyro is in another unit of rate",
     "angle_in_radians": "the angle column is in radians",
     "kelvin_temperature": "the temperature is in kelvin",
+    "current_unit": "the injected current is in another unit",
     "acceleration_unit": "the accelerometer is in m/s² where g is meant, or the other way round",
     "scale_far_from_nominal": "the output moves with the input by a factor far from the nominal scale",
     "sign_reversed": "the output moves against the input",

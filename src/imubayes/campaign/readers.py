@@ -14,12 +14,14 @@ import numpy as np
 
 from imubayes.campaign.columns import KNOWN_COLUMNS, NEEDS_TABLE
 from imubayes.campaign.documents import Ledger, read_document
+from imubayes.campaign.draft import Draft, draft_of
 from imubayes.campaign.equipment import build_channels, build_mountings, build_site, build_tables, refuse_repeats
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.load_run import Equipment, Loaded, load_run
 from imubayes.campaign.schema import PROCEDURE_NAMES, CampaignFile, ModelFile, RunEntry
 from imubayes.errors import InputError, Problem, closest_first
-from imubayes.run import Campaign, Channel, Run
+from imubayes.run import Campaign, Channel, Run, Site
+from imubayes.units import STANDARD_GRAVITY
 
 CAMPAIGN_FILE = "campaign.toml"
 TABLE_FILES = ("*.csv", "*.parquet", "*/*.csv", "*/*.parquet")
@@ -69,38 +71,24 @@ def inspect_campaign(path: str | Path, procedures: Collection[str] = PROCEDURE_N
     """Read a campaign folder and return what is there and what is wrong; never raises for bad input."""
     file = Path(path)
     file = file if file.suffix == ".toml" else file / CAMPAIGN_FILE
+    if not file.exists():
+        return Inspection(None, (_no_campaign(file),), ())
     try:
-        entry, ledger = read_document(file, CampaignFile)
+        document = read_document(file, CampaignFile)
     except InputError as error:
         return Inspection(None, error.problems, ())
-    site = build_site(entry.site)
-    channels = build_channels(entry.channel, site.gravity, ledger)
-    tables = build_tables(entry.table, ledger)
-    mountings = build_mountings(entry.mounting, ledger)
-    _check_channel_names(entry, ledger)
-    _check_runs(entry, procedures, ledger)
-    equipment = None if ledger.problems else Equipment(site, channels, tables, mountings)
-    names = [channel.name for channel in entry.channel]
-    loaded = [_load(file.parent / run.file, run, names, equipment) for run in entry.run]
+    draft, ledger = draft_of(document.content), document.ledger
+    equipment = _equipment(draft, ledger)
+    _check_channel_names(draft, ledger)
+    _check_runs(draft, procedures, ledger)
+    judge = None if ledger.problems else equipment
+    loaded = [_load(file.parent / run.file, run, draft.names["channel"], judge) for run in draft.runs.values()]
     findings = tuple(finding for one in loaded for finding in one.findings)
     problems = [*ledger.problems, *(problem for one in loaded for problem in one.problems)]
     problems += [finding.problem() for finding in findings if finding.severity == "error"]
-    if problems:
+    if problems or document.entry is None:
         return Inspection(None, tuple(problems), findings)
-    runs = tuple(one.run for one in loaded if one.run is not None)
-    channels, said = _fill_noise(channels, runs)
-    campaign = Campaign(
-        entry.name,
-        site,
-        channels,
-        tables,
-        mountings,
-        runs,
-        entry.unit.serial,
-        _digest([file, *(file.parent / run.file for run in entry.run)]),
-        (*entry.notes, *said, *(str(finding) for finding in findings)),
-    )
-    return Inspection(campaign, (), findings)
+    return Inspection(_campaign(document.entry, equipment, loaded, findings, file), (), findings)
 
 
 def read_model_file(path: str | Path) -> ModelFile:
@@ -111,7 +99,56 @@ def read_model_file(path: str | Path) -> ModelFile:
     InputError
         with every problem of structure.
     """
-    return read_document(Path(path), ModelFile)[0]
+    document = read_document(Path(path), ModelFile)
+    folder = Path(path).parent
+    for index, name in enumerate(document.entry.files if document.entry else ()):
+        if not (folder / name).is_file():
+            near = closest_first(name, [file.name for file in folder.glob("*.py")])
+            allowed = near or "a Python file beside the model file"
+            document.ledger.add(f"the file '{name}' does not exist", ("files", index), allowed, "correct the path")
+    document.ledger.stop_if_any()
+    assert document.entry is not None
+    return document.entry
+
+
+def _no_campaign(file: Path) -> Problem:
+    folder = file.parent
+    near = [*folder.glob(f"*/{CAMPAIGN_FILE}"), *folder.parent.glob(f"*/{CAMPAIGN_FILE}")]
+    names = [str(path.parent) for path in sorted(near)]
+    return Problem(
+        f"there is no file '{file.name}' in {folder}" if folder.is_dir() else f"there is no folder '{folder}'",
+        str(file),
+        closest_first(str(folder), names) or f"a folder with {CAMPAIGN_FILE}",
+        "give the path of a campaign folder",
+    )
+
+
+def _equipment(draft: Draft, ledger: Ledger) -> Equipment:
+    site = Site(0.0, 0.0, STANDARD_GRAVITY) if draft.site is None else build_site(draft.site)
+    return Equipment(
+        site,
+        build_channels(draft.channels, site.gravity, ledger),
+        build_tables(draft.tables, ledger),
+        build_mountings(draft.mountings, ledger),
+    )
+
+
+def _campaign(
+    entry: CampaignFile, equipment: Equipment, loaded: Sequence[Loaded], findings: Sequence[Finding], file: Path
+) -> Campaign:
+    runs = tuple(one.run for one in loaded if one.run is not None)
+    channels, said = _fill_noise(equipment.channels, runs)
+    return Campaign(
+        entry.name,
+        equipment.site,
+        channels,
+        equipment.tables,
+        equipment.mountings,
+        runs,
+        entry.unit.serial,
+        _digest([file, *(file.parent / run.file for run in entry.run)]),
+        (*entry.notes, *said, *(str(finding) for finding in findings)),
+    )
 
 
 def _load(file: Path, entry: RunEntry, names: Sequence[str], equipment: Equipment | None) -> Loaded:
@@ -119,9 +156,9 @@ def _load(file: Path, entry: RunEntry, names: Sequence[str], equipment: Equipmen
     return load_run(file, entry, names, equipment) if file.is_file() else Loaded()
 
 
-def _check_channel_names(entry: CampaignFile, ledger: Ledger) -> None:
-    taken = {*KNOWN_COLUMNS, *(f"{channel.name}_sd" for channel in entry.channel)}
-    for index, channel in enumerate(entry.channel):
+def _check_channel_names(draft: Draft, ledger: Ledger) -> None:
+    taken = {*KNOWN_COLUMNS, *(f"{name}_sd" for name in draft.names["channel"])}
+    for index, channel in draft.channels.items():
         if channel.name in taken:
             ledger.add(
                 f"the channel name '{channel.name}' already means something else in a run table",
@@ -131,10 +168,9 @@ def _check_channel_names(entry: CampaignFile, ledger: Ledger) -> None:
             )
 
 
-def _check_runs(entry: CampaignFile, procedures: Collection[str], ledger: Ledger) -> None:
-    refuse_repeats([run.name for run in entry.run], "run", ledger)
-    tables, mountings = [t.name for t in entry.table], [m.name for m in entry.mounting]
-    for index, run in enumerate(entry.run):
+def _check_runs(draft: Draft, procedures: Collection[str], ledger: Ledger) -> None:
+    refuse_repeats({index: run.name for index, run in draft.runs.items()}, "run", ledger)
+    for index, run in draft.runs.items():
         if run.procedure not in procedures:
             ledger.add(
                 f"procedure '{run.procedure}' of run '{run.name}' is not known",
@@ -142,16 +178,14 @@ def _check_runs(entry: CampaignFile, procedures: Collection[str], ledger: Ledger
                 closest_first(run.procedure, procedures, most=len(procedures)),
                 "use one of the allowed procedures",
             )
-        _check_reference(run, index, "table", run.table, tables, ledger)
-        _check_reference(run, index, "mounting", run.mounting, mountings, ledger)
+        _check_reference(run, index, "table", run.table, draft.names["table"], ledger)
+        _check_reference(run, index, "mounting", run.mounting, draft.names["mounting"], ledger)
         _check_file(run, index, ledger)
-    if any(run.procedure == "current_injection" for run in entry.run) and not any(
-        channel.current_mA_per_g for channel in entry.channel
-    ):
-        index = next(i for i, run in enumerate(entry.run) if run.procedure == "current_injection")
+    injected = [index for index, run in draft.runs.items() if run.procedure == "current_injection"]
+    if injected and not any(channel.current_mA_per_g for channel in draft.channels.values()):
         ledger.add(
             "a current is injected, and no channel says what its current stands for",
-            ("run", index, "procedure"),
+            ("run", injected[0], "procedure"),
             "current_mA_per_g = … in a [[channel]]",
             "add current_mA_per_g to the channel under test",
         )

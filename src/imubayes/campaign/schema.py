@@ -155,10 +155,11 @@ class EffectEntry(BaseModel):
 
 
 class ModelFile(_Entry):
-    """A model: the list of effects that are taken to act."""
+    """A model: the list of effects that are taken to act; `files` are Python sources of the user's own effects."""
 
     format: Literal[1]
     name: Name
+    files: list[str] = []
     effect: list[EffectEntry] = Field(min_length=1)
 
 

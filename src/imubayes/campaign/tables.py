@@ -90,6 +90,8 @@ def read_header(file: Path) -> tuple[str, ...]:
             line = stream.readline().rstrip("\r\n")
     except UnicodeDecodeError:
         raise InputError(_unreadable(file, "it is not UTF-8 text")) from None
+    except OSError as error:
+        raise InputError(_unreadable(file, str(error.strerror or error))) from None
     if not line.strip():
         raise InputError(
             Problem(
@@ -150,6 +152,8 @@ def _csv_batches(file: Path, layout: Layout, columns: list[str]) -> Iterator[pa.
         )
         with reader:
             yield from reader
+    except OSError as error:
+        raise InputError(_unreadable(file, str(error.strerror or error))) from None
     except pa.ArrowInvalid as error:
         if "Empty CSV" in str(error):
             return

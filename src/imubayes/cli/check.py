@@ -24,7 +24,7 @@ def check(campaign: Path, *, model: Path | None = None, json_output: bool = Fals
 
     inspection = inspect_campaign(campaign)
     declared = None
-    if model is not None:
+    if model is not None and inspection.campaign is not None:
         from imubayes.cli.session import start_jax
 
         start_jax()

@@ -15,9 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.effects.base import Effect, Stage
 from imubayes.inference.joint import JointFit
 from imubayes.inference.precision import knowledge, linearise
-from imubayes.model.declaration import declare
+from imubayes.model.declaration import Model, declare
 from imubayes.model.derived import derive
 from imubayes.model.likelihood import values_of
 from imubayes.run import Campaign, Mounting, Run, Table
@@ -33,6 +34,9 @@ _STANDARD = {
     "z-up": np.eye(3),
 }
 _MOST_LISTED = 6
+# A run that leaves more than this share of a standard deviation is not worth naming.
+_USEFUL = 0.9
+_INJECTED_G, _RAMP = 10.0, (15.0, 45.0)
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,42 @@ def candidates(campaign: Campaign) -> tuple[Campaign, list[Candidate]]:
             run, sentence = _planned(campaign, table, mounting)
             again = "another run: " if (table.name, mounting.name) in used else ""
             found.append(Candidate(again + sentence, run))
+    found.extend(_injections(campaign))
     return extended, found
+
+
+def _injections(campaign: Campaign) -> list[Candidate]:
+    """Return a run with injected current over a converter ramp, where the sensors have a current output."""
+    currents = [c.current_per_acceleration for c in campaign.channels if c.current_per_acceleration]
+    if not currents or not any("converter_temperature" in run.covariates for run in campaign.runs):
+        return []
+    current = _INJECTED_G * campaign.site.gravity * currents[0]
+    count = _HEAD_POSITIONS
+    still = np.zeros(count)
+    covariates = {
+        "time": 600.0 * np.arange(count),
+        "table_rate": still,
+        "table_angle": still,
+        "table_angle_span": still,
+        "converter_temperature": np.linspace(*_RAMP, count),
+        "current": np.full(count, current),
+    }
+    run = _empty_run(campaign, "candidate injection", "current_injection", None, None, covariates)
+    sentence = f"current_injection of {current * 1e3:.3g} mA ({_INJECTED_G:g} g) over a converter ramp of "
+    return [Candidate(sentence + f"{_RAMP[1] - _RAMP[0]:g} degC", run)]
+
+
+def _empty_run(
+    campaign: Campaign, name: str, procedure: str, table: str | None, mounting: str | None, covariates: dict
+) -> Run:
+    """Return a run whose readings are yet to be made."""
+    count = len(covariates["time"])
+    samples = float(np.median(np.concatenate([run.samples for run in campaign.runs])))
+    known = np.array([procedure != "current_injection" or bool(c.current_per_acceleration) for c in campaign.channels])
+    observed = np.where(known, np.zeros((count, len(known))), np.nan)
+    return Run(
+        name, procedure, table, mounting, covariates, observed, np.full(count, samples), np.full_like(observed, np.nan)
+    )
 
 
 def _planned(campaign: Campaign, table: Table, mounting: Mounting) -> tuple[Run, str]:
@@ -80,13 +119,9 @@ def _planned(campaign: Campaign, table: Table, mounting: Mounting) -> tuple[Run,
         known = [run.covariates[name].mean() for run in campaign.runs if name in run.covariates]
         if known:
             covariates[name] = np.full(count, float(np.median(known)))
-    samples = float(np.median(np.concatenate([run.samples for run in campaign.runs])))
-    name = f"candidate {table.name} {mounting.name}"
-    shape = (count, len(campaign.channels))
-    run = Run(
-        name, procedure, table.name, mounting.name, covariates, np.zeros(shape), np.full(count, samples),
-        np.full(shape, np.nan),
-    )  # fmt: skip
+    run = _empty_run(
+        campaign, f"candidate {table.name} {mounting.name}", procedure, table.name, mounting.name, covariates
+    )
     return run, f"{procedure} on '{table.name}' in mounting '{mounting.name}', {what}"
 
 
@@ -103,24 +138,23 @@ def _gradient(derivation, problem, z):
     return jax.jacfwd(lambda one: derivation(values_of(problem, one)))(z)
 
 
-def rank(fit: JointFit, quantity: str) -> list[dict[str, Any]]:
-    """Return candidate runs in order of the standard deviation of a derived quantity after them.
+def rank(fit: JointFit, quantities: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
+    """Return, for each quantity, the candidate runs in order of its standard deviation after them.
 
     Parameters
     ----------
     fit : a converged fit.
-    quantity : name of a derived quantity, such as ``scale_factor[gx]``.
+    quantities : names of parameters or derived quantities, such as ``scale_factor[gx]``.
     """
     extended, planned = candidates(fit.model.campaign)
     if not planned:
-        return []
+        return {}
     campaign = replace(extended, runs=(*extended.runs, *(one.run for one in planned)))
     model = declare(fit.model.spec, campaign)
     z = _carried(model.layout.names, fit.model.layout.names, np.asarray(fit.mode.z))
     h = _carried(model.hyper_layout.names, fit.model.hyper_layout.names, np.asarray(fit.mode.h))
-    about = linearise(model.problem, jnp.asarray(z))
-    names = [name.name for name in derive(model.assembly).names]
-    gradient = np.asarray(_gradient(derive(model.assembly).derivation, model.problem, z))[names.index(quantity)]
+    about = _linearise(model.problem, jnp.asarray(z))
+    gradients = _gradients(model, z, quantities)
     known_runs = len(fit.model.campaign.runs)
 
     def precision(included: Sequence[int]) -> np.ndarray:
@@ -128,19 +162,47 @@ def rank(fit: JointFit, quantity: str) -> list[dict[str, Any]]:
         masked = eqx.tree_at(lambda p: p.observations.weight, model.problem, jnp.asarray(weight))
         return np.asarray(_precision(masked, about, jnp.asarray(h)))
 
+    def deviations(total: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.sum(gradients * np.linalg.solve(total, gradients.T).T, axis=1))
+
     before = precision(range(known_runs)) + np.eye(len(z))
-    sd_before = float(np.sqrt(gradient @ np.linalg.solve(before, gradient)))
-    unit = next(name.unit for name in fit.derived.names if name.name == quantity)
-    lines = []
-    for place, one in enumerate(planned):
-        after = before + precision([known_runs + place])
-        sd_after = float(np.sqrt(gradient @ np.linalg.solve(after, gradient)))
-        lines.append(
-            {"run": one.sentence, "quantity": quantity, "sd_before": sd_before, "sd_after": sd_after, "unit": unit}
-        )
-    return sorted(lines, key=lambda line: line["sd_after"])[:_MOST_LISTED]
+    sd_before = deviations(before)
+    sd_after = [deviations(before + precision([known_runs + place])) for place in range(len(planned))]
+    units = {name.name: name.unit for name in fit.derived.names} | {p.name: p.unit for p in model.layout.parameters}
+    found = {}
+    for row, quantity in enumerate(quantities):
+        lines = [
+            {
+                "run": one.sentence,
+                "quantity": quantity,
+                "sd_before": float(sd_before[row]),
+                "sd_after": float(after[row]),
+                "unit": units[quantity],
+            }
+            for one, after in zip(planned, sd_after, strict=True)
+        ]
+        found[quantity] = sorted(lines, key=lambda line: line["sd_after"])
+    return found
 
 
+def _gradients(model: Model, z: np.ndarray, quantities: Sequence[str]) -> np.ndarray:
+    """Return the gradient with respect to z of derived quantities and parameters, in their units, (n, P)."""
+    derived = derive(model.assembly)
+    names = [name.name for name in derived.names]
+    of_derived = np.asarray(_gradient(derived.derivation, model.problem, z))
+    slopes = np.asarray(_slopes(model.problem, z)) / model.layout.factors()
+    rows = []
+    for quantity in quantities:
+        if quantity in names:
+            rows.append(of_derived[names.index(quantity)])
+        else:
+            place = model.layout.index(quantity)
+            rows.append(np.eye(len(z))[place] * slopes[place])
+    return np.array(rows)
+
+
+_linearise = eqx.filter_jit(linearise)
+_slopes = eqx.filter_jit(lambda problem, z: jax.jvp(problem.priors.values, (z,), (jnp.ones_like(z),))[1])
 _precision = eqx.filter_jit(lambda problem, about, h: knowledge(problem, about, h).precision)
 
 
@@ -151,19 +213,35 @@ def _carried(names: Sequence[str], known: Sequence[str], values: np.ndarray) -> 
 
 
 def next_runs(fit: JointFit, summary: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the candidate runs for the quantity that most needs one; none where all are determined."""
-    if not bool(fit.mode.converged) or not fit.model.campaign.tables:
+    """Return, for what the data left open, the run that would narrow it most; empty where all is determined.
+
+    Asked for are scale factors and mounting angles, first those that are confused with each other, then the sensor's
+    and converter's own parameters; what no candidate narrows by a tenth is left out.
+    """
+    if not bool(fit.mode.converged):
         return []
-    open_ones = [
-        line for line in summary["derived"]
-        if line["name"].startswith(("scale_factor[", "mounting_angle[")) and line["from_data"] < _WANTED_SHARE
-    ]  # fmt: skip
     confused = [one["combination"] for one in summary["weak_directions"] if " against " in one["combination"]]
-    if confused:
-        return rank(fit, confused[0].split(" against ")[0])
-    if open_ones:
-        return rank(fit, min(open_ones, key=lambda line: line["from_data"])["name"])
-    return []
+    asked = dict.fromkeys(name for one in confused for name in one.split(" against "))
+    asked |= dict.fromkeys(
+        line["name"]
+        for line in summary["derived"]
+        if line["name"].startswith(("scale_factor[", "mounting_angle[")) and line["from_data"] < _WANTED_SHARE
+    )
+    of_sensors = {p.name for one in fit.model.assembly.acting for p in one.parameters if _of_sensor(one.member)}
+    asked |= dict.fromkeys(
+        line["name"]
+        for line in summary["parameters"]
+        if line["name"] in of_sensors and line["from_data"] < _WANTED_SHARE
+    )
+    if not asked:
+        return []
+    best = [lines[0] for lines in rank(fit, list(asked)).values()]
+    useful = [one for one in best if 0 < one["sd_after"] < _USEFUL * one["sd_before"]]
+    return useful[:_MOST_LISTED]
+
+
+def _of_sensor(member) -> bool:
+    return issubclass(member, Effect) and member.stage >= Stage.SENSOR and not member.nuisance
 
 
 __all__ = ["Candidate", "candidates", "next_runs", "rank"]

@@ -112,7 +112,7 @@ def confusions(
         root = np.linalg.cholesky(before + 1e-12 * np.eye(2))
         whitened = np.linalg.solve(root, np.linalg.solve(root, after).T)
         share = float(np.clip(1 - np.linalg.eigvalsh(whitened)[-1], 0.0, 1.0))
-        alone = 1 - np.diag(after) / np.diag(before)
-        if share < _CONFUSED_SHARE and np.all(alone < 0.9):
+        correlation = after[0, 1] / np.sqrt(after[0, 0] * after[1, 1])
+        if share < _CONFUSED_SHARE and abs(correlation) > _CONFUSED_CORRELATION:
             found.append(WeakDirection(f"{names[i]} against {names[j]}", share))
     return sorted(found, key=lambda one: one.from_data)

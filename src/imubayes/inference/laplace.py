@@ -16,17 +16,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
+from jax.scipy.special import ndtr, ndtri
 
 from imubayes.inference.fit import Mode
 from imubayes.inference.precision import knowledge, log_marginal
 from imubayes.model.likelihood import Problem, inverse_covariance, predict, prior_widths, whitener
-from imubayes.types import Array, Float, Scalar
+from imubayes.types import Array, Float
 
 # A direction is weak where more than this share of its prior standard deviation is left; below it the ridge is
 # straight.
 _WEAK_SD = 0.03
-# Second derivatives are taken over pairs: 20 directions make 210 of them.
-_MOST_WEAK = 20
+# Second derivatives are taken over pairs: 60 directions make 1830 of them.
+_MOST_WEAK = 60
 # The marginal of h is followed along each axis as far as its value has dropped by about 1, where half the mass lies.
 _PROBE = 1.4
 
@@ -189,39 +190,48 @@ def _bent(approximation: NestedLaplace, delta: Float[Array, " P"]) -> Float[Arra
     return 0.5 * jnp.einsum("i,j,ijp->p", weak, weak, approximation.bend)
 
 
-def draw(
-    approximation: NestedLaplace, problem: Problem, normal: Float[Array, " PH"], side: Float[Array, " H"]
-) -> Float[Array, " PH"]:
-    """Return one proposal (θ, h) in z.
+def _two_piece(normal: Float[Array, " H"], left: Float[Array, " H"], right: Float[Array, " H"]) -> Float[Array, " H"]:
+    """Return two-piece normal variables from standard normal ones, by their distribution functions."""
+    share = left / (left + right)
+    below = ndtr(normal) < share
+    # Each side is used from its own tail, so that no digits are lost far out.
+    low = left * ndtri(jnp.where(below, ndtr(normal) / share, 1.0) / 2)
+    high = -right * ndtri(jnp.where(below, 1.0, ndtr(-normal) / (1 - share)) / 2)
+    return jnp.where(below, low, high)
 
-    Parameters
-    ----------
-    normal : shape (P + H,), standard normal.
-    side : shape (H,), uniform on (0, 1); decides between the two sides of each axis of h.
-    """
+
+def _two_piece_inverse(value: Float[Array, " H"], left: Float[Array, " H"], right: Float[Array, " H"]):
+    """Return the standard normal variables of two-piece normal ones."""
+    share = left / (left + right)
+    low = ndtri(2 * share * ndtr(jnp.minimum(value, 0.0) / left))
+    high = -ndtri(2 * (1 - share) * ndtr(-jnp.maximum(value, 0.0) / right))
+    return jnp.where(value < 0, low, high)
+
+
+def to_point(approximation: NestedLaplace, problem: Problem, normal: Float[Array, " PH"]) -> Float[Array, " PH"]:
+    """Return the point (θ, h), in z, that a standard normal vector stands for; of random ones it is a proposal."""
     size = approximation.z.shape[0]
-    magnitude = jnp.abs(normal[size:])
-    left, right = approximation.left, approximation.right
-    along = jnp.where(side < left / (left + right), -left * magnitude, right * magnitude)
+    along = _two_piece(normal[size:], approximation.left, approximation.right)
     h = approximation.h + approximation.hyper_axes @ along
     factor, mean = _conditional(approximation, problem, h)
     delta = mean + solve_triangular(factor.T, normal[:size], lower=False)
     return jnp.concatenate([approximation.z + delta + _bent(approximation, delta), h])
 
 
-def log_proposal(approximation: NestedLaplace, problem: Problem, point: Float[Array, " PH"]) -> Scalar:
-    """Return the log density of the proposal at a point (θ, h) in z."""
+def to_normal(approximation: NestedLaplace, problem: Problem, point: Float[Array, " PH"]):
+    """Return the standard normal vector of a point, and the log density of the proposal there."""
     size = approximation.z.shape[0]
     z, h = point[:size], point[size:]
     along = approximation.hyper_axes.T @ (h - approximation.h)
-    width = jnp.where(along < 0, approximation.left, approximation.right)
-    # A split normal has density √(2/π)/(left + right) at its mode.
-    hyper = -0.5 * jnp.sum((along / width) ** 2) - jnp.sum(jnp.log(0.5 * (approximation.left + approximation.right)))
+    left, right = approximation.left, approximation.right
+    width = jnp.where(along < 0, left, right)
+    # A two-piece normal has density √(2/π)/(left + right) at its mode.
+    hyper = -0.5 * jnp.sum((along / width) ** 2) - jnp.sum(jnp.log(0.5 * (left + right)))
     factor, mean = _conditional(approximation, problem, h)
     bent = z - approximation.z
     # The bend does not change the weak coordinates, so those of the bent step undo it.
-    delta = bent - _bent(approximation, bent)
-    whitened = factor.T @ (delta - mean)
+    whitened = factor.T @ (bent - _bent(approximation, bent) - mean)
     log_determinant = jnp.sum(jnp.log(jnp.diagonal(factor)))
     constant = 0.5 * jnp.log(2 * jnp.pi) * point.shape[0]
-    return hyper - 0.5 * jnp.sum(whitened**2) + log_determinant - constant
+    density = hyper - 0.5 * jnp.sum(whitened**2) + log_determinant - constant
+    return jnp.concatenate([whitened, _two_piece_inverse(along, left, right)]), density

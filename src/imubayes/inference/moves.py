@@ -4,25 +4,21 @@ An independence proposal with exact Metropolis–Hastings weights: the posterior
 approximation, which only decides how often a proposal is taken.
 """
 
-from collections.abc import Callable
-
 import emcee
 import equinox as eqx
 import jax
 import numpy as np
 from emcee.moves import Move
 
-from imubayes.inference.laplace import NestedLaplace, draw, log_proposal
+from imubayes.inference.laplace import NestedLaplace, to_normal, to_point
 from imubayes.model.likelihood import Problem, log_density
 from imubayes.types import Array, Float
 
-_draw = eqx.filter_jit(
-    lambda approximation, problem, normal, side: jax.vmap(lambda one, two: draw(approximation, problem, one, two))(
-        normal, side
-    )
+_to_point = eqx.filter_jit(
+    lambda approximation, problem, normal: jax.vmap(lambda one: to_point(approximation, problem, one))(normal)
 )
-_log_proposal = eqx.filter_jit(
-    lambda approximation, problem, points: jax.vmap(lambda one: log_proposal(approximation, problem, one))(points)
+_to_normal = eqx.filter_jit(
+    lambda approximation, problem, points: jax.vmap(lambda one: to_normal(approximation, problem, one))(points)
 )
 
 
@@ -58,42 +54,57 @@ class LogDensity:
 
 
 class LaplaceProposal:
-    """Draws from the nested Laplace approximation, and its log density, for whole ensembles."""
+    """The nested Laplace approximation for whole ensembles: a map from standard normal vectors and back."""
 
     def __init__(self, approximation: NestedLaplace, problem: Problem):
         self.approximation, self.problem = approximation, problem
+        self.dimensions = sum(problem.size)
+
+    def to_point(self, normal: np.ndarray) -> np.ndarray:
+        """Return the points of standard normal vectors, shape (n, P + H)."""
+        return np.array(_to_point(self.approximation, self.problem, normal))
+
+    def to_normal(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the standard normal vectors of points, (n, P + H), and the log density of the proposal, (n,)."""
+        normal, density = _to_normal(self.approximation, self.problem, points)
+        return np.array(normal), np.array(density)
 
     def draw(self, random: np.random.RandomState, count: int) -> np.ndarray:
-        """Return `count` draws, shape (count, P + H)."""
-        parameters, hyperparameters = self.problem.size
-        normal = random.normal(size=(count, parameters + hyperparameters))
-        side = random.uniform(size=(count, hyperparameters))
-        return np.array(_draw(self.approximation, self.problem, normal, side))
-
-    def log_density(self, points: np.ndarray) -> np.ndarray:
-        """Return the log density of the proposal at points, shape (n, P + H)."""
-        return np.array(_log_proposal(self.approximation, self.problem, points))
+        """Return `count` independent proposals, shape (count, P + H)."""
+        return self.to_point(random.normal(size=(count, self.dimensions)))
 
 
-class IndependenceMove(Move):
-    """Replace every walker by an independent draw, with probability min(1, p′q/(p q′))."""
+class LaplaceMove(Move):
+    """Move every walker within the coordinates of the proposal, where the posterior nearly is standard normal.
 
-    def __init__(self, draw: Callable, log_density: Callable):
-        self.draw, self.log_density = draw, log_density
+    u′ = √(1 − β²) u + β ξ leaves the standard normal invariant (preconditioned Crank–Nicolson, Cotter et al. 2013), so
+    a move is taken with probability min(1, w′/w), w = posterior over proposal.  β = 1 is an independent draw; smaller
+    steps free a walker from where the proposal is far too thin.
+
+    Parameters
+    ----------
+    proposal : map and log density, see `LaplaceProposal`.
+    step : β, above 0, at most 1.
+    """
+
+    def __init__(self, proposal: LaplaceProposal, step: float = 1.0):
+        self.proposal, self.step = proposal, step
         self.proposed = self.taken = 0
 
     def propose(self, model, state):
         """Advance the whole ensemble; see `emcee.moves.Move`."""
         count = len(state.coords)
-        points = self.draw(model.random, count)
+        normal, old_proposal = self.proposal.to_normal(state.coords)
+        fresh = model.random.normal(size=normal.shape)
+        points = self.proposal.to_point(np.sqrt(1 - self.step**2) * normal + self.step * fresh)
         new, _ = model.compute_log_prob_fn(points)
+        _, new_proposal = self.proposal.to_normal(points)
         with np.errstate(invalid="ignore"):
-            ratio = new - state.log_prob + self.log_density(state.coords) - self.log_density(points)
+            ratio = (new - new_proposal) - (state.log_prob - old_proposal)
         # A walker at zero density takes whatever is possible; nothing impossible is ever taken.
         ratio = np.where(np.isneginf(state.log_prob), np.inf, ratio)
         ratio = np.where(np.isneginf(new) | np.isnan(ratio), -np.inf, ratio)
         accepted = np.log(model.random.uniform(size=count)) < ratio
         self.proposed += count
         self.taken += int(accepted.sum())
-        proposal = emcee.State(points, log_prob=new)
-        return self.update(state, proposal, accepted), accepted
+        return self.update(state, emcee.State(points, log_prob=new), accepted), accepted

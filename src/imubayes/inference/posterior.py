@@ -93,7 +93,9 @@ def posterior_tree(fit: JointFit) -> xarray.DataTree:
     }
     if log_density is not None:
         groups["sample_stats"] = {"lp": log_density}
-    tree = from_dict(groups, coords=coordinates, dims=dimensions, attrs={"/": _attributes(fit)})
+    tree = from_dict(
+        groups, coords=coordinates, dims=dimensions, attrs={"/": _attributes(fit)}, check_conventions=False
+    )
     if "sample_stats" in groups:
         tree["sample_stats"] = xarray.DataTree(
             tree["sample_stats"].to_dataset().assign(superchain=("chain", superchain))

@@ -16,32 +16,32 @@ from imubayes.model.likelihood import (
     prior_widths,
     whitener,
 )
-from imubayes.types import Float, Scalar
+from imubayes.types import Array, Float, Scalar
 
 
 class Linearised(eqx.Module):
     """The model about z: misfit e = y − f(z), shape (E,), and Jacobian ∂f/∂z, shape (E, P)."""
 
-    z: Float[jnp.ndarray, " P"]
-    misfit: Float[jnp.ndarray, " E"]
-    jacobian: Float[jnp.ndarray, "E P"]
+    z: Float[Array, " P"]
+    misfit: Float[Array, " E"]
+    jacobian: Float[Array, "E P"]
 
 
 class Knowledge(eqx.Module):
     """Data part of the log density about z at given h: precision (P, P), gradient (P,), quadratic form eᵀΣ⁻¹e."""
 
-    precision: Float[jnp.ndarray, "P P"]
-    gradient: Float[jnp.ndarray, " P"]
+    precision: Float[Array, "P P"]
+    gradient: Float[Array, " P"]
     square: Scalar
 
 
-def linearise(problem: Problem, z: Float[jnp.ndarray, " P"]) -> Linearised:
+def linearise(problem: Problem, z: Float[Array, " P"]) -> Linearised:
     """Return the model linearised about z."""
     misfit = problem.observations.value - predict(problem, z)
     return Linearised(z, misfit, prediction_jacobian(problem, z))
 
 
-def knowledge(problem: Problem, about: Linearised, h: Float[jnp.ndarray, " H"]) -> Knowledge:
+def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Knowledge:
     """Return what the data say about θ at hyperparameters h."""
     by = whitener(problem, h)
     weight = by.precision_root**2
@@ -62,7 +62,7 @@ def knowledge(problem: Problem, about: Linearised, h: Float[jnp.ndarray, " H"]) 
     return Knowledge(precision, gradient, square)
 
 
-def log_marginal(problem: Problem, about: Linearised, h: Float[jnp.ndarray, " H"]) -> Scalar:
+def log_marginal(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Scalar:
     """Return log p(y, h) with θ integrated out of the linearised model (the Laplace marginal of h)."""
     known = knowledge(problem, about, h)
     prior_precision = prior_widths(problem, h) ** -2

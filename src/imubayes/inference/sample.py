@@ -15,10 +15,13 @@ from emcee.moves import DEMove, StretchMove
 
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.convergence import Diagnosis, diagnose
-from imubayes.inference.moves import IndependenceMove
+from imubayes.inference.moves import LaplaceMove, LaplaceProposal
 
 # The safety net for what is not Gaussian takes this share of the steps.  DESnookerMove of emcee 3.1.6 is biased.
-_STRETCH_SHARE = _DE_SHARE = 0.03
+_STRETCH_SHARE = _DE_SHARE = 0.02
+# Short steps of the Laplace move, and the share of them; where independent draws are mostly refused, half of all.
+_SHORT_STEP, _SHORT_SHARE, _SHORT_SHARE_HARD = 0.3, 0.02, 0.5
+_HARD_ACCEPTANCE, _TRIAL = 0.5, 256
 _FEWEST_WALKERS = 64
 _BURN_IN, _BLOCK = 5, 10
 # A chain longer than this did not begin where it should; a quarter of it is then left out.
@@ -72,7 +75,7 @@ def sample(
     names: Sequence[str],
     settings: Settings,
     checkpoint: Checkpoint,
-    proposal=None,
+    proposal: LaplaceProposal | None = None,
     progress: Callable[[int, str], None] | None = None,
 ) -> Chains:
     """Sample until converged, or until the longest chain allowed.
@@ -83,11 +86,13 @@ def sample(
     starts : for each ensemble its first points, shape (walkers, D).
     names : of the D parameters.
     checkpoint : created or checked before; where it holds steps, they are continued.
-    proposal : with `draw(random, count)` and `log_density(points)`; None for stretch and DE moves alone.
+    proposal : the Laplace proposal; None for stretch and DE moves alone.
     progress : called with the number of steps done and a word on convergence.
     """
     walkers, dimensions = starts[0].shape
-    samplers = [_sampler(log_density, walkers, dimensions, proposal) for _ in starts]
+    hard = proposal is not None and expected_acceptance(log_density, proposal, settings.seed) < _HARD_ACCEPTANCE
+    short_share = _SHORT_SHARE_HARD if hard else _SHORT_SHARE
+    samplers = [_sampler(log_density, walkers, dimensions, proposal, short_share) for _ in starts]
     states = [_state(place, start, settings, checkpoint) for place, start in enumerate(starts)]
     memory = _MOST_NUMBERS // (len(starts) * walkers * dimensions)
     most = min(settings.most_steps + _BURN_IN if settings.most_steps else memory, memory)
@@ -112,12 +117,27 @@ def sample(
             progress(taken, "")
 
 
-def _sampler(log_density, walkers: int, dimensions: int, proposal) -> emcee.EnsembleSampler:
-    local = [(StretchMove(), _STRETCH_SHARE), (DEMove(), _DE_SHARE)]
+def _sampler(
+    log_density, walkers: int, dimensions: int, proposal: LaplaceProposal | None, short_share: float
+) -> emcee.EnsembleSampler:
+    moves = [(StretchMove(), _STRETCH_SHARE), (DEMove(), _DE_SHARE)]
     if proposal is not None:
-        independent = IndependenceMove(proposal.draw, proposal.log_density)
-        local.append((independent, 1 - _STRETCH_SHARE - _DE_SHARE))
-    return emcee.EnsembleSampler(walkers, dimensions, log_density, moves=local, vectorize=True)
+        moves.append((LaplaceMove(proposal, _SHORT_STEP), short_share))
+        moves.append((LaplaceMove(proposal), 1 - _STRETCH_SHARE - _DE_SHARE - short_share))
+    return emcee.EnsembleSampler(walkers, dimensions, log_density, moves=moves, vectorize=True)
+
+
+def expected_acceptance(log_density, proposal: LaplaceProposal, seed: int) -> float:
+    """Return the share of independent proposals that would be taken, from importance weights of a few draws."""
+    points = proposal.draw(np.random.RandomState(seed), _TRIAL)
+    log_weight = log_density(points) - proposal.to_normal(points)[1]
+    log_weight = log_weight[np.isfinite(log_weight)]
+    if not log_weight.size:
+        return 0.0
+    weight = np.exp(log_weight - log_weight.max())
+    # E[min(1, w′/w)] under w-weighted current points and unweighted proposals
+    taken = np.minimum(weight[:, None], weight[None, :]).mean(axis=1).sum() / weight.sum()
+    return float(taken * log_weight.size / _TRIAL)
 
 
 def _state(place: int, start: np.ndarray, settings: Settings, checkpoint: Checkpoint) -> emcee.State:

@@ -19,7 +19,7 @@ from imubayes.model.forward import Convert, Emit, Layer, Project, Resolve, in_or
 from imubayes.model.instants import Entries, Nodes, join_entries, join_nodes, readout_places
 from imubayes.model.labels import Belonging, colours
 from imubayes.model.likelihood import NoiseLayer, Observations, Problem, Sparsity
-from imubayes.model.members import Acting, act
+from imubayes.model.members import Acting, NotShownError, act
 from imubayes.model.registry import Registry
 from imubayes.model.specification import EffectSpec, ModelSpec
 from imubayes.noise.base import Entry, EntryNoise, Noise
@@ -73,6 +73,8 @@ def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = Non
     for one in spec.effects:
         try:
             acting.append(act(one, belonging, registry))
+        except NotShownError as error:
+            problems.extend(() if one.optional else error.problems)
         except InputError as error:
             problems.extend(error.problems)
     problems.extend(_conflicts(acting))

@@ -24,6 +24,10 @@ _SHARING = {"channel": ("channel",), "all": (), "run": ("channel", "run"), "moun
 _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
 
 
+class NotShownError(InputError):
+    """No run of the campaign supplies what the effect needs."""
+
+
 @dataclass(frozen=True)
 class Acting:
     """An effect or noise member as it acts in a campaign.
@@ -84,20 +88,19 @@ def act(spec: EffectSpec, belonging: Belonging, registry: Registry) -> Acting:
     channels = _channels(spec, member, campaign, problems)
     options = declared_options(member)
     _refuse_unknown(spec, declared, options, problems)
+    if problems:
+        raise InputError(problems)
     runs = {i for i, supplied in enumerate(belonging.nodes.supplies) if set(member.needs) <= supplied}
-    if not problems and not runs:
+    if not runs:
         missing = [need for need in member.needs if not any(need in s for s in belonging.nodes.supplies)]
-        problems.append(
+        raise NotShownError(
             Problem(
                 f"no run can show '{spec.name}': it needs {' and '.join(missing or member.needs)}",
                 spec.where,
-                "effects whose covariates the runs supply: "
-                + ", ".join(sorted(set().union(*belonging.nodes.supplies))),
-                "leave the effect out, or add a run that supplies it",
+                "effects that need what the runs supply: " + ", ".join(sorted(set().union(*belonging.nodes.supplies))),
+                "leave the effect out or mark it 'optional = true', or add a run that supplies it",
             )
         )
-    if problems:
-        raise InputError(problems)
     kinds = tuple(dict.fromkeys(channel.kind for channel in campaign.channels if channel.name in channels))
     gating = [need for need in member.needs if need in AMBIENT_NAMES or need == "injection"]
     gated = {i for i, s in enumerate(belonging.nodes.supplies) if not set(gating) <= s}

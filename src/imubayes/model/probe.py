@@ -109,6 +109,15 @@ def unit_vectors(vectors: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
 
 
 def angle_between(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, "..."]:
-    """Return the angle between vectors, rad, accurate at 0° and 90° alike."""
+    """Return the angle between vectors, rad, accurate at 0° and 90° alike.
+
+    At exactly 0° and 180° an angle has no derivative; 0 is returned for it, not NaN.
+    """
     a, b = unit_vectors(a), unit_vectors(b)
-    return 2 * jnp.arctan2(jnp.sqrt(jnp.sum((a - b) ** 2, axis=-1)), jnp.sqrt(jnp.sum((a + b) ** 2, axis=-1)))
+    return 2 * jnp.arctan2(_length(a - b), _length(a + b))
+
+
+def _length(vectors: Float[Array, "... 3"]) -> Float[Array, "..."]:
+    square = jnp.sum(vectors**2, axis=-1)
+    zero = square == 0
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))

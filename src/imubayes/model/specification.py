@@ -15,6 +15,7 @@ class EffectSpec:
     per : who shares one value (channel, all, run, mounting); None for the effect's own choice.
     prior : parameter → prior as written.
     options : fixed settings of the effect.
+    optional : whether to leave it out where no run can show it, instead of refusing the model.
     where : file and key, for errors.
     """
 
@@ -23,6 +24,7 @@ class EffectSpec:
     per: str | None = None
     prior: Mapping[str, str] = field(default_factory=dict)
     options: Mapping[str, float] = field(default_factory=dict)
+    optional: bool = False
     where: str = "model"
 
 

@@ -14,12 +14,11 @@ from collections.abc import Mapping
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax.scipy.special import ndtr, ndtri
 from scipy import special
 
 from imubayes.errors import InputError, Problem, closest_first
-from imubayes.types import Float, Scalar
+from imubayes.types import Array, Float, Scalar
 from imubayes.units import same_dimension, to_si
 
 
@@ -39,7 +38,7 @@ class Prior(eqx.Module):
         """Return the prior's standard deviation; infinite where it has none."""
 
 
-Number = float | np.ndarray | Float[jnp.ndarray, "..."]
+Number = float | Float[Array, "..."]
 
 
 class Normal(Prior):

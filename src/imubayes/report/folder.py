@@ -59,6 +59,8 @@ def model_text(spec: ModelSpec) -> str:
             entry["channels"] = list(one.channels)
         if one.per is not None:
             entry["per"] = one.per
+        if one.optional:
+            entry["optional"] = True
         if one.prior:
             prior = tomlkit.inline_table()
             prior.update(one.prior)

@@ -74,7 +74,16 @@ def significant(value: float | None, digits: int = 3) -> str:
     if not _SMALLEST <= abs(value) < _LARGEST:
         return f"{value:.{digits - 1}e}"
     place = int(f"{value:.{digits - 1}e}".partition("e")[2])
-    return f"{value:.{max(digits - 1 - place, 0)}f}"
+    return f"{round(value, digits - 1 - place):.{max(digits - 1 - place, 0)}f}"
+
+
+def ratio_text(value: float | None) -> str:
+    """Return a ratio near one, such as χ²/n, to two decimals; three digits where it is large."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value < 10:
+        return f"{value:.2f}"
+    return significant(value) if value < 1e4 else f"{value:.1e}".replace("e+0", "e")
 
 
 def percent(share: float | None) -> str:

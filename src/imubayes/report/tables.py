@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from imubayes.report.display import pretty, readable
-from imubayes.report.rounding import concise, grid_of, percent, significant
+from imubayes.report.rounding import grid_of, percent, ratio_text, significant
 from imubayes.report.statistics import SIGNIFICANT, share_of_freedom, tail
 
 NOT_DETERMINED = 0.1
@@ -112,7 +112,7 @@ def run_sheet(summary: Summary, most: int | None = None) -> Sheet:
         if place and not same:
             dividers.add(place)
         factor, unit = readable(run["unit"], abs(run["rms"] or 0.0))
-        ratio = significant(run["chi2"] / count) if count and run["chi2"] is not None else "–"
+        ratio = ratio_text(run["chi2"] / count) if count and run["chi2"] is not None else "–"
         rms = significant(None if run["rms"] is None else run["rms"] * factor)
         rows.append(
             (
@@ -262,5 +262,5 @@ def terminal(sheet: Sheet) -> Table:
 
 
 __all__ = [
-    "concise", "derived_table", "next_run_table", "parameter_table", "run_table", "weak_table",
+    "derived_table", "next_run_table", "parameter_table", "run_table", "weak_table",
 ]  # fmt: skip

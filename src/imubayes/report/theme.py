@@ -16,7 +16,6 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, NullLocator, ScalarFormatter, SymmetricalLogLocator
 
 from imubayes.report.display import shortened
 
@@ -27,15 +26,15 @@ MARKERS = ("o", "^", "s", "D", "v", "P", "X")
 BAND, BAND_WIDE = "#cfd8e3", "#e9eef4"
 MOST_PANELS = 6
 DPI = 100
-_TEXT, _SMALL, _CAPTION = 9.0, 8.0, 9.0
+TEXT, SMALL = 9.0, 8.0
 _STYLE = {
-    "font.family": "DejaVu Sans", "font.size": _TEXT, "text.color": INK, "axes.labelcolor": INK,
-    "axes.edgecolor": QUIET, "axes.linewidth": 0.7, "axes.labelsize": _TEXT, "axes.titlesize": _TEXT,
+    "font.family": "DejaVu Sans", "font.size": TEXT, "text.color": INK, "axes.labelcolor": INK,
+    "axes.edgecolor": QUIET, "axes.linewidth": 0.7, "axes.labelsize": TEXT, "axes.titlesize": TEXT,
     "axes.titleweight": "bold", "axes.titlelocation": "left", "axes.titlepad": 4.0, "axes.spines.top": False,
-    "axes.spines.right": False, "axes.labelpad": 3.0, "xtick.labelsize": _SMALL, "ytick.labelsize": _SMALL,
+    "axes.spines.right": False, "axes.labelpad": 3.0, "xtick.labelsize": SMALL, "ytick.labelsize": SMALL,
     "xtick.color": QUIET, "ytick.color": QUIET, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
     "xtick.major.size": 3.0, "ytick.major.size": 3.0, "xtick.major.pad": 2.5, "ytick.major.pad": 2.5,
-    "legend.frameon": False, "legend.fontsize": _SMALL, "lines.linewidth": 1.2, "figure.facecolor": PAPER,
+    "legend.frameon": False, "legend.fontsize": SMALL, "lines.linewidth": 1.2, "figure.facecolor": PAPER,
     "axes.facecolor": PAPER, "axes.unicode_minus": True, "axes.formatter.useoffset": False,
     "axes.formatter.limits": (-5, 7), "path.simplify": True, "figure.dpi": DPI, "savefig.dpi": DPI,
 }  # fmt: skip
@@ -60,8 +59,8 @@ class Picture(Figure):
         """Return the picture as PNG."""
         buffer = BytesIO()
         with mpl.rc_context(_STYLE):
-            # Fast compression: a tenth larger, a third of the time.
-            self.savefig(buffer, format="png", pil_kwargs={"compress_level": 3})
+            # Not savefig, which lays everything out twice; and fast compression: a fifth larger, in a third of the time.
+            FigureCanvasAgg(self).print_png(buffer, pil_kwargs={"compress_level": 1})
         return buffer.getvalue()
 
     def save(self, file: str | Path) -> Path:
@@ -89,7 +88,7 @@ def themed[**P](draw: Callable[P, Picture]) -> Callable[P, Picture]:
 
 def picture(width: float, height: float, title: str, caption: str, subtitle: str = "") -> Picture:
     """Return an empty picture with its title above and its caption below; `height` is that of the space between."""
-    lines = textwrap.wrap(caption, int((width - 0.6) * 72 / (_CAPTION * 0.545)))
+    lines = textwrap.wrap(caption, int((width - 0.6) * 72 / (TEXT * 0.545)))
     below = 0.22 + 0.165 * len(lines) + 0.1
     above = 0.42 + (0.2 if subtitle else 0.0)
     whole = height + below + above
@@ -99,9 +98,9 @@ def picture(width: float, height: float, title: str, caption: str, subtitle: str
     figure.inside = (0.3, below, width - 0.3, below + height)
     figure.text(0.3 / width, 1 - 0.13 / whole, title, size=13, weight="bold", va="top", ha="left")
     if subtitle:
-        figure.text(0.3 / width, 1 - 0.42 / whole, subtitle, size=_TEXT, color=QUIET, va="top", ha="left")
+        figure.text(0.3 / width, 1 - 0.42 / whole, subtitle, size=TEXT, color=QUIET, va="top", ha="left")
     figure.text(
-        0.3 / width, 0.17 / whole, "\n".join(lines), size=_CAPTION, color=INK, va="bottom", ha="left", linespacing=1.3
+        0.3 / width, 0.17 / whole, "\n".join(lines), size=TEXT, color=INK, va="bottom", ha="left", linespacing=1.3
     )
     return figure
 
@@ -116,20 +115,6 @@ def text_at(figure: Picture, left: float, bottom: float, text: str, **style) -> 
     """Write text at a place in inches."""
     whole_width, whole_height = figure.get_size_inches()
     figure.text(left / whole_width, bottom / whole_height, text, **style)
-
-
-def ticks(axis, most: int = 5) -> None:
-    """Give an axis few, round ticks, or the decades of a logarithmic one."""
-    scale = axis.get_scale()
-    if scale == "symlog":
-        axis.set_major_locator(SymmetricalLogLocator(axis.get_transform()))
-        axis.get_major_locator().set_params(numticks=most + 2)
-        axis.set_minor_locator(NullLocator())
-    elif scale == "linear":
-        axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]))
-        formatter = ScalarFormatter(useOffset=False)
-        formatter.set_powerlimits((-5, 8))
-        axis.set_major_formatter(formatter)
 
 
 class RunSigns:
@@ -159,7 +144,7 @@ class RunSigns:
         for place, run in enumerate(listed):
             height = top - bottom - (place + 0.5) * step
             axes.plot([0.5], [height], self.marker(run), color=self.hue(run), markersize=5, markeredgewidth=0)
-            text_at(figure, left + 0.2, bottom + height, shortened(run, 25), size=_SMALL, va="center", ha="left")
+            text_at(figure, left + 0.2, bottom + height, shortened(run, 25), size=SMALL, va="center", ha="left")
         if len(listed) < len(names):
             height = bottom + (top - bottom) - (len(listed) + 0.5) * step
-            text_at(figure, left + 0.2, height, f"… {len(names) - len(listed)} more", size=_SMALL, va="center")
+            text_at(figure, left + 0.2, height, f"… {len(names) - len(listed)} more", size=SMALL, va="center")

@@ -29,6 +29,7 @@ def step_edges(time: np.ndarray, rate: np.ndarray, start: int, stop: int) -> np.
 
 def mean_readings(time: np.ndarray, readings: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the length of every step in s, and the trapezoidal mean of the readings over it, shape (K, C)."""
+    time, readings, edges = _only(time, readings, edges)
     duration = np.diff(time)[:, None]
     area = 0.5 * (readings[1:] + readings[:-1]) * duration
     total = np.concatenate([np.zeros((1, readings.shape[1])), np.cumsum(area, axis=0)])
@@ -42,6 +43,7 @@ def coning(time: np.ndarray, rate: np.ndarray, edges: np.ndarray) -> np.ndarray:
     Between two samples the rate is taken as a straight line, whose rotation vector is
     ½(ω₀ + ω₁) dt + (ω₀ × ω₁) dt² / 12.
     """
+    time, rate, edges = _only(time, rate, edges)
     duration = np.diff(time)[:, None]
     small = 0.5 * (rate[1:] + rate[:-1]) * duration + np.cross(rate[:-1], rate[1:]) * duration**2 / 12
     counts = np.diff(edges)
@@ -60,6 +62,12 @@ def rotation_over(mean_rate: np.ndarray, length: np.ndarray, correction: np.ndar
     for turn in exponential(mean_rate * length[:, None] + correction):
         total = total @ turn
     return total
+
+
+def _only(time: np.ndarray, values: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the samples from the first edge to the last, and the edges counted from there."""
+    inside = slice(edges[0], edges[-1] + 1)
+    return time[inside], values[inside], edges - edges[0]
 
 
 def padded(parts: Sequence[np.ndarray]) -> np.ndarray:

@@ -1,0 +1,124 @@
+"""Ticks of the panels: few, round, plain numbers.
+
+A page of twelve panels spends five sixths of its time on matplotlib's tick objects, of which each is five artists.  Here
+the marks of an axis are one artist and the labels are text; they are placed once, for the limits the panel has.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator, NullLocator
+from matplotlib.transforms import ScaledTranslation
+
+from imubayes.report.marks import points
+from imubayes.report.theme import INK, QUIET, SMALL, TEXT
+
+_RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+_AWAY = 4.5  # points between frame and label
+
+
+def frame(
+    axes: Axes,
+    x: int = 5,
+    y: int = 4,
+    x_label: str | None = "",
+    y_label: str | None = "",
+    label_size: float = TEXT,
+    inset: float = 0.0,
+) -> None:
+    """Give a panel ticks and labels for the limits and scales it has; to be called last.
+
+    Parameters
+    ----------
+    x, y : about how many ticks, 0 for none.
+    x_label, y_label : below and beside the numbers; None leaves out the numbers too.
+    label_size : points.
+    inset : share of the panel at both ends without ticks, where the numbers of panels side by side would touch.
+    """
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(NullLocator())
+        axis.set_minor_locator(NullLocator())
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    widest = 0
+    if x:
+        places = tick_places(*axes.get_xlim(), x, _threshold(axes.xaxis), inset)
+        along = axes.get_xaxis_transform()
+        points(axes, places, np.zeros(len(places)), 3, 3, QUIET, markeredgewidth=0.7, transform=along, clip_on=False)
+        away = along + ScaledTranslation(0, -_AWAY / 72, figure.dpi_scale_trans)
+        for place, text in zip(places, tick_texts(places), strict=True) if x_label is not None else ():
+            axes.text(place, 0, text, size=SMALL, color=INK, ha="center", va="top", transform=away)
+    if y:
+        places = tick_places(*axes.get_ylim(), y, _threshold(axes.yaxis), inset)
+        along = axes.get_yaxis_transform()
+        points(axes, np.zeros(len(places)), places, 0, 3, QUIET, markeredgewidth=0.7, transform=along, clip_on=False)
+        away = along + ScaledTranslation(-_AWAY / 72, 0, figure.dpi_scale_trans)
+        texts = tick_texts(places) if y_label is not None else []
+        for place, text in zip(places, texts, strict=bool(texts)):
+            axes.text(0, place, text, size=SMALL, color=INK, ha="right", va="center_baseline", transform=away)
+        widest = max((len(text) for text in texts), default=0)
+    if x_label:
+        axes.set_xlabel(x_label, size=label_size, labelpad=17 if x else 3)
+    if y_label:
+        axes.set_ylabel(y_label, size=label_size, labelpad=7 + max(4, widest) * 0.62 * SMALL if y else 3)
+
+
+def tick_places(
+    low: float, high: float, most: int, threshold: float | None = None, inset: float = 0.0
+) -> list[float]:
+    """Return round numbers between two limits: evenly spaced, or decades of a symmetric logarithmic scale.
+
+    Parameters
+    ----------
+    threshold : of the logarithmic scale, linear below it; None for a linear scale.
+    inset : share of the range at both ends that stays free.
+    """
+    if threshold is None:
+        margin = (1e-9 - inset) * (high - low)
+        found = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+        return [float(place) for place in found if low - margin <= place <= high + margin]
+    first = round(math.log10(threshold))
+    last = math.floor(math.log10(max(abs(low), abs(high))) + 1e-9)
+    sides = (low < -threshold) + (high > threshold)
+    stride = max(1, math.ceil((last - first + 1) * sides / max(most - 1, 1)))
+    decades = [10.0**power for power in range(last, first - 1, -stride)]
+    found = sorted({0.0, *decades, *(-decade for decade in decades)})
+    return [place for place in found if low <= place <= high]
+
+
+def tick_texts(places: Sequence[float]) -> list[str]:
+    """Return numbers as short as their spacing allows, all with the same decimals unless they are decades."""
+    sizes = [abs(place) for place in places if place]
+    if not sizes:
+        return ["0" for _ in places]
+    gaps = np.diff(places)
+    even = len(places) < 2 or np.allclose(gaps, gaps[0])
+    if not even:
+        return [_decade(place) for place in places]
+    if max(sizes) >= 1e7 or max(sizes) < 1e-5:
+        return [_signed(f"{place:.4g}".replace("e+0", "e").replace("e-0", "e-")) for place in places]
+    step = float(gaps[0]) if len(places) > 1 else sizes[0]
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    # A step of 2.5 needs one decimal more than one of 2.
+    decimals += not math.isclose(round(step, decimals), step, rel_tol=1e-6)
+    return [_signed(f"{place:.{decimals}f}") for place in places]
+
+
+def _decade(place: float) -> str:
+    """Return 0.1, 1, … 1000 as they are and the larger ones as powers: 10⁴."""
+    if abs(place) < 5000:
+        return _signed(f"{place:.6g}")
+    power = str(round(math.log10(abs(place)))).translate(_RAISED)
+    return ("−" if place < 0 else "") + "10" + power
+
+
+def _signed(text: str) -> str:
+    if text.startswith("-") and float(text) == 0:
+        return text[1:]
+    return text.replace("-", "−")
+
+
+def _threshold(axis) -> float | None:
+    return axis.get_transform().linthresh if axis.get_scale() == "symlog" else None

@@ -1,0 +1,125 @@
+"""The house rules, read from the sources: imports go down, none hides in a function, no file grows beyond 500 lines."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parents[1] / "src"
+FLOORS = (
+    ("errors", "units", "types"),
+    ("parameters",),
+    ("earth", "frames", "stimulus", "run"),
+    ("procedures", "effects", "noise"),
+    ("model",),
+    ("inference",),
+    ("criticism",),
+    ("campaign", "classical", "archive"),
+    ("report",),
+    ("api", ""),
+    ("cli",),
+)
+PLUGINS = ("procedures", "effects", "noise")
+MOST_LINES = 500
+
+
+def floor(module: str) -> int:
+    parts = module.split(".")
+    part = parts[1] if len(parts) > 1 else ""
+    return next((height for height, names in enumerate(FLOORS) if part in names), -1)
+
+
+def imported(node: ast.AST, modules: set[str]) -> list[str]:
+    """Return the package's modules that one statement imports; `from package import module` names the module."""
+    if isinstance(node, ast.Import):
+        found = [alias.name for alias in node.names]
+    elif isinstance(node, ast.ImportFrom):
+        names = [f"{node.module}.{alias.name}" for alias in node.names]
+        found = list(dict.fromkeys(name if name in modules else str(node.module) for name in names))
+    else:
+        found = []
+    return [name for name in found if name.split(".")[0] == "imubayes"]
+
+
+def is_member(module: str) -> bool:
+    parts = module.split(".")
+    return len(parts) == 3 and parts[1] in PLUGINS and parts[2] != "base"
+
+
+def violations(sources: dict[str, str]) -> list[str]:
+    """Return what breaks a rule, in sentences; sources are module name → text."""
+    found, edges = [], {}
+    for module, text in sources.items():
+        tree = ast.parse(text)
+        if text.count("\n") > MOST_LINES:
+            found.append(f"{module} has more than {MOST_LINES} lines")
+        if floor(module) < 0:
+            found.append(f"{module} stands on no floor")
+        statements = list(ast.walk(tree))
+        edges[module] = [name for node in statements for name in imported(node, set(sources))]
+        for name in edges[module]:
+            if floor(name) > floor(module):
+                found.append(f"{module} imports {name}, which is above it")
+            if is_member(module) and is_member(name):
+                found.append(f"{module} imports {name}: members do not know each other")
+        for function in (n for n in statements if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)):
+            inside = [n for n in ast.walk(function) if isinstance(n, ast.Import | ast.ImportFrom)]
+            if inside and module.split(".")[1:2] != ["cli"]:
+                found.append(f"{module} imports inside a function")
+    return found + [f"{' → '.join(cycle)} is a cycle" for cycle in cycles(edges)]
+
+
+def cycles(edges: dict[str, list[str]]) -> list[list[str]]:
+    """Return one cycle for each module from which one is first met."""
+    found, done = [], set()
+
+    def visit(module: str, path: list[str]) -> None:
+        if module in path:
+            found.append([*path[path.index(module) :], module])
+        elif module not in done:
+            for name in edges.get(module, []):
+                visit(name, [*path, module])
+            done.add(module)
+
+    for module in edges:
+        visit(module, [])
+    return found
+
+
+def name_of(file: Path) -> str:
+    return ".".join(file.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
+
+
+def test_the_sources_keep_the_rules():
+    sources = {name_of(file): file.read_text(encoding="utf-8") for file in SOURCE.rglob("*.py")}
+    assert len(sources) > 50
+    assert violations(sources) == []
+
+
+@pytest.mark.parametrize(
+    ("sources", "complaint"),
+    [
+        ({"imubayes.units": "from imubayes.model.forward import travel"}, "is above it"),
+        ({"imubayes.effects.base": "import imubayes.report.tables"}, "is above it"),
+        ({"imubayes.model.labels": "def f():\n    import imubayes.run"}, "inside a function"),
+        ({"imubayes.run": "f = 1\n" * 501}, "more than 500 lines"),
+        ({"imubayes.effects.a": "from imubayes.effects.b import B"}, "do not know each other"),
+        ({"imubayes.effects.a": "from imubayes.effects import b", "imubayes.effects.b": ""}, "do not know each other"),
+        ({"imubayes.run": "import imubayes.frames", "imubayes.frames": "import imubayes.run"}, "is a cycle"),
+        ({"imubayes.novelty": ""}, "stands on no floor"),
+    ],
+)
+def test_a_planted_fault_is_found(sources, complaint):
+    assert any(complaint in sentence for sentence in violations(sources))
+
+
+@pytest.mark.parametrize(
+    "sources",
+    [
+        {"imubayes.cli.fit": "def fit():\n    from imubayes.api import fit"},
+        {"imubayes.effects.a": "from imubayes.effects.base import Effect\nimport jax"},
+        {"imubayes.model.forward": "from imubayes.frames import compose"},
+    ],
+)
+def test_what_is_allowed_passes(sources):
+    assert violations(sources) == []
