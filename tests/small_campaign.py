@@ -46,9 +46,7 @@ def _run(name: str, procedure: str, table: str | None, mounting: str | None, row
     covariates = {"table_rate": zero, "table_angle": zero, "table_angle_span": zero, **columns}
     filled = {key: np.broadcast_to(np.asarray(value, dtype=float), (rows,)).copy() for key, value in covariates.items()}
     shape = (rows, 6)
-    return Run(
-        name, procedure, table, mounting, filled, np.zeros(shape), np.full(rows, 100), np.full(shape, np.nan)
-    )
+    return Run(name, procedure, table, mounting, filled, np.zeros(shape), np.full(rows, 100), np.full(shape, np.nan))
 
 
 def _rate(name: str, mounting: str, temperature: float) -> Run:
@@ -188,5 +186,3 @@ def full_model() -> Model:
     """Return all effects of a campaign on tables in one model."""
     chosen = tuple(name for name in table_effects() if not name.endswith("_run_bias"))
     return declare(spec(*chosen, noise=("white_noise", "run_scatter")), campaign())
-
-

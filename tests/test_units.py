@@ -101,7 +101,15 @@ def test_dimensions(one, other, same):
 
 @pytest.mark.parametrize(
     ("unit", "closest"),
-    [("dge/h", "deg"), ("arcsecond", "arcsec"), ("mgal", "mg"), ("pppm", "ppm"), ("deg/g^x", "g"), ("", ""), ("deg//h", "")],
+    [
+        ("dge/h", "deg"),
+        ("arcsecond", "arcsec"),
+        ("mgal", "mg"),
+        ("pppm", "ppm"),
+        ("deg/g^x", "g"),
+        ("", ""),
+        ("deg//h", ""),
+    ],
 )
 def test_an_unknown_unit_is_refused_with_the_closest(unit, closest):
     with pytest.raises(InputError) as caught:

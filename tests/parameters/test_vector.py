@@ -8,11 +8,20 @@ import pytest
 from imubayes.parameters.priors import HalfNormal, LogNormal, Normal, Uniform
 from imubayes.parameters.vector import Layout, Parameter, Priors
 
-PRIORS = [Normal(1.0, 2.0), LogNormal(3.0, 0.5), Normal(-1.0, 0.1), Uniform(0.0, 1.0), HalfNormal(2.0), Normal(0.0, 7.0)]
+PRIORS = [
+    Normal(1.0, 2.0),
+    LogNormal(3.0, 0.5),
+    Normal(-1.0, 0.1),
+    Uniform(0.0, 1.0),
+    HalfNormal(2.0),
+    Normal(0.0, 7.0),
+]
 
 
 def layout() -> Layout:
-    return Layout(tuple(Parameter("effect", f"p{i}", ("gx", f"run{i}"), "ppm", 1e-6, one) for i, one in enumerate(PRIORS)))
+    return Layout(
+        tuple(Parameter("effect", f"p{i}", ("gx", f"run{i}"), "ppm", 1e-6, one) for i, one in enumerate(PRIORS))
+    )
 
 
 def test_names_places_and_factors():

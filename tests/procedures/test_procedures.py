@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_campaign import campaign, tumble_campaign
 
 from imubayes.errors import InputError
 from imubayes.procedures import PROCEDURES
 from imubayes.run import Campaign, Run
 from imubayes.stimulus import Stimulus
+from small_campaign import campaign, tumble_campaign
 
 CAMPAIGN = campaign()
 RUNS = {run.name: run for run in CAMPAIGN.runs}

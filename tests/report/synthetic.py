@@ -206,8 +206,8 @@ def run_entries(residuals: pl.DataFrame) -> list[dict]:
                 "name": run,
                 "channel": channel,
                 "n": frame.height,
-                "chi2": float((frame["whitened"] ** 2).sum()),
-                "rms": float(np.sqrt((frame["input_residual"] ** 2).mean())),
+                "chi2": float(np.sum(frame["whitened"].to_numpy() ** 2)),
+                "rms": float(np.sqrt(np.mean(frame["input_residual"].to_numpy() ** 2))),
                 "unit": frame["input_unit"][0],
             }
         )
@@ -237,10 +237,12 @@ def posterior_of(summary: dict, chains=8, draws=500, seed=5) -> xr.DataTree:
     families: dict[str, dict[tuple[str, ...], np.ndarray]] = {}
     for one in (*summary["parameters"], *summary["derived"]):
         name, _, label = one["name"].partition("[")
-        labels = tuple(label.removesuffix("]").split(",")) if label else ()
+        labels: tuple[str, ...] = tuple(label.removesuffix("]").split(",")) if label else ()
         noise = random.standard_normal((chains, draws))
-        if one["name"].startswith(("scale_factor", "mounting_angle")) and labels[-1] in (*CHANNELS, "pyramid"):
-            noise = 0.8 * common[labels[0]] + 0.6 * noise
+        if one["name"].startswith(("scale_factor", "mounting_angle")) and label.endswith(
+            (*(f"{c}]" for c in CHANNELS), "pyramid]")
+        ):
+            noise = 0.8 * common[label[:2]] + 0.6 * noise
         families.setdefault(name, {})[labels] = one["mean"] + one["sd"] * noise
     variables = {}
     for name, members in families.items():
@@ -251,7 +253,9 @@ def posterior_of(summary: dict, chains=8, draws=500, seed=5) -> xr.DataTree:
         for key, array in members.items():
             place = tuple(axis.index(part) for axis, part in zip(axes, key, strict=True))
             values[(slice(None), slice(None), *place)] = array
-        variables[name] = xr.DataArray(values, dims=("chain", "draw", *names), coords=dict(zip(names, axes, strict=True)))
+        variables[name] = xr.DataArray(
+            values, dims=("chain", "draw", *names), coords=dict(zip(names, axes, strict=True))
+        )
     return xr.DataTree.from_dict({"posterior": xr.Dataset(variables)})
 
 

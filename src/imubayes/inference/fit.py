@@ -16,6 +16,7 @@ from imubayes.model.likelihood import (
     predict,
     prediction_jacobian,
     prior_widths,
+    residuals,
     whiten,
     whitener,
 )
@@ -25,7 +26,8 @@ from imubayes.types import Array, Bool, Float, Int, Scalar
 _DECREMENT = 1e-2
 # Rounds of θ and h in turns; the change of h per round, in units of its prior, that ends them.
 _ROUNDS, _SETTLED = 8, 1e-2
-_STEPS, _HYPER_STEPS = 60, 30
+_STEPS, _HYPER_STEPS, _POLISH_STEPS = 30, 30, 20
+_TOLERANCE = 1e-3
 # Levenberg–Marquardt begins with a damping of 1 on the scale of the squared residual.  The prior damps already, so the
 # residual is scaled up until the first step is Gauss–Newton's; a step that fails raises the damping as usual.
 _UNDAMPED = 1e3
@@ -91,7 +93,7 @@ def fit_parameters(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"
     return minimise(
         lambda one, _: _UNDAMPED * residual(one),
         z,
-        tolerance=1e-7,
+        tolerance=_TOLERANCE,
         most_steps=_STEPS,
         linear_solver=GramCholesky(),
     )
@@ -121,13 +123,30 @@ _linearise = eqx.filter_jit(linearise)
 _curvature = eqx.filter_jit(curvature)
 
 
-@eqx.filter_jit
-def _decrement(problem: Problem, about: Linearised, h: Float[Array, " H"]):
+class Polished(eqx.Module):
+    """One more Gauss–Newton step: where it leads, and its size before, in posterior standard deviations."""
+
+    z: Float[Array, " P"]
+    decrement: Scalar
+
+
+# Where a weak direction is curved, Gauss–Newton creeps along it with steps that shrink by a constant factor.
+_LENGTHS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+
+
+def polish(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Polished:
+    """Return the best of several lengths of the Gauss–Newton step, and the decrement √(gᵀH⁻¹g)."""
     known, prior_precision = knowledge(problem, about, h), prior_widths(problem, h) ** -2
     total = known.precision + jnp.diag(prior_precision)
     gradient = known.gradient - prior_precision * about.z
     step = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(total), True), gradient)
-    return jnp.sqrt(jnp.maximum(gradient @ step, 0.0))
+    ends = about.z + jnp.array((0.0, *_LENGTHS))[:, None] * step
+    cost = jax.vmap(lambda z: jnp.sum(residuals(problem, z, h) ** 2))(ends)
+    best = jnp.argmin(jnp.where(jnp.isfinite(cost), cost, jnp.inf))
+    return Polished(ends[best], jnp.sqrt(jnp.maximum(gradient @ step, 0.0)))
+
+
+_polish = eqx.filter_jit(polish)
 
 
 def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Mode:
@@ -136,7 +155,7 @@ def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) ->
     The parts are pure functions of arrays and vmap over a stack of problems; this loop only decides how often they are
     called.
     """
-    steps, settled, about, at = 0, False, None, None
+    steps, settled, about, at, decrement = 0, False, None, None, jnp.asarray(jnp.inf)
     for _ in range(_ROUNDS):
         fitted = _fit_parameters(problem, z, h)
         steps += int(fitted.steps)
@@ -149,10 +168,16 @@ def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) ->
             break
     assert about is not None
     assert at is not None
-    decrement = _decrement(problem, about, h)
+    for _ in range(_POLISH_STEPS):
+        polished = _polish(problem, about, h)
+        decrement = polished.decrement
+        if not float(decrement) >= _DECREMENT / 10 or bool(jnp.all(polished.z == about.z)):
+            break
+        steps += 1
+        about = _linearise(problem, polished.z)
     finite = bool(jnp.isfinite(decrement)) and bool(jnp.all(jnp.isfinite(h)))
     converged = finite and settled and float(decrement) < _DECREMENT
-    return Mode(z, h, decrement, about, at, jnp.asarray(steps), jnp.asarray(settled), jnp.asarray(converged))
+    return Mode(about.z, h, decrement, about, at, jnp.asarray(steps), jnp.asarray(settled), jnp.asarray(converged))
 
 
 def fit_at(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Float[Array, " P"]:

@@ -23,7 +23,9 @@ _STRETCH_SHARE = _DE_SHARE = 0.02
 _SHORT_STEP, _SHORT_SHARE, _SHORT_SHARE_HARD = 0.3, 0.02, 0.5
 _HARD_ACCEPTANCE, _TRIAL = 0.5, 256
 _FEWEST_WALKERS = 64
-_BURN_IN, _BLOCK = 5, 10
+_BURN_IN, _BLOCK = 5, 5
+# So many draws of all ensembles together are taken even where fewer would do, and so many steps.
+_LEAST_DRAWS, _LEAST_STEPS = 8000, 10
 # A chain longer than this did not begin where it should; a quarter of it is then left out.
 _LONG = 60
 # Largest size of all chains together, in numbers: 400 MB.
@@ -41,7 +43,7 @@ class Settings:
     ensembles: int = 4
     walkers: int = 0
     seed: int = 0
-    least_steps: int = 20
+    least_steps: int = 0
     most_steps: int = 0
 
 
@@ -96,7 +98,8 @@ def sample(
     states = [_state(place, start, settings, checkpoint) for place, start in enumerate(starts)]
     memory = _MOST_NUMBERS // (len(starts) * walkers * dimensions)
     most = min(settings.most_steps + _BURN_IN if settings.most_steps else memory, memory)
-    least = min(settings.least_steps + _BURN_IN, most)
+    enough = settings.least_steps or max(_LEAST_STEPS, math.ceil(_LEAST_DRAWS / (len(starts) * walkers)))
+    least = min(enough + _BURN_IN, most)
     taken, block = checkpoint.steps, _BLOCK
     while True:
         if taken >= least or taken >= most:

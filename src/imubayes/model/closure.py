@@ -17,8 +17,8 @@ from imubayes.model.forward import Channels, Layer, travel
 from imubayes.stimulus import Ambient, Experience, Motion, SignalPath
 from imubayes.types import Array, Float
 
-# Each round shrinks the error of the inverse by the size of the calibration errors: 5 % to the fifth is below 1 ppm.
-_ROUNDS = 5
+# Each round shrinks the error of the inverse by the size of the calibration errors: 3 % to the fourth is 1 ppm.
+_ROUNDS = 4
 
 
 class Transitions(eqx.Module):

@@ -76,7 +76,7 @@ class Belonging:
                 table[run, pose] = [null] * len(columns)
             else:
                 table[run, pose] = [places.get(self._label(per, name, run, pose), null) for name in columns]
-        return np.array([table[key] for key in keys])
+        return np.array([table[key] for key in keys], dtype=int).reshape(-1, len(columns))
 
     def _label(self, per: Sequence[str], channel: str, run: int | None, pose: int | None) -> Label:
         parts = []

@@ -1,43 +1,32 @@
 """Model against measurement, whole: all tables and pictures of a result folder.
 
 Pictures go to `figures/` one by one, each written beside and then put in its place, so that a picture seen is a whole
-picture.  `figures/captions.json` lists what was drawn; what an earlier comparison drew and this one does not is removed.
+picture.  `figures/captions.json` lists what was drawn; what an earlier comparison drew and this one does not, goes.
 """
 
 import gc
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import polars as pl
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 
 from imubayes.errors import InputError, Problem, closest_first
-from imubayes.report.display import covariates_of, ordered
+from imubayes.report.display import ordered
 from imubayes.report.draws import read_draws
-from imubayes.report.figures import (
-    corner_figure,
-    identifiability_figure,
-    measurement_figure,
-    prior_posterior_figure,
-    residual_figure,
-    run_chi2_figure,
-)
-from imubayes.report.figures.prior_posterior import mounting_quantities
 from imubayes.report.html import summary_html
+from imubayes.report.plan import corner_choice, plan, runs_shown
 from imubayes.report.reading import StoredResult, damaged, read_stored
-from imubayes.report.statistics import worst_first
-from imubayes.report.tables import alarm_of, derived_table, parameter_table, run_table, weak_table
-from imubayes.report.theme import MOST_PANELS, Picture
+from imubayes.report.sheets import alarm_of
+from imubayes.report.tables import derived_table, fit_table, parameter_table, run_table, weak_table
 
-MOST_RUNS, MOST_CORNER = 24, 6
+_MOST_COLUMNS = 9
 _INDEX = "captions.json"
-_Plan = Iterator[tuple[str, Callable[[], Picture]]]
 
 
 @dataclass(frozen=True)
@@ -65,9 +54,15 @@ class Comparison:
         return not alarm_of(self.summary)
 
     @property
+    def runs(self) -> Table:
+        """How well each run and channel fits: a line per run, or per run and channel where there are many channels."""
+        channels = {run["channel"] for run in self.summary["runs"]}
+        return fit_table(self.summary) if len(channels) <= _MOST_COLUMNS else run_table(self.summary)
+
+    @property
     def tables(self) -> tuple[Table, ...]:
-        """Runs, parameters, derived quantities and weak directions, for the terminal."""
-        made = [run_table(self.summary), parameter_table(self.summary)]
+        """Fit of the runs, runs in detail, parameters, derived quantities and weak directions, for the terminal."""
+        made = [self.runs, run_table(self.summary), parameter_table(self.summary)]
         if self.summary["derived"]:
             made.append(derived_table(self.summary))
         if self.summary.get("weak_directions"):
@@ -75,7 +70,7 @@ class Comparison:
         return tuple(made)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        yield run_table(self.summary)
+        yield self.runs
         yield from self.notes
         yield f"{len(self.pictures)} pictures in {self.folder / 'figures'}"
 
@@ -105,97 +100,12 @@ def compare(folder: str | Path, parameters: Sequence[str] | None = None) -> Comp
     made: list[Path] = []
     captions: dict[str, str] = {}
     with _light_collection():
-        for name, draw in _plan(stored, names, draws):
+        for name, draw in plan(stored, names, draws):
             figure = draw()
             made.append(figure.save(target / f"{name}.png"))
             captions[f"{name}.png"] = figure.caption
     _replace_index(target, captions)
     return Comparison(stored.folder, tuple(made), captions, stored.summary, tuple(notes))
-
-
-def corner_choice(summary: Mapping[str, Any], most: int = MOST_CORNER) -> list[str]:
-    """Return the quantities whose joint posterior tells most.
-
-    Scale factor and mounting angle of one channel are told apart only by combining runs, and only where the axis is
-    neither along nor across the rotation: those with the least from the data come first, each with its scale factor.
-    """
-    derived = [one for one in summary["derived"] if one.get("sd")]
-    angles = [one for one in derived if one["name"].startswith("mounting_angle[")]
-    oblique = [one for one in angles if 10 < abs(one["mean"]) % 90 < 80]
-    scales = {one["name"][len("scale_factor[") : -1]: one["name"] for one in derived if _is_scale(one["name"])}
-    chosen: list[str] = []
-    for one in sorted(oblique or angles, key=_from_data)[: most // 2]:
-        channel = one["name"].partition("[")[2].partition(",")[0]
-        chosen += [one["name"], *([scales[channel]] if channel in scales else [])]
-    rest = sorted((one for one in derived if _is_scale(one["name"])), key=_from_data)
-    chosen += [one["name"] for one in rest]
-    if len(dict.fromkeys(chosen)) < 2:
-        loose = [one for one in summary["parameters"] if one.get("sd") and _from_data(one) > 0.1]
-        chosen += [one["name"] for one in sorted(loose, key=_from_data)]
-    unique = list(dict.fromkeys(chosen))[:most]
-    return sorted(unique, key=lambda name: name.startswith("scale_factor"))
-
-
-def _is_scale(name: str) -> bool:
-    return name.startswith("scale_factor[")
-
-
-def _from_data(one: Mapping[str, Any]) -> float:
-    share = one.get("from_data")
-    return 1.0 if share is None else float(share)
-
-
-def _plan(stored: StoredResult, names: Sequence[str], draws: Mapping[str, Any]) -> _Plan:
-    """Yield a name and a way to draw for every picture, the overview first."""
-    summary, residuals = stored.summary, stored.residuals
-    runs = ordered(residuals, "run")
-    if summary["runs"]:
-        yield "fit-of-runs", lambda: run_chi2_figure(summary)
-    for one in covariates_of(residuals):
-        for page, channels in _pages(ordered(residuals, "channel")):
-            yield (
-                f"residuals-{one.key.replace('_', '-')}{page}",
-                lambda one=one, channels=channels: residual_figure(residuals, one, channels, runs),
-            )
-    if any(one.get("from_data") is not None for one in (*summary["parameters"], *summary["derived"])):
-        yield "identifiability", lambda: identifiability_figure(summary)
-    if mounting_quantities(summary):
-        yield "mounting-prior-posterior", lambda: prior_posterior_figure(summary)
-    drawn = [name for name in names if name in draws]
-    if drawn:
-        yield "corner", lambda: corner_figure(draws, drawn, summary)
-    for run, file in _files_of_runs(_runs_shown(stored)):
-        own = residuals.filter(pl.col("run") == run)
-        for page, channels in _pages(ordered(own, "channel")):
-            yield f"run-{file}{page}", lambda own=own, run=run, channels=channels: measurement_figure(own, run, channels)
-
-
-def _pages(channels: Sequence[str]) -> list[tuple[str, list[str]]]:
-    pages = [list(channels[start : start + MOST_PANELS]) for start in range(0, len(channels), MOST_PANELS)]
-    return [(f"-{number}" if len(pages) > 1 else "", page) for number, page in enumerate(pages, 1)]
-
-
-def _runs_shown(stored: StoredResult) -> list[str]:
-    runs = ordered(stored.residuals, "run")
-    if len(runs) <= MOST_RUNS:
-        return runs
-    ranked = [name for name in worst_first(stored.summary) if name in runs]
-    kept = set((ranked + [name for name in runs if name not in ranked])[:MOST_RUNS])
-    return [name for name in runs if name in kept]
-
-
-def _files_of_runs(runs: Sequence[str]) -> list[tuple[str, str]]:
-    """Return a file name for each run: its own, where that is one, and different from all others."""
-    taken: set[str] = set()
-    found = []
-    for run in runs:
-        plain = "".join(c if c.isascii() and (c.isalnum() or c in "-_.") else "_" for c in run)[:80]
-        name, number = plain, 2
-        while name.lower() in taken:
-            name, number = f"{plain}_{number}", number + 1
-        taken.add(name.lower())
-        found.append((run, name))
-    return found
 
 
 def _checked(stored: StoredResult, parameters: Sequence[str]) -> list[str]:
@@ -212,9 +122,7 @@ def _checked(stored: StoredResult, parameters: Sequence[str]) -> list[str]:
             problems.append(Problem(f"'{name}' is not in the result", where, closest_first(name, known), remedy))
     if stored.posterior is None:
         remedy = "fit without --no-sample, then compare"
-        problems.append(
-            Problem("there are no draws to show", str(stored.folder), "a result that was sampled", remedy)
-        )
+        problems.append(Problem("there are no draws to show", str(stored.folder), "a result that was sampled", remedy))
     if problems:
         raise InputError(problems)
     return members
@@ -235,7 +143,7 @@ def _draws(stored: StoredResult, names: Sequence[str]) -> Mapping[str, Any]:
 
 def _notes(stored: StoredResult, draws: Mapping[str, Any]) -> Iterator[str]:
     runs = ordered(stored.residuals, "run")
-    shown = _runs_shown(stored)
+    shown = runs_shown(stored)
     if len(shown) < len(runs):
         yield f"Of {len(runs)} runs the {len(shown)} that fit worst have a picture of their own."
     if not draws:

@@ -59,7 +59,7 @@ class Covariate:
 
 
 COVARIATES: tuple[Covariate, ...] = (
-    Covariate("row", "row, in the order of the runs", ""),
+    Covariate("row", "row", ""),
     Covariate("time_s", "time since the start of the run", "s"),
     Covariate("power_on_s", "time since power-on", "s"),
     Covariate("table_rate_deg_s", "table rate", "deg/s"),

@@ -1,7 +1,7 @@
 """Draws of the posterior by the names of the summary, out of the named arrays of `posterior.nc`.
 
-The file holds one variable per family, `gyro_scale_factor.scale` over (chain, draw, channel) with named coordinates; the
-summary speaks of its members, `gyro_scale_factor.scale[gx]`.  Only the families asked for are read.
+The file holds one variable per family, `gyro_scale_factor.scale` over (chain, draw, labels) with named coordinates;
+the summary speaks of its members, `gyro_scale_factor.scale[gx]`.  Only the families asked for are read.
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,7 +21,7 @@ def family(name: str) -> str:
 
 
 def members(name: str, values: np.ndarray, labels: Iterable[Iterable[Any]]) -> dict[str, np.ndarray]:
-    """Return the members of a family, each a flat array of draws.
+    """Return the members of a family, each a flat array of draws, NaN where one was not computed.
 
     Parameters
     ----------
@@ -32,12 +32,27 @@ def members(name: str, values: np.ndarray, labels: Iterable[Iterable[Any]]) -> d
     axes = [[_text(label) for label in axis] for axis in labels]
     flat = values.reshape(values.shape[0] * values.shape[1], -1)
     found = {}
-    for place, label in enumerate(product(*axes)):
-        column = flat[:, place]
-        # A grid over two labels may have holes: a mounting angle of a channel that was never measured in it.
-        if np.isfinite(column).all():
-            found[f"{name}[{','.join(label)}]" if label else name] = column
+    for place, parts in enumerate(product(*axes)):
+        # A grid over two labels may have holes: a channel that was never in a mounting.
+        if np.isfinite(flat[:, place]).any():
+            label = ",".join(parts)
+            found[f"{name}[{label}]" if label else name] = flat[:, place]
     return found
+
+
+def complete(draws: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return those draws in which every member is known; derived quantities are kept for some draws only."""
+    if not draws:
+        return {}
+    known = np.isfinite(np.stack(list(draws.values()))).all(axis=0)
+    return {name: column[known] for name, column in draws.items()}
+
+
+def thinned(draws: Mapping[str, np.ndarray], most: int) -> dict[str, np.ndarray]:
+    """Return at most so many draws, evenly spaced."""
+    count = len(next(iter(draws.values()), ()))
+    chosen = slice(None) if count <= most else np.linspace(0, count - 1, most).astype(int)
+    return {name: column[chosen] for name, column in draws.items()}
 
 
 def read_draws(file: Path, names: Iterable[str]) -> dict[str, np.ndarray]:
@@ -75,7 +90,7 @@ def draws_of(posterior: Any, names: Iterable[str]) -> dict[str, np.ndarray]:
     wanted = list(dict.fromkeys(names))
     if isinstance(posterior, str | Path):
         return read_draws(Path(posterior), wanted)
-    if isinstance(posterior, Mapping) and all(isinstance(value, np.ndarray) for value in posterior.values()):
+    if isinstance(posterior, dict):
         return {name: posterior[name].reshape(-1) for name in wanted if name in posterior}
     group = posterior["posterior"] if "posterior" in getattr(posterior, "children", {}) else posterior
     found: dict[str, np.ndarray] = {}

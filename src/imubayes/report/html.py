@@ -1,19 +1,18 @@
 """The tables of a result as a small, self-contained piece of HTML: what a notebook shows.
 
-No scripts, no links, no outside style; every text from the result is escaped, since names of runs and channels are free.
+No scripts, no links, no outside style; every text from the result is escaped: names of runs and channels are free.
 Colours are set with their background left alone, and are readable on light and dark pages.
 """
 
 from collections.abc import Iterable
 from html import escape
 
-from imubayes.report.tables import (
+from imubayes.report.quantities import derived_sheet, parameter_sheet
+from imubayes.report.sheets import (
     Sheet,
     Summary,
     alarm_of,
-    derived_sheet,
     next_run_sheet,
-    parameter_sheet,
     run_sheet,
     weak_sheet,
 )

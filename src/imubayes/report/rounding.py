@@ -1,6 +1,6 @@
 """Numbers as a metrologist writes them: no digit beyond what the uncertainty supports.
 
-GUM 7.2.6: a standard uncertainty is stated to at most two significant digits and the estimate to the same decimal place.
+GUM 7.2.6: a standard uncertainty is stated to at most two significant digits, the estimate to the same decimal place.
 Shares get the same care: 99.996 % is never printed as 100 %, since nothing is known that well.
 """
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from functools import wraps
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -19,7 +20,7 @@ from matplotlib.figure import Figure
 
 from imubayes.report.display import shortened
 
-INK, QUIET, FAINT, PAPER = "#222222", "#666666", "#dddddd", "#ffffff"
+INK, QUIET, FAINT, PAPER, RED = "#222222", "#666666", "#dddddd", "#ffffff", "#b91c1c"
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
 HUES = (BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE, "#555555")
 MARKERS = ("o", "^", "s", "D", "v", "P", "X")
@@ -27,7 +28,7 @@ BAND, BAND_WIDE = "#cfd8e3", "#e9eef4"
 MOST_PANELS = 6
 DPI = 100
 TEXT, SMALL = 9.0, 8.0
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans", "font.size": TEXT, "text.color": INK, "axes.labelcolor": INK,
     "axes.edgecolor": QUIET, "axes.linewidth": 0.7, "axes.labelsize": TEXT, "axes.titlesize": TEXT,
     "axes.titleweight": "bold", "axes.titlelocation": "left", "axes.titlepad": 4.0, "axes.spines.top": False,
@@ -59,8 +60,8 @@ class Picture(Figure):
         """Return the picture as PNG."""
         buffer = BytesIO()
         with mpl.rc_context(_STYLE):
-            # Not savefig, which lays everything out twice; and fast compression: a fifth larger, in a third of the time.
-            FigureCanvasAgg(self).print_png(buffer, pil_kwargs={"compress_level": 1})
+            # Fast compression: a fifth larger, in a third of the time.
+            self.savefig(buffer, format="png", pil_kwargs={"compress_level": 1})
         return buffer.getvalue()
 
     def save(self, file: str | Path) -> Path:
@@ -86,8 +87,18 @@ def themed[**P](draw: Callable[P, Picture]) -> Callable[P, Picture]:
     return wrapper
 
 
-def picture(width: float, height: float, title: str, caption: str, subtitle: str = "") -> Picture:
-    """Return an empty picture with its title above and its caption below; `height` is that of the space between."""
+def picture(width: float, height: float, title: str, caption: str, subtitle: str = "", alarm: str = "") -> Picture:
+    """Return an empty picture with its title above and its caption below.
+
+    Parameters
+    ----------
+    width : of the picture, inches.
+    height : of the space between title and caption, inches.
+    title, caption : what is drawn; what a good model would look like.
+    subtitle : a quiet line below the title.
+    alarm : what has to be said before anything else, in red, in the place of the subtitle.
+    """
+    subtitle = textwrap.shorten(alarm, int((width - 0.6) * 72 / (TEXT * 0.62)), placeholder=" …") or subtitle
     lines = textwrap.wrap(caption, int((width - 0.6) * 72 / (TEXT * 0.545)))
     below = 0.22 + 0.165 * len(lines) + 0.1
     above = 0.42 + (0.2 if subtitle else 0.0)
@@ -98,7 +109,9 @@ def picture(width: float, height: float, title: str, caption: str, subtitle: str
     figure.inside = (0.3, below, width - 0.3, below + height)
     figure.text(0.3 / width, 1 - 0.13 / whole, title, size=13, weight="bold", va="top", ha="left")
     if subtitle:
-        figure.text(0.3 / width, 1 - 0.42 / whole, subtitle, size=TEXT, color=QUIET, va="top", ha="left")
+        figure.text(
+            0.3 / width, 1 - 0.42 / whole, subtitle, size=TEXT, color=RED if alarm else QUIET, va="top", ha="left"
+        )
     figure.text(
         0.3 / width, 0.17 / whole, "\n".join(lines), size=TEXT, color=INK, va="bottom", ha="left", linespacing=1.3
     )

@@ -1,7 +1,7 @@
 """Ticks of the panels: few, round, plain numbers.
 
-A page of twelve panels spends five sixths of its time on matplotlib's tick objects, of which each is five artists.  Here
-the marks of an axis are one artist and the labels are text; they are placed once, for the limits the panel has.
+A page of twelve panels spends five sixths of its time on matplotlib's tick objects, of which each is five artists.
+Here the marks of an axis are one artist and the labels are text, placed once, for the limits the panel has.
 """
 
 import math
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator, MultipleLocator, NullLocator
 from matplotlib.transforms import ScaledTranslation
 
 from imubayes.report.marks import points
@@ -27,6 +27,7 @@ def frame(
     y_label: str | None = "",
     label_size: float = TEXT,
     inset: float = 0.0,
+    turns: bool = False,
 ) -> None:
     """Give a panel ticks and labels for the limits and scales it has; to be called last.
 
@@ -36,6 +37,7 @@ def frame(
     x_label, y_label : below and beside the numbers; None leaves out the numbers too.
     label_size : points.
     inset : share of the panel at both ends without ticks, where the numbers of panels side by side would touch.
+    turns : whether x is an angle in degrees, which is counted in eighths of a turn.
     """
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(NullLocator())
@@ -44,7 +46,7 @@ def frame(
     assert figure is not None
     widest = 0
     if x:
-        places = tick_places(*axes.get_xlim(), x, _threshold(axes.xaxis), inset)
+        places = tick_places(*axes.get_xlim(), x, _threshold(axes.xaxis), inset, turns)
         along = axes.get_xaxis_transform()
         points(axes, places, np.zeros(len(places)), 3, 3, QUIET, markeredgewidth=0.7, transform=along, clip_on=False)
         away = along + ScaledTranslation(0, -_AWAY / 72, figure.dpi_scale_trans)
@@ -62,11 +64,11 @@ def frame(
     if x_label:
         axes.set_xlabel(x_label, size=label_size, labelpad=17 if x else 3)
     if y_label:
-        axes.set_ylabel(y_label, size=label_size, labelpad=7 + max(4, widest) * 0.62 * SMALL if y else 3)
+        axes.set_ylabel(y_label, size=label_size, labelpad=_AWAY + 5 + max(4, widest) * 0.64 * SMALL if y else 3)
 
 
 def tick_places(
-    low: float, high: float, most: int, threshold: float | None = None, inset: float = 0.0
+    low: float, high: float, most: int, threshold: float | None = None, inset: float = 0.0, turns: bool = False
 ) -> list[float]:
     """Return round numbers between two limits: evenly spaced, or decades of a symmetric logarithmic scale.
 
@@ -74,10 +76,15 @@ def tick_places(
     ----------
     threshold : of the logarithmic scale, linear below it; None for a linear scale.
     inset : share of the range at both ends that stays free.
+    turns : whether a range of a quarter turn and more is counted in eighths of a turn.
     """
     if threshold is None:
         margin = (1e-9 - inset) * (high - low)
-        found = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+        locator = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10])
+        if turns and high - low >= 90:
+            step = next((s for s in (45, 90, 180, 360) if (high - low) / s <= most), 720)
+            locator = MultipleLocator(step)
+        found = locator.tick_values(low, high)
         return [float(place) for place in found if low - margin <= place <= high + margin]
     first = round(math.log10(threshold))
     last = math.floor(math.log10(max(abs(low), abs(high))) + 1e-9)

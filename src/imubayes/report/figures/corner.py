@@ -8,20 +8,21 @@ from matplotlib.axes import Axes
 from scipy.ndimage import gaussian_filter
 
 from imubayes.report.display import pretty, readable, shortened
-from imubayes.report.draws import draws_of
+from imubayes.report.draws import complete, draws_of, thinned
 from imubayes.report.rounding import concise
+from imubayes.report.sheets import alarm_of
 from imubayes.report.theme import BLUE, INK, QUIET, SMALL, Picture, axes_at, picture, themed
 from imubayes.report.ticks import frame
 
 _CELLS = 36
 _LEVELS = (0.95, 0.5)
 _FILLS = ("#cfe2f0", "#7fb2d6")
-_MOST = 8
+_MOST, _DRAWS = 8, 50_000
 _CAPTION = (
-    "Diagonal: posterior of one quantity, its 95 % equal-tailed interval shaded; grey dashes: its prior, where that is not "
-    "much wider. Below: pairs, with the smallest areas that hold 50 % and 95 % of the draws, and their correlation. Axes "
-    "are deviations from the posterior mean that stands on top. Round areas are quantities the runs tell apart; a thin "
-    "slanted one is a pair of which only a combination is known."
+    "Diagonal: posterior of one quantity, its 95 % equal-tailed interval shaded; grey dashes: the width of its prior, "
+    "where that is not much wider. Below: pairs, with the smallest areas that hold 50 % and 95 % of the draws, and "
+    "their correlation. Axes are deviations from the posterior mean that stands on top. Round areas are quantities the "
+    "runs tell apart; a thin slanted one is a pair of which only a combination is known."
 )
 
 
@@ -36,7 +37,7 @@ def corner_figure(posterior: Any, names: Sequence[str], summary: Mapping[str, An
     summary : the content of `summary.json`, for units, means and prior widths.
     """
     entries = {one["name"]: one for one in (*summary["parameters"], *summary["derived"])}
-    draws = draws_of(posterior, names)
+    draws = thinned(complete(draws_of(posterior, names)), _DRAWS)
     absent = [name for name in names if name not in draws or name not in entries]
     if absent or not names:
         raise ValueError(f"no draws of {', '.join(absent) or 'anything: no name was given'}")
@@ -46,7 +47,8 @@ def corner_figure(posterior: Any, names: Sequence[str], summary: Mapping[str, An
     side = min(1.75, 11.6 / count) if count > 2 else 2.6
     height = count * side + 0.6
     width = max(count * side + 1.5, 8.5)
-    figure = picture(width, height, "Joint posterior", _CAPTION)
+    how = "" if summary.get("sampled", True) else "not sampled: draws from the Laplace approximation about the fit"
+    figure = picture(width, height, "Joint posterior", _CAPTION, how, alarm=alarm_of(summary))
     left, bottom, right, _ = figure.inside
     margin = left + 0.75 + max(0.0, (right - left - 0.85 - count * side) / 2 if count < 4 else 0.0)
     base = bottom + 0.5
@@ -122,7 +124,15 @@ def _pair(axes: Axes, across: _Column, up: _Column) -> None:
     correlation = float(np.corrcoef(across.x, up.x)[0, 1])
     strong = abs(correlation) > 0.7
     text = "0.00" if abs(correlation) < 0.005 else f"{correlation:+.2f}".replace("-", "−")
+    right = correlation < 0
     axes.text(
-        0.97 if correlation < 0 else 0.03, 0.97, text, transform=axes.transAxes, size=7.5, va="top", ha="right" if correlation < 0 else "left", color=INK if strong else QUIET,
+        0.97 if right else 0.03,
+        0.97,
+        text,
+        transform=axes.transAxes,
+        size=7.5,
+        va="top",
+        ha="right" if right else "left",
+        color=INK if strong else QUIET,
         weight="bold" if strong else "normal",
-    )  # fmt: skip
+    )

@@ -5,30 +5,40 @@ from typing import Any
 
 from imubayes.report.display import shortened
 from imubayes.report.rounding import percent
+from imubayes.report.sheets import alarm_of
 from imubayes.report.theme import BLUE, FAINT, ORANGE, QUIET, VERMILION, Picture, axes_at, picture, themed
 
 _MOST = 48
 _NOT, _PARTLY = 0.1, 0.9
 _CAPTION = (
-    "from data = 1 − (posterior sd / prior sd)². A good set of runs fills every bar that matters for the specification. Below "
-    "10 % (vermilion) the number is the prior's, not a measurement; between 10 % and 90 % (orange) the prior still counts."
+    "from data = 1 − (posterior sd / prior sd)². A good set of runs fills every bar that matters for the "
+    "specification. Below 10 % (vermilion) the number is the prior's, not a measurement; between 10 % and 90 % "
+    "(orange) the prior still counts."
 )
 
 
 @themed
 def identifiability_figure(summary: Mapping[str, Any]) -> Picture:
-    """Return bars of `from_data` of parameters and derived quantities, the least determined of them if they are many."""
-    entries = [one for one in (*summary["parameters"], *summary["derived"]) if one.get("from_data") is not None]
+    """Return bars of `from_data` of parameters and derived quantities; if they are many, the least determined."""
+    entries = [
+        one
+        for one in (*summary["parameters"], *summary["derived"])
+        if one.get("from_data") is not None and not one.get("nuisance")
+    ]
     if not entries:
         raise ValueError("the summary says of no quantity what came from the data")
     ranked = sorted(entries, key=lambda one: one["from_data"])
     shown, rest = ranked[:_MOST], ranked[_MOST:]
     caption = _CAPTION
     if rest:
-        caption += f" The other {len(rest)} of {len(entries)} have at least {percent(rest[0]['from_data'])} from the data."
+        caption += (
+            f" The other {len(rest)} of {len(entries)} have at least {percent(rest[0]['from_data'])} from the data."
+        )
     columns = 1 if len(shown) <= 16 else 2
     lines = -(-len(shown) // columns)
-    figure = picture(12.0 if columns == 2 else 8.0, lines * 0.235 + 0.55, "What the runs determined", caption, _counts(entries))
+    width, height = 12.0 if columns == 2 else 8.0, lines * 0.235 + 0.55
+    title = "What the runs determined"
+    figure = picture(width, height, title, caption, _counts(entries), alarm=alarm_of(summary))
     left, bottom, right, _ = figure.inside
     across = (right - left) / columns
     for column in range(columns):

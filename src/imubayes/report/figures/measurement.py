@@ -24,6 +24,7 @@ from imubayes.report.theme import (
 )
 from imubayes.report.ticks import frame
 
+_PITCH = 3.0
 _NORMAL = 1.959964  # 97.5 % point of the standard normal
 _DRIVERS = {
     "rate_table": ("table_rate", "temperature", "time"),
@@ -38,9 +39,9 @@ _DRIVERS = {
 }
 _MODEL_BAND = "#f3c9a8"
 _GOOD = (
-    "Upper panels: measurement over model. Lower panels: measurement less model, in input units. A good model has 95 % of "
-    "the points inside the light band (noise, run offset and model together) without a trend; the points of one run may "
-    "lie off zero together, by the run's own offset. The dark band is the model's own 95 % uncertainty."
+    "Upper panels: measurement over model. Lower panels: measurement less model, in input units. A good model has 95 % "
+    "of the points inside the light band (noise, run offset and model together) without a trend; the points of one run "
+    "may lie off zero together, by the run's own offset. The orange band is the model's own 95 % uncertainty."
 )
 
 
@@ -63,24 +64,28 @@ def measurement_figure(residuals: pl.DataFrame, run: str, channels: Sequence[str
     columns = min(len(names), 3)
     lines = -(-len(names) // 3)
     width = {1: 8.0, 2: 10.5, 3: 13.0}[columns]
+    x_all, label = abscissa(numbers(recorded, against.column), against)
+    phrase = against.phrase
+    if against.column == "row" and recorded.get_column("procedure")[0] == "free_tumble":
+        phrase = label = "pose"
     procedure = str(recorded.get_column("procedure")[0]).replace("_", " ")
-    figure = picture(width, lines * 3.45, run, f"{_GOOD} {left_out}".strip(), f"{procedure}, against {against.phrase}")
+    figure = picture(width, lines * _PITCH + 0.4, run, f"{_GOOD} {left_out}".strip(), f"{procedure}, against {phrase}")
     left, _, right, top = figure.inside
     across = (right - left) / columns
-    x_all, label = abscissa(numbers(recorded, against.column), against)
+    turns = against.unit == "deg"
     for place, name in enumerate(names):
         mask = (recorded.get_column("channel") == name).to_numpy()
         own, x = recorded.filter(pl.Series(mask)), x_all[mask]
         corner = left + (place % 3) * across + 0.8
-        base = top - (place // 3 + 1) * 3.45
-        upper = axes_at(figure, corner, base + 1.85, across - 0.95, 1.32)
-        lower = axes_at(figure, corner, base + 0.52, across - 0.95, 1.2)
+        base = top - (place // 3 + 1) * _PITCH
+        upper = axes_at(figure, corner, base + 1.38, across - 0.95, 1.32)
+        lower = axes_at(figure, corner, base + 0.08, across - 0.95, 1.2)
         for axes in (upper, lower):
             set_abscissa(axes, x_all, against)
         _measured(upper, own, x)
         unit = _remaining(lower, own, x)
-        frame(upper, 6, 5, None, own.get_column("output_unit")[0] or "")
-        frame(lower, 6, 4, label, unit)
+        frame(upper, 6, 5, None, own.get_column("output_unit")[0] or "", turns=turns)
+        frame(lower, 6, 4, label if place + 3 >= len(names) else None, unit, turns=turns)
     _legend(figure)
     return figure
 

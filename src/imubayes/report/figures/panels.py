@@ -108,7 +108,7 @@ def draw_means(axes: Axes, x: np.ndarray, y: np.ndarray, groups: np.ndarray | No
 
 
 def spread(axes: Axes, x: np.ndarray, runs: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """Return places moved sideways a little by run, where a covariate takes few levels and points would hide each other."""
+    """Return places moved sideways a little by run, where few levels would make points hide each other."""
     levels = np.unique(x)
     if len(levels) > _MOST_LEVELS or len(names) < 2 or x.size < 3 * len(levels):
         return x

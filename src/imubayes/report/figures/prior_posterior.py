@@ -11,6 +11,7 @@ from matplotlib.patches import Patch
 
 from imubayes.report.display import pretty, shortened
 from imubayes.report.rounding import concise, significant
+from imubayes.report.sheets import alarm_of
 from imubayes.report.theme import (
     BAND,
     BAND_WIDE,
@@ -25,33 +26,33 @@ from imubayes.report.theme import (
     themed,
 )
 
-_MOST = 32
+_MOST = 40
 _FAMILIES = ("mounting_error.", "mounting_angle[")
 _ON_PAPER = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
 _CAPTION = (
-    "Left: the posterior with its 95 % interval, in prior standard deviations from the prior's centre; an estimate beyond the "
-    "bands says that the equipment is worse than stated, or the model is wrong (where the prior has no one centre, the "
-    "estimate stands as a number). Right: standard uncertainty before the runs "
-    "(open) and after (filled), on a logarithmic axis. Of a good set of runs every line is long; a short one, in vermilion, is a "
-    "quantity that the runs did not determine."
+    "Left: the posterior with its 95 % interval, in prior standard deviations from the prior's centre; an estimate "
+    "beyond the bands says that the equipment is worse than stated, or the model is wrong (where the prior has no one "
+    "centre, the estimate stands as a number). Right: standard uncertainty before the runs (open) and after (filled), "
+    "on a logarithmic axis. Of a good set of runs every line is long; a short one, in vermilion, is a quantity that "
+    "the runs did not determine."
 )
 
 
 def mounting_quantities(summary: Mapping[str, Any]) -> list[str]:
     """Return the names of mounting errors and mounting angles whose prior and posterior are known."""
     entries = (*summary["parameters"], *summary["derived"])
-    return [one["name"] for one in entries if one["name"].startswith(_FAMILIES) and _prior_sd(one)]
+    return [one["name"] for one in entries if one["name"].startswith(_FAMILIES) and _known(one)]
 
 
 @themed
 def prior_posterior_figure(summary: Mapping[str, Any], names: Sequence[str] | None = None) -> Picture:
     """Return prior against posterior; without names those of the mountings, the least determined if they are many.
 
-    The prior's width is `prior_sd`, or where it is not given that which `from_data` implies; its centre is `prior_mean`,
-    and 0 for errors.  Without a centre the left panel says nothing of the quantity.
+    The prior's width is `prior_sd`, or where it is not given that which `from_data` implies; its centre is
+    `prior_mean`, and 0 for errors.  Without a centre the left panel gives the estimate as a number.
     """
     entries = {one["name"]: one for one in (*summary["parameters"], *summary["derived"])}
-    wanted = [name for name in (names or mounting_quantities(summary)) if name in entries and _prior_sd(entries[name])]
+    wanted = [name for name in (names or mounting_quantities(summary)) if name in entries and _known(entries[name])]
     if not wanted:
         raise ValueError("no quantity with a prior and a posterior width was named")
     caption = _CAPTION
@@ -61,13 +62,16 @@ def prior_posterior_figure(summary: Mapping[str, Any], names: Sequence[str] | No
         caption += f" Shown are the {_MOST} least determined of {len(chosen)}."
         chosen = [chosen[place] for place in sorted(ranked)]
     height = len(chosen) * 0.24 + 0.85
-    figure = picture(12.0, height, "Mounting, before and after the runs" if names is None else "Prior and posterior", caption)
+    title = "Mounting, before and after the runs" if names is None else "Prior and posterior"
+    figure = picture(12.0, height, title, caption, alarm=alarm_of(summary))
     left, bottom, right, top = figure.inside
     tall = height - 0.85
     centred = [_centre(one) is not None for one in chosen]
     inner = right - left - 2.35 - 1.3
     share = 0.45 if any(centred) else 0.0
-    second = axes_at(figure, left + 2.35 + share * inner + (0.35 if share else 0), bottom + 0.5, (1 - share) * inner - 0.35, tall)
+    second = axes_at(
+        figure, left + 2.35 + share * inner + (0.35 if share else 0), bottom + 0.5, (1 - share) * inner - 0.35, tall
+    )
     axes_left = second
     if any(centred):
         first = axes_at(figure, left + 2.35, bottom + 0.5, share * inner, tall)
@@ -121,7 +125,9 @@ def _widths(axes: Axes, chosen: Sequence[Mapping[str, Any]]) -> str:
         sizes += [before, after]
         colour = _colour(one)
         axes.plot([after, before], [place, place], color=colour, linewidth=1.0, alpha=0.6)
-        axes.plot([before], [place], "o", markerfacecolor="white", markeredgecolor=QUIET, markersize=5, markeredgewidth=1.0)
+        axes.plot(
+            [before], [place], "o", markerfacecolor="white", markeredgecolor=QUIET, markersize=5, markeredgewidth=1.0
+        )
         axes.plot([after], [place], "o", color=colour, markersize=5, markeredgewidth=0)
         text = f"{significant(before, 2)} → {significant(after, 2)}" + ("" if angles else f" {pretty(one['unit'])}")
         axes.text(1.015, place, text, transform=axes.get_yaxis_transform(), size=8, va="center", ha="left")
@@ -133,6 +139,10 @@ def _widths(axes: Axes, chosen: Sequence[Mapping[str, Any]]) -> str:
     if angles:
         return "arcsec"
     return pretty(next(iter(units))) if len(units) == 1 else "the unit of each"
+
+
+def _known(one: Mapping[str, Any]) -> bool:
+    return bool(one["sd"] and _prior_sd(one) and not one.get("nuisance"))
 
 
 def _prior_sd(one: Mapping[str, Any]) -> float | None:

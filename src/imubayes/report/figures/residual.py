@@ -59,6 +59,7 @@ def residual_figure(
     if not varies(x_all):
         raise ValueError(f"the residuals have no {against.phrase} that varies")
     x_all, label = abscissa(x_all, against)
+    label = label if against.column != "row" else "row, in the order of the runs"
     groups = "the runs" if against.column == "row" else "neighbouring points"
     parts = (_GOOD.format(groups=groups), _absent(against, without, x_all.size), left_out)
     caption = " ".join(part for part in parts if part)
@@ -77,14 +78,13 @@ def residual_figure(
             set_abscissa(axes, x_all, against)
             unit = _panel(axes, own, x, whitened, signs, against)
             _borders(axes, against, counted)
-            frame(axes, 9, 4, label if place == len(names) - 1 else None, unit)
+            below = label if place == len(names) - 1 else None
+            frame(axes, 9, 4, below, unit, turns=against.unit == "deg")
     signs.legend(figure, right - _LEGEND + 0.3, top, bottom, sorted(shown))
     return figure
 
 
-def _panel(
-    axes: Axes, own: pl.DataFrame, x: np.ndarray, whitened: bool, signs: RunSigns, against: Covariate
-) -> str:
+def _panel(axes: Axes, own: pl.DataFrame, x: np.ndarray, whitened: bool, signs: RunSigns, against: Covariate) -> str:
     name = own.get_column("channel")[0]
     y = numbers(own, "whitened" if whitened else "input_residual")
     good = np.isfinite(x) & np.isfinite(y)

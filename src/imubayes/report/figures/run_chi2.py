@@ -8,6 +8,7 @@ from matplotlib.patches import Patch, Rectangle
 
 from imubayes.report.display import shortened
 from imubayes.report.rounding import ratio_text
+from imubayes.report.sheets import alarm_of
 from imubayes.report.statistics import SIGNIFICANT, share_of_freedom, tail, worst_channels, worst_first
 from imubayes.report.theme import INK, PAPER, QUIET, Picture, axes_at, picture, themed
 
@@ -36,21 +37,22 @@ def run_chi2_figure(summary: Mapping[str, Any]) -> Picture:
     all_channels = list(dict.fromkeys(channel for _, channel in entries))
     channels = worst_channels(summary["runs"], _MOST_CHANNELS)
     cells = sum(1 for run, channel in entries if run in kept and channel in channels)
-    parts = [
-        "χ²/n of each run and channel: the mean square of the whitened residuals. A good model has no dark cell and numbers "
-        f"about {share:.2f} (what {1 - share:.0%} taken up by the parameters leaves); colour says how likely a value so far "
-        f"out is for its n. Of {cells} cells about {max(cells * SIGNIFICANT, 0.01):.2g} would be dark orange by chance. "
-        "Dark blue: scatter below the noise the model assumes.",
-    ]
+    expected = max(cells * SIGNIFICANT, 0.001)
+    caption = (
+        "χ²/n of each run and channel: the mean square of the whitened residuals. A good model has no dark cell and "
+        f"numbers about {share:.2f} (the parameters take up the rest of 1); the colour says how likely a value so far "
+        f"out is for its n. Of {cells} {'cell' if cells == 1 else 'cells'} about {expected:.2g} would be dark orange "
+        "by chance. Blue: less scatter than the noise that the model assumes."
+    )
     if len(runs) < len(all_runs) or len(channels) < len(all_channels):
-        parts.append(
-            f"Shown: {len(runs)} of {len(all_runs)} runs and {len(channels)} of {len(all_channels)} channels, the worst."
-        )
-    height = 0.4 + len(runs) * 0.27
+        shown = f"{len(runs)} of {len(all_runs)} runs and {len(channels)} of {len(all_channels)} channels"
+        caption += f" Shown: {shown}, the worst."
+    height = max(0.4 + len(runs) * 0.27, 1.55)
     width = max(2.7 + len(channels) * 0.78 + 2.5, 8.0)
-    figure = picture(width, height, "Fit of every run and channel", " ".join(parts))
-    left, bottom, _, _ = figure.inside
-    axes = axes_at(figure, left + 2.2, bottom + 0.05, len(channels) * 0.78, len(runs) * 0.27)
+    figure = picture(width, height, "Fit of every run and channel", caption, alarm=alarm_of(summary))
+    left, _, _, top = figure.inside
+    base = top - 0.35 - len(runs) * 0.27
+    axes = axes_at(figure, left + 2.2, base, len(channels) * 0.78, len(runs) * 0.27)
     axes.set(xlim=(0, len(channels)), ylim=(len(runs), 0))
     for row, run in enumerate(runs):
         for column, channel in enumerate(channels):
@@ -66,7 +68,7 @@ def run_chi2_figure(summary: Mapping[str, Any]) -> Picture:
     figure.legend(
         handles=[Patch(facecolor=c, edgecolor="#bbbbbb", linewidth=0.5, label=label) for label, c, _ in _CLASSES],
         loc="upper left", bbox_to_anchor=((left + 2.2 + len(channels) * 0.78 + 0.15) / width,
-                                          (bottom + 0.05 + len(runs) * 0.27) / figure.get_size_inches()[1]),
+                                          (top - 0.35) / figure.get_size_inches()[1]),
         borderaxespad=0, handlelength=1.2, labelspacing=0.5,
     )  # fmt: skip
     return figure

@@ -1,0 +1,71 @@
+"""Simulate–recover: what a model predicts at known values, with noise, is found again."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.inference.fit import find_mode
+from imubayes.model.declaration import Model, declare
+from imubayes.model.likelihood import predict
+from imubayes.model.registry import Registry
+from small_campaign import campaign, simulated, spec, tumble_campaign
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """How far off the fit was, in posterior standard deviations, and these in units of the prior's."""
+
+    converged: bool
+    scores: np.ndarray
+    deviations: np.ndarray
+
+
+def declared_alone(member: type, registry: Registry | None = None) -> Model:
+    """Return a model of one effect and white noise on the campaign that can show it."""
+    among = tumble_campaign() if {"pose", "run"} & set(member.per) - {"channel"} and member.nuisance else campaign()
+    return declare(spec(member.name), among, registry)
+
+
+def recover(member: type, registry: Registry | None = None, seed: int = 5) -> Recovered:
+    model = declared_alone(member, registry)
+    size, hypers = model.problem.size
+    truth = np.clip(np.random.default_rng(seed).normal(size=size), -2, 2)
+    again = declare(model.spec, simulated(model, truth, seed), registry)
+    mode = find_mode(again.problem, jnp.zeros(size), jnp.zeros(hypers))
+    deviations = standard_deviations(again, mode)
+    return Recovered(bool(mode.converged), (np.asarray(mode.z) - truth) / deviations, deviations)
+
+
+def standard_deviations(model: Model, mode) -> np.ndarray:
+    """Return posterior standard deviations in z, by dense algebra of our own."""
+    values = np.asarray(model.problem.hyper_priors.values(mode.h))
+    jacobian = np.asarray(jax.jit(jax.jacfwd(lambda z: predict(model.problem, z)))(mode.z))
+    widths = np.ones(jacobian.shape[1])
+    for place, (hyper, unit) in enumerate(zip(model.problem.spread_of, model.problem.spread_unit, strict=True)):
+        if hyper < len(values):
+            widths[place] = values[hyper] / unit
+    root = jacobian / np.sqrt(variances(model, values))[:, None]
+    return np.sqrt(np.diag(np.linalg.inv(root.T @ root + np.diag(widths**-2))))
+
+
+def variances(model: Model, values: np.ndarray) -> np.ndarray:
+    """Return the variance of each entry under white noise and closing noise."""
+    entries, found = model.entries, np.empty(len(model.entries))
+    by_name = dict(zip(model.hyper_layout.names, values, strict=True))
+    for place in range(len(entries)):
+        if entries.closing[place]:
+            run = model.campaign.runs[entries.run[place]].name
+            found[place] = by_name[f"rotation_closure.sigma[{run}]"] ** 2
+        else:
+            channel = model.campaign.channels[entries.channel[place]].name
+            found[place] = by_name[f"white_noise.sigma[{channel}]"] ** 2 / entries.samples[place]
+    return found
+
+
+def is_recovered(found: Recovered) -> None:
+    """The law: converged, within five standard deviations, and something was learnt."""
+    assert found.converged
+    assert np.max(np.abs(found.scores)) < 5
+    assert np.min(found.deviations) < 0.5, "the campaign does not show this effect"

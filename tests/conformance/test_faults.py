@@ -1,0 +1,221 @@
+"""Each law goes red: members that break one, and one that keeps them all."""
+
+import jax.numpy as jnp
+import laws
+import pytest
+import recover
+
+from imubayes.effects.base import Order, SignalEffect, Stage
+from imubayes.errors import InputError
+from imubayes.model.registry import Registry
+from imubayes.noise.base import Entry, EntryNoise
+from imubayes.parameters.parameter import option, parameter
+from imubayes.stimulus import Sample
+from imubayes.types import Scalar
+
+
+class GyroTrend(SignalEffect):
+    """A sound effect: signal + c·(T − T_ref)."""
+
+    name = "gyro_trend"
+    stage, order, kinds = Stage.SENSOR, Order.BIAS, ("gyro",)
+    needs = ("temperature",)
+    reference = "for these tests"
+    slope: Scalar = parameter("deg/h/degC", "normal(0, 1 deg/h/degC)", (0.1, 2), "the slope")
+    reference_degC: float = option(25.0, "reference temperature, °C")
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.slope * (sample.ambient.temperature - self.reference_degC)
+
+
+class Base(SignalEffect):
+    """signal + b, to be broken in one place."""
+
+    name = "base"
+    stage, order, kinds = Stage.SENSOR, Order.BIAS, ("gyro",)
+    reference = "for these tests"
+
+
+def offset(unit="deg/h", prior="normal(0, 1 deg/h)", typical=(0.1, 2.0), meaning="the offset"):
+    return parameter(unit, prior, typical, meaning)
+
+
+class NotNull(Base):
+    """signal + b + 1."""
+
+    name = "not_null"
+    bias: Scalar = offset()
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.bias + 1e-6
+
+
+class BrokenGradient(Base):
+    """signal · √|x| with x the rate: no derivative at rest."""
+
+    name = "broken_gradient"
+    bias: Scalar = offset()
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.bias * jnp.sqrt(jnp.sum(sample.rate**2) * self.bias**2)
+
+
+class WrongReference(GyroTrend):
+    """signal + c·(T − 20), which is not what its setting says."""
+
+    name = "wrong_reference"
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.slope * (sample.ambient.temperature - 20.0)
+
+
+class Invisible(Base):
+    """signal + 0·b."""
+
+    name = "invisible"
+    bias: Scalar = offset()
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + 0.0 * self.bias
+
+
+class OtherName(Base):
+    """signal + b."""
+
+    name = "another_name"
+    bias: Scalar = offset()
+
+
+class Undocumented(Base):
+    name = "undocumented"
+    bias: Scalar = offset()
+
+
+class Wordy(Base):
+    """It does something to the signal."""
+
+    name = "wordy"
+    bias: Scalar = offset()
+
+
+class Sourceless(Base):
+    """signal + b."""
+
+    name = "sourceless"
+    reference = ""
+    bias: Scalar = offset()
+
+
+class UnknownUnit(Base):
+    """signal + b."""
+
+    name = "unknown_unit"
+    bias: Scalar = offset(unit="furlong")
+
+
+class WrongDimension(Base):
+    """signal + b."""
+
+    name = "wrong_dimension"
+    bias: Scalar = offset(prior="normal(0, 1 ppm)")
+
+
+class NotTypical(Base):
+    """signal + b."""
+
+    name = "not_typical"
+    bias: Scalar = offset(typical=(2.0, 0.1))
+
+
+class NarrowPrior(Base):
+    """signal + b."""
+
+    name = "narrow_prior"
+    bias: Scalar = offset(typical=(1e3, 1e4))
+
+
+class WrongStage(Base):
+    """signal + b."""
+
+    name = "wrong_stage"
+    stage = Stage.TABLE
+    bias: Scalar = offset()
+
+
+class UnknownNeed(Base):
+    """signal + b."""
+
+    name = "unknown_need"
+    needs = ("humidity",)
+    bias: Scalar = offset()
+
+
+class DeafNoise(EntryNoise):
+    """σ² = 1, whatever σ."""
+
+    name = "deaf_noise"
+    reference = "for these tests"
+    sigma: Scalar = parameter("output", "lognormal(1 noise, 0.5)", (1e-6, 1e3), "the deviation")
+
+    def variance(self, entry: Entry) -> Scalar:
+        return jnp.ones_like(self.sigma) / entry.samples
+
+
+class NegativeNoise(DeafNoise):
+    """σ² − 1, which may be negative."""
+
+    name = "negative_noise"
+
+    def variance(self, entry: Entry) -> Scalar:
+        return self.sigma**2 - 1.0
+
+
+@pytest.mark.parametrize(
+    ("law", "broken", "says"),
+    [
+        (laws.null_is_the_identity, NotNull, "Not equal"),
+        (laws.gradients_are_finite, BrokenGradient, "broken_gradient: gradient"),
+        (laws.silent_without_its_covariate, WrongReference, "Not equal"),
+        (laws.changes_something, Invisible, "changes nothing"),
+        (laws.name_is_that_of_the_class, OtherName, "calls itself another_name"),
+        (laws.text_says_formula_and_source, Undocumented, "no docstring"),
+        (laws.text_says_formula_and_source, Wordy, "no formula"),
+        (laws.text_says_formula_and_source, Sourceless, "names no source"),
+        (laws.units_and_priors_are_known, UnknownUnit, "'furlong' is not a unit"),
+        (laws.units_and_priors_are_known, WrongDimension, "not a unit of this parameter"),
+        (laws.units_and_priors_are_known, NotTypical, "typical range"),
+        (laws.units_and_priors_are_known, NarrowPrior, "no room for what is typical"),
+        (laws.stage_and_covariates_are_known, WrongStage, "stands at"),
+        (laws.stage_and_covariates_are_known, UnknownNeed, "humidity"),
+        (laws.misstated_noise_is_less_likely, DeafNoise, "deaf_noise.sigma"),
+        (laws.variance_is_positive, NegativeNoise, "negative_noise: variance"),
+    ],
+)
+def test_a_broken_member_breaks_its_law(law, broken, says):
+    with pytest.raises((AssertionError, InputError), match=says):
+        law(broken)
+
+
+@pytest.mark.parametrize("law", [*laws.OF_ALL, *laws.OF_EFFECTS], ids=lambda law: law.__name__)
+def test_a_sound_effect_keeps_them_all(law):
+    law(GyroTrend)
+
+
+def registry(member: type) -> Registry:
+    return Registry(Registry().members | {member.name: member})
+
+
+def test_a_sound_effect_is_recovered():
+    recover.is_recovered(recover.recover(GyroTrend, registry(GyroTrend)))
+
+
+def test_an_effect_that_cannot_be_seen_is_not_called_recovered():
+    with pytest.raises(AssertionError, match="does not show"):
+        recover.is_recovered(recover.recover(Invisible, registry(Invisible)))
+
+
+def test_an_answer_that_is_off_is_not_called_recovered():
+    found = recover.recover(GyroTrend, registry(GyroTrend))
+    off = recover.Recovered(found.converged, found.scores + 6.0, found.deviations)
+    with pytest.raises(AssertionError):
+        recover.is_recovered(off)

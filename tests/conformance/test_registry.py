@@ -1,0 +1,89 @@
+"""All laws over all registered members."""
+
+import tomllib
+
+import jax
+import jax.numpy as jnp
+import laws
+import numpy as np
+import pytest
+import recover
+import tomlkit
+
+from imubayes.campaign.model_file import read_model
+from imubayes.effects.base import Effect
+from imubayes.model.declaration import declare
+from imubayes.model.likelihood import predict
+from imubayes.model.registry import Registry
+from imubayes.model.specification import EffectSpec, ModelSpec
+from imubayes.noise.base import Noise
+from imubayes.parameters.parameter import declared_options, declared_parameters
+from imubayes.stimulus import AMBIENT_NAMES
+from small_campaign import campaign, tumble_campaign
+
+MEMBERS = Registry().members
+EFFECTS = {name: member for name, member in MEMBERS.items() if issubclass(member, Effect)}
+NOISES = {name: member for name, member in MEMBERS.items() if issubclass(member, Noise)}
+
+
+def called(law) -> str:
+    return law.__name__
+
+
+@pytest.mark.parametrize("law", laws.OF_ALL, ids=called)
+@pytest.mark.parametrize("name", MEMBERS)
+def test_law_of_all(name, law):
+    law(MEMBERS[name])
+
+
+@pytest.mark.parametrize("law", laws.OF_EFFECTS, ids=called)
+@pytest.mark.parametrize("name", EFFECTS)
+def test_law_of_effects(name, law):
+    law(EFFECTS[name])
+
+
+@pytest.mark.parametrize("law", laws.OF_NOISE, ids=called)
+@pytest.mark.parametrize("name", NOISES)
+def test_law_of_noise(name, law):
+    law(NOISES[name])
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_simulate_recover(name):
+    recover.is_recovered(recover.recover(EFFECTS[name]))
+
+
+@pytest.mark.parametrize("name", [n for n, m in EFFECTS.items() if {*AMBIENT_NAMES, "injection"} & set(m.needs)])
+def test_nothing_reaches_a_run_that_lacks_what_is_needed(name):
+    model = recover.declared_alone(EFFECTS[name])
+    size = model.problem.size[0]
+    dense = np.asarray(jax.jacfwd(lambda z: predict(model.problem, z))(jnp.full(size, 0.3)))
+    needed = set(EFFECTS[name].needs) & {*AMBIENT_NAMES, "injection"}
+    lacking = [i for i, supplied in enumerate(model.nodes.supplies) if not needed <= supplied]
+    assert np.any(dense != 0)
+    assert not np.any(dense[np.isin(model.entries.run, lacking)])
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+def test_an_entry_of_a_model_file_survives_the_round_trip(name, tmp_path):
+    member = MEMBERS[name]
+    entry = tomlkit.table()
+    entry["name"] = name
+    entry["prior"] = tomlkit.inline_table()
+    for field, one in declared_parameters(member).items():
+        entry["prior"][field] = one.prior
+    for option, value in declared_options(member).items():
+        entry[option] = value
+    others = [] if name == "white_noise" else [{"name": "white_noise"}]
+    file = tmp_path / "model.toml"
+    file.write_text(tomlkit.dumps({"format": 1, "name": "round", "effect": [entry, *others]}), encoding="utf-8")
+    assert tomllib.loads(file.read_text(encoding="utf-8"))["effect"][0]["name"] == name
+    spec = read_model(file)
+    assert spec.effects[0].name == name
+    assert dict(spec.effects[0].prior) == {field: one.prior for field, one in declared_parameters(member).items()}
+    assert dict(spec.effects[0].options) == declared_options(member)
+    among = tumble_campaign() if member.nuisance else campaign()
+    read = declare(spec, among)
+    plain = declare(ModelSpec("plain", tuple(EffectSpec(one.name) for one in spec.effects)), among)
+    assert read.layout.names == plain.layout.names
+    assert read.hyper_layout.names == plain.hyper_layout.names

@@ -1,0 +1,79 @@
+"""An effect of the user's own, from a file beside the model."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from imubayes.errors import InputError
+from imubayes.model.declaration import declare
+from imubayes.model.likelihood import predict
+from imubayes.model.specification import EffectSpec, ModelSpec
+from small_campaign import campaign
+
+SOURCE = '''
+"""Scale factor that differs between the two directions of rotation."""
+
+import jax.numpy as jnp
+
+from imubayes.effects.base import Order, SignalEffect, Stage
+from imubayes.parameters.parameter import parameter
+from imubayes.types import Scalar
+
+
+class HouseAsymmetry(SignalEffect):
+    """signal + a·|rate|."""
+
+    name = "house_asymmetry"
+    stage, order, kinds = Stage.SENSOR, Order.SCALE, ("gyro",)
+    needs = ("turning",)
+    asymmetry: Scalar = parameter("ppm", "normal(0, 100 ppm)", (10, 300), "half the difference of the scale factors")
+
+    def apply(self, signal, sample):
+        return signal + self.asymmetry * jnp.abs(sample.rate[0])
+'''
+
+
+def model_of(*names: str, files: tuple = ()) -> ModelSpec:
+    effects = tuple(EffectSpec(name, where=f"model: {name}") for name in (*names, "white_noise"))
+    return ModelSpec("own", effects, tuple(map(str, files)))
+
+
+def test_it_takes_part_like_any_other(tmp_path):
+    file = tmp_path / "house.py"
+    file.write_text(SOURCE, encoding="utf-8")
+    model = declare(model_of("house_asymmetry", files=(file,)), campaign())
+    assert model.layout.names == tuple(f"house_asymmetry.asymmetry[g{axis}]" for axis in "xyz")
+    rest, at = (predict(model.problem, jnp.asarray(z)) for z in ([0.0, 0, 0], [0.0, 0, 1]))
+    change = np.asarray(at - rest)
+    gz = (model.entries.channel == 2) & (model.entries.run == 0)
+    # 100 ppm of |±100 °/s| at 1000 pulses per degree, whichever the direction
+    np.testing.assert_allclose(change[gz][1:3], 10.0, rtol=1e-3)
+    assert not change[model.entries.channel != 2].any()
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        (None, "missing"),
+        ("x = ", "cannot be read"),
+        ("raise RuntimeError('no')", "RuntimeError: no"),
+        ("x = 1", "defines no effect"),
+        (SOURCE.replace('name = "house_asymmetry"', "pass"), "no name"),
+        (SOURCE.replace('"house_asymmetry"', '"gyro_bias"'), "exists already"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_refused(tmp_path, text, what):
+    file = tmp_path / "house.py"
+    if text is not None:
+        file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        declare(model_of("gyro_bias", files=(file,)), campaign())
+    (problem,) = caught.value.problems
+    assert what in problem.what
+    assert str(file) in problem.where
+    assert problem.remedy
+
+
+def test_a_name_without_its_file_is_unknown():
+    with pytest.raises(InputError, match="no effect 'house_asymmetry'"):
+        declare(model_of("house_asymmetry"), campaign())
