@@ -47,33 +47,22 @@ def exponential(rotation: Vector3) -> Matrix3:
     safe = jnp.where(small, 1.0, square)
     angle = jnp.sqrt(safe)
     sinc = jnp.where(small, 1 - square / 6 * (1 - square / 20 * (1 - square / 42)), jnp.sin(angle) / angle)
-    versine = jnp.where(
-        small, 0.5 - square / 24 * (1 - square / 30 * (1 - square / 56)), (1 - jnp.cos(angle)) / safe
-    )
+    versine = jnp.where(small, 0.5 - square / 24 * (1 - square / 30 * (1 - square / 56)), (1 - jnp.cos(angle)) / safe)
     return jnp.stack(
         [
-            jnp.stack(
-                [1 - versine * (y * y + z * z), versine * x * y - sinc * z, versine * x * z + sinc * y]
-            ),
-            jnp.stack(
-                [versine * x * y + sinc * z, 1 - versine * (x * x + z * z), versine * y * z - sinc * x]
-            ),
-            jnp.stack(
-                [versine * x * z - sinc * y, versine * y * z + sinc * x, 1 - versine * (x * x + y * y)]
-            ),
+            jnp.stack([1 - versine * (y * y + z * z), versine * x * y - sinc * z, versine * x * z + sinc * y]),
+            jnp.stack([versine * x * y + sinc * z, 1 - versine * (x * x + z * z), versine * y * z - sinc * x]),
+            jnp.stack([versine * x * z - sinc * y, versine * y * z + sinc * x, 1 - versine * (x * x + y * y)]),
         ]
     )
 
 
-def turn_about_z(matrix: Matrix3, angle: Scalar) -> Matrix3:
-    """Return matrix · Rz(angle), angle in rad."""
+def turn_back_about_z(vector: Vector3, angle: Scalar) -> Vector3:
+    """Return Rz(angle)ᵀ · vector, angle in rad."""
     c, s = jnp.cos(angle), jnp.sin(angle)
-    first, second = matrix[:, 0], matrix[:, 1]
-    return jnp.stack([c * first + s * second, c * second - s * first, matrix[:, 2]], axis=1)
+    return jnp.stack([c * vector[0] + s * vector[1], c * vector[1] - s * vector[0], vector[2]])
 
 
 def small_rotation(matrix: Matrix3) -> Vector3:
     """Return sin(θ)·axis of a rotation matrix: the rotation vector to third order, smooth everywhere."""
-    return 0.5 * jnp.stack(
-        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
-    )
+    return 0.5 * jnp.stack([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])

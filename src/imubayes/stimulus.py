@@ -9,9 +9,10 @@ each written for one node, and batched by vmap.
 from dataclasses import dataclass, fields
 
 import equinox as eqx
+import jax
 import numpy as np
 
-from imubayes.types import Matrix3, Scalar, Vector3
+from imubayes.types import Array, Float, Int, Matrix3, Scalar, Vector3
 
 
 class Ambient(eqx.Module):
@@ -50,6 +51,37 @@ class Motion(eqx.Module):
     earth_rate: Vector3
 
 
+class Instants(eqx.Module):
+    """The nodes of all runs, one after the other.
+
+    What lasts as long as a run or pose, its *stand*, is kept once: S stands serve N nodes, and the rotations of
+    table and mounting are worked out once for each of them.
+
+    Attributes
+    ----------
+    stands : nominal motion of each stand, at rest at angle 0.
+    stand_ambient : circumstances at the first node of each stand.
+    stand : shape (N,), the stand of each node.
+    table_angle, table_rate, table_acceleration : shape (N,).
+    ambient : circumstances of each node.
+    injected : shape (N,), 1 where a current is injected.
+    """
+
+    stands: Motion
+    stand_ambient: Ambient
+    stand: Int[Array, " N"]
+    table_angle: Float[Array, " N"]
+    table_rate: Float[Array, " N"]
+    table_acceleration: Float[Array, " N"]
+    ambient: Ambient
+    injected: Float[Array, " N"]
+
+    def at(self, chosen: Array) -> "Instants":
+        """Return chosen nodes, with all stands."""
+        nodes = (self.stand, self.table_angle, self.table_rate, self.table_acceleration, self.ambient, self.injected)
+        return Instants(self.stands, self.stand_ambient, *jax.tree.map(lambda leaf: leaf[chosen], nodes))
+
+
 class Experience(eqx.Module):
     """What acts at the place of one channel, in body axes.
 
@@ -79,15 +111,17 @@ class Sample(eqx.Module):
 class SignalPath(eqx.Module):
     """What travels along the path: filled in from left to right as the stages are passed.
 
-    Leading axes are nodes for `motion` and `ambient`, nodes × channels for the others, which are kept per kind of
-    channel.  `signal` is input-referred in SI up to the converter, and in output units from there on.
+    Leading axes are stands, then nodes for `motion` and `ambient`, nodes × channels for the others, which are kept
+    per kind of channel.  `signal` is input-referred in SI up to the converter, and in output units from there on.
+    `instants` are the nodes that the stands are spread over.
     """
 
     motion: Motion
     ambient: Ambient
     experience: dict[str, Experience]
     sample: dict[str, Sample]
-    signal: dict[str, Scalar]
+    signal: dict[str, Float[Array, "N C"]]
+    instants: Instants | None = None
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from imubayes.model.likelihood import predict
 from small_campaign import ACCEL_SCALE, ARCSEC, DEGREE, GRAVITY, GYRO_SCALE, LATITUDE, campaign, spec
 
 EARTH = 15.041067 * DEGREE / 3600
+RATE = 100 * DEGREE
 NORTH, UP = EARTH * np.cos(LATITUDE), EARTH * np.sin(LATITUDE)
 OFFSET = {"gx": 0.0, "gy": 3.0, "gz": 6.0, "ax": 0.0, "ay": 0.0, "az": 0.0}
 
@@ -74,23 +75,23 @@ def test_an_injected_current_stands_for_its_acceleration():
 @pytest.mark.parametrize(
     ("name", "parameter", "value", "run", "channel", "row", "expected"),
     [
-        ("gyro_scale_factor", "scale[gz]", 100.0, "rate-flat", "gz", 1, (100 * DEGREE + UP) * (1 + 1e-4)),
+        ("gyro_scale_factor", "scale[gz]", 100.0, "rate-flat", "gz", 1, (RATE + UP) * (1 + 1e-4)),
         ("gyro_bias", "bias[gz]", 10.0, "rate-flat", "gz", 0, UP + 10 * DEGREE / 3600),
         ("accel_bias", "bias[az]", 50.0, "rate-flat", "az", 0, GRAVITY * (1 + 50e-6)),
         ("accel_quadratic", "quadratic[az]", 50.0, "rate-flat", "az", 0, GRAVITY * (1 + 50e-6)),
         ("gyro_g_sensitivity", "d_i[gz]", 10.0, "rate-flat", "gz", 0, UP + 10 * DEGREE / 3600),
-        ("gyro_bias_temperature", "slope[gz]", 1.0, "rate-pyramid", "gz", 0, UP / 3**0.5 + DEGREE / 360),
+        ("gyro_bias_temperature", "slope[gz]", 1.0, "rate-pyramid", "gz", 1, (RATE + UP) / 3**0.5 + DEGREE / 360),
         ("converter_gain_drift", "slope[az]", 10.0, "rate-flat", "az", 0, GRAVITY * (1 + 5e-5)),
         ("injection_error", "gain[ax]", 10.0, "inject", "ax", 0, 12 * GRAVITY * (1 + 1e-5)),
         ("injection_error", "offset[ax]", 12.0, "inject", "ax", 0, 12 * GRAVITY * (1 + 1e-6)),
-        ("table_rate_error", "rate_error[rate]", 5.0, "rate-flat", "gz", 1, 100 * DEGREE * (1 + 5e-6) + UP),
+        ("table_rate_error", "rate_error[rate]", 5.0, "rate-flat", "gz", 1, RATE * (1 + 5e-6) + UP),
         # z leans toward O = x by ε: it sees ε times what x sees.
-        ("accel_misalignment", "toward_o[az]", 100.0, "head-flat-20", "az", 2, -GRAVITY * np.sin(np.pi / 2 + 0.1) * 100 * ARCSEC),
+        ("accel_misalignment", "toward_o[az]", 100.0, "head-flat-20", "az", 2, -GRAVITY * np.cos(0.1) * 100 * ARCSEC),
         # The body turned by +ε about x has its y axis lifted: y reads +g·ε.
         ("mounting_error", "x[flat]", 100.0, "rate-flat", "ay", 0, GRAVITY * np.sin(100 * ARCSEC)),
         ("table_axis_tilt", "x[rate]", 10.0, "rate-flat", "ay", 0, GRAVITY * np.sin(10 * ARCSEC)),
         # Off the axis by r along x, an accelerometer along x feels −Ω² r.
-        ("lever_arm", "x[ax]", 10.0, "rate-flat", "ax", 1, -((100 * DEGREE) ** 2) * 0.010),
+        ("lever_arm", "x[ax]", 10.0, "rate-flat", "ax", 1, -(RATE**2) * 0.010),
     ],
 )  # fmt: skip
 def test_signs_and_sizes(name, parameter, value, run, channel, row, expected):

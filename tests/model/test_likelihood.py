@@ -1,4 +1,4 @@
-"""The log density against scipy, the whitener against a dense Cholesky factor, the sparse derivative against the dense."""
+"""The log density against scipy, the whitener against a dense Cholesky factor, sparse derivatives against dense."""
 
 from dataclasses import replace
 from functools import cache

@@ -35,8 +35,8 @@ from imubayes.types import Scalar
 class Stage(IntEnum):
     """The stages of the signal path, in the order in which they are passed."""
 
-    TABLE = 1  # the table: its rate, angle and axis
-    MOUNTING = 2  # how the unit sits on it
+    STAND = 1  # how table and unit stand, the same for all rows of a run or pose: axis, mounting
+    TABLE = 2  # the table's motion: its rate and angle
     PLACE = 3  # where a sensor sits in the unit
     SENSOR = 4  # the sensor: input-referred signal in SI
     CONVERTER = 5  # the readout: output units, without the nominal offset
@@ -100,7 +100,10 @@ class Effect(eqx.Module):
 
 
 class MotionEffect(Effect):
-    """An effect on how the unit moves, at the stages TABLE and MOUNTING."""
+    """An effect on how the unit stands and moves, at the stages STAND and TABLE.
+
+    At STAND it may change `base` and `mounting`, and is evaluated once per run or pose, not at every node.
+    """
 
     @abstractmethod
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:

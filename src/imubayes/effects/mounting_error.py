@@ -17,7 +17,7 @@ class MountingError(MotionEffect):
     """
 
     name = "mounting_error"
-    stage = Stage.MOUNTING
+    stage = Stage.STAND
     per = ("mounting",)
     confused_with = "scale factor and table rate error, where only one mounting is tested"
     reference = "first-order attitude error, body axes; IEEE Std 952, mounting misalignment"

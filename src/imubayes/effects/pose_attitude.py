@@ -17,7 +17,7 @@ class PoseAttitude(MotionEffect):
     """
 
     name = "pose_attitude"
-    stage = Stage.MOUNTING
+    stage = Stage.STAND
     per = ("run", "pose")
     nuisance = True
     reference = "Tedaldi et al., ICRA 2014"

@@ -15,7 +15,7 @@ class TableAxisTilt(MotionEffect):
     """Small rotation of the whole table about its own x and y: C_nt0 = C_nt0,nominal · exp([x, y, 0]×)."""
 
     name = "table_axis_tilt"
-    stage, order = Stage.TABLE, 10
+    stage = Stage.STAND
     per = ("table",)
     confused_with = "g-sensitivity of gyros; accelerometer misalignment where few mountings are tested"
     reference = "IEEE Std 1293, axis of rotation levelling error"

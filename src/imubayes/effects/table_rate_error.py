@@ -12,7 +12,7 @@ class TableRateError(MotionEffect):
     """Actual rate = indicated rate · (1 + e)."""
 
     name = "table_rate_error"
-    stage, order = Stage.TABLE, 20
+    stage = Stage.TABLE
     per = ("table",)
     needs = ("turning",)
     confused_with = "a scale factor common to all gyros: exactly, unless a reference gyro rides along"

@@ -15,7 +15,7 @@ class TumbleHeading(MotionEffect):
     """Heading of the whole run about the vertical; only the Earth's rotation depends on it."""
 
     name = "tumble_heading"
-    stage = Stage.TABLE
+    stage = Stage.STAND
     per = ("run",)
     nuisance = True
     confused_with = "gyro biases, unless the gyros resolve the Earth rate"

@@ -208,14 +208,18 @@ def _two_piece_inverse(value: Float[Array, " H"], left: Float[Array, " H"], righ
     return jnp.where(value < 0, low, high)
 
 
-def to_point(approximation: NestedLaplace, problem: Problem, normal: Float[Array, " PH"]) -> Float[Array, " PH"]:
-    """Return the point (θ, h), in z, that a standard normal vector stands for; of random ones it is a proposal."""
+def to_point(approximation: NestedLaplace, problem: Problem, normal: Float[Array, " PH"]):
+    """Return the point (θ, h), in z, that a standard normal vector stands for, and the log density of the proposal.
+
+    Of random vectors the points are proposals.
+    """
     size = approximation.z.shape[0]
     along = _two_piece(normal[size:], approximation.left, approximation.right)
     h = approximation.h + approximation.hyper_axes @ along
     factor, mean = _conditional(approximation, problem, h)
     delta = mean + solve_triangular(factor.T, normal[:size], lower=False)
-    return jnp.concatenate([approximation.z + delta + _bent(approximation, delta), h])
+    point = jnp.concatenate([approximation.z + delta + _bent(approximation, delta), h])
+    return point, _log_density(approximation, factor, normal[:size], along)
 
 
 def to_normal(approximation: NestedLaplace, problem: Problem, point: Float[Array, " PH"]):
@@ -224,14 +228,19 @@ def to_normal(approximation: NestedLaplace, problem: Problem, point: Float[Array
     z, h = point[:size], point[size:]
     along = approximation.hyper_axes.T @ (h - approximation.h)
     left, right = approximation.left, approximation.right
-    width = jnp.where(along < 0, left, right)
-    # A two-piece normal has density √(2/π)/(left + right) at its mode.
-    hyper = -0.5 * jnp.sum((along / width) ** 2) - jnp.sum(jnp.log(0.5 * (left + right)))
     factor, mean = _conditional(approximation, problem, h)
     bent = z - approximation.z
     # The bend does not change the weak coordinates, so those of the bent step undo it.
     whitened = factor.T @ (bent - _bent(approximation, bent) - mean)
-    log_determinant = jnp.sum(jnp.log(jnp.diagonal(factor)))
-    constant = 0.5 * jnp.log(2 * jnp.pi) * point.shape[0]
-    density = hyper - 0.5 * jnp.sum(whitened**2) + log_determinant - constant
+    density = _log_density(approximation, factor, whitened, along)
     return jnp.concatenate([whitened, _two_piece_inverse(along, left, right)]), density
+
+
+def _log_density(approximation: NestedLaplace, factor, whitened: Float[Array, " P"], along: Float[Array, " H"]):
+    left, right = approximation.left, approximation.right
+    width = jnp.where(along < 0, left, right)
+    # A two-piece normal has density √(2/π)/(left + right) at its mode.
+    hyper = -0.5 * jnp.sum((along / width) ** 2) - jnp.sum(jnp.log(0.5 * (left + right)))
+    log_determinant = jnp.sum(jnp.log(jnp.diagonal(factor)))
+    constant = 0.5 * jnp.log(2 * jnp.pi) * (whitened.shape[0] + along.shape[0])
+    return hyper - 0.5 * jnp.sum(whitened**2) + log_determinant - constant

@@ -136,8 +136,18 @@ def minimise(
         whatever ended the steps: a plateau, where damping stops the steps, is not a minimum.
     """
     if linear_solver is None:
+        # Relative to its own size at the start, a residual has no unit.
+        size = jnp.linalg.norm(residual(guess, arguments))
+        size = jnp.where(jnp.isfinite(size) & (size > 0), size, 1.0)
         scaled = _ScaledLevenbergMarquardt(tolerance, tolerance)
-        solution = optx.least_squares(residual, scaled, guess, args=arguments, max_steps=most_steps, throw=False)
+        solution = optx.least_squares(
+            lambda x, given: residual(x, given) / size,
+            scaled,
+            guess,
+            args=arguments,
+            max_steps=most_steps,
+            throw=False,
+        )
         value, arrived = _arrived(solution.state.descent_state, solution.value, tolerance)
         return LeastSquares(value, solution.stats["num_steps"], arrived)
     solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance, linear_solver=linear_solver, norm=optx.max_norm)
@@ -153,7 +163,8 @@ def _arrived(
     small = jnp.max(jnp.abs(left) / (tolerance + jnp.abs(value))) < _STEP_LEFT
     # Bates & Watts' relative offset: the part of the residual that the parameters could still take away.
     flat = jnp.linalg.norm(at.rotated) < _OFFSET_LEFT * at.length
-    return jnp.where(small, value - left, value), jnp.all(jnp.isfinite(left)) & (small | flat)
+    perfect = at.length < tolerance
+    return jnp.where(small, value - left, value), jnp.all(jnp.isfinite(left)) & (small | flat | perfect)
 
 
 def covariance(jacobian: Float[Array, "E P"], variance: Scalar | float = 1.0) -> Float[Array, "P P"]:

@@ -60,9 +60,10 @@ class LaplaceProposal:
         self.approximation, self.problem = approximation, problem
         self.dimensions = sum(problem.size)
 
-    def to_point(self, normal: np.ndarray) -> np.ndarray:
-        """Return the points of standard normal vectors, shape (n, P + H)."""
-        return np.array(_to_point(self.approximation, self.problem, normal))
+    def to_point(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points of standard normal vectors, (n, P + H), and the log density of the proposal, (n,)."""
+        points, density = _to_point(self.approximation, self.problem, normal)
+        return np.array(points), np.array(density)
 
     def to_normal(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the standard normal vectors of points, (n, P + H), and the log density of the proposal, (n,)."""
@@ -71,7 +72,7 @@ class LaplaceProposal:
 
     def draw(self, random: np.random.RandomState, count: int) -> np.ndarray:
         """Return `count` independent proposals, shape (count, P + H)."""
-        return self.to_point(random.normal(size=(count, self.dimensions)))
+        return self.to_point(random.normal(size=(count, self.dimensions)))[0]
 
 
 class LaplaceMove(Move):
@@ -96,9 +97,8 @@ class LaplaceMove(Move):
         count = len(state.coords)
         normal, old_proposal = self.proposal.to_normal(state.coords)
         fresh = model.random.normal(size=normal.shape)
-        points = self.proposal.to_point(np.sqrt(1 - self.step**2) * normal + self.step * fresh)
+        points, new_proposal = self.proposal.to_point(np.sqrt(1 - self.step**2) * normal + self.step * fresh)
         new, _ = model.compute_log_prob_fn(points)
-        _, new_proposal = self.proposal.to_normal(points)
         with np.errstate(invalid="ignore"):
             ratio = (new - new_proposal) - (state.log_prob - old_proposal)
         # A walker at zero density takes whatever is possible; nothing impossible is ever taken.

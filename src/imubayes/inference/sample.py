@@ -132,8 +132,8 @@ def _sampler(
 
 def expected_acceptance(log_density, proposal: LaplaceProposal, seed: int) -> float:
     """Return the share of independent proposals that would be taken, from importance weights of a few draws."""
-    points = proposal.draw(np.random.RandomState(seed), _TRIAL)
-    log_weight = log_density(points) - proposal.to_normal(points)[1]
+    points, density = proposal.to_point(np.random.RandomState(seed).normal(size=(_TRIAL, proposal.dimensions)))
+    log_weight = log_density(points) - density
     log_weight = log_weight[np.isfinite(log_weight)]
     if not log_weight.size:
         return 0.0

@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imubayes.earth import earth_rate
-from imubayes.effects.base import Effect, MotionEffect
-from imubayes.model.forward import Channels, EffectLayer, Instants
+from imubayes.effects.base import Effect, MotionEffect, Stage
+from imubayes.model.forward import Channels, EffectLayer
 from imubayes.model.instants import KINDS, Nodes
 from imubayes.model.labels import Belonging
 from imubayes.model.members import Acting
 from imubayes.parameters.vector import Layout
 from imubayes.run import Campaign
-from imubayes.stimulus import Ambient, Motion
+from imubayes.stimulus import Ambient, Instants, Motion
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,14 @@ class Assembly:
     instants: Instants
 
     def effect_layers(self, one: Acting, chosen: np.ndarray | None) -> list[EffectLayer]:
-        """Return the layers of an effect at chosen nodes; None stands for one node that belongs to no run."""
+        """Return the layers of an effect at chosen nodes; None stands for one node that belongs to no run.
+
+        What acts on stands is laid out over all stands, whatever the nodes.
+        """
         member = one.member
         assert issubclass(member, Effect)
+        if member.stage == Stage.STAND:
+            chosen = self.belonging.nodes.stand_node
         nodes = _nowhere(self.belonging.nodes) if chosen is None else _at(self.belonging.nodes, chosen)
         belonging = replace(self.belonging, nodes=nodes)
         places = {p.name: place for place, p in enumerate(self.layout.parameters)}
@@ -95,18 +100,27 @@ def _channels(campaign: Campaign, kind: str) -> Channels:
 
 
 def _instants(campaign: Campaign, nodes: Nodes) -> Instants:
-    stimulus = nodes.stimulus
-    count = len(stimulus.row)
-    motion = Motion(
-        base=stimulus.base,
-        mounting=stimulus.mounting,
-        table_angle=stimulus.table_angle,
-        table_rate=stimulus.table_rate,
-        table_acceleration=stimulus.table_acceleration,
+    stimulus, first = nodes.stimulus, nodes.stand_node
+    count, still = len(first), np.zeros(len(first))
+    stands = Motion(
+        base=stimulus.base[first],
+        mounting=stimulus.mounting[first],
+        table_angle=still,
+        table_rate=still,
+        table_acceleration=still,
         gravity=np.tile([0.0, 0.0, campaign.site.gravity], (count, 1)),
         earth_rate=np.tile(earth_rate(campaign.site.latitude), (count, 1)),
     )
-    return Instants(motion, Ambient(**stimulus.ambient), nodes.injected)
+    return Instants(
+        stands=stands,
+        stand_ambient=Ambient(**{name: values[first] for name, values in stimulus.ambient.items()}),
+        stand=nodes.stand,
+        table_angle=stimulus.table_angle,
+        table_rate=stimulus.table_rate,
+        table_acceleration=stimulus.table_acceleration,
+        ambient=Ambient(**stimulus.ambient),
+        injected=nodes.injected,
+    )
 
 
 def _at(nodes: Nodes, chosen: np.ndarray) -> Nodes:
@@ -115,6 +129,8 @@ def _at(nodes: Nodes, chosen: np.ndarray) -> Nodes:
         nodes.stimulus,
         nodes.run[chosen],
         nodes.pose[chosen],
+        nodes.stand[chosen],
+        nodes.stand_node,
         nodes.turns,
         nodes.row_of,
         nodes.injected[chosen],

@@ -15,7 +15,7 @@ from imubayes.errors import InputError, closest_first
 from imubayes.errors import Problem as Complaint
 from imubayes.model.assembly import Assembly, assemble
 from imubayes.model.closure import Transitions, nominal_inverse
-from imubayes.model.forward import Convert, Emit, Layer, Project, Resolve, in_order
+from imubayes.model.forward import Convert, Emit, Layer, Project, Resolve, Spread, in_order
 from imubayes.model.instants import Entries, Nodes, join_entries, join_nodes, readout_places
 from imubayes.model.labels import Belonging, colours
 from imubayes.model.likelihood import NoiseLayer, Observations, Problem, Sparsity
@@ -158,6 +158,7 @@ def _problem(assembly: Assembly) -> Problem:
     effects = [one for one in acting if issubclass(one.member, Effect)]
     everywhere = np.arange(len(nodes.run))
     layers: list[Layer] = [
+        Spread(),
         Resolve(tuple((kind, len(channels[kind].scale)) for kind in channels)),
         Project(channels),
         Convert(channels, nodes.injected),

@@ -9,7 +9,7 @@ import numpy as np
 
 from imubayes.effects.base import Effect, MotionEffect, Stage
 from imubayes.model.assembly import Assembly
-from imubayes.model.forward import Convert, Emit, Instants, Layer, Project, Resolve, in_order
+from imubayes.model.forward import Convert, Emit, Layer, Project, Resolve, Spread, in_order
 from imubayes.model.instants import KINDS
 from imubayes.model.labels import RUN_AXES
 from imubayes.model.probe import (
@@ -20,7 +20,6 @@ from imubayes.model.probe import (
     sensitivities,
     thermal_slopes,
 )
-from imubayes.stimulus import Ambient, Motion
 from imubayes.types import Array, Float, Int
 from imubayes.units import to_si
 
@@ -118,10 +117,9 @@ def derive(assembly: Assembly) -> Derived:
     probe = Probe(
         channels=assembly.channels,
         sensor_layers=_sensor_layers(assembly),
-        mountings=_at(assembly.instants, probe_nodes).motion,
-        mounting_ambient=_at(assembly.instants, probe_nodes).ambient,
-        mounting_layers=in_order(_layers(assembly, probe_nodes, {Stage.TABLE, Stage.MOUNTING})),
-        thermal=_at(assembly.instants, thermal_nodes) if len(thermal_nodes) else None,
+        mountings=assembly.instants.at(probe_nodes),
+        mounting_layers=in_order([Spread(), *_layers(assembly, probe_nodes, {Stage.STAND, Stage.TABLE})]),
+        thermal=assembly.instants.at(thermal_nodes) if len(thermal_nodes) else None,
         thermal_layers=_whole_path(assembly, thermal_nodes) if len(thermal_nodes) else (),
         thermal_input=thermal_input,
     )
@@ -149,20 +147,16 @@ def _thermal_nodes(assembly: Assembly) -> tuple[list[int], np.ndarray]:
 
 def _nominal_inputs(assembly: Assembly, kind: str, nodes: np.ndarray) -> np.ndarray:
     """Return the nominal input in SI of each node and channel of a kind, shape (n, C)."""
-    channels = assembly.channels[kind]
+    channels, gravity = assembly.channels[kind], assembly.belonging.campaign.site.gravity
     inputs = np.zeros((len(nodes), len(channels.scale)))
     for place, node in enumerate(nodes):
-        motion: Motion = assembly.instants.motion
-        body_to_local = motion.base[node] @ motion.mounting[node]
+        stimulus = assembly.belonging.nodes.stimulus
+        body_to_local = stimulus.base[node] @ stimulus.mounting[node]
         if assembly.instants.injected[node] > 0:
             inputs[place] = assembly.instants.ambient.current[node] / channels.current_per_acceleration
         elif kind == "accelerometer":
-            inputs[place] = channels.axes[:, 0] @ (body_to_local.T @ motion.gravity[node])
+            inputs[place] = channels.axes[:, 0] @ (body_to_local.T @ [0.0, 0.0, gravity])
     return inputs
-
-
-def _at(instants: Instants, chosen: np.ndarray) -> Instants:
-    return jax.tree.map(lambda leaf: leaf[chosen], instants)
 
 
 def _layers(assembly: Assembly, chosen: np.ndarray, stages: set[Stage]) -> list[Layer]:
@@ -178,7 +172,7 @@ def _whole_path(assembly: Assembly, chosen: np.ndarray) -> tuple[Layer, ...]:
     channels = assembly.channels
     counts = tuple((kind, len(one.scale)) for kind, one in channels.items())
     injected = assembly.instants.injected[chosen]
-    junctions = [Resolve(counts), Project(channels), Convert(channels, injected), Emit(channels)]
+    junctions = [Spread(), Resolve(counts), Project(channels), Convert(channels, injected), Emit(channels)]
     return in_order(junctions + _layers(assembly, chosen, set(Stage)))
 
 
@@ -197,6 +191,3 @@ def _sensor_layers(assembly: Assembly) -> tuple[Layer, ...]:
     ]
     layers = [layer for one in lasting for layer in assembly.effect_layers(one, None)]
     return in_order(junctions + layers)
-
-
-__all__ = ["Ambient", "Derived", "derive"]

@@ -1,9 +1,9 @@
 """The signal path: one loop over layers, from the table's motion to the output of every channel.
 
-A layer is an effect together with the places of its values in the parameter vector, or one of four junctions that
-every path has: `Resolve` (motion → what acts on the body), `Project` (body → channel axes, where the signal starts),
-`Convert` (SI → output units; an injected current takes the sensor's place) and `Emit` (the nominal offset).  There is
-no case per kind of run and none per effect.
+A layer is an effect together with the places of its values in the parameter vector, or one of five junctions that
+every path has: `Spread` (the stand of a run → its nodes), `Resolve` (motion → what acts on the body), `Project` (body →
+channel axes, where the signal starts), `Convert` (SI → output units; an injected current takes the sensor's place) and
+`Emit` (the nominal offset).  There is no case per kind of run and none per effect.
 """
 
 from collections.abc import Sequence
@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import Effect, Stage
-from imubayes.frames import compose, rotate, rotate_back, turn_about_z
-from imubayes.stimulus import Ambient, Experience, Motion, Sample, SignalPath
-from imubayes.types import Array, Float
+from imubayes.frames import rotate, rotate_back, turn_back_about_z
+from imubayes.stimulus import Ambient, Experience, Instants, Motion, Sample, SignalPath
+from imubayes.types import Array, Float, Vector3
 
 
 class Channels(eqx.Module):
@@ -35,14 +35,6 @@ class Channels(eqx.Module):
     scale: Float[Array, " C"]
     offset: Float[Array, " C"]
     current_per_acceleration: Float[Array, " C"]
-
-
-class Instants(eqx.Module):
-    """The nodes of all runs, one after the other: nominal motion, circumstances, and where a current is injected."""
-
-    motion: Motion
-    ambient: Ambient
-    injected: Float[Array, " N"]
 
 
 class Layer(eqx.Module):
@@ -82,11 +74,30 @@ class EffectLayer(Layer):
         return self.effect.advance(lambda one: self.effect(**one, **options), chosen, path, self.kind)
 
 
+class Spread(Layer):
+    """From stands to nodes: each node gets the table and mounting of its stand, and its own angle and rate."""
+
+    stage: ClassVar[Stage] = Stage.STAND
+
+    def __call__(self, path, values):
+        at, stand = path.instants, path.motion
+        motion = Motion(
+            base=stand.base[at.stand],
+            mounting=stand.mounting[at.stand],
+            table_angle=at.table_angle,
+            table_rate=at.table_rate,
+            table_acceleration=at.table_acceleration,
+            gravity=stand.gravity[at.stand],
+            earth_rate=stand.earth_rate[at.stand],
+        )
+        return eqx.tree_at(lambda p: (p.motion, p.ambient), path, (motion, at.ambient))
+
+
 class Resolve(Layer):
     """From the motion to what acts on the body, for every channel alike."""
 
     counts: tuple[tuple[str, int], ...] = eqx.field(static=True)
-    stage: ClassVar[Stage] = Stage.MOUNTING
+    stage: ClassVar[Stage] = Stage.TABLE
 
     def __call__(self, path, values):
         body = jax.vmap(on_body)(path.motion)
@@ -152,16 +163,18 @@ class Emit(Layer):
 
 def on_body(motion: Motion) -> Experience:
     """Return what acts on a body that moves like this, in body axes."""
-    turned = turn_about_z(motion.base, motion.table_angle)
-    body_to_local = compose(turned, motion.mounting)
     axis = motion.mounting[2]
-    earth = rotate_back(body_to_local, motion.earth_rate)
     return Experience(
-        rate=axis * motion.table_rate + earth,
-        force=rotate_back(body_to_local, motion.gravity),
+        rate=axis * motion.table_rate + into_body(motion, motion.earth_rate),
+        force=into_body(motion, motion.gravity),
         table_rate=axis * motion.table_rate,
         table_acceleration=axis * motion.table_acceleration,
     )
+
+
+def into_body(motion: Motion, vector: Vector3) -> Vector3:
+    """Return a vector given in n in body axes; three turns of a vector cost less than the product of matrices."""
+    return rotate_back(motion.mounting, turn_back_about_z(rotate_back(motion.base, vector), motion.table_angle))
 
 
 def project(axes, experience: Experience, ambient: Ambient) -> Sample:
@@ -177,7 +190,7 @@ def project(axes, experience: Experience, ambient: Ambient) -> Sample:
 
 def start(instants: Instants) -> SignalPath:
     """Return a path on which nothing has happened yet."""
-    return SignalPath(instants.motion, instants.ambient, {}, {}, {})
+    return SignalPath(instants.stands, instants.stand_ambient, {}, {}, {}, instants)
 
 
 def travel(layers: Sequence[Layer], path: SignalPath, values: Float[Array, " V"]) -> SignalPath:

@@ -21,6 +21,8 @@ class Nodes:
     ----------
     stimulus : the arrays of `Stimulus`, joined; `ambient` has every covariate, 0 where a run lacks it.
     run, pose : shape (N,), index of the run and pose, −1 where there is no pose.
+    stand : shape (N,), the stand of each node: its run, or its pose where the run has poses.
+    stand_node : shape (S,), the first node of each stand.
     turns : rows as (number of rows, nodes per row), in order.
     row_of : shape (R,), global row (run after run) at each place of the sorted rows.
     injected : shape (N,), 1 where a current is injected.
@@ -30,6 +32,8 @@ class Nodes:
     stimulus: Stimulus
     run: np.ndarray
     pose: np.ndarray
+    stand: np.ndarray
+    stand_node: np.ndarray
     turns: tuple[tuple[int, int], ...]
     row_of: np.ndarray
     injected: np.ndarray
@@ -68,10 +72,14 @@ def join_nodes(campaign: Campaign) -> Nodes:
     sorted_rows = np.lexsort((np.arange(len(count)), count))
     sizes, numbers = np.unique(count, return_counts=True)
     run = np.concatenate([np.full(len(part.row), index) for index, part in enumerate(parts)])
+    run, pose = run[order], np.concatenate([part.pose for part in parts])[order]
+    _, stand_node, stand = np.unique(np.stack([run, pose]), axis=1, return_index=True, return_inverse=True)
     return Nodes(
         stimulus=_join(parts, order),
-        run=run[order],
-        pose=np.concatenate([part.pose for part in parts])[order],
+        run=run,
+        pose=pose,
+        stand=stand.reshape(-1),
+        stand_node=stand_node,
         turns=tuple((int(n), int(size)) for size, n in zip(sizes, numbers, strict=True)),
         row_of=sorted_rows,
         injected=np.concatenate([np.full(len(part.row), float(part.injected)) for part in parts])[order],

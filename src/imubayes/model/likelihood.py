@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 
 from imubayes.model.closure import Transitions, closing_rotations
-from imubayes.model.forward import Channels, Instants, Layer, start, travel
+from imubayes.model.forward import Channels, Layer, start, travel
 from imubayes.noise.base import Entry, EntryNoise, Noise, SharedNoise
 from imubayes.parameters.vector import Priors
-from imubayes.stimulus import SignalPath
+from imubayes.stimulus import Instants, SignalPath
 from imubayes.types import Array, Bool, Float, Int, Scalar
 
 

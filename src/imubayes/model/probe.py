@@ -13,8 +13,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from imubayes.model.forward import Channels, Instants, Layer, start, travel
-from imubayes.stimulus import Ambient, Experience, Motion, SignalPath
+from imubayes.model.forward import Channels, Layer, start, travel
+from imubayes.stimulus import Ambient, Experience, Instants, SignalPath
 from imubayes.types import Array, Float
 
 REFERENCE_TEMPERATURE = 25.0  # °C, the catalogue's own
@@ -27,7 +27,7 @@ class Probe(eqx.Module):
     ----------
     channels : constants of all channels, per kind.
     sensor_layers : from the projection on, at one node without run.
-    mountings : nominal motion of one node per mounting (M of them).
+    mountings : one node per mounting (M of them).
     mounting_layers : effects on the motion at these nodes.
     thermal : one node per run with a converter temperature (T of them), None where there is none.
     thermal_layers : the whole path at these nodes.
@@ -36,8 +36,7 @@ class Probe(eqx.Module):
 
     channels: dict[str, Channels]
     sensor_layers: tuple[Layer, ...]
-    mountings: Motion
-    mounting_ambient: Ambient
+    mountings: Instants
     mounting_layers: tuple[Layer, ...]
     thermal: Instants | None
     thermal_layers: tuple[Layer, ...]
@@ -75,15 +74,13 @@ def _respond(probe: Probe, values, stimulus: Float[Array, " 3"], kind: str) -> F
     }
     warm = jnp.full(1, REFERENCE_TEMPERATURE)
     ambient = Ambient(zero, zero, zero, zero, warm, warm, zero)
-    motion = jax.tree.map(lambda leaf: leaf[:1], probe.mountings)
-    path = SignalPath(motion, ambient, experience, {}, {})
+    path = SignalPath(probe.mountings.stands, ambient, experience, {}, {})
     return travel(probe.sensor_layers, path, values).signal[kind][0]
 
 
 def axes_of_rotation(probe: Probe, values: Float[Array, " V"]) -> Float[Array, "M 3"]:
     """Return the table's axis in body axes, for each mounting."""
-    path = SignalPath(probe.mountings, probe.mounting_ambient, {}, {}, {})
-    return travel(probe.mounting_layers, path, values).motion.mounting[:, 2, :]
+    return travel(probe.mounting_layers, start(probe.mountings), values).motion.mounting[:, 2, :]
 
 
 def thermal_slopes(probe: Probe, values: Float[Array, " V"]) -> dict[str, Float[Array, "T C"]]:

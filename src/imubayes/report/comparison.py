@@ -7,13 +7,13 @@ picture.  `figures/captions.json` lists what was drawn; what an earlier comparis
 import gc
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions
 from rich.table import Table
 
 from imubayes.errors import InputError, Problem, closest_first
@@ -69,7 +69,7 @@ class Comparison:
             made.append(weak_table(self.summary))
         return tuple(made)
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterable[Any]:
         yield self.runs
         yield from self.notes
         yield f"{len(self.pictures)} pictures in {self.folder / 'figures'}"
@@ -93,7 +93,7 @@ def compare(folder: str | Path, parameters: Sequence[str] | None = None) -> Comp
     """
     stored = read_stored(folder)
     names = _checked(stored, parameters) if parameters else corner_choice(stored.summary)
-    draws = _draws(stored, names)
+    draws = _draws(stored, names, asked=bool(parameters))
     notes = list(_notes(stored, draws))
     target = stored.folder / "figures"
     _make_folder(target)
@@ -121,14 +121,15 @@ def _checked(stored: StoredResult, parameters: Sequence[str]) -> list[str]:
             remedy = "take a name from the tables of the result; a name without its brackets stands for all its members"
             problems.append(Problem(f"'{name}' is not in the result", where, closest_first(name, known), remedy))
     if stored.posterior is None:
-        remedy = "fit without --no-sample, then compare"
-        problems.append(Problem("there are no draws to show", str(stored.folder), "a result that was sampled", remedy))
+        remedy = "mend what kept the fit from converging, fit again, then compare"
+        allowed = "a result with posterior.nc, which every fit that converged writes"
+        problems.append(Problem("there are no draws to show", str(stored.folder), allowed, remedy))
     if problems:
         raise InputError(problems)
     return members
 
 
-def _draws(stored: StoredResult, names: Sequence[str]) -> Mapping[str, Any]:
+def _draws(stored: StoredResult, names: Sequence[str], asked: bool) -> Mapping[str, Any]:
     if stored.posterior is None or not names:
         return {}
     try:
@@ -136,7 +137,7 @@ def _draws(stored: StoredResult, names: Sequence[str]) -> Mapping[str, Any]:
     except (OSError, KeyError, ValueError, RuntimeError) as error:
         raise InputError(damaged(stored.posterior, error)) from error
     absent = [name for name in names if name not in draws]
-    if absent:
+    if absent and asked:
         raise InputError(damaged(stored.posterior, f"it has no draws of {', '.join(absent[:5])}"))
     return draws
 
@@ -147,7 +148,7 @@ def _notes(stored: StoredResult, draws: Mapping[str, Any]) -> Iterator[str]:
     if len(shown) < len(runs):
         yield f"Of {len(runs)} runs the {len(shown)} that fit worst have a picture of their own."
     if not draws:
-        yield "No corner plot: the result was not sampled." if stored.posterior is None else "No corner plot."
+        yield "No corner plot: the result holds no draws of the posterior."
 
 
 @contextmanager

@@ -100,8 +100,9 @@ def corner_choice(summary: Mapping[str, Any], most: int = MOST_CORNER) -> list[s
         parameters = [one for one in summary["parameters"] if one.get("sd") and not one.get("nuisance")]
         loose = [one for one in parameters if _from_data(one) > 0.1]
         chosen += [one["name"] for one in sorted(loose, key=_from_data)]
-    unique = list(dict.fromkeys(chosen))[:most]
-    return sorted(unique, key=lambda name: name.startswith("scale_factor"))
+    unique = set(list(dict.fromkeys(chosen))[:most])
+    in_order = [one["name"] for one in (*summary["parameters"], *derived) if one["name"] in unique]
+    return sorted(in_order, key=_is_scale)
 
 
 def _is_scale(name: str) -> bool:

@@ -1,7 +1,10 @@
 """Tables of a result for the terminal; what they say is in `imubayes.report.sheets`."""
 
+from collections.abc import Iterable
+from typing import Any
+
 from rich import box
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions
 from rich.table import Table
 from rich.text import Text
 
@@ -53,7 +56,7 @@ class SheetTable(Table):
 
     narrow: "SheetTable | None" = None
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterable[Any]:
         if self.narrow is not None:
             ample = options.update(max_width=10_000)
             if self.__rich_measure__(console, ample).maximum > options.max_width:

@@ -15,7 +15,7 @@ from matplotlib.transforms import ScaledTranslation
 from imubayes.report.marks import points
 from imubayes.report.theme import INK, QUIET, SMALL, TEXT
 
-_RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _AWAY = 4.5  # points between frame and label
 
 
@@ -74,10 +74,12 @@ def tick_places(
 
     Parameters
     ----------
-    threshold : of the logarithmic scale, linear below it; None for a linear scale.
+    threshold : below it a logarithmic scale is linear; 0 where it is logarithmic throughout, None where linear.
     inset : share of the range at both ends that stays free.
     turns : whether a range of a quarter turn and more is counted in eighths of a turn.
     """
+    if threshold == 0:
+        return _log_places(low, high, most)
     if threshold is None:
         margin = (1e-9 - inset) * (high - low)
         locator = MaxNLocator(most, steps=[1, 2, 2.5, 5, 10])
@@ -115,10 +117,12 @@ def tick_texts(places: Sequence[float]) -> list[str]:
 
 def _decade(place: float) -> str:
     """Return 0.1, 1, … 1000 as they are and the larger ones as powers: 10⁴."""
-    if abs(place) < 5000:
+    if place == 0 or 1e-4 < abs(place) < 5000:
         return _signed(f"{place:.6g}")
-    power = str(round(math.log10(abs(place)))).translate(_RAISED)
-    return ("−" if place < 0 else "") + "10" + power
+    power = math.floor(math.log10(abs(place)) + 1e-9)
+    digit = round(abs(place) / 10.0**power)
+    text = "10" + str(power).translate(_RAISED)
+    return ("−" if place < 0 else "") + (text if digit == 1 else f"{digit}·{text}")
 
 
 def _signed(text: str) -> str:
@@ -127,5 +131,16 @@ def _signed(text: str) -> str:
     return text.replace("-", "−")
 
 
+def _log_places(low: float, high: float, most: int) -> list[float]:
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for digits in ((1, 2, 5), (1, 3), (1,)):
+        found = [digit * 10.0**power for power in powers for digit in digits if low <= digit * 10.0**power <= high]
+        if len(found) <= most:
+            break
+    return found[:: math.ceil(len(found) / most)]
+
+
 def _threshold(axis) -> float | None:
+    if axis.get_scale() == "log":
+        return 0.0
     return axis.get_transform().linthresh if axis.get_scale() == "symlog" else None

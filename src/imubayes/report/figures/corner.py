@@ -48,7 +48,9 @@ def corner_figure(posterior: Any, names: Sequence[str], summary: Mapping[str, An
     height = count * side + 0.6
     width = max(count * side + 1.5, 8.5)
     how = "" if summary.get("sampled", True) else "not sampled: draws from the Laplace approximation about the fit"
-    figure = picture(width, height, "Joint posterior", _CAPTION, how, alarm=alarm_of(summary))
+    more = len(set(names)) - count
+    caption = _CAPTION + (f" Of {count + more} quantities the first {count} are shown." if more else "")
+    figure = picture(width, height, "Joint posterior", caption, how, alarm=alarm_of(summary))
     left, bottom, right, _ = figure.inside
     margin = left + 0.75 + max(0.0, (right - left - 0.85 - count * side) / 2 if count < 4 else 0.0)
     base = bottom + 0.5
@@ -96,11 +98,13 @@ def _single(axes: Axes, one: _Column) -> None:
     curve = np.interp(fine, middle, smooth)
     axes.fill_between(fine, 0, curve, where=(fine >= low) & (fine <= high), color=_FILLS[0], linewidth=0)
     axes.plot(fine, curve, color=BLUE, linewidth=1.2)
+    top = curve.max()
     if one.prior_sd and one.prior_sd < 6 * float(np.std(one.x)):
         # The prior's centre is not that of the posterior; its width is what compares.
         prior = np.exp(-0.5 * (fine / one.prior_sd) ** 2) / (one.prior_sd * np.sqrt(2 * np.pi))
         axes.plot(fine, prior, "--", color=QUIET, linewidth=0.9)
-    axes.set(xlim=one.limits, ylim=(0, 1.08 * curve.max()))
+        top = max(top, prior.max())
+    axes.set(xlim=one.limits, ylim=(0, 1.08 * top))
     axes.spines["left"].set_visible(False)
     axes.set_title(one.heading, size=7.5, weight="normal", color=INK, linespacing=1.25, pad=3)
 
@@ -121,7 +125,8 @@ def _pair(axes: Axes, across: _Column, up: _Column) -> None:
     axes.axvline(0, color=QUIET, linewidth=0.4, zorder=0)
     axes.axhline(0, color=QUIET, linewidth=0.4, zorder=0)
     axes.set(xlim=across.limits, ylim=up.limits)
-    correlation = float(np.corrcoef(across.x, up.x)[0, 1])
+    spread = float(np.std(across.x) * np.std(up.x))
+    correlation = float(np.mean((across.x - across.x.mean()) * (up.x - up.x.mean()))) / spread if spread else 0.0
     strong = abs(correlation) > 0.7
     text = "0.00" if abs(correlation) < 0.005 else f"{correlation:+.2f}".replace("-", "−")
     right = correlation < 0

@@ -12,7 +12,7 @@ from imubayes.report.theme import INK, MOST_PANELS
 
 # Decades of a covariate beyond which a linear axis would press the small values together.
 _WIDE = 30.0
-_MOST_LEVELS = 26
+_MOST_LEVELS, _LEAST = 26, 4
 _POINTS = 4000
 
 
@@ -82,19 +82,19 @@ def neighbour_means(
         return np.empty(0), np.empty(0), np.empty(0)
     order = np.argsort(x, kind="stable")
     x, y = x[order], y[order]
+    even = np.unique(np.linspace(0, x.size, int(np.clip(x.size // 12, 4, 16)), endpoint=False).astype(int))
     if groups is not None:
         starts = np.flatnonzero(np.diff(groups[good][order], prepend=-1))
     else:
         # Levels are told apart by gaps: 0.2 % of the range, or of the value, since rates span decades.
         step = np.maximum(0.002 * np.abs(x), 1e-6 * max(float(np.ptp(x)), 1e-300))
         starts = np.flatnonzero(np.diff(x, prepend=-np.inf) > step)
-        if not 2 <= len(starts) <= _MOST_LEVELS:
-            count = int(np.clip(x.size // 12, 4, 16))
-            starts = np.unique(np.linspace(0, x.size, count, endpoint=False).astype(int))
+        if not 2 <= len(starts) <= _MOST_LEVELS or x.size < _LEAST * len(starts):
+            starts = even
     sizes = np.diff(starts, append=x.size)
     means = np.add.reduceat(y, starts) / sizes
     scatter = np.sqrt(np.add.reduceat((y - np.repeat(means, sizes)) ** 2, starts) / np.maximum(sizes - 1, 1))
-    kept = sizes >= 4
+    kept = sizes >= _LEAST
     places = np.add.reduceat(x, starts) / sizes
     return places[kept], means[kept], (scatter / np.sqrt(sizes))[kept]
 

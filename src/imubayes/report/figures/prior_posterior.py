@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from imubayes.report.display import pretty, shortened
+from imubayes.report.marks import band, line, points, uprights
 from imubayes.report.rounding import concise, significant
 from imubayes.report.sheets import alarm_of
 from imubayes.report.theme import (
@@ -25,8 +26,10 @@ from imubayes.report.theme import (
     picture,
     themed,
 )
+from imubayes.report.ticks import frame, tick_places
 
 _MOST = 40
+_NAMES, _NUMBERS = 2.35, 1.3  # room for the names on the left and the numbers on the right, inches
 _FAMILIES = ("mounting_error.", "mounting_angle[")
 _ON_PAPER = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
 _CAPTION = (
@@ -61,38 +64,37 @@ def prior_posterior_figure(summary: Mapping[str, Any], names: Sequence[str] | No
         ranked = sorted(range(len(chosen)), key=lambda place: _ratio(chosen[place]), reverse=True)[:_MOST]
         caption += f" Shown are the {_MOST} least determined of {len(chosen)}."
         chosen = [chosen[place] for place in sorted(ranked)]
-    height = len(chosen) * 0.24 + 0.85
+    tall = len(chosen) * 0.24
     title = "Mounting, before and after the runs" if names is None else "Prior and posterior"
-    figure = picture(12.0, height, title, caption, alarm=alarm_of(summary))
+    figure = picture(12.0, tall + 0.85, title, caption, alarm=alarm_of(summary))
     left, bottom, right, top = figure.inside
-    tall = height - 0.85
-    centred = [_centre(one) is not None for one in chosen]
-    inner = right - left - 2.35 - 1.3
-    share = 0.45 if any(centred) else 0.0
-    second = axes_at(
-        figure, left + 2.35 + share * inner + (0.35 if share else 0), bottom + 0.5, (1 - share) * inner - 0.35, tall
-    )
-    axes_left = second
-    if any(centred):
-        first = axes_at(figure, left + 2.35, bottom + 0.5, share * inner, tall)
-        _shifts(first, chosen)
-        axes_left = first
-        second.tick_params(labelleft=False)
-    unit = _widths(second, chosen)
-    second.set_xlabel(f"standard uncertainty / {unit}")
-    axes_left.set_yticks(range(len(chosen)), [shortened(one["name"], 34) for one in chosen])
-    for axes in {axes_left, second}:
+    inner = right - left - _NAMES - _NUMBERS
+    share = 0.45 if any(_centre(one) is not None for one in chosen) else 0.0
+    gap = 0.35 if share else 0.0
+    start = left + _NAMES + share * inner + gap
+    panels = [axes_at(figure, start, bottom + 0.5, (1 - share) * inner - gap, tall)]
+    unit = _widths(panels[0], chosen)
+    if share:
+        panels.insert(0, axes_at(figure, left + _NAMES, bottom + 0.5, share * inner, tall))
+        _shifts(panels[0], chosen)
+        frame(panels[0], 7, 0, "estimate / prior standard deviations")
+    frame(panels[-1], 7, 0, f"standard uncertainty / {unit}")
+    for axes in panels:
         axes.set_ylim(len(chosen) - 0.4, -0.6)
-        axes.tick_params(axis="y", length=0)
         axes.spines["left"].set_visible(False)
+    for place, one in enumerate(chosen):
+        along = panels[0].get_yaxis_transform()
+        name = shortened(one["name"], 34)
+        panels[0].text(-0.01, place, name, transform=along, size=SMALL, ha="right", va="center_baseline")
     _legend(figure, right, top)
     return figure
 
 
 def _shifts(axes: Axes, chosen: Sequence[Mapping[str, Any]]) -> None:
-    axes.axvspan(-2, 2, color=BAND_WIDE, linewidth=0)
-    axes.axvspan(-1, 1, color=BAND, linewidth=0)
-    axes.axvline(0, color=QUIET, linewidth=0.7)
+    ends = (-0.6, len(chosen) - 0.4)
+    for half, colour in ((2.0, BAND_WIDE), (1.0, BAND)):
+        band(axes, np.array([-half, half]), np.full(2, ends[0]), np.full(2, ends[1]), colour)
+    line(axes, [0, 0], ends, color=QUIET, linewidth=0.7)
     reach = 3.0
     for place, one in enumerate(chosen):
         centre = _centre(one)
@@ -105,11 +107,9 @@ def _shifts(axes: Axes, chosen: Sequence[Mapping[str, Any]]) -> None:
         low, high = (one["q025"] - centre) / prior, (one["q975"] - centre) / prior
         reach = max(reach, 1.08 * max(abs(low), abs(high)))
         colour = _colour(one)
-        axes.plot([low, high], [place, place], color=colour, linewidth=2.0, solid_capstyle="butt")
-        axes.plot([middle], [place], "o", color=colour, markersize=4.5, markeredgewidth=0)
+        line(axes, [low, high], [place, place], color=colour, linewidth=2.0, solid_capstyle="butt")
+        points(axes, [middle], [place], "o", 4.5, colour)
     axes.set_xlim(-reach, reach)
-    axes.set_xlabel("estimate / prior standard deviations")
-    axes.set_yticks(range(len(chosen)), [""] * len(chosen))
 
 
 def _widths(axes: Axes, chosen: Sequence[Mapping[str, Any]]) -> str:
@@ -124,18 +124,17 @@ def _widths(axes: Axes, chosen: Sequence[Mapping[str, Any]]) -> str:
         before, after = (_prior_sd(one) or math.nan) * scale, one["sd"] * scale
         sizes += [before, after]
         colour = _colour(one)
-        axes.plot([after, before], [place, place], color=colour, linewidth=1.0, alpha=0.6)
-        axes.plot(
-            [before], [place], "o", markerfacecolor="white", markeredgecolor=QUIET, markersize=5, markeredgewidth=1.0
-        )
-        axes.plot([after], [place], "o", color=colour, markersize=5, markeredgewidth=0)
+        line(axes, [after, before], [place, place], color=colour, linewidth=1.0, alpha=0.6)
+        points(axes, [before], [place], "o", 5, "white", markeredgecolor=QUIET, markeredgewidth=1.0)
+        points(axes, [after], [place], "o", 5, colour)
         text = f"{significant(before, 2)} → {significant(after, 2)}" + ("" if angles else f" {pretty(one['unit'])}")
         axes.text(1.015, place, text, transform=axes.get_yaxis_transform(), size=8, va="center", ha="left")
     finite = np.array([size for size in sizes if np.isfinite(size) and size > 0])
-    axes.set_xlim(finite.min() / 1.6, finite.max() * 1.6)
+    limits = (float(finite.min()) / 1.6, float(finite.max()) * 1.6)
+    axes.set_xlim(limits)
+    grid = np.array(tick_places(*limits, 7, 0.0))
+    uprights(axes, grid, -0.6, len(chosen) - 0.4, FAINT, 0.6, zorder=0.5)
     axes.text(1.015, -1.0, "before → after", transform=axes.get_yaxis_transform(), size=SMALL, color=QUIET, va="center")
-    axes.grid(axis="x", color=FAINT, linewidth=0.6)
-    axes.set_axisbelow(True)
     if angles:
         return "arcsec"
     return pretty(next(iter(units))) if len(units) == 1 else "the unit of each"

@@ -239,9 +239,8 @@ def posterior_of(summary: dict, chains=8, draws=500, seed=5) -> xr.DataTree:
         name, _, label = one["name"].partition("[")
         labels: tuple[str, ...] = tuple(label.removesuffix("]").split(",")) if label else ()
         noise = random.standard_normal((chains, draws))
-        if one["name"].startswith(("scale_factor", "mounting_angle")) and label.endswith(
-            (*(f"{c}]" for c in CHANNELS), "pyramid]")
-        ):
+        joined = one["name"].startswith("scale_factor") or label.endswith("pyramid]")
+        if joined and label[:2] in common:
             noise = 0.8 * common[label[:2]] + 0.6 * noise
         families.setdefault(name, {})[labels] = one["mean"] + one["sd"] * noise
     variables = {}
