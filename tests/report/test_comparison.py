@@ -141,7 +141,7 @@ def test_draws_from_file_tree_and_arviz_agree(trihedral: Path):
     assert list(from_file) == names
     with xr.open_datatree(file, engine="h5netcdf") as tree:
         from_tree = draws_of(tree, names)
-        expected = tree["posterior"]["mounting_angle"].sel(channel="ax", mounting="pyramid").values.reshape(-1)
+        expected = np.ravel(tree["posterior"]["mounting_angle"].sel(channel="ax", mounting="pyramid").to_numpy())
     for name in names:
         np.testing.assert_array_equal(from_file[name], from_tree[name])
     np.testing.assert_array_equal(from_file[names[1]], expected)

@@ -85,6 +85,7 @@ def _table(sheet: Sheet) -> SheetTable:
         box=box.SIMPLE_HEAD,
         header_style="bold",
         pad_edge=False,
+        min_width=len(sheet.title) + 2,
     )
     for place, name in enumerate(sheet.head):
         texts = [row[place].text for row in sheet.rows]

@@ -61,10 +61,16 @@ def frame(
         for place, text in zip(places, texts, strict=bool(texts)):
             axes.text(0, place, text, size=SMALL, color=INK, ha="right", va="center_baseline", transform=away)
         widest = max((len(text) for text in texts), default=0)
+    # Labels at given places: matplotlib would measure every text of the axis to find them.
+    below = _AWAY + 3 + SMALL if x else 3
+    beside = _AWAY + 5 + max(4, widest) * 0.64 * SMALL if y else 3
+    whole = axes.transAxes
+    axes.xaxis.set_label_coords(0.5, 0, whole + ScaledTranslation(0, -below / 72, figure.dpi_scale_trans))
+    axes.yaxis.set_label_coords(0, 0.5, whole + ScaledTranslation(-beside / 72, 0, figure.dpi_scale_trans))
     if x_label:
-        axes.set_xlabel(x_label, size=label_size, labelpad=17 if x else 3)
+        axes.set_xlabel(x_label, size=label_size)
     if y_label:
-        axes.set_ylabel(y_label, size=label_size, labelpad=_AWAY + 5 + max(4, widest) * 0.64 * SMALL if y else 3)
+        axes.set_ylabel(y_label, size=label_size)
 
 
 def tick_places(

@@ -19,6 +19,8 @@ from imubayes.earth import normal_gravity
 from imubayes.errors import InputError, Problem, closest_first
 
 DEFAULT_LATITUDE = 45.0
+# Without a site: the rounded value that desk calibration tools and their published results assume.
+DEFAULT_GRAVITY = 9.81  # m/s²
 
 __all__ = ["KINDS", "ConvertOptions", "convert", "write_campaign"]
 
@@ -56,17 +58,22 @@ def _campaign(
     columns: Columns, options: ConvertOptions, folder: Path, kind: str, source: str
 ) -> tuple[Columns, dict[str, Any]]:
     notes = [f"converted from {source} ({kind})"]
-    latitude = options.latitude_deg
+    latitude, gravity = options.latitude_deg, options.gravity_m_s2
     if latitude is None:
         latitude = DEFAULT_LATITUDE
-        notes.append(
-            f"the latitude was not given: {latitude:g} deg is taken, for Earth rate and for gravity if not given"
-        )
-    gravity = options.gravity_m_s2 or normal_gravity(float(np.deg2rad(latitude)), options.height_m)
+        notes.append(f"the latitude was not given: {latitude:g} deg is taken for the Earth rate")
+        if gravity is None:
+            gravity = DEFAULT_GRAVITY
+            notes.append(
+                f"neither gravity nor latitude was given: {gravity:g} m/s² is taken; on Earth it is 9.78 to 9.83, and "
+                "accelerometer scale factors are wrong by the same share"
+            )
+    known = gravity is not None
+    gravity = gravity if gravity is not None else normal_gravity(float(np.deg2rad(latitude)), options.height_m)
     channels = _channels(columns, options, gravity, notes, source)
     site = {"latitude_deg": float(latitude), "height_m": float(options.height_m)}
-    if options.gravity_m_s2 is not None:
-        site["gravity_m_s2"] = float(options.gravity_m_s2)
+    if known:
+        site["gravity_m_s2"] = float(gravity)
     run: dict[str, Any] = {"name": "recording", "procedure": options.procedure, "file": "runs/recording.csv"}
     for key in ("temperature_degC", "initial_rest_s"):
         if getattr(options, key) is not None:

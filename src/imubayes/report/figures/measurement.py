@@ -119,16 +119,16 @@ def _measured(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> None:
 
 def _set_ordinate(axes: Axes, x: np.ndarray, observed: np.ndarray, predicted: np.ndarray, wide: float) -> None:
     """Let the panel show the model's shape: not less than three bands high, logarithmic where the rates are."""
-    both = np.concatenate([observed[np.isfinite(observed)], predicted])
+    both = np.concatenate([observed[np.isfinite(observed)], predicted - wide, predicted + wide])
     low, high = float(both.min()), float(both.max())
     if axes.get_xscale() == "symlog":
         inner = float(np.max(np.abs(predicted[np.abs(x) == np.min(np.abs(x[x != 0]))])))
         largest = max(abs(low), abs(high))
         if 0 < inner < largest / 30:
             axes.set_yscale("symlog", linthresh=10.0 ** np.ceil(np.log10(inner)), linscale=0.6)
-            axes.set_ylim(-2 * largest if low < 0 else -inner, 2 * largest if high > 0 else inner)
+            axes.set_ylim(-2 * largest if low < -inner else -inner, 2 * largest if high > inner else inner)
             return
-    middle, half = 0.5 * (low + high), max(0.55 * (high - low), 3 * wide) or 1.0
+    middle, half = 0.5 * (low + high), max(0.53 * (high - low), 3 * wide) or 1.0
     axes.set_ylim(middle - half, middle + half)
 
 

@@ -36,7 +36,7 @@ _CAPTION = (
     "Left: the posterior with its 95 % interval, in prior standard deviations from the prior's centre; an estimate "
     "beyond the bands says that the equipment is worse than stated, or the model is wrong (where the prior has no one "
     "centre, the estimate stands as a number). Right: standard uncertainty before the runs (open) and after (filled), "
-    "on a logarithmic axis. Of a good set of runs every line is long; a short one, in vermilion, is a quantity that "
+    "on a logarithmic axis. With a good set of runs every line is long; a short one, in vermilion, is a quantity that "
     "the runs did not determine."
 )
 
