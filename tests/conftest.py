@@ -1,8 +1,10 @@
 """Tests run strict: double precision, no silent promotion of rank or type, shapes and types checked at every call."""
 
+import os
 from pathlib import Path
 
 import jax
+import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
@@ -25,3 +27,12 @@ install_import_hook("imubayes", "strict_types.checked")
 def pytest_configure(config):
     # Two test processes share the cache: an entry that is still being written is compiled again.
     config.addinivalue_line("filterwarnings", "ignore:Error (reading|writing) persistent compilation cache:UserWarning")
+
+
+@pytest.fixture(scope="session")
+def compile_cache() -> dict[str, str]:
+    """Environment for commands run as a user would: the package from this tree, compiled code kept between tests."""
+    root = Path(__file__).parents[1]
+    return os.environ | {"PYTHONPATH": str(root / "src"), "XDG_CACHE_HOME": str(root / ".cache" / "commands")}
+    # Aliases of other packages, such as rich's, are still written in the old way.
+    config.addinivalue_line("filterwarnings", "ignore::beartype.roar.BeartypeDecorHintPep585DeprecationWarning")

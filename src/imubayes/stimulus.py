@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from imubayes.types import Array, Float, Int, Matrix3, Scalar, Vector3
+from imubayes.types import Array, Float, Int, Matrices, Scalars, Vectors
 
 
 class Ambient(eqx.Module):
@@ -21,13 +21,13 @@ class Ambient(eqx.Module):
     A covariate that the run does not carry is 0 here, and effects that need it do not act on that run.
     """
 
-    time: Scalar
-    power_on: Scalar
-    table_rate: Scalar
-    table_angle: Scalar
-    temperature: Scalar
-    converter_temperature: Scalar
-    current: Scalar
+    time: Scalars
+    power_on: Scalars
+    table_rate: Scalars
+    table_angle: Scalars
+    temperature: Scalars
+    converter_temperature: Scalars
+    current: Scalars
 
 
 class Motion(eqx.Module):
@@ -42,13 +42,13 @@ class Motion(eqx.Module):
     earth_rate : the Earth's rotation in n, rad/s.
     """
 
-    base: Matrix3
-    mounting: Matrix3
-    table_angle: Scalar
-    table_rate: Scalar
-    table_acceleration: Scalar
-    gravity: Vector3
-    earth_rate: Vector3
+    base: Matrices
+    mounting: Matrices
+    table_angle: Scalars
+    table_rate: Scalars
+    table_acceleration: Scalars
+    gravity: Vectors
+    earth_rate: Vectors
 
 
 class Instants(eqx.Module):
@@ -89,10 +89,10 @@ class Experience(eqx.Module):
     table's rotation alone, which moves a point off the axis.
     """
 
-    rate: Vector3
-    force: Vector3
-    table_rate: Vector3
-    table_acceleration: Vector3
+    rate: Vectors
+    force: Vectors
+    table_rate: Vectors
+    table_acceleration: Vectors
 
 
 class Sample(eqx.Module):
@@ -101,11 +101,11 @@ class Sample(eqx.Module):
     `output_scale` is the channel's nominal scale, output units per rad/s or m/s².
     """
 
-    rate: Vector3
-    force: Vector3
-    acceleration: Vector3
+    rate: Vectors
+    force: Vectors
+    acceleration: Vectors
     ambient: Ambient
-    output_scale: Scalar
+    output_scale: Scalars
 
 
 class SignalPath(eqx.Module):

@@ -16,6 +16,10 @@ Array = jax.Array | np.ndarray
 Scalar = Float[Array, ""]
 Vector3 = Float[Array, "3"]
 Matrix3 = Float[Array, "3 3"]
+# One value for each node or channel, or a single one: what travels along the path is batched by vmap.
+Scalars = Float[Array, "*batch"]
+Vectors = Float[Array, "*batch 3"]
+Matrices = Float[Array, "*batch 3 3"]
 Flag = Bool[Array, ""]
 Index = Int[Array, ""]
 
@@ -25,4 +29,18 @@ def vector3(x: Scalar, y: Scalar, z: Scalar) -> Vector3:
     return jnp.stack([x, y, z])
 
 
-__all__ = ["Array", "Bool", "Flag", "Float", "Index", "Int", "Matrix3", "Scalar", "Vector3", "vector3"]
+__all__ = [
+    "Array",
+    "Bool",
+    "Flag",
+    "Float",
+    "Index",
+    "Int",
+    "Matrices",
+    "Matrix3",
+    "Scalar",
+    "Scalars",
+    "Vector3",
+    "Vectors",
+    "vector3",
+]

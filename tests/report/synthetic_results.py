@@ -122,7 +122,12 @@ def tumble_residuals(poses=30) -> pl.DataFrame:
     frame = rows_of("tumble", "free_tumble", covariates, inputs, random)
     closing = rows_of(
         "tumble", "free_tumble", covariates, {f"closure_{axis}": 0 * poles[:, 0] for axis in "xyz"}, random
-    ).with_columns(kind=pl.lit("closure"), input_unit=pl.lit("deg"), output_unit=pl.lit("deg"))
+    ).with_columns(
+        kind=pl.lit("closure"),
+        input_unit=pl.lit("deg"),
+        output_unit=pl.lit("deg"),
+        time_s=pl.lit(None, dtype=pl.Float64),
+    )
     return pl.concat([frame, closing])
 
 

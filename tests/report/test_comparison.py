@@ -47,7 +47,7 @@ def test_a_tumble_without_table_and_without_samples(tumble: Path):
     found = compare(tumble)
     names = [path.name for path in found.pictures]
     assert "corner.png" not in names
-    assert {"run-tumble-1.png", "run-tumble-2.png", "residuals-time-1.png", "residuals-row-2.png"} <= set(names)
+    assert {"run-tumble-1.png", "run-tumble-2.png", "residuals-time.png", "residuals-row-2.png"} <= set(names)
     assert not any("table" in name for name in names)
     assert any("No corner plot" in note for note in found.notes)
 

@@ -168,7 +168,7 @@ def test_corner(summary):
     assert_readable(figure)
     assert len(figure.axes) == 10
     words = [text for text, _ in texts_of(figure)]
-    assert "Δ / arcsec" in words
+    assert {"Δ / arcsec", "Δ / ppm"} <= set(words)
     assert any("+0.6" in word for word in words)
     assert_readable(corner_figure(posterior["posterior"], names[:1], summary))
     assert_readable(corner_figure(posterior["posterior"].to_dataset(), names[:2], summary))
@@ -182,6 +182,16 @@ def test_corner_of_a_quantity_kept_for_some_draws(summary):
     values[::3] = np.nan
     draws = {"mounting_angle[gx,pyramid]": values, "scale_factor[gx]": 1000 + 0.01 * random.standard_normal(4000)}
     assert_readable(corner_figure(draws, list(draws), summary))
+
+
+def test_corner_of_very_small_and_very_large_numbers(summary):
+    random = np.random.default_rng(1).standard_normal((3, 2000))
+    sizes = {"gyro_bias.bias[gx]": 2e-5, "accel_bias.bias[ax]": 3e5, "lever_arm.x[ax]": 0.4}
+    draws = {name: size * column for (name, size), column in zip(sizes.items(), random, strict=True)}
+    figure = corner_figure(draws, list(draws), summary)
+    assert_readable(figure)
+    words = {text for text, _ in texts_of(figure)}
+    assert {"Δ / 10⁻⁶ deg/h", "Δ / g", "Δ / mm"} <= words
 
 
 def test_unsampled_and_unconverged_are_said_in_the_picture(summary):

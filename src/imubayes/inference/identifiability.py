@@ -17,9 +17,8 @@ import numpy as np
 WEAK_SHARE = 0.5
 # Members of a combination below this share of its largest are left out of its name.
 _NAMED_SHARE, _MOST_NAMED, _MOST_DIRECTIONS = 0.15, 5, 12
-# A pair of derived quantities is a confusion where its worst combination is this unresolved and each alone looks
-# better.
-_CONFUSED_SHARE = 0.1
+# A pair of derived quantities is a confusion where its worst combination is this unresolved and the two move together.
+_CONFUSED_SHARE, _CONFUSED_CORRELATION = 0.1, 0.8
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ def _fit_line(summary: Summary) -> str:
     state = "converged" if summary.get("converged") else "did not converge"
     how = "" if summary.get("sampled", True) else " (fit only, not sampled)"
     chi2, freedom = summary.get("chi2"), summary.get("dof")
-    fit = f", chi2 {chi2:.1f} for {freedom:g} degrees of freedom" if chi2 is not None and freedom else ""
+    fit = f", chi2 {chi2:.1f} for {freedom:.0f} degrees of freedom" if chi2 is not None and freedom else ""
     return f"{state}{how}{fit}"
 
 

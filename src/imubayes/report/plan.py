@@ -5,7 +5,7 @@ from typing import Any
 
 import polars as pl
 
-from imubayes.report.display import covariates_of, ordered
+from imubayes.report.display import Covariate, covariates_of, numbers, ordered, varies
 from imubayes.report.figures import (
     corner_figure,
     identifiability_figure,
@@ -30,7 +30,7 @@ def plan(stored: StoredResult, names: Sequence[str], draws: Mapping[str, Any]) -
     if summary["runs"]:
         yield "fit-of-runs", lambda: run_chi2_figure(summary)
     for one in covariates_of(residuals):
-        for page, channels in _pages(ordered(residuals, "channel")):
+        for page, channels in _pages(_channels_with(residuals, one)):
             yield (
                 f"residuals-{one.key.replace('_', '-')}{page}",
                 lambda one=one, channels=channels: residual_figure(residuals, one, channels, runs),
@@ -49,6 +49,12 @@ def plan(stored: StoredResult, names: Sequence[str], draws: Mapping[str, Any]) -
                 f"run-{file}{page}",
                 lambda own=own, run=run, channels=channels: measurement_figure(own, run, channels),
             )
+
+
+def _channels_with(residuals: pl.DataFrame, one: Covariate) -> list[str]:
+    """Return the channels whose rows have a covariate that varies; closing rotations have hardly any."""
+    names = ordered(residuals, "channel")
+    return [name for name in names if varies(numbers(residuals.filter(pl.col("channel") == name), one.column))]
 
 
 def _pages(channels: Sequence[str]) -> list[tuple[str, list[str]]]:

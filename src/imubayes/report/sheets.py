@@ -122,7 +122,7 @@ def _fit_note(summary: Summary) -> str:
     runs = [run for run in summary["runs"] if run["n"] and run["chi2"] is not None]
     suspects = sum(_fit_cell(run, share).mood == "bad" for run in runs)
     total, freedom = summary.get("chi2"), summary.get("dof")
-    note = f"Together: chi2 {significant(total, 4)} for {freedom} degrees of freedom. " if total and freedom else ""
+    note = f"Together: chi2 {significant(total, 4)} for {freedom:.0f} degrees of freedom. " if total and freedom else ""
     if not suspects:
         return note + f"None lies above what noise alone would give (chance < {SIGNIFICANT:g})."
     verb = "lies" if suspects == 1 else "lie"

@@ -127,8 +127,13 @@ def _decade(place: float) -> str:
         return _signed(f"{place:.6g}")
     power = math.floor(math.log10(abs(place)) + 1e-9)
     digit = round(abs(place) / 10.0**power)
-    text = "10" + str(power).translate(_RAISED)
+    text = power_of_ten(power)
     return ("−" if place < 0 else "") + (text if digit == 1 else f"{digit}·{text}")
+
+
+def power_of_ten(power: int) -> str:
+    """Return a power of ten as print has it: 10⁻³."""
+    return "10" + str(power).translate(_RAISED)
 
 
 def _signed(text: str) -> str:

@@ -1,5 +1,6 @@
 """Joint posterior of chosen quantities: how large the uncertainties are and which hang together."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,7 +13,7 @@ from imubayes.report.draws import complete, draws_of, thinned
 from imubayes.report.rounding import concise
 from imubayes.report.sheets import alarm_of
 from imubayes.report.theme import BLUE, INK, QUIET, SMALL, Picture, axes_at, picture, themed
-from imubayes.report.ticks import frame
+from imubayes.report.ticks import frame, power_of_ten
 
 _CELLS = 36
 _LEVELS = (0.95, 0.5)
@@ -83,10 +84,22 @@ class _Column:
 
 def _column(draws: np.ndarray, entry: Mapping[str, Any]) -> _Column:
     mean, sd = float(np.mean(draws)), float(np.std(draws))
-    factor, unit = readable(entry["unit"], 3 * sd)
+    factor, unit = _deviation(entry["unit"], mean, sd)
     prior = entry.get("prior_sd")
     heading = f"{shortened(entry['name'], 30)}\n{concise(mean, sd)} {pretty(entry['unit'])}"
     return _Column(entry["name"], pretty(unit), heading, (draws - mean) * factor, prior * factor if prior else None)
+
+
+def _deviation(unit: str, mean: float, sd: float) -> tuple[float, str]:
+    """Return factor and unit in which deviations are plain numbers: of a scale factor, parts per million of it."""
+    if " per " in unit and 0 < sd < 0.01 * abs(mean):
+        return 1e6 / abs(mean), "ppm"
+    factor, name = readable(unit, 3 * sd)
+    power = 3 * math.floor(math.log10(3 * sd * factor) / 3) if sd > 0 else 0
+    # Numbers of more than four digits would run into those of the next panel.
+    if -2 < math.log10(max(3 * sd * factor, 1e-300)) < 4 or not power:
+        return factor, name
+    return factor / 10.0**power, f"{power_of_ten(power)} {pretty(name)}"
 
 
 def _single(axes: Axes, one: _Column) -> None:

@@ -84,7 +84,7 @@ def measurement_figure(residuals: pl.DataFrame, run: str, channels: Sequence[str
             set_abscissa(axes, x_all, against)
         _measured(upper, own, x)
         unit = _remaining(lower, own, x)
-        frame(upper, 6, 5, None, own.get_column("output_unit")[0] or "", turns=turns)
+        frame(upper, 6, 5, None, pretty(own.get_column("output_unit")[0] or ""), turns=turns)
         frame(lower, 6, 4, label if place + 3 >= len(names) else None, unit, turns=turns)
     _legend(figure)
     return figure

@@ -1,0 +1,203 @@
+"""The command line as a user meets it: exit statuses, four-part errors, JSON, no traceback, nothing half-written."""
+
+import json
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from imubayes.cli.main import run
+
+ROOT = Path(__file__).parents[2]
+PARTS = ("error: ", "  where:   ", "  do:      ")
+
+
+def said(capsys, *words: str) -> tuple[int, str, str]:
+    status = run([str(word) for word in words])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def refused(capsys, *words: str) -> str:
+    """Run a command that must be refused; return what it says."""
+    status, out, err = said(capsys, *words)
+    assert status == 2, err or out
+    assert all(part in err for part in PARTS), err
+    assert "Traceback" not in err + out
+    return err
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """A copy of the smallest campaign and its model, to be spoiled."""
+    campaign = tmp_path / "campaign"
+    shutil.copytree(ROOT / "data" / "accel-channel", campaign)
+    model = tmp_path / "model.toml"
+    shutil.copyfile(ROOT / "models" / "accel-channel.toml", model)
+    return campaign, model
+
+
+def replaced(file: Path, old: str, new: str) -> None:
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+
+
+CAMPAIGN_FAULTS = {
+    "missing run file": ('file = "runs/ramp-1g.csv"', 'file = "runs/none.csv"', "none.csv"),
+    "unknown procedure": ('procedure = "thermal_ramp"', 'procedure = "thermal_ram"', "thermal_ramp"),
+    "procedure not fitted yet": ('procedure = "thermal_ramp"', 'procedure = "servo_table"', "servo_table"),
+    "unknown kind": ('kind = "accelerometer"', 'kind = "accelerometr"', "accelerometer"),
+    "unknown unit": ('per = "g"', 'per = "gg"', "gg"),
+    "unknown key": ("latitude_deg", "lattitude_deg", "latitude_deg"),
+}
+MODEL_FAULTS = {
+    "unknown effect": ('name = "accel_bias"', 'name = "accel_bais"', "accel_bias"),
+    "unknown parameter": ("prior = { slope", "prior = { slop", "slope"),
+    "unknown prior": ("lognormal(8 output", "lognormall(8 output", "lognormal"),
+    "wrong unit": ("output/degC)", "ppm/degC)", "output/degC"),
+    "negative width": ("lognormal(8 output, 0.5)", "lognormal(-8 output, 0.5)", "above 0"),
+    "normal noise": ("lognormal(8 output, 0.5)", "normal(8, 2 output)", "may not be negative"),
+    "effect for gyros": ('name = "accel_bias"', 'name = "gyro_bias"', "gyro"),
+    "no run shows it": ('name = "accel_bias"', 'name = "accel_bias_temperature"', "parameter"),
+    "no noise": ('name = "white_noise"', 'name = "accel_quadratic"', "parameter"),
+}
+
+
+@pytest.mark.parametrize("fault", CAMPAIGN_FAULTS)
+def test_spoilt_campaigns_are_refused(copy, capsys, tmp_path, fault):
+    campaign, model = copy
+    old, new, named = CAMPAIGN_FAULTS[fault]
+    replaced(campaign / "campaign.toml", old, new)
+    out = tmp_path / "result"
+    assert named in refused(capsys, "fit", campaign, "--model", model, "--out", out)
+    assert not out.exists()
+    refused(capsys, "check", campaign, "--model", model)
+
+
+@pytest.mark.parametrize("fault", MODEL_FAULTS)
+def test_spoilt_models_are_refused(copy, capsys, tmp_path, fault):
+    campaign, model = copy
+    old, new, named = MODEL_FAULTS[fault]
+    replaced(model, old, new)
+    out = tmp_path / "result"
+    assert named in refused(capsys, "fit", campaign, "--model", model, "--out", out)
+    assert not out.exists()
+
+
+def test_several_faults_are_reported_at_once(copy, capsys, tmp_path):
+    campaign, model = copy
+    replaced(model, 'name = "accel_bias"', 'name = "accel_bais"')
+    replaced(model, 'name = "mounting_error"', 'name = "mounting_eror"')
+    err = refused(capsys, "fit", campaign, "--model", model, "--out", tmp_path / "result")
+    assert err.count("error: ") == 2
+    assert "2 problems found" in err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["fti", "data"],
+        ["fit"],
+        ["fit", "data/none", "--model", "models/none.toml", "--out", "nowhere"],
+        ["fit", "data/accel-channel", "--modle", "x"],
+        ["check", "data/none"],
+        ["compare", "data/accel-channel"],
+        ["effects", "gyro_bais"],
+        ["convert", "imu-kt", "a", "--out", "b"],
+        ["convert", "six-column", "none.log", "--out", "b"],
+        ["simulate", "none.toml", "--out", "b"],
+        ["schema", "modell"],
+    ],
+    ids=" ".join,
+)
+def test_unusable_command_lines(capsys, tmp_path, monkeypatch, words):
+    for name in ("data", "models"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
+    refused(capsys, *words)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["data", "models"]
+
+
+def test_resume_without_a_checkpoint(copy, capsys, tmp_path):
+    campaign, model = copy
+    err = refused(capsys, "fit", campaign, "--model", model, "--out", tmp_path / "result", "--resume")
+    assert "nothing to resume" in err
+    assert not (tmp_path / "result").exists()
+
+
+def test_check_says_what_is_there(capsys):
+    status, out, err = said(capsys, "check", ROOT / "data" / "accel-channel", "--json-output")
+    assert (status, err) == (0, "")
+    found = json.loads(out)
+    assert found["channels"] == ["ax"]
+    assert [run_["procedure"] for run_ in found["runs"]].count("current_injection") == 1
+
+
+def test_schema_is_json(capsys):
+    status, out, _ = said(capsys, "schema", "model")
+    assert status == 0
+    assert json.loads(out)["$schema"].startswith("https://json-schema.org")
+
+
+def test_effects_explains(capsys):
+    status, out, _ = said(capsys, "effects", "gyro_g_sensitivity")
+    assert status == 0
+    assert "deg/h/g" in out
+    assert "IEEE Std 517" in out
+    assert "accel_quadratic" in said(capsys, "effects")[1]
+
+
+def test_fit_writes_the_contract(tmp_path, compile_cache):
+    """`summary.json` has every key of the interface, alone on standard output with --json-output."""
+    out = tmp_path / "result"
+    words = ["fit", "data/accel-channel", "--model", "models/accel-channel.toml", "--out", str(out), "--json-output"]
+    done = subprocess.run(
+        [sys.executable, "-m", "imubayes.cli.main", *words], cwd=ROOT, env=compile_cache, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary == json.loads((out / "summary.json").read_text())
+    top = {"format", "campaign", "model", "converged", "message", "parameters", "derived", "runs", "chi2", "dof"}
+    assert top | {"log_evidence", "weak_directions", "seconds"} <= set(summary)
+    line = {"name", "unit", "mean", "sd", "q025", "q975", "map", "prior_sd", "from_data", "r_hat", "ess_bulk"}
+    assert all(line | {"ess_tail"} <= set(one) for one in summary["parameters"])
+    assert all({"name", "unit", "mean", "sd", "q025", "q975", "from_data"} <= set(one) for one in summary["derived"])
+    assert all({"name", "channel", "n", "chi2", "rms", "unit"} <= set(one) for one in summary["runs"])
+    names = {"summary.json", "posterior.nc", "residuals.parquet", "model.toml", "checkpoint.h5"}
+    assert {path.name for path in out.iterdir()} == names
+    by_name = {one["name"]: one for one in (*summary["parameters"], *summary["derived"])}
+    truth = tomllib.loads((ROOT / "data" / "accel-channel" / "truth.toml").read_text())
+    for name in ("converter_gain_drift.slope[ax]", "converter_offset_drift.slope[ax]"):
+        assert by_name[name]["from_data"] > 0.9
+        assert abs(by_name[name]["mean"] - truth["parameters"][name]) < 4 * by_name[name]["sd"]
+
+
+def test_without_injected_current_gain_and_offset_are_not_separated(copy, tmp_path, compile_cache):
+    campaign, model = copy
+    text = (campaign / "campaign.toml").read_text()
+    head, *runs = text.split("[[run]]")
+    kept = [one for one in runs if "current_injection" not in one]
+    assert len(kept) == len(runs) - 1
+    (campaign / "campaign.toml").write_text("[[run]]".join([head, *kept]))
+    words = ["fit", str(campaign), "--model", str(model), "--out", str(tmp_path / "out"), "--no-sample", "--json-output"]
+    done = subprocess.run(
+        [sys.executable, "-m", "imubayes.cli.main", *words], cwd=ROOT, env=compile_cache, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    weak = [one for one in summary["weak_directions"] if "converter_gain_drift" in one["combination"]]
+    assert weak
+    assert weak[0]["from_data"] < 0.2
+    best = [one for one in summary["next_runs"] if one["quantity"] == "converter_gain_drift.slope[ax]"]
+    assert "current_injection" in best[0]["run"]
+
+
+def test_help_has_an_example_for_every_command(capsys):
+    for command in ("check", "fit", "compare", "effects", "simulate", "convert", "schema"):
+        status, out, _ = said(capsys, command, "--help")
+        assert status == 0
+        assert "Example: imubayes" in out

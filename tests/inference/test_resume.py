@@ -1,0 +1,89 @@
+"""Kill −9 while sampling, then resume: the same chain, bit for bit; and what is of another fit is refused."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from imubayes.errors import InputError
+from imubayes.inference.checkpoint import Checkpoint
+
+ROOT = Path(__file__).parents[2]
+STEPS = 60
+SCRIPT = """
+import sys
+import jax
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_compilation_cache_dir", sys.argv[3])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+import imubayes
+imubayes.fit(
+    "data/accel-channel", "models/accel-channel.toml", sys.argv[1], seed=3, resume=sys.argv[2] == "resume",
+    settings=imubayes.Settings(least_steps=int(sys.argv[4]), most_steps=int(sys.argv[4])),
+)
+"""
+
+
+def command(out: Path, resume: bool, cache: Path) -> list[str]:
+    return [sys.executable, "-c", SCRIPT, str(out), "resume" if resume else "new", str(cache), str(STEPS)]
+
+
+def chain(folder: Path) -> np.ndarray:
+    with h5py.File(folder / "checkpoint.h5", "r") as file:
+        return np.stack([file[f"ensemble_{number}"]["chain"][...] for number in range(4)])
+
+
+def steps_done(folder: Path) -> int:
+    try:
+        with h5py.File(folder / "checkpoint.h5", "r") as file:
+            return int(file["ensemble_3"].attrs["iteration"])
+    except OSError:
+        return 0
+
+
+def test_killed_and_resumed_is_the_same_chain(tmp_path):
+    cache = tmp_path / "cache"
+    environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    subprocess.run(command(whole, False, cache), cwd=ROOT, env=environment, check=True)
+    process = subprocess.Popen(command(killed, False, cache), cwd=ROOT, env=environment)
+    while not 0 < steps_done(killed) < STEPS and process.poll() is None:
+        time.sleep(0.002)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    done = steps_done(killed)
+    assert 0 < done < STEPS, "the kill came too late to mean anything"
+    subprocess.run(command(killed, True, cache), cwd=ROOT, env=environment, check=True)
+    np.testing.assert_array_equal(chain(killed), chain(whole))
+    assert len(np.unique(chain(whole)[:, -1])) > 1000
+
+
+@pytest.fixture
+def checkpoint(tmp_path) -> Checkpoint:
+    prints = {"data": "d", "model": "m", "parameters": "p", "sampler": "s"}
+    made = Checkpoint(tmp_path / "checkpoint.h5", 2, 8, 3, prints)
+    made.create()
+    return made
+
+
+@pytest.mark.parametrize("key", ["data", "model", "parameters", "sampler"])
+def test_checkpoint_of_another_fit_is_refused(checkpoint, key):
+    checkpoint.check()
+    other = Checkpoint(checkpoint.path, 2, 8, 3, checkpoint.fingerprints | {key: "other"})
+    with pytest.raises(InputError, match="of another fit"):
+        other.check()
+
+
+def test_missing_and_damaged_checkpoints_are_refused(checkpoint, tmp_path):
+    with pytest.raises(InputError, match="nothing to resume"):
+        Checkpoint(tmp_path / "none.h5", 2, 8, 3, {}).check()
+    checkpoint.path.write_bytes(checkpoint.path.read_bytes()[:100])
+    with pytest.raises(InputError, match="cannot be read"):
+        checkpoint.check()

@@ -1,0 +1,72 @@
+"""The README does what it says: its commands run as written, its effect is fitted, its pictures are there."""
+
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "README.md").read_text()
+COMMANDS = [
+    line.split("#")[0].strip()
+    for block in re.findall(r"```sh\n(.*?)```", TEXT, re.DOTALL)
+    for line in block.splitlines()
+    if line.startswith("imubayes ")
+]
+
+
+def test_there_are_commands():
+    assert len(COMMANDS) >= 4
+
+
+def test_commands_run_as_written(tmp_path, compile_cache):
+    """All of them, in order, in a folder that looks like the repository."""
+    for name in ("data", "models"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    for command in COMMANDS:
+        words = [sys.executable, "-m", "imubayes.cli.main", *shlex.split(command)[1:]]
+        done = subprocess.run(words, cwd=tmp_path, env=compile_cache, capture_output=True, text=True)
+        assert done.returncode == 0, f"{command}\n{done.stderr}"
+    assert (tmp_path / "results" / "trihedral-imu" / "summary.json").is_file()
+
+
+def test_pictures_are_there():
+    for name in re.findall(r"!\[.*?\]\((.*?)\)", TEXT):
+        assert (ROOT / name).is_file()
+
+
+def test_python_runs_as_written(compile_cache):
+    code = next(block for block in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL) if "imubayes.fit" in block)
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=compile_cache, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "converter_gain_drift" in done.stdout
+
+
+def test_the_users_effect_is_fitted(tmp_path, compile_cache):
+    """The class of the README, in one file beside the model, is fitted and finds nothing in data without it."""
+    code = next(block for block in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL) if "SignalEffect" in block)
+    assert len(code.strip().splitlines()) <= 18
+    (tmp_path / "my_effect.py").write_text(code)
+    model = (ROOT / "models" / "redundant-imu.toml").read_text()
+    name = re.search(r'name = "(gyro_\w+)"', code)
+    assert name is not None
+    first = model.index("[[effect]]")
+    added = f'[[effect]]\nname = "{name[1]}"\n\n'
+    mine = tmp_path / "mine.toml"
+    mine.write_text(model[:first] + 'files = ["my_effect.py"]\n\n' + added + model[first:])
+    words = ["fit", str(ROOT / "data" / "redundant-imu"), "--model", str(mine), "--out", str(tmp_path / "out")]
+    words = [sys.executable, "-m", "imubayes.cli.main", *words, "--no-sample", "--json-output"]
+    done = subprocess.run(words, cwd=ROOT, env=compile_cache, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert f"{name[1]}.asymmetry[g1]" in done.stdout
+    assert tomllib.loads((tmp_path / "out" / "model.toml").read_text())["files"] == ["my_effect.py"]
+    assert (tmp_path / "out" / "my_effect.py").read_text() == code
+
+
+@pytest.mark.parametrize("word", ["make demo", "make test"])
+def test_the_two_commands_exist(word):
+    assert f"\n{word.split()[1]}:" in (ROOT / "Makefile").read_text()
