@@ -197,7 +197,7 @@ def _laplace_covariance(problem: Problem, mode, approximation: NestedLaplace) ->
 
 def _sample_nuts(problem: Problem, ours: Outcome, covariance: np.ndarray, draws: int, warmup: int):
     """Return the outcome of NUTS and its leapfrogs a draw."""
-    from numpyro.infer import MCMC, NUTS
+    from numpyro.infer import NUTS
 
     size = problem.size[0]
     arrays, static = eqx.partition(problem, eqx.is_array)
@@ -205,42 +205,44 @@ def _sample_nuts(problem: Problem, ours: Outcome, covariance: np.ndarray, draws:
     def potential(point):
         return -log_density(eqx.combine(arrays, static), point[:size], point[size:])
 
-    start = jnp.asarray(_spread(ours, NUTS_CHAINS))
+    kernel = NUTS(
+        potential_fn=potential,
+        inverse_mass_matrix=jnp.asarray(covariance),
+        dense_mass=True,
+        adapt_mass_matrix=False,
+    )
+    starts = jnp.asarray(_spread(ours, NUTS_CHAINS))
+    # One kernel for all chains keeps what it learns of its arguments from the first; the states are the chains' own.
+    states = [kernel.init(jax.random.key(chain), warmup, start, (), {}) for chain, start in enumerate(starts)]
 
-    def sampler(way: str, count: int) -> MCMC:
-        kernel = NUTS(
-            potential_fn=potential,
-            inverse_mass_matrix=jnp.asarray(covariance),
-            dense_mass=True,
-            adapt_mass_matrix=False,
-        )
-        return MCMC(
-            kernel,
-            num_warmup=warmup,
-            num_samples=count,
-            num_chains=NUTS_CHAINS,
-            chain_method=way,
-            progress_bar=False,
-            jit_model_args=False,
-        )
+    def advance(state, count: int):
+        def one(state, _):
+            state = kernel.sample(state, (), {})
+            return state, (state.z, state.num_steps)
 
-    def timed(way: str, count: int) -> tuple[float, MCMC]:
-        trial = sampler(way, count)
-        trial.warmup(jax.random.key(1), init_params=start, extra_fields=("num_steps",))
-        # The first run compiles; the second goes on from where it ended.
-        trial.run(jax.random.key(2), extra_fields=("num_steps",))
-        trial.post_warmup_state = trial.last_state
+        return jax.lax.scan(one, state, None, length=count)
+
+    # Compiled by hand: `MCMC.run` traces its kernel anew at every call, which would be counted against it.
+    warm = jax.jit(lambda state: advance(state, warmup)[0])
+    alone = jax.jit(lambda state: advance(state, draws))
+    together = jax.jit(jax.vmap(lambda state: advance(state, draws)))
+    states = [warm(state) for state in states]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+
+    def sequential():
+        ends = [alone(state) for state in states]
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *[found for _, found in ends])
+
+    ways = {"sequential": sequential, "vectorized": lambda: together(stacked)[1]}
+    timed = {}
+    for name, way in ways.items():
+        jax.block_until_ready(way())
         clock = time.perf_counter()
-        trial.run(jax.random.key(3), extra_fields=("num_steps",))
-        jax.block_until_ready(trial.get_samples())
-        return time.perf_counter() - clock, trial
-
-    best = min(("sequential", "vectorized"), key=lambda way: timed(way, max(5, draws // 5))[0])
-    taken, trial = timed(best, draws)
-    found = np.asarray(trial.get_samples(group_by_chain=True))
-    leapfrogs = np.asarray(trial.get_extra_fields(group_by_chain=True)["num_steps"])
-    outcome = Outcome(f"NumPyro NUTS, {best}", found, taken, int(leapfrogs.sum()), True)
-    return outcome, float(leapfrogs.mean())
+        points, leapfrogs = jax.block_until_ready(way())
+        timed[name] = (time.perf_counter() - clock, np.asarray(points), np.asarray(leapfrogs))
+    best = min(timed, key=lambda name: timed[name][0])
+    taken, points, leapfrogs = timed[best]
+    return Outcome(f"NumPyro NUTS, {best}", points, taken, int(leapfrogs.sum()), True), float(leapfrogs.mean())
 
 
 def _agree(report: Report, ours: Outcome, nuts: Outcome) -> None:

@@ -27,6 +27,8 @@ install_import_hook("imubayes", "strict_types.checked")
 def pytest_configure(config):
     # Two test processes share the cache: an entry that is still being written is compiled again.
     config.addinivalue_line("filterwarnings", "ignore:Error (reading|writing) persistent compilation cache:UserWarning")
+    # Aliases of other packages, such as rich's, are still written in the old way.
+    config.addinivalue_line("filterwarnings", "ignore::beartype.roar.BeartypeDecorHintPep585DeprecationWarning")
 
 
 @pytest.fixture(scope="session")
@@ -34,5 +36,3 @@ def compile_cache() -> dict[str, str]:
     """Environment for commands run as a user would: the package from this tree, compiled code kept between tests."""
     root = Path(__file__).parents[1]
     return os.environ | {"PYTHONPATH": str(root / "src"), "XDG_CACHE_HOME": str(root / ".cache" / "commands")}
-    # Aliases of other packages, such as rich's, are still written in the old way.
-    config.addinivalue_line("filterwarnings", "ignore::beartype.roar.BeartypeDecorHintPep585DeprecationWarning")

@@ -140,7 +140,7 @@ def polish(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Polish
     total = known.precision + jnp.diag(prior_precision)
     gradient = known.gradient - prior_precision * about.z
     step = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(total), True), gradient)
-    ends = about.z + jnp.array((0.0, *_LENGTHS))[:, None] * step
+    ends = about.z[None, :] + jnp.array((0.0, *_LENGTHS))[:, None] * step[None, :]
     cost = jax.vmap(lambda z: jnp.sum(residuals(problem, z, h) ** 2))(ends)
     best = jnp.argmin(jnp.where(jnp.isfinite(cost), cost, jnp.inf))
     return Polished(ends[best], jnp.sqrt(jnp.maximum(gradient @ step, 0.0)))

@@ -143,7 +143,7 @@ def nested_laplace(problem: Problem, mode: Mode) -> NestedLaplace:
     split = _split_by_scale(problem, mode)
     count = min(int(jnp.sum(split.eigenvalues < _WEAK_SD**-2)), _MOST_WEAK)
     weak, strong = split.eigenvectors[:, :count], split.eigenvectors[:, count:]
-    inverse = (strong / split.eigenvalues[count:]) @ strong.T
+    inverse = (strong / split.eigenvalues[None, count:]) @ strong.T
     size = mode.z.shape[0]
     reach = split.eigenvalues[:count] ** -0.5
     bend = _bends(problem, mode, weak, reach, inverse) if count else jnp.zeros((0, 0, size))

@@ -143,8 +143,8 @@ class Convert(Layer):
 
     def __call__(self, path, values):
         def converted(signal, channels):
-            equivalent = path.ambient.current[:, None] / channels.current_per_acceleration
-            return channels.scale * jnp.where(self.injected[:, None] > 0, equivalent, signal)
+            equivalent = path.ambient.current[:, None] / channels.current_per_acceleration[None, :]
+            return channels.scale[None, :] * jnp.where(self.injected[:, None] > 0, equivalent, signal)
 
         signal = {kind: converted(path.signal[kind], channels) for kind, channels in self.channels.items()}
         return eqx.tree_at(lambda p: p.signal, path, signal)
@@ -157,7 +157,7 @@ class Emit(Layer):
     stage: ClassVar[Stage] = Stage.CONVERTER
 
     def __call__(self, path, values):
-        signal = {kind: path.signal[kind] + channels.offset for kind, channels in self.channels.items()}
+        signal = {kind: path.signal[kind] + channels.offset[None, :] for kind, channels in self.channels.items()}
         return eqx.tree_at(lambda p: p.signal, path, signal)
 
 

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from imubayes.types import Scalar
+from imubayes.types import Scalar, Scalars
 
 
 class Entry(eqx.Module):
@@ -21,7 +21,7 @@ class Entry(eqx.Module):
     samples : number of raw samples in the mean.
     """
 
-    samples: Scalar
+    samples: Scalars
 
 
 class Noise(eqx.Module):

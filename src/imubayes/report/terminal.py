@@ -7,7 +7,6 @@ from rich.console import Console
 
 from imubayes.report.comparison import Comparison
 from imubayes.report.tables import (
-    alarm_of,
     derived_table,
     next_run_table,
     parameter_table,
@@ -29,9 +28,6 @@ def summary_text(summary: dict[str, Any], width: int = 120) -> str:
 
 
 def _show(summary: dict[str, Any], console: Console, verbose: bool) -> None:
-    alarm = alarm_of(summary)
-    if alarm:
-        console.print(f"[bold red]{alarm}[/bold red]")
     shown = summary | {
         "parameters": [line for line in summary["parameters"] if verbose or not line["nuisance"]],
         "runs": summary["runs"] if verbose else [],
