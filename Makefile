@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 UV := $(BIN)/uv
 READY := $(VENV)/.ready
-LOCK := requirements/uv.txt requirements/main+test.txt
+LOCK := .requirements/uv.txt .requirements/main+test.txt
 COMPILE = $(UV) pip compile --quiet --universal --python-version 3.12 --python $(BIN)/python \
 	--generate-hashes --no-header --no-emit-index-url $(UPGRADE)
 INSTALL = $(UV) pip install --quiet --python $(BIN)/python
@@ -32,21 +32,21 @@ test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
-	$(BIN)/pytest -n 2 --dist loadfile
+	$(BIN)/pytest -n 2 --dist worksteal
 
 study: $(READY)
 	$(BIN)/pytest -m slow
 
 bench: $(VENV)/.ready-bench
-	$(BIN)/pytest benchmarks --benchmark-only
+	$(BIN)/python benchmarks/run.py
 
 data: $(READY)
 	$(BIN)/python data/generators/make_all.py
 
 lock: | $(UV)
-	$(COMPILE) requirements/uv.in -o requirements/uv.txt
-	$(COMPILE) pyproject.toml --extra plots --extra test requirements/build.in -o requirements/main+test.txt
-	$(COMPILE) pyproject.toml --extra bench -c requirements/main+test.txt -o requirements/bench.txt
+	$(COMPILE) .requirements/uv.in -o .requirements/uv.txt
+	$(COMPILE) pyproject.toml --extra plots --extra test .requirements/build.in -o .requirements/main+test.txt
+	$(COMPILE) pyproject.toml --extra bench -c .requirements/main+test.txt -o .requirements/bench.txt
 
 clean:
 	rm -rf $(VENV) .cache .pytest_cache .ruff_cache results
@@ -64,13 +64,13 @@ $(BIN)/python:
 	exit 2
 
 $(UV): | $(BIN)/python
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/uv.txt
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r .requirements/uv.txt
 
 $(READY): $(LOCK) pyproject.toml | $(UV)
 	@$(UV) pip sync --quiet --python $(BIN)/python --require-hashes $(LOCK)
 	@$(INSTALL) --no-deps --no-build-isolation --editable .
 	@touch $@
 
-$(VENV)/.ready-bench: requirements/bench.txt $(READY)
-	@$(INSTALL) --require-hashes -r requirements/bench.txt
+$(VENV)/.ready-bench: .requirements/bench.txt $(READY)
+	@$(INSTALL) --require-hashes -r .requirements/bench.txt
 	@touch $@

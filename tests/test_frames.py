@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from imubayes.frames import compose, cross, exponential, rotate, rotate_back, small_rotation, turn_about_z
+from imubayes.frames import compose, cross, exponential, rotate, rotate_back, small_rotation, turn_back_about_z
 
 RNG = np.random.default_rng(4)
 DIRECTION = np.array([0.48, -0.6, 0.64])
@@ -72,12 +72,12 @@ def test_products_are_those_of_matrices():
     np.testing.assert_allclose(cross(jnp.asarray(u), jnp.asarray(v)), np.cross(u, v), rtol=1e-14)
 
 
-def test_turning_about_z_is_right_handed():
-    matrix = Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix()
-    expected = matrix @ Rotation.from_euler("z", 0.7).as_matrix()
-    np.testing.assert_allclose(turn_about_z(jnp.asarray(matrix), jnp.asarray(0.7)), expected, atol=1e-15)
-    quarter = turn_about_z(jnp.eye(3), jnp.asarray(np.pi / 2))
-    np.testing.assert_allclose(quarter[:, 0], [0, 1, 0], atol=1e-15)
+def test_turning_back_about_z_undoes_a_right_handed_turn():
+    vector = np.array([0.3, -0.2, 0.9])
+    expected = Rotation.from_euler("z", 0.7).as_matrix().T @ vector
+    np.testing.assert_allclose(turn_back_about_z(jnp.asarray(vector), jnp.asarray(0.7)), expected, atol=1e-15)
+    quarter = turn_back_about_z(jnp.asarray([0.0, 1.0, 0.0]), jnp.asarray(np.pi / 2))
+    np.testing.assert_allclose(quarter, [1, 0, 0], atol=1e-15)
 
 
 @pytest.mark.parametrize("length", [0.0, 1e-8, 0.01, 1.0])

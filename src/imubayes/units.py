@@ -91,6 +91,6 @@ def dimension(unit: str, where: str = "") -> tuple[int, ...]:
     return _parse(unit, where, {})[2]
 
 
-def same_dimension(first: str, second: str) -> bool:
-    """Tell whether a number in one unit may be given in the other."""
-    return dimension(first) == dimension(second)
+def same_dimension(first: str, second: str, where: str = "") -> bool:
+    """Tell whether a number in one unit may be given in the other; `where` is named where a unit is unknown."""
+    return dimension(first, where) == dimension(second, where)

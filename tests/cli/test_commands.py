@@ -183,7 +183,16 @@ def test_without_injected_current_gain_and_offset_are_not_separated(copy, tmp_pa
     kept = [one for one in runs if "current_injection" not in one]
     assert len(kept) == len(runs) - 1
     (campaign / "campaign.toml").write_text("[[run]]".join([head, *kept]))
-    words = ["fit", str(campaign), "--model", str(model), "--out", str(tmp_path / "out"), "--no-sample", "--json-output"]
+    words = [
+        "fit",
+        str(campaign),
+        "--model",
+        str(model),
+        "--out",
+        str(tmp_path / "out"),
+        "--no-sample",
+        "--json-output",
+    ]
     done = subprocess.run(
         [sys.executable, "-m", "imubayes.cli.main", *words], cwd=ROOT, env=compile_cache, capture_output=True, text=True
     )

@@ -117,7 +117,7 @@ def units_and_priors_are_known(member: type) -> None:
 
 def stage_and_covariates_are_known(member: type) -> None:
     """The stage fits the base class, and what the effect needs is something that runs supply."""
-    stages = {MotionEffect: (Stage.TABLE, Stage.MOUNTING), PlaceEffect: (Stage.PLACE,)}
+    stages = {MotionEffect: (Stage.STAND, Stage.TABLE), PlaceEffect: (Stage.PLACE,)}
     allowed = next((s for base, s in stages.items() if issubclass(member, base)), (Stage.SENSOR, Stage.CONVERTER))
     assert member.stage in allowed, f"{member.name} stands at {member.stage!r}"
     assert set(member.needs) <= {*AMBIENT_NAMES, "turning", "injection"}, f"{member.name} needs {member.needs}"

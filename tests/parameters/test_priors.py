@@ -102,7 +102,7 @@ def test_text_becomes_a_prior_in_si(text, unit, expected):
         ("normal(0, one)", "ppm", "arguments", "normal(mean, deviation)"),
         ("normal(0, 1 mm)", "ppm", "'mm' is not a unit of this parameter", "ppm"),
         ("normal(0, 1 furlong)", "ppm", "'furlong' is not a unit", ""),
-        ("lognormal(1 ppm, 0.5 ppm)", "ppm", "'ppm' is not a unit", "a plain number"),
+        ("lognormal(1 ppm, 0.5 ppm)", "ppm", "'ppm' is not a unit here", "a plain number"),
         ("normal(0, -1)", "ppm", "width", "above 0"),
         ("normal(0, 0)", "ppm", "width", "above 0"),
         ("halfnormal(0)", "ppm", "width", "above 0"),

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from coverage import ROOT, study  # noqa: E402
+from coverage import ROOT, study
 
 sys.path.insert(0, str(ROOT / "data" / "generators"))
-import trihedral_imu  # noqa: E402  # pyright: ignore[reportMissingImports]
+import trihedral_imu  # pyright: ignore[reportMissingImports]
 
 REPLICATES = 20
 
@@ -21,7 +21,8 @@ def test_intervals_hold_what_they_promise():
     assert all(scores.converged)
     print(f"\ncoverage {scores.coverage:.4f}, rms z {scores.rms:.3f}, {len(scores.z)} quantities")
     angles = np.array([name.startswith("mounting_angle") for name in scores.names])
-    print(f"mounting angles: coverage {scores.inside[angles].mean():.4f}, largest sd {scores.sd[angles].max() * 3600:.3f}''")
+    held, widest = scores.inside[angles].mean(), scores.sd[angles].max() * 3600
+    print(f"mounting angles: coverage {held:.4f}, largest sd {widest:.3f} arcsec")
     assert 0.92 <= scores.coverage <= 0.98
     assert 0.9 <= scores.rms <= 1.1
     assert scores.sd[angles].max() * 3600 <= 2.0

@@ -10,7 +10,7 @@ from imubayes.types import Scalar, vector3
 
 
 class PoseAttitude(MotionEffect):
-    """Rotation of each pose from its first estimate, about body axes: a mounting of unknown rotation.
+    """Rotation of each pose from its first estimate, C_nb = C_nb,estimated · exp([δ]×): a mounting of unknown rotation.
 
     The prior, 10°, is an order of magnitude wider than the error of the first estimate, which rests on nominal
     sensors good to some percent.

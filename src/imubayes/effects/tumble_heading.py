@@ -12,7 +12,7 @@ from imubayes.types import Scalar, vector3
 
 
 class TumbleHeading(MotionEffect):
-    """Heading of the whole run about the vertical; only the Earth's rotation depends on it."""
+    """Heading ψ of the whole run, C_nb = Rz(ψ) · C_nb,estimated; only the Earth's rotation depends on it."""
 
     name = "tumble_heading"
     stage = Stage.STAND

@@ -81,7 +81,8 @@ def _inverted(transitions: Transitions, channels: dict[str, Channels], values) -
         predicted = _readout(transitions, channels, found, values)
         return {
             kind: found[kind]
-            + ((transitions.readings[kind] - predicted[kind]) / channels[kind].scale[None, :]) @ transitions.inverse[kind].T
+            + ((transitions.readings[kind] - predicted[kind]) / channels[kind].scale[None, :])
+            @ transitions.inverse[kind].T
             for kind in found
         }
 

@@ -94,7 +94,9 @@ def thermal_slopes(probe: Probe, values: Float[Array, " V"]) -> dict[str, Float[
 
     at = instants.ambient.converter_temperature
     _, slope = jax.jvp(output, (at,), (jnp.ones_like(at),))
-    return {kind: slope[kind] / (one.scale[None, :] * probe.thermal_input[kind]) for kind, one in probe.channels.items()}
+    return {
+        kind: slope[kind] / (one.scale[None, :] * probe.thermal_input[kind]) for kind, one in probe.channels.items()
+    }
 
 
 Derive = Callable[[Probe, Float[Array, " V"]], Float[Array, " D"]]

@@ -6,7 +6,7 @@ from imubayes.types import Scalar
 
 
 class RotationClosure(EntryNoise):
-    """Standard deviation of each component of the closing rotation: angle random walk, bandwidth, timing."""
+    """Variance σ² of each component of the closing rotation: angle random walk, bandwidth, timing."""
 
     name = "rotation_closure"
     per = ("run",)

@@ -6,7 +6,7 @@ from imubayes.types import Scalar
 
 
 class RunScatter(SharedNoise):
-    """One normal offset per run and channel with standard deviation τ; the offsets themselves are integrated out."""
+    """One offset per run and channel, b ~ normal(0, τ), integrated out: every two entries of it share variance τ²."""
 
     name = "run_scatter"
     excludes = ("gyro_run_bias", "accel_run_bias")

@@ -184,13 +184,21 @@ def parse_prior(text: str, unit: str, gravity: float, where: str, own: Mapping[s
     if len(arguments) != len(with_unit) or any(argument is None for argument in arguments):
         fields = ", ".join(family.__dataclass_fields__)
         raise refuse(f"'{text}' does not have the arguments of {form['family']}", f"{form['family']}({fields})")
-    found = [argument["unit"] for argument in arguments if argument is not None and argument["unit"]]
+    found = [
+        argument["unit"]
+        for argument, carries in zip(arguments, with_unit, strict=True)
+        if carries and argument is not None and argument["unit"]
+    ]
     given = found[-1] if found else unit
     numbers: list[float] = []
     for argument, carries in zip(arguments, with_unit, strict=True):
         assert argument is not None
         written = argument["unit"] or (given if carries else "1")
-        if not same_dimension(written, unit if carries else "1"):
+        if not carries and written != "1":
+            raise refuse(
+                f"'{written}' is not a unit here: a standard deviation of a logarithm has none", "a plain number"
+            )
+        if not same_dimension(written, unit if carries else "1", where):
             raise refuse(f"'{written}' is not a unit of this parameter", unit if carries else "a plain number")
         numbers.append(float(argument["number"]) * (to_si(written, gravity, where, own) if carries else 1.0))
     _refuse_impossible(family, numbers, text, refuse)
