@@ -25,7 +25,7 @@ _HOME = {
     "InputError": "imubayes.errors",
 }
 
-__all__ = sorted(_HOME)
+__all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:

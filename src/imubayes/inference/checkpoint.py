@@ -101,14 +101,14 @@ class Checkpoint:
             return np.zeros((*empty.shape, self.dimensions)), empty
         backends = self.read()
         return (
-            np.stack([backend.get_chain() for backend in backends]),
-            np.stack([backend.get_log_prob() for backend in backends]),
+            np.stack([np.asarray(backend.get_chain()) for backend in backends]),
+            np.stack([np.asarray(backend.get_log_prob()) for backend in backends]),
         )
 
     @property
     def steps(self) -> int:
         """Number of whole steps of all ensembles."""
-        return min(int(backend.iteration) for backend in self.read())
+        return min(int(np.asarray(backend.iteration)) for backend in self.read())
 
     def _beside(self) -> Path:
         return self.path.with_name(f"{self.path.name}.{os.getpid()}.tmp")

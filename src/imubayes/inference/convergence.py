@@ -9,8 +9,8 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import arviz_stats
 import numpy as np
+from arviz_stats.sampling_diagnostics import ess, rhat_nested
 
 NESTED_R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
 
@@ -47,8 +47,8 @@ def diagnose(chain: np.ndarray, log_density: np.ndarray, names: Sequence[str]) -
     constant = np.ptp(flat.reshape(-1, dimensions), axis=0) == 0
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
-        bulk = np.asarray(arviz_stats.ess(flat, chain_axis=0, draw_axis=1, method="bulk"))
-        tail = np.asarray(arviz_stats.ess(flat, chain_axis=0, draw_axis=1, method="tail", prob=(0.05, 0.95)))
+        bulk = np.asarray(ess(flat, chain_axis=0, draw_axis=1, method="bulk"))
+        tail = np.asarray(ess(flat, chain_axis=0, draw_axis=1, method="tail", prob=(0.05, 0.95)))
     r_hat = nested_r_hat(chain)
     faults = []
     if not np.all(np.isfinite(log_density)):
@@ -79,7 +79,5 @@ def nested_r_hat(chain: np.ndarray) -> np.ndarray:
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         return np.asarray(
-            arviz_stats.rhat_nested(
-                flat, superchain_ids=np.repeat(np.arange(ensembles), walkers), chain_axis=0, draw_axis=1
-            )
+            rhat_nested(flat, superchain_ids=np.repeat(np.arange(ensembles), walkers), chain_axis=0, draw_axis=1)
         )

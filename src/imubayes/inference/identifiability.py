@@ -29,10 +29,10 @@ class WeakDirection:
     from_data: float
 
 
-def from_data(posterior_variance: np.ndarray, prior_variance: np.ndarray) -> np.ndarray:
+def from_data(posterior_variance: np.ndarray | float, prior_variance: np.ndarray | float) -> np.ndarray:
     """Return 1 − posterior/prior variance, within 0 … 1."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = 1 - posterior_variance / prior_variance
+        share = 1 - np.asarray(posterior_variance) / np.asarray(prior_variance)
     return np.clip(np.nan_to_num(share, nan=0.0), 0.0, 1.0)
 
 
@@ -80,7 +80,7 @@ def _named(direction: np.ndarray, names: Sequence[str]) -> str:
     order = np.argsort(-np.abs(direction))
     direction = direction / direction[order[0]]
     members = [i for i in order if abs(direction[i]) >= _NAMED_SHARE]
-    text = names[members[0]]
+    text = str(names[members[0]])
     for member in members[1:_MOST_NAMED]:
         sign = "+" if direction[member] > 0 else "−"
         text += f" {sign} {abs(direction[member]):.2g}·{names[member]}"

@@ -148,7 +148,7 @@ def _state(place: int, start: np.ndarray, settings: Settings, checkpoint: Checkp
     if checkpoint.steps:
         state = checkpoint.read()[place].get_last_sample()
         # The random stream comes back as a list, which NumPy does not take and emcee does not complain about.
-        state.random_state = tuple(state.random_state)
+        state.random_state = tuple(state.random_state or ())
         return state
     random = np.random.RandomState(np.random.SeedSequence([settings.seed, place]).generate_state(4))
     return emcee.State(start, random_state=random.get_state())

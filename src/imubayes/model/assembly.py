@@ -13,6 +13,7 @@ from imubayes.model.members import Acting
 from imubayes.parameters.vector import Layout
 from imubayes.run import Campaign
 from imubayes.stimulus import Ambient, Instants, Motion
+from imubayes.types import Array
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,9 @@ class Assembly:
         layers = []
         for kind in kinds:
             names = [channel.name for channel in belonging.campaign.channels if channel.kind == kind]
-            by_field = {field: self._places(one, field, belonging, names, places) for field in one.declared}
+            by_field: dict[str, Array] = {
+                field: self._places(one, field, belonging, names, places) for field in one.declared
+            }
             layers.append(EffectLayer(member, tuple(sorted(one.spec.options.items())), by_field, kind))
         return layers
 

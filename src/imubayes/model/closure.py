@@ -45,9 +45,9 @@ class Transitions(eqx.Module):
     layers: tuple[Layer, ...]
 
 
-def nominal_inverse(axes: np.ndarray) -> np.ndarray:
+def nominal_inverse(axes: Array) -> np.ndarray:
     """Return the least-squares inverse (3, C) of the input axes, from axes (C, 3, 3)."""
-    return np.linalg.pinv(axes[:, 0, :])
+    return np.linalg.pinv(np.asarray(axes)[:, 0, :])
 
 
 def closing_rotations(
@@ -76,20 +76,15 @@ def closing_rotations(
 
 def _inverted(transitions: Transitions, channels: dict[str, Channels], values) -> dict[str, Array]:
     """Return rate and force in body axes, kind → (T·K, 3), that would give the readings."""
-
-    def round_(_, found):
-        predicted = _readout(transitions, channels, found, values)
-        return {
-            kind: found[kind]
-            + ((transitions.readings[kind] - predicted[kind]) / channels[kind].scale[None, :])
-            @ transitions.inverse[kind].T
-            for kind in found
-        }
-
-    nothing = {kind: jnp.zeros((len(readings), 3)) for kind, readings in transitions.readings.items()}
+    found: dict[str, Array] = {kind: jnp.zeros((len(read), 3)) for kind, read in transitions.readings.items()}
     for _ in range(_ROUNDS):
-        nothing = round_(0, nothing)
-    return nothing
+        predicted = _readout(transitions, channels, found, values)
+        misfit = {
+            kind: (read - predicted[kind]) / channels[kind].scale[None, :]
+            for kind, read in transitions.readings.items()
+        }
+        found = {kind: found[kind] + misfit[kind] @ transitions.inverse[kind].T for kind in found}
+    return found
 
 
 def _readout(transitions: Transitions, channels: dict[str, Channels], found: dict[str, Array], values):

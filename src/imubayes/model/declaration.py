@@ -237,6 +237,8 @@ def _observations(belonging: Belonging) -> Observations:
 
 def _noise_layer(one: Acting, belonging: Belonging, hyper_places: dict[str, int]) -> NoiseLayer:
     """Return a noise member with places per entry, or per group for what is shared."""
+    member = one.member
+    assert issubclass(member, Noise)
     entries, campaign = belonging.entries, belonging.campaign
     names = [channel.name for channel in campaign.channels] + [""] * 3
     shared = not issubclass(one.member, EntryNoise)
@@ -258,7 +260,7 @@ def _noise_layer(one: Acting, belonging: Belonging, hyper_places: dict[str, int]
             label = tuple(names[c] if axis == "channel" else belonging.of_run(axis, r) or "" for axis in per)
             lookup[key_pair] = labels.get((field, label if per else ("all",)), 0)
         places[field] = np.array([lookup[pair] for pair in zip(run.tolist(), channel.tolist(), strict=True)])
-    return NoiseLayer(one.member, places, acts.astype(float))
+    return NoiseLayer(member, places, acts.astype(float))
 
 
 def _transitions(assembly: Assembly, effects: list[Acting]) -> Transitions | None:
@@ -286,7 +288,12 @@ def _transitions(assembly: Assembly, effects: list[Acting]) -> Transitions | Non
         Project(channels),
         Convert(channels, np.zeros(len(node))),
         Emit(channels),
-        *(layer for one in effects if one.member.stage >= Stage.SENSOR for layer in assembly.effect_layers(one, node)),
+        *(
+            layer
+            for one in effects
+            if issubclass(one.member, Effect) and one.member.stage >= Stage.SENSOR
+            for layer in assembly.effect_layers(one, node)
+        ),
     ]
     return Transitions(
         start=start_node,

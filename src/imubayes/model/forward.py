@@ -6,13 +6,14 @@ channel axes, where the signal starts), `Convert` (SI → output units; an injec
 `Emit` (the nominal offset).  There is no case per kind of run and none per effect.
 """
 
+import math
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from imubayes.effects.base import Effect, Stage
 from imubayes.frames import rotate, rotate_back, turn_back_about_z
@@ -38,13 +39,17 @@ class Channels(eqx.Module):
 
 
 class Layer(eqx.Module):
-    """One step of the signal path."""
+    """One step of the signal path; a junction stands at the end of the stage that it closes."""
 
-    stage: eqx.AbstractVar[Stage]
+    closes: ClassVar[Stage]
 
+    def place(self) -> tuple[int, float]:
+        """Return stage and order: layers are passed in the order of these."""
+        return self.closes, math.inf
+
+    @abstractmethod
     def __call__(self, path: SignalPath, values: Float[Array, " V"]) -> SignalPath:
         """Return the path after this step; `values` are all parameters in SI, then the null values."""
-        raise TypeError("a layer is one of EffectLayer, Resolve, Project, Convert and Emit")
 
 
 class EffectLayer(Layer):
@@ -64,9 +69,8 @@ class EffectLayer(Layer):
     places: dict[str, Array]
     kind: str = eqx.field(static=True)
 
-    @property
-    def stage(self) -> Stage:
-        return self.effect.stage
+    def place(self):
+        return self.effect.stage, self.effect.order
 
     def __call__(self, path, values):
         chosen = {field: values[place] for field, place in self.places.items()}
@@ -77,10 +81,11 @@ class EffectLayer(Layer):
 class Spread(Layer):
     """From stands to nodes: each node gets the table and mounting of its stand, and its own angle and rate."""
 
-    stage: ClassVar[Stage] = Stage.STAND
+    closes: ClassVar[Stage] = Stage.STAND
 
     def __call__(self, path, values):
         at, stand = path.instants, path.motion
+        assert at is not None
         motion = Motion(
             base=stand.base[at.stand],
             mounting=stand.mounting[at.stand],
@@ -97,7 +102,7 @@ class Resolve(Layer):
     """From the motion to what acts on the body, for every channel alike."""
 
     counts: tuple[tuple[str, int], ...] = eqx.field(static=True)
-    stage: ClassVar[Stage] = Stage.TABLE
+    closes: ClassVar[Stage] = Stage.TABLE
 
     def __call__(self, path, values):
         body = jax.vmap(on_body)(path.motion)
@@ -112,7 +117,7 @@ class Project(Layer):
     """From body axes to each channel's own: here the signal starts."""
 
     channels: dict[str, Channels]
-    stage: ClassVar[Stage] = Stage.PLACE
+    closes: ClassVar[Stage] = Stage.PLACE
 
     def __call__(self, path, values):
         sample = {
@@ -139,7 +144,7 @@ class Convert(Layer):
 
     channels: dict[str, Channels]
     injected: Float[Array, " N"]
-    stage: ClassVar[Stage] = Stage.SENSOR
+    closes: ClassVar[Stage] = Stage.SENSOR
 
     def __call__(self, path, values):
         def converted(signal, channels):
@@ -154,7 +159,7 @@ class Emit(Layer):
     """The nominal offset."""
 
     channels: dict[str, Channels]
-    stage: ClassVar[Stage] = Stage.CONVERTER
+    closes: ClassVar[Stage] = Stage.CONVERTER
 
     def __call__(self, path, values):
         signal = {kind: path.signal[kind] + channels.offset[None, :] for kind, channels in self.channels.items()}
@@ -202,8 +207,4 @@ def travel(layers: Sequence[Layer], path: SignalPath, values: Float[Array, " V"]
 
 def in_order(layers: Sequence[Layer]) -> tuple[Layer, ...]:
     """Sort layers by stage and order; a junction closes its stage."""
-
-    def key(layer: Layer) -> tuple[int, float]:
-        return layer.stage, layer.effect.order if isinstance(layer, EffectLayer) else np.inf
-
-    return tuple(sorted(layers, key=key))
+    return tuple(sorted(layers, key=lambda layer: layer.place()))

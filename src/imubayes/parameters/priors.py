@@ -51,7 +51,7 @@ class Normal(Prior):
         return self.mean + self.deviation * z
 
     def z(self, value):
-        return (value - self.mean) / self.deviation
+        return float((value - self.mean) / self.deviation)
 
     def sd(self):
         return float(self.deviation)
@@ -83,7 +83,7 @@ class LogNormal(Prior):
         return self.median * jnp.exp(self.log_deviation * z)
 
     def z(self, value):
-        return math.log(value / self.median) / self.log_deviation
+        return float(math.log(value / self.median) / self.log_deviation)
 
     def sd(self):
         s2 = float(self.log_deviation) ** 2

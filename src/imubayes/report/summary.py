@@ -77,8 +77,8 @@ def _parameters(fit: JointFit) -> list[dict[str, Any]]:
 def _share(parameter: Parameter, draws: np.ndarray, z: np.ndarray) -> float:
     """Return the share the data contributed; in z where the prior has no standard deviation."""
     if np.isfinite(parameter.prior_sd):
-        return float(from_data(np.var(draws), np.array(parameter.prior_sd**2)))
-    return float(from_data(np.var(z), np.array(1.0)))
+        return float(from_data(float(np.var(draws)), parameter.prior_sd**2))
+    return float(from_data(float(np.var(z)), 1.0))
 
 
 def _numbers(draws: np.ndarray, usable: bool) -> dict[str, float | None]:
@@ -95,7 +95,7 @@ def _derived(fit: JointFit) -> list[dict[str, Any]]:
         draws, prior = fit.derived_draws[:, place], fit.prior_derived[:, place]
         line = {"name": name.name, "unit": name.unit, **_numbers(draws, usable)}
         line["prior_sd"] = float(prior.std()) if usable else None
-        line["from_data"] = float(from_data(np.var(draws), np.var(prior))) if usable else None
+        line["from_data"] = float(from_data(float(np.var(draws)), float(np.var(prior)))) if usable else None
         lines.append(line)
     return lines
 
