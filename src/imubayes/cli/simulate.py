@@ -6,7 +6,7 @@ from pathlib import Path
 def simulate(plan: Path, *, out: Path, seed: int | None = None) -> int:
     """Simulate the runs of a plan: a campaign folder with a truth file.
 
-    Example: imubayes simulate data/plan-example.toml --out campaigns/simulated
+    Example: imubayes simulate data/plans/trihedral-example.toml --out campaigns/simulated
 
     Parameters
     ----------

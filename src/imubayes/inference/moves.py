@@ -22,10 +22,14 @@ _to_normal = eqx.filter_jit(
 )
 
 
+_BLOCK = 16
+
+
 @eqx.filter_jit
 def _log_density(problem: Problem, points: Float[Array, "n PH"]) -> Float[Array, " n"]:
     size = problem.size[0]
-    return jax.vmap(lambda one: log_density(problem, one[:size], one[size:]))(points)
+    # In blocks: all walkers at once would not fit into the cache of a core.
+    return jax.lax.map(lambda one: log_density(problem, one[:size], one[size:]), points, batch_size=_BLOCK)
 
 
 class LogDensity:
@@ -36,7 +40,7 @@ class LogDensity:
     """
 
     def __init__(self, problem: Problem, batch: int):
-        self.problem, self.batch = problem, batch
+        self.problem, self.batch = problem, batch + -batch % _BLOCK
         self.evaluations = 0
 
     def __call__(self, points: np.ndarray) -> np.ndarray:

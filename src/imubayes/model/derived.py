@@ -39,8 +39,8 @@ class Derivation(eqx.Module):
     """
 
     probe: Probe
-    pairs: dict[str, Int[Array, "n 2"]]
-    thermal_pairs: dict[str, Int[Array, "n 3"]]
+    pairs: dict[str, Int[Array, "_ 2"]]
+    thermal_pairs: dict[str, Int[Array, "_ 3"]]
     factors: Float[Array, " D"]
 
     def __call__(self, values: Float[Array, " V"]) -> Float[Array, " D"]:
