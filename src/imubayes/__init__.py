@@ -13,16 +13,17 @@ from typing import Any
 
 __version__ = "0.1.0"
 
+# public name → module and name there
 _HOME = {
-    "fit": "imubayes.api",
-    "load_model": "imubayes.api",
-    "Result": "imubayes.api",
-    "load_campaign": "imubayes.campaign",
-    "check_campaign": "imubayes.campaign",
-    "compare": "imubayes.report.comparison",
-    "Campaign": "imubayes.run",
-    "Settings": "imubayes.inference.sample",
-    "InputError": "imubayes.errors",
+    "fit": ("imubayes.api", "fit"),
+    "Result": ("imubayes.api", "Result"),
+    "load_campaign": ("imubayes.campaign", "load_campaign"),
+    "check_campaign": ("imubayes.campaign", "check_campaign"),
+    "load_model": ("imubayes.campaign.model_file", "read_model"),
+    "compare": ("imubayes.report.comparison", "compare"),
+    "Campaign": ("imubayes.run", "Campaign"),
+    "Settings": ("imubayes.inference.sample", "Settings"),
+    "InputError": ("imubayes.errors", "InputError"),
 }
 
 __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
@@ -32,4 +33,5 @@ def __getattr__(name: str) -> Any:
     """Load a public name when it is first used: JAX takes seconds to import, and `--help` needs none of it."""
     if name not in _HOME:
         raise AttributeError(f"module 'imubayes' has no attribute '{name}'")
-    return getattr(import_module(_HOME[name]), name)
+    module, there = _HOME[name]
+    return getattr(import_module(module), there)

@@ -8,13 +8,14 @@ from typing import Any
 
 import xarray
 
-from imubayes.campaign import ModelFile, load_campaign, read_model_file
+from imubayes.campaign import load_campaign
+from imubayes.campaign.model_file import read_model
 from imubayes.inference.design import next_runs
 from imubayes.inference.joint import JointFit, joint_fit
 from imubayes.inference.posterior import posterior_tree
 from imubayes.inference.sample import Settings
 from imubayes.model.declaration import declare
-from imubayes.model.specification import EffectSpec, ModelSpec
+from imubayes.model.specification import ModelSpec
 from imubayes.procedures import PROCEDURES
 from imubayes.report.folder import CHECKPOINT, write_result
 from imubayes.report.html import summary_html
@@ -57,36 +58,6 @@ class Result:
         return summary_html(self.summary)
 
 
-def load_model(path: str | Path) -> ModelSpec:
-    """Read a model file; its own effects are looked for beside it.
-
-    Raises
-    ------
-    InputError
-        with everything that is wrong with the file.
-    """
-    path = Path(path)
-    return specification(read_model_file(path), path)
-
-
-def specification(file: ModelFile, path: Path) -> ModelSpec:
-    """Return what a model file says, free of the file."""
-    effects = tuple(
-        EffectSpec(
-            name=entry.name,
-            channels=tuple(entry.channels) if entry.channels is not None else None,
-            per=entry.per,
-            prior=dict(entry.prior),
-            options={key: value for key, value in (entry.model_extra or {}).items() if key != "optional"},
-            optional=bool((entry.model_extra or {}).get("optional", False)),
-            where=f"{path}: effect {place + 1} ({entry.name})",
-        )
-        for place, entry in enumerate(file.effect)
-    )
-    files = tuple(str(path.parent / name) for name in file.files)
-    return ModelSpec(file.name, effects, files, str(path))
-
-
 def fit(
     campaign: Campaign | str | Path,
     model: ModelSpec | str | Path,
@@ -118,7 +89,7 @@ def fit(
     """
     clock = time.perf_counter()
     campaign = campaign if isinstance(campaign, Campaign) else load_campaign(campaign, tuple(PROCEDURES))
-    model = model if isinstance(model, ModelSpec) else load_model(model)
+    model = model if isinstance(model, ModelSpec) else read_model(model)
     declared = declare(model, campaign)
     load_seconds = time.perf_counter() - clock
     folder = Path(out) if out is not None else None

@@ -28,10 +28,10 @@ def check(campaign: Path, *, model: Path | None = None, json_output: bool = Fals
         from imubayes.cli.session import start_jax
 
         start_jax()
-        from imubayes.api import load_model
+        from imubayes.campaign.model_file import read_model
         from imubayes.model.declaration import declare
 
-        declared = declare(load_model(model), inspection.campaign)
+        declared = declare(read_model(model), inspection.campaign)
     if json_output:
         json.dump(inspection_json(inspection, declared), sys.stdout, ensure_ascii=False)
         print()
