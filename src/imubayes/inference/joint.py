@@ -21,7 +21,7 @@ from imubayes.inference.moves import LaplaceProposal, LogDensity
 from imubayes.inference.sample import Chains, Settings, sample, walkers_for
 from imubayes.model.declaration import Model
 from imubayes.model.derived import Derived, derive
-from imubayes.model.likelihood import Problem, log_density, values_of
+from imubayes.model.likelihood import Problem, values_of
 
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
 # they are out of the running whatever their width.
@@ -101,7 +101,9 @@ def joint_fit(
         if file is not None and resume:
             file.check()
         tell("fitting")
-        mode, others = _best_start(problem, sampling.seed if sampling else 0)
+        settings = sampling or Settings()
+        density = LogDensity(problem, walkers_for(sum(problem.size), settings) // 2)
+        mode, others = _best_start(problem, density, settings.seed)
         derived = derive(model.assembly)
         if not bool(mode.converged):
             return _unconverged(model, derived, mode, {"fit": time.perf_counter() - clock})
@@ -112,7 +114,6 @@ def joint_fit(
         if sampling is not None and file is not None:
             if not resume:
                 file.create()
-            density = LogDensity(problem, file.walkers // 2)
             starts = _starts(proposal, mode, others, file, sampling)
             names = model.layout.names + model.hyper_layout.names
 
@@ -171,28 +172,26 @@ def model_hash(model: Model) -> str:
     return _digest(*(text.encode() for text in (*listed, *sources)))
 
 
-def _best_start(problem: Problem, seed: int, dispersed: int = 3) -> tuple[Mode, list[np.ndarray]]:
+def _best_start(problem: Problem, density: LogDensity, seed: int, dispersed: int = 3) -> tuple[Mode, list[np.ndarray]]:
     """Fit from the middle of the prior and from draws of it; return the best, and other ends worth a look."""
     size, hyper_size = problem.size
     mode = find_mode(problem, jnp.zeros(size), jnp.zeros(hyper_size))
     random = np.random.default_rng([seed, 1])
     ends = [fit_at(problem, jnp.asarray(random.normal(size=size)), mode.h) for _ in range(dispersed)]
-    here = float(_density(problem, mode.z, mode.h))
-    densities = [float(_density(problem, end, mode.h)) for end in ends]
+    here, *densities = _densities(density, [mode.z, *ends], mode.h)
     best = int(np.argmax(densities)) if densities else -1
     if densities and (densities[best] > here + _SAME or (not bool(mode.converged) and np.isfinite(densities[best]))):
         again = find_mode(problem, ends[best], mode.h)
         if bool(again.converged) or not bool(mode.converged):
-            mode, here = again, float(_density(problem, again.z, again.h))
+            mode, here = again, _densities(density, [again.z], again.h)[0]
     others = [
-        np.asarray(end)
-        for end, density in zip(ends, densities, strict=True)
-        if density < here - _SAME and density > here - _HOPELESS
+        np.asarray(end) for end, height in zip(ends, densities, strict=True) if here - _HOPELESS < height < here - _SAME
     ]
     return mode, others
 
 
-_density = eqx.filter_jit(log_density)
+def _densities(density: LogDensity, ends: list, h) -> list[float]:
+    return density(np.stack([np.concatenate([end, h]) for end in ends])).tolist()
 
 
 def _starts(

@@ -25,7 +25,7 @@ _HARD_ACCEPTANCE, _TRIAL = 0.5, 256
 _FEWEST_WALKERS = 64
 _BURN_IN, _BLOCK = 5, 5
 # So many draws of all ensembles together are taken even where fewer would do, and so many steps.
-_LEAST_DRAWS, _LEAST_STEPS = 8000, 10
+_LEAST_DRAWS, _LEAST_STEPS = 6000, 10
 # A chain longer than this did not begin where it should; a quarter of it is then left out.
 _LONG = 60
 # Largest size of all chains together, in numbers: 400 MB.
