@@ -17,8 +17,9 @@ import numpy as np
 WEAK_SHARE = 0.5
 # Members of a combination below this share of its largest are left out of its name.
 _NAMED_SHARE, _MOST_NAMED, _MOST_DIRECTIONS = 0.15, 5, 12
-# A pair of derived quantities is a confusion where its worst combination is this unresolved and the two move together.
-_CONFUSED_SHARE, _CONFUSED_CORRELATION = 0.1, 0.8
+# A pair of derived quantities is a confusion where its worst combination is this unresolved, or where the two move
+# together like this, along a direction that is this unresolved.
+_CONFUSED_SHARE, _CONFUSED_CORRELATION = 0.1, 0.95
 
 
 @dataclass(frozen=True)
@@ -90,13 +91,18 @@ def _named(direction: np.ndarray, names: Sequence[str]) -> str:
 
 
 def confusions(
-    prior: np.ndarray, posterior: np.ndarray, names: Sequence[str], pairs: Sequence[tuple[int, int]]
+    prior: np.ndarray,
+    posterior: np.ndarray,
+    along: np.ndarray,
+    names: Sequence[str],
+    pairs: Sequence[tuple[int, int]],
 ) -> list[WeakDirection]:
     """Return pairs of derived quantities that the data do not tell apart, the worst first.
 
     Parameters
     ----------
     prior, posterior : shape (D, D), covariances of the derived quantities to first order.
+    along : shape (D,), share from the data of the direction in z along which each quantity varies a posteriori.
     names : of the derived quantities.
     pairs : which pairs to look at.
     """
@@ -112,6 +118,8 @@ def confusions(
         whitened = np.linalg.solve(root, np.linalg.solve(root, after).T)
         share = float(np.clip(1 - np.linalg.eigvalsh(whitened)[-1], 0.0, 1.0))
         correlation = after[0, 1] / np.sqrt(after[0, 0] * after[1, 1])
-        if share < _CONFUSED_SHARE and abs(correlation) > _CONFUSED_CORRELATION:
+        if abs(correlation) > _CONFUSED_CORRELATION:
+            share = min(share, float(np.clip(along[i], 0.0, 1.0)))
+        if share < _CONFUSED_SHARE and np.diag(after).max() > 1e-3:
             found.append(WeakDirection(f"{names[i]} against {names[j]}", share))
     return sorted(found, key=lambda one: one.from_data)

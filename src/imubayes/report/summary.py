@@ -107,6 +107,9 @@ def _weak(fit: JointFit, precision: np.ndarray) -> list[WeakDirection]:
         jax.jit(jax.jacfwd(lambda z: fit.derived.derivation(values_of(model.problem, z))))(fit.mode.z)
     )
     prior, posterior = gradient @ gradient.T, gradient @ np.linalg.solve(precision, gradient.T)
+    directions = np.linalg.solve(precision, gradient.T)
+    spread = np.sum(directions * np.linalg.solve(precision, directions), axis=0)
+    along = 1 - spread / np.maximum(np.sum(directions**2, axis=0), 1e-300)
     names = [name.name for name in fit.derived.names]
     pairs = [
         (i, j)
@@ -119,7 +122,7 @@ def _weak(fit: JointFit, precision: np.ndarray) -> list[WeakDirection]:
     found = weak_directions(precision, model.layout.names, hidden)
     # A combination of nuisance parameters alone, such as the heading of a tumble, is of no interest.
     named = [one for one in found if any(name in one.combination for name in shown)]
-    return confusions(prior, posterior, names, pairs) + named
+    return confusions(prior, posterior, along, names, pairs) + named
 
 
 def _log_evidence(fit: JointFit) -> float | None:
