@@ -20,6 +20,8 @@ from imubayes.types import Array, Bool, Float, Int, Scalar
 
 # Damping at the start, against columns of unit length: nearly Gauss–Newton, short of leaping onto a plateau.
 _FIRST_DAMPING = 1e-2
+# Relative change of the cost that is rounding: residuals are small differences of large readings.
+_ROUNDING = 1e-11
 # The step left that still counts as arrived: against each parameter, or as a share of the residual.
 _STEP_LEFT, _OFFSET_LEFT = 1e-5, 1e-4
 
@@ -100,6 +102,33 @@ class _ScaledLevenbergMarquardt(optx.AbstractGaussNewton[Any, Any, Any]):
     verbose: Callable = eqx.field(default=lambda **_: None)
 
 
+class _UpToRounding(optx.AbstractSearch[Any, Any, Any, Any]):
+    """The trust region of Levenberg–Marquardt, which takes a step that changes the cost by rounding alone.
+
+    At the minimum the cost only flickers.  Where every step is refused for that, and only an accepted step can end the
+    search, it wanders on with ever shorter ones.
+    """
+
+    region: optx.ClassicalTrustRegion = optx.ClassicalTrustRegion()
+
+    def init(self, y, f_info_struct):
+        return self.region.init(y, f_info_struct)
+
+    def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
+        size, accept, result, state = self.region.step(first_step, y, y_eval, f_info, f_eval_info, state)
+        before, after = f_info.as_min(), f_eval_info.as_min()
+        return size, accept | (jnp.abs(after - before) <= _ROUNDING * before), result, state
+
+
+class _NormalEquationsLevenbergMarquardt(optx.AbstractGaussNewton[Any, Any, Any]):
+    rtol: float
+    atol: float
+    descent: optx.AbstractDescent
+    norm: Callable = optx.max_norm
+    search: optx.AbstractSearch = _UpToRounding()
+    verbose: Callable = eqx.field(default=lambda **_: None)
+
+
 class LeastSquares(eqx.Module):
     """Outcome of a least-squares fit.
 
@@ -150,7 +179,8 @@ def minimise(
         )
         value, arrived = _arrived(solution.state.descent_state, solution.value, tolerance)
         return LeastSquares(value, solution.stats["num_steps"], arrived)
-    solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance, linear_solver=linear_solver, norm=optx.max_norm)
+    descent = optx.DampedNewtonDescent(linear_solver=linear_solver)
+    solver = _NormalEquationsLevenbergMarquardt(tolerance, tolerance, descent=descent)
     solution = optx.least_squares(residual, solver, guess, args=arguments, max_steps=most_steps, throw=False)
     return LeastSquares(solution.value, solution.stats["num_steps"], solution.result == optx.RESULTS.successful)
 

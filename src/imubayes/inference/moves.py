@@ -84,24 +84,42 @@ class LaplaceMove(Move):
 
     u′ = √(1 − β²) u + β ξ leaves the standard normal invariant (preconditioned Crank–Nicolson, Cotter et al. 2013), so
     a move is taken with probability min(1, w′/w), w = posterior over proposal.  β = 1 is an independent draw; smaller
-    steps free a walker from where the proposal is far too thin.
+    steps free a walker from where the proposal is far too thin.  Which walkers take a short step is drawn anew each
+    time, whatever their state.
 
     Parameters
     ----------
     proposal : map and log density, see `LaplaceProposal`.
-    step : β, above 0, at most 1.
+    short_step : β of the short steps, above 0, at most 1.
+    short_share : share of walkers that take one.
+
+    Attributes
+    ----------
+    proposed, taken : numbers of independent draws.
     """
 
-    def __init__(self, proposal: LaplaceProposal, step: float = 1.0):
-        self.proposal, self.step = proposal, step
+    def __init__(self, proposal: LaplaceProposal, short_step: float, short_share: float):
+        self.proposal, self.short_step, self.short_share = proposal, short_step, short_share
         self.proposed = self.taken = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the normal vectors of the walkers; a run that is resumed begins without them, too."""
+        self._known: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+
+    def _normal(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `to_normal` of the walkers; where no other move has come between it is known from the last step."""
+        if self._known is not None and np.array_equal(self._known[0], points):
+            return self._known[1:]
+        return self.proposal.to_normal(points)
 
     def propose(self, model, state):
         """Advance the whole ensemble; see `emcee.moves.Move`."""
         count = len(state.coords)
-        normal, old_proposal = self.proposal.to_normal(state.coords)
-        fresh = model.random.normal(size=normal.shape)
-        points, new_proposal = self.proposal.to_point(np.sqrt(1 - self.step**2) * normal + self.step * fresh)
+        normal, old_proposal = self._normal(state.coords)
+        step = np.where(model.random.uniform(size=count) < self.short_share, self.short_step, 1.0)[:, None]
+        fresh = np.sqrt(1 - step**2) * normal + step * model.random.normal(size=normal.shape)
+        points, new_proposal = self.proposal.to_point(fresh)
         new, _ = model.compute_log_prob_fn(points)
         with np.errstate(invalid="ignore"):
             ratio = (new - new_proposal) - (state.log_prob - old_proposal)
@@ -109,6 +127,10 @@ class LaplaceMove(Move):
         ratio = np.where(np.isneginf(state.log_prob), np.inf, ratio)
         ratio = np.where(np.isneginf(new) | np.isnan(ratio), -np.inf, ratio)
         accepted = np.log(model.random.uniform(size=count)) < ratio
-        self.proposed += count
-        self.taken += int(accepted.sum())
-        return self.update(state, emcee.State(points, log_prob=new), accepted), accepted
+        independent = step[:, 0] == 1
+        self.proposed += int(independent.sum())
+        self.taken += int(accepted[independent].sum())
+        state = self.update(state, emcee.State(points, log_prob=new), accepted)
+        normal = np.where(accepted[:, None], fresh, normal)
+        self._known = state.coords.copy(), normal, np.where(accepted, new_proposal, old_proposal)
+        return state, accepted

@@ -20,7 +20,8 @@ from imubayes.inference.moves import LaplaceMove, LaplaceProposal
 # The safety net for what is not Gaussian takes this share of the steps.  DESnookerMove of emcee 3.1.6 is biased.
 _STRETCH_SHARE = _DE_SHARE = 0.02
 # Short steps of the Laplace move, and the share of them; where independent draws are mostly refused, half of all.
-_SHORT_STEP, _SHORT_SHARE, _SHORT_SHARE_HARD = 0.3, 0.02, 0.5
+# In ten steps nine walkers of ten take a short one: enough to free those few from which independent draws rarely lead.
+_SHORT_STEP, _SHORT_SHARE, _SHORT_SHARE_HARD = 0.3, 0.2, 0.5
 _HARD_ACCEPTANCE, _TRIAL = 0.5, 256
 _FEWEST_WALKERS = 64
 _BURN_IN, _BLOCK = 5, 5
@@ -94,7 +95,8 @@ def sample(
     walkers, dimensions = starts[0].shape
     hard = proposal is not None and expected_acceptance(log_density, proposal, settings.seed) < _HARD_ACCEPTANCE
     short_share = _SHORT_SHARE_HARD if hard else _SHORT_SHARE
-    samplers = [_sampler(log_density, walkers, dimensions, proposal, short_share) for _ in starts]
+    moves = [LaplaceMove(proposal, _SHORT_STEP, short_share) if proposal is not None else None for _ in starts]
+    samplers = [_sampler(log_density, walkers, dimensions, move) for move in moves]
     states = [_state(place, start, settings, checkpoint) for place, start in enumerate(starts)]
     memory = _MOST_NUMBERS // (len(starts) * walkers * dimensions)
     most = min(settings.most_steps + _BURN_IN if settings.most_steps else memory, memory)
@@ -111,8 +113,10 @@ def sample(
             block = max(_BLOCK, taken // 4)
         steps = min(block, (least if taken < least else most) - taken)
         with checkpoint.block() as backends:
-            for place, (sampler, backend) in enumerate(zip(samplers, backends, strict=True)):
+            for place, (sampler, move, backend) in enumerate(zip(samplers, moves, backends, strict=True)):
                 sampler.backend = backend
+                if move is not None:
+                    move.forget()
                 for state in sampler.sample(states[place], iterations=steps, skip_initial_state_check=True):
                     states[place] = state
         taken += steps
@@ -120,13 +124,10 @@ def sample(
             progress(taken, "")
 
 
-def _sampler(
-    log_density, walkers: int, dimensions: int, proposal: LaplaceProposal | None, short_share: float
-) -> emcee.EnsembleSampler:
+def _sampler(log_density, walkers: int, dimensions: int, move: LaplaceMove | None) -> emcee.EnsembleSampler:
     moves = [(StretchMove(), _STRETCH_SHARE), (DEMove(), _DE_SHARE)]
-    if proposal is not None:
-        moves.append((LaplaceMove(proposal, _SHORT_STEP), short_share))
-        moves.append((LaplaceMove(proposal), 1 - _STRETCH_SHARE - _DE_SHARE - short_share))
+    if move is not None:
+        moves.append((move, 1 - _STRETCH_SHARE - _DE_SHARE))
     return emcee.EnsembleSampler(walkers, dimensions, log_density, moves=moves, vectorize=True)
 
 

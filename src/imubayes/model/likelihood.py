@@ -121,6 +121,7 @@ def signal_path(problem: Problem, z: Float[Array, " P"]) -> SignalPath:
     return travel(problem.layers, start(problem.instants), values_of(problem, z))
 
 
+@jax.jit
 def predict(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " E"]:
     """Return the predicted value of every entry, output units (rad for closing rotations)."""
     path = signal_path(problem, z)
