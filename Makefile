@@ -7,7 +7,8 @@ READY := $(VENV)/.ready
 LOCK := .requirements/uv.txt .requirements/main+test.txt
 COMPILE = $(UV) pip compile --quiet --universal --python-version 3.12 --python $(BIN)/python \
 	--generate-hashes --no-header --no-emit-index-url $(UPGRADE)
-INSTALL = $(UV) pip install --quiet --python $(BIN)/python
+# Bytecode is made at once: where the user's settings forbid Python to write it, every start would compile everything anew.
+INSTALL = $(UV) pip install --quiet --compile-bytecode --python $(BIN)/python
 
 export UV_PYTHON_DOWNLOADS := never
 
@@ -67,8 +68,9 @@ $(UV): | $(BIN)/python
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r .requirements/uv.txt
 
 $(READY): $(LOCK) pyproject.toml | $(UV)
-	@$(UV) pip sync --quiet --python $(BIN)/python --require-hashes $(LOCK)
+	@$(UV) pip sync --quiet --compile-bytecode --python $(BIN)/python --require-hashes $(LOCK)
 	@$(INSTALL) --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -m compileall -q src
 	@touch $@
 
 $(VENV)/.ready-bench: .requirements/bench.txt $(READY)
