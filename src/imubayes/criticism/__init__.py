@@ -1,0 +1,1 @@
+"""Criticism: where the model fails, and which effect is missing."""
