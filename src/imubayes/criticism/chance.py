@@ -1,8 +1,8 @@
 """How often does chance alone do so well somewhere?  Many candidates are looked at, and the best of many is not rare.
 
-The scores of all candidates come from one residual.  Under no effect g⊥ᵀr is normal with covariance g⊥ᵀg⊥ whatever the
-number of rows, so the distribution of the smallest of all p-values is found by drawing it (Westfall & Young,
-Resampling-Based Multiple Testing, 1993), correlations included and without any refit.
+All scores come from one residual.  Under no effect it is white within the space that the model leaves, so the
+distribution of the smallest of all p-values is found by drawing it (Westfall & Young, Resampling-Based Multiple
+Testing, 1993), correlations included and without any refit.
 """
 
 from collections.abc import Sequence
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from imubayes.criticism.screen import Candidate
+from imubayes.criticism.screen import Explained
 
-_DRAWS = 4000
+_DRAWS, _AT_ONCE = 3000, 250
 # Below this quantile of the drawn minima their tail is carried on: there p_global is proportional to p.
 _TAIL = 0.01
 
@@ -40,23 +40,22 @@ class LookElsewhere:
         return float(np.searchsorted(self.smallest, p, side="right") / len(self.smallest))
 
 
-def look_elsewhere(candidates: Sequence[Candidate], seed: int = 0) -> LookElsewhere:
-    """Return the distribution of the smallest p-value of these candidates under no effect."""
-    if not candidates:
+def look_elsewhere(looked: Sequence[Explained], seed: int = 0) -> LookElsewhere:
+    """Return the distribution of the smallest p-value of everything that was looked at, under no effect."""
+    if not looked:
         return LookElsewhere(np.ones(1), 0.0)
-    spans = np.concatenate([one.span for one in candidates], axis=1)
-    # Only the inner products matter: draw in the space that the spans fill.
-    gram = spans.T @ spans
-    values, vectors = np.linalg.eigh(gram)
-    kept = values > 1e-10 * values[-1]
-    root = vectors[:, kept] * np.sqrt(values[kept])
-    draws = np.random.default_rng(seed).normal(size=(_DRAWS, int(kept.sum()))) @ root.T
-    smallest = np.ones(_DRAWS)
-    place = 0
-    for one in candidates:
-        score = np.sum(draws[:, place : place + one.dof] ** 2, axis=1)
-        smallest = np.minimum(smallest, stats.chi2.sf(score, one.dof))
-        place += one.dof
+    spans = np.concatenate([one.span for one in looked], axis=1)
+    ends = np.cumsum([one.span.shape[1] for one in looked])
+    random = np.random.default_rng(seed)
+    smallest = np.concatenate(
+        [_smallest((random.normal(size=(_AT_ONCE, len(spans))) @ spans) ** 2, ends) for _ in range(_DRAWS // _AT_ONCE)]
+    )
     smallest = np.sort(smallest)
     edge = max(2, int(_TAIL * _DRAWS))
     return LookElsewhere(smallest, float(edge / _DRAWS / smallest[edge - 1]))
+
+
+def _smallest(squares: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Return the smallest p-value of each draw; squares are the drawn scores by direction, (draws, directions)."""
+    sums = np.add.reduceat(squares, np.concatenate([[0], ends[:-1]]), axis=1)
+    return np.min(stats.chi2.sf(sums, np.diff(ends, prepend=0)), axis=1)

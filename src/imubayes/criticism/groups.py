@@ -45,7 +45,8 @@ class Group:
 def row_scales(projection: Projection, candidate: Candidate) -> np.ndarray:
     """Return the noise scale of every row after a candidate has been taken out, shape (R,)."""
     of_row = projection.strata.of_row
-    return candidate.scales[np.where(of_row == PRIOR, len(candidate.scales) - 1, of_row)]
+    variance = candidate.found.variance
+    return np.sqrt(variance[np.where(of_row == PRIOR, len(variance) - 1, of_row)])
 
 
 def group(projection: Projection, leader: Candidate, ranked: Sequence[Candidate], p: float) -> Group:
@@ -57,13 +58,13 @@ def group(projection: Projection, leader: Candidate, ranked: Sequence[Candidate]
     p : chance of the leader with all looks counted.
     """
     scale = row_scales(projection, leader)
-    wanted = leader.fitted / scale
+    wanted = leader.found.fitted / scale
     members: dict[str, tuple[Candidate, float]] = {leader.effect: (leader, 0.0)}
     for one in ranked:
         if one.effect == leader.effect:
             continue
         # The other's response weighted alike; what it cannot reach of the leader's part stays unexplained.
-        basis, _ = np.linalg.qr(one.span / scale[:, None])
+        basis, _ = np.linalg.qr(one.found.span / scale[:, None])
         left = float(np.sum((wanted - basis @ (basis.T @ wanted)) ** 2))
         best = members.get(one.effect)
         if left < _TOLD_APART and (best is None or _simpler(one, left, *best)):

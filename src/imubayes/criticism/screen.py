@@ -18,6 +18,8 @@ from imubayes.criticism.candidates import Coefficient, Response, Scan
 from imubayes.criticism.projection import Projection, orthonormal
 
 _SMALLEST = 1e-300
+# A candidate direction that keeps less than this share of its squared length is nothing but rounding.
+_LEAST_RETAINED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -30,15 +32,8 @@ class Candidate:
     coefficients : C of them.
     owners : the channels, mountings or tables of the coefficients.
     value, sd : shape (C,), in the coefficients' units, the sd with the noise scale after the candidate.
-    drop : S with the noise scale after the candidate: the drop of χ² that a refit brings.
-    drop_at_fit : S with the noise scale of the fit.
-    dof : number of directions that could be resolved.
-    p : chance of such a drop where there is no effect, of this candidate alone.
     retained : share of the response that the model cannot absorb, shape (C,).
-    fitted : shape (R,), the part of the residual that it explains.
-    span : shape (R, dof), orthonormal basis of its projected response.
-    within : share of S that comes from within runs.
-    scales : shape (strata + 1,), noise scale after the candidate, relative to the fit's.
+    found : what it explains.
     """
 
     scan: Scan
@@ -46,20 +41,28 @@ class Candidate:
     owners: tuple[str, ...]
     value: np.ndarray
     sd: np.ndarray
-    drop: float
-    drop_at_fit: float
-    dof: int
-    p: float
     retained: np.ndarray
-    within: float
-    fitted: np.ndarray = field(repr=False)
-    span: np.ndarray = field(repr=False)
-    scales: np.ndarray = field(repr=False)
+    found: "Explained" = field(repr=False)
 
     @property
     def effect(self) -> str:
         """Name of the effect."""
         return self.scan.effect
+
+    @property
+    def dof(self) -> int:
+        """Number of directions that could be resolved."""
+        return self.found.span.shape[1]
+
+    @property
+    def p(self) -> float:
+        """Chance of such a drop of χ² where there is no effect, of this candidate alone."""
+        return self.found.p
+
+    @property
+    def drop(self) -> float:
+        """The drop of χ² that a refit brings, in units of the noise after it."""
+        return self.found.drop
 
 
 @dataclass(frozen=True)
@@ -84,31 +87,66 @@ def prepare(projection: Projection, responses: Sequence[Response]) -> list[Proje
     ]
 
 
+@dataclass(frozen=True)
+class Explained:
+    """The part of the residual that lies in the span of some projected columns.
+
+    Attributes
+    ----------
+    span : shape (R, d), orthonormal.
+    fitted : shape (R,).
+    drop, drop_at_fit : S with the noise scales after it, and with those of the fit.
+    p : chance of such a drop under no effect.
+    within : share of S that comes from within runs.
+    variance : shape (strata + 1,), noise variance of each stratum after it, relative to the fit's.
+    """
+
+    span: np.ndarray
+    fitted: np.ndarray
+    drop: float
+    drop_at_fit: float
+    p: float
+    within: float
+    variance: np.ndarray
+
+
+def explain(
+    projection: Projection, columns: np.ndarray, length: np.ndarray, least: float = _LEAST_RETAINED
+) -> Explained:
+    """Return what projected columns explain of the residual.
+
+    Parameters
+    ----------
+    columns : shape (R, C), projected.
+    length : shape (C,), their lengths before projection.
+    least : directions that keep less than this share of their squared length count as absorbed.
+    """
+    span = orthonormal(columns, length, least)
+    along = span.T @ projection.residual
+    fitted = span @ along
+    strata = projection.strata
+    drop = strata.sums(fitted**2)
+    left = strata.sums((projection.residual - fitted) ** 2)
+    freedom = projection.freedom - strata.sums(np.sum(span**2, axis=1))
+    # The prior's scale is known; a stratum with no freedom left has none that could be judged.
+    judged = freedom > 0.5
+    judged[-1] = False
+    variance = np.maximum(np.where(judged, left / np.where(judged, freedom, 1.0), 1.0), 1e-12)
+    weighted = drop / variance
+    total, count = float(weighted.sum()), span.shape[1]
+    finite = np.where(judged, freedom, 1e9)
+    denominator = total**2 / max(float(np.sum(weighted**2 / finite)), _SMALLEST) if total > 0 else 1.0
+    p = float(stats.f.sf(total / count, count, denominator)) if count else 1.0
+    within = float(weighted[:-1][~strata.between].sum()) / total if total > 0 else 1.0
+    return Explained(span, fitted, total, float(along @ along), max(p, _SMALLEST), within, variance)
+
+
 def assess(projection: Projection, one: Projected, chosen: np.ndarray | None = None) -> Candidate:
     """Return a candidate with the chosen coefficients; all of them where None."""
     chosen = np.arange(len(one.response.coefficients)) if chosen is None else chosen
     columns, length = one.projected[:, chosen], np.linalg.norm(one.whitened[:, chosen], axis=0)
-    span = orthonormal(columns, length)
-    along = span.T @ projection.residual
-    explained = span @ along
-    strata = projection.strata
-    drop = strata.sums(explained**2)
-    left = strata.sums((projection.residual - explained) ** 2)
-    spent = strata.sums(np.sum(span**2, axis=1))
-    freedom = projection.freedom - spent
-    # The prior's scale is known; a stratum with no freedom left has none that could be judged.
-    judged = freedom > 0.5
-    judged[-1] = False
-    scale = np.where(judged, left / np.where(judged, freedom, 1.0), 1.0)
-    scale = np.maximum(scale, 1e-12)
-    weighted = drop / scale
-    total, count = float(weighted.sum()), span.shape[1]
-    finite = np.where(judged, freedom, 1e9)
-    denominator = total**2 / max(float(np.sum(weighted**2 / finite)), 1e-300) if total > 0 else 1.0
-    p = float(stats.f.sf(total / count, count, denominator)) if count else 1.0
-    value, sd = _coefficients(projection, columns, explained, scale)
-    within = weighted[:-1][~strata.between].sum() / total if total > 0 else 1.0
-    retained = np.sum(columns**2, axis=0) / np.where(length > 0, length**2, 1.0)
+    found = explain(projection, columns, length)
+    value, sd = _coefficients(projection, columns, found.fitted, found.variance)
     coefficients = tuple(one.response.coefficients[place] for place in chosen)
     return Candidate(
         scan=one.response.scan,
@@ -116,26 +154,19 @@ def assess(projection: Projection, one: Projected, chosen: np.ndarray | None = N
         owners=tuple(dict.fromkeys(coefficient.owner for coefficient in coefficients)),
         value=value,
         sd=sd,
-        drop=total,
-        drop_at_fit=float(np.sum(along**2)),
-        dof=count,
-        p=max(p, _SMALLEST),
-        retained=retained,
-        within=float(within),
-        fitted=explained,
-        span=span,
-        scales=np.sqrt(scale),
+        retained=np.sum(columns**2, axis=0) / np.where(length > 0, length**2, 1.0),
+        found=found,
     )
 
 
-def _coefficients(projection: Projection, columns, explained, scale) -> tuple[np.ndarray, np.ndarray]:
+def _coefficients(projection: Projection, columns, explained, variance) -> tuple[np.ndarray, np.ndarray]:
     """Return coefficients and standard deviations by generalised least squares with the scales of the strata."""
-    place = np.where(projection.strata.of_row < 0, len(scale) - 1, projection.strata.of_row)
+    place = np.where(projection.strata.of_row < 0, len(variance) - 1, projection.strata.of_row)
     size = np.linalg.norm(columns, axis=0)
     unit = columns / np.where(size > 0, size, 1.0)
     inverse = np.linalg.pinv(unit, rcond=1e-6)
     value = inverse @ explained
-    covariance = (inverse * scale[place]) @ inverse.T
+    covariance = (inverse * variance[place]) @ inverse.T
     with np.errstate(divide="ignore"):
         # A column that is all absorbed has no coefficient: its uncertainty is boundless.
         sd = np.where(size > 0, np.sqrt(np.diag(covariance)) / np.where(size > 0, size, 1.0), np.inf)
@@ -153,4 +184,4 @@ def variants(response: Response) -> list[np.ndarray]:
 def screen(projection: Projection, responses: Sequence[Projected]) -> list[Candidate]:
     """Return every candidate on all its channels together and on each alone, best first."""
     found = [assess(projection, one, chosen) for one in responses for chosen in variants(one.response)]
-    return sorted((one for one in found if one.dof), key=lambda one: (one.p, -one.drop))
+    return sorted((one for one in found if one.dof), key=lambda one: (one.p, -one.drop / one.dof))

@@ -131,7 +131,7 @@ def predict(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " E"]:
 def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, " E"]:
     """Return what `predict` does, from parameters in SI and nulls."""
     path = signal_path(problem, values)
-    outputs = [_row_means(problem, path.signal[kind]).reshape(-1) for kind in sorted(problem.channels)]
+    outputs = [row_means(problem, path.signal[kind]).reshape(-1) for kind in sorted(problem.channels)]
     predicted = jnp.concatenate(outputs)[problem.observations.readout]
     if problem.transitions is None:
         return predicted
@@ -139,7 +139,7 @@ def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, "
     return jnp.concatenate([predicted, closing.reshape(-1)])
 
 
-def _row_means(problem: Problem, signal: Float[Array, "N C"]) -> Float[Array, "R C"]:
+def row_means(problem: Problem, signal: Float[Array, "N C"]) -> Float[Array, "R C"]:
     """Average the nodes of each row; rows come sorted by their number of nodes, so this is a reshape and a sum."""
     weighted = signal * problem.node_weight[:, None]
     means, place = [], 0
