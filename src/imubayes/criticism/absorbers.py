@@ -48,16 +48,16 @@ class Resolution:
         return self.smallest > self.typical[1]
 
 
-def resolution(projection: Projection, one: Projected, raw: np.ndarray, threshold: float, looks: float) -> Resolution:
+def resolution(projection: Projection, one: Projected, threshold: float, looks: float) -> Resolution:
     """Return how well the runs can see a candidate: by the coefficient that they see best.
 
     Parameters
     ----------
-    raw : shape (C,), squared length of each response with run offsets not counted as noise.
     threshold : chance of a false alarm over all looks.
     looks : how many independent looks there are.
     """
     length = np.linalg.norm(one.projected, axis=0)
+    raw = np.sum((projection.root[:, None] * one.response.columns) ** 2, axis=0)
     needed = stats.norm.isf(threshold / max(looks, 1.0) / 2) + stats.norm.ppf(_POWER)
     typical = np.array([coefficient.typical[1] for coefficient in one.response.coefficients])
     with np.errstate(divide="ignore"):

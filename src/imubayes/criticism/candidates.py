@@ -158,7 +158,7 @@ def _extend(fitted: Fitted, acting: tuple[Acting, ...]) -> _Extended:
 
 def _grid(one: Acting) -> list[dict[str, float]]:
     """Return the shapes to try; several shape parameters are scanned together, place by place."""
-    grids = {field: declared.shape for field, declared in one.declared.items() if getattr(declared, "shape", ())}
+    grids = {field: declared.shape for field, declared in one.declared.items() if declared.shape}
     longest = max((len(grid) for grid in grids.values()), default=0)
     return [{field: grid[min(place, len(grid) - 1)] for field, grid in grids.items()} for place in range(longest)]
 
@@ -196,7 +196,7 @@ def _response(one: Acting, extended: _Extended, jacobian: np.ndarray, scan_place
     grid = _grid(one)
     shape = grid[scan_place] if grid else {}
     names = {parameter.name: place for place, parameter in enumerate(extended.parameters)}
-    linear = [parameter for parameter in one.parameters if not getattr(one.declared[parameter.field], "shape", ())]
+    linear = [parameter for parameter in one.parameters if not one.declared[parameter.field].shape]
     places = [names[parameter.name] for parameter in linear]
     coefficients = tuple(
         Coefficient(parameter, ",".join(parameter.label), one.declared[parameter.field].typical) for parameter in linear

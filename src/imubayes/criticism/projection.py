@@ -57,6 +57,7 @@ class Projection:
     freedom : shape (strata + 1,), degrees of freedom of the residual in each stratum.
     jacobian : shape (R, P), whitened, with the prior rows.
     input : shape (E,), predicted output less the nominal offset, in nominal input units (SI).
+    root : shape (E,), one over each entry's standard deviation, run offsets not counted.
     """
 
     fitted: Fitted
@@ -67,6 +68,7 @@ class Projection:
     freedom: np.ndarray
     jacobian: np.ndarray
     input: np.ndarray
+    root: np.ndarray
 
     @property
     def offset_rows(self) -> np.ndarray:
@@ -168,7 +170,17 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
     strata = _strata(fitted, members, separate, len(widths))
     taken = strata.sums(np.sum(basis**2, axis=1))
     count = strata.sums(np.concatenate([np.asarray(observations.weight) > 0, np.ones(len(widths), bool)]).astype(float))
-    return Projection(fitted, turn, basis, residual, strata, count - taken, rows, _input(fitted, misfit))
+    return Projection(
+        fitted,
+        turn,
+        basis,
+        residual,
+        strata,
+        count - taken,
+        rows,
+        _input(fitted, misfit),
+        np.asarray(by.precision_root),
+    )
 
 
 def _input(fitted: Fitted, misfit: np.ndarray) -> np.ndarray:
