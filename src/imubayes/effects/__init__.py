@@ -7,7 +7,7 @@ from imubayes.effects.accel_quadratic import AccelQuadratic
 from imubayes.effects.accel_run_bias import AccelRunBias
 from imubayes.effects.accel_scale_factor import AccelScaleFactor
 from imubayes.effects.accel_scale_temperature import AccelScaleTemperature
-from imubayes.effects.base import Effect, MotionEffect, Order, PlaceEffect, SignalEffect, Stage
+from imubayes.effects.base import Effect, MotionEffect, Order, PlaceEffect, RecordEffect, SignalEffect, Stage
 from imubayes.effects.converter_gain_drift import ConverterGainDrift
 from imubayes.effects.converter_offset_drift import ConverterOffsetDrift
 from imubayes.effects.gyro_bias import GyroBias
@@ -51,4 +51,4 @@ EFFECTS: tuple[type[Effect], ...] = (
     ConverterOffsetDrift,
 )
 
-__all__ = ["EFFECTS", "Effect", "MotionEffect", "Order", "PlaceEffect", "SignalEffect", "Stage"]
+__all__ = ["EFFECTS", "Effect", "MotionEffect", "Order", "PlaceEffect", "RecordEffect", "SignalEffect", "Stage"]
