@@ -43,12 +43,14 @@ class Stage(IntEnum):
 
 
 class Order(IntEnum):
-    """Places within the sensor and converter stages.
+    """Places within the stages of table, sensor and converter.
 
     IEEE 1293 and 952 write the output as K1·(K0 + a_i + …): what is referred to the input is added first, the scale
-    factor multiplies the sum.
+    factor multiplies the sum.  Of the table the instant is put right first, then its angle, then its rate and its axis.
     """
 
+    TIME = -20
+    ANGLE = -10
     AXIS = 10
     SENSITIVITY = 20
     BIAS = 30
