@@ -39,8 +39,8 @@ _UNITS: dict[str, tuple[float, int, tuple[int, ...]]] = {
     "T": (1.0, 0, _TESLA), "mT": (1e-3, 0, _TESLA), "uT": (1e-6, 0, _TESLA), "gauss": (1e-4, 0, _TESLA),
     "output": (1.0, 0, _OUTPUT), "noise": (1.0, 0, _OUTPUT), "scale": (1.0, 0, _OUTPUT),
 }  # fmt: skip
-_SPELLINGS = {"µg": "ug", "µrad": "urad", "µA": "uA", "µT": "uT", "°": "deg", "″": "arcsec", "′": "arcmin", "°C": "degC",
-              "dps": "deg/s", "μg": "ug"}  # fmt: skip
+_SPELLINGS = {"µg": "ug", "µrad": "urad", "µA": "uA", "µT": "uT", "°": "deg", "″": "arcsec", "′": "arcmin",
+              "°C": "degC", "dps": "deg/s", "μg": "ug"}  # fmt: skip
 _TOKEN = re.compile(r"^(?P<name>[^\^²³]+?)(?:\^(?P<power>\d)|(?P<sup>[²³]))?$")
 _OUTSIDE_BRACKETS = re.compile(r"/(?![^()]*\))")
 

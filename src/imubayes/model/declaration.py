@@ -303,6 +303,7 @@ def _transitions(assembly: Assembly, effects: list[Acting]) -> Transitions | Non
         readings=by_kind,
         coning=np.concatenate([padded(tumble.coning) for _, tumble in tumbles]),
         ambient=Ambient(**{name: values[node] for name, values in nodes.stimulus.ambient.items()}),
+        records=assembly.instants.records.at(node),
         inverse={kind: nominal_inverse(one.axes) for kind, one in channels.items()},
         layers=in_order(layers),
     )
