@@ -8,7 +8,7 @@ as it is *after* the candidate has been taken out: F = Σ_s (S_s/s_s²)/d with S
 single stratum that is the F test of a nested linear model, exactly.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -173,15 +173,23 @@ def _coefficients(projection: Projection, columns, explained, variance) -> tuple
     return np.where(size > 0, value / np.where(size > 0, size, 1.0), 0.0), sd
 
 
-def variants(response: Response) -> list[np.ndarray]:
-    """Return which coefficients to try together: all, and those of each owner alone."""
+def variants(response: Response, kinds: Mapping[str, str]) -> list[np.ndarray]:
+    """Return which coefficients to try together: all, those of each kind of channel, those of each owner alone.
+
+    Parameters
+    ----------
+    kinds : kind of each channel by name.
+    """
     owners = [coefficient.owner for coefficient in response.coefficients]
     every = np.arange(len(owners))
-    alone = [np.array([i for i in every if owners[i] == owner]) for owner in dict.fromkeys(owners)]
-    return [every, *alone] if len(alone) > 1 else [every]
+    alone = [[i for i in every if owners[i] == owner] for owner in dict.fromkeys(owners)]
+    of_kind = [[i for i in every if kinds.get(owners[i]) == kind] for kind in dict.fromkeys(kinds.values())]
+    chosen = dict.fromkeys(tuple(one) for one in ([*every], *of_kind, *alone) if one)
+    return [np.array(one) for one in chosen]
 
 
 def screen(projection: Projection, responses: Sequence[Projected]) -> list[Candidate]:
-    """Return every candidate on all its channels together and on each alone, best first."""
-    found = [assess(projection, one, chosen) for one in responses for chosen in variants(one.response)]
+    """Return every candidate on all its channels together, on each kind and on each alone, best first."""
+    kinds = {channel.name: channel.kind for channel in projection.fitted.model.campaign.channels}
+    found = [assess(projection, one, chosen) for one in responses for chosen in variants(one.response, kinds)]
     return sorted((one for one in found if one.dof), key=lambda one: (one.p, -one.drop / one.dof))
