@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from imubayes.inference.fitted import Fitted
-from imubayes.model.likelihood import row_means, signal_path, values_of
+from imubayes.model.likelihood import Problem, row_means, signal_path, values_of
 
 _STANDARD_GRAVITY = 9.80665
 _AXES = ("i", "o", "s")
@@ -53,21 +55,35 @@ def _varies(values: np.ndarray) -> bool:
 def _experienced(fitted: Fitted) -> list[Covariate]:
     """Return rate and specific force along each channel's own axes, as the fitted model has them."""
     problem = fitted.model.problem
-    path = signal_path(problem, values_of(problem, fitted.z))
+    means = _row_means(problem, fitted.z)
     readout = np.asarray(problem.observations.readout)
     count = len(fitted.model.entries)
     found = []
     for kind, unit, size in (("rate", "deg/s", np.pi / 180), ("force", "g", _STANDARD_GRAVITY)):
         for axis, letter in enumerate(_AXES):
-            means = [
-                np.asarray(row_means(problem, getattr(path.sample[name], kind)[..., axis])).reshape(-1)
-                for name in sorted(problem.channels)
-            ]
             values = np.full(count, np.nan)
-            values[: len(readout)] = np.concatenate(means)[readout] / size
+            values[: len(readout)] = np.asarray(means[kind][axis])[readout] / size
             what = "rate" if kind == "rate" else "specific force"
             found.append(Covariate(f"{kind}_{letter}", unit, values, f"{what} along the {_axis_word(axis)} axis"))
     return found
+
+
+@eqx.filter_jit
+def _row_means(problem: Problem, z):
+    """Return rate and specific force, kind → axis → flattened outputs, as `readout` counts them."""
+    path = signal_path(problem, values_of(problem, z))
+    return {
+        kind: [
+            jnp.concatenate(
+                [
+                    row_means(problem, getattr(path.sample[name], kind)[..., axis]).reshape(-1)
+                    for name in sorted(problem.channels)
+                ]
+            )
+            for axis in range(len(_AXES))
+        ]
+        for kind in ("rate", "force")
+    }
 
 
 def _axis_word(axis: int) -> str:
