@@ -123,7 +123,9 @@ def _candidates(fitted: Fitted) -> tuple[tuple[Acting, ...], dict[str, tuple[str
         if spec is None:
             continue
         try:
-            acting.append(act(spec, model.assembly.belonging, model.registry))
+            one = act(spec, model.assembly.belonging, model.registry)
+            # Without a label, a table where there is none, there is nothing to find.
+            acting.extend([one] if one.parameters else [])
         except NotShownError:
             unobservable[member.name] = member.needs
         except InputError:
