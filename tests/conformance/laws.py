@@ -238,7 +238,7 @@ def linear_coefficients_show_at_null(member: type) -> None:
     for field, one in shapes.items():
         assert min(one.shape) > 0, f"{member.name}.{field}: shapes {one.shape}"
         assert float(priors(member)[field].value(jnp.asarray(-8.0))) > 0, f"{member.name}.{field} may be negative"
-        nulls = [one.null / factors[field], one.null]
+        nulls = [one.null / factors[field], one.null]  # a unit of the channel's own may stand for anything
         assert any(min(one.shape) <= null <= max(one.shape) for null in nulls), (
             f"{member.name}.{field}: null {one.null}"
         )

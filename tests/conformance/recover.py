@@ -34,7 +34,9 @@ def shown_by(member: type) -> Campaign:
     if member.nuisance:
         return tumble_campaign()
     supplied = join_nodes(campaign()).supplies
-    return campaign() if any(set(member.needs) <= one for one in supplied) else wide_campaign()
+    # A skew shows in rows of known angle that turn, and there are none but in the wide campaign.
+    plain = member.name != "time_skew" and any(set(member.needs) <= one for one in supplied)
+    return campaign() if plain else wide_campaign()
 
 
 def recover(member: type, registry: Registry | None = None, seed: int = 5) -> Recovered:
