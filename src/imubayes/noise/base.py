@@ -19,9 +19,11 @@ class Entry(eqx.Module):
     Attributes
     ----------
     samples : number of raw samples in the mean.
+    rate : size of the nominal table rate along a gyro's input axis in output units, 0 for all else.
     """
 
     samples: Scalars
+    rate: Scalars
 
 
 class Noise(eqx.Module):
