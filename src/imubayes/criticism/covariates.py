@@ -43,7 +43,7 @@ _RECORDED = {
 
 def covariates(fitted: Fitted) -> list[Covariate]:
     """Return every covariate that some run has and that takes more than one value."""
-    found = [*_experienced(fitted), *_recorded(fitted)]
+    found = [*_experienced(fitted), *_recorded(fitted), *_worked_out(fitted)]
     return [one for one in found if _varies(one.values)]
 
 
@@ -101,3 +101,39 @@ def _recorded(fitted: Fitted) -> list[Covariate]:
                 values[here] = factor * run.covariates[key][entries.row[here]]
         found.append(Covariate(name, unit, values, phrase))
     return found
+
+
+_WORKED_OUT = {
+    "temperature_rate": ("temperature_rate_degC_min", "degC/min", 60.0, "the rate of change of temperature"),
+    "converter_temperature_rate": (
+        "converter_temperature_rate_degC_min",
+        "degC/min",
+        60.0,
+        "the rate of change of the converter's temperature",
+    ),
+    "campaign_time": ("campaign_time_h", "h", 1 / 3600, "time since the first run"),
+}
+
+
+def _worked_out(fitted: Fitted) -> list[Covariate]:
+    """Return what procedures work out from the recorded columns."""
+    nodes, entries = fitted.model.nodes, fitted.model.entries
+    rows = [run.rows for run in fitted.model.campaign.runs]
+    first_row = np.cumsum([0, *rows])
+    row_of_entry = first_row[entries.run] + np.where(entries.closing, 0, entries.row)
+    supplied = [set(one) for one in nodes.supplies]
+    found = []
+    node_row = _node_rows(fitted)
+    for key, (name, unit, factor, phrase) in _WORKED_OUT.items():
+        per_row = np.full(first_row[-1], np.nan)
+        per_row[node_row] = getattr(fitted.model.problem.instants.ambient, key)
+        known = np.array([key in one for one in supplied])[entries.run] & ~entries.closing
+        found.append(Covariate(name, unit, np.where(known, factor * per_row[row_of_entry], np.nan), phrase))
+    return found
+
+
+def _node_rows(fitted: Fitted) -> np.ndarray:
+    """Return the row, counted over all runs, of each node."""
+    nodes = fitted.model.nodes
+    sizes = np.concatenate([np.full(count, size) for count, size in nodes.turns])
+    return nodes.row_of[np.repeat(np.arange(len(sizes)), sizes)]
