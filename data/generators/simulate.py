@@ -22,8 +22,7 @@ def write_simulated(
     derived |= more_derived(values)
     nuisance = {}
     write.write_campaign_file(folder, plan, seed, [write.run_entry(run) for run in plan.runs])
-    for run in plan.runs:
-        readings = read_out(plan, run, values, seed)
+    for run, readings in zip(plan.runs, read_out(plan, values, seed), strict=True):
         write.write_run(folder, plan, run, readings)
         for channel, offset in zip(plan.channels, readings.run_offset, strict=True):
             nuisance[f"run_offset[{channel.name},{run.name}]"] = float(offset)
