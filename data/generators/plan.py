@@ -71,12 +71,35 @@ class Plan:
     runs: tuple[Run, ...]
     angles_per_turn: int = 72
 
+    model: str | None = None
+
+    def shows(self, effect: str) -> bool:
+        """Whether any run of this plan carries what the effect acts on."""
+        rows = [row for run in self.runs for row in run.rows]
+        if effect == "injection_error":
+            return any(row.current is not None for row in rows)
+        if effect.startswith("converter_") and ("drift" in effect or "leakage" in effect):
+            return any(row.converter_temperature is not None for row in rows)
+        if effect in ("lever_arm", "table_rate_error", "gyro_scale_factor", "gyro_scale_temperature"):
+            return any(row.rate for row in rows) or any(run.procedure == "free_tumble" for run in self.runs)
+        return True
+
+    @property
+    def effects(self) -> list[dict]:
+        """The effects of the plan's model that its runs can show."""
+        return [effect for effect in truth.effects_of(self.model or self.name) if self.shows(effect["name"])]
+
+    @property
+    def equipment(self) -> dict[str, float]:
+        """One sigma of each error of seats and tables that the plan's model lists."""
+        turning = {run.table for run in self.runs if any(row.rate for row in run.rows)}
+        spreads = truth.equipment_spreads(self.mountings, self.tables, turning)
+        listed = {effect["name"] for effect in self.effects}
+        return {name: spread for name, spread in spreads.items() if name.split(".")[0] in listed}
+
     def draw(self, seed: int) -> dict[str, float]:
         """True values of everything that goes wrong in this plan."""
-        turning = {run.table for run in self.runs if any(row.rate for row in run.rows)}
-        return truth.from_equipment(self.mountings, self.tables, turning, seed) | truth.from_model(
-            self.name, self.channels, seed
-        )
+        return truth.from_spreads(self.equipment, seed) | truth.from_model(self.effects, self.channels, seed)
 
 
 @dataclass(frozen=True)
@@ -239,11 +262,14 @@ def correlated(generator: np.random.Generator, rows: int, sd: float, correlation
     return shocks
 
 
-def raw_sd(channel: Channel, values: Values, rate_deg_s: np.ndarray) -> np.ndarray:
-    """Standard deviation of a raw sample at the given table rates, output units."""
-    white = values[f"white_noise.sigma[{channel.name}]"]
-    share = PPM * values.get(f"rate_proportional_noise.share[{channel.name}]", 0.0)
-    return np.hypot(white, share * channel.scale * rate_deg_s)
+def rate_noise(plan: Plan, run: Run, channel: Channel, values: Values) -> np.ndarray:
+    """Standard deviation of what grows with the rate about the input axis, for each row, output units."""
+    share = PPM * values.get(f"rate_proportional_noise.k[{channel.name}]", 0.0)
+    if run.mounting is None or share == 0.0:
+        return np.zeros(len(run.rows))
+    seen = _one(plan.mountings, run.mounting).body_to_table[2] @ channel.axes[0]
+    rates = np.radians([row.rate for row in run.rows])
+    return share * channel.scale_si(plan.site) * np.abs(rates * seen)
 
 
 def read_out(plan: Plan, values: Values, seed: int) -> list[Readings]:
@@ -256,16 +282,17 @@ def read_out(plan: Plan, values: Values, seed: int) -> list[Readings]:
         at = moments.run_of_row == index
         mean, variance = exact[at], within[at]
         samples = np.array([row.samples for row in run.rows])
-        rates = np.array([row.rate for row in run.rows])
         sd, run_offset = np.empty_like(mean), np.empty(len(plan.channels))
         for column, channel in enumerate(plan.channels):
             generator = truth.stream(seed, f"{plan.name}/{run.name}/{channel.name}")
-            sigma = raw_sd(channel, values, rates)
+            sigma = values[f"white_noise.sigma[{channel.name}]"]
             run_offset[column] = generator.normal(0.0, values[f"run_scatter.tau[{channel.name}]"])
             mean[:, column] += run_offset[column] + generator.normal(0.0, sigma / np.sqrt(samples))
             # squares of normal samples about their mean, the stimulus varying underneath: noncentral chi-square
             squares = generator.noncentral_chisquare(samples - 1, samples * variance[:, column] / sigma**2)
             sd[:, column] = sigma * np.sqrt(squares / (samples - 1))
+            if np.any(flicker := rate_noise(plan, run, channel, values)):
+                mean[:, column] += generator.normal(0.0, flicker)
             if slow := values.get(f"correlated_noise.sigma[{channel.name}]", 0.0):
                 correlation = values[f"correlated_noise.correlation[{channel.name}]"]
                 mean[:, column] += correlated(generator, len(run.rows), slow, correlation)
