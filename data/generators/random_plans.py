@@ -65,7 +65,12 @@ def head_rows(generator: np.random.Generator, positions: int, nominal: float) ->
     first = 360.0 / positions * generator.integers(positions) + float(generator.choice([0.0, 5.0, 7.5]))
     dwell = generator.choice([30.0, 60.0])
     return [
-        Row(k * (dwell + 10) + dwell / 2, round(dwell * RAW_RATE), temperature, angle=(first + k * 360 / positions) % 360)
+        Row(
+            k * (dwell + 10) + dwell / 2,
+            round(dwell * RAW_RATE),
+            temperature,
+            angle=(first + k * 360 / positions) % 360,
+        )
         for k, temperature in zip(range(positions), steady(generator, nominal, positions), strict=True)
     ]
 
@@ -230,5 +235,3 @@ def random_plan(template: str, generator: np.random.Generator, model: str | None
         angles_per_turn=16,
         model=model,
     )
-
-

@@ -129,9 +129,7 @@ def effects_of(model: str | Path) -> list[dict]:
 
 def in_output(prior: str, channel: Channel) -> str:
     """Replace the unit `noise` by what it is for a channel, in output units."""
-    return re.sub(
-        r"([-+.\deE]+)\s*noise", lambda found: f"{float(found.group(1)) * channel.noise!r} output", prior
-    )
+    return re.sub(r"([-+.\deE]+)\s*noise", lambda found: f"{float(found.group(1)) * channel.noise!r} output", prior)
 
 
 def priors(effects: Iterable[dict], channels: Iterable[Channel]) -> dict[str, str]:
