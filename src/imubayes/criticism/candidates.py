@@ -108,7 +108,7 @@ def respond(fitted: Fitted, only: Sequence[str] = ()) -> Responses:
         candidates.extend(
             _response(one, extended, jacobian, place) for one in acting if place < max(1, len(_grid(one)))
         )
-    misfit = np.asarray(extended.problem.observations.value) - predicted
+    misfit = np.asarray(fitted.model.problem.observations.value) - predicted
     known = extended.known
     return Responses(misfit, first[:, :known] * slopes[None, :known], tuple(candidates), unobservable)
 
