@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import MotionEffect, PlaceEffect, RecordEffect, Stage
-from imubayes.noise.base import Entry, EntryNoise, SharedNoise
+from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, SharedNoise
 from imubayes.parameters.parameter import declared_options, declared_parameters
 from imubayes.parameters.priors import Prior, parse_prior
 from imubayes.stimulus import AMBIENT_NAMES, Ambient, Experience, Motion, Records, Sample
@@ -277,16 +277,40 @@ def variance_of(member: type, values: dict, samples: float) -> float:
 
 
 def variance_is_positive(member: type) -> None:
-    """Over draws of the prior the variance is positive and finite."""
+    """Over draws of the prior the variance is positive and finite, and a correlation within −1 and 1."""
     for seed in range(20):
         values = drawn_values(member, seed)
+        if issubclass(member, SeriesNoise):
+            correlation = float(instance(member, values).of_neighbours())
+            assert -1 < correlation < 1, f"{member.name}: correlation {correlation}"
+            continue
         found = variance_of(member, values, samples=7.0)
         assert 0 < found < np.inf, f"{member.name}: variance {found}"
 
 
+def in_series(correlation: float, independent: np.ndarray) -> np.ndarray:
+    """Return unit noise in which each value remembers the one before it."""
+    found = independent.copy()
+    for k in range(1, len(found)):
+        found[k] = correlation * found[k - 1] + np.sqrt(1 - correlation**2) * independent[k]
+    return found
+
+
+def series_likelihood(member: type, values: dict, drawn: np.ndarray) -> float:
+    correlation = float(instance(member, values).of_neighbours())
+    renewed = (drawn[1:] - correlation * drawn[:-1]) / np.sqrt(1 - correlation**2)
+    return float(-0.5 * np.sum(renewed**2) - 0.5 * len(renewed) * np.log(1 - correlation**2))
+
+
 def misstated_noise_is_less_likely(member: type) -> None:
-    """Data drawn at some width are less likely at a third and at three times of it."""
+    """Data drawn at some width are less likely at a third and at three times of it; correlated ones, as independent."""
     rng = np.random.default_rng(8)
+    if issubclass(member, SeriesNoise):
+        values = {name: float(prior.value(jnp.asarray(0.5))) for name, prior in priors(member).items()}
+        drawn = in_series(float(instance(member, values).of_neighbours()), rng.normal(size=400))
+        right, wrong = (series_likelihood(member, one, drawn) for one in (values, null_values(member)))
+        assert right > wrong + 10, f"{member.name} says nothing of neighbours"
+        return
     for field in declared_parameters(member):
         values = {name: float(value) for name, value in drawn_values(member, 3).items()}
         samples = rng.integers(1, 50, size=400)

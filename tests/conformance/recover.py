@@ -11,6 +11,7 @@ from imubayes.model.declaration import Model, declare
 from imubayes.model.instants import join_nodes
 from imubayes.model.likelihood import predict
 from imubayes.model.registry import Registry
+from imubayes.parameters.parameter import declared_parameters
 from imubayes.run import Campaign
 from small_campaign import campaign, simulated, spec, tumble_campaign, wide_campaign
 
@@ -44,7 +45,12 @@ def recover(member: type, registry: Registry | None = None, seed: int = 5) -> Re
     size, hypers = model.problem.size
     truth = np.clip(np.random.default_rng(seed).normal(size=size), -2, 2)
     again = declare(model.spec, simulated(model, truth, seed), registry)
-    mode = find_mode(again.problem, jnp.zeros(size), jnp.zeros(hypers))
+    # A shape is scanned, not searched for from anywhere: the fit begins where a scan would have ended.
+    declared = declared_parameters(member)
+    shapes = np.array(
+        [bool(declared[p.field].shape) if p.field in declared else False for p in model.layout.parameters]
+    )
+    mode = find_mode(again.problem, jnp.asarray(np.where(shapes, truth, 0.0)), jnp.zeros(hypers))
     deviations = standard_deviations(again, mode)
     return Recovered(bool(mode.converged), (np.asarray(mode.z) - truth) / deviations, deviations)
 

@@ -16,7 +16,15 @@ from imubayes.errors import Problem as Complaint
 from imubayes.model.assembly import Assembly, assemble
 from imubayes.model.closure import Transitions, nominal_inverse
 from imubayes.model.forward import Convert, Emit, Layer, Project, Resolve, Spread, in_order
-from imubayes.model.instants import Entries, Nodes, join_entries, join_nodes, nominal_rates, readout_places
+from imubayes.model.instants import (
+    Entries,
+    Nodes,
+    join_entries,
+    join_nodes,
+    nominal_rates,
+    ranks_in_time,
+    readout_places,
+)
 from imubayes.model.labels import Belonging, colours
 from imubayes.model.likelihood import NoiseLayer, Observations, Problem, Sparsity
 from imubayes.model.members import Acting, NotShownError, act
@@ -231,6 +239,8 @@ def _observations(belonging: Belonging) -> Observations:
     for entry, one in enumerate(group.tolist()):
         members[one, place[one]] = entry
         place[one] += 1
+    rank = ranks_in_time(belonging.campaign, entries)
+    padded = np.append(rank, np.iinfo(rank.dtype).max)
     return Observations(
         value=entries.value.astype(float),
         weight=np.ones(len(entries)),
@@ -240,6 +250,8 @@ def _observations(belonging: Belonging) -> Observations:
         readout=readout_places(belonging.campaign, belonging.nodes, entries),
         group=group,
         members=members,
+        in_time=np.take_along_axis(members, np.argsort(padded[members], axis=1, kind="stable"), axis=1),
+        rank=rank,
     )
 
 

@@ -176,3 +176,14 @@ def nominal_rates(campaign: Campaign, nodes: Nodes, entries: Entries) -> np.ndar
     axes = np.array([channel.axes[0] * channel.scale_si for channel in campaign.channels] + [np.zeros(3)] * 3)
     row = np.where(entries.closing, 0, first_row[entries.run] + np.where(entries.closing, 0, entries.row))
     return np.where(gyro, np.abs(np.sum(axes[entries.channel] * rate[row], axis=1)), 0.0)
+
+
+def ranks_in_time(campaign: Campaign, entries: Entries) -> np.ndarray:
+    """Return for each entry the place of its row in the order of time of its run; without a time, that of the rows."""
+    rank = entries.row.copy()
+    for index, run in enumerate(campaign.runs):
+        if "time" in run.covariates:
+            place = np.argsort(np.argsort(run.covariates["time"], kind="stable"))
+            chosen = (entries.run == index) & ~entries.closing
+            rank[chosen] = place[entries.row[chosen]]
+    return rank
