@@ -1,7 +1,7 @@
 """Campaigns with an effect that the model lacks, drawn at random: which one, where, how large, in which plan.
 
-The size is set by how plainly the effect shows: S, see `detectability`.  Effects that a plan cannot show at any sensible
-size are passed over, and listed.
+The size is set by how plainly the effect shows: S, see `detectability`.  Effects that a plan cannot show at any
+sensible size are passed over, and listed.
 """
 
 import re
@@ -163,7 +163,7 @@ class Campaign:
     passed_over: tuple[str, ...]
 
 
-class CannotShow(Exception):
+class CannotShowError(Exception):
     """The plan cannot show the effect at a sensible size."""
 
 
@@ -172,6 +172,13 @@ def without(model: str, effects: Iterable[str]) -> str:
     blocks = re.split(r"(?m)^(?=\[\[effect\]\])", (truth.MODELS / f"{model}.toml").read_text(encoding="utf-8"))
     gone = {f'name = "{name}"' for name in effects}
     return "".join(block for block in blocks if not gone & set(block.splitlines()[1:2]))
+
+
+def belonging_to_others(model: str, kinds: set[str]) -> list[str]:
+    """Effects of a shipped model that act on kinds of channel that a unit has none of."""
+    prefixes = {"gyro": ("gyro_",), "accelerometer": ("accel_", "lever_arm", "injection_error", "converter_")}
+    gone = tuple(prefix for kind, own in prefixes.items() if kind not in kinds for prefix in own)
+    return [effect["name"] for effect in truth.effects_of(model) if gone and effect["name"].startswith(gone)]
 
 
 def places(plan: Plan, on: str, generator: np.random.Generator) -> tuple[str, ...]:
@@ -214,16 +221,16 @@ def sized(sight: Sight, effect: Values, aim: float, also: np.ndarray | None = No
     for _ in range(12):
         found = sight.detectability(scaled(effect, factor), also)
         if found <= 0:
-            raise CannotShow
+            raise CannotShowError
         if abs(found / aim - 1) < 0.01:
             break
         factor *= np.sqrt(aim / found)
         if not factor < MOST:
-            raise CannotShow
+            raise CannotShowError
     here = scaled(effect, factor)
     reached = sight.detectability(here, also)
     if abs(reached / aim - 1) > 0.1 or sight.detectability(here) / np.sum(sight.shift(here) ** 2) < LEAST_SHOWN:
-        raise CannotShow
+        raise CannotShowError
     return here, reached
 
 
@@ -304,7 +311,7 @@ def noise_of(kind: str, plan: Plan, values: Values, generator: np.random.Generat
 def _one_catalogued(sight: Sight, effect: str, generator: np.random.Generator, aim: float) -> tuple[Planted, ...]:
     where = places(sight.moments.plan, CATALOGUE[effect].on, generator)
     if not where:
-        raise CannotShow
+        raise CannotShowError
     values, _ = sized(sight, unit_effect(sight.moments.plan, effect, where, generator), aim)
     return (planted(sight, effect, where, values, None),)
 
@@ -314,7 +321,7 @@ def _one_outside(sight: Sight, effect: str, generator: np.random.Generator, aim:
     plan = sight.moments.plan
     where = places(plan, OUTSIDE[effect].on, generator)
     if not where:
-        raise CannotShow
+        raise CannotShowError
     unit = unit_effect(plan, effect, where, generator)
     shift = sight.shift(unit)
     closest = min(rivals(sight, where).values(), key=lambda columns: float(np.sum(sight.left(shift, columns) ** 2)))
@@ -327,7 +334,7 @@ def _two(sight: Sight, effects: tuple[str, ...], generator: np.random.Generator,
     plan = sight.moments.plan
     where = [places(plan, CATALOGUE[effect].on, generator) for effect in effects]
     if not all(where):
-        raise CannotShow
+        raise CannotShowError
     units = [unit_effect(plan, effect, at, generator) for effect, at in zip(effects, where, strict=True)]
     others = [tangents(sight, effect, at) for effect, at in zip(effects, where, strict=True)][::-1]
     found = []
@@ -335,7 +342,7 @@ def _two(sight: Sight, effects: tuple[str, ...], generator: np.random.Generator,
         values, _ = sized(sight, unit, aim, other)
         one = planted(sight, effect, at, values, other)
         if one.s_alone < 0.3 * one.s:
-            raise CannotShow
+            raise CannotShowError
         found.append(one)
     return tuple(found)
 
@@ -348,7 +355,7 @@ def _in_offsets(sight: Sight, effect: str, generator: np.random.Generator, aim: 
     values, _ = sized(look(plan, {**sight.values, **still}), unit_effect(plan, effect, where, generator), aim)
     one = planted(sight, effect, where, values, None)
     if one.s > 1.0:
-        raise CannotShow
+        raise CannotShowError
     return (one,)
 
 
@@ -391,10 +398,11 @@ def random_campaign(
         base = PLAIN if kind == "offsets" or generator.random() < 0.5 else FULL
         if any(f'"{name}"' in (truth.MODELS / f"{FULL}.toml").read_text(encoding="utf-8") for name in names):
             base = PLAIN
+        plan = replace(random_plan(chosen, generator), model=folder / "model.toml")
+        kinds = {channel.kind for channel in plan.channels}
         folder.mkdir(parents=True, exist_ok=True)
         model = folder / "model.toml"
-        model.write_text(without(base, names), encoding="utf-8")
-        plan = replace(random_plan(chosen, generator), model=model)
+        model.write_text(without(base, [*names, *belonging_to_others(base, kinds)]), encoding="utf-8")
         values = plan.draw(int(generator.integers(2**31)))
         if kind == "offsets":
             plan = _constant_temperature(plan)
@@ -404,11 +412,11 @@ def random_campaign(
         values |= noise_of(kind, plan, values, generator)
         try:
             found = _plant(kind, plan, values, names, generator)
-        except CannotShow:
+        except CannotShowError:
             passed_over.append(f"{chosen}: {', '.join(names)}")
             continue
         return _written(folder, model, kind, chosen, seed, plan, values, found, passed_over, attempt)
-    raise CannotShow(f"nothing that could be shown in 60 plans: {passed_over}")
+    raise CannotShowError(f"nothing that could be shown in 60 plans: {passed_over}")
 
 
 def _effects(kind: str, template: str, effect: str | None, generator: np.random.Generator) -> tuple[str, ...] | None:

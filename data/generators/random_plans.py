@@ -1,11 +1,10 @@
 """Test plans drawn at random from a few templates.
 
-A template fixes which runs there are, how many rows and which channels, so that what is compiled for one campaign serves
-all others; what the rows hold is drawn: mountings, rates, head positions, temperatures and ramps, times, noise.
+A template fixes which runs there are, how many rows and which channels, so that what is compiled for one campaign
+serves all others; what the rows hold is drawn: mountings, rates, head positions, temperatures and ramps, times, noise.
 """
 
 from collections.abc import Callable
-
 
 import numpy as np
 
