@@ -155,9 +155,9 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
     offset = np.asarray(_whiten(problem, fitted.h, np.ones((len(misfit), 1))))
     offset = np.concatenate([(extra(offset) if extra is not None else offset)[:, 0], [0.0]])[members]
     length = np.linalg.norm(offset, axis=1)
-    root = np.concatenate([np.asarray(by.precision_root), [0.0]])[members]
+    direction = np.concatenate([np.asarray(by.direction), [0.0]])[members]
     # Variance of the run's mean with its offset against without: (1 − κ)⁻², κ = shrink · |u|².
-    kappa = np.asarray(by.shrink) * np.sum(root**2, axis=1)
+    kappa = np.asarray(by.shrink) * np.sum(direction**2, axis=1)
     separate = ((1 - kappa) ** -2 > _OFFSET_MATTERS) | (offsets & (sizes > 1))
     reflectors = np.zeros(members.shape)
     unit = offset / np.where(length > 0, length, 1.0)[:, None]
