@@ -171,7 +171,9 @@ def without(model: str, effects: Iterable[str]) -> str:
     """Text of a shipped model file without some of its effects."""
     blocks = re.split(r"(?m)^(?=\[\[effect\]\])", (truth.MODELS / f"{model}.toml").read_text(encoding="utf-8"))
     gone = {f'name = "{name}"' for name in effects}
-    return "".join(block for block in blocks if not gone & set(block.splitlines()[1:2]))
+    return "".join(
+        block for block in blocks if not any(line.split("#")[0].strip() in gone for line in block.splitlines())
+    )
 
 
 def belonging_to_others(model: str, kinds: set[str]) -> list[str]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
 from math import radians
+from pathlib import Path
 
 import numpy as np
 
@@ -71,7 +72,8 @@ class Plan:
     runs: tuple[Run, ...]
     angles_per_turn: int = 72
 
-    model: str | None = None
+    model: str | Path | None = None
+    script: str | None = None
 
     def shows(self, effect: str) -> bool:
         """Whether any run of this plan carries what the effect acts on."""

@@ -5,6 +5,7 @@ serves all others; what the rows hold is drawn: mountings, rates, head positions
 """
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -207,7 +208,7 @@ TEMPLATES: dict[str, Callable[[np.random.Generator], tuple[tuple[Channel, ...], 
 }  # fmt: skip
 
 
-def random_plan(template: str, generator: np.random.Generator, model: str | None = None) -> Plan:
+def random_plan(template: str, generator: np.random.Generator, model: str | Path | None = None) -> Plan:
     """Draw a plan; its runs are an hour or two apart, in drawn order."""
     channels, content = TEMPLATES[template](generator)
     used = list(dict.fromkeys(name for _, _, name, _ in content if name is not None))
@@ -233,4 +234,5 @@ def random_plan(template: str, generator: np.random.Generator, model: str | None
         runs=tuple(runs),
         angles_per_turn=16,
         model=model,
+        script="hidden",
     )

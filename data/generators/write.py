@@ -84,7 +84,7 @@ def write_campaign_file(folder: Path, plan: Plan, seed: int, runs: list[dict]) -
         "mounting": [mounting_entry(mounting) for mounting in plan.mountings],
         "run": runs,
     }
-    header = HEADER.format(purpose=plan.purpose, script=plan.name.replace("-", "_"), seed=seed)
+    header = HEADER.format(purpose=plan.purpose, script=plan.script or plan.name.replace("-", "_"), seed=seed)
     text = tomlkit.dumps({key: value for key, value in document.items() if value != []})
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "campaign.toml").write_text(header + text, encoding="utf-8")

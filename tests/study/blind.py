@@ -33,7 +33,7 @@ LINES = ROOT / ".cache" / "blind" / "campaigns.jsonl"
 REPORT = ROOT / "benchmarks" / "results" / "blind_study.md"
 COMMAND = "python tests/study/blind.py"
 COUNTS = {
-    "hidden": 300, "null-white": 120, "null-ar1": 120, "null-runs": 120, "outside": 80, "offsets": 30, "two": 60,
+    "hidden": 300, "null-white": 100, "null-ar1": 100, "null-runs": 100, "outside": 60, "offsets": 24, "two": 40,
 }  # fmt: skip
 EXPLAINED = ("missing_effect", "equivalent_effects")
 SHAPES = {
