@@ -103,5 +103,5 @@ def fit(
     summary["seconds"]["load"] = load_seconds
     summary["next_runs"] = next_runs(fitted, summary)
     if folder is not None:
-        write_result(folder, fitted, summary, residuals)
+        write_result(folder, fitted, summary, residuals, seed)
     return Result(fitted, summary, residuals, folder)

@@ -151,7 +151,11 @@ class Run:
 
 @dataclass(frozen=True)
 class Campaign:
-    """One unit, its equipment and its runs; `digest` identifies the data (SHA-256 of files as read)."""
+    """One unit, its equipment and its runs.
+
+    `digest` identifies the data (SHA-256 of files as read), `folder` is where they were read; both empty where the
+    campaign came from no files.
+    """
 
     name: str
     site: Site
@@ -162,6 +166,7 @@ class Campaign:
     serial: str = ""
     digest: str = ""
     notes: tuple[str, ...] = field(default=())
+    folder: str = ""
 
     def only(self, *names: str) -> "Campaign":
         """Return the campaign with the named runs alone, in their own order."""

@@ -148,6 +148,7 @@ def _campaign(
         entry.unit.serial,
         _digest([file, *(file.parent / run.file for run in entry.run)]),
         (*entry.notes, *said, *(str(finding) for finding in findings)),
+        str(file.parent),
     )
 
 

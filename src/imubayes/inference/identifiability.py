@@ -34,7 +34,7 @@ def from_data(posterior_variance: np.ndarray | float, prior_variance: np.ndarray
     """Return 1 − posterior/prior variance, within 0 … 1."""
     with np.errstate(divide="ignore", invalid="ignore"):
         share = 1 - np.asarray(posterior_variance) / np.asarray(prior_variance)
-    return np.clip(np.nan_to_num(share, nan=0.0), 0.0, 1.0)
+    return np.asarray(np.clip(np.nan_to_num(share, nan=0.0), 0.0, 1.0))
 
 
 def effective_parameters(precision: np.ndarray) -> float:

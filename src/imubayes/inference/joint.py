@@ -16,6 +16,7 @@ from imubayes.errors import InputError
 from imubayes.errors import Problem as Complaint
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.fit import Mode, find_mode, fit_at, message
+from imubayes.inference.fitted import Fitted
 from imubayes.inference.laplace import NestedLaplace, nested_laplace
 from imubayes.inference.moves import LaplaceProposal, LogDensity
 from imubayes.inference.sample import Chains, Settings, sample, walkers_for
@@ -67,6 +68,11 @@ class JointFit:
         if not bool(self.mode.converged):
             return message(self.mode)
         return self.chains.diagnosis.message if self.chains is not None else ""
+
+    @property
+    def fitted(self) -> Fitted:
+        """The model with its mode, without what was derived from it."""
+        return Fitted(self.model, np.asarray(self.mode.z), np.asarray(self.mode.h), self.converged, self.message)
 
 
 def joint_fit(

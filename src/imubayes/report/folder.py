@@ -12,14 +12,15 @@ from imubayes.errors import InputError, Problem
 from imubayes.inference.joint import JointFit
 from imubayes.inference.posterior import posterior_tree
 from imubayes.model.specification import ModelSpec
+from imubayes.report.fit_file import FIT, MODEL, fit_record, read_fit
 from imubayes.report.residuals import Residuals
 
 CHECKPOINT = "checkpoint.h5"
 SUMMARY = "summary.json"
 
 
-def write_result(folder: Path, fit: JointFit, summary: dict[str, Any], residuals: Residuals) -> None:
-    """Write `summary.json`, `posterior.nc`, `residuals.parquet`, `model.toml` and the user's effect files.
+def write_result(folder: Path, fit: JointFit, summary: dict[str, Any], residuals: Residuals, seed: int = 0) -> None:
+    """Write `summary.json`, `fit.json`, `posterior.nc`, `residuals.parquet`, `model.toml` and the user's effect files.
 
     What an earlier fit wrote is replaced; other files of the folder stay.
     """
@@ -29,8 +30,10 @@ def write_result(folder: Path, fit: JointFit, summary: dict[str, Any], residuals
     beside.mkdir()
     try:
         (beside / SUMMARY).write_text(json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        record = fit_record(fit.fitted, folder, seed)
+        (beside / FIT).write_text(json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
         residuals.table.write_parquet(beside / "residuals.parquet")
-        (beside / "model.toml").write_text(model_text(fit.model.spec))
+        (beside / MODEL).write_text(model_text(fit.model.spec))
         for file in fit.model.spec.files:
             shutil.copyfile(file, beside / Path(file).name)
         if bool(fit.mode.converged):
@@ -86,3 +89,6 @@ def read_summary(folder: Path) -> dict[str, Any]:
                 "correct the path, or run the fit again",
             )
         ) from None
+
+
+__all__ = ["CHECKPOINT", "SUMMARY", "model_text", "read_fit", "read_summary", "write_result"]
