@@ -1,0 +1,1 @@
+"""Where a model fails, what is missing, and what adding it brings."""
