@@ -49,6 +49,14 @@ EXPECTED = {
     "mA/g": 1e-3 / SITE,
     "m^2/s": 1.0,
     "cm^3": 1e-6,
+    "T": 1.0,
+    "mT": 1e-3,
+    "uT": 1e-6,
+    "gauss": 1e-4,
+    "ppm/(deg/s)": 1e-6 / constants.degree,
+    "ppm/(deg/s)^2": 1e-6 / constants.degree**2,
+    "deg/h/(degC/min)": constants.degree / 60,
+    "ug/(degC/min)": 60e-6 * SITE,
 }
 
 
@@ -67,6 +75,7 @@ def test_a_unit_has_its_value_in_si(unit, expected):
         ("m/s²", "m/s^2"),
         ("″", "arcsec"),
         ("ppm/°C", "ppm/degC"),
+        ("ppm/(dps)²", "ppm/(deg/s)^2"),
         ("deg / h", "deg/h"),
     ],
 )
@@ -93,6 +102,8 @@ def test_own_units_of_a_channel():
         ("mg", "deg/h", False),
         ("ug/g^2", "s^2/m", True),
         ("degC", "K", True),
+        ("ppm/(deg/s)", "s/rad", True),
+        ("deg/h/(degC/min)", "rad/K", True),
     ],
 )
 def test_dimensions(one, other, same):
@@ -109,6 +120,8 @@ def test_dimensions(one, other, same):
         ("deg/g^x", "g"),
         ("", ""),
         ("deg//h", ""),
+        ("ppm/(dge/s)", "deg"),
+        ("ppm/(deg/s", "deg"),
     ],
 )
 def test_an_unknown_unit_is_refused_with_the_closest(unit, closest):

@@ -10,13 +10,16 @@ import xarray
 
 from imubayes.campaign import load_campaign
 from imubayes.campaign.model_file import read_model
+from imubayes.criticism.verdict import Diagnosis, judge
 from imubayes.inference.design import next_runs
+from imubayes.inference.fitted import Fitted
 from imubayes.inference.joint import JointFit, joint_fit
 from imubayes.inference.posterior import posterior_tree
 from imubayes.inference.sample import Settings
 from imubayes.model.declaration import declare
 from imubayes.model.specification import ModelSpec
 from imubayes.procedures import PROCEDURES
+from imubayes.report.fit_file import read_fit
 from imubayes.report.folder import CHECKPOINT, write_result
 from imubayes.report.html import summary_html
 from imubayes.report.residuals import Residuals, residuals_of
@@ -105,3 +108,23 @@ def fit(
     if folder is not None:
         write_result(folder, fitted, summary, residuals, seed)
     return Result(fitted, summary, residuals, folder)
+
+
+def diagnose(result: Result | Fitted | str | Path, effect: str = "") -> Diagnosis:
+    """Return which physical effect is missing in a fit, or that none is, from one pass and without a refit.
+
+    Parameters
+    ----------
+    result : a result, its folder, or a fitted model.
+    effect : ask about this effect alone.
+
+    Raises
+    ------
+    InputError
+        for a folder that holds no result, or one whose campaign is gone or has changed.
+    """
+    if isinstance(result, Fitted):
+        return judge(result, effect=effect)
+    if isinstance(result, Result):
+        return judge(result.fit.fitted, str(result.folder or "RESULT"), effect)
+    return judge(read_fit(Path(result)), str(result), effect)

@@ -19,9 +19,11 @@ COVARIATES: dict[str, str] = {
     "table_rate": "rad/s",
     "table_angle": "rad",
     "table_angle_span": "rad",
+    "table_acceleration": "rad/s^2",
     "temperature": "degC",
     "converter_temperature": "degC",
     "current": "A",
+    "vibration": "m/s^2",
 }
 """Covariates a run may carry, and the SI unit of each (temperatures stay in °C)."""
 

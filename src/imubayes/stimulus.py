@@ -12,22 +12,27 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from imubayes.types import Array, Float, Int, Matrices, Scalars, Vectors
+from imubayes.types import Array, Bool, Float, Int, Matrices, Scalars, Vectors
 
 
 class Ambient(eqx.Module):
-    """The circumstances of one instant, as recorded: s, rad/s, rad, °C, A.
+    """The circumstances of one instant, as recorded or worked out from it: s, rad/s, rad, °C, °C/s, A, m/s².
 
-    A covariate that the run does not carry is 0 here, and effects that need it do not act on that run.
+    A covariate that the run does not carry is 0 here, and effects that need it do not act on that run.  `time` counts
+    from the run's own beginning, `campaign_time` from that of the campaign's first run; `vibration` is an rms.
     """
 
     time: Scalars
+    campaign_time: Scalars
     power_on: Scalars
     table_rate: Scalars
     table_angle: Scalars
     temperature: Scalars
+    temperature_rate: Scalars
     converter_temperature: Scalars
+    converter_temperature_rate: Scalars
     current: Scalars
+    vibration: Scalars
 
 
 class Motion(eqx.Module):
@@ -51,6 +56,29 @@ class Motion(eqx.Module):
     earth_rate: Vectors
 
 
+class Records(eqx.Module):
+    """All N nodes in the order in which they were passed, run after run: what an effect with memory looks back on.
+
+    Attributes
+    ----------
+    node : shape (N,), the node at each place of this order.
+    place : shape (n,), the place in this order of each node of a path; a path may hold chosen nodes alone.
+    begins : shape (N,), whether a run begins here.
+    seconds : shape (N,), since the place before, 0 where a run begins or has no time.
+    ambient : circumstances, in this order.
+    """
+
+    node: Int[Array, " N"]
+    place: Int[Array, " n"]
+    begins: Bool[Array, " N"]
+    seconds: Float[Array, " N"]
+    ambient: Ambient
+
+    def at(self, chosen: Array) -> "Records":
+        """Return the same records for a path of chosen nodes."""
+        return Records(self.node, self.place[chosen], self.begins, self.seconds, self.ambient)
+
+
 class Instants(eqx.Module):
     """The nodes of all runs, one after the other.
 
@@ -65,6 +93,7 @@ class Instants(eqx.Module):
     table_angle, table_rate, table_acceleration : shape (N,).
     ambient : circumstances of each node.
     injected : shape (N,), 1 where a current is injected.
+    records : the nodes in the order of time.
     """
 
     stands: Motion
@@ -75,35 +104,51 @@ class Instants(eqx.Module):
     table_acceleration: Float[Array, " N"]
     ambient: Ambient
     injected: Float[Array, " N"]
+    records: Records
 
     def at(self, chosen: Array) -> "Instants":
         """Return chosen nodes, with all stands."""
-        nodes = (self.stand, self.table_angle, self.table_rate, self.table_acceleration, self.ambient, self.injected)
-        return Instants(self.stands, self.stand_ambient, *jax.tree.map(lambda leaf: leaf[chosen], nodes))
+        return Instants(
+            self.stands,
+            self.stand_ambient,
+            self.stand[chosen],
+            self.table_angle[chosen],
+            self.table_rate[chosen],
+            self.table_acceleration[chosen],
+            jax.tree.map(lambda leaf: leaf[chosen], self.ambient),
+            self.injected[chosen],
+            self.records.at(chosen),
+        )
 
 
 class Experience(eqx.Module):
     """What acts at the place of one channel, in body axes.
 
     `rate` is inertial (rad/s), `force` the specific force (m/s²); `table_rate` and `table_acceleration` are the
-    table's rotation alone, which moves a point off the axis.
+    table's rotation alone, which moves a point off the axis; `north` and `up` are unit vectors of the local level,
+    zero where nobody knows how the unit stands.
     """
 
     rate: Vectors
     force: Vectors
     table_rate: Vectors
     table_acceleration: Vectors
+    north: Vectors
+    up: Vectors
 
 
 class Sample(eqx.Module):
     """What one channel experiences, along its own nominal (I, O, S) axes, with the circumstances.
 
+    `acceleration` is angular, of the table; the other vectors are those of `Experience`.
     `output_scale` is the channel's nominal scale, output units per rad/s or m/s².
     """
 
     rate: Vectors
     force: Vectors
     acceleration: Vectors
+    north: Vectors
+    up: Vectors
     ambient: Ambient
     output_scale: Scalars
 
@@ -113,7 +158,8 @@ class SignalPath(eqx.Module):
 
     Leading axes are stands, then nodes for `motion` and `ambient`, nodes × channels for the others, which are kept
     per kind of channel.  `signal` is input-referred in SI up to the converter, and in output units from there on.
-    `instants` are the nodes that the stands are spread over.
+    `instants` are the nodes that the stands are spread over, `records` what effects with memory look back on: None
+    where the unit has been as it is for ever.
     """
 
     motion: Motion
@@ -122,6 +168,7 @@ class SignalPath(eqx.Module):
     sample: dict[str, Sample]
     signal: dict[str, Float[Array, "N C"]]
     instants: Instants | None = None
+    records: Records | None = None
 
 
 @dataclass(frozen=True)
@@ -157,6 +204,8 @@ class Stimulus:
         # Between the poses of a free tumble the unit is turned by hand.
         if np.any(self.table_rate != 0) or np.any(self.pose >= 0):
             seen.add("turning")
+        if np.any(self.table_acceleration != 0):
+            seen.add("acceleration")
         if self.injected:
             seen.add("injection")
         return frozenset(seen)

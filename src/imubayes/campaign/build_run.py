@@ -16,9 +16,11 @@ FACTORS = {
     "table_rate_deg_s": to_si("deg/s"),
     "table_angle_deg": to_si("deg"),
     "table_angle_span_deg": to_si("deg"),
+    "table_acceleration_deg_s2": to_si("deg/s^2"),
     "temperature_degC": 1.0,
     "converter_temperature_degC": 1.0,
     "current_mA": to_si("mA"),
+    "vibration_g_rms": to_si("g"),
 }
 """Column → factor to the SI unit of its covariate."""
 

@@ -16,9 +16,11 @@ COVARIATE_COLUMNS = {
     "table_rate_deg_s": "table_rate",
     "table_angle_deg": "table_angle",
     "table_angle_span_deg": "table_angle_span",
+    "table_acceleration_deg_s2": "table_acceleration",
     "temperature_degC": "temperature",
     "converter_temperature_degC": "converter_temperature",
     "current_mA": "current",
+    "vibration_g_rms": "vibration",
 }
 """Column → covariate of a run."""
 

@@ -1,1 +1,1 @@
-"""Where a model fails, what is missing, and what adding it brings."""
+"""Criticism: where the model fails, and which effect is missing."""

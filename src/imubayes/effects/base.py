@@ -2,8 +2,8 @@
 
 An effect is a small class whose fields are its parameters.  It says at which stage of the signal path it acts and which
 covariates it needs; it never sees a procedure, a file or another effect.  At its null values it is the identity, so
-that criticism can differentiate it before it is added.  The three bases differ in what they act on, and know how to
-act on all nodes and channels at once.
+that criticism can differentiate it before it is added.  The four bases differ in what they act on, and know how to
+act on all nodes and channels at once; a `RecordEffect` remembers what went before.
 
 A new effect is one class:
 
@@ -28,8 +28,8 @@ import jax
 import jax.numpy as jnp
 
 from imubayes.run import Kind
-from imubayes.stimulus import Ambient, Experience, Motion, Sample, SignalPath
-from imubayes.types import Scalar
+from imubayes.stimulus import Ambient, Experience, Motion, Records, Sample, SignalPath
+from imubayes.types import Array, Float, Scalar, Scalars
 
 
 class Stage(IntEnum):
@@ -43,12 +43,14 @@ class Stage(IntEnum):
 
 
 class Order(IntEnum):
-    """Places within the sensor and converter stages.
+    """Places within the stages of table, sensor and converter.
 
     IEEE 1293 and 952 write the output as K1·(K0 + a_i + …): what is referred to the input is added first, the scale
-    factor multiplies the sum.
+    factor multiplies the sum.  Of the table the instant is put right first, then its angle, then its rate and its axis.
     """
 
+    TIME = -20
+    ANGLE = -10
     AXIS = 10
     SENSITIVITY = 20
     BIAS = 30
@@ -87,7 +89,7 @@ class Effect(eqx.Module):
 
     @classmethod
     @abstractmethod
-    def advance(cls, make: Callable, values: dict, path: SignalPath, kind: str) -> SignalPath:
+    def advance(cls, make: Callable, values: dict[str, Array], path: SignalPath, kind: str) -> SignalPath:
         """Act on every node (and channel of one kind) of the path.
 
         Parameters
@@ -153,6 +155,87 @@ class SignalEffect(Effect):
             values, path.signal[kind], path.sample[kind]
         )
         return eqx.tree_at(lambda p: p.signal[kind], path, changed)
+
+
+class Decay(eqx.Module):
+    """A step of a memory that fades while it is fed: x → gain·x + shift, 0 ≤ gain ≤ 1."""
+
+    gain: Scalars
+    shift: Scalars
+
+    def then(self, later: "Decay") -> "Decay":
+        """Return this step and a later one as one."""
+        return Decay(self.gain * later.gain, later.gain * self.shift + later.shift)
+
+    def from_rest(self) -> Scalars:
+        """Return what the step makes of a memory of 0."""
+        return self.shift
+
+
+class Play(eqx.Module):
+    """A step of a memory that is dragged along between two stops: x → x + shift, kept within [low, high]."""
+
+    shift: Scalars
+    low: Scalars
+    high: Scalars
+
+    def then(self, later: "Play") -> "Play":
+        """Return this step and a later one as one: a shift between stops again."""
+        low, high = (jnp.clip(stop + later.shift, later.low, later.high) for stop in (self.low, self.high))
+        return Play(self.shift + later.shift, low, high)
+
+    def from_rest(self) -> Scalars:
+        """Return what the step makes of a memory of 0."""
+        return jnp.clip(self.shift, self.low, self.high)
+
+
+class RecordEffect(Effect):
+    """An effect on one channel's signal that depends on what went before, at the stages SENSOR and CONVERTER.
+
+    Its memory is one number that starts from 0 in every run (the unit has been as it is for long) and is carried from
+    one instant to the next.  The steps are put together pairwise, all runs and channels at once.
+    """
+
+    @abstractmethod
+    def carry(self, before: Ambient, now: Ambient, seconds: Scalar) -> Decay | Play:
+        """Return what the time between two instants of a run does to the memory of one channel."""
+
+    @abstractmethod
+    def apply(self, signal: Scalar, sample: Sample, memory: Scalar) -> Scalar:
+        """Return the signal after this effect, for one sample of one channel, given the memory at that instant."""
+
+    @classmethod
+    def advance(cls, make, values, path, kind):
+        records = path.records
+        if records is None:
+            return path
+        at_nodes = {field: value if value.shape[0] == 1 else value[records.node] for field, value in values.items()}
+        remembered = cls.memories(make, at_nodes, records)[records.place]
+        there = {field: value if value.shape[0] == 1 else value[records.place] for field, value in at_nodes.items()}
+        changed = _over_channels(lambda one, *state: make(one).apply(*state), there)(
+            there, path.signal[kind], path.sample[kind], jnp.broadcast_to(remembered, path.signal[kind].shape)
+        )
+        return eqx.tree_at(lambda p: p.signal[kind], path, changed)
+
+    @classmethod
+    def memories(cls, make: Callable, values: dict, records: Records) -> Float[Array, "N C"]:
+        """Return the memory at every place of the records; values are (1 or N, 1 or C), in that order."""
+        channels = max(value.shape[1] for value in values.values())
+        count = len(records.node)
+        previous = jnp.where(records.begins, jnp.arange(count), jnp.arange(count) - 1)
+        now = _of_all(records.ambient, channels)
+        before = jax.tree.map(lambda leaf: leaf[previous], now)
+        seconds = jnp.broadcast_to(records.seconds[:, None], (count, channels))
+        spread = {field: jnp.broadcast_to(value, (value.shape[0], channels)) for field, value in values.items()}
+        steps = _over_channels(lambda one, *state: make(one).carry(*state), spread)(spread, before, now, seconds)
+        begins = records.begins[:, None]
+        # What a run begins with is no step but the state of rest, whatever went before.
+        steps = jax.tree.map(lambda leaf: jnp.where(begins, 0.0, leaf), steps)
+        return jax.lax.associative_scan(jax.vmap(jax.vmap(lambda a, b: a.then(b))), steps).from_rest()
+
+
+def _of_all(ambient: Ambient, channels: int) -> Ambient:
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[:, None], (len(leaf), channels)), ambient)
 
 
 def _over_channels(function: Callable, values: dict) -> Callable:

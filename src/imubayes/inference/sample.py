@@ -20,8 +20,8 @@ from imubayes.inference.moves import LaplaceMove, LaplaceProposal
 # The safety net for what is not Gaussian takes this share of the steps.  DESnookerMove of emcee 3.1.6 is biased.
 _STRETCH_SHARE = _DE_SHARE = 0.02
 # Short steps of the Laplace move, and the share of them; where independent draws are mostly refused, half of all.
-# In ten steps nine walkers of ten take a short one: enough to free those few from which independent draws rarely lead.
-_SHORT_STEP, _SHORT_SHARE, _SHORT_SHARE_HARD = 0.3, 0.2, 0.5
+# In ten steps two walkers of three take a short one: it frees those few from which independent draws rarely lead.
+_SHORT_STEP, _SHORT_SHARE, _SHORT_SHARE_HARD = 0.3, 0.1, 0.5
 _HARD_ACCEPTANCE, _TRIAL = 0.5, 256
 _FEWEST_WALKERS = 64
 _BURN_IN, _BLOCK = 5, 5

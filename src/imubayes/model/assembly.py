@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imubayes.earth import earth_rate
-from imubayes.effects.base import Effect, MotionEffect, Stage
+from imubayes.effects.base import Effect, MotionEffect, RecordEffect, Stage
 from imubayes.model.forward import Channels, EffectLayer
-from imubayes.model.instants import KINDS, Nodes
+from imubayes.model.instants import KINDS, Nodes, records_of
 from imubayes.model.labels import Belonging
 from imubayes.model.members import Acting
 from imubayes.parameters.vector import Layout
@@ -41,12 +41,14 @@ class Assembly:
     def effect_layers(self, one: Acting, chosen: np.ndarray | None) -> list[EffectLayer]:
         """Return the layers of an effect at chosen nodes; None stands for one node that belongs to no run.
 
-        What acts on stands is laid out over all stands, whatever the nodes.
+        What acts on stands is laid out over all stands, what has a memory over all nodes, whatever the nodes.
         """
         member = one.member
         assert issubclass(member, Effect)
         if member.stage == Stage.STAND:
             chosen = self.belonging.nodes.stand_node
+        if issubclass(member, RecordEffect):
+            chosen = np.arange(len(self.belonging.nodes.run))
         nodes = _nowhere(self.belonging.nodes) if chosen is None else _at(self.belonging.nodes, chosen)
         belonging = replace(self.belonging, nodes=nodes)
         places = {p.name: place for place, p in enumerate(self.layout.parameters)}
@@ -123,6 +125,7 @@ def _instants(campaign: Campaign, nodes: Nodes) -> Instants:
         table_acceleration=stimulus.table_acceleration,
         ambient=Ambient(**stimulus.ambient),
         injected=nodes.injected,
+        records=records_of(nodes),
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from imubayes.frames import compose, exponential, small_rotation
 from imubayes.model.forward import Channels, Layer, travel
-from imubayes.stimulus import Ambient, Experience, Motion, SignalPath
+from imubayes.stimulus import Ambient, Experience, Motion, Records, SignalPath
 from imubayes.types import Array, Float
 
 # Each round shrinks the error of the inverse by the size of the calibration errors: 3 % to the fourth is 1 ppm.
@@ -30,7 +30,8 @@ class Transitions(eqx.Module):
     step : shape (T, K), s.
     readings : kind → shape (T·K, C), output units.
     coning : shape (T, K, 3), rad.
-    ambient : circumstances of every step, T·K of them.
+    ambient : circumstances of every step, T·K of them: those of the pose before.
+    records : the static nodes in the order of time, for effects with memory.
     inverse : kind → shape (3, C); least-squares inverse of the nominal axes.
     layers : the signal path from the projection on, with places of values for T·K instants.
     """
@@ -41,6 +42,7 @@ class Transitions(eqx.Module):
     readings: dict[str, Float[Array, "TK C"]]
     coning: Float[Array, "T K 3"]
     ambient: Ambient
+    records: Records
     inverse: dict[str, Float[Array, "3 C"]]
     layers: tuple[Layer, ...]
 
@@ -90,12 +92,12 @@ def _inverted(transitions: Transitions, channels: dict[str, Channels], values) -
 def _readout(transitions: Transitions, channels: dict[str, Channels], found: dict[str, Array], values):
     """Return what the channels would read, kind → (T·K, C)."""
     zero = jnp.zeros_like(next(iter(found.values())))
-    body = Experience(found.get("gyro", zero), found.get("accelerometer", zero), zero, zero)
+    body = Experience(found.get("gyro", zero), found.get("accelerometer", zero), zero, zero, zero, zero)
     experience = {
         kind: jax.tree.map(lambda leaf, one=one: jnp.broadcast_to(leaf[:, None], (len(leaf), len(one.scale), 3)), body)
         for kind, one in channels.items()
     }
-    path = SignalPath(_no_motion(len(zero)), transitions.ambient, experience, {}, {})
+    path = SignalPath(_no_motion(len(zero)), transitions.ambient, experience, {}, {}, records=transitions.records)
     return travel(transitions.layers, path, values).signal
 
 

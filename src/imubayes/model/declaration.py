@@ -96,7 +96,7 @@ def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = Non
         campaign,
         assembly.layout,
         assembly.hyper_layout,
-        as_arrays(_problem(assembly)),
+        as_arrays(problem_of(assembly)),
         nodes,
         entries,
         assembly,
@@ -149,7 +149,8 @@ def _conflicts(acting: list[Acting]) -> list[Complaint]:
     return found
 
 
-def _problem(assembly: Assembly) -> Problem:
+def problem_of(assembly: Assembly) -> Problem:
+    """Return the arrays of an assembly: layers, sparsity, observations, noise and priors."""
     acting, belonging = assembly.acting, assembly.belonging
     layout, hyper_layout, channels = assembly.layout, assembly.hyper_layout, assembly.channels
     campaign, nodes, entries = belonging.campaign, belonging.nodes, belonging.entries
@@ -302,6 +303,7 @@ def _transitions(assembly: Assembly, effects: list[Acting]) -> Transitions | Non
         readings=by_kind,
         coning=np.concatenate([padded(tumble.coning) for _, tumble in tumbles]),
         ambient=Ambient(**{name: values[node] for name, values in nodes.stimulus.ambient.items()}),
+        records=assembly.instants.records.at(node),
         inverse={kind: nominal_inverse(one.axes) for kind, one in channels.items()},
         layers=in_order(layers),
     )

@@ -174,6 +174,8 @@ def on_body(motion: Motion) -> Experience:
         force=into_body(motion, motion.gravity),
         table_rate=axis * motion.table_rate,
         table_acceleration=axis * motion.table_acceleration,
+        north=into_body(motion, jnp.array([0.0, 1.0, 0.0])),
+        up=into_body(motion, jnp.array([0.0, 0.0, 1.0])),
     )
 
 
@@ -188,6 +190,8 @@ def project(axes, experience: Experience, ambient: Ambient) -> Sample:
         rate=rotate(axes, experience.rate),
         force=rotate(axes, experience.force),
         acceleration=rotate(axes, experience.table_acceleration),
+        north=rotate(axes, experience.north),
+        up=rotate(axes, experience.up),
         ambient=ambient,
         output_scale=jnp.zeros_like(ambient.time),
     )
@@ -195,7 +199,7 @@ def project(axes, experience: Experience, ambient: Ambient) -> Sample:
 
 def start(instants: Instants) -> SignalPath:
     """Return a path on which nothing has happened yet."""
-    return SignalPath(instants.stands, instants.stand_ambient, {}, {}, {}, instants)
+    return SignalPath(instants.stands, instants.stand_ambient, {}, {}, {}, instants, instants.records)
 
 
 def travel(layers: Sequence[Layer], path: SignalPath, values: Float[Array, " V"]) -> SignalPath:

@@ -7,7 +7,7 @@ import numpy as np
 
 from imubayes.procedures import PROCEDURES
 from imubayes.run import Campaign, Kind
-from imubayes.stimulus import AMBIENT_NAMES, Stimulus
+from imubayes.stimulus import AMBIENT_NAMES, Ambient, Records, Stimulus
 
 # Sorted, because that is the order in which JAX walks through a dictionary.
 KINDS: tuple[Kind, ...] = ("accelerometer", "gyro")
@@ -106,6 +106,21 @@ def _join(parts: Sequence[Stimulus], order: np.ndarray) -> Stimulus:
         ambient=ambient,
         injected=False,
         pose=joined("pose"),
+    )
+
+
+def records_of(nodes: Nodes) -> Records:
+    """Return the nodes in the order of time, run after run; where a run has no time, in the order of its rows."""
+    stimulus = nodes.stimulus
+    time = stimulus.ambient["time"]
+    order = np.lexsort((stimulus.row, time, nodes.run))
+    begins = np.diff(nodes.run[order], prepend=-1) != 0
+    return Records(
+        node=order,
+        place=np.argsort(order),
+        begins=begins,
+        seconds=np.where(begins, 0.0, np.diff(time[order], prepend=0.0)),
+        ambient=Ambient(**{name: values[order] for name, values in stimulus.ambient.items()}),
     )
 
 

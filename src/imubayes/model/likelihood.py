@@ -116,24 +116,30 @@ def values_of(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " V"]:
     return jnp.concatenate([problem.priors.values(z), problem.nulls])
 
 
-def signal_path(problem: Problem, z: Float[Array, " P"]) -> SignalPath:
-    """Return the signal path at every node."""
-    return travel(problem.layers, start(problem.instants), values_of(problem, z))
+def signal_path(problem: Problem, values: Float[Array, " V"]) -> SignalPath:
+    """Return the signal path at every node, for parameters in SI and nulls."""
+    return travel(problem.layers, start(problem.instants), values)
 
 
-@jax.jit
 def predict(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " E"]:
     """Return the predicted value of every entry, output units (rad for closing rotations)."""
-    path = signal_path(problem, z)
-    outputs = [_row_means(problem, path.signal[kind]).reshape(-1) for kind in sorted(problem.channels)]
+    return predict_from(problem, values_of(problem, z))
+
+
+# Traced once for all that is built on it, whatever derivative is taken of it.
+@jax.jit
+def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, " E"]:
+    """Return what `predict` does, from parameters in SI and nulls."""
+    path = signal_path(problem, values)
+    outputs = [row_means(problem, path.signal[kind]).reshape(-1) for kind in sorted(problem.channels)]
     predicted = jnp.concatenate(outputs)[problem.observations.readout]
     if problem.transitions is None:
         return predicted
-    closing = closing_rotations(problem.transitions, problem.channels, path.motion, values_of(problem, z))
+    closing = closing_rotations(problem.transitions, problem.channels, path.motion, values)
     return jnp.concatenate([predicted, closing.reshape(-1)])
 
 
-def _row_means(problem: Problem, signal: Float[Array, "N C"]) -> Float[Array, "R C"]:
+def row_means(problem: Problem, signal: Float[Array, "N C"]) -> Float[Array, "R C"]:
     """Average the nodes of each row; rows come sorted by their number of nodes, so this is a reshape and a sum."""
     weighted = signal * problem.node_weight[:, None]
     means, place = [], 0

@@ -14,10 +14,11 @@ import jax
 import jax.numpy as jnp
 
 from imubayes.model.forward import Channels, Layer, start, travel
-from imubayes.stimulus import Ambient, Experience, Instants, SignalPath
+from imubayes.stimulus import AMBIENT_NAMES, Ambient, Experience, Instants, SignalPath
 from imubayes.types import Array, Float
 
 REFERENCE_TEMPERATURE = 25.0  # °C, the catalogue's own
+WARMED_UP = 1e9  # s since power-on: longer than any warm-up
 
 
 class Probe(eqx.Module):
@@ -69,11 +70,12 @@ def _respond(probe: Probe, values, stimulus: Float[Array, " 3"], kind: str) -> F
     nothing = jnp.zeros(3)
     rate, force = (stimulus, nothing) if kind == "gyro" else (nothing, stimulus)
     experience = {
-        name: Experience(*(jnp.broadcast_to(v, (1, one.scale.shape[0], 3)) for v in (rate, force, nothing, nothing)))
+        name: Experience(*(jnp.broadcast_to(v, (1, one.scale.shape[0], 3)) for v in (rate, force, *(nothing,) * 4)))
         for name, one in probe.channels.items()
     }
-    warm = jnp.full(1, REFERENCE_TEMPERATURE)
-    ambient = Ambient(zero, zero, zero, zero, warm, warm, zero)
+    warm, long = jnp.full(1, REFERENCE_TEMPERATURE), jnp.full(1, WARMED_UP)
+    known = {"temperature": warm, "converter_temperature": warm, "power_on": long}
+    ambient = Ambient(**{name: known.get(name, zero) for name in AMBIENT_NAMES})
     path = SignalPath(probe.mountings.stands, ambient, experience, {}, {})
     return travel(probe.sensor_layers, path, values).signal[kind][0]
 

@@ -21,6 +21,8 @@ class Declared:
     null : the value, in SI, at which the effect does nothing.
     per : what a value belongs to, where that differs from the effect's own `per`.
     spread : name of the effect's parameter that is this one's standard deviation, learnt from the data.
+    shape : for a parameter that is not linear and means nothing while the effect's coefficient is zero (a time
+        constant, a limit): the values, in `unit`, that a scan tries.
     """
 
     unit: str
@@ -31,6 +33,7 @@ class Declared:
     null: float = 0.0
     per: tuple[str, ...] | None = None
     spread: str = ""
+    shape: tuple[float, ...] = ()
 
 
 def parameter(
@@ -42,9 +45,10 @@ def parameter(
     null: float = 0.0,
     per: tuple[str, ...] | None = None,
     spread: str = "",
+    shape: tuple[float, ...] = (),
 ) -> Any:
     """Declare a field of an effect as a parameter; see `Declared` for the arguments."""
-    declared = Declared(unit, prior, typical, meaning, equipment, null, per, spread)
+    declared = Declared(unit, prior, typical, meaning, equipment, null, per, spread, shape)
     return eqx.field(metadata={"parameter": declared})
 
 

@@ -149,7 +149,7 @@ FAMILIES: dict[str, tuple[type[Prior], tuple[bool, ...]]] = {
     "loguniform": (LogUniform, (True, True)),
     "halfcauchy": (HalfCauchy, (True,)),
 }
-_FORM = re.compile(r"^\s*(?P<family>[A-Za-z_]+)\s*\((?P<arguments>[^()]*)\)\s*$")
+_FORM = re.compile(r"^\s*(?P<family>[A-Za-z_]+)\s*\((?P<arguments>(?:[^()]|\([^()]*\))*)\)\s*$")
 _ARGUMENT = re.compile(r"^\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>\S.*?)?\s*$")
 
 

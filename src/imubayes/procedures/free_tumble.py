@@ -43,7 +43,7 @@ class FreeTumble(Procedure):
             table_angle=zero,
             table_rate=zero,
             table_acceleration=zero,
-            ambient=ambient_of(run, rows),
+            ambient=ambient_of(run, rows, campaign),
             injected=False,
             pose=run.tumble.pose,
         )

@@ -1,0 +1,87 @@
+"""What was going on when an entry was measured: the covariates that residuals are looked at against."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.inference.fitted import Fitted
+from imubayes.model.likelihood import row_means, signal_path, values_of
+
+_STANDARD_GRAVITY = 9.80665
+_AXES = ("i", "o", "s")
+
+
+@dataclass(frozen=True)
+class Covariate:
+    """One covariate of every entry.
+
+    Attributes
+    ----------
+    name : as in run tables, or `rate_i`, `force_i`, … along the channel's own axes.
+    unit : of the values.
+    values : shape (E,), NaN where the run does not say.
+    phrase : for a sentence: "… changes with <phrase>".
+    """
+
+    name: str
+    unit: str
+    values: np.ndarray
+    phrase: str
+
+
+_RECORDED = {
+    "temperature": ("temperature_degC", "degC", 1.0, "temperature"),
+    "converter_temperature": ("converter_temperature_degC", "degC", 1.0, "converter temperature"),
+    "table_angle": ("table_angle_deg", "deg", 180 / np.pi, "table angle"),
+    "time": ("time_s", "s", 1.0, "time within the run"),
+    "power_on": ("power_on_s", "s", 1.0, "time since power-on"),
+    "current": ("current_mA", "mA", 1e3, "injected current"),
+}
+
+
+def covariates(fitted: Fitted) -> list[Covariate]:
+    """Return every covariate that some run has and that takes more than one value."""
+    found = [*_experienced(fitted), *_recorded(fitted)]
+    return [one for one in found if _varies(one.values)]
+
+
+def _varies(values: np.ndarray) -> bool:
+    known = values[np.isfinite(values)]
+    return known.size > 2 and float(np.ptp(known)) > 1e-9 * (1 + float(np.abs(known).max()))
+
+
+def _experienced(fitted: Fitted) -> list[Covariate]:
+    """Return rate and specific force along each channel's own axes, as the fitted model has them."""
+    problem = fitted.model.problem
+    path = signal_path(problem, values_of(problem, fitted.z))
+    readout = np.asarray(problem.observations.readout)
+    count = len(fitted.model.entries)
+    found = []
+    for kind, unit, size in (("rate", "deg/s", np.pi / 180), ("force", "g", _STANDARD_GRAVITY)):
+        for axis, letter in enumerate(_AXES):
+            means = [
+                np.asarray(row_means(problem, getattr(path.sample[name], kind)[..., axis])).reshape(-1)
+                for name in sorted(problem.channels)
+            ]
+            values = np.full(count, np.nan)
+            values[: len(readout)] = np.concatenate(means)[readout] / size
+            what = "rate" if kind == "rate" else "specific force"
+            found.append(Covariate(f"{kind}_{letter}", unit, values, f"{what} along the {_axis_word(axis)} axis"))
+    return found
+
+
+def _axis_word(axis: int) -> str:
+    return ("input", "output", "third")[axis]
+
+
+def _recorded(fitted: Fitted) -> list[Covariate]:
+    entries, runs = fitted.model.entries, fitted.model.campaign.runs
+    found = []
+    for key, (name, unit, factor, phrase) in _RECORDED.items():
+        values = np.full(len(entries), np.nan)
+        for index, run in enumerate(runs):
+            here = (entries.run == index) & ~entries.closing
+            if key in run.covariates:
+                values[here] = factor * run.covariates[key][entries.row[here]]
+        found.append(Covariate(name, unit, values, phrase))
+    return found

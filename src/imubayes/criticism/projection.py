@@ -1,0 +1,218 @@
+"""Residuals and candidate responses, whitened, with everything taken out that the model could absorb.
+
+Rows are the measured entries, then one pseudo-entry per prior.  The entries of a run and channel whose offset is part
+of the noise are turned so that their common direction, the offset, is a row of its own.  Rows fall into *strata* that
+each have a noise scale of their own: the scatter within runs of a channel, the scatter between its runs, the prior.
+A missing effect has inflated the noise of the strata it acts in; judging it needs their scale without it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+
+from imubayes.inference.fitted import Fitted
+from imubayes.model.likelihood import Problem, prior_widths, whiten, whitener
+
+# A run offset counts as noise of its own where it widens the mean of its run by more than this factor in variance.
+_OFFSET_MATTERS = 1.2
+PRIOR = -1
+
+
+@dataclass(frozen=True)
+class Strata:
+    """Which rows share a noise scale.
+
+    Attributes
+    ----------
+    of_row : shape (R,), stratum of each row; −1 for prior rows, whose scale is known.
+    channel, between : shape (strata,), channel of each stratum and whether it holds run offsets.
+    """
+
+    of_row: np.ndarray
+    channel: np.ndarray
+    between: np.ndarray
+
+    def sums(self, squares: np.ndarray) -> np.ndarray:
+        """Return the sums over the rows of each stratum, prior rows last; shape (strata + 1, …)."""
+        count = len(self.channel)
+        place = np.where(self.of_row == PRIOR, count, self.of_row)
+        result = np.zeros((count + 1, *squares.shape[1:]))
+        np.add.at(result, place, squares)
+        return result
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Whitening, turning and projecting, for any columns over the entries.
+
+    Attributes
+    ----------
+    fitted : the fit it belongs to.
+    turn : from entries to rows.
+    basis : shape (R, P), orthonormal columns that span what the model's parameters can absorb.
+    residual : shape (R,), what is left of the data.
+    strata : of the rows.
+    freedom : shape (strata + 1,), degrees of freedom of the residual in each stratum.
+    jacobian : shape (R, P), whitened, with the prior rows.
+    input : shape (E,), predicted output less the nominal offset, in nominal input units (SI).
+    root : shape (E,), one over each entry's standard deviation, run offsets not counted.
+    """
+
+    fitted: Fitted
+    turn: "Turn"
+    basis: np.ndarray
+    residual: np.ndarray
+    strata: Strata
+    freedom: np.ndarray
+    jacobian: np.ndarray
+    input: np.ndarray
+    root: np.ndarray
+
+    @property
+    def offset_rows(self) -> np.ndarray:
+        """Which rows hold run offsets that are noise, (R,) bool."""
+        known = self.strata.of_row != PRIOR
+        return known & self.strata.between[np.where(known, self.strata.of_row, 0)]
+
+    def whitened(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns (E, C), in output units, as rows of the projection, (R, C)."""
+        return self.turn(columns)
+
+    def without(self, span: np.ndarray) -> "Projection":
+        """Return the projection that takes out some further orthonormal directions, (R, d), as well."""
+        residual = self.residual - span @ (span.T @ self.residual)
+        freedom = self.freedom - self.strata.sums(np.sum(span**2, axis=1))
+        return replace(self, basis=np.concatenate([self.basis, span], axis=1), residual=residual, freedom=freedom)
+
+    def project(self, rows: np.ndarray) -> np.ndarray:
+        """Return what the model's parameters cannot absorb."""
+        return rows - self.basis @ (self.basis.T @ rows)
+
+
+@dataclass(frozen=True)
+class Turn:
+    """From entries to rows: whiten, then turn each group's common direction into its first row.
+
+    `extra` (optional) is a further whitening of the entries, see `imubayes.criticism.noise`.
+    """
+
+    problem: Problem
+    h: np.ndarray
+    members: np.ndarray
+    sizes: np.ndarray
+    reflectors: np.ndarray
+    priors: int
+    extra: Callable[[np.ndarray], np.ndarray] | None = None
+
+    def __call__(self, columns: np.ndarray) -> np.ndarray:
+        flat = columns.reshape(len(columns), -1)
+        white = np.asarray(_whiten(self.problem, self.h, flat))
+        if self.extra is not None:
+            white = self.extra(white)
+        turned = self.reflect(white)
+        rows = np.concatenate([turned, np.zeros((self.priors, turned.shape[1]))])
+        return rows.reshape(len(rows), *columns.shape[1:])
+
+    def reflect(self, white: np.ndarray) -> np.ndarray:
+        """Turn each group so that its common direction becomes its first row; applied twice, nothing has changed."""
+        padded = np.concatenate([white, np.zeros((1, white.shape[1]))])[self.members]
+        along = np.einsum("gm,gmc->gc", self.reflectors, padded)
+        padded = padded - 2 * self.reflectors[:, :, None] * along[:, None, :]
+        result = np.empty((len(white) + 1, white.shape[1]))
+        result[self.members.reshape(-1)] = padded.reshape(-1, white.shape[1])
+        return result[:-1]
+
+
+@jax.jit
+def _whiten(problem: Problem, h, columns):
+    by = whitener(problem, h)
+    return jax.vmap(lambda column: whiten(problem, by, column), 1, 1)(columns)
+
+
+def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None, offsets: bool = False) -> Projection:
+    """Return the projection of a fit.
+
+    Parameters
+    ----------
+    misfit, jacobian : shapes (E,) and (E, P), as of `imubayes.criticism.candidates.respond`.
+    extra : a further whitening of the entries.
+    offsets : whether run offsets count as noise of their own although the model does not say so.
+    """
+    problem = fitted.model.problem
+    observations = problem.observations
+    by = whitener(problem, fitted.h)
+    members = np.asarray(observations.members)
+    sizes = np.sum(members < len(misfit), axis=1)
+    # An offset of a run, whitened, is the direction of its own in the group's rows.
+    offset = np.asarray(_whiten(problem, fitted.h, np.ones((len(misfit), 1))))
+    offset = np.concatenate([(extra(offset) if extra is not None else offset)[:, 0], [0.0]])[members]
+    length = np.linalg.norm(offset, axis=1)
+    root = np.concatenate([np.asarray(by.precision_root), [0.0]])[members]
+    # Variance of the run's mean with its offset against without: (1 − κ)⁻², κ = shrink · |u|².
+    kappa = np.asarray(by.shrink) * np.sum(root**2, axis=1)
+    separate = ((1 - kappa) ** -2 > _OFFSET_MATTERS) | (offsets & (sizes > 1))
+    reflectors = np.zeros(members.shape)
+    unit = offset / np.where(length > 0, length, 1.0)[:, None]
+    first = unit - np.eye(1, members.shape[1])
+    size = np.linalg.norm(first, axis=1)
+    able = separate & (length > 0) & (size > 1e-12)
+    reflectors[able] = first[able] / size[able, None]
+    widths = np.asarray(prior_widths(problem, fitted.h))
+    turn = Turn(problem, fitted.h, members, sizes, reflectors, len(widths), extra)
+    rows = turn(jacobian)
+    rows[len(misfit) :] = np.diag(1 / widths)
+    basis, _ = np.linalg.qr(rows)
+    whole = turn(misfit)
+    whole[len(misfit) :] = -fitted.z / widths
+    residual = whole - basis @ (basis.T @ whole)
+    strata = _strata(fitted, members, separate, len(widths))
+    taken = strata.sums(np.sum(basis**2, axis=1))
+    count = strata.sums(np.concatenate([np.asarray(observations.weight) > 0, np.ones(len(widths), bool)]).astype(float))
+    return Projection(
+        fitted,
+        turn,
+        basis,
+        residual,
+        strata,
+        count - taken,
+        rows,
+        _input(fitted, misfit),
+        np.asarray(by.precision_root),
+    )
+
+
+def _input(fitted: Fitted, misfit: np.ndarray) -> np.ndarray:
+    """Return the predicted output of each entry as an input; 0 for closing rotations."""
+    entries, channels = fitted.model.entries, fitted.model.campaign.channels
+    scale = np.array([channel.scale_si for channel in channels] + [1.0] * 3)
+    offset = np.array([channel.offset for channel in channels] + [0.0] * 3)
+    return np.where(entries.closing, 0.0, (entries.value - misfit - offset[entries.channel]) / scale[entries.channel])
+
+
+def _strata(fitted: Fitted, members: np.ndarray, separate: np.ndarray, priors: int) -> Strata:
+    entries = fitted.model.entries
+    between = np.zeros(len(entries) + 1, dtype=bool)
+    between[members[separate, 0]] = True
+    key = 2 * entries.channel + between[:-1]
+    names, of_entry = np.unique(key, return_inverse=True)
+    of_row = np.concatenate([of_entry, np.full(priors, PRIOR)])
+    return Strata(of_row, names // 2, names % 2 == 1)
+
+
+def orthonormal(columns: np.ndarray, original: np.ndarray, least: float) -> np.ndarray:
+    """Return an orthonormal basis of projected columns, without directions that the projection has wiped out.
+
+    Parameters
+    ----------
+    columns : shape (R, C), projected.
+    original : shape (C,), lengths before projection.
+    least : share of the squared length below which a direction counts as wiped out.
+    """
+    kept = original > 0
+    if not kept.any():
+        return np.zeros((len(columns), 0))
+    scaled = columns[:, kept] / original[kept]
+    left, singular, _ = np.linalg.svd(scaled, full_matrices=False)
+    return left[:, singular**2 > least]

@@ -1,0 +1,289 @@
+"""The verdict: one sentence, what stands behind it, and the next command."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from imubayes.criticism.absorbers import Resolution, resolution
+from imubayes.criticism.groups import Group
+from imubayes.criticism.screen import Candidate
+from imubayes.criticism.search import EFFECT_THRESHOLD, NOISE_THRESHOLD, Found, search
+from imubayes.criticism.structure import Structure
+from imubayes.criticism.telling import Telling, tell, telling_covariate
+from imubayes.inference.fitted import Fitted
+
+THRESHOLD = EFFECT_THRESHOLD + NOISE_THRESHOLD
+# A structure that the leading candidate leaves, and that is this strong against what the candidate explains, says that
+# the candidate only resembles the cause.
+_RESEMBLES = 0.1
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is missing in a model, found without a refit.
+
+    Attributes
+    ----------
+    json : as `imubayes diagnose --json` prints it.
+    telling : residuals behind each group, for pictures; in the order of the groups.
+    found : the search itself; None where the fit had not converged.
+    """
+
+    json: dict[str, Any]
+    telling: tuple[Telling, ...] = ()
+    found: Found | None = field(default=None, repr=False)
+
+    @property
+    def verdict(self) -> str:
+        """One of the verdicts."""
+        return self.json["verdict"]
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in a sentence."""
+        return self.json["sentence"]
+
+    def __repr__(self) -> str:
+        return f"{self.verdict}: {self.sentence}"
+
+
+def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis:
+    """Return the diagnosis of a fit.
+
+    Parameters
+    ----------
+    fitted : the fit; one that did not converge is not ranked.
+    folder : the result folder, for the next command.
+    effect : ask about one effect only: whether it is there, absent or cannot be seen.
+    """
+    if not fitted.converged:
+        return Diagnosis(_document("not_converged", fitted.message or "The fit did not converge.", 1.0, folder))
+    found = search(fitted)
+    seen = _resolutions(found)
+    groups = found.groups
+    ranking = [_candidate_line(one, found) for one in found.first.candidates]
+    best = min((found.chance(one.p) for one in found.first.candidates[:1]), default=1.0)
+    if effect:
+        return _asked(effect, found, seen, ranking, folder)
+    telling = tuple(_telling(found, one) for one in groups)
+    unexplained = _unexplained(found)
+    verdict = _verdict(found, unexplained)
+    document = _document(
+        verdict,
+        _sentence(verdict, found, seen, telling),
+        best,
+        folder,
+        groups=[_group_line(one) for one in groups] if verdict in ("missing_effect", "equivalent_effects") else [],
+        ranking=ranking,
+        noise=[vars(one) | {"adopted": one in found.adopted} for one in found.noise],
+        undetectable=[_resolution_line(one) for one in seen if one.undetectable]
+        + [
+            {"effect": name, "absorbed_by": [], "needs": list(needs), "reason": "no run supplies " + ", ".join(needs)}
+            for name, needs in found.responses.unobservable.items()
+        ],
+        structure=[_structure_line(one, p) for one, p in (unexplained or found.structures)],
+        looks=found.chance.looks,
+    )
+    document["next"] = _next(verdict, found, folder)
+    return Diagnosis(document, telling, found)
+
+
+def _document(verdict: str, sentence: str, p_global: float, folder: str, **parts: Any) -> dict[str, Any]:
+    empty = {"groups": [], "ranking": [], "noise": [], "undetectable": [], "structure": [], "looks": 0.0}
+    return {
+        "format": 1,
+        "verdict": verdict,
+        "sentence": sentence,
+        "p_global": p_global,
+        "threshold": THRESHOLD,
+        **empty,
+        **parts,
+        "next": f"imubayes fit … --out {folder}" if verdict == "not_converged" else "",
+    }
+
+
+def _verdict(found: Found, unexplained: Sequence) -> str:
+    if unexplained:
+        return "unexplained_structure"
+    if found.groups:
+        return "missing_effect" if len(found.groups[0].members) == 1 else "equivalent_effects"
+    return "noise_model" if found.adopted else "adequate"
+
+
+def _unexplained(found: Found) -> list[tuple[Structure, float]]:
+    """Return the structure that no effect of the catalogue explains; empty where they do."""
+    if not found.groups:
+        return list(found.structures)
+    leader = found.groups[0].leader
+    left = [(one, p) for one, p in found.left if one.channel in leader.owners or not _channels(found, leader)]
+    # What remains has to be worth something beside what was explained: a large effect shows its smallest imperfection.
+    return [(one, p) for one, p in left if one.found.drop > _RESEMBLES * leader.drop]
+
+
+def _channels(found: Found, candidate: Candidate) -> tuple[str, ...]:
+    """Return the channels among the owners of a candidate."""
+    names = {channel.name for channel in found.first.projection.fitted.model.campaign.channels}
+    return tuple(owner for owner in candidate.owners if owner in names)
+
+
+def _resolutions(found: Found) -> list[Resolution]:
+    """Return for each effect how well the runs can see it, over its coefficients and shapes."""
+    projection = found.first.projection
+    best: dict[str, Resolution] = {}
+    for one in found.first.prepared:
+        seen = resolution(projection, one, EFFECT_THRESHOLD, found.chance.looks)
+        known = best.get(seen.effect)
+        if known is None or seen.smallest / seen.typical[1] < known.smallest / known.typical[1]:
+            best[seen.effect] = seen
+    return list(best.values())
+
+
+def _telling(found: Found, group: Group) -> Telling:
+    projection, leader = found.first.projection, group.leader
+    response = next(one for one in found.first.prepared if one.response.scan == leader.scan)
+    names = [channel.name for channel in projection.fitted.model.campaign.channels]
+    squares = projection.strata.sums(leader.found.fitted**2)[:-1]
+    worth = {name: float(squares[projection.strata.channel == place].sum()) for place, name in enumerate(names)}
+    channel = max(worth, key=lambda name: worth[name])
+    covariate = telling_covariate(projection, found.first.structures, leader, channel)
+    return tell(projection, found.responses, response, leader, channel, covariate)
+
+
+def _candidate_line(one: Candidate, found: Found) -> dict[str, Any]:
+    return {
+        "effect": one.effect,
+        "channels": list(one.owners),
+        "delta_chi2": one.drop,
+        "dof": one.dof,
+        "p": one.p,
+        "p_global": found.chance(one.p),
+        "within_runs": one.found.within,
+        "shape": one.scan.shape,
+        "coefficients": _coefficients(one),
+    }
+
+
+def _coefficients(one: Candidate) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": coefficient.parameter.name,
+            "value": float(value),
+            "sd": float(sd) if np.isfinite(sd) else None,
+            "unit": coefficient.parameter.unit,
+        }
+        for coefficient, value, sd in zip(one.coefficients, one.value, one.sd, strict=True)
+    ]
+
+
+def _group_line(group: Group) -> dict[str, Any]:
+    leader = group.leader
+    return {
+        "effects": list(group.effects),
+        "channels": list(leader.owners),
+        "delta_chi2": leader.drop,
+        "dof": leader.dof,
+        "p_global": group.p,
+        "candidates": [
+            {
+                "effect": one.effect,
+                "channels": list(one.owners),
+                "delta_chi2": one.drop,
+                "shape": one.scan.shape,
+                "coefficients": _coefficients(one),
+                "unexplained": left,
+            }
+            for one, left in zip(group.members, group.unexplained, strict=True)
+        ],
+        "separating_run": "",
+    }
+
+
+def _resolution_line(one: Resolution) -> dict[str, Any]:
+    return {
+        "effect": one.effect,
+        "absorbed_by": [{"parameter": each.parameter, "share": each.share} for each in one.absorbed_by],
+        "retained": one.retained,
+        "smallest_detectable": one.smallest if np.isfinite(one.smallest) else None,
+        "typical": list(one.typical),
+        "unit": one.unit,
+        "reason": "the model absorbs it" if one.retained < 0.5 else "the runs are too few or too noisy",
+    }
+
+
+def _structure_line(one: Structure, p: float) -> dict[str, Any]:
+    return {
+        "channel": one.channel,
+        "covariate": " × ".join(each.name for each in one.covariates),
+        "test": one.test,
+        "p": p,
+        "shape": "",
+        "coefficient": None,
+    }
+
+
+def _sentence(verdict: str, found: Found, seen: Sequence[Resolution], telling: Sequence[Telling]) -> str:
+    if verdict in ("missing_effect", "equivalent_effects"):
+        group = found.groups[0]
+        where = ", ".join(group.leader.owners)
+        covariate = telling[0].covariate
+        changes = f" The residual of {telling[0].channel} changes with {covariate.phrase}." if covariate else ""
+        others = group.effects[1:]
+        also = f" {' and '.join(others)} would fit as well: these runs cannot tell." if others else ""
+        return f"{group.leader.effect} is missing on {where}.{changes}{also}"
+    if verdict == "unexplained_structure":
+        one = (found.left or found.structures)[0][0]
+        phrases = " and ".join(each.phrase for each in one.covariates)
+        return f"The residual of {one.channel} depends on {phrases} in a way that no effect of the catalogue explains."
+    if verdict == "noise_model":
+        kinds = " and ".join(dict.fromkeys(f"{one.effect} on {', '.join(one.channels)}" for one in found.adopted))
+        return f"The noise is not what the model says: {kinds}. With that no effect is missing."
+    hidden = [one.effect for one in seen if one.undetectable] + list(found.responses.unobservable)
+    rest = f" {len(hidden)} effects of the catalogue could not be seen in these runs." if hidden else ""
+    return f"The model explains the data: nothing in the catalogue is missing as far as these runs can show.{rest}"
+
+
+def _next(verdict: str, found: Found, folder: str) -> str:
+    if verdict in ("missing_effect", "equivalent_effects"):
+        leader = found.groups[0].leader
+        channels = _channels(found, leader)
+        everywhere = {
+            owner for one in found.first.candidates if one.effect == leader.effect for owner in _channels(found, one)
+        }
+        chosen = f" --channels {' '.join(channels)}" if channels and set(channels) != everywhere else ""
+        return f"imubayes add {leader.effect} --to {folder} --out {folder}-{leader.effect}{chosen}"
+    if verdict == "noise_model":
+        name = found.adopted[0].effect
+        return f"imubayes add {name} --to {folder} --out {folder}-{name}"
+    if verdict == "unexplained_structure":
+        return f"imubayes diagnose {folder} --shape"
+    return f"imubayes plant CAMPAIGN --result {folder}"
+
+
+def _asked(
+    effect: str, found: Found, seen: Sequence[Resolution], ranking: Sequence[Mapping[str, Any]], folder: str
+) -> Diagnosis:
+    """Answer for one effect: found, absent down to a size, or not to be seen."""
+    lines = [line for line in ranking if line["effect"] == effect]
+    known = [one for one in seen if one.effect == effect]
+    best = min((line["p_global"] for line in lines), default=1.0)
+    if best < EFFECT_THRESHOLD:
+        sentence = f"{effect} is in the data, or something that looks like it: chance {best:.2g}."
+        return Diagnosis(_document("missing_effect", sentence, best, folder, ranking=lines), (), found)
+    if known and not known[0].undetectable:
+        one = known[0]
+        sentence = (
+            f"{effect} is absent down to {one.smallest:.3g} {one.unit}, the size that would be found with a chance "
+            "of 80 %."
+        )
+        return Diagnosis(_document("adequate", sentence, best, folder, ranking=lines), (), found)
+    reason = "no run supplies " + ", ".join(found.responses.unobservable.get(effect, ("what it needs",)))
+    if known:
+        hidden = ", ".join(f"{each.share:.0%} in {each.parameter}" for each in known[0].absorbed_by[:3])
+        reason = f"of it would hide {hidden}" if hidden else "its largest usual size is below the noise"
+    sentence = f"These runs cannot show {effect}: {reason}."
+    undetectable = [_resolution_line(one) for one in known] or [{"effect": effect, "absorbed_by": []}]
+    return Diagnosis(
+        _document("undetectable", sentence, best, folder, ranking=lines, undetectable=undetectable), (), found
+    )

@@ -1,0 +1,34 @@
+"""Converter offset that settles after power-on."""
+
+import jax.numpy as jnp
+
+from imubayes.effects.base import Order, SignalEffect, Stage
+from imubayes.parameters.parameter import parameter
+from imubayes.stimulus import Sample
+from imubayes.types import Scalar
+
+
+class ConverterWarmUp(SignalEffect):
+    """Offset that fades with the time since power-on: signal + A·e^(−t_on/τ)."""
+
+    name = "converter_warm_up"
+    stage, order = Stage.CONVERTER, Order.OFFSET
+    kinds = ("gyro", "accelerometer")
+    needs = ("power_on",)
+    confused_with = (
+        "the sensor's own warm-up, without injected current; converter_offset_drift, where the converter warms itself"
+    )
+    reference = "turn-on transient of ADC, I/F and V/F converters"
+
+    amplitude: Scalar = parameter("output", "normal(0, 1e-3 scale)", (1e-06, 0.1), "the excess of offset at power-on")
+    tau: Scalar = parameter(
+        "min",
+        "lognormal(10 min, 1.0)",
+        (0.5, 120),
+        "the time constant",
+        null=600.0,
+        shape=(1.0, 3.0, 10.0, 30.0, 100.0),
+    )
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.amplitude * jnp.exp(-sample.ambient.power_on / self.tau)
