@@ -114,7 +114,6 @@ def extend(
     channels: Sequence[str] | None = None,
     shape: Mapping[str, float] | None = None,
     hints: Mapping[str, float] | None = None,
-    registry: Registry | None = None,
 ) -> Extension:
     """Return a fitted model with effects added, and where to begin its fit.
 
@@ -125,7 +124,6 @@ def extend(
     shape : parameter name → value in its unit at which the rest is expanded, such as a time constant that was
         scanned; a name without its label stands for all labels.
     hints : parameter name → first value in its unit, for coefficients and noise scales whose null has no gradient.
-    registry : of effects; the model's own by default.
 
     Raises
     ------
@@ -133,8 +131,8 @@ def extend(
         with everything that does not fit the campaign.
     """
     old = before.model
-    spec = extended(old.spec, effects, channels, old.campaign, registry or old.registry)
-    model = declare(spec, old.campaign, registry)
+    registry = old.registry.without_files()
+    model = declare(extended(old.spec, effects, channels, old.campaign, registry), old.campaign, registry)
     null, new = _carried(old.layout, before.z, model.layout, _nulls(model))
     h, new_h = _carried(old.hyper_layout, before.h, model.hyper_layout, np.zeros(len(model.hyper_layout)))
     for place in np.flatnonzero(new).tolist():
@@ -182,7 +180,7 @@ def _carried(old: Layout, point: np.ndarray, new: Layout, otherwise: np.ndarray)
 
 
 @eqx.filter_jit
-def _whitened(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
+def whitened(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
     """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,)."""
     by = whitener(problem, h)
     residual = whiten(problem, by, problem.observations.value - predict(problem, z))
@@ -193,7 +191,7 @@ def _whitened(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
 def _first_step(
     model: Model, null: np.ndarray, h: np.ndarray, new: np.ndarray, hints: Mapping[str, float]
 ) -> Extension:
-    parts = _whitened(model.problem, jnp.asarray(null), jnp.asarray(h))
+    parts = whitened(model.problem, jnp.asarray(null), jnp.asarray(h))
     residual, jacobian, widths = (np.asarray(part) for part in parts)
     entries, count = jacobian.shape[0], int(new.sum())
     old = np.concatenate([jacobian[:, ~new], np.diag(1 / widths[~new])])

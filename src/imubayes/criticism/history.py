@@ -30,6 +30,7 @@ class Node:
     data_hash, model_hash, seed : what was fitted.
     taken, message : whether the fit may be used, and why not.
     selected : whether this is the model that counts.
+    floor : channel → (noise of the rows, unit), where the noise of a sample is known.
     """
 
     id: str
@@ -49,6 +50,7 @@ class Node:
     taken: bool = True
     message: str = ""
     selected: bool = True
+    floor: Mapping[str, tuple[float, str]] = field(default_factory=dict)
 
     @property
     def title(self) -> str:

@@ -7,11 +7,16 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from imubayes.criticism.history import Node, Tree, mean_square, node_id
 from imubayes.errors import InputError, Problem
 from imubayes.inference.joint import model_hash
 from imubayes.model.declaration import Model
 from imubayes.report.fit_file import campaign_hash
+from imubayes.report.folder import write_beside
+from imubayes.report.residuals import INPUT_UNIT
+from imubayes.units import to_si
 
 HISTORY = "history.json"
 Summary = Mapping[str, Any]
@@ -50,14 +55,26 @@ def first_node(model: Model, summary: Summary, seed: int) -> Node:
         taken=converged,
         message=str(summary["message"]),
         selected=True,
+        floor=noise_floor(model),
     )
+
+
+def noise_floor(model: Model) -> dict[str, tuple[float, str]]:
+    """Return the noise of the rows of each channel, of stated or pooled noise of one sample, in input units."""
+    campaign, entries = model.campaign, model.entries
+    found = {}
+    for place, channel in enumerate(campaign.channels):
+        here = (entries.channel == place) & ~entries.closing
+        unit = INPUT_UNIT[channel.kind]
+        if channel.noise is not None and here.any():
+            size = channel.noise * float(np.sqrt(np.mean(1 / entries.samples[here])))
+            found[channel.name] = (size / abs(channel.scale_si * to_si(unit, campaign.site.gravity)), unit)
+    return found
 
 
 def write_node(folder: Path, node: Node) -> None:
     """Write `history.json` of a result folder: beside first, then in its place."""
-    beside = folder / f".{HISTORY}.{os.getpid()}.part"
-    beside.write_text(json.dumps({"format": 1, **asdict(node)}, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    beside.replace(folder / HISTORY)
+    write_beside(folder / HISTORY, json.dumps({"format": 1, **asdict(node)}, indent=1, ensure_ascii=False) + "\n")
 
 
 def read_node(folder: Path) -> Node:
@@ -67,8 +84,11 @@ def read_node(folder: Path) -> Node:
         content = json.loads(file.read_text(encoding="utf-8"))
         known = {one.name for one in fields(Node)}
         node = Node(**{key: value for key, value in content.items() if key in known})
-        rms = {channel: (float(value), str(unit)) for channel, (value, unit) in node.rms.items()}
-        return replace(node, rms=rms, children=tuple(node.children), added=tuple(node.added))
+        rms, floor = (
+            {channel: (float(value), str(unit)) for channel, (value, unit) in one.items()}
+            for one in (node.rms, node.floor)
+        )
+        return replace(node, rms=rms, floor=floor, children=tuple(node.children), added=tuple(node.added))
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise InputError(
             Problem(
