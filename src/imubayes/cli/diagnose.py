@@ -27,20 +27,20 @@ def diagnose(result: Path, *, effect: str = "", as_json: Json = False) -> int:
     from imubayes.api import diagnose as find_missing
     from imubayes.report.diagnosis import write_diagnosis
     from imubayes.report.figures.save import save_telling
-    from imubayes.report.folder import read_summary
     from imubayes.report.terminal import print_diagnosis
 
-    summary = read_summary(result)
     with progress() as tell:
         tell("looking for what is missing")
         found = find_missing(result, effect)
     picture = None
     if not effect:
-        picture = save_telling(result, found.telling[0], found.json) if found.telling else None
-        write_diagnosis(result, found.json)
+        telling = found.telling[0] if found.telling else None
+        picture = save_telling(result, telling, found.json) if telling else None
+        named = (telling.channel, telling.covariate.name if telling.covariate else "") if telling else ()
+        write_diagnosis(result, found.json, *named)
     if as_json:
         json.dump(found.json, sys.stdout, ensure_ascii=False)
         print()
     else:
-        print_diagnosis(found.json, summary["chi2"], picture, effect)
+        print_diagnosis(found.json, picture, effect)
     return 1 if found.verdict == "not_converged" else 0

@@ -24,6 +24,8 @@ from imubayes.parameters.vector import Layout
 _WORSE = -0.5
 # Twice its standard error: a gain less than this may be chance.
 _SURE = 2.0
+# A parameter that is not needed costs half a unit of log density on unseen data; a gain below that is none.
+_LEAST_GAIN = 0.5
 
 _log_marginal = eqx.filter_jit(log_marginal)
 _linearise = eqx.filter_jit(linearise)
@@ -64,7 +66,7 @@ class HeldOut:
     @property
     def verdict(self) -> str:
         """Say whether the addition ``helps``, that it is ``unclear``, or that it does ``not`` help."""
-        if not self.gain > 0:
+        if not self.gain > _LEAST_GAIN:
             return "not"
         return "helps" if self.gain > _SURE * self.se else "unclear"
 

@@ -33,7 +33,7 @@ def expected_line(extension: Extension, screened: Facts | None) -> dict[str, Any
     drop = extension.delta_chi2
     if drop is None and screened:
         drop, coefficients = screened.get("delta_chi2"), list(screened.get("coefficients") or [])
-    return {"delta_chi2": drop, "coefficients": coefficients}
+    return {"delta_chi2": drop, "coefficients": coefficients, "screened": (screened or {}).get("delta_chi2")}
 
 
 def found_line(summary: Facts, names: Sequence[str], delta_chi2: float) -> dict[str, Any]:

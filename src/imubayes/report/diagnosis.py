@@ -18,9 +18,10 @@ Facts = Mapping[str, Any]
 _MOST_RANKED = 15
 
 
-def write_diagnosis(folder: Path, facts: Facts) -> None:
-    """Keep a diagnosis in its result folder."""
-    write_beside(folder / DIAGNOSIS, json.dumps(facts, indent=1, ensure_ascii=False) + "\n")
+def write_diagnosis(folder: Path, facts: Facts, channel: str = "", covariate: str = "") -> None:
+    """Keep a diagnosis in its result folder, with the channel and covariate of its telling residual."""
+    kept = {**facts, "telling": {"channel": channel, "covariate": covariate}}
+    write_beside(folder / DIAGNOSIS, json.dumps(kept, indent=1, ensure_ascii=False) + "\n")
 
 
 def read_diagnosis(folder: Path) -> dict[str, Any]:
@@ -41,18 +42,17 @@ def screened_candidate(facts: Facts, effect: str) -> dict[str, Any]:
     return {}
 
 
-def diagnosis_lines(facts: Facts, chi2: float | None = None, picture: Path | None = None) -> list[str]:
+def diagnosis_lines(facts: Facts, picture: Path | None = None) -> list[str]:
     """Return the answer: a sentence, what to expect of it, the picture and the next command.
 
     Parameters
     ----------
     facts : the diagnosis.
-    chi2 : of the fit, where it is known.
     picture : the file that shows it.
     """
     lines = [str(facts["sentence"])]
     if facts["groups"]:
-        lines.append(_expected(facts, chi2))
+        lines.append(_expected(facts))
         lines += [one for one in (_separating(facts["groups"]),) if one]
     elif facts["verdict"] == "not_converged":
         lines.append("Candidates are not ranked about a fit that did not converge.")
@@ -63,13 +63,13 @@ def diagnosis_lines(facts: Facts, chi2: float | None = None, picture: Path | Non
     return lines
 
 
-def _expected(facts: Facts, chi2: float | None) -> str:
-    best = facts["groups"][0]
-    drop = best["delta_chi2"]
-    fall = f"chi2 {chi2:.0f} → {chi2 - drop:.0f}" if chi2 is not None else f"chi2 falls by {significant(drop)}"
-    looks = facts.get("looks") or 0
+def _expected(facts: Facts) -> str:
+    best, looks = facts["groups"][0], facts.get("looks") or 0
     after = f" after {looks:.0f} looks" if looks else ""
-    return f"Expected of adding it, at the same noise: {fall}; chance {chance_text(best['p_global'])}{after}."
+    return (
+        f"Expected of adding it: chi2 falls by {significant(best['delta_chi2'])}, counted in the noise that is then "
+        f"left; chance {chance_text(best['p_global'])}{after}."
+    )
 
 
 def _separating(groups: Sequence[Facts]) -> str:
@@ -95,21 +95,17 @@ def ranking_sheet(facts: Facts, effect: str = "") -> Sheet:
         for place, each in reversed(list(enumerate(facts["groups"], 1)))
         for one in each["candidates"]
     }
-    rows = []
+    rows, slim = [], []
     for one in ranking[: None if effect else _MOST_RANKED]:
         strong = one["p_global"] is not None and one["p_global"] < facts["threshold"]
         number = group.get((one["effect"], tuple(one["channels"])))
+        name, drop = Cell(one["effect"]), Cell(significant(one["delta_chi2"]))
+        chance = Cell(chance_text(one["p_global"]), "bad" if strong else "dim")
+        mark = Cell("" if number is None else str(number))
         rows.append(
-            (
-                Cell(one["effect"]),
-                Cell(listed(one["channels"], 3)),
-                Cell(_coefficient(one)),
-                Cell(significant(one["delta_chi2"])),
-                Cell(str(one["dof"])),
-                Cell(chance_text(one["p_global"]), "bad" if strong else "dim"),
-                Cell("" if number is None else str(number)),
-            )
+            (name, Cell(listed(one["channels"], 3)), Cell(_coefficient(one)), drop, Cell(str(one["dof"])), chance, mark)
         )
+        slim.append((name, Cell(_coefficient(one, short=True)), drop, chance, mark))
     left = len(ranking) - len(rows)
     note = f"{left} more in {DIAGNOSIS}. " if left > 0 else ""
     note += (
@@ -117,10 +113,12 @@ def ranking_sheet(facts: Facts, effect: str = "") -> Sheet:
         "nothing is missing. Candidates of one group cannot be told apart by these runs."
     )
     head = ("effect", "on", "coefficient", "Δχ²", "dof", "chance", "group")
-    return Sheet("Candidates in order of evidence", head, rows, (0, 1, 2), "", note)
+    title = "Candidates in order of evidence"
+    narrow = Sheet(title, ("effect", "coefficient", "Δχ²", "chance", "group"), slim, (0, 1), "", note)
+    return Sheet(title, head, rows, (0, 1, 2), "", note, narrow=narrow)
 
 
-def _coefficient(line: Facts) -> str:
+def _coefficient(line: Facts, short: bool = False) -> str:
     """Return the coefficient that stands out most, in short, and the shape that was scanned."""
     known = [one for one in line["coefficients"] if one["value"] is not None]
     if not known:
@@ -128,7 +126,10 @@ def _coefficient(line: Facts) -> str:
     best = max(known, key=lambda one: abs(one["value"]) / (one["sd"] or float("inf")))
     value, sd = value_and_sd(best["value"], best["sd"])
     name = best["name"].partition(".")[2] or best["name"]
-    text = f"{name} {value} ± {sd} {pretty(best['unit'])}"
+    text = f"{value} ± {sd} {pretty(best['unit'])}"
+    if short:
+        return text
+    text = f"{name} {text}"
     shape = ", ".join(
         f"{key.rpartition('.')[2]} {significant(size)}" for key, size in (line.get("shape") or {}).items()
     )
@@ -138,13 +139,17 @@ def _coefficient(line: Facts) -> str:
 
 def undetectable_sheet(facts: Facts) -> Sheet:
     """Return what these runs cannot show, and what would hide it."""
-    rows = []
+    rows, without = [], []
     for one in facts.get("undetectable", ()):
-        hiding = [f"{percent(each['share'])} {each['parameter']}" for each in one["absorbed_by"][:3]]
+        if one.get("needs"):
+            without.append(f"{one['effect']} ({', '.join(one['needs'])})")
+            continue
+        hiding = [f"{percent(each['share'])} {each['parameter']}" for each in one["absorbed_by"][:2]]
         smallest, unit = one.get("smallest_detectable"), pretty(one.get("unit", ""))
         size = f"{significant(smallest)} {unit}" if smallest is not None else "–"
         rows.append((Cell(one["effect"]), Cell(", ".join(hiding) or str(one.get("reason", "–"))), Cell(size)))
     note = "Not seen is not absent: these effects may be there, and no statement is made about them." if rows else ""
+    note += f" No run supplies what these need: {', '.join(without)}." if without else ""
     head = ("effect", "would hide in", "smallest seen")
     return Sheet("What these runs cannot show", head, rows, (0, 1), "", note)
 
@@ -189,6 +194,8 @@ def asked_lines(facts: Facts, effect: str) -> list[str]:
     lines = [str(facts["sentence"])]
     hidden = [one for one in facts.get("undetectable", ()) if one["effect"] == effect]
     for one in hidden[:1]:
+        if any(each["parameter"] in lines[0] for each in one["absorbed_by"]):
+            continue
         hiding = [f"{percent(each['share'])} would hide in {each['parameter']}" for each in one["absorbed_by"]]
         lines.append(
             "; ".join(hiding) + "." if hiding else f"Reason: {one.get('reason', 'no run supplies what it needs')}."

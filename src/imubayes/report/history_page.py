@@ -21,6 +21,7 @@ from imubayes.report.addition import (
     error_sheet,
     read_addition,
 )
+from imubayes.report.diagnosis import read_diagnosis
 from imubayes.report.figures.save import added_variable, before_after
 from imubayes.report.figures.steps import error_per_step_figure, history_figure
 from imubayes.report.history_file import shown_place
@@ -91,7 +92,8 @@ def _step(before: Path, after: Path, tree: Tree) -> Iterable[str]:
     tables = [_table(folder / "residuals.parquet") for folder in (before, after)]
     if tables[0] is not None and tables[1] is not None:
         floors = {name: size for name, (size, _) in node.floor.items()}
-        yield _figure(before_after(tables[0], tables[1], names, floors))
+        telling = read_diagnosis(before).get("telling")
+        yield _figure(before_after(tables[0], tables[1], names, floors, telling))
     points = _table(after / ADDED_VARIABLE)
     yield _figure(added_variable(points, names) if points is not None else None)
     for sheet in (coefficient_sheet(facts), error_sheet(facts)):

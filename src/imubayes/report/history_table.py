@@ -47,18 +47,18 @@ def history_sheet(tree: Tree) -> Sheet:
     """Return a line for each model tried."""
     units = list(dict.fromkeys(unit for node in tree.nodes.values() for unit in error_by_kind(node.rms)))
     scales = {unit: readable(unit, _largest(tree, unit)) for unit in units}
-    rows, roots = [], []
+    rows, slim, roots = [], [], []
     for place, (depth, folder) in enumerate(tree.in_order()):
         node = tree.nodes[folder]
         if depth == 0 and place:
             roots.append(place)
         error = error_by_kind(node.rms)
         sizes = (Cell(significant(error[unit] * scales[unit][0]) if unit in error else "–") for unit in units)
-        mark = "●" if node.selected else ("✕" if not node.taken else "")
+        mark = "●" if node.selected else ("✕" if not node.taken else "○")
+        title = f"{'   ' * (depth - 1)}└─ {node.title}" if depth else node.title
         rows.append(
             (
-                Cell(mark),
-                Cell(f"{'   ' * (depth - 1)}└─ {node.title}" if depth else node.title, "" if node.taken else "dim"),
+                Cell(f"{mark} {title}", "" if node.taken else "dim"),
                 Cell(ratio_text(node.chi2 / node.dof if node.chi2 is not None and node.dof else None)),
                 Cell(significant(node.delta_chi2.get("found"))),
                 *sizes,
@@ -66,13 +66,16 @@ def history_sheet(tree: Tree) -> Sheet:
                 Cell(shown_place(folder)),
             )
         )
+        slim.append((rows[-1][0], *rows[-1][3:-1]))
     errors = tuple(f"residual / {pretty(scales[unit][1])}" for unit in units)
-    head = ("", "model", "chi2/dof", "Δχ²", *errors, "left-out gain", "folder")
+    head = ("model", "chi2/dof", "Δχ²", *errors, "left-out gain", "folder")
     note = (
         "● selected: the one that is exported; ✕ not taken. Δχ² is the fall at the noise of the model before; the gain "
         "is that of the log predictive density of what was left out in turns."
     )
-    return Sheet("Models tried", head, rows, (0, 1, len(head) - 1), "", note, frozenset(roots))
+    title, dividers = "Models tried", frozenset(roots)
+    narrow = Sheet(title, (head[0], *head[3:-1]), slim, (0,), "", note, dividers)
+    return Sheet(title, head, rows, (0, len(head) - 1), "", note, dividers, narrow)
 
 
 def _largest(tree: Tree, unit: str) -> float:

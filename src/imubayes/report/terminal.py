@@ -63,16 +63,14 @@ def print_comparison(comparison: Comparison) -> None:
         console.print(str(path), highlight=False, soft_wrap=True)
 
 
-def print_diagnosis(
-    facts: Mapping[str, Any], chi2: float | None = None, picture: Path | None = None, effect: str = ""
-) -> None:
+def print_diagnosis(facts: Mapping[str, Any], picture: Path | None = None, effect: str = "") -> None:
     """Print a diagnosis: the answer, then the evidence; the answer about one effect where one was asked for."""
     console = Console()
     if effect:
         _lines(console, diagnosed.asked_lines(facts, effect))
         sheets = [diagnosed.ranking_sheet(facts, effect)]
     else:
-        _lines(console, diagnosed.diagnosis_lines(facts, chi2, picture))
+        _lines(console, diagnosed.diagnosis_lines(facts, picture))
         sheets = [diagnosed.ranking_sheet(facts), diagnosed.noise_sheet(facts), diagnosed.structure_sheet(facts)]
         sheets.append(diagnosed.undetectable_sheet(facts))
     for sheet in sheets:

@@ -12,7 +12,7 @@ from imubayes.report.display import COVARIATES, pretty
 from imubayes.report.figures.telling import added_variable_figure, before_after_figure, telling_figure
 from imubayes.report.theme import Picture
 
-_LEVELS = 24
+_LEVELS, _TIME_LAST = 24, 0.1
 
 
 def save_telling(folder: Path, telling: Telling, facts: Mapping[str, Any]) -> Path:
@@ -33,7 +33,11 @@ def save_telling(folder: Path, telling: Telling, facts: Mapping[str, Any]) -> Pa
 
 
 def before_after(
-    before: pl.DataFrame, after: pl.DataFrame, added: str, floors: Mapping[str, float] | None = None
+    before: pl.DataFrame,
+    after: pl.DataFrame,
+    added: str,
+    floors: Mapping[str, float] | None = None,
+    telling: Mapping[str, str] | None = None,
 ) -> Picture | None:
     """Return the residual of the channel that changed most against what tells; None where the tables do not match.
 
@@ -42,6 +46,7 @@ def before_after(
     before, after : `residuals.parquet` of two fits of one campaign.
     added : the effect.
     floors : channel → noise of one row, input units.
+    telling : `channel` and `covariate` that the diagnosis before named; without them those that changed most.
     """
     keys = ["run", "row", "channel"]
     joined = before.join(after.select([*keys, pl.col("input_residual").alias("after")]), on=keys, how="inner")
@@ -50,22 +55,30 @@ def before_after(
         return None
     change = ((pl.col("input_residual") - pl.col("after")) / pl.col("input_sd")) ** 2
     channel = joined.group_by("channel").agg(change.sum().alias("worth")).sort("worth")["channel"][-1]
+    named = telling or {}
+    channel = named["channel"] if named.get("channel") in joined["channel"].unique().to_list() else channel
     own = joined.filter(pl.col("channel") == channel)
-    at, label = telling_abscissa(own, own["input_residual"].to_numpy() - own["after"].to_numpy())
+    at, label = telling_abscissa(
+        own, own["input_residual"].to_numpy() - own["after"].to_numpy(), named.get("covariate")
+    )
     return before_after_figure(
         at, own["input_residual"].to_numpy(), own["after"].to_numpy(), own["run"].to_list(), channel,
         own["input_unit"][0], label, added, (floors or {}).get(channel),
     )  # fmt: skip
 
 
-def telling_abscissa(own: pl.DataFrame, change: np.ndarray) -> tuple[np.ndarray, str]:
-    """Return the covariate that a change follows best, by the means of its levels; the row where none tells."""
+def telling_abscissa(own: pl.DataFrame, change: np.ndarray, named: str | None = None) -> tuple[np.ndarray, str]:
+    """Return the covariate that a change follows best, by the means of its levels; the row where none tells.
+
+    One that is named goes first where the table has it; time, along which everything changes, goes last.
+    """
     best, found = 0.15, None
     for covariate in COVARIATES:
         if covariate.column == "row" or covariate.column not in own.columns:
             continue
         x = own[covariate.column].cast(pl.Float64).fill_null(float("nan")).to_numpy()
-        share = _share(x, change)
+        share = _share(x, change) + (2.0 if covariate.column == named else 0.0)
+        share -= _TIME_LAST if covariate.column in ("time_s", "power_on_s") else 0.0
         if share > best:
             best, found = share, (x, f"{covariate.phrase} / {pretty(covariate.unit)}")
     return found or (np.arange(own.height, dtype=float), "row, in the order of the runs")

@@ -47,28 +47,29 @@ def error_per_step_figure(
     )
     panels = list(errors)
     width = max(6.0, 4.6 * len(panels) + 0.6)
-    figure = picture(width, 3.4, "Error per step", caption)
+    figure = picture(width, 3.3, "Error per step", caption)
     left, bottom, right, top = figure.inside
     across = (right - left) / max(len(panels), 1) - 0.85
     for column, unit in enumerate(panels):
         sizes = np.asarray(errors[unit], dtype=float)
         factor, shown = readable(unit, float(np.nanmax(sizes)))
-        axes = axes_at(figure, left + 0.75 + column * (across + 0.85), bottom + 0.75, across, top - bottom - 1.0)
+        axes = axes_at(figure, left + 0.75 + column * (across + 0.85), bottom + 0.55, across, top - bottom - 0.8)
         y, x = sizes * factor, np.arange(len(steps), dtype=float)
         axes.set_xlim(-0.5, len(steps) - 0.5)
         floor = floors.get(unit)
         axes.set_ylim(0, 1.18 * max(float(np.nanmax(y)), (floor or 0.0) * factor))
         if floor is not None:
             line(axes, [-0.5, len(steps) - 0.5], [floor * factor] * 2, color=QUIET, linewidth=1.0, linestyle="--")
-            text = axes.text(len(steps) - 0.52, floor * factor, "noise of the rows", size=SMALL, color=QUIET)
-            text.set(ha="right", va="top")
+            axes.text(-0.48, floor * factor, "noise of the rows", size=SMALL, color=QUIET, va="bottom")
         hue = _HUES[column % len(_HUES)]
         line(axes, x, y, color=hue, linewidth=1.4, zorder=3)
         points(axes, x, y, "o", 6, hue, zorder=4)
         for place, size in zip(x.tolist(), y.tolist(), strict=True):
             if np.isfinite(size):
-                above = axes.annotate(significant(size), (place, size), (0, 6), textcoords="offset points", size=SMALL)
-                above.set(ha="center")
+                low = floor is not None and size < 1.05 * floor * factor
+                apart = (0, -14 if low else 6)
+                said = axes.annotate(significant(size), (place, size), apart, textcoords="offset points", size=SMALL)
+                said.set(ha="center")
         frame(axes, 0, 5, None, f"rms residual / {pretty(shown)}")
         room = max(9, int(across / max(len(steps), 1) * 12))
         for place, step in enumerate(steps):

@@ -9,7 +9,7 @@ from imubayes.report.display import pretty, readable
 from imubayes.report.figures.panels import draw_means, limit_of, thinned
 from imubayes.report.marks import level, line, points, strip
 from imubayes.report.rounding import significant
-from imubayes.report.theme import BAND, INK, QUIET, VERMILION, Picture, RunSigns, axes_at, picture, themed
+from imubayes.report.theme import BAND, INK, QUIET, Picture, RunSigns, axes_at, picture, themed
 from imubayes.report.ticks import frame
 
 _WIDTH, _LEGEND, _HEIGHT = 11.5, 2.05, 3.5
@@ -40,9 +40,9 @@ def telling_figure(
     factor, shown = readable(unit, float(np.median(np.abs(residual))))
     residual, explained = residual * factor, explained * factor
     caption = (
-        f"Left: each point is a row's residual of {channel}, colours are runs; the orange marks are what {effect} "
-        "would explain of it, with everything taken out that the model can take up otherwise. Right: one against the other; "
-        "where the candidate is the cause, every run follows the line of slope 1 and scatters about it by noise alone. "
+        f"Left: each point is a row's residual of {channel}, colours are runs; black marks are what {effect} would "
+        "explain of it, with everything taken out that the model can take up otherwise. Right: one against the other; "
+        "where the candidate is the cause, every run follows the line of slope 1 and scatters about it by noise. "
         "A good model shows no pattern on the left and a shapeless cloud about zero on the right."
     )
     title = f"Residual of {channel} and what {effect} explains of it"
@@ -61,11 +61,11 @@ def telling_figure(
         if column == 0:
             order = np.argsort(at, kind="stable")
             good = order[np.isfinite(at[order])]
-            points(axes, at[good], explained[good], "D", 3.2, VERMILION, zorder=6, alpha=0.9)
+            points(axes, at[good], explained[good], "D", 2.6, INK, zorder=6)
             axes.set_title("against what it depends on")
         else:
             ends = np.array(axes.get_xlim())
-            line(axes, ends, ends, color=VERMILION, linewidth=1.3, zorder=6)
+            line(axes, ends, ends, color=INK, linewidth=1.3, zorder=6)
             axes.set_title(f"against what is explained; slope {significant(_slope(x, residual))}")
         label = against if column == 0 else f"explained / {pretty(shown)}"
         frame(axes, 6, 5, label, f"residual / {pretty(shown)}")
