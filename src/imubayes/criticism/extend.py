@@ -222,12 +222,14 @@ def _first_step(
 def _away_from_null(model: Model, place: int, null: float, hints: Mapping[str, float]) -> float:
     """Return where a parameter without a gradient begins: as given, or at the least that is met in practice."""
     parameter = model.layout.parameters[place]
+    declared = next(one.declared for one in model.assembly.acting if one.member.name == parameter.effect)
+    if declared[parameter.field].shape:
+        return null  # a time constant has no gradient while its coefficient is zero, and stands where it was put
     hint = _given(parameter, hints)
     if hint is not None:
         return hint
     if _z(parameter, _null(model, parameter)) is None:
         return null
-    declared = next(one.declared for one in model.assembly.acting if one.member.name == parameter.effect)
     least = _z(parameter, declared[parameter.field].typical[0] * parameter.factor)
     return null if least is None else least
 

@@ -82,14 +82,13 @@ def read_node(folder: Path) -> Node:
     file = folder / HISTORY
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-        known = {one.name for one in fields(Node)}
-        node = Node(**{key: value for key, value in content.items() if key in known})
-        rms, floor = (
-            {channel: (float(value), str(unit)) for channel, (value, unit) in one.items()}
-            for one in (node.rms, node.floor)
-        )
-        return replace(node, rms=rms, floor=floor, children=tuple(node.children), added=tuple(node.added))
-    except (OSError, ValueError, TypeError, AttributeError) as error:
+        known = {key: value for key, value in content.items() if key in {one.name for one in fields(Node)}}
+        for key in ("rms", "floor"):
+            known[key] = {channel: (float(size), str(unit)) for channel, (size, unit) in known[key].items()}
+        for key in ("children", "added"):
+            known[key] = tuple(known[key])
+        return Node(**known)
+    except (OSError, ValueError, TypeError, AttributeError, KeyError) as error:
         raise InputError(
             Problem(
                 "this result has no history" if not file.is_file() else f"the history is damaged ({error})",
