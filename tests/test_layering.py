@@ -16,6 +16,7 @@ FLOORS = (
     ("criticism",),
     ("campaign", "classical", "archive"),
     ("report",),
+    ("loop",),
     ("api", ""),
     ("cli",),
 )

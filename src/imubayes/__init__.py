@@ -16,6 +16,10 @@ __version__ = "0.1.0"
 # public name → module and name there
 _HOME = {
     "fit": ("imubayes.api", "fit"),
+    "diagnose": ("imubayes.api", "diagnose"),
+    "add": ("imubayes.api", "add"),
+    "history": ("imubayes.api", "history"),
+    "plant": ("imubayes.api", "plant"),
     "Result": ("imubayes.api", "Result"),
     "load_campaign": ("imubayes.campaign", "load_campaign"),
     "check_campaign": ("imubayes.campaign", "check_campaign"),

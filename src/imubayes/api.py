@@ -2,63 +2,24 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-import xarray
 
 from imubayes.campaign import load_campaign
 from imubayes.campaign.model_file import read_model
 from imubayes.criticism.verdict import Diagnosis, judge
-from imubayes.inference.design import next_runs
 from imubayes.inference.fitted import Fitted
-from imubayes.inference.joint import JointFit, joint_fit
-from imubayes.inference.posterior import posterior_tree
+from imubayes.inference.joint import joint_fit
 from imubayes.inference.sample import Settings
+from imubayes.loop import Addition, add, history, plant
 from imubayes.model.declaration import declare
 from imubayes.model.specification import ModelSpec
 from imubayes.procedures import PROCEDURES
 from imubayes.report.fit_file import read_fit
-from imubayes.report.folder import CHECKPOINT, write_result
-from imubayes.report.html import summary_html
-from imubayes.report.residuals import Residuals, residuals_of
-from imubayes.report.summary import summarise
-from imubayes.report.terminal import summary_text
+from imubayes.report.folder import CHECKPOINT
+from imubayes.report.history_file import first_node, write_node
+from imubayes.report.result import Result, result_of
 from imubayes.run import Campaign
-
-
-@dataclass(frozen=True)
-class Result:
-    """A fit with everything that is reported of it; shows itself in a terminal and in a notebook.
-
-    Attributes
-    ----------
-    fit : the joint fit.
-    summary : contents of `summary.json`.
-    residuals : one line per run, row and channel.
-    folder : the result folder, None where none was written.
-    """
-
-    fit: JointFit
-    summary: dict[str, Any]
-    residuals: Residuals
-    folder: Path | None = None
-
-    @property
-    def converged(self) -> bool:
-        """Whether fit and sampling converged."""
-        return self.fit.converged
-
-    def posterior(self) -> xarray.DataTree:
-        """Return the posterior as an ArviZ tree."""
-        return posterior_tree(self.fit)
-
-    def __repr__(self) -> str:
-        return summary_text(self.summary)
-
-    def _repr_html_(self) -> str:
-        return summary_html(self.summary)
 
 
 def fit(
@@ -101,13 +62,10 @@ def fit(
         folder.mkdir(parents=True, exist_ok=True)
     sampling = replace(settings or Settings(), seed=seed) if sample else None
     fitted = joint_fit(declared, sampling, checkpoint, resume, progress)
-    residuals = residuals_of(fitted)
-    summary = summarise(fitted, residuals)
-    summary["seconds"]["load"] = load_seconds
-    summary["next_runs"] = next_runs(fitted, summary)
+    result = result_of(fitted, folder, seed, load_seconds)
     if folder is not None:
-        write_result(folder, fitted, summary, residuals, seed)
-    return Result(fitted, summary, residuals, folder)
+        write_node(folder, first_node(fitted.model, result.summary, seed))
+    return result
 
 
 def diagnose(result: Result | Fitted | str | Path, effect: str = "") -> Diagnosis:
@@ -128,3 +86,6 @@ def diagnose(result: Result | Fitted | str | Path, effect: str = "") -> Diagnosi
     if isinstance(result, Result):
         return judge(result.fit.fitted, str(result.folder or "RESULT"), effect)
     return judge(read_fit(Path(result)), str(result), effect)
+
+
+__all__ = ["Addition", "Result", "add", "diagnose", "fit", "history", "plant"]

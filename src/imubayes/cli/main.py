@@ -7,17 +7,21 @@ from collections.abc import Sequence
 import cyclopts
 
 from imubayes import __version__
+from imubayes.cli.add import add
 from imubayes.cli.check import check
 from imubayes.cli.compare import compare
 from imubayes.cli.convert import convert
+from imubayes.cli.diagnose import diagnose
 from imubayes.cli.effects import effects
 from imubayes.cli.fit import fit
+from imubayes.cli.history import history
+from imubayes.cli.plant import plant
 from imubayes.cli.schema import schema
 from imubayes.cli.simulate import simulate
 from imubayes.errors import InputError, Problem, closest_first
 
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
-_COMMANDS = (check, fit, compare, effects, simulate, convert, schema)
+_COMMANDS = (check, fit, compare, diagnose, add, history, plant, effects, simulate, convert, schema)
 
 app = cyclopts.App(
     name="imubayes",

@@ -27,6 +27,7 @@ from imubayes.model.likelihood import Problem, values_of
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
 # they are out of the running whatever their width.
 _SAME, _HOPELESS = 0.5, 30.0
+_DISPERSED = 3
 _PRIOR_DRAWS, _LAPLACE_DRAWS, _DERIVED_DRAWS = 2000, 4000, 4000
 
 Progress = Callable[[str], None]
@@ -81,6 +82,7 @@ def joint_fit(
     checkpoint: Path | None = None,
     resume: bool = False,
     progress: Progress | None = None,
+    start: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> JointFit:
     """Fit a model and sample its posterior.
 
@@ -91,6 +93,8 @@ def joint_fit(
     checkpoint : file that the sampling is kept in; a temporary one where None.
     resume : continue the checkpoint.
     progress : called with a short text as the work goes on.
+    start : z and h to begin the fit at, where a fit of nearly the same model is known; the middle of the prior where
+        None.  Other places are tried only where the posterior is to be sampled, or no start is known.
 
     Raises
     ------
@@ -109,7 +113,8 @@ def joint_fit(
         tell("fitting")
         settings = sampling or Settings()
         density = LogDensity(problem, walkers_for(sum(problem.size), settings) // 2)
-        mode, others = _best_start(problem, density, settings.seed)
+        dispersed = _DISPERSED if sampling is not None or start is None else 0
+        mode, others = _best_start(problem, density, settings.seed, start, dispersed)
         derived = derive(model.assembly)
         if not bool(mode.converged):
             return _unconverged(model, derived, mode, {"fit": time.perf_counter() - clock})
@@ -178,10 +183,17 @@ def model_hash(model: Model) -> str:
     return _digest(*(text.encode() for text in (*listed, *sources)))
 
 
-def _best_start(problem: Problem, density: LogDensity, seed: int, dispersed: int = 3) -> tuple[Mode, list[np.ndarray]]:
-    """Fit from the middle of the prior and from draws of it; return the best, and other ends worth a look."""
+def _best_start(
+    problem: Problem,
+    density: LogDensity,
+    seed: int,
+    start: tuple[np.ndarray, np.ndarray] | None,
+    dispersed: int,
+) -> tuple[Mode, list[np.ndarray]]:
+    """Fit from the start and from draws of the prior; return the best, and other ends worth a look."""
     size, hyper_size = problem.size
-    mode = find_mode(problem, jnp.zeros(size), jnp.zeros(hyper_size))
+    z, h = start if start is not None else (np.zeros(size), np.zeros(hyper_size))
+    mode = find_mode(problem, jnp.asarray(z), jnp.asarray(h))
     random = np.random.default_rng([seed, 1])
     ends = [fit_at(problem, jnp.asarray(random.normal(size=size)), mode.h) for _ in range(dispersed)]
     here, *densities = _densities(density, [mode.z, *ends], mode.h)

@@ -13,6 +13,7 @@ from imubayes.noise import NOISES, Noise
 from imubayes.parameters.parameter import declared_parameters
 
 Member = type[Effect] | type[Noise]
+_USER = "imubayes_user_"
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,10 @@ class Registry:
                 members[member.name] = member
         return Registry(members)
 
+    def without_files(self) -> "Registry":
+        """Return the registry without what files define: for a model that names its files itself."""
+        return Registry({name: one for name, one in self.members.items() if not one.__module__.startswith(_USER)})
+
 
 def _members_of(file: Path) -> list[Member]:
     def refuse(what: str) -> InputError:
@@ -66,7 +71,7 @@ def _members_of(file: Path) -> list[Member]:
 
     if not file.is_file():
         raise refuse("the file with the user's effects is missing")
-    name = "imubayes_user_" + hashlib.sha256(str(file.resolve()).encode()).hexdigest()[:12]
+    name = _USER + hashlib.sha256(str(file.resolve()).encode()).hexdigest()[:12]
     spec = importlib.util.spec_from_file_location(name, file)
     if spec is None or spec.loader is None:
         raise refuse("the file is not Python")

@@ -47,6 +47,13 @@ def write_result(folder: Path, fit: JointFit, summary: dict[str, Any], residuals
         shutil.rmtree(beside, ignore_errors=True)
 
 
+def write_beside(file: Path, text: str) -> None:
+    """Write a text file beside its place first, so that there is never half of it."""
+    beside = file.with_name(f".{file.name}.{os.getpid()}.part")
+    beside.write_text(text, encoding="utf-8")
+    beside.replace(file)
+
+
 def model_text(spec: ModelSpec) -> str:
     """Return a model as the text of a model file."""
     document = tomlkit.document()
@@ -91,4 +98,4 @@ def read_summary(folder: Path) -> dict[str, Any]:
         ) from None
 
 
-__all__ = ["CHECKPOINT", "SUMMARY", "model_text", "read_fit", "read_summary", "write_result"]
+__all__ = ["CHECKPOINT", "SUMMARY", "model_text", "read_fit", "read_summary", "write_beside", "write_result"]

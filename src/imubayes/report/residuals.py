@@ -23,7 +23,7 @@ _COVARIATES = {
     "converter_temperature_degC": ("converter_temperature", 1.0),
     "current_mA": ("current", 1e-3),
 }
-_INPUT_UNIT = {"gyro": "deg/s", "accelerometer": "g"}
+INPUT_UNIT = {"gyro": "deg/s", "accelerometer": "g"}
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ def residuals_of(fit: JointFit) -> Residuals:
     names = np.array([*(c.name for c in channels), "closure_x", "closure_y", "closure_z"])[entries.channel]
     kind = np.where(closing, "closure", np.array([c.kind for c in channels])[place])
     output_unit = np.where(closing, "deg", np.array([c.output_unit for c in channels])[place])
-    input_unit = np.where(closing, "deg", np.array([_INPUT_UNIT[c.kind] for c in channels])[place])
-    per_output = np.array([1 / (c.scale_si * to_si(_INPUT_UNIT[c.kind], campaign.site.gravity)) for c in channels])
+    input_unit = np.where(closing, "deg", np.array([INPUT_UNIT[c.kind] for c in channels])[place])
+    per_output = np.array([1 / (c.scale_si * to_si(INPUT_UNIT[c.kind], campaign.site.gravity)) for c in channels])
     degree = to_si("deg")
     to_output = np.where(closing, 1 / degree, 1.0)
     to_input = np.where(closing, 1 / degree, per_output[place])

@@ -1,16 +1,22 @@
 """What is printed on a terminal: the verdict first, then the tables, then what was not determined."""
 
 import io
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
+from imubayes.report import diagnosis as diagnosed
+from imubayes.report.addition import addition_text, coefficient_sheet, error_sheet
 from imubayes.report.comparison import Comparison
+from imubayes.report.planting import planting_lines, planting_sheet
 from imubayes.report.tables import (
     derived_table,
     next_run_table,
     parameter_table,
     run_table,
+    terminal,
     weak_table,
 )
 
@@ -55,3 +61,41 @@ def print_comparison(comparison: Comparison) -> None:
     console.print(comparison.runs)
     for path in comparison.pictures:
         console.print(str(path), highlight=False, soft_wrap=True)
+
+
+def print_diagnosis(facts: Mapping[str, Any], picture: Path | None = None, effect: str = "") -> None:
+    """Print a diagnosis: the answer, then the evidence; the answer about one effect where one was asked for."""
+    console = Console()
+    if effect:
+        _lines(console, diagnosed.asked_lines(facts, effect))
+        sheets = [diagnosed.ranking_sheet(facts, effect)]
+    else:
+        _lines(console, diagnosed.diagnosis_lines(facts, picture))
+        sheets = [diagnosed.ranking_sheet(facts), diagnosed.noise_sheet(facts), diagnosed.structure_sheet(facts)]
+        sheets.append(diagnosed.undetectable_sheet(facts))
+    for sheet in sheets:
+        if sheet.rows:
+            console.print(terminal(sheet))
+
+
+def print_addition(facts: Mapping[str, Any]) -> None:
+    """Print what an addition brought."""
+    console = Console()
+    _lines(console, addition_text(facts))
+    for sheet in (coefficient_sheet(facts), error_sheet(facts), error_sheet(facts, by_run=True)):
+        if sheet.rows and facts["taken"]:
+            console.print(terminal(sheet))
+    console.print(f"next: {facts['next']}", highlight=False, soft_wrap=True)
+
+
+def print_trials(facts: Mapping[str, Any]) -> None:
+    """Print what was planted and what was found of it."""
+    console = Console()
+    _lines(console, planting_lines(facts))
+    if facts["effects"]:
+        console.print(terminal(planting_sheet(facts)))
+
+
+def _lines(console: Console, lines: Iterable[str]) -> None:
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)

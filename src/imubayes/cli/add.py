@@ -1,0 +1,62 @@
+"""`imubayes add`: a step forward, with what it brought."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import cyclopts
+
+from imubayes.cli.options import Json, Names, split
+
+
+def add(
+    *effects: str,
+    to: Path,
+    out: Path,
+    channels: Names = None,
+    sample: Annotated[bool, cyclopts.Parameter(negative="--no-sample")] = False,
+    seed: int = 0,
+    as_json: Json = False,
+) -> int:
+    """Add effects to the model of a result, fit again from there, and show what that brought.
+
+    Example: imubayes add gyro_g_sensitivity --to results/first --out results/second
+
+    Parameters
+    ----------
+    effects
+        Names of effects or noise members; `imubayes effects` lists them.
+    to
+        Result folder of the model to go on from; it stays as it is.
+    out
+        Result folder to write.
+    channels
+        Channels that the effects act on; by default those the diagnosis named, or all they can act on.
+    sample
+        Sample the posterior; by default the Laplace approximation stands for it.
+    seed
+        Seed of the sampler.
+    as_json
+        Print one JSON object on standard output.
+    """
+    from imubayes.cli.session import progress, start_jax
+
+    start_jax()
+    from imubayes.errors import InputError, Problem
+
+    if not effects:
+        raise InputError(Problem("no effect is named", "command line", "imubayes effects lists them", "name one"))
+    from imubayes.loop import add as add_effects
+    from imubayes.report.terminal import print_addition
+
+    with progress() as tell:
+        addition = add_effects(to, effects, out, split(channels), sample, seed, tell)
+    if as_json:
+        json.dump(addition.json, sys.stdout, ensure_ascii=False)
+        print()
+    else:
+        print_addition(addition.json)
+    if not addition.taken:
+        print(addition.json["message"], file=sys.stderr)
+    return 0 if addition.taken else 1

@@ -1,0 +1,46 @@
+"""`imubayes diagnose`: what is missing."""
+
+import json
+import sys
+from pathlib import Path
+
+from imubayes.cli.options import Json
+
+
+def diagnose(result: Path, *, effect: str = "", as_json: Json = False) -> int:
+    """Say which effect the model lacks, from one pass and without a refit.
+
+    Example: imubayes diagnose results/first
+
+    Parameters
+    ----------
+    result
+        Result folder of a fit.
+    effect
+        Ask about this effect alone: there, absent, or not to be seen by these runs.
+    as_json
+        Print one JSON object on standard output.
+    """
+    from imubayes.cli.session import progress, start_jax
+
+    start_jax()
+    from imubayes.api import diagnose as find_missing
+    from imubayes.report.diagnosis import write_diagnosis
+    from imubayes.report.figures.save import save_telling
+    from imubayes.report.terminal import print_diagnosis
+
+    with progress() as tell:
+        tell("looking for what is missing")
+        found = find_missing(result, effect)
+    picture = None
+    if not effect:
+        telling = found.telling[0] if found.telling else None
+        picture = save_telling(result, telling, found.json) if telling else None
+        named = (telling.channel, telling.covariate.name if telling.covariate else "") if telling else ()
+        write_diagnosis(result, found.json, *named)
+    if as_json:
+        json.dump(found.json, sys.stdout, ensure_ascii=False)
+        print()
+    else:
+        print_diagnosis(found.json, picture, effect)
+    return 1 if found.verdict == "not_converged" else 0

@@ -1,0 +1,63 @@
+"""`imubayes history`: the models tried."""
+
+import json
+import sys
+from pathlib import Path
+
+from imubayes.cli.options import Json
+
+
+def history(
+    *results: Path,
+    select: Path | None = None,
+    export: Path | None = None,
+    html: Path | None = None,
+    as_json: Json = False,
+) -> int:
+    """Show the models tried, how the error fell, and which one is selected.
+
+    Example: imubayes history results/second --html history.html
+
+    Parameters
+    ----------
+    results
+        Result folders; the models before and after each are found from it.
+    select
+        Make this result the selected one; to undo a step, select the result before it.
+    export
+        Write the selected model to this model file.
+    html
+        Write the whole story as one HTML page.
+    as_json
+        Print one JSON object on standard output.
+    """
+    from imubayes.cli.session import start_jax
+    from imubayes.errors import InputError, Problem
+
+    folders = [*results, *([select] if select is not None and not results else [])]
+    if not folders:
+        raise InputError(Problem("no result is named", "command line", "result folders", "name at least one"))
+    start_jax()
+    from imubayes.loop import export as export_model
+    from imubayes.loop import history as read
+    from imubayes.report.history_file import select as select_node
+    from imubayes.report.history_table import history_json, print_history
+
+    if select is not None:
+        select_node(select)
+    tree = read(*folders)
+    if export is not None:
+        export_model(folders[0], export)
+    if html is not None:
+        from imubayes.report.folder import write_beside
+        from imubayes.report.history_page import history_page
+
+        write_beside(html, history_page(tree))
+    if as_json:
+        json.dump(history_json(tree), sys.stdout, ensure_ascii=False)
+        print()
+    else:
+        print_history(tree)
+        for file in (one for one in (export, html) if one is not None):
+            print(f"written: {file}")
+    return 0

@@ -1,0 +1,252 @@
+"""A model with one effect more, and where its fit begins: the old mode, and what the data say of the new beforehand.
+
+About the old mode the model is linear.  With the old columns projected out, the new coefficients follow from one small
+system (the score test's one-step estimate): the refit starts there, and what it was expected to find is known before.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from imubayes.effects.base import MotionEffect
+from imubayes.inference.fitted import Fitted
+from imubayes.model.declaration import Model, declare
+from imubayes.model.likelihood import Problem, predict, prediction_jacobian, prior_widths, whiten, whitener
+from imubayes.model.registry import Member, Registry
+from imubayes.model.specification import EffectSpec, ModelSpec
+from imubayes.parameters.vector import Layout, Parameter
+from imubayes.run import Campaign
+from imubayes.types import Array, Float
+
+# A coefficient whose column is this much shorter than its prior allows has no gradient at its null: β² or |β|.
+_NO_GRADIENT = 1e-6
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A coefficient with its standard uncertainty, in its unit."""
+
+    name: str
+    value: float
+    sd: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Extension:
+    """A model with effects added, before its fit.
+
+    Attributes
+    ----------
+    model : as declared.
+    z, h : where the fit begins, shapes (P,) and (H,).
+    null : shape (P,), the old mode with the new parameters at their nulls.
+    new : shape (P,), True for the parameters that the old model did not have.
+    delta_chi2 : expected drop of chi² at the old noise scales; None where the gradient at the null does not tell.
+    coefficients : expected, with uncertainty; empty where the gradient does not tell.
+    residual, added : shape (E,), whitened residual and what the new effect would explain, both with everything taken
+        out that the old model can explain: the added-variable plot, of slope 1 where the expectation is right.
+    """
+
+    model: Model
+    z: np.ndarray
+    h: np.ndarray
+    null: np.ndarray
+    new: np.ndarray
+    delta_chi2: float | None
+    coefficients: tuple[Coefficient, ...]
+    residual: np.ndarray
+    added: np.ndarray
+
+
+def extended(
+    spec: ModelSpec, effects: Sequence[str], channels: Sequence[str] | None, campaign: Campaign, registry: Registry
+) -> ModelSpec:
+    """Return a model with effects appended.
+
+    Parameters
+    ----------
+    spec : the model so far.
+    effects : names of effects or noise members.
+    channels : for effects that act on channels; without them all that the effect can act on and has not yet.
+    campaign, registry : to know which channels these are.
+
+    Raises
+    ------
+    InputError
+        for an effect that does not exist.
+    """
+    known = registry.with_files(spec.files)
+    added = []
+    for name in effects:
+        where = f"effect to add '{name}'"
+        member = known.find(name, where)
+        added.append(EffectSpec(name, _channels(spec, member, channels, campaign), where=where))
+    return replace(spec, effects=(*spec.effects, *added))
+
+
+def _channels(
+    spec: ModelSpec, member: Member, channels: Sequence[str] | None, campaign: Campaign
+) -> tuple[str, ...] | None:
+    if issubclass(member, MotionEffect) or "closure" in member.kinds:
+        return None
+    fitting = [channel.name for channel in campaign.channels if channel.kind in member.kinds]
+    if channels is not None:
+        # Of channels for several effects each takes its own kind; where none fits, the model's reader says so.
+        return tuple(name for name in channels if name in fitting) or tuple(channels)
+    taken = {
+        name
+        for one in spec.effects
+        if one.name == member.name
+        for name in (one.channels if one.channels is not None else fitting)
+    }
+    return tuple(name for name in fitting if name not in taken) or None
+
+
+def extend(
+    before: Fitted,
+    effects: Sequence[str],
+    channels: Sequence[str] | None = None,
+    shape: Mapping[str, float] | None = None,
+    hints: Mapping[str, float] | None = None,
+) -> Extension:
+    """Return a fitted model with effects added, and where to begin its fit.
+
+    Parameters
+    ----------
+    before : the fit so far.
+    effects, channels : what is added (see `extended`).
+    shape : parameter name → value in its unit at which the rest is expanded, such as a time constant that was
+        scanned; a name without its label stands for all labels.
+    hints : parameter name → first value in its unit, for coefficients and noise scales whose null has no gradient.
+
+    Raises
+    ------
+    InputError
+        with everything that does not fit the campaign.
+    """
+    old = before.model
+    registry = old.registry.without_files()
+    model = declare(extended(old.spec, effects, channels, old.campaign, registry), old.campaign, registry)
+    null, new = _carried(old.layout, before.z, model.layout, _nulls(model))
+    h, new_h = _carried(old.hyper_layout, before.h, model.hyper_layout, np.zeros(len(model.hyper_layout)))
+    for place in np.flatnonzero(new).tolist():
+        value = _given(model.layout.parameters[place], shape or {})
+        null[place] = null[place] if value is None else value
+    for place in np.flatnonzero(new_h).tolist():
+        value = _given(model.hyper_layout.parameters[place], {**(shape or {}), **(hints or {})})
+        h[place] = h[place] if value is None else value
+    return _first_step(model, null, h, new, hints or {})
+
+
+def _given(parameter: Parameter, values: Mapping[str, float]) -> float | None:
+    """Return z of a value that is given by full name or without its label."""
+    value = values.get(parameter.name, values.get(f"{parameter.effect}.{parameter.field}"))
+    return None if value is None else _z(parameter, value * parameter.factor)
+
+
+def _z(parameter: Parameter, value: float) -> float | None:
+    """Return z of a value in SI, None where the prior excludes it."""
+    try:
+        z = float(parameter.prior.z(value))
+    except (ValueError, ZeroDivisionError, OverflowError):
+        return None
+    return z if np.isfinite(z) else None
+
+
+def _nulls(model: Model) -> np.ndarray:
+    """Return z of each parameter's null, 0 where its prior excludes that."""
+    found = [_z(one, _null(model, one)) for one in model.layout.parameters]
+    return np.array([0.0 if z is None else z for z in found])
+
+
+def _null(model: Model, parameter: Parameter) -> float:
+    declared = {one.member.name: one.declared for one in model.assembly.acting}
+    return declared[parameter.effect][parameter.field].null
+
+
+def _carried(old: Layout, point: np.ndarray, new: Layout, otherwise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a point by name in another layout, and which of its places are new."""
+    places = {name: place for place, name in enumerate(old.names)}
+    fresh = np.array([name not in places for name in new.names], dtype=bool)
+    carried = np.array([other if name not in places else point[places[name]]
+                        for name, other in zip(new.names, otherwise, strict=True)], dtype=float)  # fmt: skip
+    return carried, fresh
+
+
+@eqx.filter_jit
+def whitened(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
+    """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,)."""
+    by = whitener(problem, h)
+    residual = whiten(problem, by, problem.observations.value - predict(problem, z))
+    jacobian = jax.vmap(lambda column: whiten(problem, by, column), 1, 1)(prediction_jacobian(problem, z))
+    return residual, jacobian, prior_widths(problem, h)
+
+
+def _first_step(
+    model: Model, null: np.ndarray, h: np.ndarray, new: np.ndarray, hints: Mapping[str, float]
+) -> Extension:
+    parts = whitened(model.problem, jnp.asarray(null), jnp.asarray(h))
+    residual, jacobian, widths = (np.asarray(part) for part in parts)
+    entries, count = jacobian.shape[0], int(new.sum())
+    old = np.concatenate([jacobian[:, ~new], np.diag(1 / widths[~new])])
+    right = np.concatenate([residual, -null[~new] / widths[~new]])
+    fresh = np.concatenate([jacobian[:, new], np.zeros((int((~new).sum()), count))])
+    q, upper = np.linalg.qr(old)
+    across, left = fresh - q @ (q.T @ fresh), right - q @ (q.T @ right)
+    squares, drive = across.T @ across, across.T @ left
+    prior = np.diag(widths[new] ** -2)
+    covariance = np.linalg.inv(squares + prior)
+    step = covariance @ (drive - prior @ null[new])
+    z = null.copy()
+    z[new] += step
+    z[~new] += solve_triangular(upper, q.T @ (right - fresh @ step))
+    flat = np.diag(squares) < _NO_GRADIENT
+    for place, blind in zip(np.flatnonzero(new).tolist(), flat.tolist(), strict=True):
+        if blind:
+            z[place] = _away_from_null(model, place, null[place], hints)
+    tells = bool(count) and not flat.all()
+    return Extension(
+        model, z, h, null, new,
+        float(2 * drive @ step - step @ squares @ step) if tells else None,
+        _coefficients(model.layout, z, new, np.sqrt(np.diag(covariance)), flat) if tells else (),
+        left[:entries], (across @ step)[:entries],
+    )  # fmt: skip
+
+
+def _away_from_null(model: Model, place: int, null: float, hints: Mapping[str, float]) -> float:
+    """Return where a parameter without a gradient begins: as given, or at the least that is met in practice."""
+    parameter = model.layout.parameters[place]
+    declared = next(one.declared for one in model.assembly.acting if one.member.name == parameter.effect)
+    if declared[parameter.field].shape:
+        return null  # a time constant has no gradient while its coefficient is zero, and stands where it was put
+    hint = _given(parameter, hints)
+    if hint is not None:
+        return hint
+    if _z(parameter, _null(model, parameter)) is None:
+        return null
+    least = _z(parameter, declared[parameter.field].typical[0] * parameter.factor)
+    return null if least is None else least
+
+
+def _coefficients(
+    layout: Layout, z: np.ndarray, new: np.ndarray, sd: np.ndarray, flat: np.ndarray
+) -> tuple[Coefficient, ...]:
+    found = []
+    for place, width, blind in zip(np.flatnonzero(new).tolist(), sd.tolist(), flat.tolist(), strict=True):
+        parameter = layout.parameters[place]
+        if not blind:
+            # The width in the unit: a secant over one standard deviation to each side.
+            low, here, high = (
+                float(parameter.prior.value(jnp.asarray(z[place] + side * width))) for side in (-1, 0, 1)
+            )
+            spread = abs(high - low) / 2
+            found.append(
+                Coefficient(parameter.name, here / parameter.factor, spread / parameter.factor, parameter.unit)
+            )
+    return tuple(found)
