@@ -15,7 +15,7 @@ from imubayes.report.sheets import Cell, Sheet
 
 DIAGNOSIS = "diagnosis.json"
 Facts = Mapping[str, Any]
-_MOST_RANKED = 15
+_MOST_RANKED, _MOST_PATTERNS = 10, 6
 
 
 def write_diagnosis(folder: Path, facts: Facts, channel: str = "", covariate: str = "") -> None:
@@ -90,6 +90,13 @@ def chance_text(p: float | None) -> str:
 def ranking_sheet(facts: Facts, effect: str = "") -> Sheet:
     """Return every candidate in order of evidence; those of one group carry its number."""
     ranking = [one for one in facts.get("ranking", ()) if not effect or one["effect"] == effect]
+    whole = len(ranking)
+    if not effect:
+        # One line an effect: the channels on which it has most evidence.
+        best: dict[str, Facts] = {}
+        for one in ranking:
+            best.setdefault(one["effect"], one)
+        ranking = list(best.values())
     group = {
         (one["effect"], tuple(one["channels"])): place
         for place, each in reversed(list(enumerate(facts["groups"], 1)))
@@ -106,7 +113,7 @@ def ranking_sheet(facts: Facts, effect: str = "") -> Sheet:
             (name, Cell(listed(one["channels"], 3)), Cell(_coefficient(one)), drop, Cell(str(one["dof"])), chance, mark)
         )
         slim.append((name, Cell(_coefficient(one, short=True)), drop, chance, mark))
-    left = len(ranking) - len(rows)
+    left = whole - len(rows)
     note = f"{left} more in {DIAGNOSIS}. " if left > 0 else ""
     note += (
         "chi2 would fall by Δχ² if the effect were added; the chance is that of any candidate doing so well where "
@@ -156,6 +163,7 @@ def undetectable_sheet(facts: Facts) -> Sheet:
 
 def structure_sheet(facts: Facts) -> Sheet:
     """Return the patterns found in the residuals, whatever their cause."""
+    patterns = facts.get("structure", ())
     rows = [
         (
             Cell(one["channel"]),
@@ -164,10 +172,12 @@ def structure_sheet(facts: Facts) -> Sheet:
             Cell(chance_text(one["p"]), "bad"),
             Cell(" ".join(part for part in (str(one.get("shape") or ""), _size(one.get("coefficient"))) if part)),
         )
-        for one in facts.get("structure", ())
+        for one in patterns[:_MOST_PATTERNS]
     ]
     head = ("channel", "depends on", "test", "chance", "shape")
-    return Sheet("Patterns in the residuals", head, rows, (0, 1, 2, 4))
+    left = len(patterns) - len(rows)
+    note = f"{left} more in {DIAGNOSIS}." if left > 0 else ""
+    return Sheet("Patterns in the residuals, whatever their cause", head, rows, (0, 1, 2, 4), "", note)
 
 
 def noise_sheet(facts: Facts) -> Sheet:
