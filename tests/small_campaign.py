@@ -1,4 +1,4 @@
-"""A small campaign that shows every effect: two tables, two mountings, a ramp and an injection, outputs by the model.
+"""Small campaigns that show every effect: two tables, two mountings, a ramp and an injection, outputs by the model.
 
 Made of records, not of files: these tests are about the floors below the reader.
 """
@@ -9,10 +9,8 @@ from functools import cache
 import numpy as np
 
 from imubayes.earth import normal_gravity
-from imubayes.effects.base import Effect
 from imubayes.model.declaration import Model, declare
 from imubayes.model.likelihood import predict
-from imubayes.model.registry import Registry
 from imubayes.model.specification import EffectSpec, ModelSpec
 from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table, Tumble
 
@@ -103,6 +101,34 @@ def campaign() -> Campaign:
     )
 
 
+def wide_campaign() -> Campaign:
+    """Return the campaign with what few records carry: temperature cycles, time since power-on, vibration, dates."""
+    base = campaign()
+    minutes = np.arange(16) * 240.0
+    cycle = 30 + 20 * np.interp(np.arange(16), [0, 5, 8, 13, 15], [-1.0, 1.0, 1.0, -1.0, -0.8])
+    slow = 25 + 12 * np.sin(np.arange(16) / 4)
+    warming = [
+        _run(
+            f"cycle-{name}", "thermal_ramp", "head", "flat", 16,
+            table_angle=angle, temperature=temperature, converter_temperature=temperature + 4,
+            time=minutes, power_on=minutes + 60,
+        )
+        for name, angle, temperature in (("fast", 0.4, cycle), ("slow", 1.9, slow), ("up", 3.4, cycle[::-1]))
+    ]  # fmt: skip
+    angle = np.linspace(0.3, 6.0, 8)
+    rates = np.array([40, -40, 80, -80, 40, -40, 80, -80]) * DEGREE
+    swept = _run(
+        "swept", "rate_table", "head", "x-up", 8,
+        table_rate=rates, table_angle=angle, table_angle_span=rates * 0.05, time=np.arange(8) * 60.0,
+        table_acceleration=np.array([1, -1, -1, 1, 2, -2, 1, 1]) * 200 * DEGREE,
+    )  # fmt: skip
+    shaken = _run("shaken", "dividing_head", "head", "flat", 4, table_angle=0.2, vibration=np.arange(4) * 20.0)
+    dated = [
+        replace(run, start=f"2026-03-1{day}T08:00:00+00:00") for day, run in enumerate([*warming, swept])
+    ]  # fmt: skip
+    return replace(base, name="wide", runs=(*base.runs[:9], *dated, shaken, *base.runs[9:]))
+
+
 def _injection(name: str, multiple: float) -> Run:
     run = _run(
         name, "current_injection", None, None, 4,
@@ -158,13 +184,14 @@ def spec(*names: str, noise: tuple[str, ...] = ("white_noise",)) -> ModelSpec:
     return ModelSpec("small", tuple(EffectSpec(name, where=f"model: {name}") for name in (*names, *noise)))
 
 
-def table_effects() -> tuple[str, ...]:
-    """Return the names of all effects that a campaign on tables can show together."""
-    return tuple(
-        name
-        for name, member in Registry().members.items()
-        if issubclass(member, Effect) and "pose" not in member.per and name != "tumble_heading"
-    )
+TABLE_EFFECTS = (
+    "table_axis_tilt", "table_rate_error", "mounting_error", "lever_arm", "gyro_misalignment", "gyro_g_sensitivity",
+    "gyro_bias", "gyro_bias_temperature", "gyro_run_bias", "gyro_scale_factor", "gyro_scale_temperature",
+    "accel_misalignment", "accel_quadratic", "accel_bias", "accel_bias_temperature", "accel_run_bias",
+    "accel_scale_factor", "accel_scale_temperature", "injection_error", "converter_gain_drift",
+    "converter_offset_drift",
+)  # fmt: skip
+"""The effects of a usual model of a unit on tables."""
 
 
 def simulated(model: Model, z: np.ndarray, seed: int) -> Campaign:
@@ -183,6 +210,6 @@ def simulated(model: Model, z: np.ndarray, seed: int) -> Campaign:
 
 @cache
 def full_model() -> Model:
-    """Return all effects of a campaign on tables in one model."""
-    chosen = tuple(name for name in table_effects() if not name.endswith("_run_bias"))
+    """Return the usual effects of a campaign on tables in one model."""
+    chosen = tuple(name for name in TABLE_EFFECTS if not name.endswith("_run_bias"))
     return declare(spec(*chosen, noise=("white_noise", "run_scatter")), campaign())

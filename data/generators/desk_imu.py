@@ -15,9 +15,10 @@ import write
 from kinematics import Site
 from motion import Move, hand_moves, path
 from plan import Plan, Run
-from sensor import Channel, Values, accelerometer_signal, converted, gyro_signal
+from sensor import Channel, Surroundings, Values, accelerometer_signal, converted, gyro_signal
 
 SEED = 20260330
+STEADY = Surroundings()
 SAMPLE_RATE = 100.0
 POSES = 28
 FIRST_REST = 15.0
@@ -54,10 +55,10 @@ def exact_outputs(design: Plan, values: Values, moves: list[Move], times: np.nda
         force = np.einsum("tji,tj->ti", attitude, acceleration + site.upward_force)
         for column, channel in enumerate(design.channels):
             if channel.kind == "gyro":
-                signal = gyro_signal(channel, values, site, rate, force, 25.0)
+                signal = gyro_signal(channel, values, site, rate, force, STEADY)
             else:
-                signal = accelerometer_signal(channel, values, site, force, 25.0)
-            total[:, column] += 0.5 * weight * converted(channel, values, site, signal, 25.0)
+                signal = accelerometer_signal(channel, values, site, force, STEADY)
+            total[:, column] += 0.5 * weight * converted(channel, values, site, signal, STEADY)
     return total
 
 

@@ -81,10 +81,10 @@ class Table:
     axis_uncertainty_arcsec: float | None = None
     rate_uncertainty_ppm: float | None = None
 
-    def attitude(self, tilt, angle) -> np.ndarray:
-        """Table to local level, (K, 3, 3), for K table angles; `tilt` is (x, y) in rad."""
+    def stand(self, tilt) -> np.ndarray:
+        """Table at angle 0 to local level; `tilt` is (x, y) in rad."""
         level = about(2, -radians(self.azimuth_deg)) @ about(0, -radians(90 - self.elevation_deg))
-        return level @ rotation([tilt[0], tilt[1], 0.0]) @ about(2, angle)
+        return level @ rotation([tilt[0], tilt[1], 0.0])
 
 
 @dataclass(frozen=True)
@@ -106,12 +106,28 @@ Y_UP = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 Z_UP = np.eye(3)
 
 
-def experienced(site: Site, table_to_level: np.ndarray, body_to_table: np.ndarray, rate: float):
-    """Body rate (K, 3), specific force (K, 3) and the table's own rotation (3,), all in body axes.
+def turned_back(vector: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Components (K, 3) of a vector (3,) or (K, 3) in axes turned by `angle` (K,) about z."""
+    x, y, z = np.moveaxis(np.broadcast_to(vector, (len(angle), 3)), -1, 0)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=-1)
 
-    `table_to_level` is (K, 3, 3), `body_to_table` the true seat, `rate` the true table rate in rad/s.
+
+def experienced(site: Site, stand: np.ndarray, wobble: np.ndarray | None, angle, rate, seat: np.ndarray):
+    """Body rate, specific force and the table's own rotation, each (K, 3) in body axes.
+
+    Parameters
+    ----------
+    stand : table at angle 0 to local level, with its tilt.
+    wobble : small rotation vectors (K, 3) of the axis about the table's axes at angle 0, or None.
+    angle, rate : true table angle and rate (K,), rad and rad/s.
+    seat : true body to table.
     """
-    body_to_level = table_to_level @ body_to_table
-    table_rate = rate * body_to_table[2]
-    body_rate = site.earth_rate @ body_to_level + table_rate
-    return body_rate, site.upward_force @ body_to_level, table_rate
+    felt = []
+    for vector in (site.earth_rate, site.upward_force):
+        at_table = vector @ stand
+        if wobble is not None:
+            at_table = np.einsum("j,kji->ki", at_table, rotation(wobble))
+        felt.append(turned_back(at_table, angle) @ seat)
+    table_rate = rate[:, None] * seat[2]
+    return felt[0] + table_rate, felt[1], table_rate

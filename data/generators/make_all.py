@@ -5,6 +5,7 @@ from pathlib import Path
 
 import accel_channel
 import desk_imu
+import hidden_effects
 import redundant_imu
 import trihedral_imu
 
@@ -20,6 +21,8 @@ def main(folder: Path) -> None:
     for name, script in CAMPAIGNS.items():
         values = script.generate(folder / name, script.SEED)
         print(f"{name}: {len(values)} true values")
+    for name in hidden_effects.CAMPAIGNS:
+        print(f"{name}: {len(hidden_effects.generate(folder / name))} true values")
 
 
 if __name__ == "__main__":

@@ -6,14 +6,20 @@ the standard deviation of its raw samples.
 """
 
 from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
 from math import radians
+from pathlib import Path
 
 import numpy as np
 
 import truth
 from kinematics import ARCSEC, Mounting, Site, Table, experienced
 from sensor import (
+    PPM,
+    REFERENCE_TEMPERATURE,
     Channel,
+    Surroundings,
     Values,
     accelerometer_signal,
     converted,
@@ -22,13 +28,15 @@ from sensor import (
     lever_arm_force,
 )
 
-ANGLES_PER_TURN = 72
 INSTANTS_PER_RAMP = 12
 
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a run table; an angle of None means whole turns, other None that there is no such column."""
+    """One line of a run table; an angle of None means whole turns, other None that there is no such column.
+
+    `temperature_rate` in °C/min is the true one; no column gives it.
+    """
 
     time: float
     samples: int
@@ -38,6 +46,8 @@ class Row:
     converter_temperature: float | None = None
     converter_rise: float = 0.0
     current: float | None = None
+    temperature_rate: float = 0.0
+    power_on: float | None = None
 
 
 @dataclass(frozen=True)
@@ -60,13 +70,38 @@ class Plan:
     tables: tuple[Table, ...]
     mountings: tuple[Mounting, ...]
     runs: tuple[Run, ...]
+    angles_per_turn: int = 72
+
+    model: str | Path | None = None
+    script: str | None = None
+
+    def shows(self, effect: str) -> bool:
+        """Whether any run of this plan carries what the effect acts on."""
+        rows = [row for run in self.runs for row in run.rows]
+        if effect == "injection_error":
+            return any(row.current is not None for row in rows)
+        if effect.startswith("converter_") and ("drift" in effect or "leakage" in effect):
+            return any(row.converter_temperature is not None for row in rows)
+        if effect in ("lever_arm", "table_rate_error", "gyro_scale_factor", "gyro_scale_temperature"):
+            return any(row.rate for row in rows) or any(run.procedure == "free_tumble" for run in self.runs)
+        return True
+
+    @property
+    def effects(self) -> list[dict]:
+        """The effects of the plan's model that its runs can show."""
+        return [effect for effect in truth.effects_of(self.model or self.name) if self.shows(effect["name"])]
+
+    @property
+    def equipment(self) -> dict[str, float]:
+        """One sigma of each error of seats and tables that the plan's model lists."""
+        turning = {run.table for run in self.runs if any(row.rate for row in run.rows)}
+        spreads = truth.equipment_spreads(self.mountings, self.tables, turning)
+        listed = {effect["name"] for effect in self.effects}
+        return {name: spread for name, spread in spreads.items() if name.split(".")[0] in listed}
 
     def draw(self, seed: int) -> dict[str, float]:
         """True values of everything that goes wrong in this plan."""
-        turning = {run.table for run in self.runs if any(row.rate for row in run.rows)}
-        return truth.from_equipment(self.mountings, self.tables, turning, seed) | truth.from_model(
-            self.name, self.channels, seed
-        )
+        return truth.from_spreads(self.equipment, seed) | truth.from_model(self.effects, self.channels, seed)
 
 
 @dataclass(frozen=True)
@@ -82,51 +117,189 @@ def _one(items, name):
     return next(item for item in items if item.name == name)
 
 
-def instants(plan: Plan, run: Run, row: Row, values: Values) -> np.ndarray:
-    """Noise-free outputs (instants, channels) during one row."""
-    site = plan.site
-    if run.mounting is not None:
-        table, mounting = _one(plan.tables, run.table), _one(plan.mountings, run.mounting)
-        tilt = [values.get(f"table_axis_tilt.{axis}[{table.name}]", 0.0) * ARCSEC for axis in "xy"]
-        rate = radians(row.rate) * (1 + 1e-6 * values.get(f"table_rate_error.rate_error[{table.name}]", 0.0))
-        turn = np.arange(ANGLES_PER_TURN) * 360 / ANGLES_PER_TURN
-        angles = np.radians(turn if row.angle is None else [row.angle])
-        body_rate, force, table_rate = experienced(
-            site, table.attitude(tilt, angles), truth.true_seat(mounting, values), rate
+def lagged(time: np.ndarray, temperature: np.ndarray, tau: float) -> np.ndarray:
+    """Temperature behind a first-order lag of `tau` (s) that starts in equilibrium, between rows along straight lines.
+
+    Against a straight line T the lagged temperature tends to T − slope·tau, and what differs from that fades.
+    """
+    behind = np.array(temperature, dtype=float)
+    for row in range(1, len(time)):
+        step = time[row] - time[row - 1]
+        trailing = tau * (temperature[row] - temperature[row - 1]) / step
+        differs = behind[row - 1] - temperature[row - 1] + trailing
+        behind[row] = temperature[row] - trailing + differs * np.exp(-step / tau)
+    return behind
+
+
+class Moments:
+    """All instants of a plan, run after run and row after row, at which the truth is evaluated."""
+
+    def __init__(self, plan: Plan):
+        self.plan = plan
+        self.rows = [row for run in plan.runs for row in run.rows]
+        self.run_of_row = np.repeat(np.arange(len(plan.runs)), [len(run.rows) for run in plan.runs])
+        parts = [self._instants(row) for row in self.rows]
+        self.count = np.array([len(angle) for angle, _ in parts])
+        self.row = np.repeat(np.arange(len(self.rows)), self.count)
+        self.run = self.run_of_row[self.row]
+        self.angle = np.radians(np.concatenate([angle for angle, _ in parts]))
+        self.converter = np.concatenate([converter for _, converter in parts])
+        self.rate = np.radians([row.rate for row in self.rows])[self.row]
+        injected = [0.0 if row.current is None else row.current for row in self.rows]
+        self.current = np.array(injected)[self.row]
+        self.injected = np.array([row.current is not None for row in self.rows])[self.row]
+
+    def _instants(self, row: Row) -> tuple[np.ndarray, np.ndarray]:
+        """Angles in deg and converter temperatures of one row."""
+        turn = np.arange(self.plan.angles_per_turn) * 360 / self.plan.angles_per_turn
+        angle = turn if row.angle is None else np.array([row.angle])
+        converter = np.full(1, REFERENCE_TEMPERATURE)
+        if row.converter_temperature is not None:
+            across = (np.arange(INSTANTS_PER_RAMP) + 0.5) / INSTANTS_PER_RAMP - 0.5
+            converter = row.converter_temperature + row.converter_rise * across
+        size = max(len(angle), len(converter))
+        return np.resize(angle, size), np.resize(converter, size)
+
+    @cached_property
+    def around(self) -> Surroundings:
+        """What surrounds the unit at every instant."""
+        hours = np.concatenate([self._hours(run) for run in self.plan.runs])
+        progress = np.concatenate([(np.arange(len(run.rows)) + 0.5) / len(run.rows) for run in self.plan.runs])
+        power_on = np.array([np.inf if row.power_on is None else row.power_on / 60 for row in self.rows])
+        return Surroundings(
+            temperature=np.array([row.temperature for row in self.rows])[self.row],
+            temperature_rate=np.array([row.temperature_rate for row in self.rows])[self.row],
+            lag=self._lag,
+            hours=hours[self.row],
+            power_on_min=power_on[self.row],
+            rate=self.rate,
+            angle=self.angle,
+            converter=self.converter,
+            run=self.run,
+            progress=progress[self.row],
         )
-    converter = np.array([25.0])
-    if row.converter_temperature is not None:
-        across = (np.arange(INSTANTS_PER_RAMP) + 0.5) / INSTANTS_PER_RAMP - 0.5
-        converter = row.converter_temperature + row.converter_rise * across
-    outputs = []
-    for channel in plan.channels:
-        if row.current is not None:
-            signal = injected_signal(channel, values, site, row.current)
-        elif channel.kind == "gyro":
-            signal = gyro_signal(channel, values, site, body_rate, force, row.temperature)
-        else:
-            felt = force + lever_arm_force(channel, values, table_rate)
-            signal = accelerometer_signal(channel, values, site, felt, row.temperature)
-        outputs.append(converted(channel, values, site, signal, converter))
-    return np.stack(outputs, axis=-1)
+
+    def _hours(self, run: Run) -> np.ndarray:
+        time = np.array([row.time for row in run.rows]) / 3600
+        if run.start is None:
+            return time
+        first = min(datetime.fromisoformat(other.start) for other in self.plan.runs if other.start is not None)
+        return time + (datetime.fromisoformat(run.start) - first).total_seconds() / 3600
+
+    def _lag(self, tau_min: float) -> np.ndarray:
+        """Lagged minus true temperature of the sensor."""
+        lag = []
+        for run in self.plan.runs:
+            time = np.array([row.time for row in run.rows])
+            temperature = np.array([row.temperature for row in run.rows])
+            lag.append(lagged(time, temperature, 60 * tau_min) - temperature)
+        return np.concatenate(lag)[self.row]
+
+    def motion(self, values: Values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Body rate, specific force and the table's own rotation, each (instants, 3) in body axes."""
+        felt = tuple(np.zeros((len(self.row), 3)) for _ in range(3))
+        for index, run in enumerate(self.plan.runs):
+            if run.mounting is None:
+                continue
+            at = self.run == index
+            table, mounting = _one(self.plan.tables, run.table), _one(self.plan.mountings, run.mounting)
+
+            def error(parameter: str, table=table.name) -> float:
+                return values.get(f"{parameter}[{table}]", 0.0)
+
+            angle, faster = self.angle[at], 1 + PPM * error("table_rate_error.rate_error")
+            encoder, wobble = np.zeros_like(angle), np.zeros((len(angle), 3))
+            for order in (1, 2):
+                cosine, sine = np.cos(order * angle), np.sin(order * angle)
+                encoder += error(f"encoder_harmonic.sin_{order}") * sine
+                encoder += error(f"encoder_harmonic.cos_{order}") * cosine
+                for column, axis in enumerate("xy"):
+                    wobble[:, column] += error(f"table_wobble.{axis}_cos_{order}") * cosine
+                    wobble[:, column] += error(f"table_wobble.{axis}_sin_{order}") * sine
+            tilt = [error(f"table_axis_tilt.{axis}") * ARCSEC for axis in "xy"]
+            moved = experienced(
+                self.plan.site,
+                table.stand(tilt),
+                wobble * ARCSEC if np.any(wobble) else None,
+                angle + encoder * ARCSEC,
+                self.rate[at] * faster,
+                truth.true_seat(mounting, values),
+            )
+            for whole, part in zip(felt, moved, strict=True):
+                whole[at] = part
+        return felt
+
+    def outputs(self, values: Values) -> np.ndarray:
+        """Noise-free outputs (instants, channels)."""
+        site = self.plan.site
+        body_rate, force, table_rate = self.motion(values)
+        outputs = []
+        for channel in self.plan.channels:
+            if channel.kind == "gyro":
+                signal = gyro_signal(channel, values, site, body_rate, force, self.around)
+            else:
+                felt = force + lever_arm_force(channel, values, table_rate)
+                signal = accelerometer_signal(channel, values, site, felt, self.around)
+            if np.any(self.injected):
+                signal = np.where(self.injected, injected_signal(channel, values, site, self.current), signal)
+            outputs.append(converted(channel, values, site, signal, self.around))
+        return np.stack(outputs, axis=-1)
+
+    def means(self, outputs: np.ndarray) -> np.ndarray:
+        """Means over the instants of each row, (rows, channels)."""
+        first = np.cumsum(self.count) - self.count
+        return np.add.reduceat(outputs, first, axis=0) / self.count[:, None]
+
+    def variances(self, outputs: np.ndarray) -> np.ndarray:
+        """Variances within each row, (rows, channels)."""
+        return self.means((outputs - self.means(outputs)[self.row]) ** 2)
 
 
-def read_out(plan: Plan, run: Run, values: Values, seed: int) -> Readings:
-    """Means and standard deviations of raw samples with white noise, and one offset per run and channel."""
-    exact = [instants(plan, run, row, values) for row in run.rows]
-    mean = np.array([outputs.mean(axis=0) for outputs in exact])
-    variance = np.array([outputs.var(axis=0) for outputs in exact])
-    samples = np.array([row.samples for row in run.rows])
-    sd, run_offset = np.empty_like(mean), np.empty(len(plan.channels))
-    for column, channel in enumerate(plan.channels):
-        generator = truth.stream(seed, f"{plan.name}/{run.name}/{channel.name}")
-        sigma = values[f"white_noise.sigma[{channel.name}]"]
-        run_offset[column] = generator.normal(0.0, values[f"run_scatter.tau[{channel.name}]"])
-        mean[:, column] += run_offset[column] + generator.normal(0.0, sigma / np.sqrt(samples))
-        # squares of normal samples about their mean, the stimulus varying underneath: noncentral chi-square
-        squares = generator.noncentral_chisquare(samples - 1, samples * variance[:, column] / sigma**2)
-        sd[:, column] = sigma * np.sqrt(squares / (samples - 1))
-    return Readings(mean, sd, run_offset)
+def correlated(generator: np.random.Generator, rows: int, sd: float, correlation: float) -> np.ndarray:
+    """A stationary first-order autoregression from row to row."""
+    shocks = sd * np.sqrt(1 - correlation**2) * generator.standard_normal(rows)
+    shocks[0] = sd * generator.standard_normal()
+    for row in range(1, rows):
+        shocks[row] += correlation * shocks[row - 1]
+    return shocks
+
+
+def rate_noise(plan: Plan, run: Run, channel: Channel, values: Values) -> np.ndarray:
+    """Standard deviation of what grows with the rate about the input axis, for each row, output units."""
+    share = PPM * values.get(f"rate_proportional_noise.k[{channel.name}]", 0.0)
+    if run.mounting is None or share == 0.0:
+        return np.zeros(len(run.rows))
+    seen = _one(plan.mountings, run.mounting).body_to_table[2] @ channel.axes[0]
+    rates = np.radians([row.rate for row in run.rows])
+    return share * channel.scale_si(plan.site) * np.abs(rates * seen)
+
+
+def read_out(plan: Plan, values: Values, seed: int) -> list[Readings]:
+    """For each run the means and standard deviations of raw noisy samples, and one offset per run and channel."""
+    moments = Moments(plan)
+    outputs = moments.outputs(values)
+    exact, within = moments.means(outputs), moments.variances(outputs)
+    readings = []
+    for index, run in enumerate(plan.runs):
+        at = moments.run_of_row == index
+        mean, variance = exact[at], within[at]
+        samples = np.array([row.samples for row in run.rows])
+        sd, run_offset = np.empty_like(mean), np.empty(len(plan.channels))
+        for column, channel in enumerate(plan.channels):
+            generator = truth.stream(seed, f"{plan.name}/{run.name}/{channel.name}")
+            sigma = values[f"white_noise.sigma[{channel.name}]"]
+            run_offset[column] = generator.normal(0.0, values[f"run_scatter.tau[{channel.name}]"])
+            mean[:, column] += run_offset[column] + generator.normal(0.0, sigma / np.sqrt(samples))
+            # squares of normal samples about their mean, the stimulus varying underneath: noncentral chi-square
+            squares = generator.noncentral_chisquare(samples - 1, samples * variance[:, column] / sigma**2)
+            sd[:, column] = sigma * np.sqrt(squares / (samples - 1))
+            if np.any(flicker := rate_noise(plan, run, channel, values)):
+                mean[:, column] += generator.normal(0.0, flicker)
+            if slow := values.get(f"correlated_noise.sigma[{channel.name}]", 0.0):
+                correlation = values[f"correlated_noise.correlation[{channel.name}]"]
+                mean[:, column] += correlated(generator, len(run.rows), slow, correlation)
+        readings.append(Readings(mean, sd, run_offset))
+    return readings
 
 
 def whole_turn_seconds(rate: float, at_least: float = 60.0) -> float:

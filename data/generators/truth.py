@@ -34,6 +34,45 @@ UNITS = {
     "converter_gain_drift.slope": "ppm/degC", "converter_offset_drift.slope": "output/degC",
     "injection_error.gain": "ppm", "injection_error.offset": "ug",
     "white_noise.sigma": "output", "run_scatter.tau": "output",
+    "gyro_scale_asymmetry.asymmetry": "ppm", "gyro_scale_quadratic.quadratic": "ppm/(deg/s)",
+    "gyro_scale_cubic.cubic": "ppm/(deg/s)^2", "gyro_scale_g_dependence.dependence": "ppm/g",
+    "gyro_g2_sensitivity.d_ii": "deg/h/g^2", "gyro_g2_sensitivity.d_oo": "deg/h/g^2",
+    "gyro_g2_sensitivity.d_ss": "deg/h/g^2", "gyro_g2_sensitivity.d_io": "deg/h/g^2",
+    "gyro_g2_sensitivity.d_os": "deg/h/g^2", "gyro_g2_sensitivity.d_si": "deg/h/g^2",
+    "gyro_bias_temperature_quadratic.curvature": "deg/h/degC^2",
+    "gyro_bias_temperature_rate.slope": "deg/h/(degC/min)",
+    "gyro_thermal_lag.coefficient": "deg/h/degC", "gyro_thermal_lag.tau": "min",
+    "gyro_warm_up.amplitude": "deg/h", "gyro_warm_up.tau": "min", "gyro_bias_drift.slope": "deg/h/h",
+    "gyro_scale_temperature_quadratic.curvature": "ppm/degC^2", "gyro_dead_zone.half_width": "deg/h",
+    "accel_cubic.cubic": "ug/g^3", "accel_odd_quadratic.odd_quadratic": "ug/g^2",
+    "accel_cross_coupling.k_ip": "ug/g^2", "accel_cross_coupling.k_io": "ug/g^2",
+    "accel_cross_axis_quadratic.k_oo": "ug/g^2", "accel_cross_axis_quadratic.k_pp": "ug/g^2",
+    "accel_scale_asymmetry.asymmetry": "ppm", "accel_bias_temperature_quadratic.curvature": "ug/degC^2",
+    "accel_bias_temperature_rate.slope": "ug/(degC/min)",
+    "accel_thermal_lag.coefficient": "ug/degC", "accel_thermal_lag.tau": "min",
+    "accel_warm_up.amplitude": "ug", "accel_warm_up.tau": "min", "accel_bias_drift.slope": "ug/h",
+    "accel_scale_temperature_quadratic.curvature": "ppm/degC^2", "accel_dead_zone.half_width": "ug",
+    "converter_gain_drift_quadratic.curvature": "ppm/degC^2",
+    "converter_offset_drift_quadratic.curvature": "output/degC^2",
+    "converter_nonlinearity.quadratic": "ppm/output", "converter_nonlinearity.cubic": "ppm/output^2",
+    "converter_leakage.leakage": "output", "converter_leakage.doubling": "degC",
+    "converter_warm_up.amplitude": "output", "converter_warm_up.tau": "min",
+    "converter_dead_zone.half_width": "output",
+    **{f"encoder_harmonic.{part}_{order}": "arcsec" for order in (1, 2) for part in ("sin", "cos")},
+    **{
+        f"table_wobble.{axis}_{part}_{order}": "arcsec"
+        for order in (1, 2) for axis in "xy" for part in ("cos", "sin")
+    },
+    "rate_proportional_noise.k": "ppm", "correlated_noise.sigma": "output", "correlated_noise.correlation": "1",
+    "outside_resonance.amplitude": "deg/h", "outside_resonance.centre": "deg/s", "outside_resonance.width": "deg/s",
+    "outside_root_rate.amplitude": "deg/h/(deg/s)^(1/2)",
+    "outside_temperature_wave.amplitude": "deg/h (gyro), ug (accelerometer)",
+    "outside_temperature_wave.period": "degC", "outside_temperature_wave.phase": "deg",
+    "outside_angle_harmonic.amplitude": "deg/h (gyro), ug (accelerometer)",
+    "outside_angle_harmonic.order": "1", "outside_angle_harmonic.phase": "deg",
+    "outside_step.amplitude": "deg/h (gyro), ug (accelerometer)", "outside_step.run": "index of the run, from 0",
+    "outside_step.progress": "share of the run's rows",
+    "outside_threshold.amplitude": "ug", "outside_threshold.width": "g",
 }  # fmt: skip
 """The datasheet unit in which each true value is stated."""
 
@@ -82,25 +121,38 @@ def _applies(effect: dict, channel: Channel) -> bool:
     return True
 
 
-def from_model(model: str, channels: Iterable[Channel], seed: int) -> dict[str, float]:
-    """Draw every channel parameter for which models/`model`.toml states a prior."""
-    values: dict[str, float] = {}
-    channels = tuple(channels)
-    for effect in tomllib.loads((MODELS / f"{model}.toml").read_text(encoding="utf-8"))["effect"]:
-        for channel in channels:
-            if not _applies(effect, channel):
-                continue
-            for parameter, prior in effect.get("prior", {}).items():
-                kind = f"{effect['name']}.{parameter}"
-                name = f"{kind}[{channel.name}]"
-                values[name] = draw(prior, UNITS[kind], stream(seed, name))
-    return values
+def effects_of(model: str | Path) -> list[dict]:
+    """The effects that a model file lists; a bare name stands for a file in `models/`."""
+    path = model if isinstance(model, Path) else MODELS / f"{model}.toml"
+    return tomllib.loads(path.read_text(encoding="utf-8"))["effect"]
 
 
-def from_equipment(
-    mountings: Iterable[Mounting], tables: Iterable[Table], turning: Iterable[str], seed: int
+def in_output(prior: str, channel: Channel) -> str:
+    """Replace the unit `noise` by what it is for a channel, in output units."""
+    return re.sub(r"([-+.\deE]+)\s*noise", lambda found: f"{float(found.group(1)) * channel.noise!r} output", prior)
+
+
+def priors(effects: Iterable[dict], channels: Iterable[Channel]) -> dict[str, str]:
+    """The stated prior of every parameter that belongs to a channel."""
+    return {
+        f"{effect['name']}.{parameter}[{channel.name}]": in_output(prior, channel)
+        for effect in effects
+        for channel in channels
+        if _applies(effect, channel)
+        for parameter, prior in effect.get("prior", {}).items()
+    }
+
+
+def from_model(effects: Iterable[dict], channels: Iterable[Channel], seed: int) -> dict[str, float]:
+    """Draw a value for every parameter that belongs to a channel."""
+    stated = priors(effects, tuple(channels))
+    return {name: draw(prior, UNITS[name.split("[")[0]], stream(seed, name)) for name, prior in stated.items()}
+
+
+def equipment_spreads(
+    mountings: Iterable[Mounting], tables: Iterable[Table], turning: Iterable[str]
 ) -> dict[str, float]:
-    """Draw the errors of seats and table axes, and the rate errors of the tables in `turning`."""
+    """One sigma of the errors of seats and table axes, and of the rates of the tables in `turning`."""
     spreads: dict[str, float] = {}
     for mounting in mountings:
         for axis in "xyz":
@@ -110,12 +162,26 @@ def from_equipment(
             spreads[f"table_axis_tilt.{axis}[{table.name}]"] = table.axis_uncertainty_arcsec
         if table.name in turning:
             spreads[f"table_rate_error.rate_error[{table.name}]"] = table.rate_uncertainty_ppm
+    return spreads
+
+
+def from_spreads(spreads: dict[str, float], seed: int) -> dict[str, float]:
+    """Draw normal errors of the given one sigma."""
     return {name: stream(seed, name).normal(0.0, spread) for name, spread in spreads.items()}
+
+
+def width(prior: str, unit: str) -> float:
+    """One sigma of a normal prior, in `unit`."""
+    family, inside = _PRIOR.fullmatch(prior.strip()).groups()
+    if family != "normal":
+        raise ValueError(f"the width of a {family} prior is not asked for")
+    number, given = _NUMBER_AND_UNIT.fullmatch(inside.split(",")[1].strip()).groups()
+    return float(number) * (_IN_BASE_UNIT[given] / _IN_BASE_UNIT[unit] if given else 1.0)
 
 
 def true_seat(mounting: Mounting, values: Values) -> np.ndarray:
     """Body to table with the error of the seat in it."""
-    error = [values[f"mounting_error.{axis}[{mounting.name}]"] * ARCSEC for axis in "xyz"]
+    error = [values.get(f"mounting_error.{axis}[{mounting.name}]", 0.0) * ARCSEC for axis in "xyz"]
     return mounting.body_to_table @ rotation(error)
 
 

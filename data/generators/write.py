@@ -84,13 +84,15 @@ def write_campaign_file(folder: Path, plan: Plan, seed: int, runs: list[dict]) -
         "mounting": [mounting_entry(mounting) for mounting in plan.mountings],
         "run": runs,
     }
-    header = HEADER.format(purpose=plan.purpose, script=plan.name.replace("-", "_"), seed=seed)
+    header = HEADER.format(purpose=plan.purpose, script=plan.script or plan.name.replace("-", "_"), seed=seed)
     text = tomlkit.dumps({key: value for key, value in document.items() if value != []})
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "campaign.toml").write_text(header + text, encoding="utf-8")
 
 
-def write_truth(folder: Path, plan: Plan, seed: int, values: dict, derived: dict, nuisance: dict) -> None:
+def write_truth(
+    folder: Path, plan: Plan, seed: int, values: dict, derived: dict, nuisance: dict, hidden: dict | None = None
+) -> None:
     kinds = {name.split("[")[0] for name in values}
     document = {
         "format": 1,
@@ -100,7 +102,7 @@ def write_truth(folder: Path, plan: Plan, seed: int, values: dict, derived: dict
         "derived": derived,
         "units": {kind: unit for kind, unit in UNITS.items() if kind in kinds},
         "nuisance": nuisance,
-    }
+    } | ({"hidden": hidden} if hidden else {})
     (folder / "truth.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
 
 
@@ -116,6 +118,8 @@ def _columns(plan: Plan, run: Run, readings: Readings) -> dict[str, list[str]]:
         columns["converter_temperature_degC"] = [f"{row.converter_temperature:.4f}" for row in rows]
     if rows[0].current is not None:
         columns["current_mA"] = [f"{row.current:.4f}" for row in rows]
+    if rows[0].power_on is not None:
+        columns["power_on_s"] = [f"{row.power_on:.3f}" for row in rows]
     columns["samples"] = [str(row.samples) for row in rows]
     for name, table in (("{}", readings.mean), ("{}_sd", readings.sd)):
         for channel, values in zip(plan.channels, table.T, strict=True):

@@ -151,6 +151,16 @@ def test_effects_explains(capsys):
     assert "accel_quadratic" in said(capsys, "effects")[1]
 
 
+def test_effects_says_what_a_campaign_could_show(capsys):
+    status, out, _ = said(capsys, "effects", "--for", "data/accel-channel")
+    assert status == 0
+    shown, lacking = out.split("for the others lacks")
+    assert "converter_leakage" in shown
+    assert "accel_warm_up" in lacking
+    assert "power_on_s" in lacking
+    assert "gyro_bias" not in shown
+
+
 def test_fit_writes_the_contract(tmp_path, compile_cache):
     """`summary.json` has every key of the interface, alone on standard output with --json-output."""
     out = tmp_path / "result"

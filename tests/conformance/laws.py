@@ -7,17 +7,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.effects.base import MotionEffect, PlaceEffect, Stage
-from imubayes.noise.base import Entry, EntryNoise, SharedNoise
+from imubayes.effects.base import MotionEffect, PlaceEffect, RecordEffect, Stage
+from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, SharedNoise
 from imubayes.parameters.parameter import declared_options, declared_parameters
 from imubayes.parameters.priors import Prior, parse_prior
-from imubayes.stimulus import AMBIENT_NAMES, Ambient, Experience, Motion, Sample
+from imubayes.stimulus import AMBIENT_NAMES, Ambient, Experience, Motion, Records, Sample
 from imubayes.units import dimension, to_si
 
 GRAVITY = 9.7966
 OWN = {"noise": 0.5, "scale": 1000.0}
-# What "nothing" is for a covariate: the effect's own reference for temperatures, 0 for all else.
+# What "nothing" is for a covariate: the effect's own reference for temperatures, long ago for power-on, 0 for all else.
 TEMPERATURES = ("temperature", "converter_temperature")
+LONG_AGO = 1e12
+GATES = ("turning", "acceleration", "injection")
+INSTANTS = 24  # of a record, two runs
 
 
 def priors(member: type) -> dict[str, Prior]:
@@ -66,14 +69,49 @@ def states(member: type, seed: int, still: bool = False, **fixed: float) -> tupl
         earth = jnp.asarray([0, 6e-5, 4e-5])
         return Motion(random_rotation(rng), random_rotation(rng), angle, *table, gravity, earth), circumstances
     if issubclass(member, PlaceEffect):
-        return (Experience(vector(1.0), vector(10.0), vector(1.0), vector(1.0)),)
-    signal = jnp.asarray(0.0 if still else rng.normal())
-    return signal, Sample(vector(1.0), vector(10.0), vector(1.0), circumstances, jnp.asarray(1000.0))
+        return (Experience(*(vector(size) for size in (1.0, 10.0, 1.0, 1.0, 1.0, 1.0))),)
+    # A converter is fed with what stands for a hundred g or degrees per second, in output units.
+    size = 100 * OWN["scale"] if member.stage == Stage.CONVERTER else 1.0
+    signal = jnp.asarray(0.0 if still else size * rng.normal())
+    seen = Sample(*(vector(size) for size in (1.0, 10.0, 1.0, 1.0, 1.0)), circumstances, jnp.asarray(1000.0))
+    if issubclass(member, RecordEffect):
+        return signal + jnp.zeros(INSTANTS), _many(seen), record(seed, **fixed)
+    return signal, seen
+
+
+def _many(one: object) -> object:
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (INSTANTS, *leaf.shape)), one)
+
+
+def record(seed: int, **fixed: float) -> Records:
+    """Return two runs in which all changes, but for what is fixed: a rate of 0 fixes its temperature too."""
+    rng = np.random.default_rng(seed)
+    count = np.arange(INSTANTS)
+    begins = (count == 0) | (count == 9)
+    seconds = np.where(begins, 0.0, rng.uniform(10, 900, INSTANTS))
+    values = {name: np.asarray(getattr(ambient(seed, **fixed), name)) + np.zeros(INSTANTS) for name in AMBIENT_NAMES}
+    for name in TEMPERATURES:
+        if name not in fixed and f"{name}_rate" not in fixed:
+            values[name] = values[name] + np.cumsum(rng.normal(size=INSTANTS) * 5)
+    as_arrays = {name: jnp.asarray(one) for name, one in values.items()}
+    order = jnp.asarray(count)
+    return Records(order, order, jnp.asarray(begins), jnp.asarray(seconds), Ambient(**as_arrays))
+
+
+def acted(member: type, values: dict, *state):
+    """Return what the effect makes of its first argument."""
+    one = instance(member, values)
+    if not issubclass(member, RecordEffect):
+        return one.apply(*state)
+    signal, samples, before = state
+    columns = {field: jnp.asarray(value, dtype=float).reshape(1, 1) for field, value in values.items()}
+    memory = member.memories(lambda chosen: member(**chosen), columns, before)[:, 0]
+    return jax.vmap(one.apply)(signal, samples, memory)
 
 
 def moved(member: type, values: dict, state: tuple) -> list[np.ndarray]:
     """Return what the effect makes of its first argument, as leaves."""
-    return [np.asarray(leaf) for leaf in jax.tree.leaves(instance(member, values).apply(*state))]
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(acted(member, values, *state))]
 
 
 def unmoved(state: tuple) -> list[np.ndarray]:
@@ -120,7 +158,7 @@ def stage_and_covariates_are_known(member: type) -> None:
     stages = {MotionEffect: (Stage.STAND, Stage.TABLE), PlaceEffect: (Stage.PLACE,)}
     allowed = next((s for base, s in stages.items() if issubclass(member, base)), (Stage.SENSOR, Stage.CONVERTER))
     assert member.stage in allowed, f"{member.name} stands at {member.stage!r}"
-    assert set(member.needs) <= {*AMBIENT_NAMES, "turning", "injection"}, f"{member.name} needs {member.needs}"
+    assert set(member.needs) <= {*AMBIENT_NAMES, *GATES}, f"{member.name} needs {member.needs}"
     assert set(member.kinds) <= {"gyro", "accelerometer"}
     for one in declared_parameters(member).values():
         assert not one.spread or one.spread in declared_parameters(member)
@@ -140,7 +178,7 @@ def gradients_are_finite(member: type) -> None:
         state = states(member, seed, still=seed == 1)
 
         def total(one, first, rest=state[1:]):
-            leaves = jax.tree.leaves(instance(member, one).apply(first, *rest))
+            leaves = jax.tree.leaves(acted(member, one, first, *rest))
             return sum(jnp.sum(leaf * leaf) for leaf in leaves)
 
         for leaf in jax.tree.leaves(jax.grad(total, argnums=(0, 1))(values, state[0])):
@@ -153,46 +191,126 @@ def silent_without_its_covariate(member: type) -> None:
     """Where what it needs is absent, or at the reference, the effect changes nothing, whatever its values."""
     reference = next((v for name, v in declared_options(member).items() if name.startswith("reference")), 0.0)
     for need in member.needs:
-        if need == "injection":
-            continue  # a gate: `test_registry` shows that nothing reaches a run without it
-        fixed = {} if need == "turning" else {need: reference if need in TEMPERATURES else 0.0}
+        if need in ("injection", "table_angle"):
+            continue  # known or not, without a value that is none: `test_registry` shows that nothing gets by
+        nothing = {"power_on": LONG_AGO} | dict.fromkeys(TEMPERATURES, reference)
+        fixed = {} if need in GATES else {need: nothing.get(need, 0.0)}
         for seed in range(1, 4):
-            state = states(member, seed, still=need == "turning", **fixed)
+            state = states(member, seed, still=need in GATES, **fixed)
             assert_unchanged(member, drawn_values(member, seed), state)
 
 
 def changes_something(member: type) -> None:
-    """Away from null every parameter matters: an effect that cannot be seen is none."""
-    spreads = {one.spread for one in declared_parameters(member).values()}
-    for field in set(declared_parameters(member)) - spreads:
+    """Away from null every parameter matters: an effect that cannot be seen is none.
+
+    A shape means something where the coefficients are not null: there it has to matter.
+    """
+    declared = declared_parameters(member)
+    spreads = {one.spread for one in declared.values()}
+    for field in set(declared) - spreads:
         responses = []
         for seed in range(1, 6):
-            values = null_values(member) | {field: drawn_values(member, seed)[field]}
+            drawn = drawn_values(member, seed)
+            if declared[field].shape:
+                responses.append(_change(member, drawn, drawn | {field: drawn[field] * 1.5}, seed))
+                continue
+            values = null_values(member) | {field: drawn[field]}
             state = states(member, seed)
             pairs = zip(moved(member, values, state), unmoved(state), strict=True)
             responses.append(max(np.abs(after - before).max() for after, before in pairs))
         assert max(responses) > 0, f"{member.name}.{field} changes nothing"
 
 
+def _change(member: type, one: dict, other: dict, seed: int) -> float:
+    state = states(member, seed)
+    pairs = zip(moved(member, one, state), moved(member, other, state), strict=True)
+    return max(np.abs(a - b).max() for a, b in pairs)
+
+
+def linear_coefficients_show_at_null(member: type) -> None:
+    """At null the derivative by each coefficient is there and finite, whatever the shape: a first-order screen sees it.
+
+    Shapes are of positive priors, tried over values inside these, their null among what is tried.
+    """
+    declared = declared_parameters(member)
+    factors = {field: to_si(one.unit, GRAVITY, own=OWN) for field, one in declared.items()}
+    shapes = {field: one for field, one in declared.items() if one.shape}
+    for field, one in shapes.items():
+        assert min(one.shape) > 0, f"{member.name}.{field}: shapes {one.shape}"
+        assert float(priors(member)[field].value(jnp.asarray(-8.0))) > 0, f"{member.name}.{field} may be negative"
+        # What a unit of the channel's own stands for is not known to the class: any positive null will do.
+        own = dimension(one.unit)[5] != 0
+        inside = one.null > 0 if own else min(one.shape) <= one.null / factors[field] <= max(one.shape)
+        assert inside, f"{member.name}.{field}: null {one.null} is not among what is tried"
+        places = [priors(member)[field].z(value * factors[field]) for value in one.shape]
+        assert max(map(abs, places)) < 4, f"{member.name}.{field}: shapes {one.shape} outside the prior"
+    spreads = {one.spread for one in declared.values()}
+    count = max((len(one.shape) for one in shapes.values()), default=1)
+    for place in range(count):
+        at = {name: one.shape[min(place, len(one.shape) - 1)] * factors[name] for name, one in shapes.items()}
+        for field in set(declared) - set(shapes) - spreads:
+            found = [_slope(member, field, at, seed) for seed in range(1, 6)]
+            assert np.all(np.isfinite(found)), f"{member.name}.{field}: derivative {found}"
+            if place == 0:
+                assert max(found) > 0, f"{member.name}.{field} has no derivative at its null"
+
+
+def _slope(member: type, field: str, shapes: dict, seed: int) -> float:
+    """Return the largest derivative by one parameter at null."""
+    state = states(member, seed)
+
+    def at(value):
+        values = {name: jnp.asarray(float(one)) for name, one in (null_values(member) | shapes).items()}
+        return acted(member, values | {field: value}, *state)
+
+    null = jnp.asarray(float(null_values(member)[field]))
+    _, slope = jax.jvp(at, (null,), (jnp.ones_like(null),))
+    return max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(slope))
+
+
 def variance_of(member: type, values: dict, samples: float) -> float:
     one = instance(member, values)
     if issubclass(member, EntryNoise):
-        return float(one.variance(Entry(jnp.asarray(samples))))
+        return float(one.variance(Entry(jnp.asarray(samples), jnp.asarray(1e5))))
     assert issubclass(member, SharedNoise)
     return float(one.shared_variance())
 
 
 def variance_is_positive(member: type) -> None:
-    """Over draws of the prior the variance is positive and finite."""
+    """Over draws of the prior the variance is positive and finite, and a correlation within −1 and 1."""
     for seed in range(20):
         values = drawn_values(member, seed)
+        if issubclass(member, SeriesNoise):
+            correlation = float(instance(member, values).of_neighbours())
+            assert -1 < correlation < 1, f"{member.name}: correlation {correlation}"
+            continue
         found = variance_of(member, values, samples=7.0)
         assert 0 < found < np.inf, f"{member.name}: variance {found}"
 
 
+def in_series(correlation: float, independent: np.ndarray) -> np.ndarray:
+    """Return unit noise in which each value remembers the one before it."""
+    found = independent.copy()
+    for k in range(1, len(found)):
+        found[k] = correlation * found[k - 1] + np.sqrt(1 - correlation**2) * independent[k]
+    return found
+
+
+def series_likelihood(member: type, values: dict, drawn: np.ndarray) -> float:
+    correlation = float(instance(member, values).of_neighbours())
+    renewed = (drawn[1:] - correlation * drawn[:-1]) / np.sqrt(1 - correlation**2)
+    return float(-0.5 * np.sum(renewed**2) - 0.5 * len(renewed) * np.log(1 - correlation**2))
+
+
 def misstated_noise_is_less_likely(member: type) -> None:
-    """Data drawn at some width are less likely at a third and at three times of it."""
+    """Data drawn at some width are less likely at a third and at three times of it; correlated ones, as independent."""
     rng = np.random.default_rng(8)
+    if issubclass(member, SeriesNoise):
+        values = {name: float(prior.value(jnp.asarray(0.5))) for name, prior in priors(member).items()}
+        drawn = in_series(float(instance(member, values).of_neighbours()), rng.normal(size=400))
+        right, wrong = (series_likelihood(member, one, drawn) for one in (values, null_values(member)))
+        assert right > wrong + 10, f"{member.name} says nothing of neighbours"
+        return
     for field in declared_parameters(member):
         values = {name: float(value) for name, value in drawn_values(member, 3).items()}
         samples = rng.integers(1, 50, size=400)
@@ -214,5 +332,6 @@ OF_EFFECTS = (
     gradients_are_finite,
     silent_without_its_covariate,
     changes_something,
+    linear_coefficients_show_at_null,
 )
 OF_NOISE = (variance_is_positive, misstated_noise_is_less_likely)

@@ -1,6 +1,6 @@
 """Simulate–recover: what a model predicts at known values, with noise, is found again."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -8,9 +8,14 @@ import numpy as np
 
 from imubayes.inference.fit import find_mode
 from imubayes.model.declaration import Model, declare
+from imubayes.model.instants import join_nodes
 from imubayes.model.likelihood import predict
 from imubayes.model.registry import Registry
-from small_campaign import campaign, simulated, spec, tumble_campaign
+from imubayes.run import Campaign
+from small_campaign import campaign, simulated, spec, tumble_campaign, wide_campaign
+
+# Where a limit lies among the inputs of a few rows decides which of them feel it at all: that is scanned, not fitted.
+HELD = {"converter_saturation": {"limit": "lognormal(30 scale, 0.01)"}}
 
 
 @dataclass(frozen=True)
@@ -24,8 +29,19 @@ class Recovered:
 
 def declared_alone(member: type, registry: Registry | None = None) -> Model:
     """Return a model of one effect and white noise on the campaign that can show it."""
-    among = tumble_campaign() if {"pose", "run"} & set(member.per) - {"channel"} and member.nuisance else campaign()
-    return declare(spec(member.name), among, registry)
+    model = spec(member.name)
+    held = replace(model.effects[0], prior=HELD.get(member.name, {}))
+    return declare(replace(model, effects=(held, *model.effects[1:])), shown_by(member), registry)
+
+
+def shown_by(member: type) -> Campaign:
+    """Return the small campaign whose runs supply what a member needs."""
+    if member.nuisance:
+        return tumble_campaign()
+    supplied = join_nodes(campaign()).supplies
+    # A skew shows in rows of known angle that turn, and there are none but in the wide campaign.
+    plain = member.name != "time_skew" and any(set(member.needs) <= one for one in supplied)
+    return campaign() if plain else wide_campaign()
 
 
 def recover(member: type, registry: Registry | None = None, seed: int = 5) -> Recovered:

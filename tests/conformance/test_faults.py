@@ -5,12 +5,12 @@ import laws
 import pytest
 import recover
 
-from imubayes.effects.base import Order, SignalEffect, Stage
+from imubayes.effects.base import Decay, Order, RecordEffect, SignalEffect, Stage
 from imubayes.errors import InputError
 from imubayes.model.registry import Registry
-from imubayes.noise.base import Entry, EntryNoise
+from imubayes.noise.base import Entry, EntryNoise, SeriesNoise
 from imubayes.parameters.parameter import option, parameter
-from imubayes.stimulus import Sample
+from imubayes.stimulus import Ambient, Sample
 from imubayes.types import Scalar
 
 
@@ -170,6 +170,120 @@ class NegativeNoise(DeafNoise):
         return self.sigma**2 - 1.0
 
 
+class GyroDrag(RecordEffect):
+    """A sound effect with a memory: signal + c·(T_τ − T)."""
+
+    name = "gyro_drag"
+    stage, order, kinds = Stage.SENSOR, Order.BIAS, ("gyro",)
+    needs = ("temperature", "temperature_rate")
+    reference = "for these tests"
+    slope: Scalar = parameter("deg/h/degC", "normal(0, 1 deg/h/degC)", (0.1, 2), "the slope")
+    tau: Scalar = parameter("min", "lognormal(10 min, 1)", (1, 60), "the time", null=600.0, shape=(3.0, 10.0, 30.0))
+
+    def carry(self, before: Ambient, now: Ambient, seconds: Scalar) -> Decay:
+        return Decay(jnp.exp(-seconds / self.tau), now.temperature - before.temperature)
+
+    def apply(self, signal: Scalar, sample: Sample, memory: Scalar) -> Scalar:
+        return signal - self.slope * memory
+
+
+class RestlessDrag(GyroDrag):
+    """signal + c·(T_τ − T), whose memory grows by itself."""
+
+    name = "restless_drag"
+
+    def carry(self, before: Ambient, now: Ambient, seconds: Scalar) -> Decay:
+        return Decay(jnp.exp(-seconds / self.tau), now.temperature - before.temperature + 1e-3)
+
+
+class HeavyDrag(GyroDrag):
+    """signal + c·(T_τ − T) + T_τ − T: not the identity at null."""
+
+    name = "heavy_drag"
+
+    def apply(self, signal: Scalar, sample: Sample, memory: Scalar) -> Scalar:
+        return signal - (self.slope + 1e-9) * memory
+
+
+class RoughDrag(GyroDrag):
+    """signal + c·(T_τ − T), with a gain that has no derivative where no time passes."""
+
+    name = "rough_drag"
+
+    def carry(self, before: Ambient, now: Ambient, seconds: Scalar) -> Decay:
+        return Decay(jnp.exp(-(jnp.sqrt(seconds / self.tau) ** 2)), now.temperature - before.temperature)
+
+
+class AgelessDrag(GyroDrag):
+    """signal + c·(T_τ − T), whatever τ."""
+
+    name = "ageless_drag"
+
+    def carry(self, before: Ambient, now: Ambient, seconds: Scalar) -> Decay:
+        return Decay(jnp.exp(-seconds / 600.0) * (1 + 0 * self.tau), now.temperature - before.temperature)
+
+
+class Squared(Base):
+    """signal + b²·10⁹, which has no derivative where b is 0."""
+
+    name = "squared"
+    bias: Scalar = offset()
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + 1e9 * self.bias**2
+
+
+class Steep(Base):
+    """signal + √|b|, whose derivative is infinite where b is 0."""
+
+    name = "steep"
+    bias: Scalar = offset(prior="halfnormal(1 deg/h)")
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + jnp.sqrt(self.bias)
+
+
+class NegativeShape(GyroDrag):
+    """signal + c·(T_τ − T), τ of either sign."""
+
+    name = "negative_shape"
+    tau: Scalar = parameter("min", "normal(10 min, 5 min)", (1, 60), "the time", null=600.0, shape=(3.0, 10.0))
+
+
+class FarShape(GyroDrag):
+    """signal + c·(T_τ − T), tried where no prior expects it."""
+
+    name = "far_shape"
+    tau: Scalar = parameter("min", "lognormal(10 min, 0.1)", (1, 60), "the time", null=600.0, shape=(3.0, 10.0, 900.0))
+
+
+class ShapeElsewhere(GyroDrag):
+    """signal + c·(T_τ − T), its null outside of what is tried."""
+
+    name = "shape_elsewhere"
+    tau: Scalar = parameter("min", "lognormal(10 min, 1)", (1, 60), "the time", null=6.0, shape=(3.0, 10.0))
+
+
+class WildSeries(SeriesNoise):
+    """φ = c + ½, which may exceed 1."""
+
+    name = "wild_series"
+    reference = "for these tests"
+    correlation: Scalar = parameter("1", "uniform(0, 0.99)", (0.1, 0.9), "the correlation")
+
+    def of_neighbours(self) -> Scalar:
+        return self.correlation + 0.5
+
+
+class DeafSeries(WildSeries):
+    """φ = 0, whatever c."""
+
+    name = "deaf_series"
+
+    def of_neighbours(self) -> Scalar:
+        return 0.0 * self.correlation
+
+
 @pytest.mark.parametrize(
     ("law", "broken", "says"),
     [
@@ -187,6 +301,17 @@ class NegativeNoise(DeafNoise):
         (laws.units_and_priors_are_known, NarrowPrior, "no room for what is typical"),
         (laws.stage_and_covariates_are_known, WrongStage, "stands at"),
         (laws.stage_and_covariates_are_known, UnknownNeed, "humidity"),
+        (laws.silent_without_its_covariate, RestlessDrag, "Not equal"),
+        (laws.null_is_the_identity, HeavyDrag, "Not equal"),
+        (laws.gradients_are_finite, RoughDrag, "rough_drag: gradient"),
+        (laws.changes_something, AgelessDrag, "ageless_drag.tau changes nothing"),
+        (laws.linear_coefficients_show_at_null, Squared, "squared.bias has no derivative"),
+        (laws.linear_coefficients_show_at_null, Steep, "steep.bias: derivative"),
+        (laws.linear_coefficients_show_at_null, NegativeShape, "may be negative"),
+        (laws.linear_coefficients_show_at_null, FarShape, "outside the prior"),
+        (laws.linear_coefficients_show_at_null, ShapeElsewhere, "not among what is tried"),
+        (laws.variance_is_positive, WildSeries, "wild_series: correlation"),
+        (laws.misstated_noise_is_less_likely, DeafSeries, "says nothing of neighbours"),
         (laws.misstated_noise_is_less_likely, DeafNoise, "deaf_noise.sigma"),
         (laws.variance_is_positive, NegativeNoise, "negative_noise: variance"),
     ],
@@ -197,8 +322,9 @@ def test_a_broken_member_breaks_its_law(law, broken, says):
 
 
 @pytest.mark.parametrize("law", [*laws.OF_ALL, *laws.OF_EFFECTS], ids=lambda law: law.__name__)
-def test_a_sound_effect_keeps_them_all(law):
-    law(GyroTrend)
+@pytest.mark.parametrize("sound", [GyroTrend, GyroDrag], ids=lambda one: one.name)
+def test_a_sound_effect_keeps_them_all(law, sound):
+    law(sound)
 
 
 def registry(member: type) -> Registry:

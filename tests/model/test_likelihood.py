@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from imubayes.inference.precision import knowledge, linearise
 from imubayes.model.declaration import Model, declare
 from imubayes.model.likelihood import (
+    entry_log_likelihood,
     log_density,
     predict,
     prediction_jacobian,
@@ -44,6 +46,105 @@ def covariance(model: Model, h: np.ndarray) -> np.ndarray:
             shared[place] = values.get(f"run_scatter.tau[{channels[channel]}]", 0.0)
     together = (entries.run[:, None] == entries.run) & (entries.channel[:, None] == entries.channel)
     return np.diag(diagonal) + together * shared[:, None] * shared
+
+
+def correlated_covariance(model: Model, h: np.ndarray) -> np.ndarray:
+    """Return the covariance of all entries with AR(1) along the rows of each run and channel, in the order of time."""
+    values = dict(zip(model.hyper_layout.names, np.asarray(model.problem.hyper_priors.values(h)), strict=True))
+    entries = model.entries
+    plain, whole = np.zeros((2, len(entries), len(entries)))
+    for i, j in np.ndindex(whole.shape):
+        if (entries.run[i], entries.channel[i]) != (entries.run[j], entries.channel[j]) or entries.closing[i]:
+            continue
+        channel, run = model.campaign.channels[entries.channel[i]].name, model.campaign.runs[entries.run[i]]
+        time = run.covariates.get("time", np.arange(run.rows))
+        low, high = sorted((time[entries.row[i]], time[entries.row[j]]))
+        apart = np.sum((time > low) & (time <= high))
+        plain[i, j] = values[f"correlated_noise.correlation[{channel}]"] ** apart
+        whole[i, j] = values[f"run_scatter.tau[{channel}]"] ** 2
+    names = [channel.name for channel in model.campaign.channels]
+    sigma = np.array([values[f"white_noise.sigma[{names[c]}]"] for c in entries.channel]) / np.sqrt(entries.samples)
+    return plain * sigma * sigma[:, None] + whole
+
+
+@cache
+def in_series() -> Model:
+    """Return correlated readings, with some missing and the rows of one run not in the order of time."""
+    base = campaign()
+    ramp = next(k for k, run in enumerate(base.runs) if run.name == "ramp")
+    mixed = np.array([3, 0, 5, 1, 4, 2])
+    one = base.runs[ramp]
+    one = replace(one, covariates={name: column[mixed] for name, column in one.covariates.items()})
+    noise = ("white_noise", "run_scatter", "correlated_noise")
+    runs = (base.runs[0], base.runs[3], one)
+    plain = declare(spec("gyro_bias", "accel_bias", noise=noise), replace(base, runs=runs))
+    among = simulated(plain, np.asarray(point(plain, 1)[0]), 2)
+    observed = among.runs[1].observed.copy()
+    observed[2:4, 1], observed[5, 4] = np.nan, np.nan
+    return declare(
+        plain.spec, replace(among, runs=(among.runs[0], replace(among.runs[1], observed=observed), among.runs[2]))
+    )
+
+
+def test_correlated_rows_have_the_density_of_their_covariance():
+    model = in_series()
+    z, h = point(model, 6)
+    explicit = correlated_covariance(model, np.asarray(h))
+    by = whitener(model.problem, h)
+    root = np.asarray(jax.vmap(lambda column: whiten(model.problem, by, column), 1, 1)(jnp.eye(len(explicit))))
+    np.testing.assert_allclose(root.T @ root @ explicit, np.eye(len(explicit)), atol=1e-8)
+    misfit = np.asarray(model.problem.observations.value - predict(model.problem, z))
+    data = stats.multivariate_normal(np.zeros(len(misfit)), explicit).logpdf(misfit)
+    prior = stats.norm.logpdf(np.concatenate([z, h])).sum()
+    assert float(log_density(model.problem, z, h)) == pytest.approx(data + prior, rel=1e-10)
+
+
+def test_what_correlated_rows_know_is_that_of_their_covariance():
+    model = in_series()
+    z, h = point(model, 6)
+    inverse = np.linalg.inv(correlated_covariance(model, np.asarray(h)))
+    about = linearise(model.problem, z)
+    found = knowledge(model.problem, about, h)
+    misfit, jacobian = np.asarray(about.misfit), np.asarray(about.jacobian)
+    np.testing.assert_allclose(found.precision, jacobian.T @ inverse @ jacobian, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(found.gradient, jacobian.T @ inverse @ misfit, rtol=1e-8, atol=1e-6)
+    assert float(found.square) == pytest.approx(misfit @ inverse @ misfit, rel=1e-10)
+
+
+def test_each_of_correlated_entries_has_its_conditional_density():
+    model = in_series()
+    z, h = point(model, 6)
+    explicit = correlated_covariance(model, np.asarray(h))
+    misfit = np.asarray(model.problem.observations.value - predict(model.problem, z))
+    inverse = np.linalg.inv(explicit)
+    variance = 1 / np.diag(inverse)
+    expected = stats.norm.logpdf(variance * (inverse @ misfit), scale=np.sqrt(variance))
+    found = entry_log_likelihood(model.problem, z, h)
+    np.testing.assert_allclose(found.entry, expected, rtol=1e-8)
+    for group in range(found.group.shape[0]):
+        own = np.flatnonzero(np.asarray(model.problem.observations.group) == group)
+        block = explicit[np.ix_(own, own)]
+        whole = stats.multivariate_normal(np.zeros(len(own)), block).logpdf(misfit[own])
+        assert float(found.group[group]) == pytest.approx(whole, rel=1e-9)
+
+
+def test_a_masked_entry_leaves_a_gap_in_its_series():
+    model = in_series()
+    z, h = point(model, 8)
+    small, large = (eqx.filter_jit(log_density)(masked(model, 9, value), z, h) for value in (0.0, 1e9))
+    assert float(small) == float(large)
+    explicit = np.delete(np.delete(correlated_covariance(model, np.asarray(h)), 9, 0), 9, 1)
+    misfit = np.delete(np.asarray(model.problem.observations.value - predict(model.problem, z)), 9)
+    data = stats.multivariate_normal(np.zeros(len(misfit)), explicit).logpdf(misfit)
+    assert float(small) == pytest.approx(data + stats.norm.logpdf(np.concatenate([z, h])).sum(), rel=1e-10)
+
+
+def test_the_density_of_correlated_rows_has_derivatives_where_nothing_correlates():
+    model = in_series()
+    z, h = point(model, 8)
+    low = h.at[jnp.asarray([n.startswith("correlated") for n in model.hyper_layout.names])].set(-40.0)
+    gradient = jax.grad(lambda one: log_density(model.problem, z, one))(low)
+    assert np.all(np.isfinite(gradient))
 
 
 @cache

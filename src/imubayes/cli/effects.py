@@ -1,8 +1,13 @@
 """`imubayes effects`: the catalogue."""
 
+from pathlib import Path
+from typing import Annotated
 
-def effects(name: str | None = None) -> int:
-    """List the catalogue of effects, or explain one.
+from cyclopts import Parameter
+
+
+def effects(name: str | None = None, *, campaign: Annotated[Path | None, Parameter(name="--for")] = None) -> int:
+    """List the catalogue of effects, explain one, or say which a campaign could show.
 
     Example: imubayes effects gyro_g_sensitivity
 
@@ -10,14 +15,21 @@ def effects(name: str | None = None) -> int:
     ----------
     name
         The effect to explain.
+    campaign
+        Folder with campaign.toml: which effects its runs could show, and what is missing for the others.
     """
     from imubayes.cli.session import start_jax
 
     start_jax()
-    from imubayes.report.catalogue import print_catalogue, print_effect
+    from imubayes.report.catalogue import print_catalogue, print_effect, print_observable
 
-    if name is None:
-        print_catalogue()
-    else:
+    if campaign is not None:
+        from imubayes.campaign import load_campaign
+        from imubayes.procedures import PROCEDURES
+
+        print_observable(load_campaign(campaign, tuple(PROCEDURES)))
+    if name is not None:
         print_effect(name)
+    elif campaign is None:
+        print_catalogue()
     return 0

@@ -81,7 +81,7 @@ def _absorbers(projection: Projection, whitened: np.ndarray, raw: float) -> tupl
     if raw <= 0:
         return ()
     model = projection.fitted.model
-    fit = np.linalg.lstsq(projection.jacobian, whitened, rcond=1e-12)[0]
+    fit = projection.absorb(whitened)
     taken: dict[str, float] = {"run offsets": max(0.0, 1 - float(whitened @ whitened) / raw)}
     # Shares of the regression: g·(J_k c_k)/|g|² add up to what is absorbed in all.
     shares = (projection.jacobian * fit).T @ whitened / raw

@@ -4,6 +4,7 @@ The model and all candidates become one problem whose first parameters are the m
 candidates change nothing, so one linearisation gives the Jacobian of the fit and what every candidate would do.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -90,9 +91,11 @@ class _Extended:
     parameters: tuple[Parameter, ...]
 
 
-def respond(fitted: Fitted) -> Responses:
-    """Return the fit linearised in its own parameters and in those of every candidate."""
+def respond(fitted: Fitted, only: Sequence[str] = ()) -> Responses:
+    """Return the fit linearised in its own parameters and in those of every candidate, or of the named ones only."""
     acting, unobservable = _candidates(fitted)
+    if only:
+        acting = tuple(one for one in acting if one.member.name in only)
     extended = _extend(fitted, acting)
     z = np.concatenate([fitted.z, np.zeros(len(extended.parameters) - extended.known)])
     slopes = np.asarray(_slopes(extended.problem, jnp.asarray(z)))
@@ -105,7 +108,7 @@ def respond(fitted: Fitted) -> Responses:
         candidates.extend(
             _response(one, extended, jacobian, place) for one in acting if place < max(1, len(_grid(one)))
         )
-    misfit = np.asarray(extended.problem.observations.value) - predicted
+    misfit = np.asarray(fitted.model.problem.observations.value) - predicted
     known = extended.known
     return Responses(misfit, first[:, :known] * slopes[None, :known], tuple(candidates), unobservable)
 
@@ -123,7 +126,9 @@ def _candidates(fitted: Fitted) -> tuple[tuple[Acting, ...], dict[str, tuple[str
         if spec is None:
             continue
         try:
-            acting.append(act(spec, model.assembly.belonging, model.registry))
+            one = act(spec, model.assembly.belonging, model.registry)
+            # Without a label, a table where there is none, there is nothing to find.
+            acting.extend([one] if one.parameters else [])
         except NotShownError:
             unobservable[member.name] = member.needs
         except InputError:

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from imubayes.inference.fitted import Fitted
-from imubayes.model.likelihood import row_means, signal_path, values_of
+from imubayes.model.likelihood import Problem, row_means, signal_path, values_of
 
 _STANDARD_GRAVITY = 9.80665
 _AXES = ("i", "o", "s")
@@ -41,7 +43,7 @@ _RECORDED = {
 
 def covariates(fitted: Fitted) -> list[Covariate]:
     """Return every covariate that some run has and that takes more than one value."""
-    found = [*_experienced(fitted), *_recorded(fitted)]
+    found = [*_experienced(fitted), *_recorded(fitted), *_worked_out(fitted)]
     return [one for one in found if _varies(one.values)]
 
 
@@ -53,21 +55,35 @@ def _varies(values: np.ndarray) -> bool:
 def _experienced(fitted: Fitted) -> list[Covariate]:
     """Return rate and specific force along each channel's own axes, as the fitted model has them."""
     problem = fitted.model.problem
-    path = signal_path(problem, values_of(problem, fitted.z))
+    means = _row_means(problem, fitted.z)
     readout = np.asarray(problem.observations.readout)
     count = len(fitted.model.entries)
     found = []
     for kind, unit, size in (("rate", "deg/s", np.pi / 180), ("force", "g", _STANDARD_GRAVITY)):
         for axis, letter in enumerate(_AXES):
-            means = [
-                np.asarray(row_means(problem, getattr(path.sample[name], kind)[..., axis])).reshape(-1)
-                for name in sorted(problem.channels)
-            ]
             values = np.full(count, np.nan)
-            values[: len(readout)] = np.concatenate(means)[readout] / size
+            values[: len(readout)] = np.asarray(means[kind][axis])[readout] / size
             what = "rate" if kind == "rate" else "specific force"
             found.append(Covariate(f"{kind}_{letter}", unit, values, f"{what} along the {_axis_word(axis)} axis"))
     return found
+
+
+@eqx.filter_jit
+def _row_means(problem: Problem, z):
+    """Return rate and specific force, kind → axis → flattened outputs, as `readout` counts them."""
+    path = signal_path(problem, values_of(problem, z))
+    return {
+        kind: [
+            jnp.concatenate(
+                [
+                    row_means(problem, getattr(path.sample[name], kind)[..., axis]).reshape(-1)
+                    for name in sorted(problem.channels)
+                ]
+            )
+            for axis in range(len(_AXES))
+        ]
+        for kind in ("rate", "force")
+    }
 
 
 def _axis_word(axis: int) -> str:
@@ -85,3 +101,39 @@ def _recorded(fitted: Fitted) -> list[Covariate]:
                 values[here] = factor * run.covariates[key][entries.row[here]]
         found.append(Covariate(name, unit, values, phrase))
     return found
+
+
+_WORKED_OUT = {
+    "temperature_rate": ("temperature_rate_degC_min", "degC/min", 60.0, "the rate of change of temperature"),
+    "converter_temperature_rate": (
+        "converter_temperature_rate_degC_min",
+        "degC/min",
+        60.0,
+        "the rate of change of the converter's temperature",
+    ),
+    "campaign_time": ("campaign_time_h", "h", 1 / 3600, "time since the first run"),
+}
+
+
+def _worked_out(fitted: Fitted) -> list[Covariate]:
+    """Return what procedures work out from the recorded columns."""
+    nodes, entries = fitted.model.nodes, fitted.model.entries
+    rows = [run.rows for run in fitted.model.campaign.runs]
+    first_row = np.cumsum([0, *rows])
+    row_of_entry = first_row[entries.run] + np.where(entries.closing, 0, entries.row)
+    supplied = [set(one) for one in nodes.supplies]
+    found = []
+    node_row = _node_rows(fitted)
+    for key, (name, unit, factor, phrase) in _WORKED_OUT.items():
+        per_row = np.full(first_row[-1], np.nan)
+        per_row[node_row] = getattr(fitted.model.problem.instants.ambient, key)
+        known = np.array([key in one for one in supplied])[entries.run] & ~entries.closing
+        found.append(Covariate(name, unit, np.where(known, factor * per_row[row_of_entry], np.nan), phrase))
+    return found
+
+
+def _node_rows(fitted: Fitted) -> np.ndarray:
+    """Return the row, counted over all runs, of each node."""
+    nodes = fitted.model.nodes
+    sizes = np.concatenate([np.full(count, size) for count, size in nodes.turns])
+    return nodes.row_of[np.repeat(np.arange(len(sizes)), sizes)]

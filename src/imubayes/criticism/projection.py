@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
+import scipy.linalg
 
 from imubayes.inference.fitted import Fitted
 from imubayes.model.likelihood import Problem, prior_widths, whiten, whitener
@@ -55,7 +56,7 @@ class Projection:
     residual : shape (R,), what is left of the data.
     strata : of the rows.
     freedom : shape (strata + 1,), degrees of freedom of the residual in each stratum.
-    jacobian : shape (R, P), whitened, with the prior rows.
+    jacobian, upper : shapes (R, P) and (P, P): the whitened Jacobian with the prior rows, and R of its QR.
     input : shape (E,), predicted output less the nominal offset, in nominal input units (SI).
     root : shape (E,), one over each entry's standard deviation, run offsets not counted.
     """
@@ -67,6 +68,7 @@ class Projection:
     strata: Strata
     freedom: np.ndarray
     jacobian: np.ndarray
+    upper: np.ndarray
     input: np.ndarray
     root: np.ndarray
 
@@ -85,6 +87,10 @@ class Projection:
         residual = self.residual - span @ (span.T @ self.residual)
         freedom = self.freedom - self.strata.sums(np.sum(span**2, axis=1))
         return replace(self, basis=np.concatenate([self.basis, span], axis=1), residual=residual, freedom=freedom)
+
+    def absorb(self, rows: np.ndarray) -> np.ndarray:
+        """Return what the model's parameters, in z, would take up of whitened rows (R, C); shape (P, C)."""
+        return scipy.linalg.solve_triangular(self.upper, self.basis[:, : len(self.upper)].T @ rows)
 
     def project(self, rows: np.ndarray) -> np.ndarray:
         """Return what the model's parameters cannot absorb."""
@@ -149,9 +155,9 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
     offset = np.asarray(_whiten(problem, fitted.h, np.ones((len(misfit), 1))))
     offset = np.concatenate([(extra(offset) if extra is not None else offset)[:, 0], [0.0]])[members]
     length = np.linalg.norm(offset, axis=1)
-    root = np.concatenate([np.asarray(by.precision_root), [0.0]])[members]
+    direction = np.concatenate([np.asarray(by.direction), [0.0]])[members]
     # Variance of the run's mean with its offset against without: (1 − κ)⁻², κ = shrink · |u|².
-    kappa = np.asarray(by.shrink) * np.sum(root**2, axis=1)
+    kappa = np.asarray(by.shrink) * np.sum(direction**2, axis=1)
     separate = ((1 - kappa) ** -2 > _OFFSET_MATTERS) | (offsets & (sizes > 1))
     reflectors = np.zeros(members.shape)
     unit = offset / np.where(length > 0, length, 1.0)[:, None]
@@ -163,7 +169,7 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
     turn = Turn(problem, fitted.h, members, sizes, reflectors, len(widths), extra)
     rows = turn(jacobian)
     rows[len(misfit) :] = np.diag(1 / widths)
-    basis, _ = np.linalg.qr(rows)
+    basis, upper = np.linalg.qr(rows)
     whole = turn(misfit)
     whole[len(misfit) :] = -fitted.z / widths
     residual = whole - basis @ (basis.T @ whole)
@@ -178,6 +184,7 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
         strata,
         count - taken,
         rows,
+        upper,
         _input(fitted, misfit),
         np.asarray(by.precision_root),
     )
@@ -214,5 +221,7 @@ def orthonormal(columns: np.ndarray, original: np.ndarray, least: float) -> np.n
     if not kept.any():
         return np.zeros((len(columns), 0))
     scaled = columns[:, kept] / original[kept]
-    left, singular, _ = np.linalg.svd(scaled, full_matrices=False)
-    return left[:, singular**2 > least]
+    # Through the Gram matrix: its eigenvalues are shares of squared lengths, and `least` is far above their rounding.
+    squares, axes = np.linalg.eigh(scaled.T @ scaled)
+    held = squares > least
+    return scaled @ (axes[:, held] / np.sqrt(squares[held]))

@@ -164,7 +164,7 @@ def _coefficients(projection: Projection, columns, explained, variance) -> tuple
     place = np.where(projection.strata.of_row < 0, len(variance) - 1, projection.strata.of_row)
     size = np.linalg.norm(columns, axis=0)
     unit = columns / np.where(size > 0, size, 1.0)
-    inverse = np.linalg.pinv(unit, rcond=1e-6)
+    inverse = np.linalg.pinv(unit.T @ unit, rcond=1e-12, hermitian=True) @ unit.T
     value = inverse @ explained
     covariance = (inverse * variance[place]) @ inverse.T
     with np.errstate(divide="ignore"):

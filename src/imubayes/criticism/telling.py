@@ -76,7 +76,7 @@ def tell(
     for coefficient, found in zip(candidate.coefficients, candidate.value.tolist(), strict=True):
         value[names.index(coefficient.parameter.name)] = found
     # The other parameters would move when the effect is added: what they would take up is taken off.
-    moved = np.linalg.lstsq(projection.jacobian, one.whitened @ value, rcond=1e-12)[0]
+    moved = projection.absorb(one.whitened @ value)
     explained = one.response.columns @ value - responses.jacobian @ moved
     place = [each.name for each in model.campaign.channels].index(channel)
     constants = model.campaign.channels[place]

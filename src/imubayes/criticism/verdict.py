@@ -10,6 +10,8 @@ from imubayes.criticism.absorbers import Resolution, resolution
 from imubayes.criticism.groups import Group
 from imubayes.criticism.screen import Candidate
 from imubayes.criticism.search import EFFECT_THRESHOLD, NOISE_THRESHOLD, Found, search
+from imubayes.criticism.separate import separating_run
+from imubayes.criticism.shape import Shape, find_shape
 from imubayes.criticism.structure import Structure
 from imubayes.criticism.telling import Telling, tell, telling_covariate
 from imubayes.inference.fitted import Fitted
@@ -18,6 +20,7 @@ THRESHOLD = EFFECT_THRESHOLD + NOISE_THRESHOLD
 # A structure that the leading candidate leaves, and that is this strong against what the candidate explains, says that
 # the candidate only resembles the cause.
 _RESEMBLES = 0.1
+_MOST_SHAPES = 3
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,9 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
         _sentence(verdict, found, seen, telling),
         best,
         folder,
-        groups=[_group_line(one) for one in groups] if verdict in ("missing_effect", "equivalent_effects") else [],
+        groups=[_group_line(fitted, one) for one in groups]
+        if verdict in ("missing_effect", "equivalent_effects")
+        else [],
         ranking=ranking,
         noise=[vars(one) | {"adopted": one in found.adopted} for one in found.noise],
         undetectable=[_resolution_line(one) for one in seen if one.undetectable]
@@ -83,7 +88,7 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
             {"effect": name, "absorbed_by": [], "needs": list(needs), "reason": "no run supplies " + ", ".join(needs)}
             for name, needs in found.responses.unobservable.items()
         ],
-        structure=[_structure_line(one, p) for one, p in (unexplained or found.structures)],
+        structure=_structure_lines(found, unexplained),
         looks=found.chance.looks,
     )
     document["next"] = _next(verdict, found, folder)
@@ -177,8 +182,8 @@ def _coefficients(one: Candidate) -> list[dict[str, Any]]:
     ]
 
 
-def _group_line(group: Group) -> dict[str, Any]:
-    leader = group.leader
+def _group_line(fitted: Fitted, group: Group) -> dict[str, Any]:
+    leader, separation = group.leader, separating_run(fitted, group)
     return {
         "effects": list(group.effects),
         "channels": list(leader.owners),
@@ -196,7 +201,7 @@ def _group_line(group: Group) -> dict[str, Any]:
             }
             for one, left in zip(group.members, group.unexplained, strict=True)
         ],
-        "separating_run": "",
+        "separating_run": separation.sentence if separation is not None else "",
     }
 
 
@@ -212,14 +217,36 @@ def _resolution_line(one: Resolution) -> dict[str, Any]:
     }
 
 
-def _structure_line(one: Structure, p: float) -> dict[str, Any]:
-    return {
+def _structure_lines(found: Found, unexplained: Sequence[tuple[Structure, float]]) -> list[dict[str, Any]]:
+    """Return the free forms that stand out, with a formula for each channel where no effect explains them."""
+    listed = list(unexplained or found.structures)
+    channels = list(dict.fromkeys(one.channel for one, _ in unexplained))[:_MOST_SHAPES]
+    shapes = {channel: find_shape(found.first.projection, found.covariates, channel) for channel in channels}
+    return [_structure_line(one, p, shapes.get(one.channel)) for one, p in listed]
+
+
+def _structure_line(one: Structure, p: float, shape: Shape | None) -> dict[str, Any]:
+    line: dict[str, Any] = {
         "channel": one.channel,
         "covariate": " × ".join(each.name for each in one.covariates),
         "test": one.test,
-        "p": p,
+        "p": float(p),
         "shape": "",
         "coefficient": None,
+    }
+    if shape is None:
+        return line
+    terms = zip(shape.terms, shape.value, shape.sd, shape.unit, shape.drop, shape.p, strict=True)
+    return line | {
+        "shape": shape.formula,
+        "coefficient": {"value": shape.value[0], "sd": shape.sd[0], "unit": shape.unit[0]},
+        "terms": [
+            {"shape": term.text, "value": value, "sd": sd, "unit": unit, "delta_chi2": drop, "p_global": chance}
+            for term, value, sd, unit, drop, chance in terms
+        ],
+        "inclusion": shape.inclusion,
+        "near": list(shape.near),
+        "python": shape.python,
     }
 
 
@@ -257,7 +284,7 @@ def _next(verdict: str, found: Found, folder: str) -> str:
         name = found.adopted[0].effect
         return f"imubayes add {name} --to {folder} --out {folder}-{name}"
     if verdict == "unexplained_structure":
-        return f"imubayes diagnose {folder} --shape"
+        return f"imubayes diagnose {folder} --python > found_shape.py    then list it in the model's 'files'"
     return f"imubayes plant CAMPAIGN --result {folder}"
 
 

@@ -11,8 +11,8 @@ from imubayes.types import Scalar
 class GyroDeadZone(SignalEffect):
     """Dead zone of half width b: signal − clip(signal, −b, b).
 
-    Inside the zone nothing is read; outside, the output is short of b, as of a play that is taken up first. A gyro that
-    locks in does not do this: it misses less and less above its threshold.
+    Inside the zone nothing is read; outside, the output is short of b, as of a play that is taken up first.  A gyro
+    that locks in is another thing: it misses less and less above its threshold.
     """
 
     name = "gyro_dead_zone"

@@ -12,7 +12,7 @@ class GyroThermalLag(RecordEffect):
     """Bias linear in the lag: signal + c·(T_τ − T) with dT_τ/dt = (T − T_τ)/τ, and T_τ = T where a run begins.
 
     A sensor whose bias follows the temperature inside alone has c equal to its coefficient in `gyro_bias_temperature`.
-    Between two instants T is taken as straight, and the lag is then exact: the difference d = T − T_τ fades by e^(−Δt/τ)
+    Between two instants T is taken as straight, which makes the lag exact: the difference T − T_τ fades by e^(−Δt/τ)
     and gains ΔT·(1 − e^(−Δt/τ))·τ/Δt.
     """
 

@@ -151,8 +151,8 @@ def rank(fit: JointFit, quantities: Sequence[str]) -> dict[str, list[dict[str, A
         return {}
     campaign = replace(extended, runs=(*extended.runs, *(one.run for one in planned)))
     model = declare(fit.model.spec, campaign)
-    z = _carried(model.layout.names, fit.model.layout.names, np.asarray(fit.mode.z))
-    h = _carried(model.hyper_layout.names, fit.model.hyper_layout.names, np.asarray(fit.mode.h))
+    z = carried(model.layout.names, fit.model.layout.names, np.asarray(fit.mode.z))
+    h = carried(model.hyper_layout.names, fit.model.hyper_layout.names, np.asarray(fit.mode.h))
     about = _linearise(model.problem, jnp.asarray(z))
     gradients = _gradients(model, z, quantities)
     known_runs = len(fit.model.campaign.runs)
@@ -206,7 +206,7 @@ _slopes = eqx.filter_jit(lambda problem, z: jax.jvp(problem.priors.values, (z,),
 _precision = eqx.filter_jit(lambda problem, about, h: knowledge(problem, about, h).precision)
 
 
-def _carried(names: Sequence[str], known: Sequence[str], values: np.ndarray) -> np.ndarray:
+def carried(names: Sequence[str], known: Sequence[str], values: np.ndarray) -> np.ndarray:
     """Return values by name, 0 (the middle of the prior) for names not known."""
     lookup = dict(zip(known, values.tolist(), strict=True))
     return np.array([lookup.get(name, 0.0) for name in names])

@@ -2,6 +2,7 @@
 
 About a point the model is linear, y − f ≈ e − J δ.  With Σ(h) = D + Σ_g T_g 1 1ᵀ every product with Σ⁻¹ is a
 weighted sum less one rank-one term per run and channel, so the precision JᵀΣ⁻¹J costs one matrix product at any h.
+Where rows are correlated J and e pass the filter of their series first.
 """
 
 import equinox as eqx
@@ -44,7 +45,6 @@ def linearise(problem: Problem, z: Float[Array, " P"]) -> Linearised:
 def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Knowledge:
     """Return what the data say about θ at hyperparameters h."""
     by = whitener(problem, h)
-    weight = by.precision_root**2
     members = problem.observations.members
 
     def gathered(values):
@@ -52,8 +52,15 @@ def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Kno
         return padded[members].sum(axis=1)
 
     # (I − κ û ûᵀ)² = I − (2κ − κ²|u|²/|u|²…) û ûᵀ; with shrink = κ/|u|² the rank-one weight is 2·shrink − shrink²·|u|².
+    weight = by.direction**2
     direction = gathered(weight)
     rank_one = 2 * by.shrink - by.shrink**2 * direction
+    if by.series is not None:
+        jacobian, misfit = by.scale(about.jacobian), by.scale(about.misfit)
+        along, misfit_along = gathered(by.direction[:, None] * jacobian), gathered(by.direction * misfit)
+        precision = jacobian.T @ jacobian - along.T @ (rank_one[:, None] * along)
+        gradient = jacobian.T @ misfit - along.T @ (rank_one * misfit_along)
+        return Knowledge(precision, gradient, jnp.sum(misfit**2) - jnp.sum(rank_one * misfit_along**2))
     weighted = weight[:, None] * about.jacobian
     along, misfit_along = gathered(weighted), gathered(weight * about.misfit)
     precision = about.jacobian.T @ weighted - along.T @ (rank_one[:, None] * along)

@@ -21,8 +21,8 @@ from imubayes.errors import InputError, closest_first
 from imubayes.errors import Problem as Complaint
 from imubayes.model.declaration import Model
 from imubayes.model.derived import derive
-from imubayes.model.likelihood import Problem, predict, prior_widths, values_of
-from imubayes.noise.base import EntryNoise
+from imubayes.model.likelihood import Problem, Series, predict, prior_widths, values_of, whitener
+from imubayes.noise.base import EntryNoise, SharedNoise
 from imubayes.parameters.vector import Layout, Parameter
 from imubayes.run import Campaign
 from imubayes.types import Array, Float
@@ -70,8 +70,9 @@ def simulate(model: Model, seed: int, truth: Mapping[str, float] | None = None, 
     h = _true_z(model.hyper_layout, given, np.ones(len(model.hyper_layout)), seed, where)
     widths = np.asarray(prior_widths(problem, jnp.asarray(h)))
     z = _true_z(model.layout, given, widths, seed, where)
-    clean, deviation, shared = (np.asarray(part) for part in _expected(problem, jnp.asarray(z), jnp.asarray(h)))
-    observed, offsets = _with_noise(model, clean, deviation, np.sqrt(shared), seed)
+    *parts, series = _expected(problem, jnp.asarray(z), jnp.asarray(h))
+    clean, deviation, shared = (np.asarray(part) for part in parts)
+    observed, offsets = _with_noise(model, clean, deviation, np.sqrt(shared), series, seed)
     runs = tuple(replace(run, observed=one) for run, one in zip(model.campaign.runs, observed, strict=True))
     values, hyper_values = _in_si(problem, jnp.asarray(z), jnp.asarray(h))
     derived = derive(model.assembly)
@@ -106,7 +107,7 @@ def noise_variances(problem: Problem, h: Float[Array, " H"]) -> tuple[Float[Arra
     for layer in problem.noise:
         if issubclass(layer.noise, EntryNoise):
             own = own + layer.variances(values, observations.entry)
-        else:
+        elif issubclass(layer.noise, SharedNoise):
             shared = shared + layer.variances(values, None)
     return own, shared
 
@@ -114,7 +115,7 @@ def noise_variances(problem: Problem, h: Float[Array, " H"]) -> tuple[Float[Arra
 @eqx.filter_jit
 def _expected(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
     own, shared = noise_variances(problem, h)
-    return predict(problem, z), jnp.sqrt(own), shared
+    return predict(problem, z), jnp.sqrt(own), shared, whitener(problem, h).series
 
 
 @eqx.filter_jit
@@ -159,7 +160,7 @@ def _impossible(parameter: Parameter, value: float, where: str) -> Complaint:
 
 
 def _with_noise(
-    model: Model, clean: np.ndarray, deviation: np.ndarray, common: np.ndarray, seed: int
+    model: Model, clean: np.ndarray, deviation: np.ndarray, common: np.ndarray, series: Series | None, seed: int
 ) -> tuple[list[np.ndarray], dict[tuple[str, str], float]]:
     """Return the outputs of every run, shape (R, C) each, and the offset of every run and channel."""
     entries, campaign = model.entries, model.campaign
@@ -172,11 +173,26 @@ def _with_noise(
         names = (campaign.channels[channel].name, campaign.runs[run].name)
         stream = random_stream(seed, "readings of {} in {}".format(*names))
         offset = float(common[one] * stream.standard_normal())
-        scatter = deviation[chosen] * stream.standard_normal(len(chosen))
+        scatter = deviation[chosen] * _in_series(series, chosen, stream.standard_normal(len(chosen)))
         observed[run][entries.row[chosen], channel] = clean[chosen] + offset + scatter
         if common[one] > 0:
             offsets[names] = offset
     return observed, offsets
+
+
+def _in_series(series: Series | None, chosen: np.ndarray, independent: np.ndarray) -> np.ndarray:
+    """Return unit noise of some entries of one run and channel, each remembering the one before it."""
+    if series is None:
+        return independent
+    before, correlation = np.asarray(series.before)[chosen], np.asarray(series.correlation)[chosen]
+    place = {int(entry): k for k, entry in enumerate(chosen)}
+    following = {int(entry): k for k, entry in enumerate(before)}
+    found = independent.copy()
+    k = next(k for k in range(len(chosen)) if int(before[k]) not in place)
+    while int(chosen[k]) in following:
+        earlier, k = found[k], following[int(chosen[k])]
+        found[k] = correlation[k] * earlier + math.sqrt(1 - correlation[k] ** 2) * independent[k]
+    return found
 
 
 def _in_units(layout: Layout, values) -> dict[str, float]:

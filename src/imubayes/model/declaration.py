@@ -16,11 +16,19 @@ from imubayes.errors import Problem as Complaint
 from imubayes.model.assembly import Assembly, assemble
 from imubayes.model.closure import Transitions, nominal_inverse
 from imubayes.model.forward import Convert, Emit, Layer, Project, Resolve, Spread, in_order
-from imubayes.model.instants import Entries, Nodes, join_entries, join_nodes, readout_places
+from imubayes.model.instants import (
+    Entries,
+    Nodes,
+    join_entries,
+    join_nodes,
+    nominal_rates,
+    ranks_in_time,
+    readout_places,
+)
 from imubayes.model.labels import Belonging, colours
 from imubayes.model.likelihood import NoiseLayer, Observations, Problem, Sparsity
 from imubayes.model.members import Acting, NotShownError, act
-from imubayes.model.registry import Registry
+from imubayes.model.registry import Member, Registry
 from imubayes.model.specification import EffectSpec, ModelSpec
 from imubayes.noise.base import Entry, EntryNoise, Noise
 from imubayes.parameters.vector import Layout, Priors
@@ -78,7 +86,7 @@ def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = Non
         except InputError as error:
             problems.extend(error.problems)
     problems.extend(_conflicts(acting))
-    if not any(issubclass(one.member, EntryNoise) and "closure" not in one.member.kinds for one in acting):
+    if not any(_is_everywhere(one.member) for one in acting):
         problems.append(
             Complaint(
                 "the model has no noise",
@@ -147,6 +155,11 @@ def _conflicts(acting: list[Acting]) -> list[Complaint]:
                 remedy = f"keep one of them, or give each its own 'channels' ({other.spec.where} is the other)"
                 found.append(Complaint(what, one.spec.where, "one effect for each cause and channel", remedy))
     return found
+
+
+def _is_everywhere(member: Member) -> bool:
+    """Tell whether a member gives every reading a variance of its own."""
+    return issubclass(member, EntryNoise) and "closure" not in member.kinds and not member.needs
 
 
 def problem_of(assembly: Assembly) -> Problem:
@@ -226,13 +239,19 @@ def _observations(belonging: Belonging) -> Observations:
     for entry, one in enumerate(group.tolist()):
         members[one, place[one]] = entry
         place[one] += 1
+    rank = ranks_in_time(belonging.campaign, entries)
+    padded = np.append(rank, np.iinfo(rank.dtype).max)
     return Observations(
         value=entries.value.astype(float),
         weight=np.ones(len(entries)),
-        entry=Entry(samples=entries.samples.astype(float)),
+        entry=Entry(
+            samples=entries.samples.astype(float), rate=nominal_rates(belonging.campaign, belonging.nodes, entries)
+        ),
         readout=readout_places(belonging.campaign, belonging.nodes, entries),
         group=group,
         members=members,
+        in_time=np.take_along_axis(members, np.argsort(padded[members], axis=1, kind="stable"), axis=1),
+        rank=rank,
     )
 
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.effects.base import Effect, MotionEffect, Stage
+from imubayes.effects.base import Effect, MotionEffect, Order, RecordEffect, Stage
 from imubayes.model.assembly import Assembly
 from imubayes.model.forward import Convert, Emit, Layer, Project, Resolve, Spread, in_order
 from imubayes.model.instants import KINDS
@@ -177,15 +177,19 @@ def _whole_path(assembly: Assembly, chosen: np.ndarray) -> tuple[Layer, ...]:
 
 
 def _sensor_layers(assembly: Assembly) -> tuple[Layer, ...]:
-    """Return the path from the projection on, without what belongs to single runs and without injection."""
+    """Return the path from the projection on, without what belongs to single runs and without injection.
+
+    Dead zones and limits are left out as well: a scale factor is the slope between them.
+    """
     channels = assembly.channels
     junctions = [Project(channels), Convert(channels, np.zeros(1)), Emit(channels)]
     lasting = [
         one
         for one in assembly.acting
         if issubclass(one.member, Effect)
-        and not issubclass(one.member, MotionEffect)
+        and not issubclass(one.member, MotionEffect | RecordEffect)
         and one.member.stage >= Stage.SENSOR
+        and one.member.order < Order.LIMIT
         and "injection" not in one.member.needs
         and not set(one.sharing) & {*RUN_AXES, "pose"}
     ]

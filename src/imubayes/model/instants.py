@@ -164,3 +164,26 @@ def readout_places(campaign: Campaign, nodes: Nodes, entries: Entries) -> np.nda
     channel = entries.channel[readout]
     width = np.array([counts[kind] for kind in kinds])[channel]
     return np.array([base[kind] for kind in kinds])[channel] + row * width + within[channel]
+
+
+def nominal_rates(campaign: Campaign, nodes: Nodes, entries: Entries) -> np.ndarray:
+    """Return for each entry of a gyro the size of the table's rate along its input axis, output units; 0 for others."""
+    stimulus = nodes.stimulus
+    first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
+    rate = np.zeros((first_row[-1], 3))
+    rate[first_row[nodes.run] + stimulus.row] = stimulus.mounting[:, 2, :] * stimulus.table_rate[:, None]
+    gyro = np.array([channel.kind == "gyro" for channel in campaign.channels] + [False] * 3)[entries.channel]
+    axes = np.array([channel.axes[0] * channel.scale_si for channel in campaign.channels] + [np.zeros(3)] * 3)
+    row = np.where(entries.closing, 0, first_row[entries.run] + np.where(entries.closing, 0, entries.row))
+    return np.where(gyro, np.abs(np.sum(axes[entries.channel] * rate[row], axis=1)), 0.0)
+
+
+def ranks_in_time(campaign: Campaign, entries: Entries) -> np.ndarray:
+    """Return for each entry the place of its row in the order of time of its run; without a time, that of the rows."""
+    rank = entries.row.copy()
+    for index, run in enumerate(campaign.runs):
+        if "time" in run.covariates:
+            place = np.argsort(np.argsort(run.covariates["time"], kind="stable"))
+            chosen = (entries.run == index) & ~entries.closing
+            rank[chosen] = place[entries.row[chosen]]
+    return rank

@@ -4,8 +4,9 @@ A `Problem` is one pytree: the nominal motion, the layers of the signal path, th
 priors.  Nothing here closes over a campaign, so units of equal structure are stacked and treated in one vmap.
 
 With θ in z (prior: standard normal) and hyperparameters h in z, the log density is
-−½ |r|² − ½ log det Σ(h) + const with r = [L⁻¹(y − f(θ)), (z_θ)/s(h), z_h]: Σ = D + Σ_g T_g 1 1ᵀ (see
-`imubayes.noise.base`), and s(h) is 1 except for parameters whose prior width is itself learnt.
+−½ |r|² − ½ log det Σ(h) + const with r = [L⁻¹(y − f(θ)), (z_θ)/s(h), z_h]: Σ = D^½ R D^½ + Σ_g T_g 1 1ᵀ (see
+`imubayes.noise.base`), R = I unless a member correlates, and s(h) is 1 except for parameters whose prior width is
+itself learnt.
 """
 
 import equinox as eqx
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 
 from imubayes.model.closure import Transitions, closing_rotations
 from imubayes.model.forward import Channels, Layer, start, travel
-from imubayes.noise.base import Entry, EntryNoise, Noise, SharedNoise
+from imubayes.noise.base import Entry, EntryNoise, Noise, SeriesNoise, SharedNoise
 from imubayes.parameters.vector import Priors
 from imubayes.stimulus import Instants, SignalPath
 from imubayes.types import Array, Bool, Float, Int, Scalar
@@ -29,6 +30,11 @@ class NoiseLayer(eqx.Module):
     noise: type[Noise] = eqx.field(static=True)
     places: dict[str, Array]
     acts: Float[Array, " M"]
+
+    def correlations(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
+        """Return the correlation of neighbouring rows of every run and channel."""
+        chosen = {field: h[place] for field, place in self.places.items()}
+        return self.acts * jax.vmap(lambda one: self.noise(**one).of_neighbours())(chosen)  # pyright: ignore
 
     def variances(self, h: Float[Array, " H"], entries: Entry | None) -> Float[Array, " M"]:
         """Return the variance of every entry, or of every run and channel."""
@@ -51,6 +57,8 @@ class Observations(eqx.Module):
     readout : shape (E_r,), place of each entry in the flattened outputs; closing rotations follow after these.
     group : shape (E,), group of each entry.
     members : shape (G, M), entries of each group, E where padded.
+    in_time : shape (G, M), the same in the order of time.
+    rank : shape (E,), the place of an entry's row in the order of time of its run.
     """
 
     value: Float[Array, " E"]
@@ -59,6 +67,8 @@ class Observations(eqx.Module):
     readout: Int[Array, " Er"]
     group: Int[Array, " E"]
     members: Int[Array, "G M"]
+    in_time: Int[Array, "G M"]
+    rank: Int[Array, " E"]
 
 
 class Sparsity(eqx.Module):
@@ -150,6 +160,39 @@ def row_means(problem: Problem, signal: Float[Array, "N C"]) -> Float[Array, "R 
     return jnp.concatenate(means)
 
 
+class Series(eqx.Module):
+    """The root A of R⁻¹, R = AR(1) along each group: (A x)_k = (x_k − ρ_k x_(k−1))/√(1 − ρ_k²).
+
+    Attributes
+    ----------
+    before : shape (E,), the entry before in the same group that is not masked, E where there is none.
+    correlation : shape (E,), ρ with that entry, 0 where there is none.
+    """
+
+    before: Int[Array, " E"]
+    correlation: Float[Array, " E"]
+
+    def forward(self, x: Float[Array, "E *columns"]) -> Float[Array, "E *columns"]:
+        """Return A x."""
+        gain, carried = self._factors(x.ndim)
+        return gain * x - carried * jnp.concatenate([x, jnp.zeros((1, *x.shape[1:]))])[self.before]
+
+    def back(self, x: Float[Array, " E"]) -> Float[Array, " E"]:
+        """Return Aᵀ x."""
+        gain, carried = self._factors(1)
+        return gain * x - jnp.zeros(len(x) + 1).at[self.before].add(carried * x)[:-1]
+
+    def diagonal(self) -> Float[Array, " E"]:
+        """Return the diagonal of AᵀA = R⁻¹."""
+        gain, carried = self._factors(1)
+        return gain**2 + jnp.zeros(len(gain) + 1).at[self.before].add(carried**2)[:-1]
+
+    def _factors(self, dimensions: int):
+        gain = 1 / jnp.sqrt(1 - self.correlation**2)
+        shape = (-1, *(1,) * (dimensions - 1))
+        return gain.reshape(shape), (gain * self.correlation).reshape(shape)
+
+
 class Whitener(eqx.Module):
     """Σ(h)^(−½) of the data, in closed form, and its log determinant.
 
@@ -158,11 +201,23 @@ class Whitener(eqx.Module):
     precision_root : shape (E,), D^(−½), 0 where masked.
     shrink : shape (G,), what the shared part takes off along each group's direction.
     log_determinant : log det Σ.
+    series : the correlation in time; None in a model without.
     """
 
     precision_root: Float[Array, " E"]
     shrink: Float[Array, " G"]
     log_determinant: Scalar
+    series: Series | None
+
+    @property
+    def direction(self) -> Float[Array, " E"]:
+        """What the entries of a group have in common, scaled: u = A D^(−½) 1."""
+        return self.precision_root if self.series is None else self.series.forward(self.precision_root)
+
+    def scale(self, values: Float[Array, "E *columns"]) -> Float[Array, "E *columns"]:
+        """Return A D^(−½) · values."""
+        root = self.precision_root if values.ndim == 1 else self.precision_root[:, None]
+        return root * values if self.series is None else self.series.forward(root * values)
 
 
 def _group_sum(values: Float[Array, " E"], observations: Observations) -> Float[Array, " G"]:
@@ -173,7 +228,8 @@ def _group_sum(values: Float[Array, " E"], observations: Observations) -> Float[
 def whitener(problem: Problem, h: Float[Array, " H"]) -> Whitener:
     """Return the whitener at hyperparameters h (in z).
 
-    D + T 1 1ᵀ with u = D^(−½) 1 has the symmetric root D^(−½)… (I − κ û ûᵀ), κ = 1 − 1/√(1 + T |u|²).
+    The inverse of D + T 1 1ᵀ with u = D^(−½) 1 has the root (I − κ û ûᵀ) D^(−½), κ = 1 − 1/√(1 + T |u|²); with rows
+    that are correlated u = A D^(−½) 1 and the root is (I − κ û ûᵀ) A D^(−½), AᵀA = R⁻¹.
     """
     values = problem.hyper_priors.values(h)
     observations = problem.observations
@@ -185,19 +241,48 @@ def whitener(problem: Problem, h: Float[Array, " H"]) -> Whitener:
         elif issubclass(layer.noise, SharedNoise):
             shared = shared + layer.variances(values, None)
     root = observations.weight / jnp.sqrt(diagonal)
-    direction = _group_sum(root**2, observations)
+    series = _series(problem, values)
+    along = root if series is None else series.forward(root)
+    direction = _group_sum(along**2, observations)
     gain = 1 + shared * direction
     safe = jnp.where(direction > 0, direction, 1.0)
     shrink = (1 - 1 / jnp.sqrt(gain)) / safe
     log_determinant = jnp.sum(observations.weight * jnp.log(diagonal)) + jnp.sum(jnp.log(gain))
-    return Whitener(root, shrink, log_determinant)
+    if series is not None:
+        log_determinant = log_determinant + jnp.sum(observations.weight * jnp.log1p(-(series.correlation**2)))
+    return Whitener(root, shrink, log_determinant, series)
+
+
+def _series(problem: Problem, values: Float[Array, " H"]) -> Series | None:
+    """Return each entry's correlation with the one before it that is not masked; None where nothing correlates."""
+    layers = [layer for layer in problem.noise if issubclass(layer.noise, SeriesNoise)]
+    if not layers:
+        return None
+    observations = problem.observations
+    groups, most = observations.in_time.shape
+    none = len(observations.value)
+    seen = jnp.concatenate([observations.weight > 0, jnp.zeros(1, dtype=bool)])[observations.in_time]
+    last = jax.lax.cummax(jnp.where(seen, jnp.arange(most)[None, :], -1), axis=1)
+    last = jnp.concatenate([jnp.full((groups, 1), -1), last[:, :-1]], axis=1)
+    entry = jnp.where(last < 0, none, jnp.take_along_axis(observations.in_time, jnp.maximum(last, 0), axis=1))
+    before = jnp.full(none + 1, none).at[observations.in_time].set(entry)[:-1]
+    before = jnp.where(observations.weight > 0, before, none)
+    apart = (
+        observations.rank - jnp.concatenate([observations.rank, jnp.zeros(1, dtype=observations.rank.dtype)])[before]
+    )
+    one_row = jnp.zeros(groups)
+    for layer in layers:
+        one_row = one_row + layer.correlations(values)
+    linked = before < none
+    steps = jnp.where(linked, apart, 1).astype(float)
+    return Series(before, jnp.where(linked, one_row[observations.group] ** steps, 0.0))
 
 
 def whiten(problem: Problem, by: Whitener, residual: Float[Array, " E"]) -> Float[Array, " E"]:
     """Return Σ^(−½) · residual."""
-    scaled = by.precision_root * residual
-    along = _group_sum(by.precision_root * scaled, problem.observations)
-    return scaled - by.precision_root * (by.shrink * along)[problem.observations.group]
+    scaled, direction = by.scale(residual), by.direction
+    along = _group_sum(direction * scaled, problem.observations)
+    return scaled - direction * (by.shrink * along)[problem.observations.group]
 
 
 def prior_widths(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " P"]:
@@ -266,9 +351,11 @@ def entry_log_likelihood(problem: Problem, z: Float[Array, " P"], h: Float[Array
     two_pi = jnp.log(2 * jnp.pi)
     entry = observations.weight * 0.5 * (jnp.log(safe) - pulled**2 / safe - two_pi)
     root = jnp.where(observations.weight > 0, by.precision_root, 1.0)
-    direction = _group_sum(by.precision_root**2, observations)
+    direction = _group_sum(by.direction**2, observations)
     shrunk = 1 - by.shrink * direction
     log_determinant = -2 * _group_sum(jnp.log(root), observations) - 2 * jnp.log(shrunk)
+    if by.series is not None:
+        log_determinant = log_determinant + _group_sum(jnp.log1p(-(by.series.correlation**2)), observations)
     count = _group_sum(observations.weight, observations)
     square = _group_sum(residual * pulled, observations)
     return EntryLikelihood(entry, -0.5 * (square + log_determinant + count * two_pi))
@@ -277,9 +364,16 @@ def entry_log_likelihood(problem: Problem, z: Float[Array, " P"], h: Float[Array
 def inverse_covariance(problem: Problem, by: Whitener, residual: Float[Array, " E"]):
     """Return Σ⁻¹ · residual and the diagonal of Σ⁻¹, both of shape (E,)."""
     observations = problem.observations
-    weight = by.precision_root**2
+    direction = by.direction
     # (I − κ û ûᵀ)² = I − (2 shrink − shrink² |u|²) u uᵀ, with shrink = κ/|u|²
-    rank_one = 2 * by.shrink - by.shrink**2 * _group_sum(weight, observations)
+    rank_one = 2 * by.shrink - by.shrink**2 * _group_sum(direction**2, observations)
+    if by.series is not None:
+        scaled = by.scale(residual)
+        along = _group_sum(direction * scaled, observations)
+        pulled = by.series.back(scaled - direction * (rank_one * along)[observations.group])
+        shared = rank_one[observations.group] * by.series.back(direction) ** 2
+        return by.precision_root * pulled, by.precision_root**2 * (by.series.diagonal() - shared)
+    weight = direction**2
     along = _group_sum(weight * residual, observations)
     pulled = weight * (residual - (rank_one * along)[observations.group])
     return pulled, weight * (1 - rank_one[observations.group] * weight)

@@ -63,8 +63,8 @@ def _members_of(file: Path) -> list[Member]:
             Problem(
                 what,
                 str(file),
-                "a Python file with classes derived from SignalEffect, MotionEffect, PlaceEffect, EntryNoise or "
-                "SharedNoise that have a name and parameters",
+                "a Python file with classes derived from SignalEffect, RecordEffect, MotionEffect, PlaceEffect, "
+                "EntryNoise, SharedNoise or SeriesNoise that have a name and parameters",
                 "mend the file, or take it out of the model's 'files'",
             )
         )

@@ -1,10 +1,20 @@
 """The noise: what scatters without a cause that the model names."""
 
-from imubayes.noise.base import EntryNoise, Noise, SharedNoise
+from imubayes.noise.base import EntryNoise, Noise, SeriesNoise, SharedNoise
+from imubayes.noise.correlated_noise import CorrelatedNoise
+from imubayes.noise.quantisation import Quantisation
+from imubayes.noise.rate_proportional_noise import RateProportionalNoise
 from imubayes.noise.rotation_closure import RotationClosure
 from imubayes.noise.run_scatter import RunScatter
 from imubayes.noise.white_noise import WhiteNoise
 
-NOISES: tuple[type[Noise], ...] = (WhiteNoise, RunScatter, RotationClosure)
+NOISES: tuple[type[Noise], ...] = (
+    WhiteNoise,
+    RateProportionalNoise,
+    Quantisation,
+    CorrelatedNoise,
+    RunScatter,
+    RotationClosure,
+)
 
-__all__ = ["NOISES", "EntryNoise", "Noise", "SharedNoise"]
+__all__ = ["NOISES", "EntryNoise", "Noise", "SeriesNoise", "SharedNoise"]

@@ -1,7 +1,8 @@
-"""What a noise member is: a variance, either of one entry alone or shared by a run and channel.
+"""What a noise member is: a variance, of one entry alone or shared by a run and channel, or a correlation in time.
 
-The covariance of the data is Σ = D + Σ_g T_g 1 1ᵀ: D is diagonal, the sum of the members' variances, and T_g is the
-variance of what all entries of run and channel g have in common.  The parameters of noise are hyperparameters: they
+The covariance of the data is Σ = D^½ R D^½ + Σ_g T_g 1 1ᵀ: D is diagonal, the sum of the members' variances, R is the
+correlation along the rows of each run and channel g (I where no member correlates), and T_g is the variance of what all
+entries of g have in common.  The parameters of noise are hyperparameters: they
 change the width of the posterior, not the predicted output.
 """
 
@@ -19,9 +20,11 @@ class Entry(eqx.Module):
     Attributes
     ----------
     samples : number of raw samples in the mean.
+    rate : size of the nominal table rate along a gyro's input axis in output units, 0 for all else.
     """
 
     samples: Scalars
+    rate: Scalars
 
 
 class Noise(eqx.Module):
@@ -51,3 +54,11 @@ class SharedNoise(Noise):
     @abstractmethod
     def shared_variance(self) -> Scalar:
         """Return the variance of what the entries have in common, output units squared."""
+
+
+class SeriesNoise(Noise):
+    """Correlated from row to row within one run and channel: what is independent otherwise becomes AR(1)."""
+
+    @abstractmethod
+    def of_neighbours(self) -> Scalar:
+        """Return the correlation of an entry with that of the row before, in (−1, 1)."""

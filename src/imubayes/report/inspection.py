@@ -58,10 +58,10 @@ def print_inspection(inspection: Inspection, model: Model | None) -> None:
         )  # fmt: skip
     console.print(grid)
     for note in campaign.notes:
-        console.print(f"note: {note}", highlight=False)
+        console.print(f"note: {note}", highlight=False, markup=False)
     for run in campaign.runs:
         for note in run.notes:
-            console.print(f"note: {run.name}: {note}", highlight=False)
+            console.print(f"note: {run.name}: {note}", highlight=False, markup=False)
     if model is not None:
         console.print(
             f"model '{model.spec.name}' fits this campaign: {len(model.layout)} parameters, "

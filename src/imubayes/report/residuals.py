@@ -66,7 +66,7 @@ def _at_mode(problem: Problem, mode):
 def noise_deviation(problem: Problem, by) -> jnp.ndarray:
     """Return the standard deviation of each entry's noise, what runs have in common included, shape (E,)."""
     weight = by.precision_root**2
-    direction = jnp.concatenate([weight, jnp.zeros(1)])[problem.observations.members].sum(axis=1)
+    direction = jnp.concatenate([by.direction**2, jnp.zeros(1)])[problem.observations.members].sum(axis=1)
     # shrink = (1 − 1/√(1 + T|u|²))/|u|² solved for T
     safe = jnp.where(direction > 0, direction, 1.0)
     shared = ((1 - by.shrink * direction) ** -2 - 1) / safe

@@ -1,0 +1,138 @@
+"""How plainly a hidden effect shows in a plan: S, the noncentrality that is left after the baseline has done its best.
+
+With d the shift of all readings by the effect, Σ the true covariance of the noise (run offsets included), J the
+derivative of the readings by the baseline's parameters and P their prior covariance,
+
+    S = min over δ of |L⁻¹(d − Jδ)|² + δᵀP⁻¹δ,    Σ = L Lᵀ.
+
+Everything comes from the simulator by finite differences: no line here is shared with what is to be tested.
+"""
+
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+
+import truth
+from plan import Moments, Plan, rate_noise
+from sensor import Values
+
+STEP = 0.05
+"""Finite step in units of the prior's standard deviation."""
+
+
+def baseline_widths(plan: Plan) -> dict[str, float]:
+    """One sigma of the prior of every parameter of the plan's model that moves the readings."""
+    widths = dict(plan.equipment)
+    for name, prior in truth.priors(plan.effects, plan.channels).items():
+        if not name.startswith(("white_noise", "run_scatter")):
+            widths[name] = truth.width(prior, truth.UNITS[name.split("[")[0]])
+    return widths
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A plan with true values, seen through its noise and past what its baseline absorbs.
+
+    Attributes
+    ----------
+    moments, values : the plan and the truth without the hidden effect.
+    exact : noise-free readings (rows, channels).
+    basis : orthonormal columns of everything that the baseline absorbs: whitened readings, then prior rows.
+    """
+
+    moments: Moments
+    values: Values
+    exact: np.ndarray
+    whiteners: tuple[tuple[np.ndarray, ...], ...]
+    basis: np.ndarray
+
+    def shift(self, effect: Values) -> np.ndarray:
+        """Whitened shift of all readings by an effect, without any projection."""
+        moved = self.moments.means(self.moments.outputs({**self.values, **effect}))
+        return self._whiten(moved - self.exact)
+
+    def _whiten(self, readings: np.ndarray) -> np.ndarray:
+        return whitened(self.moments, self.whiteners, readings)
+
+    def left(self, shift: np.ndarray, also: np.ndarray | None = None) -> np.ndarray:
+        """What is left of whitened shifts (readings, …) when the baseline, and `also`, have taken their part.
+
+        `also` : further whitened shifts (readings, k) of free size.
+        """
+        extended = np.concatenate([shift, np.zeros((len(self.basis) - len(shift), *shift.shape[1:]))])
+        rest = extended - self.basis @ (self.basis.T @ extended)
+        if also is not None and also.size:
+            columns = self.left(also)
+            scale = np.linalg.norm(columns, axis=0)
+            columns = columns[:, scale > 1e-6 * np.linalg.norm(also, axis=0)]
+            if columns.size:
+                left, size, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
+                left = left[:, size > 1e-6]
+                rest = rest - left @ (left.T @ rest)
+        return rest
+
+    def detectability(self, effect: Values, also: np.ndarray | None = None) -> float:
+        """S of an effect."""
+        return float(np.sum(self.left(self.shift(effect), also) ** 2))
+
+
+def whitened(moments: Moments, whiteners, readings: np.ndarray) -> np.ndarray:
+    """Readings (rows, channels) times L⁻¹, flattened."""
+    white = np.empty_like(readings)
+    for run, of_channel in enumerate(whiteners):
+        at = moments.run_of_row == run
+        for column, whitener in enumerate(of_channel):
+            white[at, column] = whitener @ readings[at, column]
+    return white.reshape(-1)
+
+
+def covariance_whiteners(plan: Plan, values: Values) -> tuple[tuple[np.ndarray, ...], ...]:
+    """L⁻¹ of every run and channel: white noise, run offsets, what grows with the rate, autoregression."""
+    whiteners = []
+    for run in plan.runs:
+        samples = np.array([row.samples for row in run.rows])
+        apart = np.abs(np.subtract.outer(np.arange(len(samples)), np.arange(len(samples))))
+        of_channel = []
+        for channel in plan.channels:
+            own = values[f"white_noise.sigma[{channel.name}]"] ** 2 / samples
+            own = own + rate_noise(plan, run, channel, values) ** 2
+            covariance = np.diag(own) + values[f"run_scatter.tau[{channel.name}]"] ** 2
+            if slow := values.get(f"correlated_noise.sigma[{channel.name}]", 0.0):
+                covariance += slow**2 * values[f"correlated_noise.correlation[{channel.name}]"] ** apart
+            of_channel.append(np.linalg.inv(np.linalg.cholesky(covariance)))
+        whiteners.append(tuple(of_channel))
+    return tuple(whiteners)
+
+
+def _together(names: list[str], channels: set[str]) -> list[list[str]]:
+    """Names that can be changed at once because each moves its own channel alone."""
+    groups = defaultdict(list)
+    for name in names:
+        parameter, label = name.rstrip("]").split("[")
+        groups[parameter if label in channels else name].append(name)
+    return list(groups.values())
+
+
+def look(plan: Plan, values: Values) -> Sight:
+    """Set up S for a plan and the truth of its baseline."""
+    moments, whiteners = Moments(plan), covariance_whiteners(plan, values)
+    exact = moments.means(moments.outputs(values))
+    widths = baseline_widths(plan)
+    column = {channel.name: index for index, channel in enumerate(plan.channels)}
+    columns, names = [], []
+    for together in _together(list(widths), set(column)):
+        moved = {name: values.get(name, 0.0) + STEP * widths[name] for name in together}
+        change = (moments.means(moments.outputs({**values, **moved})) - exact) / STEP
+        for name in together:
+            own = change
+            label = name.rstrip("]").split("[")[1]
+            if label in column:
+                own = np.zeros_like(change)
+                own[:, column[label]] = change[:, column[label]]
+            columns.append(whitened(moments, whiteners, own))
+            names.append(name)
+    # In units of its prior width every parameter adds a prior row of one.
+    absorbed = np.concatenate([np.array(columns).T, np.eye(len(names))])
+    basis, _ = np.linalg.qr(absorbed)
+    return Sight(moments, values, exact, whiteners, basis)

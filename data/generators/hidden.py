@@ -1,0 +1,467 @@
+"""Campaigns with an effect that the model lacks, drawn at random: which one, where, how large, in which plan.
+
+The size is set by how plainly the effect shows: S, see `detectability`.  Effects that a plan cannot show at any
+sensible size are passed over, and listed.
+"""
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+import truth
+from detectability import Sight, look
+from plan import Plan
+from random_plans import TEMPLATES, random_plan
+from sensor import Values
+from simulate import write_simulated
+
+PLAIN, FULL = "hidden-effects", "hidden-effects-thermal"
+SMALLEST, LARGEST, LEAST_OF_TWO = 36.0, 2000.0, 80.0
+MOST = 30.0
+"""Largest size that counts as sensible, in units of the typical one."""
+LEAST_SHOWN = 0.003
+"""Smallest share of an effect's own square that may be left past the baseline."""
+
+Draw = Callable[[np.random.Generator], float]
+
+
+def between(low: float, high: float) -> Draw:
+    """Log-uniform."""
+    return lambda generator: float(np.exp(generator.uniform(np.log(low), np.log(high))))
+
+
+def one_of(*values: float) -> Draw:
+    return lambda generator: float(generator.choice(values))
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What an effect may act on, and how large it typically is.
+
+    Attributes
+    ----------
+    on : gyro, accelerometer, any (channels), or head (the dividing head).
+    sizes : coefficient → typical size in its unit; half widths are positive.
+    shapes : parameters of shape → how they are drawn.
+    templates : the plans that can show it; empty for all.
+    """
+
+    on: str
+    sizes: dict[str, float]
+    shapes: dict[str, Draw] = field(default_factory=dict)
+    templates: tuple[str, ...] = ()
+
+
+_THERMAL = ("cycle", "gyros")
+_WARM = ("cycle", "gyros", "temperatures", "head")
+_CONVERTER = ("converter",)
+_TAU = between(4.0, 40.0)
+_PHASE: Draw = lambda generator: float(generator.uniform(0, 360))  # noqa: E731
+
+CATALOGUE: dict[str, Kind] = {
+    "gyro_scale_asymmetry": Kind("gyro", {"asymmetry": 100.0}),
+    "gyro_scale_quadratic": Kind("gyro", {"quadratic": 0.5}),
+    "gyro_scale_cubic": Kind("gyro", {"cubic": 0.003}),
+    "gyro_g_sensitivity": Kind("gyro", {"d_i": 5.0, "d_o": 5.0, "d_s": 5.0}),
+    "gyro_g2_sensitivity": Kind("gyro", {f"d_{pair}": 5.0 for pair in ("ii", "oo", "ss", "io", "os", "si")}),
+    "gyro_scale_g_dependence": Kind("gyro", {"dependence": 50.0}),
+    "gyro_bias_temperature": Kind("gyro", {"slope": 0.2}, templates=_WARM),
+    "gyro_bias_temperature_quadratic": Kind("gyro", {"curvature": 0.01}, templates=_WARM),
+    "gyro_bias_temperature_rate": Kind("gyro", {"slope": 10.0}, templates=_THERMAL),
+    "gyro_thermal_lag": Kind("gyro", {"coefficient": 1.0}, {"tau": _TAU}, _THERMAL),
+    "gyro_warm_up": Kind("gyro", {"amplitude": 10.0}, {"tau": _TAU}, _THERMAL),
+    "gyro_scale_temperature": Kind("gyro", {"slope": 10.0}, templates=("temperatures", "gyros")),
+    "gyro_scale_temperature_quadratic": Kind("gyro", {"curvature": 0.5}, templates=("temperatures", "gyros")),
+    "gyro_bias_drift": Kind("gyro", {"slope": 1.0}),
+    "gyro_dead_zone": Kind("gyro", {"half_width": 5.0}),
+    "accel_quadratic": Kind("accelerometer", {"quadratic": 20.0}),
+    "accel_cubic": Kind("accelerometer", {"cubic": 20.0}),
+    "accel_odd_quadratic": Kind("accelerometer", {"odd_quadratic": 20.0}),
+    "accel_cross_coupling": Kind("accelerometer", {"k_ip": 20.0, "k_io": 20.0}),
+    "accel_cross_axis_quadratic": Kind("accelerometer", {"k_oo": 20.0, "k_pp": 20.0}),
+    "accel_scale_asymmetry": Kind("accelerometer", {"asymmetry": 50.0}),
+    "accel_bias_temperature": Kind("accelerometer", {"slope": 20.0}, templates=_WARM),
+    "accel_bias_temperature_quadratic": Kind("accelerometer", {"curvature": 0.5}, templates=_WARM),
+    "accel_bias_temperature_rate": Kind("accelerometer", {"slope": 100.0}, templates=_THERMAL),
+    "accel_thermal_lag": Kind("accelerometer", {"coefficient": 30.0}, {"tau": _TAU}, _THERMAL),
+    "accel_warm_up": Kind("accelerometer", {"amplitude": 200.0}, {"tau": _TAU}, _THERMAL),
+    "accel_scale_temperature": Kind("accelerometer", {"slope": 20.0}, templates=_WARM),
+    "accel_scale_temperature_quadratic": Kind("accelerometer", {"curvature": 0.5}, templates=_WARM),
+    "accel_bias_drift": Kind("accelerometer", {"slope": 10.0}),
+    "accel_dead_zone": Kind("accelerometer", {"half_width": 20.0}),
+    "converter_gain_drift": Kind("accelerometer", {"slope": 10.0}, templates=_CONVERTER),
+    "converter_gain_drift_quadratic": Kind("accelerometer", {"curvature": 0.5}, templates=_CONVERTER),
+    "converter_offset_drift": Kind("accelerometer", {"slope": 0.5}, templates=_CONVERTER),
+    "converter_offset_drift_quadratic": Kind("accelerometer", {"curvature": 0.02}, templates=_CONVERTER),
+    "converter_nonlinearity": Kind("accelerometer", {"quadratic": 5e-4, "cubic": 2.5e-9}, templates=_CONVERTER),
+    "converter_leakage": Kind("accelerometer", {"leakage": 1.0}, {"doubling": between(7.0, 14.0)}, _CONVERTER),
+    "converter_dead_zone": Kind("accelerometer", {"half_width": 1.0}, templates=_CONVERTER),
+    "lever_arm": Kind("accelerometer", {"x": 10.0, "y": 10.0, "z": 10.0}),
+    "encoder_harmonic": Kind("head", {f"{part}_{n}": 3.0 for n in (1, 2) for part in ("sin", "cos")}),
+    "table_wobble": Kind(
+        "head", {f"{axis}_{part}_{n}": 3.0 for n in (1, 2) for axis in "xy" for part in ("cos", "sin")}
+    ),
+    "table_axis_tilt": Kind("head", {"x": 60.0, "y": 60.0}),
+}
+OUTSIDE: dict[str, Kind] = {
+    "outside_resonance": Kind(
+        "gyro", {"amplitude": 5.0}, {"centre": between(20.0, 150.0), "width": between(5.0, 20.0)}
+    ),
+    "outside_root_rate": Kind("gyro", {"amplitude": 1.0}),
+    "outside_temperature_wave": Kind(
+        "any", {"amplitude": 20.0}, {"period": between(8.0, 20.0), "phase": _PHASE}, _THERMAL
+    ),
+    "outside_angle_harmonic": Kind(
+        "any", {"amplitude": 20.0}, {"order": one_of(3, 5), "phase": _PHASE}, ("head", "table", "cycle")
+    ),
+    "outside_step": Kind(
+        "any", {"amplitude": 20.0}, {"progress": lambda generator: float(generator.uniform(0.3, 0.7))}
+    ),
+    "outside_threshold": Kind(
+        "accelerometer", {"amplitude": 50.0}, {"width": between(0.1, 0.4)}, ("head", "table", "cycle")
+    ),
+}
+ALL = CATALOGUE | OUTSIDE
+
+
+@dataclass(frozen=True)
+class Planted:
+    """One hidden effect.
+
+    Attributes
+    ----------
+    channels : where it acts; empty for an effect of a table.
+    parameters : true values by full name.
+    s : S past the baseline; `s_alone` past the baseline and whatever could be taken for it.
+    within : S where the offsets of all runs are free.
+    shown : S over the effect's own square.
+    """
+
+    effect: str
+    channels: tuple[str, ...]
+    parameters: dict[str, float]
+    s: float
+    s_alone: float
+    within: float
+    shown: float
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What was drawn: folder, model file beside it, what is hidden, and what this plan could not show."""
+
+    folder: Path
+    model: Path
+    kind: str
+    template: str
+    seed: int
+    readings: int
+    planted: tuple[Planted, ...]
+    passed_over: tuple[str, ...]
+
+
+class CannotShowError(Exception):
+    """The plan cannot show the effect at a sensible size."""
+
+
+def without(model: str, effects: Iterable[str]) -> str:
+    """Text of a shipped model file without some of its effects."""
+    blocks = re.split(r"(?m)^(?=\[\[effect\]\])", (truth.MODELS / f"{model}.toml").read_text(encoding="utf-8"))
+    gone = {f'name = "{name}"' for name in effects}
+    return "".join(
+        block for block in blocks if not any(line.split("#")[0].strip() in gone for line in block.splitlines())
+    )
+
+
+def belonging_to_others(model: str, kinds: set[str]) -> list[str]:
+    """Effects of a shipped model that act on kinds of channel that a unit has none of."""
+    prefixes = {"gyro": ("gyro_",), "accelerometer": ("accel_", "lever_arm", "injection_error", "converter_")}
+    gone = tuple(prefix for kind, own in prefixes.items() if kind not in kinds for prefix in own)
+    return [effect["name"] for effect in truth.effects_of(model) if gone and effect["name"].startswith(gone)]
+
+
+def places(plan: Plan, on: str, generator: np.random.Generator) -> tuple[str, ...]:
+    """Draw where an effect acts: one channel or all of a kind, or a table."""
+    if on == "head":
+        return tuple(table.name for table in plan.tables if table.name == "head")
+    kinds = {channel.kind for channel in plan.channels}
+    kind = str(generator.choice(sorted(kinds))) if on == "any" else on
+    names = [channel.name for channel in plan.channels if channel.kind == kind]
+    if names and generator.random() < 0.5:
+        return (str(generator.choice(names)),)
+    return tuple(names)
+
+
+def unit_effect(plan: Plan, effect: str, where: tuple[str, ...], generator: np.random.Generator) -> dict[str, float]:
+    """Draw directions and shapes of an effect at about its typical size."""
+    kind, values = ALL[effect], {}
+    shapes = {name: drawn(generator) for name, drawn in kind.shapes.items()}
+    if effect == "outside_step":
+        long = [index for index, run in enumerate(plan.runs) if len(run.rows) >= 12]
+        shapes["run"] = float(generator.choice(long))
+    sign = generator.choice([-1.0, 1.0])
+    for label in where:
+        for name, size in kind.sizes.items():
+            direction = sign * generator.uniform(0.7, 1.3) if len(kind.sizes) == 1 else generator.standard_normal()
+            values[f"{effect}.{name}[{label}]"] = size * (abs(direction) if name == "half_width" else direction)
+        values |= {f"{effect}.{name}[{label}]": shape for name, shape in shapes.items()}
+    return values
+
+
+def scaled(effect: Values, factor: float) -> dict[str, float]:
+    """The coefficients of an effect times `factor`, its shapes as they are."""
+    shapes = {f"{name}.{shape}" for name, kind in ALL.items() for shape in (*kind.shapes, "run")}
+    return {name: value if name.split("[")[0] in shapes else factor * value for name, value in effect.items()}
+
+
+def sized(sight: Sight, effect: Values, aim: float, also: np.ndarray | None = None) -> tuple[dict[str, float], float]:
+    """Scale an effect until S past the baseline and `also` is `aim`; return it and S."""
+    factor = 1.0
+    for _ in range(12):
+        found = sight.detectability(scaled(effect, factor), also)
+        if found <= 0:
+            raise CannotShowError
+        if abs(found / aim - 1) < 0.01:
+            break
+        factor *= np.sqrt(aim / found)
+        if not factor < MOST:
+            raise CannotShowError
+    here = scaled(effect, factor)
+    reached = sight.detectability(here, also)
+    if abs(reached / aim - 1) > 0.1 or sight.detectability(here) / np.sum(sight.shift(here) ** 2) < LEAST_SHOWN:
+        raise CannotShowError
+    return here, reached
+
+
+def tangents(sight: Sight, effect: str, where: tuple[str, ...]) -> np.ndarray:
+    """Whitened shifts (readings, k) by each coefficient of an effect at each place, over a few shapes."""
+    kind, columns = ALL[effect], []
+    generators = [np.random.default_rng(index) for index in range(4 if kind.shapes else 1)]
+    for generator in generators:
+        shapes = {name: drawn(generator) for name, drawn in kind.shapes.items()}
+        for label in where:
+            for name, size in kind.sizes.items():
+                one = {f"{effect}.{name}[{label}]": size} | {
+                    f"{effect}.{shape}[{label}]": value for shape, value in shapes.items()
+                }
+                columns.append(sight.shift(one))
+    return np.array(columns).T
+
+
+def rivals(sight: Sight, where: tuple[str, ...], apart_from: Iterable[str] = ()) -> dict[str, np.ndarray]:
+    """Tangents of every effect of the catalogue that could be taken for one at these channels."""
+    plan = sight.moments.plan
+    kinds = {channel.kind for channel in plan.channels if channel.name in where}
+    heads = tuple(table.name for table in plan.tables if table.name == "head")
+    found = {}
+    for name, kind in CATALOGUE.items():
+        if name in apart_from or not plan.shows(name):
+            continue
+        at = heads if kind.on == "head" else where if kind.on in kinds else ()
+        if at:
+            found[name] = tangents(sight, name, at)
+    return found
+
+
+def with_free_offsets(sight: Sight) -> Sight:
+    """The same plan where the offsets of the runs may be anything."""
+    plan = sight.moments.plan
+    values = dict(sight.values) | {f"run_scatter.tau[{channel.name}]": 100 * channel.noise for channel in plan.channels}
+    return look(plan, values)
+
+
+def planted(sight: Sight, effect: str, where: tuple[str, ...], values: Values, also: np.ndarray | None) -> Planted:
+    shift = sight.shift(values)
+    s = float(np.sum(sight.left(shift) ** 2))
+    return Planted(
+        effect=effect,
+        channels=() if ALL[effect].on == "head" else where,
+        parameters=dict(values),
+        s=s,
+        s_alone=sight.detectability(values, also),
+        within=with_free_offsets(sight).detectability(values),
+        shown=s / float(np.sum(shift**2)),
+    )
+
+
+def row_sd(plan: Plan, values: Values, channel: str) -> float:
+    """Typical standard deviation of a row's mean."""
+    samples = np.median([row.samples for run in plan.runs for row in run.rows])
+    return values[f"white_noise.sigma[{channel}]"] / np.sqrt(samples)
+
+
+def noise_of(kind: str, plan: Plan, values: Values, generator: np.random.Generator) -> dict[str, float]:
+    """The noise that a kind of campaign asks for, in place of what was drawn from the priors."""
+    changed = {}
+    for channel in plan.channels:
+        sd = row_sd(plan, values, channel.name)
+        tau, slow = f"run_scatter.tau[{channel.name}]", f"correlated_noise.sigma[{channel.name}]"
+        if kind == "null-white":
+            changed[tau] = 0.02 * sd
+        if kind == "null-runs":
+            changed[tau] = generator.uniform(0.5, 3.0) * sd
+        if kind == "null-ar1":
+            changed[tau] = 0.02 * sd
+            changed[slow] = generator.uniform(0.7, 1.5) * sd
+            changed[f"correlated_noise.correlation[{channel.name}]"] = generator.uniform(0.3, 0.8)
+    return changed
+
+
+def _one_catalogued(sight: Sight, effect: str, generator: np.random.Generator, aim: float) -> tuple[Planted, ...]:
+    where = places(sight.moments.plan, CATALOGUE[effect].on, generator)
+    if not where:
+        raise CannotShowError
+    values, _ = sized(sight, unit_effect(sight.moments.plan, effect, where, generator), aim)
+    return (planted(sight, effect, where, values, None),)
+
+
+def _one_outside(sight: Sight, effect: str, generator: np.random.Generator, aim: float) -> tuple[Planted, ...]:
+    """S counts past the baseline and whichever single effect of the catalogue comes closest."""
+    plan = sight.moments.plan
+    where = places(plan, OUTSIDE[effect].on, generator)
+    if not where:
+        raise CannotShowError
+    unit = unit_effect(plan, effect, where, generator)
+    shift = sight.shift(unit)
+    closest = min(rivals(sight, where).values(), key=lambda columns: float(np.sum(sight.left(shift, columns) ** 2)))
+    values, _ = sized(sight, unit, aim, closest)
+    return (planted(sight, effect, where, values, closest),)
+
+
+def _two(sight: Sight, effects: tuple[str, ...], generator: np.random.Generator, aims: list[float]) -> tuple:
+    """Each is sized past the baseline and the other, and must not be mostly hidden behind it."""
+    plan = sight.moments.plan
+    where = [places(plan, CATALOGUE[effect].on, generator) for effect in effects]
+    if not all(where):
+        raise CannotShowError
+    units = [unit_effect(plan, effect, at, generator) for effect, at in zip(effects, where, strict=True)]
+    others = [tangents(sight, effect, at) for effect, at in zip(effects, where, strict=True)][::-1]
+    found = []
+    for effect, at, unit, other, aim in zip(effects, where, units, others, aims, strict=True):
+        values, _ = sized(sight, unit, aim, other)
+        one = planted(sight, effect, at, values, other)
+        if one.s_alone < 0.3 * one.s:
+            raise CannotShowError
+        found.append(one)
+    return tuple(found)
+
+
+def _in_offsets(sight: Sight, effect: str, generator: np.random.Generator, aim: float) -> tuple[Planted, ...]:
+    """Sized as if there were no run offsets; what is left of it with them must be below notice."""
+    plan = sight.moments.plan
+    where = places(plan, CATALOGUE[effect].on, generator)
+    still = {f"run_scatter.tau[{channel.name}]": 1e-3 * channel.noise for channel in plan.channels}
+    values, _ = sized(look(plan, {**sight.values, **still}), unit_effect(plan, effect, where, generator), aim)
+    one = planted(sight, effect, where, values, None)
+    if one.s > 1.0:
+        raise CannotShowError
+    return (one,)
+
+
+def applicable(template: str, among: dict[str, Kind]) -> list[str]:
+    return [name for name, kind in among.items() if not kind.templates or template in kind.templates]
+
+
+def _constant_temperature(plan: Plan) -> Plan:
+    """The same plan with one exact temperature in each run."""
+    runs = tuple(
+        replace(run, rows=[replace(row, temperature=run.rows[0].temperature) for row in run.rows]) for run in plan.runs
+    )
+    return replace(plan, runs=runs)
+
+
+KINDS = ("hidden", "null-white", "null-ar1", "null-runs", "outside", "offsets", "two")
+
+
+def random_campaign(
+    folder: str | Path, seed: int, kind: str = "hidden", template: str | None = None, effect: str | None = None
+) -> Campaign:
+    """Draw a campaign and write it into `folder`, with `model.toml`, the model that lacks what is hidden.
+
+    Parameters
+    ----------
+    seed : of everything.
+    kind : one of `KINDS`.
+    template, effect : instead of drawn ones.
+    """
+    folder = Path(folder)
+    generator = np.random.default_rng([seed, KINDS.index(kind)])
+    passed_over: list[str] = []
+    for attempt in range(60):
+        chosen = template or str(generator.choice(list(TEMPLATES)))
+        if kind == "offsets":
+            chosen = "temperatures"
+        names = _effects(kind, chosen, effect, generator)
+        if names is None:
+            continue
+        base = PLAIN if kind == "offsets" or generator.random() < 0.5 else FULL
+        if any(f'"{name}"' in (truth.MODELS / f"{FULL}.toml").read_text(encoding="utf-8") for name in names):
+            base = PLAIN
+        plan = replace(random_plan(chosen, generator), model=folder / "model.toml")
+        kinds = {channel.kind for channel in plan.channels}
+        folder.mkdir(parents=True, exist_ok=True)
+        model = folder / "model.toml"
+        model.write_text(without(base, [*names, *belonging_to_others(base, kinds)]), encoding="utf-8")
+        values = plan.draw(int(generator.integers(2**31)))
+        if kind == "offsets":
+            plan = _constant_temperature(plan)
+            values |= {
+                f"run_scatter.tau[{channel.name}]": 30 * row_sd(plan, values, channel.name) for channel in plan.channels
+            }
+        values |= noise_of(kind, plan, values, generator)
+        try:
+            found = _plant(kind, plan, values, names, generator)
+        except CannotShowError:
+            passed_over.append(f"{chosen}: {', '.join(names)}")
+            continue
+        return _written(folder, model, kind, chosen, seed, plan, values, found, passed_over, attempt)
+    raise CannotShowError(f"nothing that could be shown in 60 plans: {passed_over}")
+
+
+def _effects(kind: str, template: str, effect: str | None, generator: np.random.Generator) -> tuple[str, ...] | None:
+    if kind.startswith("null"):
+        return ()
+    if kind == "offsets":
+        return (str(generator.choice(["gyro_bias_temperature", "accel_bias_temperature"])),)
+    names = applicable(template, OUTSIDE if kind == "outside" else CATALOGUE)
+    if kind == "two":
+        first, second = generator.choice(names, 2, replace=False)
+        return str(first), str(second)
+    if effect is not None:
+        return (effect,) if effect in names else None
+    return (str(generator.choice(names)),)
+
+
+def _plant(kind: str, plan: Plan, values: Values, names: tuple[str, ...], generator) -> tuple[Planted, ...]:
+    if not names:
+        return ()
+    sight = look(plan, values)
+    least = LEAST_OF_TWO if kind == "two" else SMALLEST
+    aims = [between(least, LARGEST)(generator) for _ in names]
+    if kind == "outside":
+        return _one_outside(sight, names[0], generator, aims[0])
+    if kind == "two":
+        return _two(sight, names, generator, aims)
+    if kind == "offsets":
+        return _in_offsets(sight, names[0], generator, aims[0])
+    return _one_catalogued(sight, names[0], generator, aims[0])
+
+
+def _written(folder, model, kind, template, seed, plan, values, found, passed_over, attempt) -> Campaign:
+    whole = dict(values)
+    for one in found:
+        whole |= one.parameters
+    hidden = {
+        "kind": kind,
+        "template": template,
+        "seed": seed,
+        "attempt": attempt,
+        "effect": [asdict(one) | {"channels": list(one.channels)} for one in found],
+        "passed_over": passed_over,
+    }
+    write_simulated(folder, plan, seed, values=whole, hidden=hidden)
+    readings = len(plan.channels) * sum(len(run.rows) for run in plan.runs)
+    return Campaign(folder, model, kind, template, seed, readings, found, tuple(passed_over))

@@ -1,0 +1,123 @@
+"""Effects with a memory, and rates of temperature, against loops of plain NumPy."""
+
+from dataclasses import replace
+from functools import cache
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from imubayes.model.declaration import Model, declare
+from imubayes.model.likelihood import predict
+from imubayes.procedures.base import rate_of_change
+from small_campaign import DEGREE, GYRO_SCALE, spec, tumble_campaign, wide_campaign
+
+HOUR_DEGREE = DEGREE / 3600
+
+
+@cache
+def model(name: str) -> Model:
+    return declare(spec(name), wide_campaign())
+
+
+def change(name: str, run: str, channel: str, one: Model | None = None, **values: float) -> np.ndarray:
+    """Return what an effect adds to a gyro in each row of a run, deg/h."""
+    one = one or model(name)
+    still = np.array([p.prior.value(jnp.asarray(0.0)) / p.factor for p in one.layout.parameters])
+    moved = still.copy()
+    for place, parameter in enumerate(one.layout.parameters):
+        if parameter.label == (channel,):
+            moved[place] = values[parameter.field]
+    there, here = (predict(one.problem, jnp.asarray(one.layout.z_of(one_of))) for one_of in (moved, still))
+    names, channels = [r.name for r in one.campaign.runs], [c.name for c in one.campaign.channels]
+    chosen = (one.entries.run == names.index(run)) & (one.entries.channel == channels.index(channel))
+    return np.asarray(there - here)[chosen] / GYRO_SCALE / HOUR_DEGREE
+
+
+def covariate(run: str, name: str) -> np.ndarray:
+    return next(one for one in wide_campaign().runs if one.name == run).covariates[name]
+
+
+def lagged(time: np.ndarray, temperature: np.ndarray, tau: float) -> np.ndarray:
+    """Return the temperature behind a first-order lag, by many small steps between the instants."""
+    inside, found = temperature[0], [temperature[0]]
+    steps = 20000
+    for k in range(1, len(time)):
+        width = (time[k] - time[k - 1]) / steps
+        for outside in temperature[k - 1] + (np.arange(steps) + 0.5) / steps * (temperature[k] - temperature[k - 1]):
+            inside += width / tau * (outside - inside)
+        found.append(inside)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("run", ["cycle-fast", "cycle-slow"])
+def test_a_thermal_lag_is_the_solution_of_its_equation(run):
+    time, temperature = covariate(run, "time"), covariate(run, "temperature")
+    found = change("gyro_thermal_lag", run, "gy", coefficient=3.0, tau=12.0)
+    np.testing.assert_allclose(found, 3.0 * (lagged(time, temperature, 720.0) - temperature), atol=2e-3)
+
+
+@pytest.mark.parametrize("run", ["cycle-fast", "cycle-up"])
+def test_hysteresis_is_dragged_between_two_stops(run):
+    temperature, play = covariate(run, "temperature"), 4.0
+    middle, expected = temperature[0], []
+    for now in temperature:
+        middle = min(max(middle, now - play), now + play)
+        expected.append((now - middle) / play)
+    found = change("gyro_thermal_hysteresis", run, "gx", half_width=2.0, play=play)
+    np.testing.assert_allclose(found, 2.0 * np.array(expected), atol=1e-9)
+    assert max(found) == pytest.approx(2.0)
+    assert min(found) == pytest.approx(-2.0)
+
+
+def test_memory_does_not_hang_on_the_order_of_rows():
+    among = wide_campaign()
+    place = [run.name for run in among.runs].index("cycle-fast")
+    run, mixed = among.runs[place], np.random.default_rng(1).permutation(16)
+    other = replace(run, covariates={name: values[mixed] for name, values in run.covariates.items()})
+    shuffled = declare(spec("gyro_thermal_lag"), replace(among, runs=(*among.runs[:place], other)))
+    found = change("", "cycle-fast", "gy", shuffled, coefficient=3.0, tau=12.0)
+    plain = change("gyro_thermal_lag", "cycle-fast", "gy", coefficient=3.0, tau=12.0)
+    np.testing.assert_allclose(found, plain[mixed], atol=1e-9)
+
+
+def test_a_run_does_not_remember_the_one_before():
+    alone = declare(spec("gyro_thermal_lag"), wide_campaign().only("cycle-slow"))
+    found = change("", "cycle-slow", "gy", alone, coefficient=3.0, tau=12.0)
+    np.testing.assert_allclose(
+        found, change("gyro_thermal_lag", "cycle-slow", "gy", coefficient=3.0, tau=12.0), atol=1e-9
+    )
+
+
+def test_a_tumble_carries_the_memory_of_its_poses():
+    among = tumble_campaign()
+    (run,) = among.runs
+    warmed = replace(run, covariates=dict(run.covariates) | {"temperature": np.array([20.0, 30, 41, 38, 50])})
+    one = declare(spec("gyro_thermal_lag"), replace(among, runs=(warmed,)))
+    at = {"coefficient": 100.0, "tau": 1.0}
+    z = jnp.asarray(one.layout.z_of(np.array([at.get(p.field, 0.0) for p in one.layout.parameters])))
+    closing = np.asarray(one.entries.closing)
+    transition = one.entries.row[closing]
+    moved = np.abs(np.asarray(predict(one.problem, z) - predict(one.problem, z * 0))[closing])
+    assert moved[transition == 0].max() < 1e-12, "nothing was behind in the first pose"
+    assert all(moved[transition == k].max() > 1e-6 for k in (1, 2, 3))
+
+
+def test_a_rate_of_temperature_is_that_of_a_straight_line():
+    time = np.array([0.0, 60, 130, 190, 400, 460])
+    np.testing.assert_allclose(rate_of_change(time, 20 + 0.01 * time), 0.01, rtol=1e-12)
+    shuffled = np.array([3, 0, 5, 1, 4, 2])
+    curved = 20 + 1e-5 * time**2
+    found = rate_of_change(time, curved)
+    assert found is not None
+    np.testing.assert_array_equal(rate_of_change(time[shuffled], curved[shuffled]), found[shuffled])
+
+
+def test_a_rate_of_temperature_is_not_that_of_the_thermometers_noise():
+    time = np.arange(2000) * 10.0
+    truth = 12 * 2 * np.pi / 20000 * np.cos(2 * np.pi * time / 20000)
+    recorded = 25 + 12 * np.sin(2 * np.pi * time / 20000) + 0.1 * np.random.default_rng(3).normal(size=2000)
+    found = rate_of_change(time, np.round(recorded, 1))
+    assert np.sqrt(np.mean((found - truth) ** 2)) < 0.1 * np.sqrt(np.mean(truth**2))
+    assert rate_of_change(time, 25 + 0.05 * np.random.default_rng(3).normal(size=2000)) is None
+    assert rate_of_change(np.zeros(6), np.arange(6.0)) is None
