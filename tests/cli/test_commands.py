@@ -177,7 +177,15 @@ def test_fit_writes_the_contract(tmp_path, compile_cache):
     assert all(line | {"ess_tail"} <= set(one) for one in summary["parameters"])
     assert all({"name", "unit", "mean", "sd", "q025", "q975", "from_data"} <= set(one) for one in summary["derived"])
     assert all({"name", "channel", "n", "chi2", "rms", "unit"} <= set(one) for one in summary["runs"])
-    names = {"summary.json", "fit.json", "posterior.nc", "residuals.parquet", "model.toml", "checkpoint.h5"}
+    names = {
+        "summary.json",
+        "fit.json",
+        "history.json",
+        "posterior.nc",
+        "residuals.parquet",
+        "model.toml",
+        "checkpoint.h5",
+    }
     assert {path.name for path in out.iterdir()} == names
     by_name = {one["name"]: one for one in (*summary["parameters"], *summary["derived"])}
     truth = tomllib.loads((ROOT / "data" / "accel-channel" / "truth.toml").read_text())

@@ -117,8 +117,7 @@ def test_one_run_alone_has_no_standard_error():
     assert np.isinf(HeldOut("run", ("a",), np.array([3.0])).se)
 
 
-def test_a_noise_member_is_added_as_well(first):
-    """Run scatter that is in the data's model already is refused; on another channel's model it has a start."""
+def test_what_stands_in_the_model_is_not_added_again(first):
     with pytest.raises(InputError, match="stands twice"):
         extend(first.fit.fitted, ["white_noise"])
 

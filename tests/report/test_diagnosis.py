@@ -159,7 +159,7 @@ def test_small_pictures():
     assert drawn.png()[:4] == PNG
     assert "noise of the rows" in drawn.caption
     x = np.linspace(-2, 2, 40)
-    assert "slope 1.00" in added_variable_figure(x, x, ["a", "b"] * 20, "effect").axes[0].get_title()
+    assert "slope 1.00" in added_variable_figure(x, x, ["a", "b"] * 20, "effect").axes[0].get_title(loc="left")
 
 
 def test_planting_says_what_was_missed(capsys):
