@@ -174,17 +174,20 @@ def _coefficients(projection: Projection, columns, explained, variance) -> tuple
 
 
 def variants(response: Response, kinds: Mapping[str, str]) -> list[np.ndarray]:
-    """Return which coefficients to try together: all, those of each kind of channel, those of each owner alone.
+    """Return which coefficients to try together: those of each kind of channel, those of each owner alone.
+
+    What acts on gyros and accelerometers alike is one cause for each kind: together they would pass off two causes, one
+    in each, as one.
 
     Parameters
     ----------
     kinds : kind of each channel by name.
     """
     owners = [coefficient.owner for coefficient in response.coefficients]
-    every = np.arange(len(owners))
+    every = range(len(owners))
     alone = [[i for i in every if owners[i] == owner] for owner in dict.fromkeys(owners)]
-    of_kind = [[i for i in every if kinds.get(owners[i]) == kind] for kind in dict.fromkeys(kinds.values())]
-    chosen = dict.fromkeys(tuple(one) for one in ([*every], *of_kind, *alone) if one)
+    together = [[i for i in every if kinds.get(owners[i], "") == kind] for kind in dict.fromkeys((*kinds.values(), ""))]
+    chosen = dict.fromkeys(tuple(one) for one in (*together, *alone) if one)
     return [np.array(one) for one in chosen]
 
 

@@ -15,8 +15,11 @@ import numpy as np
 from imubayes.criticism.covariates import Covariate
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.screen import explain
+from imubayes.units import to_si
 
-_MOST_POWER, _HARMONICS, _MOST_TERMS = 5, 6, 3
+_MOST_POWER, _HARMONICS, _MOST_TERMS, _CENTRES = 5, 6, 3, 9
+# A product of two covariates has to explain so much more of χ² than the best term in one.
+_PRODUCT_PENALTY = 9.0
 _TIMES = (2.0, 5.0, 10.0, 30.0, 60.0)  # minutes
 _REFERENCE = 25.0  # °C
 _THRESHOLD, _RESAMPLES, _NEAR = 0.01, 200, 4.0
@@ -97,7 +100,7 @@ _SYMBOLS: dict[str, tuple[str, str, tuple[str, ...], str]] = {
 }
 
 
-def library(known: Sequence[Covariate], rows: np.ndarray) -> list[Term]:
+def library(known: Sequence[Covariate], rows: np.ndarray, gravity: float) -> list[Term]:
     """Return the terms that can be formed of the covariates known in some rows, shape (E,) bool."""
     terms: list[Term] = []
     bases = []
@@ -111,7 +114,7 @@ def library(known: Sequence[Covariate], rows: np.ndarray) -> list[Term]:
             symbol, expression, needs, unit = _SYMBOLS[one.name]
             values = values - _REFERENCE if symbol.startswith("ΔT") else values
             bases.append((symbol, expression, needs, unit, values))
-            terms.extend(_of_one(symbol, expression, needs, unit, values))
+            terms.extend(_of_one(symbol, expression, needs, unit, values, gravity))
     for one, other in combinations(bases, 2):
         terms.extend(_of_two(one, other))
     return [term for term in terms if np.any(term.values != 0)]
@@ -131,7 +134,9 @@ def _harmonics(angle: np.ndarray) -> list[Term]:
     ]
 
 
-def _of_one(symbol: str, expression: str, needs: tuple[str, ...], unit: str, values: np.ndarray) -> list[Term]:
+def _of_one(
+    symbol: str, expression: str, needs: tuple[str, ...], unit: str, values: np.ndarray, gravity: float
+) -> list[Term]:
     found = [
         Term(
             _power_text(symbol, power),
@@ -162,6 +167,22 @@ def _of_one(symbol: str, expression: str, needs: tuple[str, ...], unit: str, val
         (f"sgn {symbol}", "", f"jnp.sign({expression})", np.sign),
     )
     found += [Term(text, below, code, needs, _filled(f(values))) for text, below, code, f in signed]
+    return found + _bumps(symbol, expression, needs, unit, values, gravity)
+
+
+def _bumps(
+    symbol: str, expression: str, needs: tuple[str, ...], unit: str, values: np.ndarray, gravity: float
+) -> list[Term]:
+    """Return bumps, as of a resonance: 1/(1 + ((|x| − c)/w)²) at centres and widths over the covered range."""
+    size = np.abs(values)
+    low, high = float(np.nanmin(size)), float(np.nanmax(size))
+    factor = to_si(unit.strip("()"), gravity)
+    found = []
+    for centre in np.linspace(low, high, _CENTRES + 2)[1:-1].tolist():
+        for width in ((high - low) / 16, (high - low) / 8, (high - low) / 4):
+            text = f"1/(1 + ((|{symbol}| − {centre:.3g})/{width:.3g})²) with {symbol} in {unit.strip('()')}"
+            code = f"1 / (1 + ((jnp.abs({expression}) - {centre * factor:.6g}) / {width * factor:.6g}) ** 2)"
+            found.append(Term(text, "", code, needs, _filled(1 / (1 + ((size - centre) / width) ** 2))))
     return found
 
 
@@ -197,7 +218,7 @@ def find_shape(projection: Projection, known: Sequence[Covariate], channel: str)
     place = [one.name for one in model.campaign.channels].index(channel)
     constants = model.campaign.channels[place]
     rows = (model.entries.channel == place) & ~model.entries.closing
-    terms = library(known, rows)
+    terms = library(known, rows, model.campaign.site.gravity)
     if not terms:
         return None
     factor, base = _base(constants.kind, constants.scale_si, model.campaign.site.gravity)
@@ -211,7 +232,11 @@ def find_shape(projection: Projection, known: Sequence[Covariate], channel: str)
             explain(at, projected[:, None], np.linalg.norm(column, keepdims=True), _LEAST_RETAINED)
             for projected, column in zip(at.project(whitened).T, whitened.T, strict=True)
         ]
-        best = int(np.argmin([one.p if one.span.shape[1] else 1.0 for one in found]))
+        worth = [
+            one.drop - _PRODUCT_PENALTY * ("·" in term.text) if one.span.shape[1] else -np.inf
+            for term, one in zip(terms, found, strict=True)
+        ]
+        best = int(np.argmax(worth))
         p = min(1.0, found[best].p * len(terms))
         if p >= _THRESHOLD:
             break

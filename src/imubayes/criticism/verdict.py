@@ -308,7 +308,7 @@ def _asked(
     reason = "no run supplies " + ", ".join(found.responses.unobservable.get(effect, ("what it needs",)))
     if known:
         hidden = ", ".join(f"{each.share:.0%} in {each.parameter}" for each in known[0].absorbed_by[:3])
-        reason = f"of it would hide {hidden}" if hidden else "its largest usual size is below the noise"
+        reason = f"it would hide, {hidden}" if hidden else "its largest usual size is below the noise"
     sentence = f"These runs cannot show {effect}: {reason}."
     undetectable = [_resolution_line(one) for one in known] or [{"effect": effect, "absorbed_by": []}]
     return Diagnosis(
