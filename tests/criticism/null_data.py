@@ -1,0 +1,38 @@
+"""Data without any missing effect: a fitted model's own prediction with fresh noise, refitted."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.inference.fit import find_mode
+from imubayes.inference.fitted import Fitted
+from imubayes.model.likelihood import predict
+from imubayes.noise.base import EntryNoise
+
+
+def redrawn(fitted: Fitted, seed: int, correlation: float = 0.0, change: np.ndarray | None = None) -> Fitted:
+    """Return the fit of fresh data: white noise, or AR(1) from row to row, with a change of the readings on top."""
+    problem = fitted.model.problem
+    random = np.random.default_rng(seed)
+    members, group = np.asarray(problem.observations.members), np.asarray(problem.observations.group)
+    values = problem.hyper_priors.values(jnp.asarray(fitted.h))
+    variance, shared = np.zeros(len(group)), np.zeros(len(members))
+    for layer in problem.noise:
+        if issubclass(layer.noise, EntryNoise):
+            variance += np.asarray(layer.variances(values, problem.observations.entry))
+        else:
+            shared += np.asarray(layer.variances(values, None))
+    noise = random.normal(size=len(group))
+    for row in members:
+        inside = row[row < len(group)]
+        for before, after in zip(inside[:-1], inside[1:], strict=True):
+            noise[after] = correlation * noise[before] + np.sqrt(1 - correlation**2) * noise[after]
+    readings = np.asarray(predict(problem, jnp.asarray(fitted.z))) + np.sqrt(variance) * noise
+    readings = readings + (np.sqrt(shared) * random.normal(size=len(shared)))[group]
+    readings = readings if change is None else readings + change
+    fresh = eqx.tree_at(lambda p: p.observations.value, problem, jnp.asarray(readings))
+    mode = find_mode(fresh, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
+    model = replace(fitted.model, problem=fresh, entries=replace(fitted.model.entries, value=readings))
+    return Fitted(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged))
