@@ -11,6 +11,7 @@ import pytest
 from scipy import stats
 
 from imubayes.inference.precision import knowledge, linearise
+from imubayes.inference.simulation import simulate
 from imubayes.model.declaration import Model, declare
 from imubayes.model.likelihood import (
     entry_log_likelihood,
@@ -126,6 +127,17 @@ def test_each_of_correlated_entries_has_its_conditional_density():
         block = explicit[np.ix_(own, own)]
         whole = stats.multivariate_normal(np.zeros(len(own)), block).logpdf(misfit[own])
         assert float(found.group[group]) == pytest.approx(whole, rel=1e-9)
+
+
+def test_simulated_rows_are_correlated_as_the_likelihood_assumes():
+    found = []
+    for noise in (("white_noise",), ("white_noise", "correlated_noise")):
+        model = declare(spec("gyro_bias", noise=noise), in_series().campaign)
+        made = simulate(model, 4)
+        again = declare(model.spec, made.campaign)
+        misfit = again.problem.observations.value - predict(again.problem, jnp.asarray(made.z))
+        found.append(whiten(again.problem, whitener(again.problem, jnp.asarray(made.h)), misfit))
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-6, atol=1e-7)
 
 
 def test_a_masked_entry_leaves_a_gap_in_its_series():

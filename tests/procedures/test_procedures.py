@@ -10,7 +10,7 @@ from imubayes.errors import InputError
 from imubayes.procedures import PROCEDURES
 from imubayes.run import Campaign, Run
 from imubayes.stimulus import Stimulus
-from small_campaign import campaign, tumble_campaign
+from small_campaign import campaign, tumble_campaign, wide_campaign
 
 CAMPAIGN = campaign()
 RUNS = {run.name: run for run in CAMPAIGN.runs}
@@ -115,3 +115,41 @@ def test_a_procedure_says_what_it_is(name):
     assert procedure.name == name
     assert procedure.reference
     assert type(procedure).__doc__
+
+
+def supplied(name: str) -> frozenset[str]:
+    among = wide_campaign()
+    run = next(run for run in among.runs if run.name == name)
+    return PROCEDURES[run.procedure].stimulus(run, among).supplies
+
+
+def test_what_is_derived_is_supplied_where_it_is_known():
+    assert {"temperature_rate", "converter_temperature_rate", "campaign_time", "power_on"} <= supplied("cycle-fast")
+    assert {"converter_temperature_rate"} == {one for one in supplied("ramp") if one.endswith("_rate")} - {"table_rate"}
+    assert {"acceleration", "turning"} <= supplied("swept")
+    assert "vibration" in supplied("shaken")
+    assert not {"temperature_rate", "campaign_time", "acceleration", "vibration"} & supplied("rate-flat")
+
+
+def test_the_time_of_a_campaign_goes_on_from_run_to_run():
+    among = wide_campaign()
+    runs = {run.name: run for run in among.runs}
+
+    def times(run: Run) -> np.ndarray:
+        return PROCEDURES[run.procedure].stimulus(run, among).ambient["campaign_time"]
+
+    np.testing.assert_allclose(times(runs["cycle-fast"]), runs["cycle-fast"].covariates["time"])
+    np.testing.assert_allclose(times(runs["cycle-slow"]) - times(runs["cycle-fast"]), 86400.0)
+    local = replace(runs["cycle-slow"], start="2026-03-11T10:00:00+02:00")
+    np.testing.assert_allclose(times(local), times(runs["cycle-slow"]))
+    undated = replace(among, runs=(replace(runs["ramp"], start=None),))
+    found = PROCEDURES["thermal_ramp"].stimulus(undated.runs[0], undated).ambient["campaign_time"]
+    np.testing.assert_allclose(found, runs["ramp"].covariates["time"])
+    assert "campaign_time" not in supplied("ramp"), "the others have a date and this one has none"
+
+
+def test_a_covariate_with_gaps_is_not_supplied():
+    among = wide_campaign()
+    run = next(run for run in among.runs if run.name == "shaken")
+    gaps = replace(run, covariates=dict(run.covariates) | {"vibration": np.array([0.0, np.nan, 1, 2])})
+    assert "vibration" not in PROCEDURES["dividing_head"].stimulus(gaps, among).supplies

@@ -87,10 +87,16 @@ def print_effect(name: str) -> None:
         grid.add_row(field, one.unit, one.prior, f"{low:g} … {high:g}", one.meaning)
     console.print()
     console.print(grid)
+    for field, one in declared_parameters(member).items():
+        if one.shape:
+            tried = ", ".join(f"{value:g}" for value in one.shape)
+            console.print(f"{field} is no coefficient: a scan tries {tried} {one.unit}", highlight=False)
     for setting, default in declared_options(member).items():
         console.print(f"setting: {setting} = {default:g}")
     console.print(f"\nneeds: {', '.join(member.needs) or 'nothing special'}", highlight=False)
     console.print(f"one value per: {', '.join(member.per)}", highlight=False)
+    if member.excludes:
+        console.print(f"not together with: {', '.join(member.excludes)}", highlight=False)
     if member.confused_with:
         console.print(f"confused with: {member.confused_with}", highlight=False)
     console.print(f"source: {member.reference}", highlight=False)
