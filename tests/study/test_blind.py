@@ -33,6 +33,12 @@ def shape(covariate):
     return EMPTY | {"verdict": "unexplained_structure", "structure": [{"covariate": covariate}]}
 
 
+def absent_down_to_four(sd):
+    name = "gyro_bias_temperature.slope[gx]"
+    return EMPTY | {"ranking": [{"coefficients": [{"name": name, "value": 0.0, "sd": sd}]}]}
+
+
+SLOPE = LAG | {"effect": "gyro_bias_temperature", "parameters": {"gyro_bias_temperature.slope[gx]": -1.0}}
 WAVE = LAG | {"effect": "outside_temperature_wave"}
 
 
@@ -57,7 +63,10 @@ WAVE = LAG | {"effect": "outside_temperature_wave"}
         (False, line("outside", explained(group("gyro_thermal_lag")), WAVE)),
         (False, line("outside", EMPTY, WAVE)),
         (True, line("offsets", EMPTY | {"undetectable": [{"effect": "gyro_thermal_lag"}]}, LAG)),
-        (False, line("offsets", EMPTY, LAG)),
+        (True, line("offsets", EMPTY, SLOPE, asked=EMPTY | {"verdict": "undetectable"})),
+        (True, line("offsets", EMPTY, SLOPE, asked=absent_down_to_four(0.5))),
+        (False, line("offsets", EMPTY, SLOPE, asked=absent_down_to_four(0.2))),
+        (False, line("offsets", EMPTY, SLOPE, asked=EMPTY)),
         (True, line("two", explained(group("gyro_thermal_lag")), LAG, K2, added="gyro_thermal_lag",
                     second=explained(group("accel_quadratic", channels=("ay",))))),
         (False, line("two", explained(group("gyro_thermal_lag")), LAG, K2, added="gyro_thermal_lag", second=EMPTY)),
