@@ -5,11 +5,18 @@ derivative of the readings by the baseline's parameters and P their prior covari
 
     S = min over δ of |L⁻¹(d − Jδ)|² + δᵀP⁻¹δ,    Σ = L Lᵀ.
 
+A baseline also absorbs by taking the noise for larger than it is, and the offsets of few runs above all: nobody knows
+their spread beforehand.  What is then left to be seen is, with S split by channel into what happens between runs (ν
+degrees of freedom) and within them, the drop of −2 log likelihood
+
+    seen = Σ ν log(1 + S_part / ν).
+
 Everything comes from the simulator by finite differences: no line here is shared with what is to be tested.
 """
 
 from collections import defaultdict
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -75,6 +82,35 @@ class Sight:
     def detectability(self, effect: Values, also: np.ndarray | None = None) -> float:
         """S of an effect."""
         return float(np.sum(self.left(self.shift(effect), also) ** 2))
+
+    @cached_property
+    def offsets(self) -> np.ndarray:
+        """Whitened unit directions of the offset of each run and channel, (readings, runs · channels)."""
+        columns = []
+        for run in range(len(self.moments.plan.runs)):
+            for column in range(self.exact.shape[1]):
+                one = np.zeros_like(self.exact)
+                one[self.moments.run_of_row == run, column] = 1.0
+                white = self._whiten(one)
+                columns.append(white / np.linalg.norm(white))
+        return np.array(columns).T
+
+    def seen(self, effect: Values, also: np.ndarray | None = None) -> float:
+        """What is left to be seen of an effect when the noise may be taken for larger than it is."""
+        rest, count, channels = self.left(self.shift(effect), also), self.exact.size, self.exact.shape[1]
+        channel_of = np.arange(count) % channels
+        between = (self.offsets.T @ rest[:count]) ** 2
+        free_between = 1 - np.sum((self.basis[:count].T @ self.offsets) ** 2, axis=0)
+        free = 1 - np.sum(self.basis[:count] ** 2, axis=1)
+        total = float(np.sum(rest[count:] ** 2))
+        for channel in range(channels):
+            own = np.arange(len(between)) % channels == channel
+            s_between, freedom_between = between[own].sum(), max(free_between[own].sum(), 0.5)
+            s_within = np.sum(rest[:count][channel_of == channel] ** 2) - s_between
+            freedom_within = free[channel_of == channel].sum() - freedom_between
+            total += freedom_between * np.log1p(s_between / freedom_between)
+            total += freedom_within * np.log1p(max(s_within, 0.0) / freedom_within)
+        return total
 
 
 def whitened(moments: Moments, whiteners, readings: np.ndarray) -> np.ndarray:

@@ -136,6 +136,7 @@ class Planted:
     channels : where it acts; empty for an effect of a table.
     parameters : true values by full name.
     s : S past the baseline; `s_alone` past the baseline and whatever could be taken for it.
+    seen : what is left of `s_alone` if the noise may be taken for larger than it is.
     within : S where the offsets of all runs are free.
     shown : S over the effect's own square.
     """
@@ -145,6 +146,7 @@ class Planted:
     parameters: dict[str, float]
     s: float
     s_alone: float
+    seen: float
     within: float
     shown: float
 
@@ -218,7 +220,10 @@ def scaled(effect: Values, factor: float) -> dict[str, float]:
 
 
 def sized(sight: Sight, effect: Values, aim: float, also: np.ndarray | None = None) -> tuple[dict[str, float], float]:
-    """Scale an effect until S past the baseline and `also` is `aim`; return it and S."""
+    """Scale an effect until S past the baseline and `also` is `aim`; return it and S.
+
+    Where the baseline could take most of it for noise the size grows until enough is left to be seen.
+    """
     factor = 1.0
     for _ in range(12):
         found = sight.detectability(scaled(effect, factor), also)
@@ -229,9 +234,15 @@ def sized(sight: Sight, effect: Values, aim: float, also: np.ndarray | None = No
         factor *= np.sqrt(aim / found)
         if not factor < MOST:
             raise CannotShowError
+    while sight.seen(scaled(effect, factor), also) < SMALLEST and factor < MOST:
+        factor *= 1.15
     here = scaled(effect, factor)
     reached = sight.detectability(here, also)
-    if abs(reached / aim - 1) > 0.1 or sight.detectability(here) / np.sum(sight.shift(here) ** 2) < LEAST_SHOWN:
+    if (
+        not (0.9 * aim < reached < 1.1 * LARGEST)
+        or factor >= MOST
+        or sight.detectability(here) / np.sum(sight.shift(here) ** 2) < LEAST_SHOWN
+    ):
         raise CannotShowError
     return here, reached
 
@@ -282,6 +293,7 @@ def planted(sight: Sight, effect: str, where: tuple[str, ...], values: Values, a
         parameters=dict(values),
         s=s,
         s_alone=sight.detectability(values, also),
+        seen=sight.seen(values, also),
         within=with_free_offsets(sight).detectability(values),
         shown=s / float(np.sum(shift**2)),
     )

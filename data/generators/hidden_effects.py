@@ -116,8 +116,9 @@ CAMPAIGNS: dict[str, Design] = {
         "One gyro and one accelerometer hide something each.",
         rates_and_head,
         {
-            "gyro_scale_quadratic": channels("gyro_scale_quadratic", "quadratic", gz=0.05),
-            "accel_odd_quadratic": channels("accel_odd_quadratic", "odd_quadratic", ay=60.0),
+            "gyro_scale_asymmetry": channels("gyro_scale_asymmetry", "asymmetry", gz=9.0),
+            "accel_cross_coupling": channels("accel_cross_coupling", "k_ip", ay=20.0)
+            | channels("accel_cross_coupling", "k_io", ay=-15.0),
         },
     ),
     "hidden-outside": Design(

@@ -1,0 +1,245 @@
+"""The independent generator against numbers worked out by hand."""
+
+import sys
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
+import detectability  # pyright: ignore[reportMissingImports]
+import hidden  # pyright: ignore[reportMissingImports]
+import hidden_effects  # pyright: ignore[reportMissingImports]
+import plan as plans  # pyright: ignore[reportMissingImports]
+from kinematics import X_UP, Z_UP, Mounting, Site, Table  # pyright: ignore[reportMissingImports]
+from sensor import Channel, Surroundings, bias_over_temperature_and_time  # pyright: ignore[reportMissingImports]
+
+ROOT = Path(__file__).parents[2]
+SITE = Site(0.0, 0.0)
+GX = Channel("gx", "gyro", (1.0, 0.0, 0.0), "deg/s", 1.0, "deg/s", 0.01, (0.0, 1.0, 0.0))
+AX = Channel("ax", "accelerometer", (1.0, 0.0, 0.0), "g", 1.0, "g", 1e-5, (0.0, 1.0, 0.0), current_mA_per_g=2.0)
+TABLES = (Table("rate", 0.0, 90.0, 20.0, 5.0), Table("head", 90.0, 0.0, 20.0))
+
+
+def a_plan(*rows, table="rate", mounting=X_UP, procedure="rate_table", model="hidden-effects"):
+    run = plans.Run("run", procedure, list(rows), table, "seat", "2026-01-01T00:00:00+00:00")
+    return plans.Plan("p", "", "", SITE, (GX, AX), TABLES, (Mounting("seat", mounting, 5.0),), (run,), model=model)
+
+
+def _of(values, name):
+    return values.get(name, 0.0)
+
+
+def difference(plan, values):
+    """Rows × channels that some true values add to the readings."""
+    moments = plans.Moments(plan)
+    return moments.means(moments.outputs(values)) - moments.means(moments.outputs({}))
+
+
+TURNING = plans.Row(0.0, 1200, 25.0, rate=100.0, angle=None), plans.Row(100.0, 1200, 25.0, rate=-100.0, angle=None)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "forward", "reverse"),
+    [
+        ("gyro_scale_asymmetry.asymmetry", 10.0, 1e-3, 1e-3),  # 10 ppm of 100 deg/s, either way
+        ("gyro_scale_quadratic.quadratic", 0.1, 1e-3, 1e-3),  # 0.1 ppm/(deg/s) · (100 deg/s)²
+        ("gyro_scale_cubic.cubic", 0.001, 1e-3, -1e-3),
+        ("gyro_scale_g_dependence.dependence", 20.0, 2e-3, -2e-3),  # the axis points up: 1 g
+        ("gyro_g_sensitivity.d_i", 3.6, 1e-3, 1e-3),
+        ("gyro_g2_sensitivity.d_ii", 3.6, 1e-3, 1e-3),
+        ("gyro_g2_sensitivity.d_io", 3.6, 0.0, 0.0),
+        ("gyro_dead_zone.half_width", 3.6, -1e-3, 1e-3),
+        ("outside_root_rate.amplitude", 3.6, 1e-2, 1e-2),
+    ],
+)
+def test_gyro_on_a_vertical_table(name, value, forward, reverse):
+    found = difference(a_plan(*TURNING), {f"{name}[gx]": value})
+    assert np.allclose(found[:, 0], [forward, reverse], rtol=1e-4, atol=1e-9)
+    assert np.all(found[:, 1] == 0)
+
+
+def test_resonance_is_half_at_one_width():
+    values = {f"outside_resonance.{key}[gx]": value for key, value in
+              {"amplitude": 3.6, "centre": 90.0, "width": 10.0}.items()}  # fmt: skip
+    assert np.allclose(difference(a_plan(*TURNING), values)[:, 0], 0.5e-3, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "at"),
+    [
+        # at table angle 30°, axis up at 0: a_i = cos 30°; O and P take 0 and ∓sin 30°
+        ("accel_cubic.cubic", 100.0, 1e-4 * np.cos(np.pi / 6) ** 3),
+        ("accel_odd_quadratic.odd_quadratic", -100.0, -1e-4 * np.cos(np.pi / 6) ** 2),
+        ("accel_scale_asymmetry.asymmetry", 100.0, 1e-4 * np.cos(np.pi / 6)),
+        ("accel_dead_zone.half_width", 100.0, -1e-4),
+        ("outside_threshold.amplitude", 0.0, 0.0),
+    ],
+)
+def test_accelerometer_on_a_dividing_head(name, value, at):
+    rows = plans.Row(0.0, 600, 25.0, angle=30.0), plans.Row(40.0, 600, 25.0, angle=210.0)
+    # Table axis East; body x up at angle 0 where table y points up.
+    seat = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    plan = a_plan(*rows, table="head", mounting=seat, procedure="dividing_head")
+    up = plans.Moments(plan).motion({})[1][:, 0] / SITE.gravity
+    assert np.allclose(np.abs(up), np.cos(np.pi / 6))
+    found = difference(plan, {f"{name}[ax]": value})[:, 1]
+    odd = name.startswith(("accel_cubic", "accel_odd", "accel_dead"))
+    assert np.allclose(found, np.where(up > 0, at, -at if odd else at), rtol=1e-9, atol=1e-15)
+
+
+def test_cross_terms_sum_to_what_the_squares_leave():
+    rows = [plans.Row(40.0 * k, 600, 25.0, angle=17.0 + 45 * k) for k in range(8)]
+    plan = a_plan(*rows, table="head", mounting=Z_UP @ X_UP, procedure="dividing_head")
+    every = {"accel_quadratic.quadratic": 50.0, "accel_cross_axis_quadratic.k_oo": 50.0,
+             "accel_cross_axis_quadratic.k_pp": 50.0}  # fmt: skip
+    found = difference(plan, {f"{name}[ax]": value for name, value in every.items()})[:, 1]
+    assert np.allclose(found, 50e-6, rtol=1e-9)  # a_i² + a_o² + a_p² = 1
+
+
+def test_encoder_error_moves_the_angle():
+    rows = [plans.Row(40.0 * k, 600, 25.0, angle=30.0 * k) for k in range(12)]
+    plan = a_plan(*rows, table="head", mounting=np.eye(3)[[1, 2, 0]], procedure="dividing_head")
+    force = plans.Moments(plan).motion({})[1]
+    moved = plans.Moments(plan).motion({"encoder_harmonic.sin_2[head]": 10.0, "encoder_harmonic.cos_1[head]": 5.0})[1]
+    angle = np.radians(30.0 * np.arange(12))
+    by = (10 * np.sin(2 * angle) + 5 * np.cos(angle)) * np.pi / 648000
+    turned = np.linalg.norm(moved - force, axis=1) / SITE.gravity
+    assert np.allclose(turned, np.abs(by), atol=1e-9)
+
+
+def test_wobble_tilts_gravity_on_a_vertical_table():
+    rows = [plans.Row(40.0 * k, 600, 25.0, angle=90.0 * k) for k in range(4)]
+    force = plans.Moments(a_plan(*rows, mounting=Z_UP)).motion({"table_wobble.x_cos_2[rate]": 20.0})[1] / SITE.gravity
+    tilt = 20 * np.pi / 648000 * np.array([1, -1, 1, -1])
+    # Leaning about table x at angle 0 brings gravity along table y: at angle φ that is body (sin φ, cos φ).
+    assert np.allclose(force[:, 0], tilt * np.sin(np.radians([0, 90, 180, 270])), atol=1e-9)
+    assert np.allclose(force[:, 1], tilt * np.cos(np.radians([0, 90, 180, 270])), atol=1e-9)
+
+
+def test_lag_behind_a_ramp_tends_to_slope_times_tau():
+    time = np.arange(0, 36000.0, 60.0)
+    behind = plans.lagged(time, 10 + time / 600, 600.0)
+    assert behind[0] == 10
+    assert np.isclose(behind[-1] - (10 + time[-1] / 600), -1.0)  # 0.1 °C/min for 10 min
+    assert np.isclose(behind[10] - 11.0, -(1 - np.exp(-1)))  # after one time constant
+
+
+@pytest.mark.parametrize(
+    ("parameters", "around", "expected"),
+    [
+        ({"bias_temperature_quadratic.curvature": 2.0}, {"temperature": 35.0}, 200.0),
+        ({"bias_temperature_rate.slope": 3.0}, {"temperature_rate": 0.5}, 1.5),
+        ({"warm_up.amplitude": 10.0, "warm_up.tau": 5.0}, {"power_on_min": 10.0}, 10 * np.exp(-2)),
+        ({"warm_up.amplitude": 10.0, "warm_up.tau": 5.0}, {}, 0.0),
+        ({"bias_drift.slope": 4.0}, {"hours": 2.5}, 10.0),
+        ({"thermal_lag.coefficient": 4.0, "thermal_lag.tau": 5.0}, {"lag": lambda tau: -tau / 10}, -2.0),
+    ],
+)
+def test_bias_over_temperature_and_time(parameters, around, expected):
+    for kind in ("gyro", "accel"):
+        values = {f"{kind}_{name}": value for name, value in parameters.items()}
+        found = bias_over_temperature_and_time(
+            kind, lambda name, values=values: values.get(name, 0.0), Surroundings(**around)
+        )
+        assert np.isclose(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        # 5 g injected as 10 mA, converter at 35 °C, output in g
+        ({"converter_gain_drift_quadratic.curvature": 1.0}, 5 * 100e-6),
+        ({"converter_offset_drift_quadratic.curvature": 1e-6}, 1e-4),
+        ({"converter_leakage.leakage": 1e-5, "converter_leakage.doubling": 10.0}, 1e-5),
+        ({"converter_nonlinearity.quadratic": 2.0}, 2e-6 * 25),
+        ({"converter_nonlinearity.cubic": 2.0}, 2e-6 * 125),
+        ({"converter_dead_zone.half_width": 1e-4}, -1e-4),
+        ({"accel_dead_zone.half_width": 100.0}, 0.0),  # what is injected passes the sensor by
+    ],
+)
+def test_converter_with_injected_current(parameters, expected):
+    row = plans.Row(0.0, 10, 25.0, converter_temperature=35.0, current=10.0)
+    plan = replace(a_plan(row), channels=(AX,))
+    found = difference(plan, {f"{name}[ax]": value for name, value in parameters.items()})
+    assert np.isclose(found[0, 0], expected, rtol=1e-9, atol=1e-15)
+
+
+def test_autoregression_has_the_stated_spread_and_correlation():
+    noise = plans.correlated(np.random.default_rng(1), 200_000, 2.0, 0.6)
+    assert np.isclose(noise.std(), 2.0, rtol=0.02)
+    assert np.isclose(np.corrcoef(noise[1:], noise[:-1])[0, 1], 0.6, atol=0.01)
+
+
+def test_rate_proportional_noise_follows_the_input_axis():
+    plan, values = a_plan(*TURNING, mounting=X_UP), {"rate_proportional_noise.k[gx]": 10.0}
+    assert np.allclose(plans.rate_noise(plan, plan.runs[0], GX, values), 1e-3)
+    level = a_plan(*TURNING, mounting=Z_UP)
+    assert np.allclose(plans.rate_noise(level, level.runs[0], GX, values), 0.0, atol=1e-12)
+
+
+def test_detectability_by_hand():
+    """An even effect at ±100 deg/s: the bias takes nearly all of it, the rest is what its prior forbids."""
+    plan = replace(a_plan(*TURNING), channels=(GX,))
+    values = {"white_noise.sigma[gx]": 0.01, "run_scatter.tau[gx]": 0.0}
+    sight = detectability.look(plan, values)
+    effect = {"gyro_scale_asymmetry.asymmetry[gx]": 1000.0}  # 0.1 deg/s in both rows: 360 deg/h
+    sd = 0.01 / np.sqrt(1200)
+    prior = 30 / 3600  # the bias; all else changes the rows oppositely, or by far less
+    assert np.isclose(np.sum(sight.shift(effect) ** 2), 2 * (0.1 / sd) ** 2, rtol=1e-4)
+    assert np.isclose(sight.detectability(effect), 0.1**2 / (sd**2 / 2 + prior**2), rtol=1e-3)
+
+
+def test_run_offsets_hide_what_is_constant_in_a_run():
+    plan = replace(a_plan(*TURNING), channels=(GX,))
+    values = {"white_noise.sigma[gx]": 0.01, "run_scatter.tau[gx]": 10.0}
+    assert detectability.look(plan, values).detectability({"gyro_warm_up.amplitude[gx]": 3.6}) == 0
+    assert detectability.look(plan, values).detectability({"gyro_bias_drift.slope[gx]": 3.6}) < 1e-3
+
+
+@pytest.mark.parametrize("kind", hidden.KINDS)
+def test_a_random_campaign_is_what_it_says(kind, tmp_path):
+    drawn = hidden.random_campaign(tmp_path / "one", 3, kind)
+    again = hidden.random_campaign(tmp_path / "two", 3, kind)
+    assert [one.parameters for one in drawn.planted] == [one.parameters for one in again.planted]
+    for file in (tmp_path / "one").rglob("*.csv"):
+        assert file.read_bytes() == (tmp_path / "two" / "runs" / file.name).read_bytes()
+    assert 300 <= drawn.readings <= 2500
+    text = drawn.model.read_text()
+    assert len(drawn.planted) == {"hidden": 1, "outside": 1, "offsets": 1, "two": 2}.get(kind, 0)
+    for one in drawn.planted:
+        assert f'name = "{one.effect}"' not in text
+        if kind == "offsets":
+            assert one.s < 1
+        else:
+            assert 35 <= one.s_alone <= 2050
+    truth = tomllib.loads((tmp_path / "one" / "truth.toml").read_text())
+    for one in drawn.planted:
+        assert one.parameters.items() <= truth["parameters"].items()
+
+
+def test_shipped_campaigns_are_what_the_script_makes(tmp_path):
+    for name in ("hidden-none", "hidden-kinematic"):
+        hidden_effects.generate(tmp_path / name)
+        for file in sorted((tmp_path / name).rglob("*.*")):
+            shipped = ROOT / "data" / name / file.relative_to(tmp_path / name)
+            assert file.read_bytes() == shipped.read_bytes(), file.name
+
+
+def test_every_effect_can_be_shown_somewhere():
+    """No effect of the list is dead: each moves some reading of some plan past what the plain model absorbs."""
+    from random_plans import TEMPLATES, random_plan  # pyright: ignore[reportMissingImports]
+
+    left = set(hidden.ALL)
+    for template in TEMPLATES:
+        generator = np.random.default_rng(5)
+        plan = random_plan(template, generator, "hidden-effects")
+        plan = replace(plan, model=None, name="hidden-effects")
+        sight = detectability.look(plan, plan.draw(1))
+        for effect in sorted(left & set(hidden.applicable(template, hidden.ALL))):
+            where = hidden.places(plan, hidden.ALL[effect].on, generator)
+            if where and sight.detectability(hidden.unit_effect(plan, effect, where, generator)) > 1:
+                left.discard(effect)
+    assert not left
