@@ -1,6 +1,7 @@
 """Data without any missing effect: a fitted model's own prediction with fresh noise, refitted."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -27,7 +28,7 @@ def redrawn(fitted: Fitted, seed: int, correlation: float = 0.0, change: np.ndar
     noise = random.normal(size=len(group))
     for row in members:
         inside = row[row < len(group)]
-        for before, after in zip(inside[:-1], inside[1:], strict=True):
+        for before, after in pairwise(inside.tolist()):
             noise[after] = correlation * noise[before] + np.sqrt(1 - correlation**2) * noise[after]
     readings = np.asarray(predict(problem, jnp.asarray(fitted.z))) + np.sqrt(variance) * noise
     readings = readings + (np.sqrt(shared) * random.normal(size=len(shared)))[group]

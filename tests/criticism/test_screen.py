@@ -84,7 +84,7 @@ def test_the_best_of_many_is_judged_by_all_looks(looked):
 def test_understated_noise_does_not_raise_an_alarm(looked):
     """The noise is judged after the candidate; a χ² test that believes in a noise 1.5 times too small cries wolf."""
     believed = []
-    for projection, candidates in looked:
+    for _, candidates in looked:
         chance = look_elsewhere([one.found for one in candidates])
         p = min(stats.chi2.sf(1.5**2 * one.found.drop_at_fit, one.dof) for one in candidates)
         believed.append(chance(float(p)))

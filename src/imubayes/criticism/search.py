@@ -17,7 +17,7 @@ from imubayes.inference.fitted import Fitted
 
 # Chance of a false alarm: of effects and structure together, and of noise; together 5 %.
 EFFECT_THRESHOLD, NOISE_THRESHOLD = 0.04, 0.01
-_MOST_STEPS = 4
+_MOST_STEPS, _MOST_PATTERNS = 4, 8
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,9 @@ def search(fitted: Fitted) -> Found:
     chance = look_elsewhere([*(one.found for one in first.candidates), *(one.found for one in first.structures)])
     noise = screen_noise(projection)
     groups, last = _steps(first, chance)
-    # What effects explain is not noise; what is left after all of them may be.
-    adopted = _significant(screen_noise(last.projection) if groups else noise)
+    # What effects or any pattern explain is not noise; what is left after all of them may be.
+    suspected = _significant(screen_noise(last.projection) if groups else noise)
+    adopted = _significant(screen_noise(_stripped(last, chance).projection)) if suspected else []
     if adopted:
         offsets = any(one.effect == "run_scatter" for one in adopted)
         extra = prewhitening(projection, adopted)
@@ -117,6 +118,15 @@ def _steps(first: Look, chance: LookElsewhere) -> tuple[tuple[Group, ...], Look]
         groups.append(group(at.projection, leader, at.candidates, p))
         at = take_out(at, leader.found.span)
     return tuple(groups), at
+
+
+def _stripped(at: Look, chance: LookElsewhere) -> Look:
+    """Take out the patterns that are beyond chance, one after the other."""
+    for _ in range(_MOST_PATTERNS):
+        if not at.structures or chance(at.structures[0].found.p) >= EFFECT_THRESHOLD:
+            break
+        at = take_out(at, at.structures[0].found.span)
+    return at
 
 
 def take_out(at: Look, span: np.ndarray) -> Look:
