@@ -25,13 +25,25 @@ def test_there_are_commands():
 
 def test_commands_run_as_written(tmp_path, compile_cache):
     """All of them, in order, in a folder that looks like the repository."""
+    told: list[str] = []
     for name in ("data", "models"):
         (tmp_path / name).symlink_to(ROOT / name)
     for command in COMMANDS:
         words = [sys.executable, "-m", "imubayes.cli.main", *shlex.split(command)[1:]]
         done = subprocess.run(words, cwd=tmp_path, env=compile_cache, capture_output=True, text=True)
         assert done.returncode == 0, f"{command}\n{done.stderr}"
+        if command.startswith("imubayes diagnose"):
+            # What the README shows is what the command prints.
+            printed = re.sub(r"\s+", " ", done.stdout)
+            told.append(printed)
     assert (tmp_path / "results" / "trihedral-imu" / "summary.json").is_file()
+    assert (tmp_path / "results" / "history.html").is_file()
+    shown = re.search(r"<!-- output of diagnose -->\n```text\n(.*?)```", TEXT, re.DOTALL)
+    assert shown is not None
+    for line in shown[1].splitlines():
+        assert re.sub(r"\s+", " ", line.strip()) in told[0]
+    assert "gyro_scale_asymmetry is missing" in told[0]
+    assert "The model explains the data" in told[1]
 
 
 def test_pictures_are_there():

@@ -42,8 +42,8 @@ def error_per_step_figure(
     """
     caption = (
         "Root mean square residual over all rows, runs and channels of one unit, model by model. A good way falls at "
-        "every step and ends at the dashed line, the noise of the rows themselves; what stays above it is still to be "
-        "explained, and a last step that is flat was not needed."
+        "every step; a last step that is flat was not needed. It ends at the dashed line, the noise of single rows, or "
+        "above it by the offsets from run to run where the model counts them as noise."
     )
     panels = list(errors)
     width = max(6.0, 4.6 * len(panels) + 0.6)
