@@ -36,7 +36,7 @@ def separating_run(fitted: Fitted, group: Group) -> Separation | None:
     if not planned:
         return None
     campaign = replace(extended, runs=(*extended.runs, *(one.run for one in planned)))
-    model = declare(fitted.model.spec, campaign, fitted.model.registry)
+    model = declare(fitted.model.spec, campaign, fitted.model.registry.without_files())
     z = carried(model.layout.names, fitted.model.layout.names, fitted.z)
     h = carried(model.hyper_layout.names, fitted.model.hyper_layout.names, fitted.h)
     wide = Fitted(model, z, h, True)
