@@ -66,7 +66,7 @@ def test_the_score_is_the_drop_of_a_linear_refit(fitted):
 
 
 def test_single_p_values_are_uniform_under_no_effect(looked):
-    """Of what the model absorbs nearly all, only the pull on the priors is left, and the truth is the same each time."""
+    """Where the model absorbs nearly all, only the pull on the priors is left: the truth is the same each time."""
     values = [one.p for _, candidates in looked for one in candidates if one.dof == 1 and one.retained.min() > 0.02]
     below = np.mean(np.array(values) < 0.1)
     assert 0.02 < below < 0.2
