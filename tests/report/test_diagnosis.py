@@ -157,7 +157,7 @@ def test_the_tree_is_told():
 def test_small_pictures():
     drawn = error_per_step_figure(["first", "+ gyro_g_sensitivity"], {"deg/s": [5e-4, 2e-4]}, {"deg/s": 1.9e-4})
     assert drawn.png()[:4] == PNG
-    assert "noise of the rows" in drawn.caption
+    assert "noise of single rows" in drawn.caption
     x = np.linspace(-2, 2, 40)
     assert "slope 1.00" in added_variable_figure(x, x, ["a", "b"] * 20, "effect").axes[0].get_title(loc="left")
 
