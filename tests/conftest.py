@@ -11,8 +11,9 @@ from jaxtyping import install_import_hook
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
-# Everything compiled is kept, so that only the first run of the tests pays for it.
-jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parents[1] / ".cache" / "jax-tests"))
+# Everything compiled is kept, for tests and for the commands they run alike, so that it is paid for once.
+os.environ["XDG_CACHE_HOME"] = str(Path(__file__).parents[1] / ".cache" / "commands")
+jax.config.update("jax_compilation_cache_dir", str(Path(os.environ["XDG_CACHE_HOME"]) / "imubayes" / "compiled"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
@@ -34,5 +35,4 @@ def pytest_configure(config):
 @pytest.fixture(scope="session")
 def compile_cache() -> dict[str, str]:
     """Environment for commands run as a user would: the package from this tree, compiled code kept between tests."""
-    root = Path(__file__).parents[1]
-    return os.environ | {"PYTHONPATH": str(root / "src"), "XDG_CACHE_HOME": str(root / ".cache" / "commands")}
+    return os.environ | {"PYTHONPATH": str(Path(__file__).parents[1] / "src")}

@@ -44,6 +44,9 @@ def test_the_loop(place, capsys):
     status, out, _ = said(capsys, "diagnose", first)
     assert out.splitlines()[0] == found["sentence"]
     assert any(line.startswith("next: imubayes add") for line in out.splitlines())
+    status, out, err = said(capsys, "diagnose", first, "--python")
+    assert (status, out) == (2, "")
+    assert "there is no effect class to print" in err
 
     status, out, _ = said(capsys, "add", LACKING, "--to", first, "--out", second, "--channels", "ax", "--json")
     assert status == 0

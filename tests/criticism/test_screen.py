@@ -125,3 +125,14 @@ def test_an_unconverged_fit_is_not_ranked(fitted):
     assert document["verdict"] == "not_converged"
     assert document["ranking"] == []
     assert document["sentence"] == "It did not settle."
+
+
+def test_what_only_pleases_the_priors_at_an_absurd_size_is_no_candidate(fitted):
+    """Its evidence all in the prior rows, its coefficient far beyond what is met in practice."""
+    responses = respond(fitted)
+    projection = project(fitted, responses.misfit, responses.jacobian)
+    found = screen(projection, prepare(projection, responses.candidates))[0]
+    absurd = np.array([1e4 * one.typical[1] for one in found.coefficients])
+    assert not replace(found, value=absurd, found=replace(found.found, of_priors=0.9)).plausible
+    assert replace(found, value=absurd, found=replace(found.found, of_priors=0.1)).plausible
+    assert replace(found, value=absurd / 1e4, found=replace(found.found, of_priors=0.9)).plausible

@@ -9,6 +9,7 @@ import pytest
 from imubayes.criticism.covariates import Covariate
 from imubayes.criticism.history import Node, Tree, node_id
 from imubayes.criticism.telling import Telling
+from imubayes.errors import InputError
 from imubayes.report import diagnosis as shown
 from imubayes.report.figures.save import before_after, save_telling, telling_abscissa
 from imubayes.report.figures.steps import error_per_step_figure, history_figure
@@ -69,6 +70,14 @@ def test_the_ranking_marks_groups_and_chances():
 def test_not_converged_is_not_ranked():
     facts = diagnosis("not_converged") | {"ranking": []}
     assert "not ranked" in " ".join(shown.diagnosis_lines(facts))
+
+
+def test_the_class_of_the_strongest_pattern_is_given_and_none_is_refused():
+    facts = diagnosis("unexplained_structure")
+    with pytest.raises(InputError, match="no effect class"):
+        shown.found_class(facts)
+    facts["structure"] = [*facts["structure"], {"python": "class FoundShape: …"}]
+    assert shown.found_class(facts) == "class FoundShape: …"
 
 
 def test_a_kept_diagnosis_comes_back(tmp_path):

@@ -4,10 +4,16 @@ import json
 import sys
 from pathlib import Path
 
-from imubayes.cli.options import Json
+from imubayes.cli.options import Flag, Json
 
 
-def diagnose(result: Path, *, effect: str = "", as_json: Json = False) -> int:
+def diagnose(
+    result: Path,
+    *,
+    effect: str = "",
+    as_json: Json = False,
+    python: Flag = False,
+) -> int:
     """Say which effect the model lacks, from one pass and without a refit.
 
     Example: imubayes diagnose results/first
@@ -20,12 +26,15 @@ def diagnose(result: Path, *, effect: str = "", as_json: Json = False) -> int:
         Ask about this effect alone: there, absent, or not to be seen by these runs.
     as_json
         Print one JSON object on standard output.
+    python
+        Print an effect class for the pattern that no effect of the catalogue explains: save it in a file beside the
+        model and name the file in the model's 'files'.
     """
     from imubayes.cli.session import progress, start_jax
 
     start_jax()
     from imubayes.api import diagnose as find_missing
-    from imubayes.report.diagnosis import write_diagnosis
+    from imubayes.report.diagnosis import found_class, write_diagnosis
     from imubayes.report.figures.save import save_telling
     from imubayes.report.terminal import print_diagnosis
 
@@ -38,7 +47,9 @@ def diagnose(result: Path, *, effect: str = "", as_json: Json = False) -> int:
         picture = save_telling(result, telling, found.json) if telling else None
         named = (telling.channel, telling.covariate.name if telling.covariate else "") if telling else ()
         write_diagnosis(result, found.json, *named)
-    if as_json:
+    if python:
+        print(found_class(found.json))
+    elif as_json:
         json.dump(found.json, sys.stdout, ensure_ascii=False)
         print()
     else:

@@ -7,6 +7,9 @@ import cyclopts
 Json = Annotated[bool, cyclopts.Parameter(name=("--json", "--json-output"), negative="")]
 """Print one JSON object on standard output."""
 
+Flag = Annotated[bool, cyclopts.Parameter(negative="")]
+"""Something that is asked for or not."""
+
 Names = Annotated[list[str] | None, cyclopts.Parameter(consume_multiple=True, negative="")]
 """Several words after one option; commas separate too."""
 

@@ -21,6 +21,22 @@ class Absorbed:
 
 
 @dataclass(frozen=True)
+class Shift:
+    """What an effect of the largest usual size does unseen to the parameter it shifts most.
+
+    Attributes
+    ----------
+    parameter, unit : name and unit.
+    value, in_sd : the shift, in that unit and in posterior standard deviations.
+    """
+
+    parameter: str
+    unit: str
+    value: float
+    in_sd: float
+
+
+@dataclass(frozen=True)
 class Resolution:
     """How well the runs can see one effect.
 
@@ -31,7 +47,7 @@ class Resolution:
     smallest : size that would be found with a chance of 80 %, in its unit; infinite where none would.
     typical : smallest and largest magnitude met in practice.
     absorbed_by : what swallows the rest, largest first.
-    bias : what an effect of the largest typical size would do unseen: parameter → shift in its posterior sd.
+    bias : what it would do to the reported parameters where it is there and not modelled; None where nothing is.
     """
 
     effect: str
@@ -41,6 +57,7 @@ class Resolution:
     smallest: float
     typical: tuple[float, float]
     absorbed_by: tuple[Absorbed, ...]
+    bias: Shift | None
 
     @property
     def undetectable(self) -> bool:
@@ -73,7 +90,20 @@ def resolution(projection: Projection, one: Projected, threshold: float, looks: 
         smallest=float(smallest[best]),
         typical=coefficient.typical,
         absorbed_by=_absorbers(projection, one.whitened[:, best], float(raw[best])),
+        bias=_bias(projection, one.whitened[:, best] * coefficient.typical[1]),
     )
+
+
+def _bias(projection: Projection, whitened: np.ndarray) -> Shift | None:
+    """Return the shift of the parameter that a change of the readings moves most, in its posterior sd."""
+    shift = projection.absorb(whitened)
+    if not len(shift):
+        return None
+    in_sd = shift / projection.posterior_sd
+    most = int(np.argmax(np.abs(in_sd)))
+    parameter = projection.fitted.model.layout.parameters[most]
+    value = float(shift[most] * projection.slopes[most] / parameter.factor)
+    return Shift(parameter.name, parameter.unit, value, float(in_sd[most]))
 
 
 def _absorbers(projection: Projection, whitened: np.ndarray, raw: float) -> tuple[Absorbed, ...]:

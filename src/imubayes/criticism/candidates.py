@@ -4,7 +4,7 @@ The model and all candidates become one problem whose first parameters are the m
 candidates change nothing, so one linearisation gives the Jacobian of the fit and what every candidate would do.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -13,16 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import Effect, MotionEffect
-from imubayes.errors import InputError
 from imubayes.inference.fitted import Fitted
 from imubayes.model.assembly import assemble
 from imubayes.model.declaration import as_arrays, problem_of
 from imubayes.model.likelihood import Problem, predict_from
-from imubayes.model.members import Acting, NotShownError, act
-from imubayes.model.registry import Member
+from imubayes.model.members import Acting, NoChannelError, NotShownError, act
+from imubayes.model.registry import Member, Registry
 from imubayes.model.specification import EffectSpec
 from imubayes.parameters.parameter import declared_parameters
 from imubayes.parameters.vector import Parameter
+from imubayes.run import Campaign
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,7 @@ class _Extended:
     known: int
     acting: tuple[Acting, ...]
     parameters: tuple[Parameter, ...]
+    places: dict[str, int]
 
 
 def respond(fitted: Fitted, only: Sequence[str] = ()) -> Responses:
@@ -113,15 +114,25 @@ def respond(fitted: Fitted, only: Sequence[str] = ()) -> Responses:
     return Responses(misfit, first[:, :known] * slopes[None, :known], tuple(candidates), unobservable)
 
 
+def searchable(registry: Registry) -> Iterator[type[Effect]]:
+    """Return the effects that can be missing: causes, not what stands for unknowns of the runs themselves."""
+    for member in registry.members.values():
+        learns_spread = any(one.spread for one in declared_parameters(member).values())
+        if issubclass(member, Effect) and not member.nuisance and not learns_spread:
+            yield member
+
+
+def fitting_channels(member: Member, campaign: Campaign) -> list[str]:
+    """Return the names of the channels that a member can act on."""
+    return [channel.name for channel in campaign.channels if channel.kind in member.kinds]
+
+
 def _candidates(fitted: Fitted) -> tuple[tuple[Acting, ...], dict[str, tuple[str, ...]]]:
     """Return every effect that the model lacks, on the channels on which it lacks it, and what no run can show."""
     model = fitted.model
     acting: list[Acting] = []
     unobservable: dict[str, tuple[str, ...]] = {}
-    for member in model.registry.members.values():
-        learns_spread = any(one.spread for one in declared_parameters(member).values())
-        if not issubclass(member, Effect) or member.nuisance or learns_spread:
-            continue
+    for member in searchable(model.registry):
         spec = _spec(member, fitted)
         if spec is None:
             continue
@@ -129,10 +140,10 @@ def _candidates(fitted: Fitted) -> tuple[tuple[Acting, ...], dict[str, tuple[str
             one = act(spec, model.assembly.belonging, model.registry)
             # Without a label, a table where there is none, there is nothing to find.
             acting.extend([one] if one.parameters else [])
+        except NoChannelError:
+            continue
         except NotShownError:
             unobservable[member.name] = member.needs
-        except InputError:
-            continue  # a kind of channel that the unit does not have
     return tuple(acting), unobservable
 
 
@@ -145,8 +156,7 @@ def _spec(member: type[Effect], fitted: Fitted) -> EffectSpec | None:
     if issubclass(member, MotionEffect):
         return None
     taken = {name for one in rivals for name in one.channels}
-    fitting = [channel.name for channel in fitted.model.campaign.channels if channel.kind in member.kinds]
-    free = tuple(name for name in fitting if name not in taken)
+    free = tuple(name for name in fitting_channels(member, fitted.model.campaign) if name not in taken)
     return replace(spec, channels=free) if free else None
 
 
@@ -158,7 +168,8 @@ def _extend(fitted: Fitted, acting: tuple[Acting, ...]) -> _Extended:
     assembly = fitted.model.assembly
     extended = assemble(assembly.acting + acting, assembly.belonging)
     parameters = extended.layout.parameters
-    return _Extended(as_arrays(problem_of(extended)), len(assembly.layout), acting, parameters)
+    places = {parameter.name: place for place, parameter in enumerate(parameters)}
+    return _Extended(as_arrays(problem_of(extended)), len(assembly.layout), acting, parameters, places)
 
 
 def _grid(one: Acting) -> list[dict[str, float]]:
@@ -194,15 +205,14 @@ def _push(problem: Problem, values):
 
 
 _values = eqx.filter_jit(lambda problem, z: problem.priors.values(z))
-_slopes = eqx.filter_jit(lambda problem, z: jax.jvp(problem.priors.values, (z,), (jnp.ones_like(z),))[1])
+_slopes = eqx.filter_jit(lambda problem, z: problem.priors.slopes(z))
 
 
 def _response(one: Acting, extended: _Extended, jacobian: np.ndarray, scan_place: int) -> Response:
     grid = _grid(one)
     shape = grid[scan_place] if grid else {}
-    names = {parameter.name: place for place, parameter in enumerate(extended.parameters)}
     linear = [parameter for parameter in one.parameters if not one.declared[parameter.field].shape]
-    places = [names[parameter.name] for parameter in linear]
+    places = [extended.places[parameter.name] for parameter in linear]
     coefficients = tuple(
         Coefficient(parameter, ",".join(parameter.label), one.declared[parameter.field].typical) for parameter in linear
     )

@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from imubayes.criticism.candidates import fitting_channels
 from imubayes.effects.base import MotionEffect
 from imubayes.inference.fitted import Fitted
 from imubayes.model.declaration import Model, declare
@@ -95,7 +95,7 @@ def _channels(
 ) -> tuple[str, ...] | None:
     if issubclass(member, MotionEffect) or "closure" in member.kinds:
         return None
-    fitting = [channel.name for channel in campaign.channels if channel.kind in member.kinds]
+    fitting = fitting_channels(member, campaign)
     if channels is not None:
         # Of channels for several effects each takes its own kind; where none fits, the model's reader says so.
         return tuple(name for name in channels if name in fitting) or tuple(channels)
@@ -133,12 +133,12 @@ def extend(
     old = before.model
     registry = old.registry.without_files()
     model = declare(extended(old.spec, effects, channels, old.campaign, registry), old.campaign, registry)
-    null, new = _carried(old.layout, before.z, model.layout, _nulls(model))
-    h, new_h = _carried(old.hyper_layout, before.h, model.hyper_layout, np.zeros(len(model.hyper_layout)))
+    null, new = model.layout.carried(old.layout, before.z, _nulls(model)), _new(old.layout, model.layout)
+    h = model.hyper_layout.carried(old.hyper_layout, before.h)
     for place in np.flatnonzero(new).tolist():
         value = _given(model.layout.parameters[place], shape or {})
         null[place] = null[place] if value is None else value
-    for place in np.flatnonzero(new_h).tolist():
+    for place in np.flatnonzero(_new(old.hyper_layout, model.hyper_layout)).tolist():
         value = _given(model.hyper_layout.parameters[place], {**(shape or {}), **(hints or {})})
         h[place] = h[place] if value is None else value
     return _first_step(model, null, h, new, hints or {})
@@ -147,36 +147,25 @@ def extend(
 def _given(parameter: Parameter, values: Mapping[str, float]) -> float | None:
     """Return z of a value that is given by full name or without its label."""
     value = values.get(parameter.name, values.get(f"{parameter.effect}.{parameter.field}"))
-    return None if value is None else _z(parameter, value * parameter.factor)
-
-
-def _z(parameter: Parameter, value: float) -> float | None:
-    """Return z of a value in SI, None where the prior excludes it."""
-    try:
-        z = float(parameter.prior.z(value))
-    except (ValueError, ZeroDivisionError, OverflowError):
-        return None
-    return z if np.isfinite(z) else None
+    return None if value is None else parameter.z_at(value)
 
 
 def _nulls(model: Model) -> np.ndarray:
     """Return z of each parameter's null, 0 where its prior excludes that."""
-    found = [_z(one, _null(model, one)) for one in model.layout.parameters]
+    found = [_null(model, one) for one in model.layout.parameters]
     return np.array([0.0 if z is None else z for z in found])
 
 
-def _null(model: Model, parameter: Parameter) -> float:
-    declared = {one.member.name: one.declared for one in model.assembly.acting}
-    return declared[parameter.effect][parameter.field].null
+def _null(model: Model, parameter: Parameter) -> float | None:
+    """Return z of a parameter's null, None where its prior excludes that."""
+    declared = next(one.declared for one in model.assembly.acting if one.member.name == parameter.effect)
+    return parameter.z_at(declared[parameter.field].null / parameter.factor)
 
 
-def _carried(old: Layout, point: np.ndarray, new: Layout, otherwise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a point by name in another layout, and which of its places are new."""
-    places = {name: place for place, name in enumerate(old.names)}
-    fresh = np.array([name not in places for name in new.names], dtype=bool)
-    carried = np.array([other if name not in places else point[places[name]]
-                        for name, other in zip(new.names, otherwise, strict=True)], dtype=float)  # fmt: skip
-    return carried, fresh
+def _new(old: Layout, model: Layout) -> np.ndarray:
+    """Return which places of a layout another one lacks, shape (P,) bool."""
+    known = set(old.names)
+    return np.array([name not in known for name in model.names], dtype=bool)
 
 
 @eqx.filter_jit
@@ -184,7 +173,7 @@ def whitened(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
     """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,)."""
     by = whitener(problem, h)
     residual = whiten(problem, by, problem.observations.value - predict(problem, z))
-    jacobian = jax.vmap(lambda column: whiten(problem, by, column), 1, 1)(prediction_jacobian(problem, z))
+    jacobian = whiten(problem, by, prediction_jacobian(problem, z))
     return residual, jacobian, prior_widths(problem, h)
 
 
@@ -228,9 +217,9 @@ def _away_from_null(model: Model, place: int, null: float, hints: Mapping[str, f
     hint = _given(parameter, hints)
     if hint is not None:
         return hint
-    if _z(parameter, _null(model, parameter)) is None:
+    if _null(model, parameter) is None:
         return null
-    least = _z(parameter, declared[parameter.field].typical[0] * parameter.factor)
+    least = parameter.z_at(declared[parameter.field].typical[0])
     return null if least is None else least
 
 

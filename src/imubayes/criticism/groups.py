@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.criticism.projection import PRIOR, Projection
+from imubayes.criticism.projection import Projection
 from imubayes.criticism.screen import Candidate
 
-_TOLD_APART = 9.0
+TOLD_APART = 9.0
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,7 @@ class Group:
 
 def row_scales(projection: Projection, candidate: Candidate) -> np.ndarray:
     """Return the noise scale of every row after a candidate has been taken out, shape (R,)."""
-    of_row = projection.strata.of_row
-    variance = candidate.found.variance
-    return np.sqrt(variance[np.where(of_row == PRIOR, len(variance) - 1, of_row)])
+    return np.sqrt(projection.strata.at_rows(candidate.found.variance))
 
 
 def group(projection: Projection, leader: Candidate, ranked: Sequence[Candidate], p: float) -> Group:
@@ -67,7 +65,7 @@ def group(projection: Projection, leader: Candidate, ranked: Sequence[Candidate]
         basis, _ = np.linalg.qr(one.found.span / scale[:, None])
         left = float(np.sum((wanted - basis @ (basis.T @ wanted)) ** 2))
         best = members.get(one.effect)
-        if left < _TOLD_APART and (best is None or _simpler(one, left, *best)):
+        if left < TOLD_APART and (best is None or _simpler(one, left, *best)):
             members[one.effect] = (one, left)
     others = sorted((pair for pair in members.values() if pair[0] is not leader), key=lambda pair: pair[0].p)
     return Group((leader, *(one for one, _ in others)), p, (0.0, *(left for _, left in others)))

@@ -4,12 +4,13 @@ Each kind of noise has a statistic of the whitened, projected residual.  Project
 statistic is compared with its own distribution for white noise sent through the same projection, by simulation.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
+from imubayes.criticism.innovations import FORGETFUL, Innovations, Memory, memories
 from imubayes.criticism.projection import Projection
 
 _DRAWS = 200
@@ -48,7 +49,7 @@ def entries_of(projection: Projection, rows: np.ndarray) -> np.ndarray:
 
 def correlation(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """Return the lag-one correlation of whitened entries of the chosen groups, per column."""
-    padded = np.concatenate([entries, np.zeros((1, *entries.shape[1:]))])[projection.turn.members[chosen]]
+    padded = np.concatenate([entries, np.zeros((1, *entries.shape[1:]))])[projection.turn.series[chosen]]
     return np.sum(padded[:, 1:] * padded[:, :-1], axis=(0, 1)) / np.sum(padded**2, axis=(0, 1))
 
 
@@ -117,48 +118,44 @@ def _groups(projection: Projection, names: tuple[str, ...], effect: str) -> np.n
 
 @dataclass(frozen=True)
 class Prewhitening:
-    """Takes further noise out of whitened entries: what grows with the input, then the correlation from row to row.
-
-    The latter by (e_k − φ e_{k−1})/√(1 − φ²) within each run, which is exact for AR(1).
+    """Takes further noise out of whitened entries: what grows with the input, then what remembers the row before.
 
     Attributes
     ----------
     weight : shape (E,), one over the standard deviation relative to the model's.
-    previous : shape (E,), the entry before in the same run and channel, E for the first.
-    correlation : shape (E,), φ.
+    innovations : of the slow part in each record.
     """
 
     weight: np.ndarray
-    previous: np.ndarray
-    correlation: np.ndarray
+    innovations: Innovations
 
     def __call__(self, white: np.ndarray) -> np.ndarray:
-        white = self.weight[:, None] * white
-        before = np.concatenate([white, np.zeros((1, white.shape[1]))])[self.previous]
-        first = self.previous == len(white)
-        scale = np.where(first, 1.0, 1 / np.sqrt(1 - self.correlation**2))[:, None]
-        return scale * (white - np.where(first, 0.0, self.correlation)[:, None] * before)
+        return self.innovations(self.weight[:, None] * white)
 
 
-def prewhitening(projection: Projection, candidates: list[NoiseCandidate]) -> Prewhitening:
-    """Return the whitening that the correlated noise among the candidates asks for."""
-    model = projection.fitted.model
-    count = len(model.entries)
-    previous = np.full(count + 1, count)
-    members = projection.turn.members
-    previous[members[:, 1:].reshape(-1)] = members[:, :-1].reshape(-1)
+def prewhitening(projection: Projection, candidates: Sequence[NoiseCandidate]) -> Prewhitening:
+    """Return the whitening that the noise candidates ask for.
+
+    Parameters
+    ----------
+    projection : with everything taken out that may be more than noise.
+    """
+    model, series = projection.fitted.model, projection.turn.series
     names = [channel.name for channel in model.campaign.channels] + [""] * 3
-    phi, weight = np.zeros(count), np.ones(count)
+    known: dict[int, Memory] = {}
+    weight = np.ones(len(model.entries))
     for one in candidates:
         here = np.isin(np.array(names)[model.entries.channel], one.channels)
         if one.effect == "correlated_noise":
-            phi[here] = np.clip(one.value, 0, _STRONGEST_CORRELATION)
+            known |= memories(projection, [names.index(name) for name in one.channels])
         if one.effect == "rate_proportional_noise":
             relative = _relative_square(projection.input[here])
             # e² follows 1 + k w about its mean: k from the slope over the mean.
             slope = np.clip(one.value * (1 - one.value * relative.mean()) ** -1, 0, 1e6)
             weight[here] = 1 / np.sqrt(1 + slope * relative)
-    return Prewhitening(weight, previous[:-1], phi)
+    each = [known.get(place, FORGETFUL) for place in model.entries.channel[series[:, 0]].tolist()]
+    share, correlation = (np.array([getattr(one, field) for one in each]) for field in ("share", "correlation"))
+    return Prewhitening(weight, Innovations(series, share, correlation))
 
 
 def _relative_square(values: np.ndarray) -> np.ndarray:

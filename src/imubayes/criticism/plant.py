@@ -14,17 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
+from imubayes.criticism.candidates import searchable
 from imubayes.criticism.extend import extended, whitened
 from imubayes.criticism.verdict import Diagnosis, judge
-from imubayes.effects.base import Effect
 from imubayes.errors import InputError
 from imubayes.inference.fit import find_mode, message
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.simulation import random_stream, simulate
 from imubayes.model.declaration import Model, declare
 from imubayes.model.likelihood import Problem, predict, whiten, whitener
-from imubayes.parameters.parameter import Declared, declared_parameters
-from imubayes.parameters.vector import Parameter
+from imubayes.parameters.parameter import Declared
 from imubayes.run import Campaign
 
 # The size is found by a few steps of the rule that chi² grows with its square.
@@ -215,9 +214,8 @@ def _seed(seed: int, name: str) -> int:
 
 def _lacking(fitted: Fitted) -> Iterator[str]:
     there = {one.member.name for one in fitted.model.assembly.acting}
-    for member in fitted.model.registry.members.values():
-        learnt = any(one.spread for one in declared_parameters(member).values())
-        if issubclass(member, Effect) and not member.nuisance and not learnt and member.name not in there:
+    for member in searchable(fitted.model.registry):
+        if member.name not in there:
             yield member.name
 
 
@@ -277,7 +275,8 @@ def _trial(fitted: Fitted, clear: _Clear, name: str, size: Size, seed: int, scre
         for place in (*unit, *shape)
     )
     drop = strength(scale)
-    simulated = simulate(model, _seed(seed, name), _truth(model, z, _hyper(model, fitted)))
+    h = model.hyper_layout.carried(fitted.model.hyper_layout, fitted.h)
+    simulated = simulate(model, _seed(seed, name), _truth(model, z, h))
     found = screen(refitted(fitted, simulated.campaign))
     groups = found.json.get("groups") or []
     return Trial(
@@ -311,42 +310,26 @@ def _direction(model: Model, old: Model, name: str, seed: int) -> tuple[dict[int
             shape[place] = one.shape[len(one.shape) // 2]
         else:
             sign = 1.0 if random_stream(seed, f"sign of {parameter.name}").random() < 0.5 else -1.0
-            unit[place] = sign * one.typical[1] if _z(parameter, -one.typical[1]) is not None else one.typical[1]
+            unit[place] = sign * one.typical[1] if parameter.z_at(-one.typical[1]) is not None else one.typical[1]
     return shape, unit
-
-
-def _z(parameter: Parameter, value: float) -> float | None:
-    """Return z of a value in the parameter's unit; None where the prior excludes it."""
-    try:
-        z = float(parameter.prior.z(value * parameter.factor))
-    except (ValueError, ZeroDivisionError, OverflowError):
-        return None
-    return z if np.isfinite(z) else None
 
 
 def _carried(model: Model, fitted: Fitted, shape: dict[int, float]) -> np.ndarray:
     """Return the fit in the layout of the larger model, what is new at its null or shape."""
-    known = dict(zip(fitted.model.layout.names, fitted.z.tolist(), strict=True))
     declared = {one.member.name: one.declared for one in model.assembly.acting}
-    point = []
+    new = np.zeros(len(model.layout))
     for place, one in enumerate(model.layout.parameters):
         null = declared[one.effect][one.field].null / one.factor
-        z = known[one.name] if one.name in known else _z(one, shape.get(place, null))
-        point.append(0.0 if z is None else z)
-    return np.array(point)
+        new[place] = one.z_at(shape.get(place, null)) or 0.0
+    return model.layout.carried(fitted.model.layout, fitted.z, new)
 
 
 def _placed(model: Model, null: np.ndarray, unit: dict[int, float], scale: float) -> np.ndarray:
     z = null.copy()
     for place, value in unit.items():
-        found = _z(model.layout.parameters[place], scale * value)
+        found = model.layout.parameters[place].z_at(scale * value)
         z[place] = z[place] if found is None else found
     return z
-
-
-def _hyper(model: Model, fitted: Fitted) -> np.ndarray:
-    known = dict(zip(fitted.model.hyper_layout.names, fitted.h.tolist(), strict=True))
-    return np.array([known.get(name, 0.0) for name in model.hyper_layout.names])
 
 
 def _truth(model: Model, z: np.ndarray, h: np.ndarray) -> dict[str, float]:

@@ -8,8 +8,10 @@ A missing effect has inflated the noise of the strata it acts in; judging it nee
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
@@ -37,11 +39,17 @@ class Strata:
 
     def sums(self, squares: np.ndarray) -> np.ndarray:
         """Return the sums over the rows of each stratum, prior rows last; shape (strata + 1, …)."""
-        count = len(self.channel)
-        place = np.where(self.of_row == PRIOR, count, self.of_row)
-        result = np.zeros((count + 1, *squares.shape[1:]))
-        np.add.at(result, place, squares)
+        result = np.zeros((len(self.channel) + 1, *squares.shape[1:]))
+        np.add.at(result, self._place, squares)
         return result
+
+    def at_rows(self, values: np.ndarray) -> np.ndarray:
+        """Return what each row has of values per stratum, that of prior rows last: (strata + 1, …) → (R, …)."""
+        return values[self._place]
+
+    @property
+    def _place(self) -> np.ndarray:
+        return np.where(self.of_row == PRIOR, len(self.channel), self.of_row)
 
 
 @dataclass(frozen=True)
@@ -78,6 +86,16 @@ class Projection:
         known = self.strata.of_row != PRIOR
         return known & self.strata.between[np.where(known, self.strata.of_row, 0)]
 
+    @cached_property
+    def posterior_sd(self) -> np.ndarray:
+        """Posterior standard deviation of each parameter in z, (P,)."""
+        return np.linalg.norm(scipy.linalg.solve_triangular(self.upper, np.eye(len(self.upper))), axis=1)
+
+    @cached_property
+    def slopes(self) -> np.ndarray:
+        """SI value of one unit of z of each parameter, at the fit, (P,)."""
+        return np.asarray(self.fitted.model.problem.priors.slopes(jnp.asarray(self.fitted.z)))
+
     def whitened(self, columns: np.ndarray) -> np.ndarray:
         """Return columns (E, C), in output units, as rows of the projection, (R, C)."""
         return self.turn(columns)
@@ -101,12 +119,14 @@ class Projection:
 class Turn:
     """From entries to rows: whiten, then turn each group's common direction into its first row.
 
-    `extra` (optional) is a further whitening of the entries, see `imubayes.criticism.noise`.
+    `members` are the groups' entries, `series` the same in the order of time, both (G, M) and padded with E; `extra`
+    (optional) is a further whitening of the entries, see `imubayes.criticism.noise`.
     """
 
     problem: Problem
     h: np.ndarray
     members: np.ndarray
+    series: np.ndarray
     sizes: np.ndarray
     reflectors: np.ndarray
     priors: int
@@ -133,8 +153,7 @@ class Turn:
 
 @jax.jit
 def _whiten(problem: Problem, h, columns):
-    by = whitener(problem, h)
-    return jax.vmap(lambda column: whiten(problem, by, column), 1, 1)(columns)
+    return whiten(problem, whitener(problem, h), columns)
 
 
 def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None, offsets: bool = False) -> Projection:
@@ -166,7 +185,7 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
     able = separate & (length > 0) & (size > 1e-12)
     reflectors[able] = first[able] / size[able, None]
     widths = np.asarray(prior_widths(problem, fitted.h))
-    turn = Turn(problem, fitted.h, members, sizes, reflectors, len(widths), extra)
+    turn = Turn(problem, fitted.h, members, np.asarray(observations.in_time), sizes, reflectors, len(widths), extra)
     rows = turn(jacobian)
     rows[len(misfit) :] = np.diag(1 / widths)
     basis, upper = np.linalg.qr(rows)

@@ -20,6 +20,8 @@ from imubayes.criticism.projection import Projection, orthonormal
 _SMALLEST = 1e-300
 # A candidate direction that keeps less than this share of its squared length is nothing but rounding.
 _LEAST_RETAINED = 1e-9
+# What pleases the priors alone is no explanation where it has to be so many times the largest met in practice.
+_MOST_TYPICAL = 100.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,16 @@ class Candidate:
     def dof(self) -> int:
         """Number of directions that could be resolved."""
         return self.found.span.shape[1]
+
+    @property
+    def plausible(self) -> bool:
+        """Whether it is more than a way to please the priors at an absurd size.
+
+        What the model absorbs all but for its priors would fit best without gravity, say: then all g-sensitivities
+        could be zero, as their priors like it.
+        """
+        typical = np.array([one.typical[1] for one in self.coefficients])
+        return self.found.of_priors < 0.5 or bool(np.any(np.abs(self.value) <= _MOST_TYPICAL * typical))
 
     @property
     def p(self) -> float:
@@ -97,7 +109,7 @@ class Explained:
     fitted : shape (R,).
     drop, drop_at_fit : S with the noise scales after it, and with those of the fit.
     p : chance of such a drop under no effect.
-    within : share of S that comes from within runs.
+    within, of_priors : shares of S that come from within runs, and from the priors.
     variance : shape (strata + 1,), noise variance of each stratum after it, relative to the fit's.
     """
 
@@ -107,6 +119,7 @@ class Explained:
     drop_at_fit: float
     p: float
     within: float
+    of_priors: float
     variance: np.ndarray
 
 
@@ -138,7 +151,8 @@ def explain(
     denominator = total**2 / max(float(np.sum(weighted**2 / finite)), _SMALLEST) if total > 0 else 1.0
     p = float(stats.f.sf(total / count, count, denominator)) if count else 1.0
     within = float(weighted[:-1][~strata.between].sum()) / total if total > 0 else 1.0
-    return Explained(span, fitted, total, float(along @ along), max(p, _SMALLEST), within, variance)
+    of_priors = float(weighted[-1]) / total if total > 0 else 0.0
+    return Explained(span, fitted, total, float(along @ along), max(p, _SMALLEST), within, of_priors, variance)
 
 
 def assess(projection: Projection, one: Projected, chosen: np.ndarray | None = None) -> Candidate:
@@ -161,12 +175,11 @@ def assess(projection: Projection, one: Projected, chosen: np.ndarray | None = N
 
 def _coefficients(projection: Projection, columns, explained, variance) -> tuple[np.ndarray, np.ndarray]:
     """Return coefficients and standard deviations by generalised least squares with the scales of the strata."""
-    place = np.where(projection.strata.of_row < 0, len(variance) - 1, projection.strata.of_row)
     size = np.linalg.norm(columns, axis=0)
     unit = columns / np.where(size > 0, size, 1.0)
     inverse = np.linalg.pinv(unit.T @ unit, rcond=1e-12, hermitian=True) @ unit.T
     value = inverse @ explained
-    covariance = (inverse * variance[place]) @ inverse.T
+    covariance = (inverse * projection.strata.at_rows(variance)) @ inverse.T
     with np.errstate(divide="ignore"):
         # A column that is all absorbed has no coefficient: its uncertainty is boundless.
         sd = np.where(size > 0, np.sqrt(np.diag(covariance)) / np.where(size > 0, size, 1.0), np.inf)
@@ -195,4 +208,4 @@ def screen(projection: Projection, responses: Sequence[Projected]) -> list[Candi
     """Return every candidate on all its channels together, on each kind and on each alone, best first."""
     kinds = {channel.name: channel.kind for channel in projection.fitted.model.campaign.channels}
     found = [assess(projection, one, chosen) for one in responses for chosen in variants(one.response, kinds)]
-    return sorted((one for one in found if one.dof), key=lambda one: (one.p, -one.drop / one.dof))
+    return sorted((one for one in found if one.dof and one.plausible), key=lambda one: (one.p, -one.drop / one.dof))

@@ -10,15 +10,21 @@ from imubayes.criticism.chance import LookElsewhere, look_elsewhere
 from imubayes.criticism.covariates import Covariate, covariates
 from imubayes.criticism.groups import Group, group
 from imubayes.criticism.noise import NoiseCandidate, prewhitening, screen_noise
-from imubayes.criticism.projection import Projection, project
+from imubayes.criticism.projection import Projection, orthonormal, project
 from imubayes.criticism.screen import Candidate, Projected, prepare, screen
 from imubayes.criticism.structure import Laid, Structure, forms, lay, look
 from imubayes.inference.fitted import Fitted
 
-# Nominal chance of a false alarm, of effects and structure together and of noise.  Together below 5 %: where a stratum
-# has few degrees of freedom its scale is judged roughly, and random plans gave more alarms than the nominal chance.
-EFFECT_THRESHOLD, NOISE_THRESHOLD = 0.02, 0.005
+# Chance of a false alarm, of effects and structure together and of noise.
+EFFECT_THRESHOLD, NOISE_THRESHOLD = 0.02, 0.01
+# Noise with memory, or offsets of runs, that is so much as hinted at is allowed for before an effect is claimed: where
+# it is real it passes for effects.
+_NOISE_DOUBT, _DOUBTED = 0.1, ("correlated_noise", "run_scatter")
+# A pattern this far beyond chance is no noise, whatever its memory.
+_NO_NOISE = 1e-6
 _MOST_STEPS, _MOST_PATTERNS = 4, 8
+# Directions between neighbouring shapes count down to this share of their squared length.
+_SAME_SHAPE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,7 @@ class Found:
     groups : one per effect found, in the order of evidence.
     left : structures that remain significant after the groups were taken out, with their chance.
     noise : noise candidates as screened first.
-    adopted : those that had to be taken as noise for the rest to be judged.
+    adopted : those that are beyond chance once effects and patterns are taken out.
     chance : of the smallest p-value of all looks.
     """
 
@@ -72,12 +78,17 @@ def search(fitted: Fitted) -> Found:
     chance = look_elsewhere([*(one.found for one in first.candidates), *(one.found for one in first.structures)])
     noise = screen_noise(projection)
     groups, last = _steps(first, chance)
-    # What effects or any pattern explain is not noise; what is left after all of them may be.
-    suspected = _significant(screen_noise(last.projection) if groups else noise)
-    adopted = _significant(screen_noise(_stripped(last, chance).projection)) if suspected else []
-    if adopted:
-        offsets = any(one.effect == "run_scatter" for one in adopted)
-        extra = prewhitening(projection, adopted)
+    alarm = bool(groups or _alarming(first.structures, chance))
+    left, adopted, doubted = last.projection, [], []
+    if alarm or _within(noise, NOISE_THRESHOLD):
+        left = _without_patterns(last, chance, at_least=int(alarm and not groups)).projection
+        remaining = screen_noise(left)
+        adopted = _within(remaining, NOISE_THRESHOLD)
+        hinted = [one for one in _within(remaining, _NOISE_DOUBT) if one.effect in _DOUBTED and one not in adopted]
+        doubted = [*adopted, *(hinted if alarm else ())]
+    if doubted:
+        offsets = any(one.effect == "run_scatter" for one in doubted)
+        extra = prewhitening(left, doubted)
         projection = project(fitted, responses.misfit, responses.jacobian, extra, offsets)
         first = _look(projection, prepare(projection, responses.candidates), lay(projection, free))
         groups, last = _steps(first, chance)
@@ -94,8 +105,9 @@ def search(fitted: Fitted) -> Found:
     )
 
 
-def _significant(noise: Sequence[NoiseCandidate]) -> list[NoiseCandidate]:
-    return [one for one in noise if one.p * len(noise) < NOISE_THRESHOLD]
+def _within(noise: Sequence[NoiseCandidate], threshold: float) -> list[NoiseCandidate]:
+    """Return the noise candidates whose chance, with all of them counted, is below a threshold."""
+    return [one for one in noise if one.p * len(noise) < threshold]
 
 
 def _alarming(structures: Sequence[Structure], chance: LookElsewhere) -> tuple[tuple[Structure, float], ...]:
@@ -117,17 +129,29 @@ def _steps(first: Look, chance: LookElsewhere) -> tuple[tuple[Group, ...], Look]
         if p >= EFFECT_THRESHOLD:
             break
         groups.append(group(at.projection, leader, at.candidates, p))
-        at = take_out(at, leader.found.span)
+        at = take_out(at, whole_span(at, leader))
     return tuple(groups), at
 
 
-def _stripped(at: Look, chance: LookElsewhere) -> Look:
-    """Take out the patterns that are beyond chance, one after the other."""
-    for _ in range(_MOST_PATTERNS):
-        if not at.structures or chance(at.structures[0].found.p) >= EFFECT_THRESHOLD:
+def _without_patterns(at: Look, chance: LookElsewhere, at_least: int) -> Look:
+    """Take out the strongest patterns that are no noise; the weaker ones would take the noise along."""
+    for place in range(_MOST_PATTERNS):
+        if not at.structures or (place >= at_least and chance(at.structures[0].found.p) >= _NO_NOISE):
             break
         at = take_out(at, at.structures[0].found.span)
     return at
+
+
+def whole_span(at: Look, leader: Candidate) -> np.ndarray:
+    """Return the directions of a candidate at every shape that was tried, (R, d): the true one lies between them."""
+    names = {coefficient.parameter.name for coefficient in leader.coefficients}
+    columns, lengths = [], []
+    for one in at.prepared:
+        if one.response.scan.effect == leader.effect:
+            chosen = [i for i, each in enumerate(one.response.coefficients) if each.parameter.name in names]
+            columns.append(one.projected[:, chosen])
+            lengths.append(np.linalg.norm(one.whitened[:, chosen], axis=0))
+    return orthonormal(np.concatenate(columns, axis=1), np.concatenate(lengths), _SAME_SHAPE)
 
 
 def take_out(at: Look, span: np.ndarray) -> Look:

@@ -5,19 +5,16 @@ all runs, the new one included; the run that makes this largest separates them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from imubayes.criticism.candidates import Response, respond
-from imubayes.criticism.groups import Group
+from imubayes.criticism.groups import TOLD_APART, Group
 from imubayes.criticism.projection import project
 from imubayes.criticism.screen import Candidate
-from imubayes.inference.design import candidates, carried
+from imubayes.inference.design import with_planned
 from imubayes.inference.fitted import Fitted
-from imubayes.model.declaration import declare
-
-_TOLD_APART = 9.0
 
 
 @dataclass(frozen=True)
@@ -32,14 +29,10 @@ def separating_run(fitted: Fitted, group: Group) -> Separation | None:
     """Return the run that best tells the members of a group apart; None where no feasible run does."""
     if len(group.members) < 2:
         return None
-    extended, planned = candidates(fitted.model.campaign)
+    wide, planned = with_planned(fitted, elsewhere=True)
     if not planned:
         return None
-    campaign = replace(extended, runs=(*extended.runs, *(one.run for one in planned)))
-    model = declare(fitted.model.spec, campaign, fitted.model.registry.without_files())
-    z = carried(model.layout.names, fitted.model.layout.names, fitted.z)
-    h = carried(model.hyper_layout.names, fitted.model.hyper_layout.names, fitted.h)
-    wide = Fitted(model, z, h, True)
+    model = wide.model
     responses = respond(wide, only=group.effects)
     projection = project(wide, responses.misfit, responses.jacobian)
     prior = projection.jacobian[len(model.entries) :]
@@ -51,7 +44,7 @@ def separating_run(fitted: Fitted, group: Group) -> Separation | None:
         difference = _least_difference(projection.jacobian[: len(model.entries)][included], prior, spread, included)
         if best is None or difference > best.difference:
             best = Separation(one.sentence, difference)
-    return best if best is not None and best.difference >= _TOLD_APART else None
+    return best if best is not None and best.difference >= TOLD_APART else None
 
 
 def _rows(projection, group: Group, responses: Sequence[Response]) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -276,8 +276,7 @@ def _base(kind: str, scale: float, gravity: float) -> tuple[float, str]:
 
 def _solve(projection: Projection, whitened: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     projected = projection.project(whitened)
-    of_row = projection.strata.of_row
-    weight = variance[np.where(of_row < 0, len(variance) - 1, of_row)]
+    weight = projection.strata.at_rows(variance)
     inverse = np.linalg.pinv(projected)
     return inverse @ projection.residual, np.sqrt(np.diag((inverse * weight) @ inverse.T))
 

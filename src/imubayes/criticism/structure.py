@@ -2,8 +2,8 @@
 
 Each channel is looked at against each covariate with a form free enough to follow any cause: one value per level
 where a covariate was stepped through few of them, a cubic spline where it varied freely, harmonics for the table
-angle, products for pairs.  Everything goes through the same projection as the candidates, so what the model absorbs is
-not taken for structure.
+angle, products for pairs, steps in time for each run by itself.  Everything goes through the same projection as the
+candidates, so what the model absorbs is not taken for structure.
 """
 
 from collections.abc import Sequence
@@ -21,6 +21,8 @@ from imubayes.criticism.screen import Explained, explain
 _MOST_LEVELS = 16
 _SPLINE_COLUMNS, _HARMONICS = 7, 6
 _FEWEST_ROWS = 8
+# The course of a run is followed in steps of so many rows at least.
+_FEWEST_COURSE, _ROWS_OF_SEGMENT, _MOST_SEGMENTS = 12, 3, 8
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,27 @@ def forms(projection: Projection, known: Sequence[Covariate]) -> list[Form]:
             both = _rows(one, here) & _rows(other, here)
             if both.sum() >= 2 * _FEWEST_ROWS and one.name != "time_s" and other.name != "time_s":
                 found.append(Form(channel.name, (one, other), "products", _products(one, other, both)))
+        found.extend(_courses(projection, channel.name, here))
+    return found
+
+
+def _courses(projection: Projection, channel: str, here: np.ndarray) -> list[Form]:
+    """Return the course of each run by itself: what happens once belongs to no covariate that runs share."""
+    model, found = projection.fitted.model, []
+    rank = np.asarray(model.problem.observations.rank)
+    for index, run in enumerate(model.campaign.runs):
+        rows = here & (model.entries.run == index)
+        count = int(rows.sum())
+        if count < _FEWEST_COURSE:
+            continue
+        place = np.argsort(np.argsort(rank[rows], kind="stable"))
+        segment = place * min(_MOST_SEGMENTS, count // _ROWS_OF_SEGMENT) // count
+        values = np.full(len(rows), np.nan)
+        time = run.covariates.get("time")
+        values[rows] = time[model.entries.row[rows]] if time is not None else place
+        covariate = Covariate("time_s" if time is not None else "row", "s", values, f"time within run {run.name}")
+        steps = np.eye(segment.max() + 1)[segment]
+        found.append(Form(channel, (covariate,), "course of one run", _spread(steps, rows)))
     return found
 
 

@@ -37,6 +37,15 @@ class Telling:
     explained: np.ndarray
     unit: str
 
+    @property
+    def rms(self) -> dict[str, str | float]:
+        """The residual of the channel before and after the candidate is added, rms, in deg/h or ug."""
+        factor, unit = (3600.0, "deg/h") if self.unit == "deg/s" else (1e6, "ug")
+        before, after = (
+            factor * float(np.sqrt(np.mean(rest**2))) for rest in (self.residual, self.residual - self.explained)
+        )
+        return {"channel": self.channel, "before": before, "after": after, "unit": unit}
+
 
 def telling_covariate(
     projection: Projection, structures: Sequence[Structure], candidate: Candidate, channel: str

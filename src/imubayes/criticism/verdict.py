@@ -14,12 +14,15 @@ from imubayes.criticism.separate import separating_run
 from imubayes.criticism.shape import Shape, find_shape
 from imubayes.criticism.structure import Structure
 from imubayes.criticism.telling import Telling, tell, telling_covariate
+from imubayes.effects.base import Effect, Order
 from imubayes.inference.fitted import Fitted
 
 THRESHOLD = EFFECT_THRESHOLD + NOISE_THRESHOLD
-# A structure that the leading candidate leaves, and that is this strong against what the candidate explains, says that
-# the candidate only resembles the cause.
-_RESEMBLES = 0.1
+# A structure that the candidates leave, and that is this strong against what the first of them explains, says that it
+# only resembles the cause; so does a channel that needs so many of them, or the same names again after the first.
+_RESEMBLES, _TOO_MANY = 0.01, 3
+# Against a single good name it takes more than the chance of a false alarm.
+_AGAINST_A_NAME = 1e-3
 _MOST_SHAPES = 3
 
 
@@ -78,11 +81,15 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
         _sentence(verdict, found, seen, telling),
         best,
         folder,
-        groups=[_group_line(fitted, one) for one in groups]
+        groups=[_group_line(fitted, one, told) for one, told in zip(groups, telling, strict=True)]
         if verdict in ("missing_effect", "equivalent_effects")
         else [],
         ranking=ranking,
-        noise=[vars(one) | {"adopted": one in found.adopted} for one in found.noise],
+        noise=[
+            vars(one)
+            | {"adopted": (one.effect, one.channels) in {(each.effect, each.channels) for each in found.adopted}}
+            for one in found.noise
+        ],
         undetectable=[_resolution_line(one) for one in seen if one.undetectable]
         + [
             {"effect": name, "absorbed_by": [], "needs": list(needs), "reason": "no run supplies " + ", ".join(needs)}
@@ -122,9 +129,23 @@ def _unexplained(found: Found) -> list[tuple[Structure, float]]:
     if not found.groups:
         return list(found.structures)
     leader = found.groups[0].leader
-    left = [(one, p) for one, p in found.left if one.channel in leader.owners or not _channels(found, leader)]
+
+    def concerned(structures: Sequence[tuple[Structure, float]]) -> list[tuple[Structure, float]]:
+        return [(one, p) for one, p in structures if one.channel in leader.owners or not _channels(found, leader)]
+
+    member = found.first.projection.fitted.model.registry.members[leader.effect]
+    if issubclass(member, Effect) and member.order >= Order.LIMIT:
+        return []  # it bends the signal at its own size: looked at linearly it always leaves something
+    several = False
+    for owner in leader.owners:
+        of_owner = [group for group in found.groups if owner in group.leader.owners]
+        again = any(set(group.effects) & set(found.groups[0].effects) for group in of_owner[1:])
+        if again or len(of_owner) >= _TOO_MANY:
+            return concerned(found.structures)
+        several = several or len(of_owner) > 1
     # What remains has to be worth something beside what was explained: a large effect shows its smallest imperfection.
-    return [(one, p) for one, p in left if one.found.drop > _RESEMBLES * leader.drop]
+    worth = [(one, p) for one, p in concerned(found.left) if one.found.drop > _RESEMBLES * leader.drop]
+    return worth if several else [(one, p) for one, p in worth if p < _AGAINST_A_NAME]
 
 
 def _channels(found: Found, candidate: Candidate) -> tuple[str, ...]:
@@ -182,7 +203,7 @@ def _coefficients(one: Candidate) -> list[dict[str, Any]]:
     ]
 
 
-def _group_line(fitted: Fitted, group: Group) -> dict[str, Any]:
+def _group_line(fitted: Fitted, group: Group, telling: Telling) -> dict[str, Any]:
     leader, separation = group.leader, separating_run(fitted, group)
     return {
         "effects": list(group.effects),
@@ -201,6 +222,7 @@ def _group_line(fitted: Fitted, group: Group) -> dict[str, Any]:
             }
             for one, left in zip(group.members, group.unexplained, strict=True)
         ],
+        "residual": telling.rms,
         "separating_run": separation.sentence if separation is not None else "",
     }
 
@@ -213,6 +235,7 @@ def _resolution_line(one: Resolution) -> dict[str, Any]:
         "smallest_detectable": one.smallest if np.isfinite(one.smallest) else None,
         "typical": list(one.typical),
         "unit": one.unit,
+        "bias": vars(one.bias) if one.bias is not None else None,
         "reason": "the model absorbs it" if one.retained < 0.5 else "the runs are too few or too noisy",
     }
 
@@ -284,8 +307,8 @@ def _next(verdict: str, found: Found, folder: str) -> str:
         name = found.adopted[0].effect
         return f"imubayes add {name} --to {folder} --out {folder}-{name}"
     if verdict == "unexplained_structure":
-        return f"imubayes diagnose {folder} --python > found_shape.py    then list it in the model's 'files'"
-    return f"imubayes plant CAMPAIGN --result {folder}"
+        return f"imubayes diagnose {folder} --python > found_shape.py"
+    return f"imubayes plant --result {folder}"
 
 
 def _asked(

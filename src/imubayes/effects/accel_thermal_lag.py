@@ -1,9 +1,7 @@
 """Accelerometer bias that follows a temperature behind the thermometer's."""
 
-import jax.numpy as jnp
-
 from imubayes.effects.base import Decay, Order, RecordEffect, Stage
-from imubayes.parameters.parameter import parameter
+from imubayes.parameters.parameter import parameter, time_constant
 from imubayes.stimulus import Ambient, Sample
 from imubayes.types import Scalar
 
@@ -12,8 +10,7 @@ class AccelThermalLag(RecordEffect):
     """Bias linear in the lag: signal + c·(T_τ − T) with dT_τ/dt = (T − T_τ)/τ, and T_τ = T where a run begins.
 
     A sensor whose bias follows the temperature inside alone has c equal to its coefficient in `accel_bias_temperature`.
-    Between two instants T is taken as straight, which makes the lag exact: the difference T − T_τ fades by e^(−Δt/τ)
-    and gains ΔT·(1 − e^(−Δt/τ))·τ/Δt.
+    Between two instants T is taken as straight, which makes the lag exact.
     """
 
     name = "accel_thermal_lag"
@@ -26,22 +23,10 @@ class AccelThermalLag(RecordEffect):
     reference = "first-order lag, IEEE Std 1293 thermal model; time constants of minutes"
 
     coefficient: Scalar = parameter("ug/degC", "normal(0, 50 ug/degC)", (1, 300), "the bias per degree of lag")
-    tau: Scalar = parameter(
-        "min",
-        "lognormal(10 min, 1.0)",
-        (0.5, 120),
-        "the time constant of the lag",
-        null=600.0,
-        shape=(1.0, 3.0, 10.0, 30.0, 100.0),
-    )
+    tau: Scalar = time_constant("the time constant of the lag")
 
     def carry(self, before: Ambient, now: Ambient, seconds: Scalar) -> Decay:
-        elapsed = seconds / self.tau
-        # (1 − e^(−x))/x, by its series where x is small: a step of temperature in no time is a lag of that size.
-        small = elapsed < 1e-4
-        safe = jnp.where(small, 1.0, elapsed)
-        gained = jnp.where(small, 1 - elapsed / 2, -jnp.expm1(-safe) / safe)
-        return Decay(jnp.exp(-elapsed), gained * (now.temperature - before.temperature))
+        return Decay.behind(now.temperature - before.temperature, seconds / self.tau)
 
     def apply(self, signal: Scalar, sample: Sample, memory: Scalar) -> Scalar:
         return signal - self.coefficient * memory

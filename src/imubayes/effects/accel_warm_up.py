@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from imubayes.effects.base import Order, SignalEffect, Stage
-from imubayes.parameters.parameter import parameter
+from imubayes.parameters.parameter import parameter, time_constant
 from imubayes.stimulus import Sample
 from imubayes.types import Scalar
 
@@ -19,14 +19,7 @@ class AccelWarmUp(SignalEffect):
     reference = "IEEE Std 1293, turn-on transient and warm-up"
 
     amplitude: Scalar = parameter("ug", "normal(0, 500 ug)", (5, 2000), "the excess of bias at power-on")
-    tau: Scalar = parameter(
-        "min",
-        "lognormal(10 min, 1.0)",
-        (0.5, 120),
-        "the time constant",
-        null=600.0,
-        shape=(1.0, 3.0, 10.0, 30.0, 100.0),
-    )
+    tau: Scalar = time_constant("the time constant")
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return signal + self.amplitude * jnp.exp(-sample.ambient.power_on / self.tau)

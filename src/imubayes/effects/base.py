@@ -163,6 +163,23 @@ class Decay(eqx.Module):
     gain: Scalars
     shift: Scalars
 
+    @staticmethod
+    def behind(change: Scalar, elapsed: Scalar) -> "Decay":
+        """Return the step of x − x_τ, the distance of a first-order lag behind a quantity that goes straight.
+
+        It fades by e^(−Δt/τ) and gains Δx·(1 − e^(−Δt/τ))·τ/Δt.
+
+        Parameters
+        ----------
+        change : Δx of the quantity.
+        elapsed : Δt/τ.
+        """
+        # By its series where Δt is small: a step in no time is a lag of that size.
+        small = elapsed < 1e-4
+        safe = jnp.where(small, 1.0, elapsed)
+        gained = jnp.where(small, 1 - elapsed / 2, -jnp.expm1(-safe) / safe)
+        return Decay(jnp.exp(-elapsed), gained * change)
+
     def then(self, later: "Decay") -> "Decay":
         """Return this step and a later one as one."""
         return Decay(self.gain * later.gain, later.gain * self.shift + later.shift)

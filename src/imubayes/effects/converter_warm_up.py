@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from imubayes.effects.base import Order, SignalEffect, Stage
-from imubayes.parameters.parameter import parameter
+from imubayes.parameters.parameter import parameter, time_constant
 from imubayes.stimulus import Sample
 from imubayes.types import Scalar
 
@@ -21,14 +21,7 @@ class ConverterWarmUp(SignalEffect):
     reference = "turn-on transient of ADC, I/F and V/F converters"
 
     amplitude: Scalar = parameter("output", "normal(0, 1e-3 scale)", (1e-06, 0.1), "the excess of offset at power-on")
-    tau: Scalar = parameter(
-        "min",
-        "lognormal(10 min, 1.0)",
-        (0.5, 120),
-        "the time constant",
-        null=600.0,
-        shape=(1.0, 3.0, 10.0, 30.0, 100.0),
-    )
+    tau: Scalar = time_constant("the time constant")
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return signal + self.amplitude * jnp.exp(-sample.ambient.power_on / self.tau)

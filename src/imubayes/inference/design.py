@@ -5,9 +5,8 @@ with gradient c is cᵀH⁻¹c.  All candidates are declared together, as runs w
 one Jacobian serves all.
 """
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -16,121 +15,34 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import Effect, Stage
+from imubayes.inference.fitted import Fitted
 from imubayes.inference.joint import JointFit
+from imubayes.inference.planned import Candidate, candidates
 from imubayes.inference.precision import knowledge, linearise
 from imubayes.model.declaration import Model, declare
 from imubayes.model.derived import derive
 from imubayes.model.likelihood import values_of
-from imubayes.run import Campaign, Mounting, Run, Table
 
 # Derived quantities below this share from the data ask for a further run.
 _WANTED_SHARE = 0.5
-_HEAD_POSITIONS = 12
-_DEFAULT_RATES = (100.0, 30.0, 10.0, -100.0, -30.0, -10.0)  # deg/s
-_VERTICAL = math.radians(45.0)
-_STANDARD = {
-    "x-up": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
-    "y-up": np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
-    "z-up": np.eye(3),
-}
 _MOST_LISTED = 6
 # A run that leaves more than this share of a standard deviation is not worth naming.
 _USEFUL = 0.9
-_INJECTED_G, _RAMP = 10.0, (15.0, 45.0)
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A run that could be made: a sentence for the engineer, and the run itself."""
+def with_planned(fitted: Fitted, elsewhere: bool = False) -> tuple[Fitted, list[Candidate]]:
+    """Return a fit declared anew on its campaign with every candidate run behind it, and these runs.
 
-    sentence: str
-    run: Run
-
-
-def candidates(campaign: Campaign) -> tuple[Campaign, list[Candidate]]:
-    """Return the campaign with standard mountings added, and the runs that its tables and mountings allow."""
-    mountings = dict(campaign.mountings)
-    seats = [one.uncertainty for one in mountings.values() if one.uncertainty]
-    for name, matrix in _STANDARD.items():
-        if not any(np.allclose(one.body_to_table[2], matrix[2], atol=1e-3) for one in mountings.values()):
-            mountings[name] = Mounting(name, matrix, max(seats, default=None))
-    extended = replace(campaign, mountings=mountings)
-    used = {(run.table, run.mounting) for run in campaign.runs}
-    found = []
-    for table in campaign.tables.values():
-        for mounting in mountings.values():
-            run, sentence = _planned(campaign, table, mounting)
-            again = "another run: " if (table.name, mounting.name) in used else ""
-            found.append(Candidate(again + sentence, run))
-    found.extend(_injections(campaign))
-    return extended, found
-
-
-def _injections(campaign: Campaign) -> list[Candidate]:
-    """Return a run with injected current over a converter ramp, where the sensors have a current output."""
-    currents = [c.current_per_acceleration for c in campaign.channels if c.current_per_acceleration]
-    if not currents or not any("converter_temperature" in run.covariates for run in campaign.runs):
-        return []
-    current = _INJECTED_G * campaign.site.gravity * currents[0]
-    count = _HEAD_POSITIONS
-    still = np.zeros(count)
-    covariates = {
-        "time": 600.0 * np.arange(count),
-        "table_rate": still,
-        "table_angle": still,
-        "table_angle_span": still,
-        "converter_temperature": np.linspace(*_RAMP, count),
-        "current": np.full(count, current),
-    }
-    run = _empty_run(campaign, "candidate injection", "current_injection", None, None, covariates)
-    sentence = f"current_injection of {current * 1e3:.3g} mA ({_INJECTED_G:g} g) over a converter ramp of "
-    return [Candidate(sentence + f"{_RAMP[1] - _RAMP[0]:g} degC", run)]
-
-
-def _empty_run(
-    campaign: Campaign, name: str, procedure: str, table: str | None, mounting: str | None, covariates: dict
-) -> Run:
-    """Return a run whose readings are yet to be made."""
-    count = len(covariates["time"])
-    samples = float(np.median(np.concatenate([run.samples for run in campaign.runs])))
-    known = np.array([procedure != "current_injection" or bool(c.current_per_acceleration) for c in campaign.channels])
-    observed = np.where(known, np.zeros((count, len(known))), np.nan)
-    return Run(
-        name, procedure, table, mounting, covariates, observed, np.full(count, samples), np.full_like(observed, np.nan)
-    )
-
-
-def _planned(campaign: Campaign, table: Table, mounting: Mounting) -> tuple[Run, str]:
-    if table.elevation > _VERTICAL:
-        rates = _rates(campaign, table)
-        rate = np.array([0.0, *rates, 0.0])
-        angle = np.where(rate == 0, 0.0, np.nan)
-        procedure, what = "rate_table", f"rates to ±{max(map(abs, rates)):.0f} deg/s"
-    else:
-        rate = np.zeros(_HEAD_POSITIONS)
-        angle = 2 * np.pi * np.arange(_HEAD_POSITIONS) / _HEAD_POSITIONS
-        procedure, what = "dividing_head", f"{_HEAD_POSITIONS} positions"
-        rates = []
-    rate = np.radians(rate)
-    count = len(rate)
-    covariates = {"time": np.arange(count, dtype=float), "table_rate": rate, "table_angle": angle}
-    covariates["table_angle_span"] = np.zeros(count)
-    for name in ("temperature", "converter_temperature"):
-        known = [run.covariates[name].mean() for run in campaign.runs if name in run.covariates]
-        if known:
-            covariates[name] = np.full(count, float(np.median(known)))
-    run = _empty_run(
-        campaign, f"candidate {table.name} {mounting.name}", procedure, table.name, mounting.name, covariates
-    )
-    return run, f"{procedure} on '{table.name}' in mounting '{mounting.name}', {what}"
-
-
-def _rates(campaign: Campaign, table: Table) -> list[float]:
-    """Return the rates that this table has been run at, deg/s, or usual ones."""
-    made = [run.covariates["table_rate"] for run in campaign.runs if run.table == table.name]
-    rates = np.unique(np.degrees(np.round(np.concatenate(made), 9))) if made else np.zeros(0)
-    turning = [float(rate) for rate in rates if rate != 0]
-    return turning or list(_DEFAULT_RATES)
+    Parameters
+    ----------
+    elsewhere : whether runs on another table of the same kind count.
+    """
+    extended, planned = candidates(fitted.model.campaign, elsewhere)
+    campaign = replace(extended, runs=(*extended.runs, *(one.run for one in planned)))
+    model = declare(fitted.model.spec, campaign, fitted.model.registry.without_files())
+    z = model.layout.carried(fitted.model.layout, fitted.z)
+    h = model.hyper_layout.carried(fitted.model.hyper_layout, fitted.h)
+    return Fitted(model, z, h, fitted.converged, fitted.message), planned
 
 
 @eqx.filter_jit
@@ -146,13 +58,10 @@ def rank(fit: JointFit, quantities: Sequence[str]) -> dict[str, list[dict[str, A
     fit : a converged fit.
     quantities : names of parameters or derived quantities, such as ``scale_factor[gx]``.
     """
-    extended, planned = candidates(fit.model.campaign)
+    wide, planned = with_planned(fit.fitted)
     if not planned:
         return {}
-    campaign = replace(extended, runs=(*extended.runs, *(one.run for one in planned)))
-    model = declare(fit.model.spec, campaign)
-    z = carried(model.layout.names, fit.model.layout.names, np.asarray(fit.mode.z))
-    h = carried(model.hyper_layout.names, fit.model.hyper_layout.names, np.asarray(fit.mode.h))
+    model, z, h = wide.model, wide.z, wide.h
     about = _linearise(model.problem, jnp.asarray(z))
     gradients = _gradients(model, z, quantities)
     known_runs = len(fit.model.campaign.runs)
@@ -202,14 +111,8 @@ def _gradients(model: Model, z: np.ndarray, quantities: Sequence[str]) -> np.nda
 
 
 _linearise = eqx.filter_jit(linearise)
-_slopes = eqx.filter_jit(lambda problem, z: jax.jvp(problem.priors.values, (z,), (jnp.ones_like(z),))[1])
+_slopes = eqx.filter_jit(lambda problem, z: problem.priors.slopes(z))
 _precision = eqx.filter_jit(lambda problem, about, h: knowledge(problem, about, h).precision)
-
-
-def carried(names: Sequence[str], known: Sequence[str], values: np.ndarray) -> np.ndarray:
-    """Return values by name, 0 (the middle of the prior) for names not known."""
-    lookup = dict(zip(known, values.tolist(), strict=True))
-    return np.array([lookup.get(name, 0.0) for name in names])
 
 
 def next_runs(fit: JointFit, summary: dict[str, Any]) -> list[dict[str, Any]]:
@@ -244,4 +147,4 @@ def _of_sensor(member) -> bool:
     return issubclass(member, Effect) and member.stage >= Stage.SENSOR and not member.nuisance
 
 
-__all__ = ["Candidate", "candidates", "next_runs", "rank"]
+__all__ = ["next_runs", "rank", "with_planned"]

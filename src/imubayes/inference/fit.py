@@ -81,7 +81,7 @@ def sparse_residual(problem: Problem, h: Float[Array, " H"]):
     def push(primals, tangents):
         (z,), (tangent,) = primals, tangents
         jacobian = prediction_jacobian(problem, z)
-        whitened = jax.vmap(lambda column: whiten(problem, by, column), 1, 1)(jacobian)
+        whitened = whiten(problem, by, jacobian)
         return residual(z), jnp.concatenate([-whitened @ tangent, tangent / widths])
 
     return residual

@@ -220,8 +220,8 @@ class Whitener(eqx.Module):
         return root * values if self.series is None else self.series.forward(root * values)
 
 
-def _group_sum(values: Float[Array, " E"], observations: Observations) -> Float[Array, " G"]:
-    padded = jnp.concatenate([values, jnp.zeros(1)])
+def _group_sum(values: Float[Array, "E *columns"], observations: Observations) -> Float[Array, "G *columns"]:
+    padded = jnp.concatenate([values, jnp.zeros((1, *values.shape[1:]))])
     return padded[observations.members].sum(axis=1)
 
 
@@ -278,11 +278,12 @@ def _series(problem: Problem, values: Float[Array, " H"]) -> Series | None:
     return Series(before, jnp.where(linked, one_row[observations.group] ** steps, 0.0))
 
 
-def whiten(problem: Problem, by: Whitener, residual: Float[Array, " E"]) -> Float[Array, " E"]:
-    """Return Σ^(−½) · residual."""
-    scaled, direction = by.scale(residual), by.direction
+def whiten(problem: Problem, by: Whitener, residual: Float[Array, "E *columns"]) -> Float[Array, "E *columns"]:
+    """Return Σ^(−½) · residual, of one or of many columns."""
+    columns = (-1, *(1,) * (residual.ndim - 1))
+    scaled, direction = by.scale(residual), by.direction.reshape(columns)
     along = _group_sum(direction * scaled, problem.observations)
-    return scaled - direction * (by.shrink * along)[problem.observations.group]
+    return scaled - direction * (by.shrink.reshape(columns) * along)[problem.observations.group]
 
 
 def prior_widths(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " P"]:

@@ -28,6 +28,10 @@ class NotShownError(InputError):
     """No run of the campaign supplies what the effect needs."""
 
 
+class NoChannelError(NotShownError):
+    """The unit has no channel that the effect acts on."""
+
+
 @dataclass(frozen=True)
 class Acting:
     """An effect or noise member as it acts in a campaign.
@@ -150,12 +154,12 @@ def _channels(spec: EffectSpec, member: Member, campaign: Campaign, problems: li
     fitting = [channel.name for channel in campaign.channels if channel.kind in member.kinds]
     if spec.channels is None:
         if not fitting:
-            problems.append(
+            raise NoChannelError(
                 Problem(
                     f"'{spec.name}' acts on {' and '.join(member.kinds)} channels and the unit has none",
                     spec.where,
                     "effects for " + ", ".join(sorted({channel.kind for channel in campaign.channels})),
-                    "leave the effect out",
+                    "leave the effect out, or mark it 'optional = true'",
                 )
             )
         return tuple(fitting)

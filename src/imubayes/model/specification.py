@@ -15,7 +15,8 @@ class EffectSpec:
     per : who shares one value (channel, all, run, mounting); None for the effect's own choice.
     prior : parameter → prior as written.
     options : fixed settings of the effect.
-    optional : whether to leave it out where no run can show it, instead of refusing the model.
+    optional : whether to leave it out where no run can show it or the unit has no such channel, instead of refusing the
+        model.
     where : file and key, for errors.
     """
 

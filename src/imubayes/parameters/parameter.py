@@ -52,6 +52,12 @@ def parameter(
     return eqx.field(metadata={"parameter": declared})
 
 
+def time_constant(meaning: str) -> Any:
+    """Declare a field as the time constant of something that settles, minutes to hours; a scan tries half-decades."""
+    shape = (1.0, 3.0, 10.0, 30.0, 100.0)
+    return parameter("min", "lognormal(10 min, 1.0)", (0.5, 120), meaning, null=600.0, shape=shape)
+
+
 def option(default: float, meaning: str) -> Any:
     """Declare a field of an effect as a fixed setting that a model file may change, such as a reference."""
     return eqx.field(default=default, metadata={"option": meaning})

@@ -39,6 +39,14 @@ class Parameter:
         """Standard deviation of the prior in the datasheet unit."""
         return self.prior.sd() / self.factor
 
+    def z_at(self, value: float) -> float | None:
+        """Return z of a value in the parameter's unit; None where its prior excludes that value."""
+        try:
+            z = float(self.prior.z(value * self.factor))
+        except (ValueError, ZeroDivisionError, OverflowError):
+            return None
+        return z if np.isfinite(z) else None
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -61,6 +69,19 @@ class Layout:
     def factors(self) -> np.ndarray:
         """Return the SI value of each parameter's unit, shape (P,)."""
         return np.array([parameter.factor for parameter in self.parameters], dtype=float)
+
+    def carried(self, known: "Layout", point: np.ndarray, otherwise: np.ndarray | float = 0.0) -> np.ndarray:
+        """Return a point of another layout in this one, by name.
+
+        Parameters
+        ----------
+        known : the other layout.
+        point : z there, shape (its length,).
+        otherwise : z of what the other layout lacks, shape (P,) or one for all; 0 is the middle of the prior.
+        """
+        there = dict(zip(known.names, point.tolist(), strict=True))
+        rest = np.broadcast_to(otherwise, len(self)).tolist()
+        return np.array([there.get(name, other) for name, other in zip(self.names, rest, strict=True)], dtype=float)
 
     def z_of(self, values: Sequence[float] | np.ndarray) -> np.ndarray:
         """Return z of values given in datasheet units, shape (P,)."""
@@ -101,3 +122,7 @@ class Priors(eqx.Module):
             parts.append(jax.vmap(lambda prior, one: prior.value(one))(family, chosen))
             start += count
         return jnp.concatenate(parts)[self.order]
+
+    def slopes(self, z: Float[Array, " P"]) -> Float[Array, " P"]:
+        """Return the derivative of each value by its own z."""
+        return jax.jvp(self.values, (z,), (jnp.ones_like(z),))[1]

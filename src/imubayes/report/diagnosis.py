@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from imubayes.errors import InputError, Problem
 from imubayes.report.display import listed, pretty
 from imubayes.report.folder import write_beside
 from imubayes.report.rounding import percent, significant, value_and_sd
@@ -16,6 +17,8 @@ from imubayes.report.sheets import Cell, Sheet
 DIAGNOSIS = "diagnosis.json"
 Facts = Mapping[str, Any]
 _MOST_RANKED, _MOST_PATTERNS = 10, 6
+# A shift below this share of a posterior standard deviation is not worth a word.
+_SMALL_SHIFT = 0.1
 
 
 def write_diagnosis(folder: Path, facts: Facts, channel: str = "", covariate: str = "") -> None:
@@ -42,6 +45,27 @@ def screened_candidate(facts: Facts, effect: str) -> dict[str, Any]:
     return {}
 
 
+def found_class(facts: Facts) -> str:
+    """Return the effect class written for the strongest unexplained pattern.
+
+    Raises
+    ------
+    InputError
+        where the diagnosis found no pattern that a formula describes.
+    """
+    for one in facts.get("structure", ()):
+        if one.get("python"):
+            return str(one["python"])
+    raise InputError(
+        Problem(
+            "there is no effect class to print",
+            f"diagnosis: {facts['verdict']}",
+            "unexplained_structure, with a formula",
+            f"do what the diagnosis says next: {facts.get('next') or 'nothing'}",
+        )
+    )
+
+
 def diagnosis_lines(facts: Facts, picture: Path | None = None) -> list[str]:
     """Return the answer: a sentence, what to expect of it, the picture and the next command.
 
@@ -66,9 +90,16 @@ def diagnosis_lines(facts: Facts, picture: Path | None = None) -> list[str]:
 def _expected(facts: Facts) -> str:
     best, looks = facts["groups"][0], facts.get("looks") or 0
     after = f" after {looks:.0f} looks" if looks else ""
+    rms = best.get("residual")
+    left = (
+        f" and the residual of {rms['channel']} from {significant(rms['before'])} to {significant(rms['after'])} "
+        f"{pretty(rms['unit'])} rms"
+        if rms
+        else ""
+    )
     return (
         f"Expected of adding it: chi2 falls by {significant(best['delta_chi2'])}, counted in the noise that is then "
-        f"left; chance {chance_text(best['p_global'])}{after}."
+        f"left,{left}; chance {chance_text(best['p_global'])}{after}."
     )
 
 
@@ -154,11 +185,28 @@ def undetectable_sheet(facts: Facts) -> Sheet:
         hiding = [f"{percent(each['share'])} {each['parameter']}" for each in one["absorbed_by"][:2]]
         smallest, unit = one.get("smallest_detectable"), pretty(one.get("unit", ""))
         size = f"{significant(smallest)} {unit}" if smallest is not None else "–"
-        rows.append((Cell(one["effect"]), Cell(", ".join(hiding) or str(one.get("reason", "–"))), Cell(size)))
+        rows.append(
+            (
+                Cell(one["effect"]),
+                Cell(", ".join(hiding) or str(one.get("reason", "–"))),
+                Cell(size),
+                Cell(_shift(one.get("bias"))),
+            )
+        )
     note = "Not seen is not absent: these effects may be there, and no statement is made about them." if rows else ""
     note += f" No run supplies what these need: {', '.join(without)}." if without else ""
-    head = ("effect", "would hide in", "smallest seen")
-    return Sheet("What these runs cannot show", head, rows, (0, 1), "", note)
+    if rows:
+        note += " The last column is what the largest usual size of an effect, there and not seen, does to a parameter."
+    head = ("effect", "would hide in", "smallest seen", "would shift")
+    return Sheet("What these runs cannot show", head, rows, (0, 1, 3), "", note)
+
+
+def _shift(bias: Facts | None) -> str:
+    """Return the parameter that an effect shifts most while it goes unseen."""
+    if not bias or abs(bias["in_sd"]) < _SMALL_SHIFT:
+        return "–"
+    size = f"{significant(abs(bias['value']))} {pretty(bias['unit'])}"
+    return f"{bias['parameter']} by {size}, {significant(abs(bias['in_sd']))} sd"
 
 
 def structure_sheet(facts: Facts) -> Sheet:

@@ -19,6 +19,7 @@ from imubayes.report.tables import (
     terminal,
     weak_table,
 )
+from imubayes.report.textbook import decision_sheet, textbook_sheet, undetermined_sheet
 
 
 def print_summary(summary: dict[str, Any], verbose: bool = False) -> None:
@@ -61,6 +62,16 @@ def print_comparison(comparison: Comparison) -> None:
     console.print(comparison.runs)
     for path in comparison.pictures:
         console.print(str(path), highlight=False, soft_wrap=True)
+
+
+def print_textbook(facts: Mapping[str, Any]) -> None:
+    """Print textbook estimates, and what they leave open."""
+    console = Console()
+    for sheet in (textbook_sheet(facts), decision_sheet(facts), undetermined_sheet(facts)):
+        if sheet.rows:
+            console.print(terminal(sheet))
+    if not facts["estimates"]:
+        console.print("The textbook has no evaluation for these runs.", highlight=False)
 
 
 def print_diagnosis(facts: Mapping[str, Any], picture: Path | None = None, effect: str = "") -> None:

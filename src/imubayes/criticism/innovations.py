@@ -1,0 +1,120 @@
+"""Noise that remembers: white noise with a slow part, and how much of it there is in each channel.
+
+The slow part is exponentially correlated (IEEE Std 952, Markov noise): row to row by φ, with a share c of the variance;
+c = 1 is AR(1).  Whitening is by the innovations of its Kalman filter, exact for every record.  Share and correlation
+come from the restricted likelihood (Patterson & Thompson, Biometrika 1971) on a grid: what the model has taken out of
+the residual has taken the slow part along, and a correlation read off the residual would be too small.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from imubayes.criticism.projection import Projection
+
+_SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0)
+_CORRELATIONS = (0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.96)
+# A direction of which the rows of a channel hold less than this share of the squared length leaves them as they are.
+_HELD = 0.1
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Noise of variance 1 with a slow part: its share of the variance, and its correlation from row to row."""
+
+    share: float
+    correlation: float
+
+
+FORGETFUL = Memory(0.0, 0.0)
+GRID = (FORGETFUL, *(Memory(*pair) for pair in product(_SHARES, _CORRELATIONS)))
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Takes the slow part out of whitened entries.
+
+    Attributes
+    ----------
+    series : shape (G, M), entries of each record in the order of time, E where padded.
+    share, correlation : shape (G,).
+    """
+
+    series: np.ndarray
+    share: np.ndarray
+    correlation: np.ndarray
+
+    def __call__(self, white: np.ndarray) -> np.ndarray:
+        """Return entries (E, C) whitened."""
+        return self.filtered(white)[0]
+
+    def filtered(self, white: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return entries (E, C) whitened, and the logarithm of the determinant of their covariance."""
+        remembers = (self.share > 0) & (self.correlation > 0)
+        share, correlation = self.share[remembers, None], self.correlation[remembers, None]
+        result = np.concatenate([white, np.zeros((1, white.shape[1]))])
+        series, count = self.series[remembers], len(white)
+        state, variance, log_determinant = np.zeros((len(series), white.shape[1])), share.copy(), 0.0
+        for place in series.T:
+            there = (place < count)[:, None]
+            whole = variance + 1 - share
+            innovation = result[place] - state
+            result[place] = np.where(there, innovation / np.sqrt(whole), 0.0)
+            log_determinant += float(np.sum(np.log(whole)[there]))
+            gain = variance / whole
+            state = correlation * (state + gain * innovation)
+            variance = correlation**2 * variance * (1 - gain) + share * (1 - correlation**2)
+        return result[:-1], log_determinant
+
+
+def memories(projection: Projection, channels: Sequence[int]) -> dict[int, Memory]:
+    """Return the memory of the noise of some channels of one kind, by place; each learns from the others.
+
+    A channel's own runs are few: to its likelihood comes the mean of those of the others.
+    """
+    tables = np.array([likelihoods(*_of_channel(projection, place)) for place in channels])
+    others = (tables.sum(axis=0) - tables) / max(len(channels) - 1, 1)
+    return {place: GRID[int(np.argmax(own))] for place, own in zip(channels, tables + others, strict=True)}
+
+
+def _of_channel(projection: Projection, channel: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return residual, directions taken out, and records of one channel, its entries numbered from 0."""
+    entries, turn = projection.fitted.model.entries, projection.turn
+    count = len(entries)
+    groups = turn.series[(entries.channel[turn.series[:, 0]] == channel) & (turn.sizes > 2)]
+    own = groups[groups < count]
+    local = np.full(count + 1, len(own))
+    local[own] = np.arange(len(own))
+    rows = turn.reflect(np.concatenate([projection.residual[:count, None], projection.basis[:count]], axis=1))[own]
+    return rows[:, 0], rows[:, 1:], local[groups]
+
+
+def likelihoods(residual: np.ndarray, taken: np.ndarray, series: np.ndarray) -> np.ndarray:
+    """Return the restricted log likelihood of whitened residuals at each point of the grid.
+
+    Parameters
+    ----------
+    residual : shape (n,).
+    taken : shape (n, k), directions that have been taken out of it, as far as these entries hold them.
+    series : shape (G, M), entries of each record in the order of time, n where padded.
+    """
+    count = len(residual)
+    if not count:
+        return np.zeros(len(GRID))
+    # A record's offset is free: how it scatters is a matter of its own.
+    offsets = (series[:, :, None] == np.arange(count)).any(axis=1).T.astype(float)
+    whole = np.concatenate([taken, offsets / np.sqrt(offsets.sum(axis=0))], axis=1)
+    left, lengths, _ = np.linalg.svd(whole, full_matrices=False)
+    columns = np.concatenate([residual[:, None], left[:, lengths**2 > _HELD]], axis=1)
+    found = []
+    for one in GRID:
+        by = Innovations(series, np.full(len(series), one.share), np.full(len(series), one.correlation))
+        white, determinant = by.filtered(columns)
+        basis, upper = np.linalg.qr(white[:, 1:])
+        misfit = white[:, 0] - basis @ (basis.T @ white[:, 0])
+        determinant += 2 * float(np.sum(np.log(np.abs(np.diag(upper)))))
+        freedom = count - basis.shape[1]
+        found.append(-0.5 * (determinant + freedom * np.log(max(float(misfit @ misfit), 1e-300))))
+    return np.array(found)
