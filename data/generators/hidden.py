@@ -203,6 +203,8 @@ def unit_effect(plan: Plan, effect: str, where: tuple[str, ...], generator: np.r
     shapes = {name: drawn(generator) for name, drawn in kind.shapes.items()}
     if effect == "outside_step":
         long = [index for index, run in enumerate(plan.runs) if len(run.rows) >= 12]
+        if not long:
+            raise CannotShowError
         shapes["run"] = float(generator.choice(long))
     sign = generator.choice([-1.0, 1.0])
     for label in where:

@@ -6,6 +6,7 @@ from pathlib import Path
 import accel_channel
 import desk_imu
 import hidden_effects
+import polar_tumble
 import redundant_imu
 import trihedral_imu
 
@@ -14,6 +15,7 @@ CAMPAIGNS = {
     "desk-imu": desk_imu,
     "accel-channel": accel_channel,
     "redundant-imu": redundant_imu,
+    "polar-tumble": polar_tumble,
 }
 
 

@@ -111,7 +111,7 @@ def _columns(plan: Plan, run: Run, readings: Readings) -> dict[str, list[str]]:
     columns = {"time_s": [f"{row.time:.3f}" for row in rows]}
     if run.procedure == "rate_table":
         columns["table_rate_deg_s"] = [f"{row.rate:g}" for row in rows]
-    if run.procedure in ("rate_table", "dividing_head"):
+    if run.procedure in ("rate_table", "dividing_head", "polar_tumble"):
         columns["table_angle_deg"] = ["" if row.angle is None else f"{row.angle:g}" for row in rows]
     columns["temperature_degC"] = [f"{row.temperature:.3f}" for row in rows]
     if rows[0].converter_temperature is not None:

@@ -1,0 +1,70 @@
+"""The converter of an accelerometer over temperature: a straight line per input, and whether one does for all (P8).
+
+For each input (1 g, 1/√3 g in the trihedral mounting, a current that stands for several g) the output is a straight
+line in the converter's temperature.  With k the relative slope at the input nearest 1 g and k′ that at another,
+Δk = |k′ − k|/|k|; at or below the threshold the line of 1 g stands for all inputs, above it that input keeps its own.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imubayes.classical.base import Estimate, Finding, Undetermined, components, line, measured
+from imubayes.run import Campaign, Channel, Run
+
+METHOD = "straight line against converter temperature"
+THRESHOLD = 0.1
+"""Δk up to which the line of 1 g stands for all inputs, by default."""
+_LEAST_INPUT = 0.1
+_LEAST_RAMP = 2.0
+
+
+def converter_test(campaign: Campaign, runs: Sequence[Run], threshold: float = THRESHOLD) -> list[Finding]:
+    """Return relative slope per input, Δk, and the decision for each input."""
+    found: list[Finding] = []
+    slopes: dict[str, list[tuple[float, Run, float, float]]] = {}
+    for run in runs:
+        temperature = run.covariates.get("converter_temperature")
+        if temperature is None or np.ptp(temperature) < _LEAST_RAMP:
+            found.append(Undetermined(run.name, "the converter does not change temperature"))
+            continue
+        for channel, output in measured(run, campaign, "accelerometer"):
+            level = _input(run, campaign, channel)
+            if abs(level) < _LEAST_INPUT:
+                continue
+            fitted = line(temperature - temperature.mean(), output)
+            nominal = level * channel.scale_si * campaign.site.gravity
+            slope, sd = fitted.slope / nominal * 1e6, abs(fitted.slope_sd / nominal) * 1e6
+            found.append(Estimate(f"thermal_slope[{channel.name},{run.name}]", run.name, slope, sd, "ppm/degC", METHOD))
+            slopes.setdefault(channel.name, []).append((level, run, slope, sd))
+    for channel, each in slopes.items():
+        found += _decisions(channel, each, threshold)
+    return found
+
+
+def _input(run: Run, campaign: Campaign, channel: Channel) -> float:
+    """Return the nominal input in g."""
+    if "current" in run.covariates and channel.current_per_acceleration:
+        acceleration = float(np.mean(run.covariates["current"])) / channel.current_per_acceleration
+        return acceleration / campaign.site.gravity
+    if run.mounting is None or run.table is None:
+        return 0.0
+    return float(np.mean(components(run, campaign, channel)[0]))
+
+
+def _decisions(channel: str, each: list[tuple[float, Run, float, float]], threshold: float) -> list[Finding]:
+    base = min(each, key=lambda one: abs(abs(one[0]) - 1))
+    found: list[Finding] = []
+    for level, run, slope, sd in each:
+        if run is base[1]:
+            continue
+        delta = abs(slope - base[2]) / abs(base[2])
+        spread = float(np.hypot(sd, slope / base[2] * base[3])) / abs(base[2])
+        decision = f"the line of {base[0]:.3g} g stands" if delta <= threshold else f"{level:.3g} g keeps its own line"
+        found.append(
+            Estimate(
+                f"delta_k[{channel},{run.name}]", f"{run.name}, {base[1].name}", delta * 100, spread * 100, "%",
+                METHOD, decision=f"threshold {threshold * 100:g} %: {decision}",
+            )
+        )  # fmt: skip
+    return found

@@ -1,0 +1,38 @@
+"""`imubayes classical`: what the textbook makes of each run."""
+
+import json
+import sys
+from pathlib import Path
+
+from imubayes.cli.options import Json
+
+
+def classical(campaign: Path, *, result: Path | None = None, as_json: Json = False) -> int:
+    """Evaluate each run by the textbook, and compare with the joint fit.
+
+    Example: imubayes classical data/trihedral-imu --result results/trihedral-imu
+
+    Parameters
+    ----------
+    campaign
+        Folder with campaign.toml.
+    result
+        Result folder of a fit of the same campaign, to stand beside the textbook.
+    as_json
+        Print one JSON object on standard output.
+    """
+    from imubayes.campaign import load_campaign
+    from imubayes.classical import classical as evaluate
+    from imubayes.procedures import PROCEDURES
+    from imubayes.report.folder import read_summary
+    from imubayes.report.terminal import print_textbook
+    from imubayes.report.textbook import textbook_json
+
+    findings = evaluate(load_campaign(campaign, tuple(PROCEDURES)))
+    facts = textbook_json(findings, None if result is None else read_summary(result))
+    if as_json:
+        json.dump(facts, sys.stdout, ensure_ascii=False)
+        print()
+    else:
+        print_textbook(facts)
+    return 0 if facts["estimates"] else 1

@@ -1,0 +1,106 @@
+"""The textbook beside the joint fit: what each gives, and what the mounting angle explains of the difference.
+
+Works on the estimates and, where there is one, on the summary of a fit of the same campaign.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from imubayes.classical import Estimate, Finding, Undetermined
+from imubayes.report.display import pretty
+from imubayes.report.rounding import significant, value_and_sd
+from imubayes.report.sheets import Cell, Sheet
+
+Facts = Mapping[str, Any]
+# A difference beyond this many of the textbook's own standard deviations is one that it does not own up to.
+_BEYOND = 3.0
+
+
+def textbook_json(findings: Sequence[Finding], summary: Facts | None = None) -> dict[str, Any]:
+    """Return the estimates as `imubayes classical --json` prints them, each with the joint fit's where it has one."""
+    joint = _joint(summary)
+    return {
+        "format": 1,
+        "estimates": [_line(one, joint) for one in findings if isinstance(one, Estimate)],
+        "undetermined": [vars(one) for one in findings if isinstance(one, Undetermined)],
+    }
+
+
+def _joint(summary: Facts | None) -> dict[str, Facts]:
+    lines = [] if summary is None else [*summary["derived"], *summary["parameters"]]
+    return {line["name"]: line for line in lines}
+
+
+def _line(one: Estimate, joint: Mapping[str, Facts]) -> dict[str, Any]:
+    line: dict[str, Any] = {
+        "name": one.name,
+        "run": one.run,
+        "value": one.value,
+        "sd": one.sd if math.isfinite(one.sd) else None,
+        "unit": one.unit,
+        "method": one.method,
+        "decision": one.decision,
+    }
+    found = joint.get(one.name)
+    if found is None or found["unit"] != one.unit:
+        return line | {"joint": None, "difference": None, "of_angle": None}
+    return line | {
+        "joint": {"value": found["mean"], "sd": found["sd"]},
+        "difference": one.value - found["mean"],
+        "of_angle": _of_angle(one, joint),
+    }
+
+
+def _of_angle(one: Estimate, joint: Mapping[str, Facts]) -> dict[str, float] | None:
+    """Return the error of the mounting angle, and what it does to the textbook's value: k′/cos θ with the wrong θ."""
+    angle = joint.get(one.angle)
+    if angle is None or not one.value:
+        return None
+    ratio = math.cos(math.radians(angle["mean"])) / math.cos(math.radians(one.nominal))
+    return {"arcsec": (angle["mean"] - one.nominal) * 3600, "ppm": (ratio - 1) * 1e6}
+
+
+def textbook_sheet(facts: Facts) -> Sheet:
+    """Return the table: textbook, joint fit, difference and what explains it."""
+    compared = any(one["joint"] for one in facts["estimates"])
+    rows = []
+    for one in facts["estimates"]:
+        value, sd = value_and_sd(one["value"], one["sd"])
+        cells = [Cell(one["name"]), Cell(one["run"]), Cell(value), Cell(sd)]
+        rows.append((*cells, *(_compared(one) if compared else ()), Cell(pretty(one["unit"]))))
+    head = ["quantity", "run", "textbook", "sd", *(("joint", "sd", "differs", "because") if compared else ()), "unit"]
+    note = (
+        "The sd of the textbook is the scatter about its fitted curve; what is wrong with its assumptions it does not "
+        "contain."
+    )
+    return Sheet("Textbook estimates, each run by itself", head, rows, (0, 1, 7) if compared else (0, 1), "", note)
+
+
+def _compared(one: Facts) -> tuple[Cell, Cell, Cell, Cell]:
+    if not one["joint"]:
+        return Cell(""), Cell(""), Cell(""), Cell("")
+    value, sd = value_and_sd(one["joint"]["value"], one["joint"]["sd"])
+    relative = one["name"].startswith("scale_factor[")
+    size = one["difference"] / one["joint"]["value"] * 1e6 if relative else one["difference"]
+    beyond = one["sd"] is not None and abs(one["difference"]) > _BEYOND * math.hypot(one["sd"], one["joint"]["sd"])
+    why = one["of_angle"]
+    because = (
+        f"angle {significant(why['arcsec'])} arcsec off: {significant(why['ppm'])} ppm"
+        if why and abs(why["ppm"]) >= 1
+        else ""
+    )
+    text = significant(size) + (" ppm" if relative else "")
+    return Cell(value), Cell(sd), Cell(text, "bad" if beyond else ""), Cell(because)
+
+
+def decision_sheet(facts: Facts) -> Sheet:
+    """Return what the textbook concludes."""
+    rows = [(Cell(one["name"]), Cell(one["decision"])) for one in facts["estimates"] if one["decision"]]
+    return Sheet("What the textbook decides", ("quantity", "decision"), rows, (0, 1))
+
+
+def undetermined_sheet(facts: Facts) -> Sheet:
+    """Return what the textbook cannot determine from these runs."""
+    rows = [(Cell(one["run"]), Cell(one["sentence"])) for one in facts["undetermined"]]
+    return Sheet("What the textbook leaves open", ("run", "because"), rows, (0, 1))

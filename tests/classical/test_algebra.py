@@ -1,0 +1,92 @@
+"""The algebra of the textbook, signs included, from the frames up: what stands in the code is put against sympy.
+
+f = (0, 0, 1) g up; the table turns about an axis at azimuth 0 and elevation E, and body = mounting⁻¹ · Rz(−φ) · table.
+"""
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from imubayes.classical.polar_tumble import combined
+from imubayes.classical.tumble import harmonics, order_of
+
+PHI, LATITUDE = sp.symbols("phi L", real=True)
+C, S = sp.cos(LATITUDE), sp.sin(LATITUDE)
+
+
+def up_in_table(elevation):
+    """Gravity's reaction in table axes: the columns of C_nt0 = Rx(−(90° − E)), then Rz(−φ)."""
+    tilt = -(sp.pi / 2 - elevation)
+    at_zero = sp.Matrix([[1, 0, 0], [0, sp.cos(tilt), -sp.sin(tilt)], [0, sp.sin(tilt), sp.cos(tilt)]])
+    back = sp.Matrix([[sp.cos(PHI), sp.sin(PHI), 0], [-sp.sin(PHI), sp.cos(PHI), 0], [0, 0, 1]])
+    return back * at_zero.T * sp.Matrix([0, 0, 1])
+
+
+def fourier(signal, angle, order):
+    """B0, C1, S1, C2, S2, … exactly."""
+    waves = [wave(k * angle) for k in range(1, order + 1) for wave in (sp.cos, sp.sin)]
+    around = (angle, 0, 2 * sp.pi)
+    mean = sp.integrate(signal, around) / (2 * sp.pi)
+    return [sp.simplify(mean), *(sp.simplify(sp.integrate(sp.expand(signal * w), around) / sp.pi) for w in waves)]
+
+
+def test_polar_tumble_combinations_give_back_the_drift_coefficients():
+    names = "D_F D_I D_O D_S D_II D_OO D_SS D_IO D_OS D_SI"
+    d_f, d_i, d_o, d_s, d_ii, d_oo, d_ss, d_io, d_os, d_si = sp.symbols(names)
+    x, y, z = up_in_table(LATITUDE)
+    sweeps = {}
+    # Columns of the mounting are I, O and S = I × O in table axes.
+    for pole, (f_i, f_o, f_s) in {"north": (x, z, -y), "south": (x, -z, y)}.items():
+        drift = d_f + d_i * f_i + d_o * f_o + d_s * f_s + d_ii * f_i**2 + d_oo * f_o**2 + d_ss * f_s**2
+        drift += d_io * f_i * f_o + d_os * f_o * f_s + d_si * f_s * f_i
+        sweeps[pole] = fourier(sp.expand(drift), PHI, 2)
+    found = combined(sweeps["north"], sweeps["south"], C, S)
+    expected = {
+        "D_I": d_i, "D_O": d_o, "D_S": d_s, "D_IO": d_io, "D_OS": d_os, "D_SI": d_si, "D_II-D_SS": d_ii - d_ss,
+        "D_F+D_OO·sin²L+½(D_II+D_SS)·cos²L": d_f + d_oo * S**2 + (d_ii + d_ss) * C**2 / 2,
+    }  # fmt: skip
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        assert sp.simplify(found[name] - value) == 0, name
+
+
+def test_the_earth_rate_on_an_input_axis_across_the_pole_is_zero():
+    tilt = -(sp.pi / 2 - LATITUDE)
+    at_zero = sp.Matrix([[1, 0, 0], [0, sp.cos(tilt), -sp.sin(tilt)], [0, sp.sin(tilt), sp.cos(tilt)]])
+    earth = at_zero.T * sp.Matrix([0, C, S])
+    assert sp.simplify(earth[0]) == 0
+    assert sp.simplify(earth[1]) == 0
+    assert sp.simplify(earth[2]) == 1
+
+
+def test_tumble_harmonics_are_those_of_the_docstring():
+    psi = sp.symbols("psi", real=True)
+    k0, k2, k3, k_xx, delta, k_ix = sp.symbols("K0 K2 K3 K_xx delta K_ix")
+    a, x = sp.cos(psi), sp.sin(psi)
+    smooth = fourier(sp.expand(k0 + a + k2 * a**2 + k3 * a**3 + k_xx * x**2 + delta * x + k_ix * a * x), psi, 3)
+    # a·|a| is even and changes sign at ±90°: integrate the half circle with a > 0, twice.
+    bent = [
+        sp.simplify(2 * sp.integrate(a**2 * sp.cos(k * psi), (psi, -sp.pi / 2, sp.pi / 2)) / sp.pi) for k in (1, 3, 5)
+    ]
+    b0, c1, s1, c2, s2, c3, _ = smooth
+    assert sp.simplify(b0 - (k0 + (k2 + k_xx) / 2)) == 0
+    assert sp.simplify(c1 - (1 + sp.Rational(3, 4) * k3)) == 0
+    assert sp.simplify(s1 - delta) == 0
+    assert sp.simplify(c2 - (k2 - k_xx) / 2) == 0
+    assert sp.simplify(s2 - k_ix / 2) == 0
+    assert sp.simplify(c3 - k3 / 4) == 0
+    assert bent == [8 / (3 * sp.pi), 8 / (15 * sp.pi), -8 / (105 * sp.pi)]
+
+
+@pytest.mark.parametrize(("positions", "order"), [(4, 2), (8, 4), (12, 5), (24, 5)])
+def test_harmonics_are_read_off_exactly_at_every_number_of_positions(positions, order):
+    assert order_of(positions) == order
+    psi = 0.3 * (positions > 4) + 2 * np.pi * np.arange(positions) / positions
+    true = np.random.default_rng(1).normal(size=1 + 2 * order)
+    if positions == 2 * order and positions == 4:
+        true[-1] = 0.0
+    waves = [np.ones_like(psi)] + [f(k * psi) for k in range(1, order + 1) for f in (np.cos, np.sin)]
+    kept = 2 * order if positions == 2 * order else 1 + 2 * order
+    output = sum(a * wave for a, wave in zip(true[:kept], waves[:kept], strict=True))
+    found, _ = harmonics(psi, np.asarray(output), order)
+    np.testing.assert_allclose(found, true[:kept], atol=1e-12)
