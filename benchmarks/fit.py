@@ -33,7 +33,7 @@ _jacobian = eqx.filter_jit(lambda problem, z: prediction_jacobian(problem, z))
 @eqx.filter_jit
 def _whitened(problem, jacobian, h):
     by, widths = whitener(problem, h), prior_widths(problem, h)
-    data = jax.vmap(lambda column: whiten(problem, by, column), 1, 1)(jacobian)
+    data = whiten(problem, by, jacobian)
     return jnp.concatenate([-data, jnp.diag(1 / widths)])
 
 

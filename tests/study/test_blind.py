@@ -8,6 +8,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 import blind
+import judging
 
 EMPTY = {"verdict": "adequate", "groups": [], "structure": [], "undetectable": [], "ranking": [], "threshold": 0.05}
 LAG = {"effect": "gyro_thermal_lag", "channels": ["gx"], "s": 50.0, "s_alone": 50.0, "within": 50.0, "shown": 1.0}
@@ -75,11 +76,11 @@ WAVE = LAG | {"effect": "outside_temperature_wave"}
     ],
 )  # fmt: skip
 def test_judgement(fine, one):
-    assert (blind.judged(one) == "ok") == fine
+    assert (judging.judged(one) == "ok") == fine
 
 
 def test_a_wrong_name_is_told_from_silence():
-    wrong = blind.of_kind(
+    wrong = judging.of_kind(
         [line("outside", explained(group("gyro_thermal_lag")), WAVE), line("outside", EMPTY, WAVE)], "outside"
     )
     assert wrong.ok == (0, 2)
@@ -89,19 +90,28 @@ def test_a_wrong_name_is_told_from_silence():
 def test_planted_faults_of_the_diagnosis_are_seen():
     ranking = [{"p": 0.01, "p_global": 0.3, "delta_chi2": 6.6, "dof": 1}]
     quiet = EMPTY | {"ranking": ranking, "looks": 30.0}
-    assert not blind.alarms(quiet)
-    assert blind.alarms_at_one_look(quiet)
-    assert not blind.alarms_if_understated(quiet, 1.0)
-    assert blind.alarms_if_understated(quiet)  # 6.6 · 2.25 = 14.9: p = 1.2e-4, 30 looks
+    assert not judging.alarms(quiet)
+    assert judging.alarms_at_one_look(quiet)
+    assert not judging.alarms_if_understated(quiet, 1.0)
+    assert judging.alarms_if_understated(quiet)  # 6.6 · 2.25 = 14.9: p = 1.2e-4, 30 looks
     lines = [line("null-ar1", quiet, white=shape("time_s"))]
-    assert list(blind.faults(lines).values()) == [(1, 1), (1, 1), (1, 1)]
+    assert list(judging.faults(lines).values()) == [(1, 1), (1, 1), (1, 1)]
+
+
+def test_additions_are_judged_beside_the_truth():
+    good = {"taken": True, "predicted": 100.0, "found": 90.0, "noise": 1.03, "held_out": "helps",
+            "coefficients": [{"value": 1.0, "sd": 0.1, "truth": 1.2}]}  # fmt: skip
+    bad = {"taken": False, "predicted": 100.0, "found": 70.0, "noise": 1.06, "held_out": "not",
+           "coefficients": [{"value": 1.0, "sd": 0.1, "truth": 1.4}]}  # fmt: skip
+    found = judging.added([{"addition": good}, {"addition": bad}, {"addition": None}, {}])
+    assert [(hits, of) for _, hits, of in found.values()] == [(1, 2)] * len(found)
 
 
 def test_wilson_interval():
-    low, high = blind.wilson(285, 300)
+    low, high = judging.wilson(285, 300)
     assert (round(low, 4), round(high, 4)) == (0.9192, 0.9695)
-    assert blind.wilson(0, 0) == (0.0, 1.0)
-    assert all(a[1] < b[1] for a, b in pairwise([blind.wilson(n, 20) for n in range(21)]))
+    assert judging.wilson(0, 0) == (0.0, 1.0)
+    assert all(a[1] < b[1] for a, b in pairwise([judging.wilson(n, 20) for n in range(21)]))
 
 
 def test_report_and_what_broke():
@@ -110,7 +120,7 @@ def test_report_and_what_broke():
         line("outside", EMPTY, WAVE),
         {"kind": "hidden", "seed": 9, "error": "ValueError: no"},
     ]
-    text = blind.report(lines)
+    text = judging.report(lines)
     assert "1 of 1" in text
     assert "| hidden | 9 | | | ValueError: no |" in text
     assert "| outside | 1 | table | outside_temperature_wave gx (50; 50) | adequate |" in text
@@ -126,24 +136,26 @@ def test_lines_survive_an_interruption(tmp_path):
 def test_blind_study():
     lines = blind.study(blind.COUNTS)
     blind.REPORT.parent.mkdir(parents=True, exist_ok=True)
-    blind.REPORT.write_text(blind.report(lines))
+    blind.REPORT.write_text(judging.report(lines))
     assert not [one for one in lines if "error" in one]
 
     def share(found):
         return found[0] / found[1]
 
-    assert share(blind.of_kind(lines, "hidden").ok) >= 0.95
-    assert 0.03 <= 1 - share(blind.of_kind(lines, *blind.NULLS).ok) <= 0.07
-    for kind in blind.NULLS:
-        fine, count = blind.of_kind(lines, kind).ok
-        low, high = blind.wilson(count - fine, count)
+    assert share(judging.of_kind(lines, "hidden").ok) >= 0.95
+    assert 0.03 <= 1 - share(judging.of_kind(lines, *judging.NULLS).ok) <= 0.07
+    for kind in judging.NULLS:
+        fine, count = judging.of_kind(lines, kind).ok
+        low, high = judging.wilson(count - fine, count)
         assert low <= 0.07, kind
         assert high >= 0.03, kind
-    assert share(blind.of_kind(lines, "outside").ok) >= 0.90
-    assert share(blind.of_kind(lines, "outside").wrong_names) <= 0.05
-    assert share(blind.of_kind(lines, "offsets").ok) == 1
-    assert share(blind.of_kind(lines, "two").ok) >= 0.90
+    assert share(judging.of_kind(lines, "outside").ok) >= 0.90
+    assert share(judging.of_kind(lines, "outside").wrong_names) <= 0.05
+    assert share(judging.of_kind(lines, "offsets").ok) == 1
+    assert share(judging.of_kind(lines, "two").ok) >= 0.90
+    for name, (_, hits, count) in judging.added(lines).items():
+        assert hits >= (0.99 if "coefficients" in name else 0.95) * count, name
     # What these numbers would be with a fault in the diagnosis must be outside the limits, or they check nothing.
-    for name, (alarmed, count) in blind.faults(lines).items():
+    for name, (alarmed, count) in judging.faults(lines).items():
         assert count > 0, name
         assert alarmed / count > 0.07, name

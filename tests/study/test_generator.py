@@ -1,5 +1,6 @@
 """The independent generator against numbers worked out by hand."""
 
+import re
 import sys
 import tomllib
 from dataclasses import replace
@@ -225,7 +226,18 @@ def test_shipped_campaigns_are_what_the_script_makes(tmp_path):
         hidden_effects.generate(tmp_path / name)
         for file in sorted((tmp_path / name).rglob("*.*")):
             shipped = ROOT / "data" / name / file.relative_to(tmp_path / name)
-            assert file.read_bytes() == shipped.read_bytes(), file.name
+            words, numbers = told_apart(file.read_text())
+            known_words, known_numbers = told_apart(shipped.read_text())
+            assert words == known_words, file.name
+            last_digit = 2e-5 if file.suffix == ".csv" else 0.0
+            # Linear algebra rounds differently from processor to processor.
+            np.testing.assert_allclose(numbers, known_numbers, rtol=1e-9, atol=last_digit, err_msg=file.name)
+
+
+def told_apart(text):
+    """Return a text with a mark in place of each number, and the numbers."""
+    number = r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
+    return re.sub(number, "#", text), np.array(re.findall(number, text), dtype=float)
 
 
 def test_every_effect_can_be_shown_somewhere():
