@@ -124,3 +124,9 @@ def test_a_planted_fault_is_found(sources, complaint):
 )
 def test_what_is_allowed_passes(sources):
     assert violations(sources) == []
+
+
+def test_no_two_test_files_share_a_name() -> None:
+    # pytest imports them by their bare name and refuses the second one, but only where both are collected.
+    names = [path.name for path in Path(__file__).parent.rglob("test_*.py")]
+    assert sorted(names) == sorted(set(names))
