@@ -113,6 +113,13 @@ def turned_back(vector: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=-1)
 
 
+def named_attitude(i_axis: str, o_axis: str, axes: np.ndarray) -> np.ndarray:
+    """Body to local level of a gyro with these axes (rows I, O, S) whose I and O point in named directions."""
+    toward = {"E": (1, 0, 0), "W": (-1, 0, 0), "N": (0, 1, 0), "S": (0, -1, 0), "U": (0, 0, 1), "D": (0, 0, -1)}
+    i, o = np.array(toward[i_axis], dtype=float), np.array(toward[o_axis], dtype=float)
+    return np.column_stack([i, o, np.cross(i, o)]) @ axes
+
+
 def experienced(site: Site, stand: np.ndarray, wobble: np.ndarray | None, angle, rate, seat: np.ndarray):
     """Body rate, specific force and the table's own rotation, each (K, 3) in body axes.
 

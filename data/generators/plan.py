@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import truth
-from kinematics import ARCSEC, Mounting, Site, Table, experienced
+from kinematics import ARCSEC, Mounting, Site, Table, experienced, named_attitude, rotation
 from sensor import (
     PPM,
     REFERENCE_TEMPERATURE,
@@ -29,13 +29,15 @@ from sensor import (
 )
 
 INSTANTS_PER_RAMP = 12
+INSTANTS_PER_ARC = 24
 
 
 @dataclass(frozen=True)
 class Row:
     """One line of a run table; an angle of None means whole turns, other None that there is no such column.
 
-    `temperature_rate` in °C/min is the true one; no column gives it.
+    `temperature_rate` in °C/min and `rate_rise` in deg/s² are the true ones; no column gives them.  `span` is what the
+    table turns by during the row, `axes` the letters of the directions of a gyro's input and output axes.
     """
 
     time: float
@@ -48,6 +50,9 @@ class Row:
     current: float | None = None
     temperature_rate: float = 0.0
     power_on: float | None = None
+    span: float | None = None
+    rate_rise: float = 0.0
+    axes: tuple[str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -82,7 +87,11 @@ class Plan:
             return any(row.current is not None for row in rows)
         if effect.startswith("converter_") and ("drift" in effect or "leakage" in effect):
             return any(row.converter_temperature is not None for row in rows)
-        if effect in ("lever_arm", "table_rate_error", "gyro_scale_factor", "gyro_scale_temperature"):
+        if effect.startswith(("reference_", "time_")):
+            return any(run.procedure == "reference_gyro" for run in self.runs)
+        if effect == "table_rate_error":
+            return any(row.rate for run in self.runs for row in run.rows if run.procedure != "reference_gyro")
+        if effect in ("lever_arm", "gyro_scale_factor", "gyro_scale_temperature"):
             return any(row.rate for row in rows) or any(run.procedure == "free_tumble" for run in self.runs)
         return True
 
@@ -94,23 +103,31 @@ class Plan:
     @property
     def equipment(self) -> dict[str, float]:
         """One sigma of each error of seats and tables that the plan's model lists."""
-        turning = {run.table for run in self.runs if any(row.rate for row in run.rows)}
+        commanded = [run for run in self.runs if run.procedure != "reference_gyro"]
+        turning = {run.table for run in commanded if any(row.rate for row in run.rows)}
         spreads = truth.equipment_spreads(self.mountings, self.tables, turning)
         listed = {effect["name"] for effect in self.effects}
         return {name: spread for name, spread in spreads.items() if name.split(".")[0] in listed}
 
     def draw(self, seed: int) -> dict[str, float]:
         """True values of everything that goes wrong in this plan."""
-        return truth.from_spreads(self.equipment, seed) | truth.from_model(self.effects, self.channels, seed)
+        beside = dict.fromkeys(run.table for run in self.runs if run.procedure == "reference_gyro")
+        drawn = truth.from_spreads(self.equipment, seed) | truth.from_model(self.effects, self.channels, seed)
+        return drawn | truth.of_reference(self.effects, beside, seed)
+
 
 
 @dataclass(frozen=True)
 class Readings:
-    """Simulated means and standard deviations, both (rows, channels), and each channel's offset in the run."""
+    """Simulated means and standard deviations, both (rows, channels), and each channel's offset in the run.
+
+    `reference` are the means of a reference gyro in deg/s, (rows, 3), None where none rides along.
+    """
 
     mean: np.ndarray
     sd: np.ndarray
     run_offset: np.ndarray
+    reference: np.ndarray | None = None
 
 
 def _one(items, name):
@@ -145,6 +162,7 @@ class Moments:
         self.angle = np.radians(np.concatenate([angle for angle, _ in parts]))
         self.converter = np.concatenate([converter for _, converter in parts])
         self.rate = np.radians([row.rate for row in self.rows])[self.row]
+        self.rate_rise = np.radians([row.rate_rise for row in self.rows])[self.row]
         injected = [0.0 if row.current is None else row.current for row in self.rows]
         self.current = np.array(injected)[self.row]
         self.injected = np.array([row.current is not None for row in self.rows])[self.row]
@@ -153,6 +171,8 @@ class Moments:
         """Angles in deg and converter temperatures of one row."""
         turn = np.arange(self.plan.angles_per_turn) * 360 / self.plan.angles_per_turn
         angle = turn if row.angle is None else np.array([row.angle])
+        if row.span is not None and row.angle is not None:
+            angle = row.angle + row.span * ((np.arange(INSTANTS_PER_ARC) + 0.5) / INSTANTS_PER_ARC - 0.5)
         converter = np.full(1, REFERENCE_TEMPERATURE)
         if row.converter_temperature is not None:
             across = (np.arange(INSTANTS_PER_RAMP) + 0.5) / INSTANTS_PER_RAMP - 0.5
@@ -199,15 +219,22 @@ class Moments:
         """Body rate, specific force and the table's own rotation, each (instants, 3) in body axes."""
         felt = tuple(np.zeros((len(self.row), 3)) for _ in range(3))
         for index, run in enumerate(self.plan.runs):
+            at = self.run == index
+            if run.rows[0].axes is not None:
+                stand = np.stack([named_attitude(*row.axes, self.plan.channels[0].axes) for row in run.rows])
+                local = stand[self.row[at] - self.row[at].min()]
+                for whole, vector in zip(felt, (self.plan.site.earth_rate, self.plan.site.upward_force), strict=False):
+                    whole[at] = np.einsum("j,kji->ki", vector, local)
+                continue
             if run.mounting is None:
                 continue
-            at = self.run == index
             table, mounting = _one(self.plan.tables, run.table), _one(self.plan.mountings, run.mounting)
 
             def error(parameter: str, table=table.name) -> float:
                 return values.get(f"{parameter}[{table}]", 0.0)
 
             angle, faster = self.angle[at], 1 + PPM * error("table_rate_error.rate_error")
+            later = self.rate_rise[at] * 1e-3 * error("time_skew.skew")
             encoder, wobble = np.zeros_like(angle), np.zeros((len(angle), 3))
             for order in (1, 2):
                 cosine, sine = np.cos(order * angle), np.sin(order * angle)
@@ -222,7 +249,7 @@ class Moments:
                 table.stand(tilt),
                 wobble * ARCSEC if np.any(wobble) else None,
                 angle + encoder * ARCSEC,
-                self.rate[at] * faster,
+                self.rate[at] * faster + later,
                 truth.true_seat(mounting, values),
             )
             for whole, part in zip(felt, moved, strict=True):
@@ -264,6 +291,27 @@ def correlated(generator: np.random.Generator, rows: int, sd: float, correlation
     return shocks
 
 
+def referenced(plan: Plan, values: Values, seed: int, moments: Moments) -> list[np.ndarray | None]:
+    """For each run what a reference gyro beside the unit reads, deg/s; it reads what is, before any delay.
+
+    Its axes are those of the body turned back by the alignment: r = (1 + s) Aᵀ ω + b, with white noise.
+    """
+    felt = moments.means(moments.motion({name: one for name, one in values.items() if "time_skew" not in name})[0])
+    turn = rotation([values.get(f"reference_alignment.{axis}[all]", 0.0) * ARCSEC for axis in "xyz"])
+    scale = 1 + PPM * np.array([values.get(f"reference_scale_factor.{axis}[all]", 0.0) for axis in "xyz"])
+    bias = np.array([values.get(f"reference_bias.{axis}[all]", 0.0) for axis in "xyz"]) / 3600
+    readings = []
+    for index, run in enumerate(plan.runs):
+        if run.procedure != "reference_gyro":
+            readings.append(None)
+            continue
+        generator = truth.stream(seed, f"{plan.name}/{run.name}/reference")
+        sigma = values["reference_noise.sigma[all]"] / np.sqrt([[row.samples] for row in run.rows])
+        exact = np.degrees(felt[moments.run_of_row == index] @ turn) * scale + bias
+        readings.append(exact + sigma * generator.normal(size=exact.shape))
+    return readings
+
+
 def rate_noise(plan: Plan, run: Run, channel: Channel, values: Values) -> np.ndarray:
     """Standard deviation of what grows with the rate about the input axis, for each row, output units."""
     share = PPM * values.get(f"rate_proportional_noise.k[{channel.name}]", 0.0)
@@ -279,7 +327,7 @@ def read_out(plan: Plan, values: Values, seed: int) -> list[Readings]:
     moments = Moments(plan)
     outputs = moments.outputs(values)
     exact, within = moments.means(outputs), moments.variances(outputs)
-    readings = []
+    beside, readings = referenced(plan, values, seed, moments), []
     for index, run in enumerate(plan.runs):
         at = moments.run_of_row == index
         mean, variance = exact[at], within[at]
@@ -298,7 +346,7 @@ def read_out(plan: Plan, values: Values, seed: int) -> list[Readings]:
             if slow := values.get(f"correlated_noise.sigma[{channel.name}]", 0.0):
                 correlation = values[f"correlated_noise.correlation[{channel.name}]"]
                 mean[:, column] += correlated(generator, len(run.rows), slow, correlation)
-        readings.append(Readings(mean, sd, run_offset))
+        readings.append(Readings(mean, sd, run_offset, beside[index]))
     return readings
 
 

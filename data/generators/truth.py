@@ -63,6 +63,10 @@ UNITS = {
         f"table_wobble.{axis}_{part}_{order}": "arcsec"
         for order in (1, 2) for axis in "xy" for part in ("cos", "sin")
     },
+    **{f"reference_alignment.{axis}": "arcsec" for axis in "xyz"},
+    **{f"reference_scale_factor.{axis}": "ppm" for axis in "xyz"},
+    **{f"reference_bias.{axis}": "deg/h" for axis in "xyz"},
+    "reference_noise.sigma": "deg/s", "time_skew.skew": "ms",
     "rate_proportional_noise.k": "ppm", "correlated_noise.sigma": "output", "correlated_noise.correlation": "1",
     "outside_resonance.amplitude": "deg/h", "outside_resonance.centre": "deg/s", "outside_resonance.width": "deg/s",
     "outside_root_rate.amplitude": "deg/h/(deg/s)^(1/2)",
@@ -79,7 +83,7 @@ UNITS = {
 _IN_BASE_UNIT = {
     "arcsec": 1.0, "arcmin": 60.0, "deg": 3600.0, "ppm": 1.0, "%": 1e4, "deg/h": 1.0, "deg/s": 3600.0,
     "ug": 1.0, "mg": 1e3, "mm": 1.0, "cm": 10.0, "ppm/degC": 1.0, "deg/h/degC": 1.0, "ug/degC": 1.0,
-    "deg/h/g": 1.0, "deg/h/g^2": 1.0, "ug/g^2": 1.0, "output": 1.0, "output/degC": 1.0,
+    "ms": 1.0, "deg/h/g": 1.0, "deg/h/g^2": 1.0, "ug/g^2": 1.0, "output": 1.0, "output/degC": 1.0,
 }  # fmt: skip
 _PRIOR = re.compile(r"(\w+)\(\s*(.+?)\s*\)")
 _NUMBER_AND_UNIT = re.compile(r"([-+.\deE]+)\s*(\S*)")
@@ -118,6 +122,8 @@ def _applies(effect: dict, channel: Channel) -> bool:
         return channel.kind == "gyro"
     if effect["name"].startswith(("accel_", "lever_arm")):
         return channel.kind == "accelerometer"
+    if effect["name"].startswith(("reference_", "time_")):
+        return False
     return True
 
 
@@ -163,6 +169,22 @@ def equipment_spreads(
         if table.name in turning:
             spreads[f"table_rate_error.rate_error[{table.name}]"] = table.rate_uncertainty_ppm
     return spreads
+
+
+def of_reference(effects: Iterable[dict], tables: Iterable[str], seed: int) -> dict[str, float]:
+    """Draw a value for every parameter of a reference gyro, which belongs to no channel, and of its clock."""
+    labels = {"reference": ("all",), "time": tuple(tables)}
+    names = {
+        f"{effect['name']}.{parameter}": (labels[effect["name"].split("_")[0]], prior)
+        for effect in effects
+        if effect["name"].split("_")[0] in labels
+        for parameter, prior in effect.get("prior", {}).items()
+    }
+    return {
+        f"{name}[{label}]": draw(prior, UNITS[name], stream(seed, f"{name}[{label}]"))
+        for name, (owners, prior) in names.items()
+        for label in owners
+    }
 
 
 def from_spreads(spreads: dict[str, float], seed: int) -> dict[str, float]:

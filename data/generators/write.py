@@ -109,10 +109,17 @@ def write_truth(
 def _columns(plan: Plan, run: Run, readings: Readings) -> dict[str, list[str]]:
     rows = run.rows
     columns = {"time_s": [f"{row.time:.3f}" for row in rows]}
-    if run.procedure == "rate_table":
+    if run.procedure in ("rate_table", "rotation_modulation"):
         columns["table_rate_deg_s"] = [f"{row.rate:g}" for row in rows]
-    if run.procedure in ("rate_table", "dividing_head", "polar_tumble"):
+    if run.procedure in ("rate_table", "rotation_modulation", "dividing_head", "polar_tumble"):
         columns["table_angle_deg"] = ["" if row.angle is None else f"{row.angle:g}" for row in rows]
+    if rows[0].span is not None:
+        columns["table_angle_span_deg"] = [f"{row.span:g}" for row in rows]
+    if rows[0].axes is not None:
+        columns |= {name: [row.axes[place] for row in rows] for place, name in enumerate(("i_axis", "o_axis"))}
+    if readings.reference is not None:
+        for axis, values in zip("xyz", readings.reference.T, strict=True):
+            columns[f"reference_{axis}_deg_s"] = [f"{value:.8f}" for value in values]
     columns["temperature_degC"] = [f"{row.temperature:.3f}" for row in rows]
     if rows[0].converter_temperature is not None:
         columns["converter_temperature_degC"] = [f"{row.converter_temperature:.4f}" for row in rows]

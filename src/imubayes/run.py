@@ -24,6 +24,9 @@ COVARIATES: dict[str, str] = {
     "converter_temperature": "degC",
     "current": "A",
     "vibration": "m/s^2",
+    "reference_x": "rad/s",
+    "reference_y": "rad/s",
+    "reference_z": "rad/s",
 }
 """Covariates a run may carry, and the SI unit of each (temperatures stay in °C)."""
 
@@ -130,6 +133,7 @@ class Run:
     sample_sd : shape (R, C) standard deviation of the raw samples of each row, NaN where unknown.
     start : ISO date and time of the run's beginning, or None.
     tumble : the moving part, for a free tumble.
+    attitude : shape (R, 3, 3), body → local level of each row, where the record names directions instead of angles.
     notes : what the reduction did and what it left out, one sentence each.
     """
 
@@ -143,6 +147,7 @@ class Run:
     sample_sd: np.ndarray
     start: str | None = None
     tumble: Tumble | None = None
+    attitude: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 
     @property

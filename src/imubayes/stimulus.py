@@ -43,8 +43,10 @@ class Motion(eqx.Module):
     base : C_nt at table angle 0.
     mounting : body → table.
     table_angle, table_rate, table_acceleration : of the table about its axis; rad, rad/s, rad/s².
+    reference_rate, reference_acceleration : inertial rotation that a reference gyro measured, in body axes, rad/s and
+        rad/s²; zero where none rides along.
     gravity : specific force of a body at rest, in n, m/s².
-    earth_rate : the Earth's rotation in n, rad/s.
+    earth_rate : the Earth's rotation in n, rad/s; zero where the reference has measured it along.
     """
 
     base: Matrices
@@ -52,6 +54,8 @@ class Motion(eqx.Module):
     table_angle: Scalars
     table_rate: Scalars
     table_acceleration: Scalars
+    reference_rate: Vectors
+    reference_acceleration: Vectors
     gravity: Vectors
     earth_rate: Vectors
 
@@ -91,6 +95,7 @@ class Instants(eqx.Module):
     stand_ambient : circumstances at the first node of each stand.
     stand : shape (N,), the stand of each node.
     table_angle, table_rate, table_acceleration : shape (N,).
+    reference_rate, reference_acceleration : shape (N, 3).
     ambient : circumstances of each node.
     injected : shape (N,), 1 where a current is injected.
     records : the nodes in the order of time.
@@ -102,6 +107,8 @@ class Instants(eqx.Module):
     table_angle: Float[Array, " N"]
     table_rate: Float[Array, " N"]
     table_acceleration: Float[Array, " N"]
+    reference_rate: Float[Array, "N 3"]
+    reference_acceleration: Float[Array, "N 3"]
     ambient: Ambient
     injected: Float[Array, " N"]
     records: Records
@@ -115,6 +122,8 @@ class Instants(eqx.Module):
             self.table_angle[chosen],
             self.table_rate[chosen],
             self.table_acceleration[chosen],
+            self.reference_rate[chosen],
+            self.reference_acceleration[chosen],
             jax.tree.map(lambda leaf: leaf[chosen], self.ambient),
             self.injected[chosen],
             self.records.at(chosen),
@@ -125,7 +134,7 @@ class Experience(eqx.Module):
     """What acts at the place of one channel, in body axes.
 
     `rate` is inertial (rad/s), `force` the specific force (m/s²); `table_rate` and `table_acceleration` are the
-    table's rotation alone, which moves a point off the axis; `north` and `up` are unit vectors of the local level,
+    table's rotation, which moves a point off the axis; `north` and `up` are unit vectors of the local level,
     zero where nobody knows how the unit stands.
     """
 
@@ -181,6 +190,7 @@ class Stimulus:
     weight : shape (n,), sums to 1 over the nodes of a row.
     base, mounting : shape (n, 3, 3), nominal.
     table_angle, table_rate, table_acceleration : shape (n,).
+    reference_rate, reference_acceleration : shape (n, 3), body axes, zero where no reference rides along.
     ambient : covariate name → shape (n,), those that the run supplies.
     injected : whether a current is fed to the converter in the sensor's place.
     pose : shape (n,), static pose of a free tumble, else −1.
@@ -193,18 +203,29 @@ class Stimulus:
     table_angle: np.ndarray
     table_rate: np.ndarray
     table_acceleration: np.ndarray
+    reference_rate: np.ndarray
+    reference_acceleration: np.ndarray
     ambient: dict[str, np.ndarray]
     injected: bool
     pose: np.ndarray
+
+    @property
+    def referenced(self) -> bool:
+        """Whether a reference gyro rides along."""
+        return bool(np.any(self.reference_rate != 0))
 
     @property
     def supplies(self) -> frozenset[str]:
         """Names of what this run lets an effect see."""
         seen = set(self.ambient)
         # Between the poses of a free tumble the unit is turned by hand.
-        if np.any(self.table_rate != 0) or np.any(self.pose >= 0):
+        if np.any(self.table_rate != 0) or np.any(self.pose >= 0) or self.referenced:
             seen.add("turning")
-        if np.any(self.table_acceleration != 0):
+        if np.any(self.table_rate != 0):
+            seen.add("commanded")
+        if self.referenced:
+            seen.add("reference")
+        if np.any(self.table_acceleration != 0) or np.any(self.reference_acceleration != 0):
             seen.add("acceleration")
         if self.injected:
             seen.add("injection")

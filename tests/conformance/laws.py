@@ -19,7 +19,7 @@ OWN = {"noise": 0.5, "scale": 1000.0}
 # What "nothing" is for a covariate: the effect's own reference for temperatures, long ago for power-on, 0 for all else.
 TEMPERATURES = ("temperature", "converter_temperature")
 LONG_AGO = 1e12
-GATES = ("turning", "acceleration", "injection")
+GATES = ("turning", "commanded", "acceleration", "injection", "reference")
 INSTANTS = 24  # of a record, two runs
 
 
@@ -67,7 +67,9 @@ def states(member: type, seed: int, still: bool = False, **fixed: float) -> tupl
         table = [jnp.asarray(0.0 if still else rng.normal()) for _ in range(2)]
         angle, gravity = jnp.asarray(rng.normal()), jnp.asarray([0, 0, GRAVITY])
         earth = jnp.asarray([0, 6e-5, 4e-5])
-        return Motion(random_rotation(rng), random_rotation(rng), angle, *table, gravity, earth), circumstances
+        reference = [vector(1.0) for _ in range(2)]
+        body = random_rotation(rng), random_rotation(rng)
+        return Motion(*body, angle, *table, *reference, gravity, earth), circumstances
     if issubclass(member, PlaceEffect):
         return (Experience(*(vector(size) for size in (1.0, 10.0, 1.0, 1.0, 1.0, 1.0))),)
     # A converter is fed with what stands for a hundred g or degrees per second, in output units.
@@ -191,7 +193,7 @@ def silent_without_its_covariate(member: type) -> None:
     """Where what it needs is absent, or at the reference, the effect changes nothing, whatever its values."""
     reference = next((v for name, v in declared_options(member).items() if name.startswith("reference")), 0.0)
     for need in member.needs:
-        if need in ("injection", "table_angle"):
+        if need in ("injection", "reference", "table_angle"):
             continue  # known or not, without a value that is none: `test_registry` shows that nothing gets by
         nothing = {"power_on": LONG_AGO} | dict.fromkeys(TEMPERATURES, reference)
         fixed = {} if need in GATES else {need: nothing.get(need, 0.0)}

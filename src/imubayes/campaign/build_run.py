@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from imubayes.campaign.columns import COVARIATE_COLUMNS, NEEDS_TABLE, REFERENCE_COLUMNS, TEXT_COLUMNS, Layout
+from imubayes.campaign.columns import COVARIATE_COLUMNS, NEEDS_TABLE, TEXT_COLUMNS, Layout
+from imubayes.campaign.directions import DIRECTION_COLUMNS
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.schema import RunEntry
 from imubayes.run import Channel, Run, Tumble
@@ -21,6 +22,9 @@ FACTORS = {
     "converter_temperature_degC": 1.0,
     "current_mA": to_si("mA"),
     "vibration_g_rms": to_si("g"),
+    "reference_x_deg_s": to_si("deg/s"),
+    "reference_y_deg_s": to_si("deg/s"),
+    "reference_z_deg_s": to_si("deg/s"),
 }
 """Column → factor to the SI unit of its covariate."""
 
@@ -33,6 +37,7 @@ def build_run(
     channels: Sequence[Channel],
     notes: Sequence[str] = (),
     tumble: Tumble | None = None,
+    attitude: np.ndarray | None = None,
 ) -> Run:
     """Return a run from its rows.
 
@@ -43,6 +48,7 @@ def build_run(
     channels : all channels of the campaign.
     notes : what the reduction did.
     tumble : the moving part of a free tumble.
+    attitude : shape (R, 3, 3), where the rows name directions.
     """
     rows = len(next(iter(numbers.values())))
     unknown = np.full(rows, np.nan)
@@ -58,13 +64,15 @@ def build_run(
         np.stack([numbers.get(f"{channel.name}_sd", unknown) for channel in channels], axis=1),
         None if entry.start is None else entry.start.isoformat(),
         tumble,
+        attitude,
         (*notes, *said),
     )
 
 
-def unused_columns(layout: Layout, run: str, where: str) -> list[Finding]:
+def unused_columns(layout: Layout, procedure: str, run: str, where: str) -> list[Finding]:
     """Name the columns that are understood but take no part in the rows."""
-    unused = [name for name in (*REFERENCE_COLUMNS, *TEXT_COLUMNS) if layout.has(name) and name != "segment"]
+    used = {"segment", *(DIRECTION_COLUMNS if procedure == "geographic_tumble" else ())}
+    unused = [name for name in TEXT_COLUMNS if layout.has(name) and name not in used]
     if not unused:
         return []
     what = f"{', '.join(unused)}: read and checked, not used"

@@ -21,12 +21,16 @@ COVARIATE_COLUMNS = {
     "converter_temperature_degC": "converter_temperature",
     "current_mA": "current",
     "vibration_g_rms": "vibration",
+    "reference_x_deg_s": "reference_x",
+    "reference_y_deg_s": "reference_y",
+    "reference_z_deg_s": "reference_z",
 }
 """Column → covariate of a run."""
 
 REFERENCE_COLUMNS = ("reference_x_deg_s", "reference_y_deg_s", "reference_z_deg_s")
+"""Rates of a reference gyro that rides along, about the axes of the body."""
 TEXT_COLUMNS = ("segment", "i_axis", "o_axis")
-KNOWN_COLUMNS = (*COVARIATE_COLUMNS, *REFERENCE_COLUMNS, *TEXT_COLUMNS, "samples")
+KNOWN_COLUMNS = (*COVARIATE_COLUMNS, *TEXT_COLUMNS, "samples")
 
 REQUIRED_COLUMNS: dict[str, tuple[tuple[str, ...], ...]] = {
     "rate_table": (("table_rate_deg_s",),),
@@ -49,6 +53,7 @@ NEEDS_TABLE = {
     "polar_tumble",
     "servo_table",
     "thermal_ramp",
+    "reference_gyro",
 }
 """Procedures whose stimulus comes from a table and a mounting."""
 

@@ -13,6 +13,7 @@ import numpy as np
 from imubayes.campaign.build_run import build_run, unused_columns
 from imubayes.campaign.checks import check_log, check_rows
 from imubayes.campaign.columns import lay_out
+from imubayes.campaign.directions import DIRECTION_COLUMNS, attitudes
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.monitor import Monitor
 from imubayes.campaign.reduction import BlockBuilder, Blocks, SegmentTracker, Span, reduce_log
@@ -90,28 +91,37 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
     elif source.layout.reduced:
         numbers = _whole(source)
         loaded.findings += _check_counts(numbers, source, entry)
-        run = build_run(entry, numbers, equipment.channels)
+        run = build_run(
+            entry, numbers, equipment.channels, attitude=_named(source, entry, equipment, range(survey.rows))
+        )
     else:
         assert survey.blocks is not None
         loaded.findings += check_log(survey.blocks, entry.name, where)
         rows = reduce_log(source, entry.procedure, survey.rows, survey.blocks, survey.labelled)
+        named = _named(source, entry, equipment, rows.first)
         loaded.findings += [_unsteady(entry, where, rows.unsteady)] if rows.unsteady else []
-        run = build_run(entry, rows.numbers, equipment.channels, rows.notes)
+        run = build_run(entry, rows.numbers, equipment.channels, rows.notes, attitude=named)
     if run.rows == 0:
         loaded.findings.append(_empty(entry, where, "no stretch of constant stimulus was found in the log"))
     if loaded.failed:
         return
     table, mounting = equipment.tables.get(entry.table or ""), equipment.mountings.get(entry.mounting or "")
     loaded.findings += check_rows(run, equipment.channels, equipment.site, table, mounting, where)
-    loaded.findings += unused_columns(source.layout, entry.name, where)
+    loaded.findings += unused_columns(source.layout, entry.procedure, entry.name, where)
     warnings = tuple(f"{f.name}: {f.what}" for f in loaded.findings if f.severity == "warning")
     loaded.run = None if loaded.failed else replace(run, notes=(*run.notes, *warnings))
+
+
+def _named(source: TableSource, entry: RunEntry, equipment: Equipment, rows: Sequence[int]) -> np.ndarray | None:
+    """Return the attitude at the named directions of chosen rows; None where the procedure names none."""
+    return attitudes(source, rows, equipment.channels) if entry.procedure == "geographic_tumble" else None
 
 
 def _survey(source: TableSource, entry: RunEntry) -> _Survey:
     layout = source.layout
     monitor = Monitor(source, entry.name, all_move=entry.procedure == "free_tumble")
-    tracker = SegmentTracker() if "segment" in layout.texts and not layout.reduced else None
+    labels = [name for name in ("segment", *DIRECTION_COLUMNS) if name in layout.texts]
+    tracker = SegmentTracker(labels) if labels and not layout.reduced else None
     builder = None
     if not layout.reduced and entry.procedure != "free_tumble":
         builder = BlockBuilder([name for name in layout.numbers if not name.endswith("_sd")])

@@ -58,6 +58,9 @@ from imubayes.effects.injection_error import InjectionError
 from imubayes.effects.lever_arm import LeverArm
 from imubayes.effects.mounting_error import MountingError
 from imubayes.effects.pose_attitude import PoseAttitude
+from imubayes.effects.reference_alignment import ReferenceAlignment
+from imubayes.effects.reference_bias import ReferenceBias
+from imubayes.effects.reference_scale_factor import ReferenceScaleFactor
 from imubayes.effects.table_axis_tilt import TableAxisTilt
 from imubayes.effects.table_rate_error import TableRateError
 from imubayes.effects.table_wobble import TableWobble
@@ -71,6 +74,9 @@ EFFECTS: tuple[type[Effect], ...] = (
     EncoderHarmonic,
     TableRateError,
     TableWobble,
+    ReferenceBias,
+    ReferenceScaleFactor,
+    ReferenceAlignment,
     TumbleHeading,
     MountingError,
     PoseAttitude,

@@ -14,7 +14,7 @@ class TableRateError(MotionEffect):
     name = "table_rate_error"
     stage = Stage.TABLE
     per = ("table",)
-    needs = ("turning",)
+    needs = ("commanded",)
     confused_with = "a scale factor common to all gyros: exactly, unless a reference gyro rides along"
     reference = "IEEE Std 952, rate table accuracy"
 

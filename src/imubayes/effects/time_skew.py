@@ -30,4 +30,5 @@ class TimeSkew(MotionEffect):
             motion,
             table_angle=motion.table_angle + rate * self.skew + 0.5 * acceleration * self.skew**2,
             table_rate=rate + acceleration * self.skew,
+            reference_rate=motion.reference_rate + motion.reference_acceleration * self.skew,
         )

@@ -107,14 +107,17 @@ def _channels(campaign: Campaign, kind: str) -> Channels:
 def _instants(campaign: Campaign, nodes: Nodes) -> Instants:
     stimulus, first = nodes.stimulus, nodes.stand_node
     count, still = len(first), np.zeros(len(first))
+    referenced = np.any(stimulus.reference_rate[first] != 0, axis=1)
     stands = Motion(
         base=stimulus.base[first],
         mounting=stimulus.mounting[first],
         table_angle=still,
         table_rate=still,
         table_acceleration=still,
+        reference_rate=np.zeros((count, 3)),
+        reference_acceleration=np.zeros((count, 3)),
         gravity=np.tile([0.0, 0.0, campaign.site.gravity], (count, 1)),
-        earth_rate=np.tile(earth_rate(campaign.site.latitude), (count, 1)),
+        earth_rate=np.where(referenced[:, None], 0.0, earth_rate(campaign.site.latitude)),
     )
     return Instants(
         stands=stands,
@@ -123,6 +126,8 @@ def _instants(campaign: Campaign, nodes: Nodes) -> Instants:
         table_angle=stimulus.table_angle,
         table_rate=stimulus.table_rate,
         table_acceleration=stimulus.table_acceleration,
+        reference_rate=stimulus.reference_rate,
+        reference_acceleration=stimulus.reference_acceleration,
         ambient=Ambient(**stimulus.ambient),
         injected=nodes.injected,
         records=records_of(nodes),

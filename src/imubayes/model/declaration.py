@@ -24,6 +24,7 @@ from imubayes.model.instants import (
     nominal_rates,
     ranks_in_time,
     readout_places,
+    referenced_scales,
 )
 from imubayes.model.labels import Belonging, colours
 from imubayes.model.likelihood import NoiseLayer, Observations, Problem, Sparsity
@@ -245,7 +246,9 @@ def _observations(belonging: Belonging) -> Observations:
         value=entries.value.astype(float),
         weight=np.ones(len(entries)),
         entry=Entry(
-            samples=entries.samples.astype(float), rate=nominal_rates(belonging.campaign, belonging.nodes, entries)
+            samples=entries.samples.astype(float),
+            rate=nominal_rates(belonging.campaign, belonging.nodes, entries),
+            reference=referenced_scales(belonging.campaign, belonging.nodes, entries),
         ),
         readout=readout_places(belonging.campaign, belonging.nodes, entries),
         group=group,

@@ -92,6 +92,8 @@ class Spread(Layer):
             table_angle=at.table_angle,
             table_rate=at.table_rate,
             table_acceleration=at.table_acceleration,
+            reference_rate=at.reference_rate,
+            reference_acceleration=at.reference_acceleration,
             gravity=stand.gravity[at.stand],
             earth_rate=stand.earth_rate[at.stand],
         )
@@ -169,11 +171,12 @@ class Emit(Layer):
 def on_body(motion: Motion) -> Experience:
     """Return what acts on a body that moves like this, in body axes."""
     axis = motion.mounting[2]
+    turning = axis * motion.table_rate + motion.reference_rate
     return Experience(
-        rate=axis * motion.table_rate + into_body(motion, motion.earth_rate),
+        rate=turning + into_body(motion, motion.earth_rate),
         force=into_body(motion, motion.gravity),
-        table_rate=axis * motion.table_rate,
-        table_acceleration=axis * motion.table_acceleration,
+        table_rate=turning,
+        table_acceleration=axis * motion.table_acceleration + motion.reference_acceleration,
         north=into_body(motion, jnp.array([0.0, 1.0, 0.0])),
         up=into_body(motion, jnp.array([0.0, 0.0, 1.0])),
     )

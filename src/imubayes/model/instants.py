@@ -21,7 +21,7 @@ class Nodes:
     ----------
     stimulus : the arrays of `Stimulus`, joined; `ambient` has every covariate, 0 where a run lacks it.
     run, pose : shape (N,), index of the run and pose, −1 where there is no pose.
-    stand : shape (N,), the stand of each node: its run, or its pose where the run has poses.
+    stand : shape (N,), the stand of each node: its run, or its pose or position where the run has those.
     stand_node : shape (S,), the first node of each stand.
     turns : rows as (number of rows, nodes per row), in order.
     row_of : shape (R,), global row (run after run) at each place of the sorted rows.
@@ -73,9 +73,11 @@ def join_nodes(campaign: Campaign) -> Nodes:
     sizes, numbers = np.unique(count, return_counts=True)
     run = np.concatenate([np.full(len(part.row), index) for index, part in enumerate(parts)])
     run, pose = run[order], np.concatenate([part.pose for part in parts])[order]
-    _, stand_node, stand = np.unique(np.stack([run, pose]), axis=1, return_index=True, return_inverse=True)
+    joined = _join(parts, order)
+    stands = np.column_stack([run, pose, joined.base.reshape(-1, 9)])
+    _, stand_node, stand = np.unique(stands, axis=0, return_index=True, return_inverse=True)
     return Nodes(
-        stimulus=_join(parts, order),
+        stimulus=joined,
         run=run,
         pose=pose,
         stand=stand.reshape(-1),
@@ -103,6 +105,8 @@ def _join(parts: Sequence[Stimulus], order: np.ndarray) -> Stimulus:
         table_angle=joined("table_angle"),
         table_rate=joined("table_rate"),
         table_acceleration=joined("table_acceleration"),
+        reference_rate=joined("reference_rate"),
+        reference_acceleration=joined("reference_acceleration"),
         ambient=ambient,
         injected=False,
         pose=joined("pose"),
@@ -176,6 +180,13 @@ def nominal_rates(campaign: Campaign, nodes: Nodes, entries: Entries) -> np.ndar
     axes = np.array([channel.axes[0] * channel.scale_si for channel in campaign.channels] + [np.zeros(3)] * 3)
     row = np.where(entries.closing, 0, first_row[entries.run] + np.where(entries.closing, 0, entries.row))
     return np.where(gyro, np.abs(np.sum(axes[entries.channel] * rate[row], axis=1)), 0.0)
+
+
+def referenced_scales(campaign: Campaign, nodes: Nodes, entries: Entries) -> np.ndarray:
+    """Return for each entry of a gyro beside a reference the size of its nominal scale, SI; 0 for others."""
+    referenced = np.array(["reference" in supplies for supplies in nodes.supplies])[entries.run]
+    scale = np.array([c.scale_si if c.kind == "gyro" else 0.0 for c in campaign.channels] + [0.0] * 3)[entries.channel]
+    return np.where(referenced & ~entries.closing, np.abs(scale), 0.0)
 
 
 def ranks_in_time(campaign: Campaign, entries: Entries) -> np.ndarray:

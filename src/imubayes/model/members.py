@@ -20,6 +20,8 @@ from imubayes.units import to_si
 # Where neither the campaign nor the spread of raw samples says how noisy a channel is: a thousandth of what was
 # recorded, known to a factor of e³ = 20 either way.
 _UNKNOWN_NOISE_SHARE, _UNKNOWN_NOISE_LOG_SD = 1e-3, 3.0
+# What some runs have and others lack altogether, so that an effect of it has to be kept from those.
+_GATES = ("injection", "reference")
 _SHARING = {"channel": ("channel",), "all": (), "run": ("channel", "run"), "mounting": ("channel", "mounting")}
 _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
 
@@ -106,7 +108,7 @@ def act(spec: EffectSpec, belonging: Belonging, registry: Registry) -> Acting:
             )
         )
     kinds = tuple(dict.fromkeys(channel.kind for channel in campaign.channels if channel.name in channels))
-    gating = [need for need in member.needs if need in AMBIENT_NAMES or need == "injection"]
+    gating = [need for need in member.needs if need in AMBIENT_NAMES or need in _GATES]
     gated = {i for i, s in enumerate(belonging.nodes.supplies) if not set(gating) <= s}
     made: dict[bool, list[Parameter]] = {False: [], True: []}
     for field, one in declared.items():

@@ -4,6 +4,7 @@ from imubayes.noise.base import EntryNoise, Noise, SeriesNoise, SharedNoise
 from imubayes.noise.correlated_noise import CorrelatedNoise
 from imubayes.noise.quantisation import Quantisation
 from imubayes.noise.rate_proportional_noise import RateProportionalNoise
+from imubayes.noise.reference_noise import ReferenceNoise
 from imubayes.noise.rotation_closure import RotationClosure
 from imubayes.noise.run_scatter import RunScatter
 from imubayes.noise.white_noise import WhiteNoise
@@ -11,6 +12,7 @@ from imubayes.noise.white_noise import WhiteNoise
 NOISES: tuple[type[Noise], ...] = (
     WhiteNoise,
     RateProportionalNoise,
+    ReferenceNoise,
     Quantisation,
     CorrelatedNoise,
     RunScatter,

@@ -21,10 +21,12 @@ class Entry(eqx.Module):
     ----------
     samples : number of raw samples in the mean.
     rate : size of the nominal table rate along a gyro's input axis in output units, 0 for all else.
+    reference : size of a gyro's nominal scale in a run beside a reference gyro, output units per rad/s, 0 for all else.
     """
 
     samples: Scalars
     rate: Scalars
+    reference: Scalars
 
 
 class Noise(eqx.Module):

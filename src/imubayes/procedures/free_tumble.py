@@ -43,6 +43,8 @@ class FreeTumble(Procedure):
             table_angle=zero,
             table_rate=zero,
             table_acceleration=zero,
+            reference_rate=np.zeros((run.rows, 3)),
+            reference_acceleration=np.zeros((run.rows, 3)),
             ambient=ambient_of(run, rows, campaign),
             injected=False,
             pose=run.tumble.pose,

@@ -42,6 +42,8 @@ _REMEDIES = {
     "temperature_rate": "time_s and a temperature_degC that changes",
     "time": "time_s",
     "turning": "a run that turns",
+    "commanded": "a table that turns at a commanded rate",
+    "reference": "a reference gyro that rides along",
     "vibration": "vibration_g_rms",
     "pose": "a free tumble",
     "free tumble": "a free tumble",

@@ -22,6 +22,8 @@ LEAST_SECONDS = 1.0  # shorter spans are on the way to somewhere
 SETTLED = 8.0  # robust standard deviations of the block means
 BIN_KELVIN = 0.25
 BIN_SECONDS = 60.0
+FOLLOW_SECONDS = 1.0
+FOLLOW_DEGREES = 15.0
 SMOOTHING_BLOCKS = 51
 
 
@@ -71,9 +73,28 @@ def constant_spans(
         first, last = _settled(blocks, channels, first, last)
         for begin, end in _bins(blocks, first, last) if by_temperature else [(first, last)]:
             if _long_enough(blocks, begin, end):
-                start, stop = blocks.start[begin], blocks.start[end - 1] + blocks.count[end - 1]
-                spans.append(Span(int(start), int(stop), bool(turning[begin])))
+                spans.append(_span(blocks, begin, end, turning))
     return spans
+
+
+def followed_spans(blocks: Blocks) -> list[Span]:
+    """Return spans short enough to follow a stimulus that never stands still: `FOLLOW_SECONDS`, `FOLLOW_DEGREES`."""
+    rate, _, noise = _rate(blocks)
+    turning = np.abs(rate) > np.maximum(REST_RATE, noise)
+    seconds = np.where(np.isfinite(rate), blocks.count * (blocks.interval or 0.0), np.inf)
+    degrees = np.abs(np.nan_to_num(rate)) * seconds
+    spans, begin, lasted, swept = [], 0, 0.0, 0.0
+    for place in range(blocks.size):
+        full = lasted + seconds[place] > FOLLOW_SECONDS or swept + degrees[place] > FOLLOW_DEGREES
+        if place > begin and (full or turning[place] != turning[begin]):
+            spans.append(_span(blocks, begin, place, turning))
+            begin, lasted, swept = place, 0.0, 0.0
+        lasted, swept = lasted + seconds[place], swept + degrees[place]
+    return [*spans, _span(blocks, begin, blocks.size, turning)] if blocks.size else []
+
+
+def _span(blocks: Blocks, begin: int, end: int, turning: np.ndarray) -> Span:
+    return Span(int(blocks.start[begin]), int(blocks.start[end - 1] + blocks.count[end - 1]), bool(turning[begin]))
 
 
 def wrap_degrees(angle: np.ndarray) -> np.ndarray:

@@ -8,7 +8,15 @@ import numpy as np
 from imubayes.campaign.columns import COVARIATE_COLUMNS, Layout
 from imubayes.campaign.reduction.accumulate import Row, accumulate
 from imubayes.campaign.reduction.blocks import Blocks
-from imubayes.campaign.reduction.detect import BIN_KELVIN, BIN_SECONDS, Span, constant_spans
+from imubayes.campaign.reduction.detect import (
+    BIN_KELVIN,
+    BIN_SECONDS,
+    FOLLOW_DEGREES,
+    FOLLOW_SECONDS,
+    Span,
+    constant_spans,
+    followed_spans,
+)
 from imubayes.campaign.tables import TableSource
 
 BINNED = {"thermal_ramp", "current_injection"}
@@ -16,6 +24,9 @@ BINNED = {"thermal_ramp", "current_injection"}
 
 AT_REST = {"dividing_head", "polar_tumble", "geographic_tumble", *BINNED}
 """Procedures whose rows are all taken at rest."""
+
+FOLLOWED = {"reference_gyro", "rotation_modulation", "servo_table"}
+"""Procedures whose stimulus never stands still."""
 
 CONSTANT = "where the stimulus was constant"
 UNSTEADY = 0.02  # of the mean; a rate table holds its rate far better
@@ -28,11 +39,13 @@ class Rows:
     Attributes
     ----------
     numbers : column → shape (R,); the columns of covariates and channels, `samples` and `<channel>_sd`.
+    first : the raw row that each begins with.
     unsteady : indices of labelled segments in which the stimulus changes.
     notes : what was done and left out.
     """
 
     numbers: dict[str, np.ndarray]
+    first: tuple[int, ...]
     unsteady: tuple[int, ...]
     notes: tuple[str, ...]
 
@@ -52,17 +65,20 @@ def reduce_log(source: TableSource, procedure: str, rows: int, blocks: Blocks, l
     by_temperature = procedure in BINNED
     if labelled is not None:
         spans, how = list(labelled), "by the segment column"
+    elif procedure in FOLLOWED:
+        spans, how = followed_spans(blocks), f"of at most {FOLLOW_SECONDS:g} s and {FOLLOW_DEGREES:g} deg of turning"
     else:
         spans = constant_spans(blocks, layout.channels, by_temperature, procedure in AT_REST)
         how = f"in bins of at most {BIN_KELVIN:g} degC and {BIN_SECONDS:g} s" if by_temperature else CONSTANT
     columns = [name for name in (*COVARIATE_COLUMNS, *layout.channels) if layout.has(name)]
     reduced = accumulate(source, spans, columns, blocks.interval) if spans else []
     numbers = _columns(columns, layout, reduced)
+    first = tuple(span.start for span in spans)
     if "time_s" not in numbers and blocks.interval is None and all(row.samples == 1 for row in reduced):
         note = f"no 'samples' and no 'time_s' column: each of the {rows} rows is taken as one sample"
-        return Rows(numbers, (), (note,))
+        return Rows(numbers, first, (), (note,))
     unsteady = _unsteady(columns, reduced) if labelled is not None else ()
-    return Rows(numbers, unsteady, _account(rows, reduced, how))
+    return Rows(numbers, first, unsteady, _account(rows, reduced, how))
 
 
 def _columns(columns: list[str], layout: Layout, reduced: list[Row]) -> dict[str, np.ndarray]:

@@ -1,7 +1,9 @@
-"""Spans from the `segment` column.
+"""Spans from the `segment` column, or from others that label what belongs together.
 
 Consecutive rows with the same label belong together; rows with an empty label belong to nothing and are left out.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,19 +12,21 @@ from imubayes.campaign.tables import Batch
 
 
 class SegmentTracker:
-    """Follows the labels through the batches."""
+    """Follows the labels through the batches; of several columns the labels count together."""
 
-    def __init__(self) -> None:
-        self._label: str | None = None
+    def __init__(self, columns: Sequence[str] = ("segment",)) -> None:
+        self._columns = tuple(columns)
+        self._label: tuple[str, ...] | None = None
         self._start = 0
-        self._spans: list[tuple[str | None, int, int]] = []
+        self._spans: list[tuple[tuple[str, ...] | None, int, int]] = []
         self._rate_sum: list[float] = []
         self._rate = 0.0
         self._rows = 0
 
     def push(self, batch: Batch) -> None:
         """Take in the next batch."""
-        labels = batch.texts["segment"]
+        together = zip(*(batch.texts[name] for name in self._columns), strict=True)
+        labels = [tuple(str(one) for one in each) if all(each) else None for each in together]
         rate = batch.numbers.get("table_rate_deg_s")
         absolute = np.zeros(batch.rows) if rate is None else np.nan_to_num(np.abs(rate))
         edges = [i for i in range(1, batch.rows) if labels[i] != labels[i - 1]]
