@@ -116,7 +116,6 @@ class Plan:
         return drawn | truth.of_reference(self.effects, beside, seed)
 
 
-
 @dataclass(frozen=True)
 class Readings:
     """Simulated means and standard deviations, both (rows, channels), and each channel's offset in the run.

@@ -122,9 +122,7 @@ def _applies(effect: dict, channel: Channel) -> bool:
         return channel.kind == "gyro"
     if effect["name"].startswith(("accel_", "lever_arm")):
         return channel.kind == "accelerometer"
-    if effect["name"].startswith(("reference_", "time_")):
-        return False
-    return True
+    return not effect["name"].startswith(("reference_", "time_"))
 
 
 def effects_of(model: str | Path) -> list[dict]:

@@ -4,8 +4,11 @@ from collections.abc import Callable, Sequence
 
 from imubayes.classical.base import Estimate, Finding, Undetermined
 from imubayes.classical.converter import converter_test
+from imubayes.classical.geographic_tumble import geographic_tumble
 from imubayes.classical.polar_tumble import polar_tumble
 from imubayes.classical.rate_test import rate_test
+from imubayes.classical.reference_gyro import reference_test
+from imubayes.classical.rotation_modulation import rotation_modulation
 from imubayes.classical.tumble import tumble_test
 from imubayes.run import Campaign, Run
 
@@ -14,6 +17,9 @@ METHODS: dict[tuple[str, ...], Callable[[Campaign, Sequence[Run]], list[Finding]
     ("dividing_head",): tumble_test,
     ("thermal_ramp", "current_injection"): converter_test,
     ("polar_tumble",): polar_tumble,
+    ("geographic_tumble",): geographic_tumble,
+    ("rotation_modulation",): rotation_modulation,
+    ("reference_gyro",): reference_test,
 }
 """Procedures → evaluation of their runs together."""
 

@@ -8,6 +8,7 @@ import cyclopts
 
 from imubayes import __version__
 from imubayes.cli.add import add
+from imubayes.cli.carrier import carrier
 from imubayes.cli.check import check
 from imubayes.cli.classical import classical
 from imubayes.cli.compare import compare
@@ -22,7 +23,9 @@ from imubayes.cli.simulate import simulate
 from imubayes.errors import InputError, Problem, closest_first
 
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
-_COMMANDS = (check, fit, compare, classical, diagnose, add, history, plant, effects, simulate, convert, schema)
+_COMMANDS = (
+    check, fit, compare, classical, carrier, diagnose, add, history, plant, effects, simulate, convert, schema
+)  # fmt: skip
 
 app = cyclopts.App(
     name="imubayes",

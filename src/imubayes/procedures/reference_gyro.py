@@ -8,6 +8,7 @@ alignment and the delay of its clock are effects.  The table says how the unit s
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from imubayes.procedures.base import Procedure, table_stimulus
 from imubayes.run import Campaign, Run
@@ -48,9 +49,9 @@ def _axis(run: Run, campaign: Campaign) -> np.ndarray:
 
 
 def _acceleration(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Return the slope of the rate between the rows on either side, (R, 3)."""
+    """Return the slope of a cubic spline through the rates, (R, 3); differences would flatten what wanders fast."""
     order = np.argsort(time, kind="stable")
     found = np.zeros_like(rate)
-    if len(time) > 1 and np.all(np.diff(time[order]) > 0):
-        found[order] = np.gradient(rate[order], time[order], axis=0)
+    if len(time) > 3 and np.all(np.diff(time[order]) > 0):
+        found[order] = CubicSpline(time[order], rate[order]).derivative()(time[order])
     return found
