@@ -21,6 +21,9 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 settings.register_profile("tests", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("tests")
 
+# Folders whose tests compile models of their own.
+HEAVY = ("readme", "criticism", "cli", "conformance", "inference", "model", "report")
+
 # The hook must stand before the first import of the package, which test modules make after this file.
 install_import_hook("imubayes", "strict_types.checked")
 
@@ -30,6 +33,19 @@ def pytest_configure(config):
     config.addinivalue_line("filterwarnings", "ignore:Error (reading|writing) persistent compilation cache:UserWarning")
     # Aliases of other packages, such as rich's, are still written in the old way.
     config.addinivalue_line("filterwarnings", "ignore::beartype.roar.BeartypeDecorHintPep585DeprecationWarning")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Heavy tests first, so that none is left over at the end; a file stays with one process, for its fixtures."""
+    for item in items:
+        if _part(item) != "readme":
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+    items.sort(key=lambda item: HEAVY.index(_part(item)) if _part(item) in HEAVY else len(HEAVY))
+
+
+def _part(item) -> str:
+    return item.path.relative_to(Path(__file__).parent).parts[0]
 
 
 @pytest.fixture(scope="session")
