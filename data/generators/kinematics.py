@@ -80,6 +80,7 @@ class Table:
     elevation_deg: float
     axis_uncertainty_arcsec: float | None = None
     rate_uncertainty_ppm: float | None = None
+    angle_uncertainty_arcsec: float | None = None
 
     def stand(self, tilt) -> np.ndarray:
         """Table at angle 0 to local level; `tilt` is (x, y) in rad."""

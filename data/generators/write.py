@@ -48,6 +48,7 @@ def table_entry(table) -> dict:
         elevation_deg=table.elevation_deg,
         axis_uncertainty_arcsec=table.axis_uncertainty_arcsec,
         rate_uncertainty_ppm=table.rate_uncertainty_ppm,
+        angle_uncertainty_arcsec=table.angle_uncertainty_arcsec,
     )
 
 

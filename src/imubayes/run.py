@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-Kind = Literal["gyro", "accelerometer"]
+Kind = Literal["gyro", "accelerometer", "angle"]
 
 COVARIATES: dict[str, str] = {
     "time": "s",
@@ -47,7 +47,8 @@ class Channel:
     Attributes
     ----------
     name : its column in the run tables.
-    kind : ``gyro`` or ``accelerometer``.
+    kind : ``gyro`` or ``accelerometer``; ``angle`` for the reading of a table that a gyro drives, which is no channel
+        of the unit.
     axes : shape (3, 3); rows are the nominal input, output and spin/pendulous axis (I, O, S) in body axes,
         a right-handed orthonormal set.
     output_unit : free text, for labels.

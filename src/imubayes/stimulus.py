@@ -194,6 +194,7 @@ class Stimulus:
     ambient : covariate name → shape (n,), those that the run supplies.
     injected : whether a current is fed to the converter in the sensor's place.
     pose : shape (n,), static pose of a free tumble, else −1.
+    driven : whether a gyro drives the table.
     """
 
     row: np.ndarray
@@ -208,6 +209,7 @@ class Stimulus:
     ambient: dict[str, np.ndarray]
     injected: bool
     pose: np.ndarray
+    driven: bool = False
 
     @property
     def referenced(self) -> bool:
@@ -229,6 +231,8 @@ class Stimulus:
             seen.add("acceleration")
         if self.injected:
             seen.add("injection")
+        if self.driven:
+            seen.add("driven")
         return frozenset(seen)
 
 

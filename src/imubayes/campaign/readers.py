@@ -15,6 +15,7 @@ import numpy as np
 from imubayes.campaign.columns import KNOWN_COLUMNS, NEEDS_TABLE
 from imubayes.campaign.documents import Ledger, read_document
 from imubayes.campaign.draft import Draft, draft_of
+from imubayes.campaign.driven import with_angles
 from imubayes.campaign.equipment import build_channels, build_mountings, build_site, build_tables, refuse_repeats
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.load_run import Equipment, Loaded, load_run
@@ -137,7 +138,8 @@ def _campaign(
     entry: CampaignFile, equipment: Equipment, loaded: Sequence[Loaded], findings: Sequence[Finding], file: Path
 ) -> Campaign:
     runs = tuple(one.run for one in loaded if one.run is not None)
-    channels, said = _fill_noise(equipment.channels, runs)
+    channels, runs = with_angles(equipment.channels, runs, equipment.tables)
+    channels, said = _fill_noise(channels, runs)
     return Campaign(
         entry.name,
         equipment.site,

@@ -9,6 +9,7 @@ from imubayes.classical.polar_tumble import polar_tumble
 from imubayes.classical.rate_test import rate_test
 from imubayes.classical.reference_gyro import reference_test
 from imubayes.classical.rotation_modulation import rotation_modulation
+from imubayes.classical.servo_table import servo_test
 from imubayes.classical.tumble import tumble_test
 from imubayes.run import Campaign, Run
 
@@ -18,6 +19,7 @@ METHODS: dict[tuple[str, ...], Callable[[Campaign, Sequence[Run]], list[Finding]
     ("thermal_ramp", "current_injection"): converter_test,
     ("polar_tumble",): polar_tumble,
     ("geographic_tumble",): geographic_tumble,
+    ("servo_table",): servo_test,
     ("rotation_modulation",): rotation_modulation,
     ("reference_gyro",): reference_test,
 }

@@ -5,7 +5,6 @@ what the joint fit is compared with.  Standard deviations are the textbook's own
 curve; what is wrong with its assumptions they do not contain.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,9 +107,9 @@ def up_in_table(run: Run, campaign: Campaign) -> np.ndarray:
     return table_to_local(table.azimuth, table.elevation).T @ np.array([0.0, 0.0, 1.0])
 
 
-def components(run: Run, campaign: Campaign, channel: Channel) -> np.ndarray:
-    """Return the specific force along a channel's I, O and S axes at each row, in g, shape (3, R)."""
-    angle = run.covariates["table_angle"]
+def components(run: Run, campaign: Campaign, channel: Channel, angle: np.ndarray | None = None) -> np.ndarray:
+    """Return the specific force along a channel's I, O and S axes, in g, shape (3, n); at each row where no angle."""
+    angle = run.covariates["table_angle"] if angle is None else angle
     x, y, z = up_in_table(run, campaign)
     c, s = np.cos(angle), np.sin(angle)
     turned = np.stack([c * x + s * y, c * y - s * x, np.full_like(angle, z)])
@@ -118,6 +117,8 @@ def components(run: Run, campaign: Campaign, channel: Channel) -> np.ndarray:
     return channel.axes @ campaign.mountings[run.mounting].body_to_table.T @ turned
 
 
-def named(run: Run | Sequence[Run]) -> str:
-    """Return the names of runs."""
-    return run.name if isinstance(run, Run) else ", ".join(one.name for one in run)
+def axial(run: Run, campaign: Campaign, vector: np.ndarray) -> float:
+    """Return the component of a vector of the local level along the table's axis."""
+    assert run.table is not None
+    table = campaign.tables[run.table]
+    return float(table_to_local(table.azimuth, table.elevation)[:, 2] @ vector)

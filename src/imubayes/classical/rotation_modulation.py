@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.classical.base import Estimate, Finding, Undetermined, along_table, least_squares, measured
-from imubayes.earth import earth_rate, table_to_local
+from imubayes.classical.base import Estimate, Finding, Undetermined, along_table, axial, least_squares, measured
+from imubayes.earth import earth_rate
 from imubayes.run import Campaign, Channel, Run
 
 METHOD = "rotation modulation"
@@ -97,11 +97,8 @@ def attenuation(run: Run) -> np.ndarray:
 
 def _axial(campaign: Campaign, run: Run, kind: str) -> float:
     """Return the Earth's rate or gravity's specific force along the table's axis, SI."""
-    assert run.table is not None
-    table = campaign.tables[run.table]
-    axis = table_to_local(table.azimuth, table.elevation)[:, 2]
-    acting = earth_rate(campaign.site.latitude) if kind == "gyro" else np.array([0.0, 0.0, campaign.site.gravity])
-    return float(axis @ acting)
+    gravity = np.array([0.0, 0.0, campaign.site.gravity])
+    return axial(run, campaign, earth_rate(campaign.site.latitude) if kind == "gyro" else gravity)
 
 
 def swept(run: Run) -> float:

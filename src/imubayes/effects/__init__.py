@@ -61,6 +61,7 @@ from imubayes.effects.pose_attitude import PoseAttitude
 from imubayes.effects.reference_alignment import ReferenceAlignment
 from imubayes.effects.reference_bias import ReferenceBias
 from imubayes.effects.reference_scale_factor import ReferenceScaleFactor
+from imubayes.effects.servo_start import ServoStart
 from imubayes.effects.table_axis_tilt import TableAxisTilt
 from imubayes.effects.table_rate_error import TableRateError
 from imubayes.effects.table_wobble import TableWobble
@@ -80,6 +81,7 @@ EFFECTS: tuple[type[Effect], ...] = (
     TumbleHeading,
     MountingError,
     PoseAttitude,
+    ServoStart,
     LeverArm,
     GyroMisalignment,
     GyroGSensitivity,

@@ -25,11 +25,13 @@ from imubayes.model.instants import (
     ranks_in_time,
     readout_places,
     referenced_scales,
+    servo_runs,
 )
 from imubayes.model.labels import Belonging, colours
 from imubayes.model.likelihood import NoiseLayer, Observations, Problem, Sparsity
 from imubayes.model.members import Acting, NotShownError, act
 from imubayes.model.registry import Member, Registry
+from imubayes.model.servo import servos_of
 from imubayes.model.specification import EffectSpec, ModelSpec
 from imubayes.noise.base import Entry, EntryNoise, Noise
 from imubayes.parameters.vector import Layout, Priors
@@ -39,6 +41,7 @@ from imubayes.stimulus import Ambient
 
 # What a procedure's own unknowns need, whether or not the model file lists them.
 _IMPLIED_BY_TUMBLE = ("pose_attitude", "tumble_heading", "rotation_closure")
+_IMPLIED_BY_SERVO = ("servo_start",)
 
 
 @dataclass(frozen=True)
@@ -127,13 +130,11 @@ def _refuse_unknown_procedures(campaign: Campaign) -> None:
 
 
 def _with_implied(spec: ModelSpec, campaign: Campaign) -> ModelSpec:
-    if all(run.tumble is None for run in campaign.runs):
-        return spec
+    names = [*(_IMPLIED_BY_TUMBLE if any(run.tumble for run in campaign.runs) else ())]
+    names += _IMPLIED_BY_SERVO if servo_runs(campaign) else ()
     listed = {one.name for one in spec.effects}
     implied = tuple(
-        EffectSpec(name, where=f"{spec.where}: implied by free_tumble")
-        for name in _IMPLIED_BY_TUMBLE
-        if name not in listed
+        EffectSpec(name, where=f"{spec.where}: implied by the procedure") for name in names if name not in listed
     )
     return ModelSpec(spec.name, spec.effects + implied, spec.files, spec.where)
 
@@ -196,6 +197,7 @@ def problem_of(assembly: Assembly) -> Problem:
         channels=channels,
         layers=in_order(layers),
         transitions=_transitions(assembly, effects),
+        servos=servos_of(assembly, effects),
         turns=nodes.turns,
         node_weight=nodes.stimulus.weight,
         nulls=assembly.nulls,

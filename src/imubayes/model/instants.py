@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.procedures import PROCEDURES
+from imubayes.procedures.servo_table import ServoTable
 from imubayes.run import Campaign, Kind
 from imubayes.stimulus import AMBIENT_NAMES, Ambient, Records, Stimulus
 
@@ -155,19 +156,32 @@ def _append(columns, run, row, channel, value, samples, pose, pose_stop, closing
 
 
 def readout_places(campaign: Campaign, nodes: Nodes, entries: Entries) -> np.ndarray:
-    """Return for each readout entry its place in the outputs, flattened kind after kind as rows × channels."""
+    """Return for each readout entry its place in the outputs: kind after kind as rows × channels, then table angles."""
     kinds = [channel.kind for channel in campaign.channels]
-    counts = {kind: kinds.count(kind) for kind in KINDS}
+    counts = {kind: kinds.count(kind) for kind in (*KINDS, "angle")}
     within = np.array([kinds[:index].count(kind) for index, kind in enumerate(kinds)], dtype=int)
     rows = len(nodes.row_of)
-    base = {"accelerometer": 0, "gyro": rows * counts["accelerometer"]}
+    sensors = rows * counts["accelerometer"]
+    base = {"accelerometer": 0, "gyro": sensors, "angle": sensors + rows * counts["gyro"]}
     first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
     place_of_row = np.argsort(nodes.row_of)
     readout = ~entries.closing
     row = place_of_row[first_row[entries.run[readout]] + entries.row[readout]]
     channel = entries.channel[readout]
     width = np.array([counts[kind] for kind in kinds])[channel]
-    return np.array([base[kind] for kind in kinds])[channel] + row * width + within[channel]
+    place = np.array([base[kind] for kind in kinds])[channel] + row * width + within[channel]
+    # Angles of driven tables follow behind the sensors, run after run, padded to the longest.
+    driven = servo_runs(campaign)
+    longest = max((campaign.runs[run].rows for run in driven), default=0)
+    number = np.array([driven.index(run) if run in driven else 0 for run in range(len(campaign.runs))])
+    angle = np.array([kind == "angle" for kind in kinds])[channel]
+    in_run = base["angle"] + number[entries.run[readout]] * longest + entries.row[readout]
+    return np.where(angle, in_run, place)
+
+
+def servo_runs(campaign: Campaign) -> list[int]:
+    """Return the indices of the runs in which a gyro drives the table."""
+    return [index for index, run in enumerate(campaign.runs) if run.procedure == ServoTable.name]
 
 
 def nominal_rates(campaign: Campaign, nodes: Nodes, entries: Entries) -> np.ndarray:

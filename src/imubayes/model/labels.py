@@ -105,7 +105,11 @@ class Belonging:
         if channels is not None:
             own = [label[per.index("channel")]] if "channel" in per else list(channels)
             # Closing rotations are integrated from every channel, inverted together.
-            reached &= np.isin(entries.channel, [names.index(name) for name in own]) | entries.closing
+            angles = [place for place, channel in enumerate(self.campaign.channels) if channel.kind == "angle"]
+            # A gyro that drives a table is seen in its angle.
+            felt = [names.index(name) for name in own]
+            driven = angles if any(self.campaign.channels[place].kind == "gyro" for place in felt) else []
+            reached &= np.isin(entries.channel, [*felt, *driven]) | entries.closing
         for axis, part in zip(per, label, strict=True):
             if axis == "pose":
                 reached &= (entries.pose == int(part)) | (entries.pose_stop == int(part))

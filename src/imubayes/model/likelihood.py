@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from imubayes.model.closure import Transitions, closing_rotations
 from imubayes.model.forward import Channels, Layer, start, travel
+from imubayes.model.servo import Servos, servo_angles
 from imubayes.noise.base import Entry, EntryNoise, Noise, SeriesNoise, SharedNoise
 from imubayes.parameters.vector import Priors
 from imubayes.stimulus import Instants, SignalPath
@@ -91,7 +92,7 @@ class Problem(eqx.Module):
 
     Attributes
     ----------
-    instants, channels, layers, transitions : the forward model.
+    instants, channels, layers, transitions, servos : the forward model.
     turns : rows as (number of rows, nodes per row), in the order of the nodes; static.
     node_weight : shape (N,).
     nulls : shape (V − P,), the values behind the parameters at which effects do nothing.
@@ -104,6 +105,7 @@ class Problem(eqx.Module):
     channels: dict[str, Channels]
     layers: tuple[Layer, ...]
     transitions: Transitions | None
+    servos: Servos | None
     turns: tuple[tuple[int, int], ...] = eqx.field(static=True)
     node_weight: Float[Array, " N"]
     nulls: Float[Array, " nulls"]
@@ -142,6 +144,9 @@ def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, "
     """Return what `predict` does, from parameters in SI and nulls."""
     path = signal_path(problem, values)
     outputs = [row_means(problem, path.signal[kind]).reshape(-1) for kind in sorted(problem.channels)]
+    if problem.servos is not None:
+        angles = servo_angles(problem.servos, problem.layers, problem.instants, problem.channels, values)
+        outputs.append(jnp.degrees(angles).reshape(-1))
     predicted = jnp.concatenate(outputs)[problem.observations.readout]
     if problem.transitions is None:
         return predicted

@@ -21,7 +21,7 @@ from imubayes.units import to_si
 # recorded, known to a factor of e³ = 20 either way.
 _UNKNOWN_NOISE_SHARE, _UNKNOWN_NOISE_LOG_SD = 1e-3, 3.0
 # What some runs have and others lack altogether, so that an effect of it has to be kept from those.
-_GATES = ("injection", "reference")
+_GATES = ("injection", "reference", "driven")
 _SHARING = {"channel": ("channel",), "all": (), "run": ("channel", "run"), "mounting": ("channel", "mounting")}
 _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
 

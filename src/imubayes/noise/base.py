@@ -30,11 +30,11 @@ class Entry(eqx.Module):
 
 
 class Noise(eqx.Module):
-    """Base of all noise members; `kinds` says what it applies to (gyro, accelerometer, closure)."""
+    """Base of all noise members; `kinds` says what it applies to (gyro, accelerometer, angle, closure)."""
 
     name: ClassVar[str]
     per: ClassVar[tuple[str, ...]] = ("channel",)
-    kinds: ClassVar[tuple[str, ...]] = ("gyro", "accelerometer")
+    kinds: ClassVar[tuple[str, ...]] = ("gyro", "accelerometer", "angle")
     needs: ClassVar[tuple[str, ...]] = ()
     excludes: ClassVar[tuple[str, ...]] = ()
     confused_with: ClassVar[str] = ""

@@ -9,6 +9,7 @@ class RunScatter(SharedNoise):
     """One offset per run and channel, b ~ normal(0, τ), integrated out: every two entries of it share variance τ²."""
 
     name = "run_scatter"
+    kinds = ("gyro", "accelerometer")
     excludes = ("gyro_run_bias", "accel_run_bias")
     confused_with = "temperature terms, when each run has one temperature"
     reference = "IEEE Std 952 and 1293, run-to-run repeatability; random effect of a one-way layout"

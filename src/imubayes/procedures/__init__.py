@@ -9,6 +9,7 @@ from imubayes.procedures.polar_tumble import PolarTumble
 from imubayes.procedures.rate_table import RateTable
 from imubayes.procedures.reference_gyro import ReferenceGyro
 from imubayes.procedures.rotation_modulation import RotationModulation
+from imubayes.procedures.servo_table import ServoTable
 from imubayes.procedures.thermal_ramp import ThermalRamp
 
 PROCEDURES: dict[str, Procedure] = {
@@ -19,6 +20,7 @@ PROCEDURES: dict[str, Procedure] = {
         DividingHead(),
         PolarTumble(),
         GeographicTumble(),
+        ServoTable(),
         ThermalRamp(),
         CurrentInjection(),
         ReferenceGyro(),

@@ -44,6 +44,7 @@ _REMEDIES = {
     "turning": "a run that turns",
     "commanded": "a table that turns at a commanded rate",
     "reference": "a reference gyro that rides along",
+    "driven": "a table that the gyro drives",
     "vibration": "vibration_g_rms",
     "pose": "a free tumble",
     "free tumble": "a free tumble",

@@ -23,7 +23,7 @@ _COVARIATES = {
     "converter_temperature_degC": ("converter_temperature", 1.0),
     "current_mA": ("current", 1e-3),
 }
-INPUT_UNIT = {"gyro": "deg/s", "accelerometer": "g"}
+INPUT_UNIT = {"gyro": "deg/s", "accelerometer": "g", "angle": "deg"}
 
 
 @dataclass(frozen=True)
