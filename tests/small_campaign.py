@@ -129,6 +129,50 @@ def wide_campaign() -> Campaign:
     return replace(base, name="wide", runs=(*base.runs[:9], *dated, shaken, *base.runs[9:]))
 
 
+def referenced_campaign() -> Campaign:
+    """Return the campaign with two runs beside a reference gyro, whose rate wanders."""
+    base = campaign()
+    time = np.arange(12) * 2.0
+    wander = np.array([1.0, -1.0])[:, None] * DEGREE * (40 + 3 * np.sin(time / 3.0))
+    runs = [
+        _run(
+            f"beside-{seat}-{way}", "reference_gyro", "rate", seat, 12,
+            table_angle=np.nan, table_angle_span=2 * np.pi, time=time, temperature=25.0,
+            **{f"reference_{axis}": wander[way] * along + 0.01 * DEGREE for axis, along in zip("xyz", axes, strict=True)},
+        )
+        for seat, axes in (("flat", (0, 0, 1)), ("x-up", (1, 0, 0))) for way in (0, 1)
+    ]  # fmt: skip
+    return replace(base, name="referenced", runs=(*base.runs[:5], *runs))
+
+
+def driven_campaign() -> Campaign:
+    """Return a table that a gyro drives about the pole for a day and for a part of it, with a tumble beside it."""
+    angle = Channel("table_angle", "angle", np.eye(3), "deg", 1.0, "deg", 1 / DEGREE, noise=1 / 3600)
+    gyro = replace(channels()[0], per="deg/h")
+    along = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    across = np.eye(3)
+
+    def with_two(run: Run, read: int) -> Run:
+        observed = np.full((run.rows, 2), np.nan)
+        observed[:, read] = 0.0
+        return replace(run, observed=observed, sample_sd=np.full((run.rows, 2), np.nan), samples=np.ones(run.rows))
+
+    servos = [
+        _run(
+            name, "servo_table", "polar", "along", rows, time=np.linspace(0, hours * 3600, rows), temperature=25.0,
+            table_angle=0.7 - 15.041 * DEGREE * np.linspace(0, hours, rows),
+        )
+        for name, hours, rows in (("day", 24.0, 60), ("part", 5.0, 20))
+    ]  # fmt: skip
+    tumble = _run("tumble", "polar_tumble", "polar", "across", 8, table_angle=np.arange(8) * np.pi / 4)
+    return Campaign(
+        "driven", Site(LATITUDE, HEIGHT, GRAVITY), (gyro, angle),
+        {"polar": Table("polar", 0.0, LATITUDE, 20 * ARCSEC, None, ARCSEC)},
+        {name: Mounting(name, seat, 300 * ARCSEC) for name, seat in (("along", along), ("across", across))},
+        (*(with_two(run, 1) for run in servos), with_two(tumble, 0)),
+    )  # fmt: skip
+
+
 def _injection(name: str, multiple: float) -> Run:
     run = _run(
         name, "current_injection", None, None, 4,

@@ -273,7 +273,7 @@ def _slope(member: type, field: str, shapes: dict, seed: int) -> float:
 def variance_of(member: type, values: dict, samples: float) -> float:
     one = instance(member, values)
     if issubclass(member, EntryNoise):
-        return float(one.variance(Entry(jnp.asarray(samples), jnp.asarray(1e5))))
+        return float(one.variance(Entry(jnp.asarray(samples), jnp.asarray(1e5), jnp.asarray(1e5))))
     assert issubclass(member, SharedNoise)
     return float(one.shared_variance())
 

@@ -12,7 +12,15 @@ from imubayes.model.instants import join_nodes
 from imubayes.model.likelihood import predict
 from imubayes.model.registry import Registry
 from imubayes.run import Campaign
-from small_campaign import campaign, simulated, spec, tumble_campaign, wide_campaign
+from small_campaign import (
+    campaign,
+    driven_campaign,
+    referenced_campaign,
+    simulated,
+    spec,
+    tumble_campaign,
+    wide_campaign,
+)
 
 # Where a limit lies among the inputs of a few rows decides which of them feel it at all: that is scanned, not fitted.
 HELD = {"converter_saturation": {"limit": "lognormal(30 scale, 0.01)"}}
@@ -36,6 +44,9 @@ def declared_alone(member: type, registry: Registry | None = None) -> Model:
 
 def shown_by(member: type) -> Campaign:
     """Return the small campaign whose runs supply what a member needs."""
+    for need, among in (("reference", referenced_campaign), ("driven", driven_campaign)):
+        if need in member.needs:
+            return among()
     if member.nuisance:
         return tumble_campaign()
     supplied = join_nodes(campaign()).supplies

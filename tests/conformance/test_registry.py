@@ -65,7 +65,7 @@ def test_the_recovered_exist():
     assert set(EFFECTS) >= RECOVERED
 
 
-GATED = [n for n, m in EFFECTS.items() if {*AMBIENT_NAMES, "injection"} & set(m.needs)]
+GATED = [n for n, m in EFFECTS.items() if {*AMBIENT_NAMES, "injection", "reference", "driven"} & set(m.needs)]
 
 
 @pytest.mark.parametrize("name", GATED)
@@ -73,7 +73,7 @@ def test_nothing_reaches_a_run_that_lacks_what_is_needed(name):
     model = recover.declared_alone(EFFECTS[name])
     size = model.problem.size[0]
     dense = np.asarray(jax.jacfwd(lambda z: predict(model.problem, z))(jnp.full(size, 0.3)))
-    needed = set(EFFECTS[name].needs) & {*AMBIENT_NAMES, "injection"}
+    needed = set(EFFECTS[name].needs) & {*AMBIENT_NAMES, "injection", "reference", "driven"}
     lacking = [i for i, supplied in enumerate(model.nodes.supplies) if not needed <= supplied]
     assert np.any(dense != 0)
     assert not np.any(dense[np.isin(model.entries.run, lacking)])

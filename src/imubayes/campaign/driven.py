@@ -21,7 +21,7 @@ def with_angles(
     driven = [run for run in runs if run.procedure == "servo_table"]
     if not driven:
         return channels, tuple(runs)
-    stated = [tables[run.table].angle_uncertainty for run in driven if run.table in tables]
+    stated = [tables[run.table].angle_uncertainty for run in driven if run.table is not None]
     noise = max((one for one in stated if one), default=None)
     sd = None if noise is None else float(np.degrees(noise))
     angle = Channel(ANGLE, "angle", np.eye(3), "deg", 1.0, "deg", 1 / to_si("deg"), noise=sd)

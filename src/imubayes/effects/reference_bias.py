@@ -9,7 +9,7 @@ from imubayes.types import Scalar, vector3
 
 
 class ReferenceBias(MotionEffect):
-    """What each axis of the reference reads at rest in inertial space.
+    """Reading of each axis of the reference = true rate + b.
 
     It acts where a reference rides along; elsewhere there is nothing that it could be part of.
     """

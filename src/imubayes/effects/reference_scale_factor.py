@@ -9,7 +9,7 @@ from imubayes.types import Scalar, vector3
 
 
 class ReferenceScaleFactor(MotionEffect):
-    """Each axis of the reference reads (1 + s) times the true rate."""
+    """Reading of each axis of the reference = (1 + s) · true rate."""
 
     name = "reference_scale_factor"
     stage = Stage.TABLE

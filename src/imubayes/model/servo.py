@@ -8,6 +8,7 @@ Effects with a memory are taken as at rest.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -119,15 +120,17 @@ def servo_angles(
     before = [one for one in layers if one.place()[0] == Stage.STAND and not isinstance(one, Spread)]
     stands = jax.tree.map(lambda leaf: leaf[servos.stand], travel(before, start(instants), values).motion)
 
-    def turning(share: Array, angle: Float[Array, " S"], _: None) -> Float[Array, " S"]:
+    def turning(share: Any, angle: Float[Array, " S"], _: None) -> Float[Array, " S"]:
         ambient = jax.tree.map(
             lambda one: jax.vmap(lambda x, y: jnp.interp(share, x, y))(servos.place, one), servos.ambient
         )
         ambient = replace(ambient, table_angle=angle)
-        rate = jnp.zeros_like(angle)
-        for _ in range(_ROUNDS):
-            rate = rate - _output(servos, channels, _moving(stands, angle, rate), ambient, values) / servos.gain
-        return servos.seconds * rate
+
+        def nearer(_: Array, rate: Float[Array, " S"]) -> Float[Array, " S"]:
+            moving = replace(stands, table_angle=angle, table_rate=rate)
+            return rate - _output(servos, channels, moving, ambient, values) / servos.gain
+
+        return servos.seconds * jax.lax.fori_loop(0, _ROUNDS, nearer, jnp.zeros_like(angle))
 
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(turning),
@@ -138,20 +141,16 @@ def servo_angles(
         servos.first + stands.table_angle,
         stepsize_controller=diffrax.StepTo(ts=jnp.linspace(0.0, 1.0, servos.steps + 1)),
         saveat=diffrax.SaveAt(dense=True),
-        adjoint=diffrax.DirectAdjoint(),
+        adjoint=diffrax.ForwardMode(),
         max_steps=servos.steps,
     )
     everywhere = jax.vmap(jax.vmap(solution.evaluate))(servos.place)
     return jnp.diagonal(everywhere, axis1=0, axis2=2).T
 
 
-def between(share: Array, place: Float[Array, "S K"], values: Float[Array, "S K"]) -> Float[Array, " S"]:
+def between(share: Any, place: Float[Array, "S K"], values: Float[Array, "S K"]) -> Float[Array, " S"]:
     """Return what each run recorded at a share of its time, between its rows."""
     return jax.vmap(lambda x, y: jnp.interp(share, x, y))(place, values)
-
-
-def _moving(stands: Motion, angle: Float[Array, " S"], rate: Float[Array, " S"]) -> Motion:
-    return replace(stands, table_angle=angle, table_rate=rate)
 
 
 def _output(
