@@ -138,7 +138,7 @@ def referenced_campaign() -> Campaign:
         _run(
             f"beside-{seat}-{way}", "reference_gyro", "rate", seat, 12,
             table_angle=np.nan, table_angle_span=2 * np.pi, time=time, temperature=25.0,
-            **{f"reference_{axis}": wander[way] * along + 0.01 * DEGREE for axis, along in zip("xyz", axes, strict=True)},
+            **{f"reference_{axis}": wander[way] * axes["xyz".index(axis)] + 0.01 * DEGREE for axis in "xyz"},
         )
         for seat, axes in (("flat", (0, 0, 1)), ("x-up", (1, 0, 0))) for way in (0, 1)
     ]  # fmt: skip

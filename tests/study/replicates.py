@@ -16,9 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-
-jax.config.update("jax_enable_x64", True)
-
 import jax.numpy as jnp
 import numpy as np
 
@@ -28,6 +25,8 @@ from imubayes.inference.fit import find_mode
 from imubayes.inference.laplace import posterior_precision
 from imubayes.model.declaration import declare
 from imubayes.procedures import PROCEDURES
+
+jax.config.update("jax_enable_x64", True)
 
 ROOT = Path(__file__).parents[2]
 REPORT = ROOT / "benchmarks" / "results" / "procedures.md"
