@@ -5,9 +5,14 @@ from pathlib import Path
 
 import accel_channel
 import desk_imu
+import full_qualification
+import geographic_tumble
 import hidden_effects
 import polar_tumble
 import redundant_imu
+import reference_gyro
+import rotation_modulation
+import servo_table
 import trihedral_imu
 
 CAMPAIGNS = {
@@ -16,6 +21,11 @@ CAMPAIGNS = {
     "accel-channel": accel_channel,
     "redundant-imu": redundant_imu,
     "polar-tumble": polar_tumble,
+    "geographic-tumble": geographic_tumble,
+    "servo-table": servo_table,
+    "rotation-modulation": rotation_modulation,
+    "reference-gyro": reference_gyro,
+    "full-qualification": full_qualification,
 }
 
 

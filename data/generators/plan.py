@@ -259,14 +259,16 @@ class Moments:
         """Noise-free outputs (instants, channels)."""
         site = self.plan.site
         body_rate, force, table_rate = self.motion(values)
+        turning = np.where(self.rate == 0.0, 1.0, self.rate)
+        rising = table_rate * (self.rate_rise / turning)[:, None]
         outputs = []
         for channel in self.plan.channels:
             if channel.kind == "gyro":
                 signal = gyro_signal(channel, values, site, body_rate, force, self.around)
             else:
-                felt = force + lever_arm_force(channel, values, table_rate)
+                felt = force + lever_arm_force(channel, values, table_rate, rising)
                 signal = accelerometer_signal(channel, values, site, felt, self.around)
-            if np.any(self.injected):
+            if np.any(self.injected) and channel.current_mA_per_g is not None:
                 signal = np.where(self.injected, injected_signal(channel, values, site, self.current), signal)
             outputs.append(converted(channel, values, site, signal, self.around))
         return np.stack(outputs, axis=-1)

@@ -39,6 +39,19 @@ def wandering(rows: int, seconds: float, speed: float, wander: float, generator:
     return speed * (1 + wander * rate / largest), speed * wander * rise / largest
 
 
+def turning_rows(rate: np.ndarray, rise: np.ndarray, seconds: float, raw_rate: float, warmth: np.ndarray) -> list[Row]:
+    """Rows of a table that turns at these mean rates; the angle is that at the middle of each row."""
+    swept = rate * seconds
+    angle = np.cumsum(swept) - swept / 2
+    return [
+        Row(
+            seconds * (k + 0.5), round(seconds * raw_rate), float(warmth[k]), float(rate[k]), float(angle[k] % 360.0),
+            span=float(swept[k]), rate_rise=float(rise[k]),
+        )
+        for k in range(len(rate))
+    ]  # fmt: skip
+
+
 def plan(seed: int, wander: float = WANDER, model: str | Path | None = None) -> Plan:
     """The plan; the seed sets how the table wanders and what the chamber held."""
     runs = []
@@ -47,13 +60,7 @@ def plan(seed: int, wander: float = WANDER, model: str | Path | None = None) -> 
             generator = truth.stream(seed, f"{seat}/{way}")
             rate, rise = wandering(ROWS, SECONDS, SPEED, wander, generator)
             warmth = chamber(25.0, ROWS, generator)
-            rows = [
-                Row(
-                    SECONDS * (k + 0.5), round(SECONDS * RAW_RATE), float(warmth[k]), float(sign * rate[k]), None,
-                    rate_rise=float(sign * rise[k]),
-                )
-                for k in range(ROWS)
-            ]  # fmt: skip
+            rows = turning_rows(sign * rate, sign * rise, SECONDS, RAW_RATE, warmth)
             start = f"2026-07-{1 + order:02d}T{'08' if sign > 0 else '10'}:00:00+00:00"
             runs.append(Run(f"{seat}-{way}", "reference_gyro", rows, "ordinary", seat, start))
     return Plan(

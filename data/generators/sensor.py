@@ -132,12 +132,12 @@ def bias_over_temperature_and_time(kind: str, error: Callable[[str], float], aro
 
 
 def scale_over_temperature(kind: str, error: Callable[[str], float], around: Surroundings):
-    """Relative error of the scale factor, ppm."""
+    """True over nominal scale factor: its error at the reference temperature times what the temperature does to it."""
     warmer = around.temperature - REFERENCE_TEMPERATURE
-    scale = error(f"{kind}_scale_factor.scale") + error(f"{kind}_scale_temperature.slope") * warmer
+    change = error(f"{kind}_scale_temperature.slope") * warmer
     if curvature := error(f"{kind}_scale_temperature_quadratic.curvature"):
-        scale = scale + curvature * warmer**2
-    return scale
+        change = change + curvature * warmer**2
+    return (1 + PPM * error(f"{kind}_scale_factor.scale")) * (1 + PPM * change)
 
 
 def gyro_signal(channel: Channel, values: Values, site: Site, rate, force, around: Surroundings) -> np.ndarray:
@@ -168,7 +168,7 @@ def gyro_signal(channel: Channel, values: Values, site: Site, rate, force, aroun
     if amplitude := error("outside_root_rate.amplitude"):
         signal = signal + DEG_PER_HOUR * amplitude * np.sqrt(np.abs(along) / DEG_PER_SECOND)
     signal = signal + DEG_PER_HOUR * bias_over_temperature_and_time("gyro", error, around)
-    signal = signal * (1 + PPM * scale_over_temperature("gyro", error, around))
+    signal = signal * scale_over_temperature("gyro", error, around)
     if half_width := error("gyro_dead_zone.half_width"):
         signal = signal - stuck(signal, DEG_PER_HOUR * half_width)
     return signal
@@ -194,7 +194,7 @@ def accelerometer_signal(channel: Channel, values: Values, site: Site, force, ar
         if coefficient := error(name):
             signal = signal + micro_g * coefficient * shape()
     signal = signal + micro_g * bias_over_temperature_and_time("accel", error, around)
-    signal = signal * (1 + PPM * scale_over_temperature("accel", error, around))
+    signal = signal * scale_over_temperature("accel", error, around)
     if half_width := error("accel_dead_zone.half_width"):
         signal = signal - stuck(signal, micro_g * half_width)
     return signal
@@ -209,11 +209,13 @@ def injected_signal(channel: Channel, values: Values, site: Site, current_mA):
     )
 
 
-def lever_arm_force(channel: Channel, values: Values, table_rate: np.ndarray) -> np.ndarray:
-    """Centripetal specific force, body axes, of a sensor off the rotation axis at a steady rate."""
+def lever_arm_force(channel: Channel, values: Values, table_rate: np.ndarray, rising: np.ndarray) -> np.ndarray:
+    """Specific force, body axes, of a sensor off the rotation axis at a rate that rises by `rising` per second."""
     error = errors_of(values, channel.name)
     arm = 1e-3 * np.array([error(f"lever_arm.{axis}") for axis in "xyz"])
-    return np.cross(table_rate, np.cross(table_rate, arm)) if np.any(arm) else np.zeros_like(table_rate)
+    if not np.any(arm):
+        return np.zeros_like(table_rate)
+    return np.cross(table_rate, np.cross(table_rate, arm)) + np.cross(rising, arm)
 
 
 def converted(channel: Channel, values: Values, site: Site, signal, around: Surroundings) -> np.ndarray:

@@ -112,7 +112,7 @@ def _columns(plan: Plan, run: Run, readings: Readings) -> dict[str, list[str]]:
     columns = {"time_s": [f"{row.time:.3f}" for row in rows]}
     if run.procedure in ("rate_table", "rotation_modulation"):
         columns["table_rate_deg_s"] = [f"{row.rate:g}" for row in rows]
-    if run.procedure in ("rate_table", "rotation_modulation", "dividing_head", "polar_tumble"):
+    if run.procedure in ("rate_table", "rotation_modulation", "dividing_head", "polar_tumble", "reference_gyro"):
         columns["table_angle_deg"] = ["" if row.angle is None else f"{row.angle:g}" for row in rows]
     if rows[0].span is not None:
         columns["table_angle_span_deg"] = [f"{row.span:g}" for row in rows]
@@ -131,6 +131,8 @@ def _columns(plan: Plan, run: Run, readings: Readings) -> dict[str, list[str]]:
     columns["samples"] = [str(row.samples) for row in rows]
     for name, table in (("{}", readings.mean), ("{}_sd", readings.sd)):
         for channel, values in zip(plan.channels, table.T, strict=True):
+            if run.procedure == "current_injection" and channel.current_mA_per_g is None:
+                continue
             columns[name.format(channel.name)] = [f"{value:.{DECIMALS}f}" for value in values]
     return columns
 

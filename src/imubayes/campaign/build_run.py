@@ -91,7 +91,8 @@ def _covariates(
     }
     notes: list[str] = []
     rate = covariates.setdefault("table_rate", np.zeros(rows))
-    turning = rate != 0
+    # Beside a reference gyro nobody has written down how fast the table turns.
+    turning = (rate != 0) | (entry.procedure == "reference_gyro")
     angle = covariates.get("table_angle")
     if angle is None:
         if entry.procedure in NEEDS_TABLE and not turning.all():

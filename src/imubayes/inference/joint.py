@@ -71,6 +71,11 @@ class JointFit:
         return self.chains.diagnosis.message if self.chains is not None else ""
 
     @property
+    def derived_from(self) -> np.ndarray:
+        """Which of the points the derived draws were made of, (S′,)."""
+        return _spread_over(self.points, len(self.derived_draws))
+
+    @property
     def fitted(self) -> Fitted:
         """The model with its mode, without what was derived from it."""
         return Fitted(self.model, np.asarray(self.mode.z), np.asarray(self.mode.h), self.converged, self.message)
@@ -233,11 +238,16 @@ def _derive_all(derived, problem: Problem, z):
 
 def _derived_draws(derived: Derived, problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size = problem.size[0]
-    chosen = np.linspace(0, len(points) - 1, _DERIVED_DRAWS).astype(int)
+    chosen = _spread_over(points, _DERIVED_DRAWS)
     prior = np.random.default_rng(0).normal(size=(_PRIOR_DRAWS, size))
     both = np.concatenate([points[chosen, :size], prior])
     values = np.asarray(_derive_all(derived.derivation, problem, both))
     return values[:_DERIVED_DRAWS], values[_DERIVED_DRAWS:]
+
+
+def _spread_over(points: np.ndarray, count: int) -> np.ndarray:
+    """Return places of so many points, evenly over all."""
+    return np.linspace(0, len(points) - 1, count).astype(int)
 
 
 def _unconverged(model: Model, derived: Derived, mode: Mode, seconds: dict[str, float]) -> JointFit:

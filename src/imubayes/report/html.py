@@ -12,6 +12,7 @@ from imubayes.report.sheets import (
     Sheet,
     Summary,
     alarm_of,
+    contribution_sheet,
     next_run_sheet,
     run_sheet,
     weak_sheet,
@@ -55,6 +56,7 @@ def summary_html(summary: Summary) -> str:
         (summary["runs"], run_sheet),
         (summary.get("weak_directions"), weak_sheet),
         (summary.get("next_runs"), next_run_sheet),
+        (summary.get("contributions"), contribution_sheet),
     ]
     parts += [sheet_html(make(summary), folded=True, alarm=False) for content, make in optional if content]
     return f'<div class="imubayes">{"".join(parts)}</div>'

@@ -6,6 +6,7 @@ from typing import Any
 
 import xarray
 
+from imubayes.inference.contributions import contributions
 from imubayes.inference.design import next_runs
 from imubayes.inference.joint import JointFit
 from imubayes.inference.posterior import posterior_tree
@@ -55,6 +56,7 @@ def result_of(fitted: JointFit, folder: Path | None = None, seed: int = 0, load_
     summary = summarise(fitted, residuals)
     summary["seconds"]["load"] = load_seconds
     summary["next_runs"] = next_runs(fitted, summary)
+    summary["contributions"] = contributions(fitted)
     if folder is not None:
         write_result(folder, fitted, summary, residuals, seed)
     return Result(fitted, summary, residuals, folder)

@@ -15,6 +15,7 @@ from imubayes.report.rounding import percent, ratio_text, significant
 from imubayes.report.statistics import SIGNIFICANT, share_of_freedom, tail
 
 NOT_DETERMINED = 0.1
+_MOST_CONTRIBUTIONS = 6
 
 Summary = Mapping[str, Any]
 
@@ -138,6 +139,33 @@ def weak_sheet(summary: Summary) -> Sheet:
     ]
     note = "" if rows else "The runs determine every combination of the parameters."
     return Sheet("What the runs left to the prior", ("combination", "from data"), rows, (0,), "", note)
+
+
+def contribution_sheet(summary: Summary) -> Sheet:
+    """Return the content of the table of what each procedure tells, the angles that gain most by it first."""
+    found = list(summary.get("contributions") or [])
+    names = [one["procedure"] for one in found[0]["by"]] if found else []
+    found.sort(key=lambda one: one["sd"] / min(each["alone"] for each in one["by"]))
+    angles = [one for one in found if one["quantity"].startswith("mounting_angle[")]
+    scales = [one for one in found if one not in angles]
+    shown = [*angles[:_MOST_CONTRIBUTIONS], *scales[:_MOST_CONTRIBUTIONS]]
+    wide, narrow = [], []
+    for one in shown:
+        factor, unit = readable(one["unit"], one["sd"])
+        best = min(one["by"], key=lambda each: each["alone"])
+        alone = [Cell(significant(each["alone"] * factor, 2)) for each in one["by"]]
+        ratio = Cell(f"{significant(best['alone'] / one['sd'], 2)} ×")
+        last = (Cell(significant(one["sd"] * factor, 2)), ratio, Cell(pretty(unit)))
+        wide.append((Cell(one["quantity"]), *alone, *last))
+        of_best = Cell(significant(best["alone"] * factor, 2))
+        narrow.append((Cell(one["quantity"]), Cell(best["procedure"]), of_best, *last))
+    note = (
+        "Standard uncertainty from the prior and the runs of each procedure alone, and from all together; the gain is "
+        f"over the best of them. {more(len(found) - len(shown))}"
+    ).strip()
+    title, last = "What each procedure tells", ("together", "gain", "unit")
+    few = Sheet(title, ("quantity", "best alone", "sd", *last), narrow, (0, 1, 5), "", note)
+    return Sheet(title, ("quantity", *names, *last), wide, (0, len(names) + 3), "", note, narrow=few)
 
 
 def next_run_sheet(summary: Summary) -> Sheet:

@@ -47,6 +47,7 @@ def summarise(fit: JointFit, residuals: Residuals) -> dict[str, Any]:
         "log_evidence": _log_evidence(fit),
         "weak_directions": [{"combination": one.combination, "from_data": one.from_data} for one in weak],
         "next_runs": [],
+        "contributions": [],
         "notes": [*model.campaign.notes, *(f"{run.name}: {note}" for run in model.campaign.runs for note in run.notes)],
         "seconds": {"load": 0.0, "fit": 0.0, "sample": 0.0} | fit.seconds,
     }

@@ -9,7 +9,16 @@ from rich.table import Table
 from rich.text import Text
 
 from imubayes.report.quantities import derived_sheet, parameter_sheet
-from imubayes.report.sheets import Sheet, Summary, alarm_of, fit_sheet, next_run_sheet, run_sheet, weak_sheet
+from imubayes.report.sheets import (
+    Sheet,
+    Summary,
+    alarm_of,
+    contribution_sheet,
+    fit_sheet,
+    next_run_sheet,
+    run_sheet,
+    weak_sheet,
+)
 
 _LEAST_NAME = 16
 _STYLES = {"bad": "bold red", "weak": "yellow", "dim": "dim"}
@@ -49,6 +58,11 @@ def weak_table(summary: Summary) -> Table:
 def next_run_table(summary: Summary) -> Table:
     """Return the runs that would determine a chosen quantity best."""
     return terminal(next_run_sheet(summary))
+
+
+def contribution_table(summary: Summary) -> Table:
+    """Return what each procedure tells of the mounting angles and scale factors."""
+    return terminal(contribution_sheet(summary))
 
 
 class SheetTable(Table):
@@ -107,6 +121,7 @@ def _table(sheet: Sheet) -> SheetTable:
 
 __all__ = [
     "alarm_of",
+    "contribution_table",
     "derived_table",
     "fit_table",
     "next_run_table",

@@ -12,6 +12,7 @@ from imubayes.report.addition import addition_text, coefficient_sheet, error_she
 from imubayes.report.comparison import Comparison
 from imubayes.report.planting import planting_lines, planting_sheet
 from imubayes.report.tables import (
+    contribution_table,
     derived_table,
     next_run_table,
     parameter_table,
@@ -47,6 +48,8 @@ def _show(summary: dict[str, Any], console: Console, verbose: bool) -> None:
         console.print(weak_table(summary))
     if summary["next_runs"]:
         console.print(next_run_table(summary))
+    if summary.get("contributions"):
+        console.print(contribution_table(summary))
     seconds = summary["seconds"]
     console.print(
         f"chi2 {summary['chi2']:.1f} for {summary['dof']:.0f} degrees of freedom; "
