@@ -16,14 +16,17 @@ from typing import Any
 from rich.console import Console, ConsoleOptions
 from rich.table import Table
 
+from imubayes.classical import classical
 from imubayes.errors import InputError, Problem, closest_first
 from imubayes.report.display import ordered
 from imubayes.report.draws import read_draws
+from imubayes.report.fit_file import campaign_of
 from imubayes.report.html import summary_html
 from imubayes.report.plan import corner_choice, plan, runs_shown
 from imubayes.report.reading import StoredResult, damaged, read_stored
 from imubayes.report.sheets import alarm_of
 from imubayes.report.tables import derived_table, fit_table, parameter_table, run_table, weak_table
+from imubayes.report.textbook import textbook_json
 
 _MOST_COLUMNS = 9
 _INDEX = "captions.json"
@@ -40,6 +43,8 @@ class Comparison:
     captions : file name → caption.
     summary : the content of `summary.json`.
     notes : what was left out, one sentence each.
+    textbook : textbook estimates beside the joint ones, as `imubayes classical --json` prints them; None where the
+        campaign is not at hand.
     """
 
     folder: Path
@@ -47,6 +52,7 @@ class Comparison:
     captions: Mapping[str, str]
     summary: Mapping[str, Any]
     notes: tuple[str, ...]
+    textbook: Mapping[str, Any] | None = None
 
     @property
     def converged(self) -> bool:
@@ -105,7 +111,9 @@ def compare(folder: str | Path, parameters: Sequence[str] | None = None) -> Comp
             made.append(figure.save(target / f"{name}.png"))
             captions[f"{name}.png"] = figure.caption
     _replace_index(target, captions)
-    return Comparison(stored.folder, tuple(made), captions, stored.summary, tuple(notes))
+    campaign = campaign_of(stored.folder)
+    textbook = None if campaign is None else textbook_json(classical(campaign), stored.summary)
+    return Comparison(stored.folder, tuple(made), captions, stored.summary, tuple(notes), textbook)
 
 
 def _checked(stored: StoredResult, parameters: Sequence[str]) -> list[str]:

@@ -116,6 +116,16 @@ def read_fit(folder: str | Path, campaign: Campaign | None = None) -> Fitted:
     )
 
 
+def campaign_of(folder: str | Path) -> Campaign | None:
+    """Return the campaign of a result folder, read again; None where it is gone or no longer what was fitted."""
+    try:
+        record = read_record(folder)
+        found = load_campaign(_folder(record, Path(folder)), tuple(PROCEDURES))
+    except InputError:
+        return None
+    return found if found.digest == record["data_hash"] else None
+
+
 def _folder(record: dict[str, Any], folder: Path) -> Path:
     """Return the first place that holds a campaign: where it was, or as far from the result as it was."""
     places = record["campaign"]

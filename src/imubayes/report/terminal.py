@@ -20,7 +20,7 @@ from imubayes.report.tables import (
     terminal,
     weak_table,
 )
-from imubayes.report.textbook import decision_sheet, textbook_sheet, undetermined_sheet
+from imubayes.report.textbook import beside_sheet, decision_sheet, textbook_sheet, undetermined_sheet
 
 
 def print_summary(summary: dict[str, Any], verbose: bool = False) -> None:
@@ -60,9 +60,13 @@ def _show(summary: dict[str, Any], console: Console, verbose: bool) -> None:
 
 
 def print_comparison(comparison: Comparison) -> None:
-    """Print the table per run and channel, and where the pictures are."""
+    """Print the table per run and channel, the textbook beside the joint fit, and where the pictures are."""
     console = Console()
     console.print(comparison.runs)
+    if comparison.textbook is not None:
+        beside = beside_sheet(comparison.textbook)
+        if beside.rows:
+            console.print(terminal(beside))
     for path in comparison.pictures:
         console.print(str(path), highlight=False, soft_wrap=True)
 

@@ -5,6 +5,7 @@ Works on the estimates and, where there is one, on the summary of a fit of the s
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from imubayes.classical import Estimate, Finding, Undetermined
@@ -15,6 +16,7 @@ from imubayes.report.sheets import Cell, Sheet
 Facts = Mapping[str, Any]
 # A difference beyond this many of the textbook's own standard deviations is one that it does not own up to.
 _BEYOND = 3.0
+_MOST_BESIDE = 8
 
 
 def textbook_json(findings: Sequence[Finding], summary: Facts | None = None) -> dict[str, Any]:
@@ -77,13 +79,17 @@ def textbook_sheet(facts: Facts) -> Sheet:
     return Sheet("Textbook estimates, each run by itself", head, rows, (0, 1, 7) if compared else (0, 1), "", note)
 
 
+def _is_beyond(one: Facts) -> bool:
+    return one["sd"] is not None and abs(one["difference"]) > _BEYOND * math.hypot(one["sd"], one["joint"]["sd"])
+
+
 def _compared(one: Facts) -> tuple[Cell, Cell, Cell, Cell]:
     if not one["joint"]:
         return Cell(""), Cell(""), Cell(""), Cell("")
     value, sd = value_and_sd(one["joint"]["value"], one["joint"]["sd"])
     relative = one["name"].startswith("scale_factor[")
     size = one["difference"] / one["joint"]["value"] * 1e6 if relative else one["difference"]
-    beyond = one["sd"] is not None and abs(one["difference"]) > _BEYOND * math.hypot(one["sd"], one["joint"]["sd"])
+    beyond = _is_beyond(one)
     why = one["of_angle"]
     because = (
         f"angle {significant(why['arcsec'])} arcsec off: {significant(why['ppm'])} ppm"
@@ -92,6 +98,20 @@ def _compared(one: Facts) -> tuple[Cell, Cell, Cell, Cell]:
     )
     text = significant(size) + (" ppm" if relative else "")
     return Cell(value), Cell(sd), Cell(text, "bad" if beyond else ""), Cell(because)
+
+
+def beside_sheet(facts: Facts) -> Sheet:
+    """Return the estimates that lie beyond their own uncertainties from the joint fit, the furthest first."""
+    compared = [one for one in facts["estimates"] if one["joint"] and one["sd"]]
+    far = sorted(compared, key=lambda one: -abs(one["difference"]) / math.hypot(one["sd"], one["joint"]["sd"]))
+    beyond = [one for one in far if _is_beyond(one)]
+    sheet = textbook_sheet({"estimates": beyond[:_MOST_BESIDE]})
+    note = (
+        f"{len(beyond)} of {len(compared)} textbook estimates lie more than {_BEYOND:g} of their own standard "
+        "uncertainties from the joint fit: their assumptions do not hold. All of them: imubayes classical CAMPAIGN "
+        "--result RESULT."
+    )
+    return replace(sheet, title="The textbook beside the joint fit, where they differ", note=note)
 
 
 def decision_sheet(facts: Facts) -> Sheet:
