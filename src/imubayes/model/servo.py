@@ -27,7 +27,7 @@ from imubayes.types import Array, Float
 
 # The balance is found by rounds that each shrink its error by the size of the calibration errors: 1 % to the fourth.
 _ROUNDS = 4
-STEPS_PER_TURN, FEWEST_STEPS = 96, 96
+STEPS_PER_TURN = 96
 
 
 class Servos(eqx.Module):
@@ -96,7 +96,8 @@ def servos_of(assembly: Assembly, acting: Sequence[Acting]) -> Servos | None:
         seconds=seconds,
         place=(time - time[:, :1]) / seconds[:, None],
         ambient=Ambient(**{name: values[padded] for name, values in nodes.stimulus.ambient.items()}),
-        steps=max(FEWEST_STEPS, math.ceil(STEPS_PER_TURN * max(map(turns_of, runs)))),
+        # A power of two, so that records of about the same length are one compiled program.
+        steps=2 ** math.ceil(math.log2(STEPS_PER_TURN * max(1.0, *map(turns_of, runs)))),
         layers=in_order(layers),
     )
 
