@@ -114,7 +114,7 @@ def report(found: list[Scores]) -> str:
 def main() -> None:
     jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax-study"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    chosen = [one for one in CASES if not sys.argv[1:] or sys.argv[1] in one]
+    chosen = [one for one in CASES if not sys.argv[1:] or any(word in one for word in sys.argv[1].split(","))]
     count = int(sys.argv[2]) if len(sys.argv) > 2 else REPLICATES
     found = []
     for procedure in chosen:

@@ -142,11 +142,14 @@ def weak_sheet(summary: Summary) -> Sheet:
 
 
 def contribution_sheet(summary: Summary) -> Sheet:
-    """Return the content of the table of what each procedure tells, the angles that gain most by it first."""
+    """Return the content of the table of what each procedure tells of angles and scale factors."""
     found = list(summary.get("contributions") or [])
     names = [one["procedure"] for one in found[0]["by"]] if found else []
     found.sort(key=lambda one: one["sd"] / min(each["alone"] for each in one["by"]))
+    mean = {one["name"]: one["mean"] for one in summary["derived"]}
+    # Inclined axes first: along the table's axis and across it an angle hardly matters to what is measured.
     angles = [one for one in found if one["quantity"].startswith("mounting_angle[")]
+    angles.sort(key=lambda one: -abs(round(math.sin(2 * math.radians(mean[one["quantity"]])), 1)))
     scales = [one for one in found if one not in angles]
     shown = [*angles[:_MOST_CONTRIBUTIONS], *scales[:_MOST_CONTRIBUTIONS]]
     wide, narrow = [], []
