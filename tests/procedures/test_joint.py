@@ -1,0 +1,95 @@
+"""Joint fits of the further procedures on shipped campaigns: truth within its uncertainty, gradients right."""
+
+import tomllib
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from imubayes.campaign import load_campaign
+from imubayes.campaign.model_file import read_model
+from imubayes.classical import Estimate, classical
+from imubayes.inference.fit import find_mode
+from imubayes.inference.laplace import posterior_precision
+from imubayes.model.declaration import declare
+from imubayes.model.likelihood import predict, prediction_jacobian
+from imubayes.procedures import PROCEDURES
+
+ROOT = Path(__file__).parents[2]
+
+
+def fitted(name):
+    campaign = load_campaign(ROOT / "data" / name, tuple(PROCEDURES))
+    model = declare(read_model(ROOT / "models" / f"{name}.toml"), campaign)
+    mode = find_mode(model.problem, *(jnp.zeros(size) for size in model.problem.size))
+    assert bool(mode.converged)
+    document = tomllib.loads((ROOT / "data" / name / "truth.toml").read_text())
+    return model, mode, document["parameters"] | document["nuisance"]
+
+
+def scores(model, mode, truth):
+    sd = np.sqrt(np.diag(np.linalg.inv(np.asarray(jax.jit(posterior_precision)(model.problem, mode)))))
+    true = np.array([one.z_at(truth[one.name]) for one in model.layout.parameters], dtype=float)
+    return (np.asarray(mode.z) - true) / sd
+
+
+@pytest.mark.parametrize("name", ["geographic-tumble", "reference-gyro"])
+def test_the_truth_is_within_its_uncertainty(name):
+    found = scores(*fitted(name))
+    assert np.abs(found).max() < 4
+    assert np.sqrt(np.mean(found**2)) < 1.5
+
+
+@pytest.fixture(scope="module")
+def servo():
+    return fitted("servo-table")
+
+
+def test_the_servo_table_is_integrated_to_the_truth(servo):
+    found = scores(*servo)
+    assert np.abs(found).max() < 4
+    assert np.sqrt(np.mean(found**2)) < 1.5
+
+
+def test_the_derivative_through_the_differential_equation(servo):
+    """Against central differences of two steps, extrapolated, to a part in a million of each column."""
+    model, mode, _ = servo
+    jacobian = np.asarray(jax.jit(prediction_jacobian)(model.problem, mode.z))
+    forecast = jax.jit(predict)
+    for place in range(len(mode.z)):
+        unit = jnp.zeros_like(mode.z).at[place].set(1.0)
+        slopes = [
+            (
+                np.asarray(forecast(model.problem, mode.z + h * unit))
+                - np.asarray(forecast(model.problem, mode.z - h * unit))
+            )
+            / (2 * h)
+            for h in (2e-2, 1e-2)
+        ]
+        extrapolated = (4 * slopes[1] - slopes[0]) / 3
+        size = np.abs(jacobian[:, place]).max()
+        assert np.abs(extrapolated - jacobian[:, place]).max() < 1e-6 * size, model.layout.names[place]
+
+
+def test_the_quarter_of_a_day_is_followed_as_well_as_the_day(servo):
+    model, mode, _ = servo
+    misfit = np.asarray(model.problem.observations.value) - np.asarray(jax.jit(predict)(model.problem, mode.z))
+    for run in range(2):
+        own = misfit[np.asarray(model.entries.run) == run] * 3600
+        assert np.std(own) == pytest.approx(1.0, rel=0.06), "arcsec, the noise of the encoder"
+
+
+def test_beside_a_reference_the_joint_fit_uses_more_than_matched_instants():
+    model, mode, truth = fitted("reference-gyro")
+    sd = np.sqrt(np.diag(np.linalg.inv(np.asarray(jax.jit(posterior_precision)(model.problem, mode)))))
+    textbook = {one.name: one for one in classical(model.campaign) if isinstance(one, Estimate)}
+    gains = []
+    for axis in "xyz":
+        place = model.layout.index(f"gyro_scale_factor.scale[g{axis}]")
+        found = float(mode.z[place]) * model.layout.parameters[place].prior.sd() * 1e6
+        joint = sd[place] * model.layout.parameters[place].prior.sd() * 1e6
+        assert abs(found - truth[f"gyro_scale_factor.scale[g{axis}]"]) < 3 * joint
+        gains.append(textbook[f"scale_factor[g{axis}]"].sd / 1000 * 1e6 / joint)
+    assert np.exp(np.mean(np.log(gains))) > 3
