@@ -1,8 +1,8 @@
 """Candidates that cannot be told apart are one answer with several names.
 
 Were the leader the truth, a refit with another candidate instead would leave |(I − P_b) w|² of χ² unexplained, w being
-the part of the residual that the leader explains and P_b the projection on the other's response: S sin²φ.  Below 9,
-three standard deviations, the data do not decide between the two names.
+the part of the residual that the leader explains and P_b the projection on the other's response: S sin²φ.  Below 16 the
+data do not decide between the two names: three standard deviations where some fifty rivals had the chance to lead.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ import numpy as np
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.screen import Candidate
 
-TOLD_APART = 9.0
+TOLD_APART = 16.0
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def group(projection: Projection, leader: Candidate, ranked: Sequence[Candidate]
         best = members.get(one.effect)
         if left < TOLD_APART and (best is None or _simpler(one, left, *best)):
             members[one.effect] = (one, left)
-    others = sorted((pair for pair in members.values() if pair[0] is not leader), key=lambda pair: pair[0].p)
+    others = sorted((pair for pair in members.values() if pair[0] is not leader), key=lambda pair: pair[0].doubt)
     return Group((leader, *(one for one, _ in others)), p, (0.0, *(left for _, left in others)))
 
 

@@ -72,6 +72,15 @@ class Candidate:
         return self.found.p
 
     @property
+    def doubt(self) -> float:
+        """Logarithm of the chance of such a gain of likelihood: what candidates are ranked by.
+
+        The F test of `p` loses power where evidence comes from between few runs as well; which of two causes explains
+        more must not depend on that.
+        """
+        return float(stats.chi2.logsf(2 * self.found.gain, max(self.dof, 1)))
+
+    @property
     def drop(self) -> float:
         """The drop of χ² that a refit brings, in units of the noise after it."""
         return self.found.drop
@@ -109,6 +118,7 @@ class Explained:
     fitted : shape (R,).
     drop, drop_at_fit : S with the noise scales after it, and with those of the fit.
     p : chance of such a drop under no effect.
+    gain : of the log likelihood, the noise scale of every stratum free: what is explained counts wherever it is.
     within, of_priors : shares of S that come from within runs, and from the priors.
     variance : shape (strata + 1,), noise variance of each stratum after it, relative to the fit's.
     """
@@ -118,6 +128,7 @@ class Explained:
     drop: float
     drop_at_fit: float
     p: float
+    gain: float
     within: float
     of_priors: float
     variance: np.ndarray
@@ -150,9 +161,12 @@ def explain(
     finite = np.where(judged, freedom, 1e9)
     denominator = total**2 / max(float(np.sum(weighted**2 / finite)), _SMALLEST) if total > 0 else 1.0
     p = float(stats.f.sf(total / count, count, denominator)) if count else 1.0
+    # Where the scale is estimated: half the degrees of freedom times the logarithm of what the scatter shrank by.
+    shrank = np.log1p(drop / np.where(judged, freedom * variance, 1.0))
+    gain = float(np.sum(np.where(judged, freedom * shrank, drop))) / 2
     within = float(weighted[:-1][~strata.between].sum()) / total if total > 0 else 1.0
     of_priors = float(weighted[-1]) / total if total > 0 else 0.0
-    return Explained(span, fitted, total, float(along @ along), max(p, _SMALLEST), within, of_priors, variance)
+    return Explained(span, fitted, total, float(along @ along), max(p, _SMALLEST), gain, within, of_priors, variance)
 
 
 def assess(projection: Projection, one: Projected, chosen: np.ndarray | None = None) -> Candidate:
@@ -205,7 +219,7 @@ def variants(response: Response, kinds: Mapping[str, str]) -> list[np.ndarray]:
 
 
 def screen(projection: Projection, responses: Sequence[Projected]) -> list[Candidate]:
-    """Return every candidate on all its channels together, on each kind and on each alone, best first."""
+    """Return every candidate on all its channels together, on each kind and on each alone, the best founded first."""
     kinds = {channel.name: channel.kind for channel in projection.fitted.model.campaign.channels}
     found = [assess(projection, one, chosen) for one in responses for chosen in variants(one.response, kinds)]
-    return sorted((one for one in found if one.dof and one.plausible), key=lambda one: (one.p, -one.drop / one.dof))
+    return sorted((one for one in found if one.dof and one.plausible), key=lambda one: (one.doubt, -one.drop / one.dof))

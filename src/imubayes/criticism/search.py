@@ -124,10 +124,11 @@ def _steps(first: Look, chance: LookElsewhere) -> tuple[tuple[Group, ...], Look]
     """Take out the best candidate and look again, as long as one is beyond chance."""
     at, groups = first, []
     while at.candidates and len(groups) < _MOST_STEPS:
-        leader = at.candidates[0]
-        p = chance(leader.p)
-        if p >= EFFECT_THRESHOLD:
+        beyond = [one for one in at.candidates if chance(one.p) < EFFECT_THRESHOLD]
+        if not beyond:
             break
+        leader = beyond[0]
+        p = min(chance(one.p) for one in beyond)
         groups.append(group(at.projection, leader, at.candidates, p))
         at = take_out(at, whole_span(at, leader))
     return tuple(groups), at
