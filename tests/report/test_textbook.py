@@ -43,7 +43,7 @@ def test_the_angle_explains_the_difference():
 def test_without_a_fit_there_is_no_comparison():
     facts = textbook_json(FOUND)
     assert len(textbook_sheet(facts).head) == 5
-    assert [cell.text for cell in decision_sheet(facts).rows[0]] == ["delta_k[ax,hot]", "hot keeps its own line"]
+    assert [cell.text for cell in decision_sheet(facts).rows[0]] == ["delta_k[ax,hot]", "hot keeps its own line", ""]
     assert len(undetermined_sheet(facts).rows) == 1
 
 

@@ -200,12 +200,47 @@ def _first_step(
         if blind:
             z[place] = _away_from_null(model, place, null[place], hints)
     tells = bool(count) and not flat.all()
+    drop, sd = float(2 * drive @ step - step @ squares @ step), np.sqrt(np.diag(covariance))
+    if tells and flat.any():
+        # A time constant that was scanned lies beside its true value: with its coefficient it has a gradient.
+        z, sd, drop, flat = _second_step(model, z, h, new, (sd, drop, flat), float(left @ left))
     return Extension(
-        model, z, h, null, new,
-        float(2 * drive @ step - step @ squares @ step) if tells else None,
-        _coefficients(model.layout, z, new, np.sqrt(np.diag(covariance)), flat) if tells else (),
+        model, z, h, null, new, drop if tells else None,
+        _coefficients(model.layout, z, new, sd, flat) if tells else (),
         left[:entries], (across @ step)[:entries],
     )  # fmt: skip
+
+
+def _second_step(
+    model: Model,
+    z: np.ndarray,
+    h: np.ndarray,
+    new: np.ndarray,
+    first: tuple[np.ndarray, float, np.ndarray],
+    before: float,
+) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
+    """Return z, the deviations and the drop of χ² after one step more of all parameters; the first where it is no gain.
+
+    Parameters
+    ----------
+    first : deviations, drop and which new parameters had no gradient.
+    before : χ² without what is new.
+    """
+
+    def at(point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        parts = whitened(model.problem, jnp.asarray(point), jnp.asarray(h))
+        residual, jacobian, widths = (np.asarray(part) for part in parts)
+        square = float(residual @ residual + np.sum((point / widths) ** 2) - np.sum((point[new] / widths[new]) ** 2))
+        return square, residual, jacobian, widths
+
+    square, residual, jacobian, widths = at(z)
+    precision = jacobian.T @ jacobian + np.diag(widths**-2)
+    further = z + np.linalg.solve(precision, jacobian.T @ residual - z / widths**2)
+    reached = at(further)[0]
+    if not reached < square:
+        return z, *first[:2], first[2]
+    sd = np.sqrt(np.diag(np.linalg.inv(precision)))[new]
+    return further, sd, before - reached, np.zeros_like(first[2])
 
 
 def _away_from_null(model: Model, place: int, null: float, hints: Mapping[str, float]) -> float:

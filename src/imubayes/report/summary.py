@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from imubayes.classical.converter import THRESHOLD
 from imubayes.inference.identifiability import (
     WeakDirection,
     confusions,
@@ -97,6 +98,10 @@ def _derived(fit: JointFit) -> list[dict[str, Any]]:
         line = {"name": name.name, "unit": name.unit, **_numbers(draws, usable)}
         line["prior_sd"] = float(prior.std()) if usable else None
         line["from_data"] = float(from_data(float(np.var(draws)), float(np.var(prior)))) if usable else None
+        if name.name.startswith("delta_k["):
+            # Whether the line of 1 g may stand for this input: what the textbook decides by a number without doubt.
+            within = float(np.mean(draws <= 100 * THRESHOLD)) if usable else None
+            line["within"] = {"threshold": 100 * THRESHOLD, "unit": name.unit, "probability": within}
         lines.append(line)
     return lines
 

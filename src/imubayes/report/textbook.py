@@ -48,7 +48,7 @@ def _line(one: Estimate, joint: Mapping[str, Facts]) -> dict[str, Any]:
     if found is None or found["unit"] != one.unit:
         return line | {"joint": None, "difference": None, "of_angle": None}
     return line | {
-        "joint": {"value": found["mean"], "sd": found["sd"]},
+        "joint": {"value": found["mean"], "sd": found["sd"], "within": found.get("within")},
         "difference": one.value - found["mean"],
         "of_angle": _of_angle(one, joint),
     }
@@ -116,8 +116,17 @@ def beside_sheet(facts: Facts) -> Sheet:
 
 def decision_sheet(facts: Facts) -> Sheet:
     """Return what the textbook concludes."""
-    rows = [(Cell(one["name"]), Cell(one["decision"])) for one in facts["estimates"] if one["decision"]]
-    return Sheet("What the textbook decides", ("quantity", "decision"), rows, (0, 1))
+    decided = [one for one in facts["estimates"] if one["decision"]]
+    rows = [(Cell(one["name"]), Cell(one["decision"]), Cell(_within(one))) for one in decided]
+    note = "Joint: the probability that the quantity is at or below the threshold, all runs and effects together."
+    return Sheet("What the textbook decides", ("quantity", "decision", "joint"), rows, (0, 1, 2), "", note)
+
+
+def _within(one: Facts) -> str:
+    within = (one["joint"] or {}).get("within")
+    if not within or within["probability"] is None:
+        return ""
+    return f"P(≤ {within['threshold']:g} {pretty(within['unit'])}) = {within['probability']:.2g}"
 
 
 def undetermined_sheet(facts: Facts) -> Sheet:

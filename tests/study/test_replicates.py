@@ -1,0 +1,22 @@
+"""Every procedure by itself over replicates of the independent generator (`make study`)."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from replicates import CASES, scores  # pyright: ignore[reportMissingImports]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("procedure", CASES)
+def test_uncertainties_hold_what_they_promise(procedure):
+    found = scores(procedure)
+    print(f"\n{procedure}: rms {found.rms:.3f}, coverage {found.coverage:.4f}, {len(found.z)} scores")
+    assert found.failed == 0
+    assert 0.9 <= found.rms <= 1.1
+    assert 0.92 <= found.coverage <= 0.98
+    # Uncertainties understated 1.5 times must fail, or the check checks nothing.
+    assert np.sqrt(np.mean((found.z * 1.5) ** 2)) > 1.1
