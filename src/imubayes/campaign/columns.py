@@ -57,6 +57,9 @@ NEEDS_TABLE = {
 }
 """Procedures whose stimulus comes from a table and a mounting."""
 
+NEEDS_GYRO = {"servo_table", "reference_gyro"}
+"""Procedures that are about gyros alone."""
+
 
 @dataclass(frozen=True)
 class Layout:

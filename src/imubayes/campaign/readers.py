@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.campaign.columns import KNOWN_COLUMNS, NEEDS_TABLE
+from imubayes.campaign.columns import KNOWN_COLUMNS, NEEDS_GYRO, NEEDS_TABLE
 from imubayes.campaign.documents import Ledger, read_document
 from imubayes.campaign.draft import Draft, draft_of
 from imubayes.campaign.driven import with_angles
@@ -184,6 +184,7 @@ def _check_runs(draft: Draft, procedures: Collection[str], ledger: Ledger) -> No
         _check_reference(run, index, "table", run.table, draft.names["table"], ledger)
         _check_reference(run, index, "mounting", run.mounting, draft.names["mounting"], ledger)
         _check_file(run, index, ledger)
+    _check_gyros(draft, ledger)
     injected = [index for index, run in draft.runs.items() if run.procedure == "current_injection"]
     if injected and not any(channel.current_mA_per_g for channel in draft.channels.values()):
         ledger.add(
@@ -192,6 +193,20 @@ def _check_runs(draft: Draft, procedures: Collection[str], ledger: Ledger) -> No
             "current_mA_per_g = … in a [[channel]]",
             "add current_mA_per_g to the channel under test",
         )
+
+
+def _check_gyros(draft: Draft, ledger: Ledger) -> None:
+    """Note runs that only a gyro gives a meaning, in a unit that has none."""
+    if any(channel.kind == "gyro" for channel in draft.channels.values()):
+        return
+    for index, run in draft.runs.items():
+        if run.procedure in NEEDS_GYRO:
+            ledger.add(
+                f"run '{run.name}' of procedure '{run.procedure}' has no gyro",
+                ("run", index, "procedure"),
+                'a [[channel]] of kind = "gyro"',
+                "add the gyro, or correct 'procedure'",
+            )
 
 
 def _check_reference(
