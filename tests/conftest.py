@@ -35,12 +35,8 @@ def pytest_configure(config):
     config.addinivalue_line("filterwarnings", "ignore::beartype.roar.BeartypeDecorHintPep585DeprecationWarning")
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """Heavy tests first, so that none is left over at the end; a file stays with one process, for its fixtures."""
-    for item in items:
-        if _part(item) != "readme":
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
     items.sort(key=lambda item: HEAVY.index(_part(item)) if _part(item) in HEAVY else len(HEAVY))
 
 
