@@ -24,7 +24,13 @@ def test_there_are_commands():
     assert sum(map(len, COMMANDS.values())) >= 8
 
 
-@pytest.mark.parametrize("heading", COMMANDS)
+# What takes long is run by `make study`: the fit of a whole qualification compiles for a minute.
+LONG = ("Procedures",)
+
+
+@pytest.mark.parametrize(
+    "heading", [pytest.param(one, marks=pytest.mark.slow) if one in LONG else one for one in COMMANDS]
+)
 def test_commands_run_as_written(heading, tmp_path, compile_cache):
     """Those of a section, in order, in a folder that looks like the repository."""
     told: list[str] = []
