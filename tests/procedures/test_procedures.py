@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from imubayes.errors import InputError
+from imubayes.inference.planned import candidates
 from imubayes.procedures import PROCEDURES
 from imubayes.run import Campaign, Run
 from imubayes.stimulus import Stimulus
-from small_campaign import campaign, tumble_campaign, wide_campaign
+from small_campaign import campaign, driven_campaign, tumble_campaign, wide_campaign
 
 CAMPAIGN = campaign()
 RUNS = {run.name: run for run in CAMPAIGN.runs}
@@ -153,3 +154,12 @@ def test_a_covariate_with_gaps_is_not_supplied():
     run = next(run for run in among.runs if run.name == "shaken")
     gaps = replace(run, covariates=dict(run.covariates) | {"vibration": np.array([0.0, np.nan, 1, 2])})
     assert "vibration" not in PROCEDURES["dividing_head"].stimulus(gaps, among).supplies
+
+
+def test_a_run_to_come_has_no_angle_of_a_driven_table():
+    """Read where a gyro drives the table, nowhere else: a candidate run would stand for the record of the servo."""
+    planned = candidates(driven_campaign())[1]
+    assert planned
+    for one in planned:
+        assert np.isnan(one.run.observed[:, 1]).all()
+        assert not np.isnan(one.run.observed[:, 0]).any()

@@ -129,7 +129,11 @@ def _empty_run(
     """Return a run whose readings are yet to be made."""
     count = len(covariates["time"])
     samples = float(np.median(np.concatenate([run.samples for run in campaign.runs])))
-    known = np.array([procedure != "current_injection" or bool(c.current_per_acceleration) for c in campaign.channels])
+    injected = procedure == "current_injection"
+    # A current goes into channels that have one; the angle of a table is read where a gyro drives it, never here.
+    known = np.array(
+        [c.kind != "angle" and (not injected or bool(c.current_per_acceleration)) for c in campaign.channels]
+    )
     observed = np.where(known, np.zeros((count, len(known))), np.nan)
     return Run(
         name, procedure, table, mounting, covariates, observed, np.full(count, samples), np.full_like(observed, np.nan)
