@@ -6,12 +6,10 @@ a quantity its variance is cᵀΛ⁻¹c for any of the sums that leave something
 
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.inference.joint import JointFit
-from imubayes.inference.precision import knowledge
+from imubayes.inference.precision import deviations, precision_of
 from imubayes.model.likelihood import prior_widths
 
 _QUANTITIES = ("mounting_angle[", "scale_factor[")
@@ -31,15 +29,13 @@ def contributions(fit: JointFit) -> list[dict[str, Any]]:
     chosen = [place for place, one in enumerate(fit.derived.names) if one.name.startswith(_QUANTITIES)]
     prior = np.diag(np.asarray(prior_widths(model.problem, fit.mode.h)) ** -2)
     of_run = np.array([procedures.index(run.procedure) for run in campaign.runs])[np.asarray(model.entries.run)]
-    told = [_precision_of(fit, of_run == place) for place in range(len(procedures))]
+    told = [
+        precision_of(model.problem, fit.mode.about, fit.mode.h, of_run == place) for place in range(len(procedures))
+    ]
     gradients = _gradients(fit, chosen)
     together = prior + sum(told)
-
-    def deviations(precision: np.ndarray) -> np.ndarray:
-        return np.sqrt(np.sum(gradients * np.linalg.solve(precision, gradients.T).T, axis=1))
-
-    alone = [deviations(prior + one) for one in told]
-    without = [deviations(together - one) for one in told]
+    alone = [deviations(gradients, prior + one) for one in told]
+    without = [deviations(gradients, together - one) for one in told]
     return [
         {
             "quantity": fit.derived.names[place].name,
@@ -50,18 +46,8 @@ def contributions(fit: JointFit) -> list[dict[str, Any]]:
                 for one, name in enumerate(procedures)
             ],
         }
-        for row, (place, sd) in enumerate(zip(chosen, deviations(together), strict=True))
+        for row, (place, sd) in enumerate(zip(chosen, deviations(gradients, together), strict=True))
     ]
-
-
-_precision = eqx.filter_jit(lambda problem, about, h: knowledge(problem, about, h).precision)
-
-
-def _precision_of(fit: JointFit, entries: np.ndarray) -> np.ndarray:
-    """Return what some entries say of θ in z, (P, P)."""
-    weight = fit.model.problem.observations.weight * jnp.asarray(entries.astype(float))
-    masked = eqx.tree_at(lambda p: p.observations.weight, fit.model.problem, weight)
-    return np.asarray(_precision(masked, fit.mode.about, fit.mode.h))
 
 
 def _gradients(fit: JointFit, chosen: list[int]) -> np.ndarray:

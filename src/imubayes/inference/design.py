@@ -18,7 +18,7 @@ from imubayes.effects.base import Effect, Stage
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.joint import JointFit
 from imubayes.inference.planned import Candidate, candidates
-from imubayes.inference.precision import knowledge, linearise
+from imubayes.inference.precision import deviations, linearise, precision_of
 from imubayes.model.declaration import Model, declare
 from imubayes.model.derived import derive
 from imubayes.model.likelihood import values_of
@@ -67,16 +67,11 @@ def rank(fit: JointFit, quantities: Sequence[str]) -> dict[str, list[dict[str, A
     known_runs = len(fit.model.campaign.runs)
 
     def precision(included: Sequence[int]) -> np.ndarray:
-        weight = np.isin(model.entries.run, list(included)).astype(float)
-        masked = eqx.tree_at(lambda p: p.observations.weight, model.problem, jnp.asarray(weight))
-        return np.asarray(_precision(masked, about, jnp.asarray(h)))
-
-    def deviations(total: np.ndarray) -> np.ndarray:
-        return np.sqrt(np.sum(gradients * np.linalg.solve(total, gradients.T).T, axis=1))
+        return precision_of(model.problem, about, jnp.asarray(h), np.isin(model.entries.run, list(included)))
 
     before = precision(range(known_runs)) + np.eye(len(z))
-    sd_before = deviations(before)
-    sd_after = [deviations(before + precision([known_runs + place])) for place in range(len(planned))]
+    sd_before = deviations(gradients, before)
+    sd_after = [deviations(gradients, before + precision([known_runs + place])) for place in range(len(planned))]
     units = {name.name: name.unit for name in fit.derived.names} | {p.name: p.unit for p in model.layout.parameters}
     found = {}
     for row, quantity in enumerate(quantities):
@@ -112,7 +107,6 @@ def _gradients(model: Model, z: np.ndarray, quantities: Sequence[str]) -> np.nda
 
 _linearise = eqx.filter_jit(linearise)
 _slopes = eqx.filter_jit(lambda problem, z: problem.priors.slopes(z))
-_precision = eqx.filter_jit(lambda problem, about, h: knowledge(problem, about, h).precision)
 
 
 def next_runs(fit: JointFit, summary: dict[str, Any]) -> list[dict[str, Any]]:

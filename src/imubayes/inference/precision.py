@@ -7,6 +7,7 @@ Where rows are correlated J and e pass the filter of their series first.
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 
 from imubayes.model.likelihood import (
@@ -67,6 +68,20 @@ def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Kno
     gradient = weighted.T @ about.misfit - along.T @ (rank_one * misfit_along)
     square = jnp.sum(weight * about.misfit**2) - jnp.sum(rank_one * misfit_along**2)
     return Knowledge(precision, gradient, square)
+
+
+_precision = eqx.filter_jit(lambda problem, about, h: knowledge(problem, about, h).precision)
+
+
+def precision_of(problem: Problem, about: Linearised, h: Float[Array, " H"], chosen: np.ndarray) -> np.ndarray:
+    """Return what chosen entries, (E,) bool, say of θ in z, without the prior; shape (P, P)."""
+    weight = problem.observations.weight * jnp.asarray(chosen.astype(float))
+    return np.asarray(_precision(eqx.tree_at(lambda p: p.observations.weight, problem, weight), about, h))
+
+
+def deviations(gradients: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """Return the standard deviations, (n,), of quantities with gradients (n, P) under a precision (P, P)."""
+    return np.sqrt(np.sum(gradients * np.linalg.solve(precision, gradients.T).T, axis=1))
 
 
 def log_marginal(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Scalar:
