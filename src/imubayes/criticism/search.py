@@ -124,11 +124,10 @@ def _steps(first: Look, chance: LookElsewhere) -> tuple[tuple[Group, ...], Look]
     """Take out the best candidate and look again, as long as one is beyond chance."""
     at, groups = first, []
     while at.candidates and len(groups) < _MOST_STEPS:
-        beyond = [one for one in at.candidates if chance(one.p) < EFFECT_THRESHOLD]
-        if not beyond:
+        p = chance(min(one.p for one in at.candidates))
+        if p >= EFFECT_THRESHOLD:
             break
-        leader = beyond[0]
-        p = min(chance(one.p) for one in beyond)
+        leader = next(one for one in at.candidates if chance(one.p) < EFFECT_THRESHOLD)
         groups.append(group(at.projection, leader, at.candidates, p))
         at = take_out(at, whole_span(at, leader))
     return tuple(groups), at

@@ -70,7 +70,8 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
     seen = _resolutions(found)
     groups = found.groups
     ranking = [_candidate_line(one, found) for one in found.first.candidates]
-    best = min((found.chance(one.p) for one in found.first.candidates), default=1.0)
+    alone = [one.p for one in found.first.candidates]
+    best = found.chance(min(alone)) if alone else 1.0
     if effect:
         return _asked(effect, found, seen, ranking, folder)
     telling = tuple(_telling(found, one) for one in groups)
