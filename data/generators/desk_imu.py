@@ -15,15 +15,13 @@ import write
 from kinematics import Site
 from motion import Move, hand_moves, path
 from plan import Plan, Run
-from sensor import Channel, Surroundings, Values, accelerometer_signal, converted, gyro_signal
+from sensor import AXES, Channel, Surroundings, Values, accelerometer_signal, converted, gyro_signal
 
 SEED = 20260330
 STEADY = Surroundings()
 SAMPLE_RATE = 100.0
 POSES = 28
 FIRST_REST = 15.0
-X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-AXES = (("x", X, Y), ("y", Y, Z), ("z", Z, X))
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 DECIMALS = {"accelerometer": 4, "gyro": 6}
 

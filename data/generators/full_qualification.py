@@ -5,19 +5,14 @@ from pathlib import Path
 import accel_channel
 import reference_gyro
 import truth
-from kinematics import X_UP, Y_UP, Z_UP, Mounting, Site, Table, trihedral
-from plan import Plan, Row, Run, chamber, dividing_head_rows, rate_table_rows
-from sensor import Channel
+from kinematics import Mounting, Site, Table, trihedral
+from plan import Plan, Row, Run, chamber, dividing_head_rows, rate_table_rows, turning_rows
+from sensor import AXES, Channel
 from simulate import write_simulated
 
 SEED = 20261101
 RATES, RAW_RATE, POSITIONS = (300.0, 60.0, 20.0, 1.0), 50.0, 12
 SITE = Site(34.25, 400.0)
-AXES = (
-    ("x", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-    ("y", (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    ("z", (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)),
-)
 CHANNELS = (
     *(Channel(f"g{name}", "gyro", axis, "pulse/s", 1000.0, "deg/s", 1.0, output) for name, axis, output in AXES),
     *(
@@ -25,7 +20,6 @@ CHANNELS = (
         for name, axis, output in AXES
     ),
 )
-SEATS = {"x-up": X_UP, "y-up": Y_UP, "z-up": Z_UP}
 RAMP_ROWS, COLDEST, WARMEST, INJECTED_G = 40, 20.0, 60.0, 12.0
 
 
@@ -55,12 +49,12 @@ def plan(seed: int) -> Plan:
         return chamber(nominal, rows, truth.stream(seed, name))
 
     turning = 2 + 2 * len(RATES)
-    for seat in (*SEATS, "pyramid"):
+    for seat in (*reference_gyro.SEATS, "pyramid"):
         run(f"rate-{seat}", "rate_table", rate_table_rows(RATES, warmth(f"r{seat}", turning), RAW_RATE), "rate", seat)
     for label, nominal in (("cold", 0.0), ("hot", 50.0)):
         rows = rate_table_rows(RATES, warmth(f"r{label}", turning, nominal), RAW_RATE)
         run(f"rate-pyramid-{label}", "rate_table", rows, "rate", "pyramid")
-    for seat in SEATS:
+    for seat in reference_gyro.SEATS:
         run(
             f"head-{seat}",
             "dividing_head",
@@ -68,18 +62,18 @@ def plan(seed: int) -> Plan:
             "head",
             seat,
         )
-    for seat in SEATS:
+    for seat in reference_gyro.SEATS:
         rows = dividing_head_rows(POSITIONS, warmth(f"p{seat}", POSITIONS), RAW_RATE, dwell=120.0)
         run(f"polar-{seat}", "polar_tumble", rows, "polar", seat)
     for seat in ("x-up", "y-up", "z-up", "pyramid"):
         run(f"ramp-{seat}", "thermal_ramp", converter_ramp(seed, f"t{seat}"), "rate", seat)
     run("inject-12g", "current_injection", converter_ramp(seed, "inject", INJECTED_G * accel_channel.CURRENT_PER_G))
-    for seat in SEATS:
+    for seat in reference_gyro.SEATS:
         for sign, way in ((1.0, "forward"), (-1.0, "reverse")):
             random = truth.stream(seed, f"{seat}/{way}")
             rate, rise = reference_gyro.wandering(60, 2.0, 40.0, 0.05, random)
             held = chamber(25.0, 60, random)
-            rows = reference_gyro.turning_rows(sign * rate, sign * rise, 2.0, RAW_RATE, held)
+            rows = turning_rows(sign * rate, sign * rise, 2.0, RAW_RATE, held)
             run(f"beside-{seat}-{way}", "reference_gyro", rows, "ordinary", seat)
     return Plan(
         name="full-qualification",
@@ -94,7 +88,7 @@ def plan(seed: int) -> Plan:
             Table("ordinary", 0.0, 90.0, 60.0),
         ),
         mountings=(
-            *(Mounting(name, seat, 5.0) for name, seat in SEATS.items()),
+            *(Mounting(name, seat, 5.0) for name, seat in reference_gyro.SEATS.items()),
             Mounting("pyramid", trihedral(), 5.0, "trihedral"),
         ),
         runs=tuple(runs),

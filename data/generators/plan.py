@@ -378,6 +378,19 @@ def dividing_head_rows(positions: int, temperatures, raw_rate: float, dwell: flo
     ]
 
 
+def turning_rows(rate: np.ndarray, rise: np.ndarray, seconds: float, raw_rate: float, warmth: np.ndarray) -> list[Row]:
+    """Rows of a table that turns at these mean rates; the angle is that at the middle of each row."""
+    swept = rate * seconds
+    angle = np.cumsum(swept) - swept / 2
+    return [
+        Row(
+            seconds * (k + 0.5), round(seconds * raw_rate), float(warmth[k]), float(rate[k]), float(angle[k] % 360.0),
+            span=float(swept[k]), rate_rise=float(rise[k]),
+        )
+        for k in range(len(rate))
+    ]  # fmt: skip
+
+
 def chamber(nominal: float, rows: int, generator: np.random.Generator) -> np.ndarray:
     """Temperatures of a chamber: half a degree of constant error, a slow drift, a few hundredths of ripple."""
     drift = np.linspace(-0.5, 0.5, rows) * generator.normal(0.0, 0.4)

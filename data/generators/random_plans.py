@@ -11,11 +11,9 @@ import numpy as np
 
 from kinematics import X_UP, Y_UP, Z_UP, Mounting, Site, Table, trihedral
 from plan import Plan, Row, Run, square_pyramid_axis, whole_turn_seconds
-from sensor import Channel
+from sensor import AXES, Channel
 
 RAW_RATE = 20.0
-X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-AXES = (("x", X, Y), ("y", Y, Z), ("z", Z, X))
 GYROS = tuple(Channel(f"g{n}", "gyro", i, "pulse/s", 1000.0, "deg/s", 8.0, o) for n, i, o in AXES)
 ACCELEROMETERS = tuple(Channel(f"a{n}", "accelerometer", i, "pulse/s", 20000.0, "g", 2.0, o) for n, i, o in AXES)
 WITH_CURRENT = tuple(

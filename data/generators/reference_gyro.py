@@ -6,20 +6,13 @@ import numpy as np
 
 import truth
 from kinematics import X_UP, Y_UP, Z_UP, Mounting, Site, Table
-from plan import Plan, Row, Run, chamber
-from sensor import Channel
+from plan import Plan, Run, chamber, turning_rows
+from sensor import AXES, Channel
 from simulate import write_simulated
 
 SEED = 20260701
 RAW_RATE, SECONDS, ROWS, SPEED, WANDER = 100.0, 2.0, 120, 40.0, 0.05
-GYROS = tuple(
-    Channel(name, "gyro", axis, "LSB", 1000.0, "deg/s", 10.0, output)
-    for name, axis, output in (
-        ("gx", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-        ("gy", (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-        ("gz", (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)),
-    )
-)
+GYROS = tuple(Channel(f"g{n}", "gyro", i, "LSB", 1000.0, "deg/s", 10.0, o) for n, i, o in AXES)
 SEATS = {"x-up": X_UP, "y-up": Y_UP, "z-up": Z_UP}
 
 
@@ -37,19 +30,6 @@ def wandering(rows: int, seconds: float, speed: float, wander: float, generator:
         rise += size * turn * np.cos(turn * time + phase)
     largest = np.abs(rate).max()
     return speed * (1 + wander * rate / largest), speed * wander * rise / largest
-
-
-def turning_rows(rate: np.ndarray, rise: np.ndarray, seconds: float, raw_rate: float, warmth: np.ndarray) -> list[Row]:
-    """Rows of a table that turns at these mean rates; the angle is that at the middle of each row."""
-    swept = rate * seconds
-    angle = np.cumsum(swept) - swept / 2
-    return [
-        Row(
-            seconds * (k + 0.5), round(seconds * raw_rate), float(warmth[k]), float(rate[k]), float(angle[k] % 360.0),
-            span=float(swept[k]), rate_rise=float(rise[k]),
-        )
-        for k in range(len(rate))
-    ]  # fmt: skip
 
 
 def plan(seed: int, wander: float = WANDER, model: str | Path | None = None) -> Plan:

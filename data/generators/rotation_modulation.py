@@ -2,31 +2,19 @@
 
 from pathlib import Path
 
+import numpy as np
+
 import truth
 from kinematics import Mounting, Site, Table, trihedral
-from plan import Plan, Row, Run, chamber
-from sensor import Channel
+from plan import Plan, Run, chamber, turning_rows
+from sensor import AXES, Channel
 from simulate import write_simulated
 
 SEED = 20260801
 RAW_RATE, RATE, ARC = 50.0, 6.0, 15.0
 CHANNELS = (
-    *(
-        Channel(name, "gyro", axis, "LSB", 10.0, "deg/h", 20.0, output)
-        for name, axis, output in (
-            ("gx", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-            ("gy", (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-            ("gz", (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)),
-        )
-    ),
-    *(
-        Channel(name, "accelerometer", axis, "LSB", 1e6, "g", 60.0, output)
-        for name, axis, output in (
-            ("ax", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-            ("ay", (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-            ("az", (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)),
-        )
-    ),
+    *(Channel(f"g{n}", "gyro", i, "LSB", 10.0, "deg/h", 20.0, o) for n, i, o in AXES),
+    *(Channel(f"a{n}", "accelerometer", i, "LSB", 1e6, "g", 60.0, o) for n, i, o in AXES),
 )
 TURNS = {"pyramid-forward": 10.0, "pyramid-reverse": -10.0, "pyramid-unfinished": 2.5}
 
@@ -36,15 +24,8 @@ def plan(seed: int, uncertainty_arcmin: float = 2.0, model: str | Path | None = 
     runs = []
     for order, (name, turns) in enumerate(TURNS.items()):
         sign, count = (1.0 if turns > 0 else -1.0), round(abs(turns) * 360 / ARC)
-        seconds = ARC / RATE
         warmth = chamber(25.0, count, truth.stream(seed, name))
-        rows = [
-            Row(
-                seconds * (k + 0.5), round(seconds * RAW_RATE), float(warmth[k]), sign * RATE,
-                float(sign * ARC * (k + 0.5) % 360.0), span=ARC,
-            )
-            for k in range(count)
-        ]  # fmt: skip
+        rows = turning_rows(np.full(count, sign * RATE), np.zeros(count), ARC / RATE, RAW_RATE, warmth)
         runs.append(
             Run(name, "rotation_modulation", rows, "rotary", "pyramid", f"2026-08-01T{8 + order:02d}:00:00+00:00")
         )

@@ -23,6 +23,11 @@ PPM = 1e-6
 Values = Mapping[str, float]
 
 
+X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+AXES = (("x", X, Y), ("y", Y, Z), ("z", Z, X))
+"""Three perpendicular sensors: letter, input axis and output axis of each."""
+
+
 @dataclass(frozen=True)
 class Channel:
     """One sensitive axis as the campaign file describes it (`scale` in output units per `per`)."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import truth
 from kinematics import X_UP, Y_UP, Z_UP, Mounting, Site, Table, trihedral
 from plan import Plan, Run, chamber, dividing_head_rows, rate_table_rows
-from sensor import Channel
+from sensor import AXES, Channel
 from simulate import write_simulated
 
 SEED = 20260301
@@ -18,8 +18,6 @@ RAW_RATE = 20.0
 RATES = (300.0, 150.0, 60.0, 20.0, 10.0, 1.0)
 TEMPERATURES = {"minus10C": -10, "25C": 25, "55C": 55}
 POSITIONS = 24
-X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-AXES = (("x", X, Y), ("y", Y, Z), ("z", Z, X))
 
 
 def gyro(letter, input_axis, output_axis) -> Channel:
