@@ -142,6 +142,16 @@ def test_temperature_bins(tmp_path: Path) -> None:
     assert rows.numbers["samples"].sum() == len(time)
 
 
+def test_a_fast_ramp_keeps_its_rows(tmp_path: Path) -> None:
+    """A quarter of a degree in less than a second, and a channel that follows: nothing of it is a transient."""
+    time = np.arange(0.0, 400.0, 0.1)
+    temperature = 25 - 45 * np.cos(time * 2 * np.pi / 400)
+    columns = {"time_s": time, "temperature_degC": temperature, "a": 1 + 1e-3 * temperature}
+    rows = reduce_columns(tmp_path, columns, "thermal_ramp")
+    assert rows.numbers["samples"].sum() > 0.99 * len(time)
+    assert np.ptp(rows.numbers["temperature_degC"]) == pytest.approx(90, abs=0.5)
+
+
 def test_static_log_without_table_columns(tmp_path: Path) -> None:
     columns = {"time_s": np.arange(0, 100, 0.01), "a": np.ones(10000)}
     rows = reduce_columns(tmp_path, columns)

@@ -70,10 +70,13 @@ def constant_spans(
         jump |= _jumps(blocks.mean["current_mA"], np.full(blocks.size, least))
     spans = []
     for first, last in _groups(steady, jump):
-        first, last = _settled(blocks, channels, first, last)
-        for begin, end in _bins(blocks, first, last) if by_temperature else [(first, last)]:
-            if _long_enough(blocks, begin, end):
-                spans.append(_span(blocks, begin, end, turning))
+        if by_temperature:
+            # Short bins are those of a fast ramp: it is the whole group that has to last.
+            bins = _settled_bins(blocks, channels, first, last) if _long_enough(blocks, first, last) else []
+        else:
+            whole = _settled(blocks, channels, first, last)
+            bins = [whole] if _long_enough(blocks, *whole) else []
+        spans += [_span(blocks, begin, end, turning) for begin, end in bins]
     return spans
 
 
@@ -126,6 +129,18 @@ def _groups(steady: np.ndarray, jump: np.ndarray) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(label)) + 1
     starts, stops = np.concatenate([[0], edges]), np.concatenate([edges, [len(steady)]])
     return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True) if steady[a]]
+
+
+def _settled_bins(blocks: Blocks, channels: tuple[str, ...], first: int, last: int) -> list[tuple[int, int]]:
+    """Return the bins of a group of blocks, with what has not settled cut off its two ends.
+
+    A channel that follows the temperature is not at its median for most of a ramp: there the first and the last bin are
+    compared with themselves.
+    """
+    bins = _bins(blocks, first, last)
+    bins[0] = (_settled(blocks, channels, *bins[0])[0], bins[0][1])
+    bins[-1] = (bins[-1][0], _settled(blocks, channels, *bins[-1])[1])
+    return bins
 
 
 def _settled(blocks: Blocks, channels: tuple[str, ...], first: int, last: int) -> tuple[int, int]:
