@@ -122,19 +122,19 @@ def next_runs(fit: JointFit, summary: dict[str, Any]) -> list[dict[str, Any]]:
     asked |= dict.fromkeys(
         line["name"]
         for line in summary["derived"]
-        if line["name"].startswith(("scale_factor[", "mounting_angle[")) and line["from_data"] < _WANTED_SHARE
+        if line["name"].startswith(("scale_factor[", "mounting_angle[")) and _open(line)
     )
     of_sensors = {p.name for one in fit.model.assembly.acting for p in one.parameters if _of_sensor(one.member)}
-    asked |= dict.fromkeys(
-        line["name"]
-        for line in summary["parameters"]
-        if line["name"] in of_sensors and line["from_data"] < _WANTED_SHARE
-    )
+    asked |= dict.fromkeys(line["name"] for line in summary["parameters"] if line["name"] in of_sensors and _open(line))
     if not asked:
         return []
     best = [lines[0] for lines in rank(fit, list(asked)).values()]
     useful = [one for one in best if 0 < one["sd_after"] < _USEFUL * one["sd_before"]]
     return useful[:_MOST_LISTED]
+
+
+def _open(line: dict[str, Any]) -> bool:
+    return line["from_data"] is not None and line["from_data"] < _WANTED_SHARE
 
 
 def _of_sensor(member) -> bool:

@@ -38,7 +38,10 @@ def _quantities(summary: Summary, entries: Sequence[Summary], title: str, most: 
 
 
 def _note(entries: Sequence[Summary], left_out: int) -> str:
-    note = "sd: standard uncertainty. from data: 1 − (sd/prior sd)². " + _sampling(entries)
+    note = (
+        "sd: standard uncertainty. from data: 1 − (sd/prior sd)² on the scale on which the prior is normal. "
+        + _sampling(entries)
+    )
     undetermined = sum(_undetermined(entry) for entry in entries)
     if undetermined:
         note += (
@@ -57,6 +60,8 @@ def _short(entry: Summary) -> tuple[Cell, ...]:
 
 
 def _from_data(entry: Summary) -> Cell:
+    if entry.get("from_data") is None and entry.get("prior_sd") == 0:
+        return Cell("fixed by the model", "dim")
     share = percent(entry.get("from_data"))
     return Cell(f"{share}, not determined", "weak") if _undetermined(entry) else Cell(share)
 

@@ -17,7 +17,6 @@ from imubayes.inference.joint import JointFit
 from imubayes.inference.laplace import posterior_precision
 from imubayes.inference.posterior import in_units
 from imubayes.model.likelihood import values_of
-from imubayes.parameters.vector import Parameter
 from imubayes.report.residuals import Residuals
 
 _INTERVAL = (2.5, 97.5)
@@ -69,17 +68,15 @@ def _parameters(fit: JointFit) -> list[dict[str, Any]]:
         line["map"] = float(best[place]) if usable else None
         prior_sd = parameter.prior_sd
         line["prior_sd"] = prior_sd if np.isfinite(prior_sd) else None
-        line["from_data"] = _share(parameter, draws, fit.points[:, place]) if usable else None
+        line["from_data"] = _share(fit.points[:, place]) if usable else None
         for key in ("r_hat", "ess_bulk", "ess_tail"):
             line[key] = float(getattr(diagnosis, key)[place]) if diagnosis is not None else None
         lines.append(line)
     return lines
 
 
-def _share(parameter: Parameter, draws: np.ndarray, z: np.ndarray) -> float:
-    """Return the share the data contributed; in z where the prior has no standard deviation."""
-    if np.isfinite(parameter.prior_sd):
-        return float(from_data(float(np.var(draws)), parameter.prior_sd**2))
+def _share(z: np.ndarray) -> float:
+    """Return the share that came from the data, in z: a skewed prior's standard deviation says little of its width."""
     return float(from_data(float(np.var(z)), 1.0))
 
 
@@ -97,7 +94,9 @@ def _derived(fit: JointFit) -> list[dict[str, Any]]:
         draws, prior = fit.derived_draws[:, place], fit.prior_derived[:, place]
         line = {"name": name.name, "unit": name.unit, **_numbers(draws, usable)}
         line["prior_sd"] = float(prior.std()) if usable else None
-        line["from_data"] = float(from_data(float(np.var(draws)), float(np.var(prior)))) if usable else None
+        # What no parameter reaches is neither the data's nor a prior's.
+        known = usable and float(np.ptp(prior)) > 0
+        line["from_data"] = float(from_data(float(np.var(draws)), float(np.var(prior)))) if known else None
         if name.name.startswith("delta_k["):
             # Whether the line of 1 g may stand for this input: what the textbook decides by a number without doubt.
             within = float(np.mean(draws <= 100 * THRESHOLD)) if usable else None
