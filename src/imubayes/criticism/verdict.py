@@ -96,6 +96,7 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
             {"effect": name, "absorbed_by": [], "needs": list(needs), "reason": "no run supplies " + ", ".join(needs)}
             for name, needs in found.responses.unobservable.items()
         ],
+        nearest=[_nearest_line(one) for one in groups] if verdict == "unexplained_structure" else [],
         structure=_structure_lines(found, unexplained),
         looks=found.chance.looks,
     )
@@ -104,7 +105,9 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
 
 
 def _document(verdict: str, sentence: str, p_global: float, folder: str, **parts: Any) -> dict[str, Any]:
-    empty = {"groups": [], "ranking": [], "noise": [], "undetectable": [], "structure": [], "looks": 0.0}
+    empty = {
+        "groups": [], "ranking": [], "noise": [], "undetectable": [], "nearest": [], "structure": [], "looks": 0.0
+    }  # fmt: skip
     return {
         "format": 1,
         "verdict": verdict,
@@ -228,6 +231,11 @@ def _group_line(fitted: Fitted, group: Group, telling: Telling) -> dict[str, Any
     }
 
 
+def _nearest_line(group: Group) -> dict[str, Any]:
+    """Return what the catalogue has for structure that it does not explain in full."""
+    return {"effects": list(group.effects), "channels": list(group.leader.owners), "delta_chi2": group.leader.drop}
+
+
 def _resolution_line(one: Resolution) -> dict[str, Any]:
     return {
         "effect": one.effect,
@@ -286,7 +294,11 @@ def _sentence(verdict: str, found: Found, seen: Sequence[Resolution], telling: S
     if verdict == "unexplained_structure":
         one = (found.left or found.structures)[0][0]
         phrases = " and ".join(each.phrase for each in one.covariates)
-        return f"The residual of {one.channel} depends on {phrases} in a way that no effect of the catalogue explains."
+        depends = (
+            f"The residual of {one.channel} depends on {phrases} in a way that no effect of the catalogue explains."
+        )
+        parts = [f"{group.leader.effect} on {', '.join(group.leader.owners)}" for group in found.groups]
+        return f"{depends} It explains a part: {'; '.join(parts)}." if parts else depends
     if verdict == "noise_model":
         kinds = " and ".join(dict.fromkeys(f"{one.effect} on {', '.join(one.channels)}" for one in found.adopted))
         return f"The noise is not what the model says: {kinds}. With that no effect is missing."
