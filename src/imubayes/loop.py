@@ -174,6 +174,7 @@ def _facts(before, after, extension, effects, screened, drop, unseen, against) -
     return {
         "format": 1,
         "added": added,
+        "widened": dict(extension.widened),
         "taken": not against,
         "message": against,
         "predicted": shown.expected_line(extension, next(iter(screened.values())) if count == 1 else None),
@@ -206,7 +207,7 @@ def _remember(parent: Path, folder: Path, before, summary, fit, facts, diagnosis
         dof=facts["dof"]["after"],
         rms={one["channel"]: (one["after"], one["unit"]) for one in facts["channels"]},
         delta_chi2={"expected": facts["predicted"]["delta_chi2"], "found": facts["found"]["delta_chi2"]},
-        held_out={key: value for key, value in facts["held_out"].items() if key != "each"},
+        held_out={key: value for key, value in facts["held_out"].items() if key not in ("each", "rates")},
         data_hash=data,
         model_hash=made,
         seed=seed,

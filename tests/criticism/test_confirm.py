@@ -3,6 +3,7 @@
 import json
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -12,12 +13,13 @@ from loop_results import CAMPAIGN, LACKING, lacking_model
 
 import imubayes.loop
 from imubayes.api import Result, fit
-from imubayes.criticism.confirm import HeldOut, groups, objection, predictive_density, without
+from imubayes.criticism.confirm import HeldOut, groups, objection, predict_left_out, without
 from imubayes.criticism.extend import extend
 from imubayes.errors import InputError
 from imubayes.inference.fit import find_mode
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.laplace import posterior_precision
+from imubayes.inference.precision import linearise
 from imubayes.inference.simulation import noise_variances
 from imubayes.loop import Addition, add
 from imubayes.report.folder import read_fit
@@ -99,8 +101,9 @@ def test_the_predictive_density_is_that_of_whole_matrices(first):
     fitted = first.fit.fitted
     _, names, masks = groups(fitted.model)
     assert names == tuple(run.name for run in fitted.model.campaign.runs)
+    about = linearise(fitted.model.problem, jnp.asarray(fitted.z))
     for mask in masks[:2]:
-        found = predictive_density(fitted, mask)
+        found = predict_left_out(fitted, about, mask).density
         assert found == pytest.approx(dense_density(fitted, mask), abs=1e-3)
         assert abs(found - dense_density(fitted, mask, parameters_known=True)) > 0.05
 
@@ -120,6 +123,21 @@ def test_one_run_alone_has_no_standard_error():
 def test_what_stands_in_the_model_is_not_added_again(first):
     with pytest.raises(InputError, match="stands twice"):
         extend(first.fit.fitted, ["white_noise"])
+
+
+def test_a_prior_gives_way_to_what_was_measured_beyond_doubt(first):
+    """A thousand times the usual drift in the readings: held back by its prior it would not be found."""
+    assert extend(first.fit.fitted, [LACKING]).widened == {}
+    campaign, drift = first.fit.model.campaign, 1000.0
+    runs = [
+        replace(run, observed=run.observed + drift * (run.covariates["converter_temperature"][:, None] - 25.0))
+        for run in campaign.runs
+    ]
+    fitted = fit(replace(campaign, runs=tuple(runs)), lacking_model(), sample=False).fit.fitted
+    found = extend(fitted, [LACKING])
+    (one,) = found.coefficients
+    assert one.value == pytest.approx(drift, rel=0.01)
+    assert found.widened == {f"{LACKING}.slope": f"normal(0, 1000 {one.unit})"}
 
 
 def test_an_effect_that_does_not_exist_is_refused(first, tmp_path):

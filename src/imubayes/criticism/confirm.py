@@ -5,7 +5,7 @@ without it, one with the run and one without, so that its offset and the paramet
 integrated out (leave-one-group-out predictive density; Vehtari, Gelman & Gabry, Statistics and Computing 2017).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.criticism.extend import Extension
-from imubayes.inference.fit import find_mode, fit_at
+from imubayes.inference.fit import find_mode, fit_at, mode_near
 from imubayes.inference.fitted import Fitted
-from imubayes.inference.precision import linearise, log_marginal
+from imubayes.inference.precision import Linearised, linearise, log_marginal
 from imubayes.model.declaration import Model
 from imubayes.model.likelihood import Problem, residuals
 from imubayes.parameters.vector import Layout
@@ -26,6 +26,8 @@ _WORSE = -0.5
 _SURE = 2.0
 # A parameter that is not needed costs half a unit of log density on unseen data; a gain below that is none.
 _LEAST_GAIN = 0.5
+# One run alone is left out in so many parts at most, of so many rows at least.
+_MOST_BLOCKS, _LEAST_ROWS = 8, 4
 
 _log_marginal = eqx.filter_jit(log_marginal)
 _linearise = eqx.filter_jit(linearise)
@@ -38,14 +40,17 @@ class HeldOut:
 
     Attributes
     ----------
-    by : what was left out at a time, ``run`` or ``pose``.
+    by : what was left out at a time, ``run``, ``pose`` or ``block``.
     names : of what was left out.
     gains : shape (K,), rise of the log predictive density of each.
+    rate_errors : of poses, for each gyro: its name and the rms of what it read at rest about its prediction, before and
+        after, rad/s.
     """
 
     by: str
     names: tuple[str, ...]
     gains: np.ndarray
+    rate_errors: tuple[tuple[str, float, float], ...] = ()
 
     @property
     def gain(self) -> float:
@@ -71,46 +76,85 @@ class HeldOut:
         return "helps" if self.gain > _SURE * self.se else "unclear"
 
 
+@dataclass(frozen=True)
+class LeftOut:
+    """What the rest says of entries that are left out: log p(left out | rest), and misfit about the prediction (n,)."""
+
+    density: float
+    misfit: np.ndarray
+
+
 def held_out(before: Fitted, after: Fitted, progress: Callable[[str], None] | None = None) -> HeldOut:
     """Return how much better what is left out is predicted by the second of two fits of one campaign.
 
-    Runs are left out in turns; of a campaign of one free tumble its poses, whose rotations stay.
+    Runs are left out in turns; of a campaign of one run its poses, whose rotations stay, or its blocks of rows.
     """
     tell = progress or (lambda text: None)
     by, names, masks = groups(before.model)
-    gains = []
+    about = [_linearise(one.model.problem, jnp.asarray(one.z)) for one in (before, after)]
+    seen = []
     for place, mask in enumerate(masks):
         tell(f"predicting {by} {place + 1} of {len(masks)} from the others")
-        gains.append(predictive_density(after, mask) - predictive_density(before, mask))
+        seen.append([predict_left_out(one, at, mask) for one, at in zip((before, after), about, strict=True)])
+    gains = np.array([now.density - was.density for was, now in seen])
     finite = np.isfinite(gains)
     kept = tuple(name for name, good in zip(names, finite.tolist(), strict=True) if good)
-    return HeldOut(by, kept, np.array(gains, dtype=float)[finite])
+    errors = _rate_errors(before.model, masks, seen) if by == "pose" else ()
+    return HeldOut(by, kept, gains[finite], errors)
+
+
+def _rate_errors(
+    model: Model, masks: Sequence[np.ndarray], seen: Sequence[Sequence[LeftOut]]
+) -> tuple[tuple[str, float, float], ...]:
+    """Return the errors of the gyros' rates in poses; the attitude, and so the force, is known through gyros alone."""
+    channel = np.concatenate([model.entries.channel[mask] for mask in masks])
+    misfits = [np.concatenate([one[which].misfit for one in seen]) for which in range(2)]
+    gyros = [(place, one) for place, one in enumerate(model.campaign.channels) if one.kind == "gyro"]
+
+    def rms(misfit: np.ndarray, place: int) -> float:
+        return float(np.sqrt(np.mean(misfit[channel == place] ** 2)))
+
+    was, now = misfits
+    return tuple((one.name, rms(was, place) / one.scale_si, rms(now, place) / one.scale_si) for place, one in gyros)
 
 
 def groups(model: Model) -> tuple[str, tuple[str, ...], tuple[np.ndarray, ...]]:
-    """Return what is left out at a time: run or pose, its names, and which entries belong to each, shape (E,)."""
+    """Return what is left out at a time: run, pose or block, its names, and which entries belong to each, shape (E,).
+
+    A campaign of one run is predicted pose by pose, or where it has none in blocks of neighbouring rows: a row alone
+    would be told by its neighbours.
+    """
     entries, runs = model.entries, model.campaign.runs
-    tumble = runs[0].tumble if len(runs) == 1 else None
-    if tumble is None:
+    run = runs[0] if len(runs) == 1 else None
+    if run is None:
         return "run", tuple(run.name for run in runs), tuple(entries.run == place for place in range(len(runs)))
-    pose = tumble.pose[np.where(entries.closing, 0, entries.row)]
-    there = np.unique(pose[~entries.closing])
-    masks = tuple((pose == one) & ~entries.closing for one in there)
-    return "pose", tuple(str(one) for one in there.tolist()), masks
+    if run.tumble is not None:
+        pose = run.tumble.pose[np.where(entries.closing, 0, entries.row)]
+        there = np.unique(pose[~entries.closing])
+        masks = tuple((pose == one) & ~entries.closing for one in there)
+        return "pose", tuple(str(one) for one in there.tolist()), masks
+    in_time = np.argsort(run.covariates["time"], kind="stable") if "time" in run.covariates else np.arange(run.rows)
+    blocks = np.array_split(in_time, max(min(_MOST_BLOCKS, run.rows // _LEAST_ROWS), 1))
+    names = tuple(f"rows {one.min() + 1} to {one.max() + 1}" for one in blocks)
+    return "block", names, tuple(np.isin(entries.row, one) for one in blocks)
 
 
-def predictive_density(fitted: Fitted, left_out: np.ndarray) -> float:
-    """Return log p(left out | rest) with everything refitted to the rest, from where all together fit.
+def predict_left_out(fitted: Fitted, about: Linearised, left_out: np.ndarray) -> LeftOut:
+    """Return how the rest predicts what is left out, everything refitted to it, from where all together fit.
 
     Parameters
     ----------
     fitted : the fit to all.
+    about : the model linearised there; what is left out does not change it.
     left_out : shape (E,), True for the entries to predict.
     """
     problem = fitted.model.problem
-    rest = without(problem, left_out)
-    mode = find_mode(rest, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
-    return float(_log_marginal(problem, mode.about, mode.h) - _log_marginal(rest, mode.about, mode.h))
+    rest, h = without(problem, left_out), jnp.asarray(fitted.h)
+    mode = mode_near(rest, about, h)
+    if not bool(mode.converged):
+        mode = find_mode(rest, jnp.asarray(fitted.z), h)
+    density = float(_log_marginal(problem, mode.about, mode.h) - _log_marginal(rest, mode.about, mode.h))
+    return LeftOut(density, np.asarray(mode.about.misfit)[left_out])
 
 
 def without(problem: Problem, left_out: np.ndarray) -> Problem:

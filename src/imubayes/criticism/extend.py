@@ -5,7 +5,7 @@ system (the score test's one-step estimate): the refit starts there, and what it
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,12 +19,18 @@ from imubayes.model.declaration import Model, declare
 from imubayes.model.likelihood import Problem, predict, prediction_jacobian, prior_widths, whiten, whitener
 from imubayes.model.registry import Member, Registry
 from imubayes.model.specification import EffectSpec, ModelSpec
+from imubayes.parameters.parameter import Declared
+from imubayes.parameters.priors import Normal
 from imubayes.parameters.vector import Layout, Parameter
 from imubayes.run import Campaign
 from imubayes.types import Array, Float
 
 # A coefficient whose column is this much shorter than its prior allows has no gradient at its null: β² or |β|.
-_NO_GRADIENT = 1e-6
+_NO_GRADIENT = 1e-14
+# Combinations of new coefficients this much weaker than the strongest are not told by the data.
+_SINGULAR = 1e-9
+# A prior gives way where the data alone ask for more than three of its standard deviations, known to a fifth or better.
+_UNUSUAL, _BEYOND_DOUBT = 3.0, 5.0
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,8 @@ class Extension:
     new : shape (P,), True for the parameters that the old model did not have.
     delta_chi2 : expected drop of chi² at the old noise scales; None where the gradient at the null does not tell.
     coefficients : expected, with uncertainty; empty where the gradient does not tell.
+    asked : shape (K,), z of the new parameters that the data alone ask for, 0 where they do not say.
+    widened : prior that was made wider for what the data ask for, by ``effect.parameter``, as written.
     residual, added : shape (E,), whitened residual and what the new effect would explain, both with everything taken
         out that the old model can explain: the added-variable plot, of slope 1 where the expectation is right.
     """
@@ -60,8 +68,10 @@ class Extension:
     new: np.ndarray
     delta_chi2: float | None
     coefficients: tuple[Coefficient, ...]
+    asked: np.ndarray
     residual: np.ndarray
     added: np.ndarray
+    widened: Mapping[str, str] = field(default_factory=dict)
 
 
 def extended(
@@ -130,18 +140,68 @@ def extend(
     InputError
         with everything that does not fit the campaign.
     """
-    old = before.model
-    registry = old.registry.without_files()
-    model = declare(extended(old.spec, effects, channels, old.campaign, registry), old.campaign, registry)
+    registry = before.model.registry.without_files()
+    spec = extended(before.model.spec, effects, channels, before.model.campaign, registry)
+    found = _extension(before, spec, registry, shape or {}, hints or {})
+    wider = _wider(found)
+    if not wider:
+        return found
+    priors = [{field: text for (name, field), text in wider.items() if name == one.name} for one in spec.effects]
+    kept = len(spec.effects) - len(effects)
+    spec = replace(
+        spec,
+        effects=tuple(
+            replace(one, prior=prior) if place >= kept and prior else one
+            for place, (one, prior) in enumerate(zip(spec.effects, priors, strict=True))
+        ),
+    )
+    widened = {".".join(names): text for names, text in wider.items()}
+    return replace(_extension(before, spec, registry, shape or {}, hints or {}), widened=widened)
+
+
+def _extension(
+    before: Fitted, spec: ModelSpec, registry: Registry, shape: Mapping[str, float], hints: Mapping[str, float]
+) -> Extension:
+    old, model = before.model, declare(spec, before.model.campaign, registry)
     null, new = model.layout.carried(old.layout, before.z, _nulls(model)), _new(old.layout, model.layout)
     h = model.hyper_layout.carried(old.hyper_layout, before.h)
     for place in np.flatnonzero(new).tolist():
-        value = _given(model.layout.parameters[place], shape or {})
+        value = _given(model.layout.parameters[place], shape)
         null[place] = null[place] if value is None else value
     for place in np.flatnonzero(_new(old.hyper_layout, model.hyper_layout)).tolist():
-        value = _given(model.hyper_layout.parameters[place], {**(shape or {}), **(hints or {})})
+        value = _given(model.hyper_layout.parameters[place], {**shape, **hints})
         h[place] = h[place] if value is None else value
-    return _first_step(model, null, h, new, hints or {})
+    return _first_step(model, null, h, new, hints)
+
+
+def _wider(extension: Extension) -> dict[tuple[str, str], str]:
+    """Return priors, by effect and parameter, that hold what the data ask for where the usual ones would forbid it.
+
+    A prior says what is usual before anything was measured.  What was measured says otherwise beyond doubt here, and a
+    refit held back by the prior would show that the effect is not missing.  What a certificate states stands.
+    """
+    wanted: dict[tuple[str, str], str] = {}
+    largest: dict[tuple[str, str], float] = {}
+    parameters = [extension.model.layout.parameters[place] for place in np.flatnonzero(extension.new).tolist()]
+    for parameter, z in zip(parameters, extension.asked.tolist(), strict=True):
+        declared = _declared(extension.model, parameter)
+        about_zero = isinstance(parameter.prior, Normal) and float(parameter.prior.mean) == 0
+        usual = about_zero and not declared.equipment and not declared.spread
+        key = (parameter.effect, parameter.field)
+        if usual and abs(z) > max(_UNUSUAL, largest.get(key, 0.0)):
+            largest[key] = abs(z)
+            wanted[key] = f"normal(0, {_rounded_up(abs(z) * parameter.prior_sd):g} {parameter.unit})"
+    return wanted
+
+
+def _rounded_up(value: float) -> float:
+    """Return the next 1, 2 or 5 times a power of ten."""
+    decade = 10.0 ** np.floor(np.log10(value))
+    return float(next(step * decade for step in (1, 2, 5, 10) if step * decade >= value))
+
+
+def _declared(model: Model, parameter: Parameter) -> Declared:
+    return next(one.declared for one in model.assembly.acting if one.member.name == parameter.effect)[parameter.field]
 
 
 def _given(parameter: Parameter, values: Mapping[str, float]) -> float | None:
@@ -158,8 +218,7 @@ def _nulls(model: Model) -> np.ndarray:
 
 def _null(model: Model, parameter: Parameter) -> float | None:
     """Return z of a parameter's null, None where its prior excludes that."""
-    declared = next(one.declared for one in model.assembly.acting if one.member.name == parameter.effect)
-    return parameter.z_at(declared[parameter.field].null / parameter.factor)
+    return parameter.z_at(_declared(model, parameter).null / parameter.factor)
 
 
 def _new(old: Layout, model: Layout) -> np.ndarray:
@@ -207,8 +266,17 @@ def _first_step(
     return Extension(
         model, z, h, null, new, drop if tells else None,
         _coefficients(model.layout, z, new, sd, flat) if tells else (),
-        left[:entries], (across @ step)[:entries],
+        _without_prior(squares, drive) + null[new], left[:entries], (across @ step)[:entries],
     )  # fmt: skip
+
+
+def _without_prior(squares: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """Return the step in z, (K,), that the data alone ask for; 0 where they say nothing beyond doubt."""
+    values, axes = np.linalg.eigh(squares)
+    told = values > max(_SINGULAR * float(values.max(initial=0.0)), _NO_GRADIENT)
+    inverse = (axes[:, told] / values[told]) @ axes[:, told].T
+    step = inverse @ drive
+    return np.where(np.abs(step) > _BEYOND_DOUBT * np.sqrt(np.diag(inverse)), step, 0.0)
 
 
 def _second_step(
@@ -246,15 +314,15 @@ def _second_step(
 def _away_from_null(model: Model, place: int, null: float, hints: Mapping[str, float]) -> float:
     """Return where a parameter without a gradient begins: as given, or at the least that is met in practice."""
     parameter = model.layout.parameters[place]
-    declared = next(one.declared for one in model.assembly.acting if one.member.name == parameter.effect)
-    if declared[parameter.field].shape:
+    declared = _declared(model, parameter)
+    if declared.shape:
         return null  # a time constant has no gradient while its coefficient is zero, and stands where it was put
     hint = _given(parameter, hints)
     if hint is not None:
         return hint
     if _null(model, parameter) is None:
         return null
-    least = parameter.z_at(declared[parameter.field].typical[0])
+    least = parameter.z_at(declared.typical[0])
     return null if least is None else least
 
 

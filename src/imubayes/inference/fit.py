@@ -168,6 +168,32 @@ def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) ->
             break
     assert about is not None
     assert at is not None
+    about, decrement, more = _polished(problem, about, h)
+    return _mode(about, h, at, decrement, steps + more, settled)
+
+
+def mode_near(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Mode:
+    """Return the joint fit from a place close to it: h in the linearised model and Gauss–Newton steps in turns.
+
+    For a fit of nearly the same data, whose linearisation `about` is at hand: a step or two lead there, where
+    Levenberg–Marquardt would take several for each of its rounds.
+    """
+    steps, settled, at, decrement = 0, False, None, jnp.asarray(jnp.inf)
+    for _ in range(_ROUNDS):
+        before = h
+        h, at = _climb(problem, about, h)
+        settled = h.size == 0 or float(jnp.max(jnp.abs(h - before))) < _SETTLED
+        about, decrement, more = _polished(problem, about, h)
+        steps += more
+        if (settled and not more) or not bool(jnp.all(jnp.isfinite(h))):
+            break
+    assert at is not None
+    return _mode(about, h, at, decrement, steps, settled)
+
+
+def _polished(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> tuple[Linearised, Scalar, int]:
+    """Return the model about the end of Gauss–Newton steps at given h, the decrement there, and how many they were."""
+    decrement, steps = jnp.asarray(jnp.inf), 0
     for _ in range(_POLISH_STEPS):
         polished = _polish(problem, about, h)
         decrement = polished.decrement
@@ -175,6 +201,12 @@ def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) ->
             break
         steps += 1
         about = _linearise(problem, polished.z)
+    return about, decrement, steps
+
+
+def _mode(
+    about: Linearised, h: Float[Array, " H"], at: Curvature, decrement: Scalar, steps: int, settled: bool
+) -> Mode:
     finite = bool(jnp.isfinite(decrement)) and bool(jnp.all(jnp.isfinite(h)))
     converged = finite and settled and float(decrement) < _DECREMENT
     return Mode(about.z, h, decrement, about, at, jnp.asarray(steps), jnp.asarray(settled), jnp.asarray(converged))

@@ -16,6 +16,7 @@ from imubayes.report.folder import write_beside
 from imubayes.report.history_file import channel_errors
 from imubayes.report.rounding import significant, value_and_sd
 from imubayes.report.sheets import Cell, Sheet
+from imubayes.units import to_si
 
 ADDITION, ADDED_VARIABLE = "addition.json", "added_variable.parquet"
 Facts = Mapping[str, Any]
@@ -47,6 +48,7 @@ def held_out_line(found: HeldOut | None) -> dict[str, Any]:
     """Return what left-out data say; empty where there was no comparison."""
     if found is None or not len(found.gains):
         return {}
+    degree = to_si("deg")
     return {
         "by": found.by,
         "delta": found.gain,
@@ -55,6 +57,10 @@ def held_out_line(found: HeldOut | None) -> dict[str, Any]:
         "of": len(found.gains),
         "verdict": found.verdict,
         "each": [{"name": name, "delta": float(gain)} for name, gain in zip(found.names, found.gains, strict=True)],
+        "rates": [
+            {"channel": name, "before": was / degree, "after": now / degree, "unit": "deg/s"}
+            for name, was, now in found.rate_errors
+        ],
     }
 
 
@@ -114,13 +120,17 @@ def addition_text(facts: Facts) -> list[str]:
     )
     expected, found = facts["predicted"]["delta_chi2"], facts["found"]["delta_chi2"]
     lines = [f"Added: {names}."]
+    lines += [
+        f"The data ask for more than is usual: prior of {name} widened to {prior}."
+        for name, prior in (facts.get("widened") or {}).items()
+    ]
     if facts["message"]:
         lines.append(str(facts["message"]))
     lines.append(
         f"chi2 at the noise of the model before: expected to fall by {significant(expected)}, "
         f"fell by {significant(found)}."
     )
-    return [*lines, held_out_text(facts["held_out"])]
+    return [*lines, held_out_text(facts["held_out"]), *rates_text(facts["held_out"])]
 
 
 def held_out_text(held_out: Facts) -> str:
@@ -133,6 +143,17 @@ def held_out_text(held_out: Facts) -> str:
         f"Left out in turns: log predictive density {held_out['delta']:+.1f} ± {se}, better for "
         f"{held_out['helped']} of {held_out['of']} {held_out['by']}s: {words}."
     )
+
+
+def rates_text(held_out: Facts) -> list[str]:
+    """Return what gyros read at rest in poses that were left out, against the prediction; nothing without poses."""
+    rates = held_out.get("rates") or []
+    if not rates:
+        return []
+    each = [f"{one['channel']} {significant(one['before'])} -> {significant(one['after'])}" for one in rates]
+    return [
+        f"Rates at rest in poses that were left out, rms about the prediction, {rates[0]['unit']}: {', '.join(each)}."
+    ]
 
 
 def coefficient_sheet(facts: Facts) -> Sheet:

@@ -1,0 +1,107 @@
+"""The loop on real recordings whose makers never modelled what is missing; skipped where they are not at hand."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from imubayes.api import Result, add, diagnose, fit
+from imubayes.campaign.convert import convert
+from imubayes.campaign.model_file import read_model
+
+RECORDINGS = Path(__file__).parents[3] / "shared" / "data"
+MODELS = Path(__file__).parents[2] / "models"
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the real recordings lie beside the repository, not in it"),
+]
+THERMAL = {
+    name: f"imu.{'acc' if name[0] == 'a' else 'gyro'}.{name[1]}" for name in ("ax", "ay", "az", "gx", "gy", "gz")
+}
+CUBIC = '''
+from imubayes.effects import Order, SignalEffect, Stage
+from imubayes.parameters.parameter import parameter
+from imubayes.stimulus import Sample
+from imubayes.types import Scalar
+
+
+class AccelBiasTemperatureCubic(SignalEffect):
+    """Bias cubic in sensor temperature: signal + c·(T − 25)³."""
+
+    name = "accel_bias_temperature_cubic"
+    stage, order, kinds, needs = Stage.SENSOR, Order.BIAS, ("accelerometer",), ("temperature",)
+    reference = "a polynomial of degree three"
+    coefficient: Scalar = parameter("ug/degC^3", "normal(0, 1 ug/degC^3)", (0.001, 1), "the cubic coefficient")
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.coefficient * (sample.ambient.temperature - 25.0) ** 3
+'''
+POLYNOMIALS = """
+format = 1
+name = "polynomials"
+files = ["cubic.py"]
+[[effect]]
+name = "accel_bias"
+prior = { bias = "normal(0, 100 mg)" }
+[[effect]]
+name = "accel_bias_temperature"
+[[effect]]
+name = "accel_bias_temperature_quadratic"
+[[effect]]
+name = "accel_bias_temperature_cubic"
+[[effect]]
+name = "gyro_bias"
+prior = { bias = "normal(0, 10 deg/s)" }
+[[effect]]
+name = "gyro_bias_temperature"
+[[effect]]
+name = "gyro_bias_temperature_quadratic"
+[[effect]]
+name = "white_noise"
+"""
+
+
+def errors(result: Result) -> dict[str, float]:
+    """Residual of each channel in the unit of its input."""
+    return {one["channel"]: one["rms"] for one in result.summary["runs"]}
+
+
+def test_a_hand_turned_unit_shows_its_g_sensitivity(tmp_path):
+    files = [RECORDINGS / "xsens" / f"xsens_{kind}.mat" for kind in ("acc", "gyro")]
+    campaign = convert("imu-tk", files, tmp_path / "xsens", accel_unit="count", gyro_unit="count", gravity_m_s2=9.81744)
+    whole = read_model(MODELS / "free-tumble.toml")
+    lacking = replace(whole, effects=tuple(one for one in whole.effects if one.name != "gyro_g_sensitivity"))
+    first = fit(campaign, lacking, tmp_path / "first", sample=False)
+    found = diagnose(tmp_path / "first")
+    assert found.json["groups"][0]["effects"][0] == "gyro_g_sensitivity"
+    addition = add(tmp_path / "first", ["gyro_g_sensitivity"], tmp_path / "second")
+    before, after = errors(first), errors(addition.result)
+    assert [before[name] for name in ("gx", "gy", "gz")] == pytest.approx([0.053, 0.088, 0.071], rel=0.1)
+    assert [after[name] for name in ("gx", "gy", "gz")] == pytest.approx([0.017, 0.015, 0.014], rel=0.12)
+    held_out = addition.json["held_out"]
+    assert (held_out["by"], held_out["verdict"]) == ("pose", "helps")
+    assert [one["before"] for one in held_out["rates"]] == pytest.approx([0.054, 0.091, 0.073], rel=0.1)
+    assert [one["after"] for one in held_out["rates"]] == pytest.approx([0.020, 0.017, 0.016], rel=0.12)
+
+
+def test_a_temperature_cycle_shows_lag_and_drift(tmp_path):
+    campaign = convert(
+        "six-column", [RECORDINGS / "thermal" / "imu_raw_data.csv"], tmp_path / "thermal", sample_rate_hz=10,
+        procedure="thermal_ramp", delimiter="tab", columns={**THERMAL, "temperature_degC": "imu.temperature"},
+    )  # fmt: skip
+    (tmp_path / "cubic.py").write_text(CUBIC)
+    (tmp_path / "model.toml").write_text(POLYNOMIALS)
+    first = fit(campaign, tmp_path / "model.toml", tmp_path / "first", sample=False)
+    document = diagnose(tmp_path / "first").json
+    of = {kind: [one for one in document["ranking"] if one["effect"].startswith(kind)] for kind in ("accel", "gyro")}
+    assert of["accel"][0]["effect"] == "accel_thermal_lag"
+    assert of["gyro"][0]["effect"] == "gyro_bias_drift"
+    named = [name for one in document["nearest"] or document["groups"] for name in one["effects"]]
+    assert {"accel_thermal_lag", "gyro_bias_drift"} <= set(named)
+    addition = add(tmp_path / "first", ["accel_thermal_lag"], tmp_path / "second")
+    gravity = 9.81
+    assert errors(first)["az"] * gravity == pytest.approx(0.047, abs=0.004)
+    assert errors(addition.result)["az"] * gravity < 0.0135
+    assert addition.json["held_out"]["by"] == "block"
+    drift = add(tmp_path / "second", ["gyro_bias_drift"], tmp_path / "third")
+    assert errors(drift.result)["gz"] < 0.5 * errors(first)["gz"]
