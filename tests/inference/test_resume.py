@@ -1,6 +1,5 @@
 """Kill −9 while sampling, then resume: the same chain, bit for bit; and what is of another fit is refused."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -48,9 +47,8 @@ def steps_done(folder: Path) -> int:
         return 0
 
 
-def test_killed_and_resumed_is_the_same_chain(tmp_path):
-    cache = tmp_path / "cache"
-    environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}
+def test_killed_and_resumed_is_the_same_chain(tmp_path, compile_cache):
+    cache, environment = Path(compile_cache["XDG_CACHE_HOME"]) / "imubayes" / "compiled", compile_cache
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     subprocess.run(command(whole, False, cache), cwd=ROOT, env=environment, check=True)
     process = subprocess.Popen(command(killed, False, cache), cwd=ROOT, env=environment)

@@ -27,7 +27,7 @@ from imubayes.types import Array, Float
 # straight.
 _WEAK_SD = 0.03
 # Second derivatives are taken over pairs: 60 directions make 1830 of them.
-_MOST_WEAK = 60
+_MOST_WEAK, _BATCH = 60, 16
 # The marginal of h is followed along each axis as far as its value has dropped by about 1, where half the mass lies.
 _PROBE = 1.4
 
@@ -118,11 +118,15 @@ def bends(
     rows, columns = jnp.triu_indices(count)
 
     def second(step):
-        ahead, behind = predict(problem, mode.z + step), predict(problem, mode.z - step)
-        return ahead + behind - 2 * centre
+        both = jax.vmap(lambda z: predict(problem, z))(mode.z + jnp.stack([step, -step]))
+        return both.sum(axis=0) - 2 * centre
 
     centre = problem.observations.value - mode.about.misfit
-    whole = jax.lax.map(second, steps[rows] + steps[columns], batch_size=16)
+    pairs = steps[rows] + steps[columns]
+    # Whole batches: what is left over would be compiled a second time.
+    batch = min(_BATCH, len(pairs))
+    padded = jnp.concatenate([pairs, jnp.zeros((-len(pairs) % max(batch, 1), pairs.shape[1]))])
+    whole = jax.lax.map(second, padded, batch_size=batch)[: len(pairs)] if batch else jnp.zeros((0, len(centre)))
     # ∂²f[a, b] = ½ (∂²f[a + b, a + b] − ∂²f[a, a] − ∂²f[b, b]); the pair (a, a) went along 2a, four times its own.
     own = whole[jnp.nonzero(rows == columns, size=count)[0]] / 4
     mixed = 0.5 * (whole - own[rows] - own[columns]) / (reach[rows] * reach[columns])[:, None]

@@ -15,7 +15,7 @@ from imubayes.model.likelihood import Problem, entry_log_likelihood, predict, wh
 from imubayes.parameters.vector import Layout
 
 # Predictions and likelihoods are kept for so many draws: enough for every check, and one percent of the space.
-_KEPT = 200
+_KEPT, _BATCH = 200, 20
 
 
 @eqx.filter_jit
@@ -27,7 +27,8 @@ def _predictions(problem: Problem, points):
         by = whitener(problem, point[size:])
         return predict(problem, point[:size]), by.precision_root, pieces.entry, pieces.group
 
-    return jax.lax.map(one, points, batch_size=16)
+    # Whole batches: what is left over would be compiled a second time.
+    return jax.lax.map(one, points, batch_size=_BATCH)
 
 
 @eqx.filter_jit
