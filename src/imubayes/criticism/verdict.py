@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from imubayes.criticism.absorbers import Resolution, resolution
-from imubayes.criticism.groups import Group
+from imubayes.criticism.groups import Group, row_scales
 from imubayes.criticism.screen import Candidate
 from imubayes.criticism.search import EFFECT_THRESHOLD, NOISE_THRESHOLD, Found, search
 from imubayes.criticism.separate import separating_run
@@ -19,8 +19,9 @@ from imubayes.inference.fitted import Fitted
 
 THRESHOLD = EFFECT_THRESHOLD + NOISE_THRESHOLD
 # A structure that the candidates leave, and that is this strong against what the first of them explains, says that it
-# only resembles the cause; so does a channel that needs so many of them, or the same names again after the first.
-_RESEMBLES, _TOO_MANY = 0.01, 3
+# only resembles the cause; so does a channel that needs so many of them, the same names again after the first, or
+# a second one that could do most of what the first does.
+_RESEMBLES, _TOO_MANY, _MOST = 0.01, 3, 0.5
 # Against a single good name it takes more than the chance of a false alarm.
 _AGAINST_A_NAME = 1e-3
 _MOST_SHAPES = 3
@@ -144,12 +145,30 @@ def _unexplained(found: Found) -> list[tuple[Structure, float]]:
     for owner in leader.owners:
         of_owner = [group for group in found.groups if owner in group.leader.owners]
         again = any(set(group.effects) & set(found.groups[0].effects) for group in of_owner[1:])
-        if again or len(of_owner) >= _TOO_MANY:
+        mended = any(_resembles(found, group.leader, leader) for group in of_owner[1:])
+        if again or mended or len(of_owner) >= _TOO_MANY:
             return concerned(found.structures)
         several = several or len(of_owner) > 1
     # What remains has to be worth something beside what was explained: a large effect shows its smallest imperfection.
     worth = [(one, p) for one, p in concerned(found.left) if one.found.drop > _RESEMBLES * leader.drop]
     return worth if several else [(one, p) for one, p in worth if p < _AGAINST_A_NAME]
+
+
+def _resembles(found: Found, other: Candidate, leader: Candidate) -> bool:
+    """Tell whether another effect on the same channels could explain most of what the leader does.
+
+    Where both are needed they mend one another's shape, and neither is likely to be the cause: |Ω| and Ω² together make
+    a good root of |Ω|.
+    """
+    scale = row_scales(found.first.projection, leader)
+    wanted = leader.found.fitted / scale
+    for one in found.first.candidates:
+        if one.effect == other.effect and set(one.owners) >= set(leader.owners) & set(other.owners):
+            basis, _ = np.linalg.qr(one.found.span / scale[:, None])
+            reached = basis.T @ wanted
+            if reached @ reached > _MOST * (wanted @ wanted):
+                return True
+    return False
 
 
 def _channels(found: Found, candidate: Candidate) -> tuple[str, ...]:
