@@ -20,6 +20,7 @@ import numpy as np
 from imubayes.campaign import load_campaign
 from imubayes.campaign.model_file import read_model
 from imubayes.inference.joint import joint_fit
+from imubayes.inference.sample import Settings
 from imubayes.model.declaration import declare
 from imubayes.procedures import PROCEDURES
 
@@ -41,6 +42,9 @@ CASES = {
     "reference_gyro": "reference_gyro",
     "free_tumble": "desk_imu",
 }
+# Where few runs tell the scatter between runs its tail matters, and the posterior is sampled; elsewhere draws of the
+# nested Laplace approximation serve.
+SAMPLED = ("thermal_ramp, current_injection", "reference_gyro")
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,7 @@ def scores(procedure: str, replicates: int = REPLICATES, first_seed: int = 1) ->
             campaign = load_campaign(Path(folder) / name, tuple(PROCEDURES))
         own = [run.name for run in campaign.runs if run.procedure in procedure.split(", ")]
         model = declare(spec, campaign.only(*own))
-        fit = joint_fit(model, None)
+        fit = joint_fit(model, Settings(seed=seed) if procedure in SAMPLED else None)
         if not fit.converged:
             failed += 1
             continue
@@ -102,7 +106,8 @@ def report(found: list[Scores]) -> str:
         "",
         f"Made by `python tests/study/replicates.py`: {REPLICATES} replicates each, by generators that share no code "
         "with the package. Seats, tables, converters and clocks err as the priors say. Scores are (mean − truth)/sd of "
-        "all parameters, from draws of the nested Laplace approximation; wanted are rms 0.9 … 1.1 and coverage of 95 % "
+        "all parameters, from draws of the nested Laplace approximation, "
+        f"of {' and of '.join(SAMPLED)} from the sampled posterior; wanted are rms 0.9 … 1.1 and coverage of 95 % "
         "intervals 0.92 … 0.98.",
         "",
         "| procedure | rms score | coverage | scores | not converged |",

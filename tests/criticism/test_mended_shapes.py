@@ -1,0 +1,46 @@
+"""Two effects that mend one another's shape are no two causes; two that have nothing in common are."""
+
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from imubayes.criticism.projection import Projection, Strata
+from imubayes.criticism.screen import Candidate, Explained
+from imubayes.criticism.search import Found, Look
+from imubayes.criticism.verdict import _resembles
+
+RATE = np.linspace(-1.0, 1.0, 201)
+
+
+def stub(kind: type, **facts):
+    """An object of a kind that knows these facts alone."""
+    made = Mock(spec=kind)
+    for name, value in facts.items():
+        setattr(made, name, value)
+    return made
+
+
+def candidate(name: str, response: np.ndarray, owners: tuple[str, ...] = ("gx",)):
+    """A candidate as screened, as far as the question looks at it: the mean is what the bias absorbs."""
+    free = response - response.mean()
+    found = stub(Explained, fitted=3.0 * free, span=(free / np.linalg.norm(free))[:, None], variance=np.ones(1))
+    return stub(Candidate, effect=name, owners=owners, found=found)
+
+
+@pytest.mark.parametrize(
+    ("other", "owners", "expected"),
+    [
+        (RATE**2, ("gx",), True),
+        (RATE**2, ("gy",), False),
+        (RATE**3, ("gx",), False),
+        (np.sin(40 * RATE), ("gx",), False),
+    ],
+)
+def test_what_could_do_most_of_what_the_leader_does(other, owners, expected):
+    leader, second = candidate("asymmetry", np.abs(RATE)), candidate("second", other, owners)
+    strata = stub(Strata, at_rows=lambda variance: np.full(len(RATE), variance[0]))
+    look = stub(Look, projection=stub(Projection, strata=strata), candidates=(leader, second))
+    # Asked only for a second group that shares a channel with the first.
+    together = stub(Candidate, effect="second", owners=("gx",))
+    assert _resembles(stub(Found, first=look), together, leader) is expected
