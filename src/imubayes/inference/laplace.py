@@ -118,7 +118,7 @@ def bends(
     rows, columns = jnp.triu_indices(count)
 
     def second(step):
-        both = jax.vmap(lambda z: predict(problem, z))(mode.z + jnp.stack([step, -step]))
+        both = jax.vmap(lambda z: predict(problem, z))(mode.z[None, :] + jnp.stack([step, -step]))
         return both.sum(axis=0) - 2 * centre
 
     centre = problem.observations.value - mode.about.misfit
