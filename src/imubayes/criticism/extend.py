@@ -146,16 +146,10 @@ def extend(
     wider = _wider(found)
     if not wider:
         return found
-    priors = [{field: text for (name, field), text in wider.items() if name == one.name} for one in spec.effects]
     kept = len(spec.effects) - len(effects)
-    spec = replace(
-        spec,
-        effects=tuple(
-            replace(one, prior=prior) if place >= kept and prior else one
-            for place, (one, prior) in enumerate(zip(spec.effects, priors, strict=True))
-        ),
-    )
-    widened = {".".join(names): text for names, text in wider.items()}
+    added = [replace(one, prior=wider.get(one.name, {})) for one in spec.effects[kept:]]
+    spec = replace(spec, effects=(*spec.effects[:kept], *added))
+    widened = {f"{name}.{field}": text for name, priors in wider.items() for field, text in priors.items()}
     return replace(_extension(before, spec, registry, shape or {}, hints or {}), widened=widened)
 
 
@@ -174,23 +168,22 @@ def _extension(
     return _first_step(model, null, h, new, hints)
 
 
-def _wider(extension: Extension) -> dict[tuple[str, str], str]:
+def _wider(extension: Extension) -> dict[str, dict[str, str]]:
     """Return priors, by effect and parameter, that hold what the data ask for where the usual ones would forbid it.
 
     A prior says what is usual before anything was measured.  What was measured says otherwise beyond doubt here, and a
     refit held back by the prior would show that the effect is not missing.  What a certificate states stands.
     """
-    wanted: dict[tuple[str, str], str] = {}
-    largest: dict[tuple[str, str], float] = {}
-    parameters = [extension.model.layout.parameters[place] for place in np.flatnonzero(extension.new).tolist()]
-    for parameter, z in zip(parameters, extension.asked.tolist(), strict=True):
+    wanted: dict[str, dict[str, str]] = {}
+    places = np.flatnonzero(extension.new)
+    # The largest comes last, and stands.
+    for one in np.argsort(np.abs(extension.asked)).tolist():
+        parameter, z = extension.model.layout.parameters[int(places[one])], abs(float(extension.asked[one]))
         declared = _declared(extension.model, parameter)
         about_zero = isinstance(parameter.prior, Normal) and float(parameter.prior.mean) == 0
-        usual = about_zero and not declared.equipment and not declared.spread
-        key = (parameter.effect, parameter.field)
-        if usual and abs(z) > max(_UNUSUAL, largest.get(key, 0.0)):
-            largest[key] = abs(z)
-            wanted[key] = f"normal(0, {_rounded_up(abs(z) * parameter.prior_sd):g} {parameter.unit})"
+        if z > _UNUSUAL and about_zero and not declared.equipment and not declared.spread:
+            width = _rounded_up(z * parameter.prior_sd)
+            wanted.setdefault(parameter.effect, {})[parameter.field] = f"normal(0, {width:g} {parameter.unit})"
     return wanted
 
 

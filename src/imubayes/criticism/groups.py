@@ -47,6 +47,15 @@ def row_scales(projection: Projection, candidate: Candidate) -> np.ndarray:
     return np.sqrt(projection.strata.at_rows(candidate.found.variance))
 
 
+def unreached(projection: Projection, leader: Candidate, other: Candidate) -> tuple[float, float]:
+    """Return what another candidate instead of the leader would leave of the leader's χ², and that χ² itself."""
+    scale = row_scales(projection, leader)
+    wanted = leader.found.fitted / scale
+    # The other's response weighted alike; what it cannot reach of the leader's part stays unexplained.
+    basis, _ = np.linalg.qr(other.found.span / scale[:, None])
+    return float(np.sum((wanted - basis @ (basis.T @ wanted)) ** 2)), float(wanted @ wanted)
+
+
 def group(projection: Projection, leader: Candidate, ranked: Sequence[Candidate], p: float) -> Group:
     """Return the leader with everything that the data do not tell apart from it.
 
@@ -55,15 +64,11 @@ def group(projection: Projection, leader: Candidate, ranked: Sequence[Candidate]
     ranked : all candidates as screened, best first.
     p : chance of the leader with all looks counted.
     """
-    scale = row_scales(projection, leader)
-    wanted = leader.found.fitted / scale
     members: dict[str, tuple[Candidate, float]] = {leader.effect: (leader, 0.0)}
     for one in ranked:
         if one.effect == leader.effect:
             continue
-        # The other's response weighted alike; what it cannot reach of the leader's part stays unexplained.
-        basis, _ = np.linalg.qr(one.found.span / scale[:, None])
-        left = float(np.sum((wanted - basis @ (basis.T @ wanted)) ** 2))
+        left, _ = unreached(projection, leader, one)
         best = members.get(one.effect)
         if left < TOLD_APART and (best is None or _simpler(one, left, *best)):
             members[one.effect] = (one, left)

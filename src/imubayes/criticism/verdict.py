@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from imubayes.criticism.absorbers import Resolution, resolution
-from imubayes.criticism.groups import Group, row_scales
+from imubayes.criticism.groups import Group, unreached
 from imubayes.criticism.screen import Candidate
 from imubayes.criticism.search import EFFECT_THRESHOLD, NOISE_THRESHOLD, Found, search
 from imubayes.criticism.separate import separating_run
@@ -160,15 +160,10 @@ def _resembles(found: Found, other: Candidate, leader: Candidate) -> bool:
     Where both are needed they mend one another's shape, and neither is likely to be the cause: |Ω| and Ω² together make
     a good root of |Ω|.
     """
-    scale = row_scales(found.first.projection, leader)
-    wanted = leader.found.fitted / scale
-    for one in found.first.candidates:
-        if one.effect == other.effect and set(one.owners) >= set(leader.owners) & set(other.owners):
-            basis, _ = np.linalg.qr(one.found.span / scale[:, None])
-            reached = basis.T @ wanted
-            if reached @ reached > _MOST * (wanted @ wanted):
-                return True
-    return False
+    shared = set(leader.owners) & set(other.owners)
+    rivals = [one for one in found.first.candidates if one.effect == other.effect and set(one.owners) >= shared]
+    shares = (unreached(found.first.projection, leader, one) for one in rivals)
+    return any(left < (1 - _MOST) * whole for left, whole in shares)
 
 
 def _channels(found: Found, candidate: Candidate) -> tuple[str, ...]:

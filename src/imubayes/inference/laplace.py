@@ -109,7 +109,7 @@ def bends(
 
     Parameters
     ----------
-    weak : shape (P, K), orthonormal weak directions.
+    weak : shape (P, K), orthonormal weak directions, at least one.
     reach : shape (K,), posterior standard deviation along each.
     inverse : shape (P, P), inverse of the precision restricted to the strong directions.
     """
@@ -125,8 +125,8 @@ def bends(
     pairs = steps[rows] + steps[columns]
     # Whole batches: what is left over would be compiled a second time.
     batch = min(_BATCH, len(pairs))
-    padded = jnp.concatenate([pairs, jnp.zeros((-len(pairs) % max(batch, 1), pairs.shape[1]))])
-    whole = jax.lax.map(second, padded, batch_size=batch)[: len(pairs)] if batch else jnp.zeros((0, len(centre)))
+    padded = jnp.concatenate([pairs, jnp.zeros((-len(pairs) % batch, pairs.shape[1]))])
+    whole = jax.lax.map(second, padded, batch_size=batch)[: len(pairs)]
     # ∂²f[a, b] = ½ (∂²f[a + b, a + b] − ∂²f[a, a] − ∂²f[b, b]); the pair (a, a) went along 2a, four times its own.
     own = whole[jnp.nonzero(rows == columns, size=count)[0]] / 4
     mixed = 0.5 * (whole - own[rows] - own[columns]) / (reach[rows] * reach[columns])[:, None]
