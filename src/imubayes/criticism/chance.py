@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from imubayes.criticism.details import Scan
 from imubayes.criticism.screen import Explained
 
 _DRAWS, _AT_ONCE = 3000, 250
@@ -40,22 +41,44 @@ class LookElsewhere:
         return float(np.searchsorted(self.smallest, p, side="right") / len(self.smallest))
 
 
-def look_elsewhere(looked: Sequence[Explained], seed: int = 0) -> LookElsewhere:
-    """Return the distribution of the smallest p-value of everything that was looked at, under no effect."""
-    if not looked:
+def look_elsewhere(looked: Sequence[Explained], scans: Sequence[Scan] = (), seed: int = 0) -> LookElsewhere:
+    """Return the distribution of the smallest p-value of everything that was looked at, under no effect.
+
+    Parameters
+    ----------
+    looked : what was looked at by itself.
+    scans : details, each of them one more look.
+    """
+    looked = [one for one in looked if one.span.shape[1]]
+    if not looked and not scans:
         return LookElsewhere(np.ones(1), 0.0)
-    spans = np.concatenate([one.span for one in looked], axis=1)
-    ends = np.cumsum([one.span.shape[1] for one in looked])
+    height = len(looked[0].span) if looked else len(scans[0].basis)
+    spans = np.concatenate([np.zeros((height, 0)), *(one.span for one in looked)], axis=1)
+    ends = np.cumsum([one.span.shape[1] for one in looked], dtype=int)
     random = np.random.default_rng(seed)
-    smallest = np.concatenate(
-        [_smallest((random.normal(size=(_AT_ONCE, len(spans))) @ spans) ** 2, ends) for _ in range(_DRAWS // _AT_ONCE)]
-    )
-    smallest = np.sort(smallest)
+    parts = []
+    for _ in range(_DRAWS // _AT_ONCE):
+        draws = random.normal(size=(_AT_ONCE, height))
+        each = [_smallest((draws @ spans) ** 2, ends)] if looked else []
+        parts.append(np.min([*each, *(_smallest_detail(one, draws) for one in scans)], axis=0))
+    smallest = np.sort(np.concatenate(parts))
     edge = max(2, int(_TAIL * _DRAWS))
     return LookElsewhere(smallest, float(edge / _DRAWS / smallest[edge - 1]))
 
 
 def _smallest(squares: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Return the smallest p-value of each draw; squares are the drawn scores by direction, (draws, directions)."""
-    sums = np.add.reduceat(squares, np.concatenate([[0], ends[:-1]]), axis=1)
-    return np.min(stats.chi2.sf(sums, np.diff(ends, prepend=0)), axis=1)
+    return _least(np.add.reduceat(squares, np.concatenate([[0], ends[:-1]]), axis=1), np.diff(ends, prepend=0))
+
+
+def _smallest_detail(one: Scan, draws: np.ndarray) -> np.ndarray:
+    """Return the smallest p-value of all details for each draw, (draws,)."""
+    return np.min([_least(scores, batch.freedom) for batch, scores in one.scores(draws)], axis=0)
+
+
+def _least(scores: np.ndarray, freedom: np.ndarray) -> np.ndarray:
+    """Return the smallest p-value over scores (draws, F) with their degrees of freedom (F,)."""
+    # Among equal degrees of freedom the largest score has the smallest p.
+    kinds = np.unique(freedom[freedom > 0]).tolist()
+    each = [stats.chi2.sf(scores[:, freedom == one].max(axis=1), one) for one in kinds]
+    return np.min([np.ones(len(scores)), *each], axis=0)

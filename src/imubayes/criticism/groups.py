@@ -3,6 +3,7 @@
 Were the leader the truth, a refit with another candidate instead would leave |(I − P_b) w|² of χ² unexplained, w being
 the part of the residual that the leader explains and P_b the projection on the other's response: S sin²φ.  Below 16 the
 data do not decide between the two names: three standard deviations where some fifty rivals had the chance to lead.
+Nor do they where the other, whatever the runs could have told, happens to explain the same almost as well.
 """
 
 from collections.abc import Sequence
@@ -14,6 +15,8 @@ from imubayes.criticism.projection import Projection
 from imubayes.criticism.screen import Candidate
 
 TOLD_APART = 16.0
+# Odds of 20 to 1 decide nothing between two that explain half of the same.
+_ODDS = float(np.log(20.0))
 
 
 @dataclass(frozen=True)
@@ -68,9 +71,10 @@ def group(projection: Projection, leader: Candidate, ranked: Sequence[Candidate]
     for one in ranked:
         if one.effect == leader.effect:
             continue
-        left, _ = unreached(projection, leader, one)
+        left, whole = unreached(projection, leader, one)
+        near = one.doubt < leader.doubt + _ODDS and left < whole / 2
         best = members.get(one.effect)
-        if left < TOLD_APART and (best is None or _simpler(one, left, *best)):
+        if (left < TOLD_APART or near) and (best is None or _simpler(one, left, *best)):
             members[one.effect] = (one, left)
     others = sorted((pair for pair in members.values() if pair[0] is not leader), key=lambda pair: pair[0].doubt)
     return Group((leader, *(one for one, _ in others)), p, (0.0, *(left for _, left in others)))

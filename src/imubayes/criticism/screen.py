@@ -174,7 +174,7 @@ def assess(projection: Projection, one: Projected, chosen: np.ndarray | None = N
     chosen = np.arange(len(one.response.coefficients)) if chosen is None else chosen
     columns, length = one.projected[:, chosen], np.linalg.norm(one.whitened[:, chosen], axis=0)
     found = explain(projection, columns, length)
-    value, sd = _coefficients(projection, columns, found.fitted, found.variance)
+    value, sd = sizes(projection, columns, found.fitted, found.variance)
     coefficients = tuple(one.response.coefficients[place] for place in chosen)
     return Candidate(
         scan=one.response.scan,
@@ -187,7 +187,7 @@ def assess(projection: Projection, one: Projected, chosen: np.ndarray | None = N
     )
 
 
-def _coefficients(projection: Projection, columns, explained, variance) -> tuple[np.ndarray, np.ndarray]:
+def sizes(projection: Projection, columns, explained, variance) -> tuple[np.ndarray, np.ndarray]:
     """Return coefficients and standard deviations by generalised least squares with the scales of the strata."""
     size = np.linalg.norm(columns, axis=0)
     unit = columns / np.where(size > 0, size, 1.0)

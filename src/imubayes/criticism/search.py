@@ -8,6 +8,7 @@ import numpy as np
 from imubayes.criticism.candidates import Responses, respond
 from imubayes.criticism.chance import LookElsewhere, look_elsewhere
 from imubayes.criticism.covariates import Covariate, covariates
+from imubayes.criticism.details import Details, Scan, details, scan
 from imubayes.criticism.groups import Group, group
 from imubayes.criticism.noise import NoiseCandidate, prewhitening, screen_noise
 from imubayes.criticism.projection import Projection, orthonormal, project
@@ -15,8 +16,8 @@ from imubayes.criticism.screen import Candidate, Projected, prepare, screen
 from imubayes.criticism.structure import Laid, Structure, forms, lay, look
 from imubayes.inference.fitted import Fitted
 
-# Chance of a false alarm, of effects and structure together and of noise.
-EFFECT_THRESHOLD, NOISE_THRESHOLD = 0.02, 0.01
+# Chance of a false alarm, of effects, of structure and of noise.
+EFFECT_THRESHOLD, STRUCTURE_THRESHOLD, NOISE_THRESHOLD = 0.02, 0.02, 0.01
 # Noise with memory, or offsets of runs, that is so much as hinted at is allowed for before an effect is claimed: where
 # it is real it passes for effects.
 _NOISE_DOUBT, _DOUBTED = 0.1, ("correlated_noise", "run_scatter")
@@ -39,6 +40,7 @@ class Look:
     projection: Projection
     prepared: tuple[Projected, ...]
     laid: tuple[Laid, ...]
+    scans: tuple[Scan, ...]
     candidates: tuple[Candidate, ...]
     structures: tuple[Structure, ...]
 
@@ -55,7 +57,8 @@ class Found:
     left : structures that remain significant after the groups were taken out, with their chance.
     noise : noise candidates as screened first.
     adopted : those that are beyond chance once effects and patterns are taken out.
-    chance : of the smallest p-value of all looks.
+    chance : of the smallest p-value of all candidates.
+    of_structure : the same of free forms and details.
     """
 
     first: Look
@@ -67,6 +70,7 @@ class Found:
     noise: tuple[NoiseCandidate, ...]
     adopted: tuple[NoiseCandidate, ...]
     chance: LookElsewhere
+    of_structure: LookElsewhere
 
 
 def search(fitted: Fitted) -> Found:
@@ -74,14 +78,19 @@ def search(fitted: Fitted) -> Found:
     responses, known = respond(fitted), tuple(covariates(fitted))
     projection = project(fitted, responses.misfit, responses.jacobian)
     free = forms(projection, known)
-    first = _look(projection, prepare(projection, responses.candidates), lay(projection, free))
-    chance = look_elsewhere([*(one.found for one in first.candidates), *(one.found for one in first.structures)])
+
+    def look_through(at: Projection) -> Look:
+        return _look(at, prepare(at, responses.candidates), lay(at, free), details(at, known))
+
+    first = look_through(projection)
+    chance = look_elsewhere([one.found for one in first.candidates])
+    of_structure = look_elsewhere([one.found for one in first.structures], first.scans)
     noise = screen_noise(projection)
     groups, last = _steps(first, chance)
-    alarm = bool(groups or _alarming(first.structures, chance))
+    alarm = bool(groups or _alarming(first.structures, of_structure))
     left, adopted, doubted = last.projection, [], []
     if alarm or _within(noise, NOISE_THRESHOLD):
-        left = _without_patterns(last, chance, at_least=int(alarm and not groups)).projection
+        left = _without_patterns(last, of_structure, at_least=int(alarm and not groups)).projection
         remaining = screen_noise(left)
         adopted = _within(remaining, NOISE_THRESHOLD)
         hinted = [one for one in _within(remaining, _NOISE_DOUBT) if one.effect in _DOUBTED and one not in adopted]
@@ -90,18 +99,19 @@ def search(fitted: Fitted) -> Found:
         offsets = any(one.effect == "run_scatter" for one in doubted)
         extra = prewhitening(left, doubted)
         projection = project(fitted, responses.misfit, responses.jacobian, extra, offsets)
-        first = _look(projection, prepare(projection, responses.candidates), lay(projection, free))
+        first = look_through(projection)
         groups, last = _steps(first, chance)
     return Found(
         first=first,
         responses=responses,
         covariates=known,
         groups=groups,
-        structures=_alarming(first.structures, chance),
-        left=_alarming(last.structures, chance),
+        structures=_alarming(first.structures, of_structure),
+        left=_alarming(last.structures, of_structure),
         noise=tuple(noise),
         adopted=tuple(adopted),
         chance=chance,
+        of_structure=of_structure,
     )
 
 
@@ -112,12 +122,13 @@ def _within(noise: Sequence[NoiseCandidate], threshold: float) -> list[NoiseCand
 
 def _alarming(structures: Sequence[Structure], chance: LookElsewhere) -> tuple[tuple[Structure, float], ...]:
     judged = [(one, chance(one.found.p)) for one in structures]
-    return tuple(pair for pair in judged if pair[1] < EFFECT_THRESHOLD)
+    return tuple(pair for pair in judged if pair[1] < STRUCTURE_THRESHOLD)
 
 
-def _look(projection: Projection, prepared: Sequence[Projected], laid: Sequence[Laid]) -> Look:
-    candidates, structures = screen(projection, prepared), look(projection, laid)
-    return Look(projection, tuple(prepared), tuple(laid), tuple(candidates), tuple(structures))
+def _look(projection: Projection, prepared: Sequence[Projected], laid: Sequence[Laid], fine: Sequence[Details]) -> Look:
+    scans = [scan(projection, one) for one in fine]
+    candidates, structures = screen(projection, prepared), look(projection, laid, scans)
+    return Look(projection, tuple(prepared), tuple(laid), tuple(scans), tuple(candidates), tuple(structures))
 
 
 def _steps(first: Look, chance: LookElsewhere) -> tuple[tuple[Group, ...], Look]:
@@ -162,4 +173,4 @@ def take_out(at: Look, span: np.ndarray) -> Look:
 
     prepared = [replace(one, projected=less(one.projected)) for one in at.prepared]
     laid = [replace(one, columns=less(one.columns)) for one in at.laid]
-    return _look(at.projection.without(span), prepared, laid)
+    return _look(at.projection.without(span), prepared, laid, [one.details for one in at.scans])

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from imubayes.criticism.absorbers import Resolution, resolution
+from imubayes.criticism.details import STEP
 from imubayes.criticism.groups import Group, unreached
 from imubayes.criticism.screen import Candidate
 from imubayes.criticism.search import EFFECT_THRESHOLD, NOISE_THRESHOLD, Found, search
 from imubayes.criticism.separate import separating_run
-from imubayes.criticism.shape import Shape, find_shape
+from imubayes.criticism.shape import Shape, coefficient_unit, find_shape
 from imubayes.criticism.structure import Structure
 from imubayes.criticism.telling import Telling, tell, telling_covariate
 from imubayes.effects.base import Effect, Order
@@ -21,7 +22,7 @@ THRESHOLD = EFFECT_THRESHOLD + NOISE_THRESHOLD
 # A structure that the candidates leave, and that is this strong against what the first of them explains, says that it
 # only resembles the cause; so does a channel that needs so many of them, the same names again after the first, or
 # a second one that could do most of what the first does.
-_RESEMBLES, _TOO_MANY, _MOST = 0.01, 3, 0.5
+_RESEMBLES, _TOO_MANY, _MOST = 0.01, 3, 0.75
 # Against a single good name it takes more than the chance of a false alarm.
 _AGAINST_A_NAME = 1e-3
 _MOST_SHAPES = 3
@@ -138,6 +139,8 @@ def _unexplained(found: Found) -> list[tuple[Structure, float]]:
     def concerned(structures: Sequence[tuple[Structure, float]]) -> list[tuple[Structure, float]]:
         return [(one, p) for one, p in structures if one.channel in leader.owners or not _channels(found, leader)]
 
+    if larger := [(one, p) for one, p in _of_kind(found, leader) if one.found.drop > leader.drop]:
+        return larger  # the leader took a part of it
     member = found.first.projection.fitted.model.registry.members[leader.effect]
     if issubclass(member, Effect) and member.order >= Order.LIMIT:
         return []  # it bends the signal at its own size: looked at linearly it always leaves something
@@ -152,6 +155,13 @@ def _unexplained(found: Found) -> list[tuple[Structure, float]]:
     # What remains has to be worth something beside what was explained: a large effect shows its smallest imperfection.
     worth = [(one, p) for one, p in concerned(found.left) if one.found.drop > _RESEMBLES * leader.drop]
     return worth if several else [(one, p) for one, p in worth if p < _AGAINST_A_NAME]
+
+
+def _of_kind(found: Found, leader: Candidate) -> list[tuple[Structure, float]]:
+    """Return what is left on channels of the kinds that a candidate acts on; on all where it acts on a table."""
+    kinds = {one.name: one.kind for one in found.first.projection.fitted.model.campaign.channels}
+    own = {kinds[name] for name in _channels(found, leader)} or set(kinds.values())
+    return [(one, p) for one, p in found.left if kinds[one.channel] in own]
 
 
 def _resembles(found: Found, other: Candidate, leader: Candidate) -> bool:
@@ -266,21 +276,23 @@ def _resolution_line(one: Resolution) -> dict[str, Any]:
 def _structure_lines(found: Found, unexplained: Sequence[tuple[Structure, float]]) -> list[dict[str, Any]]:
     """Return the free forms that stand out, with a formula for each channel where no effect explains them."""
     listed = list(unexplained or found.structures)
-    channels = list(dict.fromkeys(one.channel for one, _ in unexplained))[:_MOST_SHAPES]
-    shapes = {channel: find_shape(found.first.projection, found.covariates, channel) for channel in channels}
-    return [_structure_line(one, p, shapes.get(one.channel)) for one, p in listed]
+    first = {one.channel: one for one, _ in reversed(unexplained)}
+    # What happens once in one run has no formula in what runs share.
+    channels = [name for name in dict.fromkeys(one.channel for one, _ in unexplained) if first[name].test != STEP]
+    shapes = {name: find_shape(found.first.projection, found.covariates, name) for name in channels[:_MOST_SHAPES]}
+    return [_structure_line(found, one, p, shapes.get(one.channel)) for one, p in listed]
 
 
-def _structure_line(one: Structure, p: float, shape: Shape | None) -> dict[str, Any]:
+def _structure_line(found: Found, one: Structure, p: float, shape: Shape | None) -> dict[str, Any]:
     line: dict[str, Any] = {
         "channel": one.channel,
         "covariate": " × ".join(each.name for each in one.covariates),
         "test": one.test,
         "p": float(p),
-        "shape": "",
-        "coefficient": None,
+        "shape": one.text,
+        "coefficient": _height(found, one),
     }
-    if shape is None:
+    if shape is None or one.test == STEP:
         return line
     terms = zip(shape.terms, shape.value, shape.sd, shape.unit, shape.drop, shape.p, strict=True)
     return line | {
@@ -294,6 +306,16 @@ def _structure_line(one: Structure, p: float, shape: Shape | None) -> dict[str, 
         "near": list(shape.near),
         "python": shape.python,
     }
+
+
+def _height(found: Found, one: Structure) -> dict[str, Any] | None:
+    """Return the height of a step as a coefficient at the input."""
+    if one.size is None:
+        return None
+    campaign = found.first.projection.fitted.model.campaign
+    channel = next(each for each in campaign.channels if each.name == one.channel)
+    factor, unit = coefficient_unit(channel.kind, channel.scale_si, campaign.site.gravity)
+    return {"value": one.size[0] / factor, "sd": one.size[1] / factor, "unit": unit}
 
 
 def _sentence(verdict: str, found: Found, seen: Sequence[Resolution], telling: Sequence[Telling]) -> str:
