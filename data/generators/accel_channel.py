@@ -1,4 +1,4 @@
-"""One accelerometer with current output and an I/F converter, whose gain and zero drift with its temperature.
+"""One accelerometer with current output and a converter (I/F, V/F or ADC) whose gain and zero drift with temperature.
 
 Gain drift grows with the input, offset drift does not.  With inputs of 1 g and 1/√3 g the slopes of output
 against converter temperature are nearly alike and their noise hides the gain; a current that stands for 12 g
@@ -21,10 +21,20 @@ ROW_SECONDS = 120.0
 RAW_RATE = 0.1
 SENSOR_TEMPERATURE = 25.0
 COLDEST, WARMEST = 15.0, 45.0
-AX = Channel(
-    "ax", "accelerometer", (1.0, 0.0, 0.0), "pulse/s", 20000.0, "g", 8.0, (0.0, 1.0, 0.0),
-    current_mA_per_g=CURRENT_PER_G,
-)  # fmt: skip
+
+
+def _behind(unit: str, scale: float, noise_ug: float) -> Channel:
+    noise = round(noise_ug * 1e-6 * scale, 9)
+    axes = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    return Channel("ax", "accelerometer", axes[0], unit, scale, "g", noise, axes[1], current_mA_per_g=CURRENT_PER_G)
+
+
+CONVERTERS = {
+    "I/F": _behind("pulse/s", 20000.0, 400.0),
+    "V/F": _behind("Hz", 6000.0, 400.0),
+    "ADC": _behind("V", 0.4, 250.0),
+}
+"""The same sensor behind each kind of converter; the shipped campaign has the first."""
 INPUT_G = {"ramp-1g": 1.0, "ramp-trihedral": 1 / sqrt(3), "inject-12g": INJECTED_G}
 """Nominal input of each run, in g."""
 
@@ -47,7 +57,7 @@ def ramp(seed: int, name: str, degC_per_hour: float, current: float | None = Non
     ]
 
 
-def plan(seed: int) -> Plan:
+def plan(seed: int, converter: str = "I/F") -> Plan:
     def run(name, procedure, degC_per_hour, hour, mounting=None, current=None) -> Run:
         rows = ramp(seed, name, degC_per_hour, current)
         start = f"2026-03-10T{hour:02d}:00:00+00:00"
@@ -58,7 +68,7 @@ def plan(seed: int) -> Plan:
         purpose="One accelerometer channel: converter ramps at 1 g, at 1/sqrt(3) g and with 12 g injected.",
         serial="QA117",
         site=Site(34.25, 400.0),
-        channels=(AX,),
+        channels=(CONVERTERS[converter],),
         tables=(Table("plate", 0.0, 90.0),),
         mountings=(Mounting("up", X_UP, 5.0), Mounting("pyramid", trihedral(), 5.0, preset="trihedral")),
         runs=(
@@ -69,18 +79,19 @@ def plan(seed: int) -> Plan:
     )
 
 
-def slope_differences(values: Values) -> dict[str, float]:
+def slope_differences(values: Values, scale: float) -> dict[str, float]:
     """Relative difference in % of each run's slope, per unit of input, from the slope of the 1 g run."""
-    gain = 1e-6 * AX.scale * values["converter_gain_drift.slope[ax]"]
+    gain = 1e-6 * scale * values["converter_gain_drift.slope[ax]"]
     offset = values["converter_offset_drift.slope[ax]"]
     slope = {name: gain + offset / nominal for name, nominal in INPUT_G.items()}
     reference = slope.pop("ramp-1g")
     return {f"delta_k[ax,{name}]": 100 * abs(other - reference) / abs(reference) for name, other in slope.items()}
 
 
-def generate(folder: Path, seed: int) -> dict[str, float]:
+def generate(folder: Path, seed: int, converter: str = "I/F") -> dict[str, float]:
     """Write the campaign into `folder`; return the true parameters and derived quantities."""
-    return write_simulated(Path(folder), plan(seed), seed, slope_differences)
+    scale = CONVERTERS[converter].scale
+    return write_simulated(Path(folder), plan(seed, converter), seed, lambda values: slope_differences(values, scale))
 
 
 if __name__ == "__main__":

@@ -132,8 +132,13 @@ def effects_of(model: str | Path) -> list[dict]:
 
 
 def in_output(prior: str, channel: Channel) -> str:
-    """Replace the unit `noise` by what it is for a channel, in output units."""
-    return re.sub(r"([-+.\deE]+)\s*noise", lambda found: f"{float(found.group(1)) * channel.noise!r} output", prior)
+    """Replace the units `noise` and `scale` by what they are for a channel, in output units."""
+    own = {"noise": channel.noise, "scale": channel.scale}
+
+    def stated(found: re.Match) -> str:
+        return f"{float(found.group(1)) * own[found.group(2)]:.12g} output"
+
+    return re.sub(r"([-+.\deE]+)\s*(noise|scale)", stated, prior)
 
 
 def priors(effects: Iterable[dict], channels: Iterable[Channel]) -> dict[str, str]:

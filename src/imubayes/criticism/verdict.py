@@ -23,6 +23,8 @@ THRESHOLD = EFFECT_THRESHOLD + NOISE_THRESHOLD
 # only resembles the cause; so does a channel that needs so many of them, the same names again after the first, or
 # a second one that could do most of what the first does.
 _RESEMBLES, _TOO_MANY, _MOST = 0.01, 3, 0.75
+# A step in one run that is worth so many times what the leader is was not caused by it.
+_LARGER = 1.5
 # Against a single good name it takes more than the chance of a false alarm.
 _AGAINST_A_NAME = 1e-3
 _MOST_SHAPES = 3
@@ -139,8 +141,12 @@ def _unexplained(found: Found) -> list[tuple[Structure, float]]:
     def concerned(structures: Sequence[tuple[Structure, float]]) -> list[tuple[Structure, float]]:
         return [(one, p) for one, p in structures if one.channel in leader.owners or not _channels(found, leader)]
 
-    if larger := [(one, p) for one, p in _of_kind(found, leader) if one.found.drop > leader.drop]:
-        return larger  # the leader took a part of it
+    # The leader took a part of something larger; nor does anything in the catalogue happen once.
+    larger = [(one, p) for one, p in _of_kind(found, leader, found.left) if one.found.drop > leader.drop]
+    once = [(one, p) for one, p in _of_kind(found, leader, found.structures) if one.test == STEP]
+    once = [(one, p) for one, p in once if one.found.drop > _LARGER * leader.drop]
+    if larger or once:
+        return larger or once
     member = found.first.projection.fitted.model.registry.members[leader.effect]
     if issubclass(member, Effect) and member.order >= Order.LIMIT:
         return []  # it bends the signal at its own size: looked at linearly it always leaves something
@@ -157,11 +163,13 @@ def _unexplained(found: Found) -> list[tuple[Structure, float]]:
     return worth if several else [(one, p) for one, p in worth if p < _AGAINST_A_NAME]
 
 
-def _of_kind(found: Found, leader: Candidate) -> list[tuple[Structure, float]]:
-    """Return what is left on channels of the kinds that a candidate acts on; on all where it acts on a table."""
+def _of_kind(
+    found: Found, leader: Candidate, structures: Sequence[tuple[Structure, float]]
+) -> list[tuple[Structure, float]]:
+    """Return what is on channels of the kinds that a candidate acts on; on all where it acts on a table."""
     kinds = {one.name: one.kind for one in found.first.projection.fitted.model.campaign.channels}
     own = {kinds[name] for name in _channels(found, leader)} or set(kinds.values())
-    return [(one, p) for one, p in found.left if kinds[one.channel] in own]
+    return [(one, p) for one, p in structures if kinds[one.channel] in own]
 
 
 def _resembles(found: Found, other: Candidate, leader: Candidate) -> bool:
