@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from null_data import redrawn
 from scipy import stats
 
 from imubayes.api import fit
@@ -15,6 +16,7 @@ from imubayes.criticism.details import STEP, details, scan
 from imubayes.criticism.projection import project
 from imubayes.criticism.screen import explain
 from imubayes.criticism.structure import forms, lay, look
+from imubayes.criticism.verdict import judge
 
 ROOT = Path(__file__).parents[2]
 
@@ -89,23 +91,41 @@ def _smallest(scans, residual):
     )
 
 
-def test_a_step_in_one_run_is_found_with_its_place_and_height(projection, known, scans):
+def _step(projection, size):
+    """A step of so many standard deviations in the middle of the longest run: readings after it, time and height."""
     model = projection.fitted.model
-    run = max(range(len(model.campaign.runs)), key=lambda index: model.campaign.runs[index].rows)
-    channel = model.campaign.channels[0]
-    here = (model.entries.run == run) & (model.entries.channel == 0) & ~model.entries.closing
-    time = model.campaign.runs[run].covariates["time"][model.entries.row]
-    after = here & (time > np.median(time[here]))
-    height = 8 / np.linalg.norm(projection.project(projection.whitened(after[:, None].astype(float))))
-    changed = _under(projection, 1, height * after)
-    broad, detail = _first(changed, known, scans)
-    assert (detail.test, detail.channel) == (STEP, channel.name)
+    index, run = max(enumerate(model.campaign.runs), key=lambda pair: pair[1].rows)
+    here = (model.entries.run == index) & (model.entries.channel == 0) & ~model.entries.closing
+    time = np.full(len(here), np.nan)
+    time[here] = run.covariates["time"][model.entries.row[here]]
+    after = here & (time > np.nanmedian(time))
+    height = size / np.linalg.norm(projection.project(projection.whitened(after[:, None].astype(float))))
+    return run, after, time, float(height)
+
+
+def test_a_step_in_one_run_is_found_with_its_place_and_height(projection, known, scans):
+    run, after, time, height = _step(projection, 8)
+    broad, detail = _first(_under(projection, 1, height * after), known, scans)
+    assert (detail.test, detail.channel) == (STEP, projection.fitted.model.campaign.channels[0].name)
     assert detail.found.p < broad.found.p
-    assert model.campaign.runs[run].name in detail.text
+    assert run.name in detail.text
     value, sd = detail.size
     assert abs(value - height) < 3.5 * sd
     at = float(detail.text.split(" at ")[1].split(" s ")[0])
-    assert abs(at - np.median(time[here])) < 0.1 * np.ptp(time[here])
+    assert abs(at - np.nanmedian(time)) < 0.1 * np.ptp(time[np.isfinite(time)])
+
+
+def test_a_step_is_told_with_place_and_height_and_gets_no_name(projection):
+    run, after, _, height = _step(projection, 12)
+    document = judge(redrawn(projection.fitted, 4, change=height * after)).json
+    assert document["verdict"] == "unexplained_structure", document["sentence"]
+    best = next(one for one in document["structure"] if one["test"] == STEP)
+    assert best["shape"].startswith("step at ")
+    assert run.name in best["shape"]
+    campaign = projection.fitted.model.campaign
+    true = height / (campaign.channels[0].scale_si * 1e-6 * campaign.site.gravity)
+    assert best["coefficient"]["unit"] == "ug"
+    assert abs(best["coefficient"]["value"] - true) < 4 * best["coefficient"]["sd"] + 0.2 * true
 
 
 def test_a_narrow_bump_is_found_where_a_smooth_curve_is_too_stiff(projection, known, scans):

@@ -1,10 +1,11 @@
-"""Two effects that mend one another's shape are no two causes; two that have nothing in common are."""
+"""Two effects that mend one another's shape are no two causes; two that explain the same as well are one group."""
 
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
+from imubayes.criticism.groups import group
 from imubayes.criticism.projection import Projection, Strata
 from imubayes.criticism.screen import Candidate, Explained
 from imubayes.criticism.search import Found, Look
@@ -44,3 +45,24 @@ def test_what_could_do_most_of_what_the_leader_does(other, owners, expected):
     # Asked only for a second group that shares a channel with the first.
     together = stub(Candidate, effect="second", owners=("gx",))
     assert _resembles(stub(Found, first=look), together, leader) is expected
+
+
+@pytest.mark.parametrize(
+    ("response", "doubt", "expected"),
+    [
+        (RATE**2, -48.0, True),
+        # Odds of more than 20 to 1 against it.
+        (RATE**2, -46.5, False),
+        # As well founded, by something else.
+        (np.sin(40 * RATE), -49.0, False),
+    ],
+)
+def test_near_odds_for_the_same_are_one_group(response, doubt, expected):
+    leader, other = candidate("asymmetry", np.abs(RATE)), candidate("other", response)
+    # So large that what the other leaves is beyond all doubt were the leader the truth.
+    leader.found.fitted = 20 * leader.found.fitted
+    leader.doubt, other.doubt = -50.0, doubt
+    leader.dof = other.dof = 1
+    strata = stub(Strata, at_rows=lambda variance: np.full(len(RATE), variance[0]))
+    found = group(stub(Projection, strata=strata), leader, [leader, other], 1e-9)
+    assert ("other" in found.effects) is expected

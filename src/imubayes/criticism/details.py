@@ -29,7 +29,7 @@ _MOST_NUMBERS = 40_000_000
 
 @dataclass(frozen=True)
 class Detail:
-    """One family of terms: one or two covariates, sort of test, for a step where it is, and where its columns stand."""
+    """One family of terms: one or two covariates, sort of test, where its columns stand, and what it is in brief."""
 
     covariates: tuple[Covariate, ...]
     test: str
@@ -125,10 +125,10 @@ def details(projection: Projection, known: Sequence[Covariate]) -> list[Details]
 def _of_terms(known: Sequence[Covariate], here: np.ndarray, gravity: float) -> tuple[list[np.ndarray], list[Detail]]:
     columns, families = [], {}
     for term in library(known, here, gravity):
-        families.setdefault(term.family, []).append((len(columns), term))
+        families.setdefault((term.sort, term.family), []).append((len(columns), term))
         columns.append(np.where(here, term.values, 0.0))
     found = [
-        Detail(terms[0][1].covariates, terms[0][1].sort, tuple(place for place, _ in terms))
+        Detail(terms[0][1].covariates, terms[0][1].sort, tuple(place for place, _ in terms), terms[0][1].family)
         for terms in families.values()
     ]
     return columns, found

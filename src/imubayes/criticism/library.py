@@ -36,7 +36,7 @@ class Term:
     values : shape (E,), in datasheet units, 0 where not known.
     covariates : one or two.
     sort : power, harmonic, bump, wave or product; bumps, waves and products are chosen from many.
-    family : terms that are one dependence: sine and cosine of one wave.
+    family : in brief; terms that are one dependence have one: sine and cosine of one wave.
     """
 
     text: str
@@ -181,7 +181,8 @@ def _bumps(base: _Base, gravity: float) -> list[Term]:
         for width in ((high - low) / 16, (high - low) / 8, (high - low) / 4):
             formula = f"1/(1 + (({text} − {centre:.3g})/{width:.3g})²) with {base.symbol} in {unit}"
             python = f"1 / (1 + (({code} - {centre * factor:.6g}) / {width * factor:.6g}) ** 2)"
-            found.append(base.term(formula, "", python, 1 / (1 + ((size - centre) / width) ** 2), "bump"))
+            brief = f"at {text} = {centre:.3g} {unit}, width {width:.3g} {unit}"
+            found.append(base.term(formula, "", python, 1 / (1 + ((size - centre) / width) ** 2), "bump", brief))
     return found
 
 
@@ -199,7 +200,7 @@ def _waves(base: _Base, gravity: float) -> list[Term]:
                 base.term(
                     f"{name}(2π {base.symbol}/{period:.3g} {unit})", "",
                     f"jnp.{name}({2 * np.pi / (period * factor):.6g} * {base.expression})",
-                    f(2 * np.pi * base.values / period), "wave", f"wave of {base.symbol}, {half_turns}",
+                    f(2 * np.pi * base.values / period), "wave", f"of {base.symbol}, period {period:.3g} {unit}",
                 )
             )  # fmt: skip
     return found

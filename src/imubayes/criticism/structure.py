@@ -39,7 +39,7 @@ class Structure:
     covariates : one or two.
     test : what form was allowed.
     found : what it explains.
-    text : of a step: where it is.
+    text : of a detail: what it is in brief.
     size : of a step: its height in the channel and the standard deviation of that, in output units.
     """
 
@@ -190,7 +190,7 @@ def _detailed(projection: Projection, of: Details, detail: Detail) -> Structure:
     explained = explain(projection, columns, np.linalg.norm(whole, axis=0), _LEAST_RETAINED)
     channel = _strongest(projection, of.channels, explained)
     if detail.test != STEP:
-        return Structure(channel, detail.covariates, detail.test, explained)
+        return Structure(channel, detail.covariates, detail.test, explained, detail.text)
     value, sd = sizes(projection, columns, explained.fitted, explained.variance)
     place = of.channels.index(channel)
     return Structure(

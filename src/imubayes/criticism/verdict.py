@@ -10,7 +10,7 @@ from imubayes.criticism.absorbers import Resolution, resolution
 from imubayes.criticism.details import STEP
 from imubayes.criticism.groups import Group, unreached
 from imubayes.criticism.screen import Candidate
-from imubayes.criticism.search import EFFECT_THRESHOLD, NOISE_THRESHOLD, Found, search
+from imubayes.criticism.search import EFFECT_THRESHOLD, NOISE_THRESHOLD, STRUCTURE_THRESHOLD, Found, search
 from imubayes.criticism.separate import separating_run
 from imubayes.criticism.shape import Shape, coefficient_unit, find_shape
 from imubayes.criticism.structure import Structure
@@ -18,7 +18,7 @@ from imubayes.criticism.telling import Telling, tell, telling_covariate
 from imubayes.effects.base import Effect, Order
 from imubayes.inference.fitted import Fitted
 
-THRESHOLD = EFFECT_THRESHOLD + NOISE_THRESHOLD
+THRESHOLD = EFFECT_THRESHOLD + STRUCTURE_THRESHOLD + NOISE_THRESHOLD
 # A structure that the candidates leave, and that is this strong against what the first of them explains, says that it
 # only resembles the cause; so does a channel that needs so many of them, the same names again after the first, or
 # a second one that could do most of what the first does.
@@ -283,7 +283,7 @@ def _resolution_line(one: Resolution) -> dict[str, Any]:
 
 def _structure_lines(found: Found, unexplained: Sequence[tuple[Structure, float]]) -> list[dict[str, Any]]:
     """Return the free forms that stand out, with a formula for each channel where no effect explains them."""
-    listed = list(unexplained or found.structures)
+    listed = _simplest(unexplained or found.structures)
     first = {one.channel: one for one, _ in reversed(unexplained)}
     # What happens once in one run has no formula in what runs share.
     channels = [name for name in dict.fromkeys(one.channel for one, _ in unexplained) if first[name].test != STEP]
@@ -291,13 +291,26 @@ def _structure_lines(found: Found, unexplained: Sequence[tuple[Structure, float]
     return [_structure_line(found, one, p, shapes.get(one.channel)) for one, p in listed]
 
 
+def _simplest(structures: Sequence[tuple[Structure, float]]) -> list[tuple[Structure, float]]:
+    """Leave out products of what alone explains a channel better."""
+    kept: list[tuple[Structure, float]] = []
+    alone: set[tuple[str, str]] = set()
+    for one, p in structures:
+        names = {(one.channel, each.name) for each in one.covariates}
+        if len(one.covariates) == 1:
+            alone |= names
+        if len(one.covariates) == 1 or not names & alone:
+            kept.append((one, p))
+    return kept
+
+
 def _structure_line(found: Found, one: Structure, p: float, shape: Shape | None) -> dict[str, Any]:
     line: dict[str, Any] = {
         "channel": one.channel,
         "covariate": " × ".join(each.name for each in one.covariates),
-        "test": one.test,
+        "test": one.test if one.test == STEP else f"{one.test} {one.text}".strip(),
         "p": float(p),
-        "shape": one.text,
+        "shape": one.text if one.test == STEP else "",
         "coefficient": _height(found, one),
     }
     if shape is None or one.test == STEP:
