@@ -16,15 +16,14 @@ from imubayes.criticism.library import library
 from imubayes.criticism.projection import Projection
 
 STEP = "step"
-_FEWEST_ROWS = 12
+# Where readings are more, details would not fit into memory, and free forms have to do.
+_FEWEST_ROWS, _MOST_ROWS = 12, 30_000
 # A step in a run falls between any two of so many parts, of so many rows at least.
 _MOST_PARTS, _ROWS_OF_PART = 16, 3
 # Directions that keep less than this share of their squared length count as absorbed.
 _LEAST_RETAINED = 1e-6
 # Columns are whitened in blocks of so many, for what whitens is compiled anew for each number of them.
 _BLOCK = 256
-# Numbers kept at once; where readings are so many that details would not fit, free forms have to do.
-_MOST_NUMBERS = 40_000_000
 
 
 @dataclass(frozen=True)
@@ -108,12 +107,12 @@ def details(projection: Projection, known: Sequence[Covariate]) -> list[Details]
     for kind in dict.fromkeys(channel.kind for channel in model.campaign.channels):
         places = [place for place, channel in enumerate(model.campaign.channels) if channel.kind == kind]
         here = np.isin(entries.channel, places) & ~entries.closing
-        if here.sum() < _FEWEST_ROWS:
+        if not _FEWEST_ROWS <= here.sum() <= _MOST_ROWS:
             continue
         columns, found = _of_terms(known, here, gravity)
         steps, sudden = _steps(projection, here, len(columns))
         columns, found = [*columns, *steps], (*found, *sudden)
-        if not columns or here.sum() * len(columns) > _MOST_NUMBERS:
+        if not columns:
             continue
         rows = [np.flatnonzero(here & (entries.channel == place)) for place in places]
         whitened = _whitened(projection, np.stack(columns, axis=1), here)

@@ -27,7 +27,7 @@ _RESEMBLES, _TOO_MANY, _MOST = 0.01, 3, 0.75
 _LARGER = 1.5
 # Against a single good name it takes more than the chance of a false alarm.
 _AGAINST_A_NAME = 1e-3
-_MOST_SHAPES = 3
+_MOST_SHAPES, _MOST_NAMED = 3, 3
 
 
 @dataclass(frozen=True)
@@ -345,8 +345,9 @@ def _sentence(verdict: str, found: Found, seen: Sequence[Resolution], telling: S
         where = ", ".join(group.leader.owners)
         covariate = telling[0].covariate
         changes = f" The residual of {telling[0].channel} changes with {covariate.phrase}." if covariate else ""
-        others = group.effects[1:]
-        also = f" {' and '.join(others)} would fit as well: these runs cannot tell." if others else ""
+        others = group.effects[1 : 1 + _MOST_NAMED]
+        more = [f"{rest} more"] if (rest := len(group.effects) - 1 - len(others)) else []
+        also = f" {' and '.join((*others, *more))} would fit as well: these runs cannot tell." if others else ""
         return f"{group.leader.effect} is missing on {where}.{changes}{also}"
     if verdict == "unexplained_structure":
         one = (found.left or found.structures)[0][0]
