@@ -16,6 +16,8 @@ from imubayes.criticism.projection import Projection
 
 _SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0)
 _CORRELATIONS = (0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.96)
+# Memories whose log likelihood is less by so little, one standard deviation and a half, are nearly as likely.
+_NEARLY = 1.0
 # A direction of which the rows of a channel hold less than this share of the squared length leaves them as they are.
 _HELD = 0.1
 
@@ -26,6 +28,11 @@ class Memory:
 
     share: float
     correlation: float
+
+    @property
+    def slow(self) -> float:
+        """Its variance at the lowest frequencies, over that of white noise: 1 − c + c (1 + φ)/(1 − φ)."""
+        return 1 - self.share + self.share * (1 + self.correlation) / (1 - self.correlation)
 
 
 FORGETFUL = Memory(0.0, 0.0)
@@ -72,11 +79,15 @@ class Innovations:
 def memories(projection: Projection, channels: Sequence[int]) -> dict[int, Memory]:
     """Return the memory of the noise of some channels of one kind, by place; each learns from the others.
 
-    A channel's own runs are few: to its likelihood comes the mean of those of the others.
+    A channel's own runs are few: to its likelihood comes the mean of those of the others.  Of memories that are nearly
+    as likely the one with the most slow noise is taken: too little of it passes for effects.
     """
     tables = np.array([likelihoods(*_of_channel(projection, place)) for place in channels])
     others = (tables.sum(axis=0) - tables) / max(len(channels) - 1, 1)
-    return {place: GRID[int(np.argmax(own))] for place, own in zip(channels, tables + others, strict=True)}
+    slow = np.array([one.slow for one in GRID])
+    whole = tables + others
+    likely = np.where(whole > whole.max(axis=1, keepdims=True) - _NEARLY, slow, 0.0)
+    return {place: GRID[int(np.argmax(own))] for place, own in zip(channels, likely, strict=True)}
 
 
 def _of_channel(projection: Projection, channel: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

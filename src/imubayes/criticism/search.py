@@ -18,6 +18,9 @@ from imubayes.inference.fitted import Fitted
 
 # Chance of a false alarm, of effects, of structure and of noise.
 EFFECT_THRESHOLD, STRUCTURE_THRESHOLD, NOISE_THRESHOLD = 0.02, 0.02, 0.01
+# Chances are worked out for a known noise.  Where its memory had to be estimated from the same readings, so much less
+# chance is asked for.
+_WITH_MEMORY = 0.1
 # Noise with memory, or offsets of runs, that is so much as hinted at is allowed for before an effect is claimed: where
 # it is real it passes for effects.
 _NOISE_DOUBT, _DOUBTED = 0.1, ("correlated_noise", "run_scatter")
@@ -88,7 +91,7 @@ def search(fitted: Fitted) -> Found:
     noise = screen_noise(projection)
     groups, last = _steps(first, chance)
     alarm = bool(groups or _alarming(first.structures, of_structure))
-    left, adopted, doubted = last.projection, [], []
+    left, adopted, doubted, strict = last.projection, [], [], 1.0
     if alarm or _within(noise, NOISE_THRESHOLD):
         left = _without_patterns(last, of_structure, at_least=int(alarm and not groups)).projection
         remaining = screen_noise(left)
@@ -100,14 +103,15 @@ def search(fitted: Fitted) -> Found:
         extra = prewhitening(left, doubted)
         projection = project(fitted, responses.misfit, responses.jacobian, extra, offsets)
         first = look_through(projection)
-        groups, last = _steps(first, chance)
+        strict = _WITH_MEMORY if any(one.effect == "correlated_noise" for one in adopted) else 1.0
+        groups, last = _steps(first, chance, strict)
     return Found(
         first=first,
         responses=responses,
         covariates=known,
         groups=groups,
-        structures=_alarming(first.structures, of_structure),
-        left=_alarming(last.structures, of_structure),
+        structures=_alarming(first.structures, of_structure, strict),
+        left=_alarming(last.structures, of_structure, strict),
         noise=tuple(noise),
         adopted=tuple(adopted),
         chance=chance,
@@ -120,9 +124,11 @@ def _within(noise: Sequence[NoiseCandidate], threshold: float) -> list[NoiseCand
     return [one for one in noise if one.p * len(noise) < threshold]
 
 
-def _alarming(structures: Sequence[Structure], chance: LookElsewhere) -> tuple[tuple[Structure, float], ...]:
+def _alarming(
+    structures: Sequence[Structure], chance: LookElsewhere, strict: float = 1.0
+) -> tuple[tuple[Structure, float], ...]:
     judged = [(one, chance(one.found.p)) for one in structures]
-    return tuple(pair for pair in judged if pair[1] < STRUCTURE_THRESHOLD)
+    return tuple(pair for pair in judged if pair[1] < strict * STRUCTURE_THRESHOLD)
 
 
 def _look(projection: Projection, prepared: Sequence[Projected], laid: Sequence[Laid], fine: Sequence[Details]) -> Look:
@@ -131,14 +137,14 @@ def _look(projection: Projection, prepared: Sequence[Projected], laid: Sequence[
     return Look(projection, tuple(prepared), tuple(laid), tuple(scans), tuple(candidates), tuple(structures))
 
 
-def _steps(first: Look, chance: LookElsewhere) -> tuple[tuple[Group, ...], Look]:
+def _steps(first: Look, chance: LookElsewhere, strict: float = 1.0) -> tuple[tuple[Group, ...], Look]:
     """Take out the best candidate and look again, as long as one is beyond chance."""
     at, groups = first, []
     while at.candidates and len(groups) < _MOST_STEPS:
         p = chance(min(one.p for one in at.candidates))
-        if p >= EFFECT_THRESHOLD:
+        if p >= strict * EFFECT_THRESHOLD:
             break
-        leader = next(one for one in at.candidates if chance(one.p) < EFFECT_THRESHOLD)
+        leader = next(one for one in at.candidates if chance(one.p) < strict * EFFECT_THRESHOLD)
         groups.append(group(at.projection, leader, at.candidates, p))
         at = take_out(at, whole_span(at, leader))
     return tuple(groups), at
