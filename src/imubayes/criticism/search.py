@@ -61,7 +61,6 @@ class Found:
     noise : noise candidates as screened first.
     adopted : those that are beyond chance once effects and patterns are taken out.
     chance : of the smallest p-value of all candidates.
-    of_structure : the same of free forms and details.
     """
 
     first: Look
@@ -73,7 +72,6 @@ class Found:
     noise: tuple[NoiseCandidate, ...]
     adopted: tuple[NoiseCandidate, ...]
     chance: LookElsewhere
-    of_structure: LookElsewhere
 
 
 def search(fitted: Fitted) -> Found:
@@ -115,7 +113,6 @@ def search(fitted: Fitted) -> Found:
         noise=tuple(noise),
         adopted=tuple(adopted),
         chance=chance,
-        of_structure=of_structure,
     )
 
 
