@@ -14,14 +14,13 @@ import numpy as np
 from imubayes.criticism.covariates import Covariate
 from imubayes.criticism.library import library
 from imubayes.criticism.projection import Projection
+from imubayes.criticism.screen import LEAST_OF_FORM
 
 STEP = "step"
 # Where readings are more, details would not fit into memory, and free forms have to do.
 _FEWEST_ROWS, _MOST_ROWS = 12, 30_000
 # A step in a run falls between any two of so many parts, of so many rows at least.
 _MOST_PARTS, _ROWS_OF_PART = 16, 3
-# Directions that keep less than this share of their squared length count as absorbed.
-_LEAST_RETAINED = 1e-6
 # Columns are whitened in blocks of so many, for what whitens is compiled anew for each number of them.
 _BLOCK = 256
 
@@ -33,7 +32,7 @@ class Detail:
     covariates: tuple[Covariate, ...]
     test: str
     columns: tuple[int, ...]
-    text: str = ""
+    text: str
 
 
 @dataclass(frozen=True)
@@ -136,16 +135,15 @@ def _of_terms(known: Sequence[Covariate], here: np.ndarray, gravity: float) -> t
 def _steps(projection: Projection, here: np.ndarray, first: int) -> tuple[list[np.ndarray], list[Detail]]:
     """Return a step at each of some instants of each run: what happens once belongs to no covariate that runs share."""
     model = projection.fitted.model
-    rank = np.asarray(model.problem.observations.rank)
     columns, found = [], []
     for index in range(len(model.campaign.runs)):
         within = here & (model.entries.run == index)
         # Place among the readings of the same channel.
         place, count = np.zeros(len(within), dtype=int), 0
         for channel in np.unique(model.entries.channel[within]):
-            rows = np.flatnonzero(within & (model.entries.channel == channel))
-            place[rows] = np.argsort(np.argsort(rank[rows], kind="stable"))
-            count = max(count, len(rows))
+            rows = within & (model.entries.channel == channel)
+            place[rows] = in_time(projection, rows)
+            count = max(count, int(rows.sum()))
         if count < _FEWEST_ROWS:
             continue
         covariate = time_within(projection, index, within, place)
@@ -158,6 +156,12 @@ def _steps(projection: Projection, here: np.ndarray, first: int) -> tuple[list[n
             found.append(Detail((covariate,), STEP, (first + len(columns),), text))
             columns.append(after.astype(float))
     return columns, found
+
+
+def in_time(projection: Projection, rows: np.ndarray) -> np.ndarray:
+    """Return the place in time, from 0, of each of some entries, (E,) bool, of one run and channel."""
+    rank = np.asarray(projection.fitted.model.problem.observations.rank)[rows]
+    return np.argsort(np.argsort(rank, kind="stable"))
 
 
 def time_within(projection: Projection, index: int, rows: np.ndarray, place: np.ndarray) -> Covariate:
@@ -214,6 +218,6 @@ def _batch(of: Details, taken: Sequence[np.ndarray], members: np.ndarray, index:
     scale = np.where(length > 0, 1 / np.where(length > 0, length, 1.0), 0.0)
     left = squares - np.einsum("pfa,pfb->fab", absorbed, absorbed, optimize=True)
     values, axes = np.linalg.eigh(left * scale[:, :, None] * scale[:, None, :])
-    held = values > _LEAST_RETAINED
+    held = values > LEAST_OF_FORM
     white = scale[:, :, None] * axes * np.where(held, 1 / np.sqrt(np.where(held, values, 1.0)), 0.0)[:, None, :]
     return Batch(members, index, white, held.sum(axis=1))

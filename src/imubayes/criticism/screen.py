@@ -20,6 +20,8 @@ from imubayes.criticism.projection import Projection, orthonormal
 _SMALLEST = 1e-300
 # A candidate direction that keeps less than this share of its squared length is nothing but rounding.
 _LEAST_RETAINED = 1e-9
+# Of a form without a name much more must be left: it may be nearly what the model has.
+LEAST_OF_FORM = 1e-6
 # What pleases the priors alone is no explanation where it has to be so many times the largest met in practice.
 _MOST_TYPICAL = 100.0
 

@@ -13,13 +13,12 @@ import numpy as np
 from imubayes.criticism.covariates import Covariate
 from imubayes.criticism.library import Term, library
 from imubayes.criticism.projection import Projection
-from imubayes.criticism.screen import explain
+from imubayes.criticism.screen import LEAST_OF_FORM, explain
 
 _MOST_TERMS = 3
 # A product of two covariates, or a wave, has to explain so much more of χ² than the best plainer term.
 _ELABORATE, _PENALTY = ("product", "wave"), 9.0
 _THRESHOLD, _RESAMPLES, _NEAR = 0.01, 200, 4.0
-_LEAST_RETAINED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ def find_shape(projection: Projection, known: Sequence[Covariate], channel: str)
     first: tuple[float, tuple[str, ...]] = (0.0, ())
     for step in range(_MOST_TERMS):
         found = [
-            explain(at, projected[:, None], np.linalg.norm(column, keepdims=True), _LEAST_RETAINED)
+            explain(at, projected[:, None], np.linalg.norm(column, keepdims=True), LEAST_OF_FORM)
             for projected, column in zip(at.project(whitened).T, whitened.T, strict=True)
         ]
         worth = [

@@ -15,10 +15,10 @@ from scipy import stats
 from scipy.interpolate import BSpline
 
 from imubayes.criticism.covariates import Covariate
-from imubayes.criticism.details import STEP, Detail, Details, Scan, time_within
+from imubayes.criticism.details import STEP, Detail, Details, Scan, in_time, time_within
 from imubayes.criticism.library import HARMONICS, levels
 from imubayes.criticism.projection import Projection
-from imubayes.criticism.screen import Explained, explain, sizes
+from imubayes.criticism.screen import LEAST_OF_FORM, Explained, explain, sizes
 
 # A covariate with so few levels gets one value per level.
 _MOST_LEVELS = 16
@@ -26,7 +26,6 @@ _SPLINE_COLUMNS = 7
 _FEWEST_ROWS = 8
 # The course of a run is followed in steps of so many rows at least.
 _FEWEST_COURSE, _ROWS_OF_SEGMENT, _MOST_SEGMENTS = 12, 3, 8
-_LEAST_RETAINED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -106,14 +105,13 @@ def _together(channels: Sequence[Sequence[Form]]) -> list[Form]:
 def _courses(projection: Projection, channel: str, here: np.ndarray) -> list[Form]:
     """Return the course of each run by itself: what happens once belongs to no covariate that runs share."""
     model, found = projection.fitted.model, []
-    rank = np.asarray(model.problem.observations.rank)
     for index in range(len(model.campaign.runs)):
         rows = here & (model.entries.run == index)
         count = int(rows.sum())
         if count < _FEWEST_COURSE:
             continue
         place = np.zeros(len(rows), dtype=int)
-        place[rows] = np.argsort(np.argsort(rank[rows], kind="stable"))
+        place[rows] = in_time(projection, rows)
         segment = place[rows] * min(_MOST_SEGMENTS, count // _ROWS_OF_SEGMENT) // count
         covariate = time_within(projection, index, rows, place)
         steps = np.eye(segment.max() + 1)[segment]
@@ -176,8 +174,8 @@ def look(projection: Projection, laid: Sequence[Laid], scans: Sequence[Scan]) ->
     """Return what each form, and the best detail against each covariate, explains; the least likely by chance first."""
     found = []
     for one in laid:
-        explained = explain(projection, one.columns, one.length, _LEAST_RETAINED)
-        channel = _strongest(projection, one.form.channels, explained)
+        explained = explain(projection, one.columns, one.length, LEAST_OF_FORM)
+        channel = strongest(projection, one.form.channels, explained)
         found.append(Structure(channel, (one.form.covariate,), one.form.test, explained))
     found += [_detailed(projection, one.details, detail) for one in scans for detail in _best(projection, one)]
     return sorted((one for one in found if one.found.span.shape[1]), key=lambda one: one.found.p)
@@ -187,8 +185,8 @@ def _detailed(projection: Projection, of: Details, detail: Detail) -> Structure:
     """Return what one detail explains."""
     whole = of.whole(detail, len(projection.residual))
     columns = projection.project(whole)
-    explained = explain(projection, columns, np.linalg.norm(whole, axis=0), _LEAST_RETAINED)
-    channel = _strongest(projection, of.channels, explained)
+    explained = explain(projection, columns, np.linalg.norm(whole, axis=0), LEAST_OF_FORM)
+    channel = strongest(projection, of.channels, explained)
     if detail.test != STEP:
         return Structure(channel, detail.covariates, detail.test, explained, detail.text)
     value, sd = sizes(projection, columns, explained.fitted, explained.variance)
@@ -211,7 +209,7 @@ def _best(projection: Projection, one: Scan) -> list[Detail]:
     return [detail for _, detail in best.values()]
 
 
-def _strongest(projection: Projection, channels: Sequence[str], found: Explained) -> str:
+def strongest(projection: Projection, channels: Sequence[str], found: Explained) -> str:
     """Return the channel in which most is explained."""
     if len(channels) == 1:
         return channels[0]

@@ -13,7 +13,7 @@ from imubayes.criticism.screen import Candidate
 from imubayes.criticism.search import EFFECT_THRESHOLD, NOISE_THRESHOLD, STRUCTURE_THRESHOLD, Found, search
 from imubayes.criticism.separate import separating_run
 from imubayes.criticism.shape import Shape, coefficient_unit, find_shape
-from imubayes.criticism.structure import Structure
+from imubayes.criticism.structure import Structure, strongest
 from imubayes.criticism.telling import Telling, tell, telling_covariate
 from imubayes.effects.base import Effect, Order
 from imubayes.inference.fitted import Fitted
@@ -206,9 +206,7 @@ def _telling(found: Found, group: Group) -> Telling:
     projection, leader = found.first.projection, group.leader
     response = next(one for one in found.first.prepared if one.response.scan == leader.scan)
     names = [channel.name for channel in projection.fitted.model.campaign.channels]
-    squares = projection.strata.sums(leader.found.fitted**2)[:-1]
-    worth = {name: float(squares[projection.strata.channel == place].sum()) for place, name in enumerate(names)}
-    channel = max(worth, key=lambda name: worth[name])
+    channel = strongest(projection, names, leader.found)
     covariate = telling_covariate(projection, found.first.structures, leader, channel)
     return tell(projection, found.responses, response, leader, channel, covariate)
 
