@@ -19,7 +19,9 @@ from imubayes.inference.fit import find_mode, fit_at, fit_parameters
 from imubayes.inference.laplace import posterior_precision
 from imubayes.inference.least_squares import GramCholesky
 from imubayes.model.declaration import Model
-from imubayes.model.likelihood import predict, prediction_jacobian, prior_widths, residuals, whiten, whitener
+from imubayes.model.likelihood import residuals
+from imubayes.model.problem import predict, prediction_jacobian, prior_widths
+from imubayes.model.whitening import whiten, whitener
 
 COMPILED_BAR, PLAIN_BAR, SAME_WITHIN = 4.0, 20.0, 0.05
 _METHODS = ("trf", "lm")

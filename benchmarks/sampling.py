@@ -30,7 +30,8 @@ from imubayes.inference.fit import find_mode
 from imubayes.inference.laplace import NestedLaplace, nested_laplace, posterior_precision
 from imubayes.inference.moves import LaplaceMove, LaplaceProposal, LogDensity
 from imubayes.inference.sample import _SHORT_SHARE, _SHORT_STEP, Settings, _sampler, burn_in, walkers_for
-from imubayes.model.likelihood import Problem, log_density
+from imubayes.model.likelihood import log_density
+from imubayes.model.problem import Problem
 
 PER_EVALUATION_BAR, ACCEPTANCE_BAR, STRETCH_BAR, NUTS_BAR = 0.5, 0.70, 50.0, 100.0
 ENSEMBLES, STEPS = 4, 100

@@ -10,7 +10,7 @@ import numpy as np
 
 from imubayes.earth import normal_gravity
 from imubayes.model.declaration import Model, declare
-from imubayes.model.likelihood import predict
+from imubayes.model.problem import predict
 from imubayes.model.specification import EffectSpec, ModelSpec
 from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table, Tumble
 

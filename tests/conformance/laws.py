@@ -6,9 +6,10 @@ import re
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import stats
 
 from imubayes.effects.base import MotionEffect, PlaceEffect, RecordEffect, Stage
-from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, SharedNoise
+from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, SharedNoise, TailNoise
 from imubayes.parameters.parameter import declared_options, declared_parameters
 from imubayes.parameters.priors import Prior, parse_prior
 from imubayes.stimulus import AMBIENT_NAMES, Ambient, Experience, Motion, Records, Sample
@@ -279,12 +280,16 @@ def variance_of(member: type, values: dict, samples: float) -> float:
 
 
 def variance_is_positive(member: type) -> None:
-    """Over draws of the prior the variance is positive and finite, and a correlation within −1 and 1."""
+    """Over draws of the prior: variances and degrees of freedom are positive and finite, correlations in (−1, 1)."""
     for seed in range(20):
         values = drawn_values(member, seed)
         if issubclass(member, SeriesNoise):
             correlation = float(instance(member, values).of_neighbours())
             assert -1 < correlation < 1, f"{member.name}: correlation {correlation}"
+            continue
+        if issubclass(member, TailNoise):
+            degrees = float(instance(member, values).degrees())
+            assert 0 < degrees < np.inf, f"{member.name}: {degrees} degrees of freedom"
             continue
         found = variance_of(member, values, samples=7.0)
         assert 0 < found < np.inf, f"{member.name}: variance {found}"
@@ -312,6 +317,11 @@ def misstated_noise_is_less_likely(member: type) -> None:
         drawn = in_series(float(instance(member, values).of_neighbours()), rng.normal(size=400))
         right, wrong = (series_likelihood(member, one, drawn) for one in (values, null_values(member)))
         assert right > wrong + 10, f"{member.name} says nothing of neighbours"
+        return
+    if issubclass(member, TailNoise):
+        far = stats.t(4).rvs(size=400, random_state=rng)
+        law = stats.t(float(instance(member, dict.fromkeys(declared_parameters(member), 4.0)).degrees()))
+        assert law.logpdf(far).sum() > stats.norm.logpdf(far).sum() + 10, f"{member.name} has no tails"
         return
     for field in declared_parameters(member):
         values = {name: float(value) for name, value in drawn_values(member, 3).items()}

@@ -9,7 +9,7 @@ import numpy as np
 from imubayes.inference.fit import find_mode
 from imubayes.model.declaration import Model, declare
 from imubayes.model.instants import join_nodes
-from imubayes.model.likelihood import predict
+from imubayes.model.problem import predict
 from imubayes.model.registry import Registry
 from imubayes.run import Campaign
 from small_campaign import (

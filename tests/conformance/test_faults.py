@@ -8,7 +8,7 @@ import recover
 from imubayes.effects.base import Decay, Order, RecordEffect, SignalEffect, Stage
 from imubayes.errors import InputError
 from imubayes.model.registry import Registry
-from imubayes.noise.base import Entry, EntryNoise, SeriesNoise
+from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, TailNoise
 from imubayes.parameters.parameter import option, parameter
 from imubayes.stimulus import Ambient, Sample
 from imubayes.types import Scalar
@@ -284,6 +284,26 @@ class DeafSeries(WildSeries):
         return 0.0 * self.correlation
 
 
+class BoundlessTails(TailNoise):
+    """ν = d − d."""
+
+    name = "boundless_tails"
+    reference = "for these tests"
+    degrees_of_freedom: Scalar = parameter("1", "lognormal(8, 0.8)", (3, 30), "the degrees of freedom")
+
+    def degrees(self) -> Scalar:
+        return self.degrees_of_freedom - self.degrees_of_freedom
+
+
+class CutTails(BoundlessTails):
+    """ν = 10⁶·d."""
+
+    name = "cut_tails"
+
+    def degrees(self) -> Scalar:
+        return 1e6 * self.degrees_of_freedom
+
+
 @pytest.mark.parametrize(
     ("law", "broken", "says"),
     [
@@ -312,6 +332,8 @@ class DeafSeries(WildSeries):
         (laws.linear_coefficients_show_at_null, ShapeElsewhere, "not among what is tried"),
         (laws.variance_is_positive, WildSeries, "wild_series: correlation"),
         (laws.misstated_noise_is_less_likely, DeafSeries, "says nothing of neighbours"),
+        (laws.variance_is_positive, BoundlessTails, "boundless_tails: 0.0 degrees"),
+        (laws.misstated_noise_is_less_likely, CutTails, "has no tails"),
         (laws.misstated_noise_is_less_likely, DeafNoise, "deaf_noise.sigma"),
         (laws.variance_is_positive, NegativeNoise, "negative_noise: variance"),
     ],

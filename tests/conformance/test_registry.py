@@ -13,7 +13,7 @@ import tomlkit
 from imubayes.campaign.model_file import read_model
 from imubayes.effects.base import Effect
 from imubayes.model.declaration import declare
-from imubayes.model.likelihood import predict
+from imubayes.model.problem import predict
 from imubayes.model.registry import Registry
 from imubayes.model.specification import EffectSpec, ModelSpec
 from imubayes.noise.base import Noise

@@ -9,7 +9,7 @@ import numpy as np
 
 from imubayes.inference.fit import find_mode
 from imubayes.inference.fitted import Fitted
-from imubayes.model.likelihood import predict
+from imubayes.model.problem import predict
 from imubayes.noise.base import EntryNoise
 
 

@@ -13,15 +13,16 @@ from loop_results import CAMPAIGN, LACKING, lacking_model
 
 import imubayes.loop
 from imubayes.api import Result, fit
-from imubayes.criticism.confirm import HeldOut, groups, objection, predict_left_out, without
+from imubayes.criticism.confirm import HeldOut, groups, objection, predict_left_out
 from imubayes.criticism.extend import extend
 from imubayes.errors import InputError
 from imubayes.inference.fit import find_mode
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.laplace import posterior_precision
 from imubayes.inference.precision import linearise
-from imubayes.inference.simulation import noise_variances
 from imubayes.loop import Addition, add
+from imubayes.model.problem import without
+from imubayes.model.whitening import noise_law
 from imubayes.report.folder import read_fit
 from imubayes.report.history_file import read_node, read_tree, select
 
@@ -85,7 +86,8 @@ def dense_density(fitted: Fitted, left_out: np.ndarray, parameters_known: bool =
     problem = fitted.model.problem
     rest = without(problem, left_out)
     mode = find_mode(rest, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
-    own, shared = (np.asarray(part) for part in noise_variances(problem, mode.h))
+    law = noise_law(problem, mode.h)
+    own, shared = np.asarray(law.own), np.asarray(law.shared)
     group = np.asarray(problem.observations.group)[left_out]
     covariance = np.diag(own[left_out]) + np.where(group[:, None] == group, shared[group][:, None], 0.0)
     jacobian = np.asarray(mode.about.jacobian)[left_out]

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imubayes.model.declaration import Model, declare
-from imubayes.model.likelihood import predict
+from imubayes.model.problem import predict
 from small_campaign import ACCEL_SCALE, ARCSEC, DEGREE, GRAVITY, GYRO_SCALE, LATITUDE, spec, wide_campaign
 
 EARTH = 15.041067 * DEGREE / 3600

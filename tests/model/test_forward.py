@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from imubayes.model.declaration import Model, declare
-from imubayes.model.likelihood import predict
+from imubayes.model.problem import predict
 from small_campaign import ACCEL_SCALE, ARCSEC, DEGREE, GRAVITY, GYRO_SCALE, LATITUDE, campaign, spec
 
 EARTH = 15.041067 * DEGREE / 3600

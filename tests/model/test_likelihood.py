@@ -13,16 +13,9 @@ from scipy import stats
 from imubayes.inference.precision import knowledge, linearise
 from imubayes.inference.simulation import simulate
 from imubayes.model.declaration import Model, declare
-from imubayes.model.likelihood import (
-    entry_log_likelihood,
-    log_density,
-    predict,
-    prediction_jacobian,
-    prior_widths,
-    residuals,
-    whiten,
-    whitener,
-)
+from imubayes.model.likelihood import entry_log_likelihood, log_density, residuals
+from imubayes.model.problem import predict, prediction_jacobian, prior_widths
+from imubayes.model.whitening import whiten, whitener
 from small_campaign import campaign, full_model, simulated, spec, tumble_campaign
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from imubayes.errors import InputError
 from imubayes.model.declaration import declare
-from imubayes.model.likelihood import predict
+from imubayes.model.problem import predict
 from imubayes.model.specification import EffectSpec, ModelSpec
 from small_campaign import campaign
 

@@ -14,7 +14,7 @@ from imubayes.classical import Estimate, classical
 from imubayes.inference.fit import find_mode
 from imubayes.inference.laplace import posterior_precision
 from imubayes.model.declaration import declare
-from imubayes.model.likelihood import predict, prediction_jacobian
+from imubayes.model.problem import predict, prediction_jacobian
 from imubayes.procedures import PROCEDURES
 
 ROOT = Path(__file__).parents[2]

@@ -16,8 +16,8 @@ from imubayes.effects.base import Effect, MotionEffect
 from imubayes.inference.fitted import Fitted
 from imubayes.model.assembly import assemble
 from imubayes.model.declaration import as_arrays, problem_of
-from imubayes.model.likelihood import Problem, predict_from
 from imubayes.model.members import Acting, NoChannelError, NotShownError, act
+from imubayes.model.problem import Problem, predict_from
 from imubayes.model.registry import Member, Registry
 from imubayes.model.specification import EffectSpec
 from imubayes.parameters.parameter import declared_parameters

@@ -17,7 +17,8 @@ from imubayes.inference.fit import find_mode, fit_at, mode_near
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.precision import Linearised, linearise, log_marginal
 from imubayes.model.declaration import Model
-from imubayes.model.likelihood import Problem, residuals
+from imubayes.model.likelihood import residuals
+from imubayes.model.problem import without
 from imubayes.parameters.vector import Layout
 
 # A refit of a model that contains the old one cannot be worse but for the priors of what is new.
@@ -155,12 +156,6 @@ def predict_left_out(fitted: Fitted, about: Linearised, left_out: np.ndarray) ->
         mode = find_mode(rest, jnp.asarray(fitted.z), h)
     density = float(_log_marginal(problem, mode.about, mode.h) - _log_marginal(rest, mode.about, mode.h))
     return LeftOut(density, np.asarray(mode.about.misfit)[left_out])
-
-
-def without(problem: Problem, left_out: np.ndarray) -> Problem:
-    """Return the problem with entries masked out; its shapes stay, so that nothing is compiled again."""
-    weight = problem.observations.weight * jnp.asarray(~left_out, dtype=float)
-    return eqx.tree_at(lambda one: one.observations.weight, problem, weight)
 
 
 def found_delta_chi2(before: Fitted, extension: Extension, after: Fitted) -> float:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.inference.fitted import Fitted
-from imubayes.model.likelihood import Problem, row_means, signal_path, values_of
+from imubayes.model.problem import Problem, row_means, signal_path, values_of
 
 _STANDARD_GRAVITY = 9.80665
 _AXES = ("i", "o", "s")

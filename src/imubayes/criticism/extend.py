@@ -16,9 +16,11 @@ from imubayes.criticism.candidates import fitting_channels
 from imubayes.effects.base import MotionEffect
 from imubayes.inference.fitted import Fitted
 from imubayes.model.declaration import Model, declare
-from imubayes.model.likelihood import Problem, predict, prediction_jacobian, prior_widths, whiten, whitener
+from imubayes.model.problem import Problem, predict, prediction_jacobian, prior_widths
 from imubayes.model.registry import Member, Registry
 from imubayes.model.specification import EffectSpec, ModelSpec
+from imubayes.model.tails import pseudo_values
+from imubayes.model.whitening import whiten, whitener
 from imubayes.parameters.parameter import Declared
 from imubayes.parameters.priors import Normal
 from imubayes.parameters.vector import Layout, Parameter
@@ -224,7 +226,7 @@ def _new(old: Layout, model: Layout) -> np.ndarray:
 def whitened(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
     """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,)."""
     by = whitener(problem, h)
-    residual = whiten(problem, by, problem.observations.value - predict(problem, z))
+    residual = whiten(problem, by, pseudo_values(problem, h, problem.observations.value - predict(problem, z)))
     jacobian = whiten(problem, by, prediction_jacobian(problem, z))
     return residual, jacobian, prior_widths(problem, h)
 

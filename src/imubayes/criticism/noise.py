@@ -1,4 +1,4 @@
-"""Is it the noise?  Correlation within runs, offsets from run to run, scatter that grows with the input.
+"""Is it the noise?  Correlation within runs, offsets from run to run, scatter that grows with the input, outliers.
 
 Each kind of noise has a statistic of the whitened, projected residual.  Projection itself correlates residuals, so each
 statistic is compared with its own distribution for white noise sent through the same projection, by simulation.
@@ -12,11 +12,15 @@ from scipy import stats
 
 from imubayes.criticism.innovations import FORGETFUL, Innovations, Memory, memories
 from imubayes.criticism.projection import Projection
+from imubayes.noise.outliers import Outliers
 
+OUTLIERS = "outliers"
 _DRAWS = 200
 # Rows times draws kept at once.
 _MOST_NUMBERS = 20_000_000
 _STRONGEST_CORRELATION = 0.95
+# A reading is far off beyond so many standard deviations, told by the median of their sizes over that of a normal law.
+_FAR_OFF, _MEDIAN_OF_NORMAL = 5.0, 0.6745
 
 
 @dataclass(frozen=True)
@@ -27,7 +31,8 @@ class NoiseCandidate:
     ----------
     effect : name in the catalogue.
     channels : names.
-    value : estimate: correlation from row to row, variance of offsets over that of a run's mean, ….
+    value : estimate: correlation from row to row, variance of offsets over that of a run's mean, …; of outliers the
+        logarithm of the kurtosis over that of white noise.
     p : chance of so much under white noise.
     drop : square of the statistic in standard deviations: what S is for an effect.
     """
@@ -72,10 +77,34 @@ def growth(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> n
     return weight @ square / np.sum(square, axis=0) * len(here) / max(float(weight @ weight), 1e-300)
 
 
+def tailedness(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return the logarithm of the kurtosis of the entries, each channel on its own scale, per column."""
+    channel = projection.fitted.model.entries.channel
+    here = np.unique(projection.turn.members[chosen])
+    here = here[here < len(entries)]
+    fourth = 0.0
+    for place in np.unique(channel[here]):
+        own = entries[here[channel[here] == place]] ** 2
+        fourth = fourth + len(own) * np.mean(own**2, axis=0) / np.maximum(np.mean(own, axis=0), 1e-300) ** 2
+    return np.log(fourth / len(here))
+
+
+def far_off(projection: Projection) -> np.ndarray:
+    """Return which readings are so far off that a normal law does not bring them about, (E,) bool."""
+    left = np.abs(entries_of(projection, projection.residual[:, None])[:, 0])
+    channel, found = projection.fitted.model.entries.channel, np.zeros(len(left), dtype=bool)
+    seen = np.asarray(projection.fitted.model.problem.observations.weight) > 0
+    for place in np.unique(channel):
+        own = (channel == place) & seen
+        found[own] = left[own] > _FAR_OFF * np.median(left[own]) / _MEDIAN_OF_NORMAL
+    return found
+
+
 _KINDS: tuple[tuple[str, Callable], ...] = (
     ("correlated_noise", correlation),
     ("run_scatter", run_offsets),
     ("rate_proportional_noise", growth),
+    (OUTLIERS, tailedness),
 )
 
 
@@ -111,7 +140,8 @@ def _groups(projection: Projection, names: tuple[str, ...], effect: str) -> np.n
     first = projection.turn.members[:, 0]
     chosen = np.isin(model.entries.channel[first], index) & (projection.turn.sizes > 2)
     present = {one.member.name for one in model.assembly.acting if set(one.channels) & set(names)}
-    if effect in present or (effect == "run_scatter" and {"gyro_run_bias", "accel_run_bias"} & present):
+    allowed = present.isdisjoint(Outliers.excludes) if effect == OUTLIERS else True
+    if effect in present or not allowed or (effect == "run_scatter" and {"gyro_run_bias", "accel_run_bias"} & present):
         return np.zeros_like(chosen)
     return chosen
 

@@ -22,7 +22,8 @@ from imubayes.inference.fit import find_mode, message
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.simulation import random_stream, simulate
 from imubayes.model.declaration import Model, declare
-from imubayes.model.likelihood import Problem, predict, whiten, whitener
+from imubayes.model.problem import Problem, predict
+from imubayes.model.whitening import whiten, whitener
 from imubayes.parameters.parameter import Declared
 from imubayes.run import Campaign
 

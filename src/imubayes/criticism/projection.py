@@ -16,7 +16,9 @@ import numpy as np
 import scipy.linalg
 
 from imubayes.inference.fitted import Fitted
-from imubayes.model.likelihood import Problem, prior_widths, whiten, whitener
+from imubayes.model.problem import Observations, Problem, prior_widths
+from imubayes.model.tails import pseudo_values
+from imubayes.model.whitening import whiten, whitener
 
 # A run offset counts as noise of its own where it widens the mean of its run by more than this factor in variance.
 _OFFSET_MATTERS = 1.2
@@ -156,6 +158,9 @@ def _whiten(problem: Problem, h, columns):
     return whiten(problem, whitener(problem, h), columns)
 
 
+_pseudo_values = jax.jit(pseudo_values)
+
+
 def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None, offsets: bool = False) -> Projection:
     """Return the projection of a fit.
 
@@ -168,7 +173,7 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
     problem = fitted.model.problem
     observations = problem.observations
     by = whitener(problem, fitted.h)
-    members = np.asarray(observations.members)
+    members = _seen_first(observations)
     sizes = np.sum(members < len(misfit), axis=1)
     # An offset of a run, whitened, is the direction of its own in the group's rows.
     offset = np.asarray(_whiten(problem, fitted.h, np.ones((len(misfit), 1))))
@@ -189,7 +194,7 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
     rows = turn(jacobian)
     rows[len(misfit) :] = np.diag(1 / widths)
     basis, upper = np.linalg.qr(rows)
-    whole = turn(misfit)
+    whole = turn(np.asarray(_pseudo_values(problem, fitted.h, misfit)))
     whole[len(misfit) :] = -fitted.z / widths
     residual = whole - basis @ (basis.T @ whole)
     strata = _strata(fitted, members, separate, len(widths))
@@ -207,6 +212,13 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
         _input(fitted, misfit),
         np.asarray(by.precision_root),
     )
+
+
+def _seen_first(observations: Observations) -> np.ndarray:
+    """Return the entries of each group, (G, M): the first of them, whose row the offset takes, is not masked."""
+    members = np.asarray(observations.members)
+    weight = np.concatenate([np.asarray(observations.weight), [-1.0]])[members]
+    return np.take_along_axis(members, np.argsort(-weight, axis=1, kind="stable"), axis=1)
 
 
 def _input(fitted: Fitted, misfit: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import numpy as np
 
 from imubayes.criticism.candidates import Responses, respond
@@ -10,11 +11,13 @@ from imubayes.criticism.chance import LookElsewhere, look_elsewhere
 from imubayes.criticism.covariates import Covariate, covariates
 from imubayes.criticism.details import Details, Scan, details, scan
 from imubayes.criticism.groups import Group, group
-from imubayes.criticism.noise import NoiseCandidate, prewhitening, screen_noise
+from imubayes.criticism.noise import OUTLIERS, NoiseCandidate, Prewhitening, far_off, prewhitening, screen_noise
 from imubayes.criticism.projection import Projection, orthonormal, project
 from imubayes.criticism.screen import Candidate, Projected, prepare, screen
 from imubayes.criticism.structure import Laid, Structure, forms, lay, look
+from imubayes.inference.fit import find_mode
 from imubayes.inference.fitted import Fitted
+from imubayes.model.problem import without
 
 # Chance of a false alarm, of effects, of structure and of noise.
 EFFECT_THRESHOLD, STRUCTURE_THRESHOLD, NOISE_THRESHOLD = 0.02, 0.02, 0.01
@@ -27,6 +30,8 @@ _NOISE_DOUBT, _DOUBTED = 0.1, ("correlated_noise", "run_scatter")
 # A pattern this far beyond chance is no noise, whatever its memory.
 _NO_NOISE = 1e-6
 _MOST_STEPS, _MOST_PATTERNS = 4, 8
+# Fits in turns with looks for readings that are far off.
+_MOST_ROUNDS = 4
 # Directions between neighbouring shapes count down to this share of their squared length.
 _SAME_SHAPE = 1e-4
 
@@ -49,6 +54,19 @@ class Look:
 
 
 @dataclass(frozen=True)
+class Chances:
+    """Chance of so small a p-value among all that was looked at: effects, and structure."""
+
+    of_effect: LookElsewhere
+    of_structure: LookElsewhere
+
+    def alarming(self, structures: Sequence[Structure], strict: float = 1.0) -> tuple[tuple[Structure, float], ...]:
+        """Return the structures beyond chance, with their chance."""
+        judged = [(one, self.of_structure(one.found.p)) for one in structures]
+        return tuple(pair for pair in judged if pair[1] < strict * STRUCTURE_THRESHOLD)
+
+
+@dataclass(frozen=True)
 class Found:
     """The outcome of a search.
 
@@ -57,7 +75,8 @@ class Found:
     first : the first look, at the noise that was settled on.
     responses, covariates : what was looked at.
     groups : one per effect found, in the order of evidence.
-    left : structures that remain significant after the groups were taken out, with their chance.
+    structures : those beyond chance at the first look, with their chance.
+    left : those that remain so after the groups were taken out.
     noise : noise candidates as screened first.
     adopted : those that are beyond chance once effects and patterns are taken out.
     chance : of the smallest p-value of all candidates.
@@ -74,58 +93,133 @@ class Found:
     chance: LookElsewhere
 
 
+@dataclass(frozen=True)
+class Ground:
+    """A fit and what is looked at in it."""
+
+    fitted: Fitted
+    responses: Responses
+    covariates: tuple[Covariate, ...]
+
+    def projection(self, extra: Prewhitening | None = None, offsets: bool = False) -> Projection:
+        """Return residuals and responses without what the model absorbs."""
+        return project(self.fitted, self.responses.misfit, self.responses.jacobian, extra, offsets)
+
+    def look(self, at: Projection) -> Look:
+        """Return one pass over candidates and free forms."""
+        laid = lay(at, forms(at, self.covariates))
+        return _look(at, prepare(at, self.responses.candidates), laid, details(at, self.covariates))
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What the first look shows, the noise being what the model says.
+
+    Attributes
+    ----------
+    first, last : the look at all, and at what the groups leave.
+    alarm : whether anything but noise is beyond chance.
+    cleared : the projection without groups and without patterns that are no noise.
+    """
+
+    first: Look
+    chances: Chances
+    noise: tuple[NoiseCandidate, ...]
+    groups: tuple[Group, ...]
+    last: Look
+    alarm: bool
+    cleared: Projection
+
+
 def search(fitted: Fitted) -> Found:
-    """Return what is missing in a converged fit, without any refit."""
-    responses, known = respond(fitted), tuple(covariates(fitted))
-    projection = project(fitted, responses.misfit, responses.jacobian)
-    free = forms(projection, known)
+    """Return what is missing in a converged fit; without a refit, but where readings are far off."""
+    ground = Ground(fitted, respond(fitted), tuple(covariates(fitted)))
+    sight = _sight(ground)
+    outliers, far = _outliers(sight)
+    if not outliers:
+        return _settled(ground, sight)
+    rest = _without(fitted, far)
+    ground = Ground(rest, respond(rest), ground.covariates)
+    found = _settled(ground, _sight(ground))
+    return replace(found, noise=sight.noise, adopted=(*outliers, *found.adopted))
 
-    def look_through(at: Projection) -> Look:
-        return _look(at, prepare(at, responses.candidates), lay(at, free), details(at, known))
 
-    first = look_through(projection)
-    chance = look_elsewhere([one.found for one in first.candidates])
-    of_structure = look_elsewhere([one.found for one in first.structures], first.scans)
-    noise = screen_noise(projection)
-    groups, last = _steps(first, chance)
-    alarm = bool(groups or _alarming(first.structures, of_structure))
-    left, adopted, doubted, strict = last.projection, [], [], 1.0
+def _sight(ground: Ground) -> Sight:
+    first = ground.look(ground.projection())
+    chances = Chances(
+        look_elsewhere([one.found for one in first.candidates]),
+        look_elsewhere([one.found for one in first.structures], first.scans),
+    )
+    noise = screen_noise(first.projection)
+    groups, last = _steps(first, chances.of_effect)
+    alarm, cleared = bool(groups or chances.alarming(first.structures)), last.projection
     if alarm or _within(noise, NOISE_THRESHOLD):
-        left = _without_patterns(last, of_structure, at_least=int(alarm and not groups)).projection
-        remaining = screen_noise(left)
+        cleared = _without_patterns(last, chances.of_structure, at_least=int(alarm and not groups)).projection
+    return Sight(first, chances, tuple(noise), groups, last, alarm, cleared)
+
+
+def _outliers(sight: Sight) -> tuple[list[NoiseCandidate], np.ndarray]:
+    """Return the outliers among the noise beyond chance, and which readings these are, (E,) bool.
+
+    A few readings that are far off pass for a pattern, and a pattern in a few rows for readings that are far off.  A
+    pattern explains more of them than it has directions.
+    """
+    before = sight.first.projection
+    beyond = [one for one in _within(sight.noise, NOISE_THRESHOLD) if one.effect == OUTLIERS]
+    far = far_off(before)
+    directions = sight.cleared.basis.shape[1] - before.basis.shape[1]
+    if not beyond or np.sum(far & ~far_off(sight.cleared)) > directions:
+        return [], far
+    return (beyond if far.any() or not sight.alarm else []), far
+
+
+def _without(fitted: Fitted, far: np.ndarray) -> Fitted:
+    """Return the fit to all readings but those that are far off, (E,) bool: they have made the noise look wide."""
+    z, h, rest = jnp.asarray(fitted.z), jnp.asarray(fitted.h), fitted
+    for _ in range(_MOST_ROUNDS):
+        problem = without(fitted.model.problem, far)
+        mode = find_mode(problem, z, h)
+        if not bool(mode.converged):
+            break
+        z, h = mode.z, mode.h
+        rest = replace(fitted, model=replace(fitted.model, problem=problem), z=np.asarray(z), h=np.asarray(h))
+        more = far_off(project(rest, np.asarray(mode.about.misfit), np.asarray(mode.about.jacobian)))
+        if not more.any():
+            break
+        far = far | more
+    return rest
+
+
+def _settled(ground: Ground, sight: Sight) -> Found:
+    """Return what is missing once the noise is what the readings say."""
+    first, chances, groups, last = sight.first, sight.chances, sight.groups, sight.last
+    adopted, doubted, strict = [], [], 1.0
+    if sight.alarm or _within(sight.noise, NOISE_THRESHOLD):
+        remaining = [one for one in screen_noise(sight.cleared) if one.effect != OUTLIERS]
         adopted = _within(remaining, NOISE_THRESHOLD)
         hinted = [one for one in _within(remaining, _NOISE_DOUBT) if one.effect in _DOUBTED and one not in adopted]
-        doubted = [*adopted, *(hinted if alarm else ())]
+        doubted = [*adopted, *(hinted if sight.alarm else ())]
     if doubted:
         offsets = any(one.effect == "run_scatter" for one in doubted)
-        extra = prewhitening(left, doubted)
-        projection = project(fitted, responses.misfit, responses.jacobian, extra, offsets)
-        first = look_through(projection)
+        first = ground.look(ground.projection(prewhitening(sight.cleared, doubted), offsets))
         strict = _WITH_MEMORY if any(one.effect == "correlated_noise" for one in adopted) else 1.0
-        groups, last = _steps(first, chance, strict)
+        groups, last = _steps(first, chances.of_effect, strict)
     return Found(
         first=first,
-        responses=responses,
-        covariates=known,
+        responses=ground.responses,
+        covariates=ground.covariates,
         groups=groups,
-        structures=_alarming(first.structures, of_structure, strict),
-        left=_alarming(last.structures, of_structure, strict),
-        noise=tuple(noise),
+        structures=chances.alarming(first.structures, strict),
+        left=chances.alarming(last.structures, strict),
+        noise=sight.noise,
         adopted=tuple(adopted),
-        chance=chance,
+        chance=chances.of_effect,
     )
 
 
 def _within(noise: Sequence[NoiseCandidate], threshold: float) -> list[NoiseCandidate]:
     """Return the noise candidates whose chance, with all of them counted, is below a threshold."""
     return [one for one in noise if one.p * len(noise) < threshold]
-
-
-def _alarming(
-    structures: Sequence[Structure], chance: LookElsewhere, strict: float = 1.0
-) -> tuple[tuple[Structure, float], ...]:
-    judged = [(one, chance(one.found.p)) for one in structures]
-    return tuple(pair for pair in judged if pair[1] < strict * STRUCTURE_THRESHOLD)
 
 
 def _look(projection: Projection, prepared: Sequence[Projected], laid: Sequence[Laid], fine: Sequence[Details]) -> Look:

@@ -70,7 +70,7 @@ class Effect(eqx.Module):
     per : what a value belongs to, for each value the names in its label: channel, run, mounting, table, pose.
     kinds : kinds of channel that it can act on.
     needs : what a run must supply (`imubayes.stimulus.Stimulus.supplies`).
-    excludes : effects that say the same in another way and may not stand in the same model for the same channel.
+    excludes : effects that may not stand in the same model for the same channel: they say the same in another way.
     confused_with : what else would look alike, in words.
     reference : source of the formula.
     """

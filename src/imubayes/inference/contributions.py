@@ -10,7 +10,7 @@ import numpy as np
 
 from imubayes.inference.joint import JointFit
 from imubayes.inference.precision import deviations, precision_of
-from imubayes.model.likelihood import prior_widths
+from imubayes.model.problem import prior_widths
 
 _QUANTITIES = ("mounting_angle[", "scale_factor[")
 

@@ -21,7 +21,7 @@ from imubayes.inference.planned import Candidate, candidates
 from imubayes.inference.precision import deviations, linearise, precision_of
 from imubayes.model.declaration import Model, declare
 from imubayes.model.derived import derive
-from imubayes.model.likelihood import values_of
+from imubayes.model.problem import values_of
 
 # Derived quantities below this share from the data ask for a further run.
 _WANTED_SHARE = 0.5

@@ -11,15 +11,10 @@ import jax.numpy as jnp
 
 from imubayes.inference.least_squares import GramCholesky, minimise
 from imubayes.inference.precision import Linearised, knowledge, linearise, log_marginal
-from imubayes.model.likelihood import (
-    Problem,
-    predict,
-    prediction_jacobian,
-    prior_widths,
-    residuals,
-    whiten,
-    whitener,
-)
+from imubayes.model.likelihood import residuals, whitened
+from imubayes.model.problem import Problem, predict, prediction_jacobian, prior_widths
+from imubayes.model.tails import has_tails, straightened, without_tails
+from imubayes.model.whitening import whiten
 from imubayes.types import Array, Bool, Float, Int, Scalar
 
 # A Newton decrement of 0.01 moves no estimate by more than a hundredth of its standard deviation.
@@ -70,19 +65,23 @@ def sparse_residual(problem: Problem, h: Float[Array, " H"]):
 
     The Jacobian is formed once, from one forward derivative per colour, instead of one per parameter.
     """
-    by, widths = whitener(problem, h), prior_widths(problem, h)
+    widths = prior_widths(problem, h)
+
+    def misfit(z):
+        return problem.observations.value - predict(problem, z)
 
     @jax.custom_jvp
     def residual(z):
-        data = whiten(problem, by, problem.observations.value - predict(problem, z))
+        data = whitened(problem, h, misfit(z))
         return jnp.concatenate([data, z / widths])
 
     @residual.defjvp
     def push(primals, tangents):
         (z,), (tangent,) = primals, tangents
-        jacobian = prediction_jacobian(problem, z)
-        whitened = whiten(problem, by, jacobian)
-        return residual(z), jnp.concatenate([-whitened @ tangent, tangent / widths])
+        by, straight = straightened(problem, h, misfit(z))
+        value = jnp.concatenate([whiten(problem, by, straight), z / widths])
+        jacobian = whiten(problem, by, prediction_jacobian(problem, z))
+        return value, jnp.concatenate([-jacobian @ tangent, tangent / widths])
 
     return residual
 
@@ -156,6 +155,9 @@ def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) ->
     called.
     """
     steps, settled, about, at, decrement = 0, False, None, None, jnp.asarray(jnp.inf)
+    if has_tails(problem):
+        # Far from the fit every reading would pass for an outlier, and pull on nothing.
+        z = _fit_parameters(without_tails(problem), z, h).value
     for _ in range(_ROUNDS):
         fitted = _fit_parameters(problem, z, h)
         steps += int(fitted.steps)
@@ -229,6 +231,8 @@ def _climb(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> tuple[
         while not float(ahead.value) >= float(at.value) - 1e-9 and length > 1e-3:
             length *= 0.3
             ahead = _curvature(problem, about, h + length * step)
+        if not float(ahead.value) >= float(at.value) - 1e-9:
+            break
         h, at = h + length * step, ahead
     return h, at
 

@@ -22,7 +22,7 @@ from imubayes.inference.moves import LaplaceProposal, LogDensity
 from imubayes.inference.sample import Chains, Settings, sample, walkers_for
 from imubayes.model.declaration import Model
 from imubayes.model.derived import Derived, derive
-from imubayes.model.likelihood import Problem, values_of
+from imubayes.model.problem import Problem, values_of
 
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
 # they are out of the running whatever their width.

@@ -20,7 +20,9 @@ from jax.scipy.special import ndtr, ndtri
 
 from imubayes.inference.fit import Mode
 from imubayes.inference.precision import knowledge, log_marginal
-from imubayes.model.likelihood import Problem, inverse_covariance, predict, prior_widths, whitener
+from imubayes.model.problem import Problem, predict, prior_widths
+from imubayes.model.whitening import inverse_covariance, whitener
+from imubayes.noise.base import TailNoise
 from imubayes.types import Array, Float
 
 # A direction is weak where more than this share of its prior standard deviation is left; below it the ridge is
@@ -93,10 +95,23 @@ def split_by_scale(problem: Problem, mode: Mode) -> Blocks:
     )
     log_slope = jnp.diagonal(slopes) / problem.hyper_priors.values(mode.h)
     blocks, gradients = jax.vmap(per_scale)(jnp.diag(1 / log_slope))
+    # How heavy a tail is says little of θ, and more freedom is not more precision everywhere.
+    scales = _is_scale(problem)
+    blocks, gradients = scales[:, None, None] * blocks, scales[:, None] * gradients
     whole, gradient = data_part(mode.h)
     prior_precision = prior_widths(problem, mode.h) ** -2
     values, vectors = jnp.linalg.eigh(whole + jnp.diag(prior_precision))
     return Blocks(blocks, gradients, whole - blocks.sum(0), gradient - gradients.sum(0), values, vectors)
+
+
+def _is_scale(problem: Problem) -> Float[Array, " H"]:
+    """Return 1 for a hyperparameter that scales the noise, 0 for one that shapes its law."""
+    found = jnp.ones(len(problem.hyper_priors.order))
+    for layer in problem.noise:
+        if issubclass(layer.noise, TailNoise):
+            for place in layer.places.values():
+                found = found.at[place].min(1 - layer.acts)
+    return found
 
 
 def bends(

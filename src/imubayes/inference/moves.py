@@ -11,7 +11,8 @@ import numpy as np
 from emcee.moves import Move
 
 from imubayes.inference.laplace import NestedLaplace, to_normal, to_point
-from imubayes.model.likelihood import Problem, log_density
+from imubayes.model.likelihood import log_density
+from imubayes.model.problem import Problem
 from imubayes.types import Array, Float
 
 _to_point = eqx.filter_jit(

@@ -11,7 +11,10 @@ from arviz_base import from_dict
 
 from imubayes.inference.joint import JointFit, data_hash, model_hash
 from imubayes.inference.sample import burn_in
-from imubayes.model.likelihood import Problem, entry_log_likelihood, predict, whitener
+from imubayes.inference.simulation import heavy_tailed
+from imubayes.model.likelihood import entry_log_likelihood
+from imubayes.model.problem import Problem, predict
+from imubayes.model.whitening import noise_law
 from imubayes.parameters.vector import Layout
 
 # Predictions and likelihoods are kept for so many draws: enough for every check, and one percent of the space.
@@ -24,8 +27,10 @@ def _predictions(problem: Problem, points):
 
     def one(point):
         pieces = entry_log_likelihood(problem, point[:size], point[size:])
-        by = whitener(problem, point[size:])
-        return predict(problem, point[:size]), by.precision_root, pieces.entry, pieces.group
+        law = noise_law(problem, point[size:])
+        own = jnp.where(problem.observations.weight > 0, law.own, 0.0)
+        tail = jnp.zeros_like(own) if law.tail is None else law.tail
+        return predict(problem, point[:size]), jnp.sqrt(own), tail, pieces.entry, pieces.group
 
     # Whole batches: what is left over would be compiled a second time.
     return jax.lax.map(one, points, batch_size=_BATCH)
@@ -106,9 +111,9 @@ def posterior_tree(fit: JointFit) -> xarray.DataTree:
 
 def _predicted(problem: Problem, points: np.ndarray, random: np.random.Generator):
     """Return replicated outputs, and log likelihoods per entry and per run and channel."""
-    predicted, root, entry, group = (np.asarray(part) for part in _predictions(problem, points))
-    deviation = 1 / np.where(root > 0, root, np.inf)
-    return predicted + deviation * random.normal(size=predicted.shape), entry, group
+    predicted, deviation, tail, entry, group = (np.asarray(part) for part in _predictions(problem, points))
+    alone = random.normal(size=predicted.shape) * heavy_tailed(tail, random)
+    return predicted + deviation * alone, entry, group
 
 
 def _by_effect(layout: Layout, hyper_layout: Layout, values, coordinates, dimensions) -> dict[str, np.ndarray]:

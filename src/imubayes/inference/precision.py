@@ -10,14 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 
-from imubayes.model.likelihood import (
-    Problem,
-    log_normaliser,
-    predict,
-    prediction_jacobian,
-    prior_widths,
-    whitener,
-)
+from imubayes.model.likelihood import log_normaliser, whitened
+from imubayes.model.problem import Problem, predict, prediction_jacobian, prior_widths
+from imubayes.model.tails import has_tails, pseudo_values
+from imubayes.model.whitening import whitener
 from imubayes.types import Array, Float, Scalar
 
 
@@ -45,7 +41,7 @@ def linearise(problem: Problem, z: Float[Array, " P"]) -> Linearised:
 
 def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Knowledge:
     """Return what the data say about θ at hyperparameters h."""
-    by = whitener(problem, h)
+    by, pseudo = whitener(problem, h), pseudo_values(problem, h, about.misfit)
     members = problem.observations.members
 
     def gathered(values):
@@ -57,16 +53,18 @@ def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Kno
     direction = gathered(weight)
     rank_one = 2 * by.shrink - by.shrink**2 * direction
     if by.series is not None:
-        jacobian, misfit = by.scale(about.jacobian), by.scale(about.misfit)
+        jacobian, misfit = by.scale(about.jacobian), by.scale(pseudo)
         along, misfit_along = gathered(by.direction[:, None] * jacobian), gathered(by.direction * misfit)
         precision = jacobian.T @ jacobian - along.T @ (rank_one[:, None] * along)
         gradient = jacobian.T @ misfit - along.T @ (rank_one * misfit_along)
         return Knowledge(precision, gradient, jnp.sum(misfit**2) - jnp.sum(rank_one * misfit_along**2))
     weighted = weight[:, None] * about.jacobian
-    along, misfit_along = gathered(weighted), gathered(weight * about.misfit)
+    along, misfit_along = gathered(weighted), gathered(weight * pseudo)
     precision = about.jacobian.T @ weighted - along.T @ (rank_one[:, None] * along)
-    gradient = weighted.T @ about.misfit - along.T @ (rank_one * misfit_along)
-    square = jnp.sum(weight * about.misfit**2) - jnp.sum(rank_one * misfit_along**2)
+    gradient = weighted.T @ pseudo - along.T @ (rank_one * misfit_along)
+    if has_tails(problem):
+        return Knowledge(precision, gradient, jnp.sum(whitened(problem, h, about.misfit) ** 2))
+    square = jnp.sum(weight * pseudo**2) - jnp.sum(rank_one * misfit_along**2)
     return Knowledge(precision, gradient, square)
 
 

@@ -21,8 +21,8 @@ from imubayes.errors import InputError, closest_first
 from imubayes.errors import Problem as Complaint
 from imubayes.model.declaration import Model
 from imubayes.model.derived import derive
-from imubayes.model.likelihood import Problem, Series, predict, prior_widths, values_of, whitener
-from imubayes.noise.base import EntryNoise, SharedNoise
+from imubayes.model.problem import Problem, predict, prior_widths, values_of
+from imubayes.model.whitening import Law, Series, noise_law, whitener
 from imubayes.parameters.vector import Layout, Parameter
 from imubayes.run import Campaign
 from imubayes.types import Array, Float
@@ -70,9 +70,8 @@ def simulate(model: Model, seed: int, truth: Mapping[str, float] | None = None, 
     h = _true_z(model.hyper_layout, given, np.ones(len(model.hyper_layout)), seed, where)
     widths = np.asarray(prior_widths(problem, jnp.asarray(h)))
     z = _true_z(model.layout, given, widths, seed, where)
-    *parts, series = _expected(problem, jnp.asarray(z), jnp.asarray(h))
-    clean, deviation, shared = (np.asarray(part) for part in parts)
-    observed, offsets = _with_noise(model, clean, deviation, np.sqrt(shared), series, seed)
+    clean, law, series = _expected(problem, jnp.asarray(z), jnp.asarray(h))
+    observed, offsets = _with_noise(model, np.asarray(clean), law, series, seed)
     runs = tuple(replace(run, observed=one) for run, one in zip(model.campaign.runs, observed, strict=True))
     values, hyper_values = _in_si(problem, jnp.asarray(z), jnp.asarray(h))
     derived = derive(model.assembly)
@@ -98,24 +97,9 @@ def random_stream(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng(int.from_bytes(digest[:16], "little"))
 
 
-def noise_variances(problem: Problem, h: Float[Array, " H"]) -> tuple[Float[Array, " E"], Float[Array, " G"]]:
-    """Return the variance of every entry alone, and of what each run and channel has in common, output units²."""
-    values = problem.hyper_priors.values(h)
-    observations = problem.observations
-    own = jnp.zeros_like(observations.value)
-    shared = jnp.zeros(observations.members.shape[0])
-    for layer in problem.noise:
-        if issubclass(layer.noise, EntryNoise):
-            own = own + layer.variances(values, observations.entry)
-        elif issubclass(layer.noise, SharedNoise):
-            shared = shared + layer.variances(values, None)
-    return own, shared
-
-
 @eqx.filter_jit
 def _expected(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
-    own, shared = noise_variances(problem, h)
-    return predict(problem, z), jnp.sqrt(own), shared, whitener(problem, h).series
+    return predict(problem, z), noise_law(problem, h), whitener(problem, h).series
 
 
 @eqx.filter_jit
@@ -160,12 +144,14 @@ def _impossible(parameter: Parameter, value: float, where: str) -> Complaint:
 
 
 def _with_noise(
-    model: Model, clean: np.ndarray, deviation: np.ndarray, common: np.ndarray, series: Series | None, seed: int
+    model: Model, clean: np.ndarray, law: Law, series: Series | None, seed: int
 ) -> tuple[list[np.ndarray], dict[tuple[str, str], float]]:
     """Return the outputs of every run, shape (R, C) each, and the offset of every run and channel."""
     entries, campaign = model.entries, model.campaign
     observed = [np.full(run.observed.shape, np.nan) for run in campaign.runs]
     offsets = {}
+    deviation, common = np.sqrt(np.asarray(law.own)), np.sqrt(np.asarray(law.shared))
+    tail = np.zeros(len(clean)) if law.tail is None else np.asarray(law.tail)
     group = np.asarray(model.problem.observations.group)
     for one in range(len(common)):
         chosen = np.flatnonzero(group == one)
@@ -173,11 +159,20 @@ def _with_noise(
         names = (campaign.channels[channel].name, campaign.runs[run].name)
         stream = random_stream(seed, "readings of {} in {}".format(*names))
         offset = float(common[one] * stream.standard_normal())
-        scatter = deviation[chosen] * _in_series(series, chosen, stream.standard_normal(len(chosen)))
-        observed[run][entries.row[chosen], channel] = clean[chosen] + offset + scatter
+        alone = _in_series(series, chosen, stream.standard_normal(len(chosen)))
+        far = heavy_tailed(tail[chosen], random_stream(seed, "tails of {} in {}".format(*names)))
+        observed[run][entries.row[chosen], channel] = clean[chosen] + offset + deviation[chosen] * far * alone
         if common[one] > 0:
             offsets[names] = offset
     return observed, offsets
+
+
+def heavy_tailed(tail: np.ndarray, stream: np.random.Generator) -> np.ndarray:
+    """Return the factors that make t variables of normal ones; `tail` is one over their degrees of freedom."""
+    if not tail.any():
+        return np.ones(tail.shape)
+    degrees = 1 / np.where(tail > 0, tail, 1.0)
+    return np.where(tail > 0, np.sqrt(degrees / stream.chisquare(degrees)), 1.0)
 
 
 def _in_series(series: Series | None, chosen: np.ndarray, independent: np.ndarray) -> np.ndarray:

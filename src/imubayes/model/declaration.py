@@ -1,7 +1,7 @@
 """Declaring a model on a campaign: which parameters there are, what they mean, and the problem as arrays.
 
 This is where names end and arrays begin.  Everything that does not fit (an unknown effect, a channel of the wrong kind,
-an effect that no run can show, two effects that say the same) is collected and reported at once.
+an effect that no run can show, two that do not go together) is collected and reported at once.
 """
 
 from dataclasses import dataclass
@@ -28,8 +28,8 @@ from imubayes.model.instants import (
     servo_runs,
 )
 from imubayes.model.labels import Belonging, colours
-from imubayes.model.likelihood import NoiseLayer, Observations, Problem, Sparsity
 from imubayes.model.members import Acting, NotShownError, act
+from imubayes.model.problem import NoiseLayer, Observations, Problem, Sparsity
 from imubayes.model.registry import Member, Registry
 from imubayes.model.servo import servos_of
 from imubayes.model.specification import EffectSpec, ModelSpec
@@ -152,7 +152,7 @@ def _conflicts(acting: list[Acting]) -> list[Complaint]:
                 what = (
                     f"the effect '{one.member.name}' stands twice{on}"
                     if same
-                    else f"'{one.member.name}' and '{other.member.name}' say the same{on}"
+                    else f"'{one.member.name}' and '{other.member.name}' do not go together{on}"
                 )
                 remedy = f"keep one of them, or give each its own 'channels' ({other.spec.where} is the other)"
                 found.append(Complaint(what, one.spec.where, "one effect for each cause and channel", remedy))

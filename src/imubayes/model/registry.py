@@ -64,7 +64,7 @@ def _members_of(file: Path) -> list[Member]:
                 what,
                 str(file),
                 "a Python file with classes derived from SignalEffect, RecordEffect, MotionEffect, PlaceEffect, "
-                "EntryNoise, SharedNoise or SeriesNoise that have a name and parameters",
+                "EntryNoise, SharedNoise, SeriesNoise or TailNoise that have a name and parameters",
                 "mend the file, or take it out of the model's 'files'",
             )
         )

@@ -1,7 +1,8 @@
 """The noise: what scatters without a cause that the model names."""
 
-from imubayes.noise.base import EntryNoise, Noise, SeriesNoise, SharedNoise
+from imubayes.noise.base import EntryNoise, Noise, SeriesNoise, SharedNoise, TailNoise
 from imubayes.noise.correlated_noise import CorrelatedNoise
+from imubayes.noise.outliers import Outliers
 from imubayes.noise.quantisation import Quantisation
 from imubayes.noise.rate_proportional_noise import RateProportionalNoise
 from imubayes.noise.reference_noise import ReferenceNoise
@@ -15,8 +16,9 @@ NOISES: tuple[type[Noise], ...] = (
     ReferenceNoise,
     Quantisation,
     CorrelatedNoise,
+    Outliers,
     RunScatter,
     RotationClosure,
 )
 
-__all__ = ["NOISES", "EntryNoise", "Noise", "SeriesNoise", "SharedNoise"]
+__all__ = ["NOISES", "EntryNoise", "Noise", "SeriesNoise", "SharedNoise", "TailNoise"]

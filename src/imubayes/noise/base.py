@@ -1,9 +1,10 @@
-"""What a noise member is: a variance, of one entry alone or shared by a run and channel, or a correlation in time.
+"""What a noise member is: a variance, of one entry alone or of a whole run and channel; a correlation; a heavy tail.
 
 The covariance of the data is Σ = D^½ R D^½ + Σ_g T_g 1 1ᵀ: D is diagonal, the sum of the members' variances, R is the
 correlation along the rows of each run and channel g (I where no member correlates), and T_g is the variance of what all
-entries of g have in common.  The parameters of noise are hyperparameters: they
-change the width of the posterior, not the predicted output.
+entries of g have in common.  Under a heavy tail what an entry has alone follows Student's t of the scale D^½ instead of
+a normal law.  The parameters of noise are hyperparameters: they change the width of the posterior, not the predicted
+output.
 """
 
 from abc import abstractmethod
@@ -64,3 +65,14 @@ class SeriesNoise(Noise):
     @abstractmethod
     def of_neighbours(self) -> Scalar:
         """Return the correlation of an entry with that of the row before, in (−1, 1)."""
+
+
+class TailNoise(Noise):
+    """Heavy tails: what each reading of a run and channel has alone follows Student's t instead of a normal law.
+
+    The variances of the other members are then the square of its scale.
+    """
+
+    @abstractmethod
+    def degrees(self) -> Scalar:
+        """Return the degrees of freedom, above 0; a normal law has infinitely many."""

@@ -11,7 +11,9 @@ import polars as pl
 
 from imubayes.inference.joint import JointFit
 from imubayes.inference.precision import knowledge
-from imubayes.model.likelihood import Problem, predict, prior_widths, whiten, whitener
+from imubayes.model.problem import Problem, predict, prior_widths
+from imubayes.model.tails import pseudo_values
+from imubayes.model.whitening import whiten, whitener
 from imubayes.units import to_si
 
 _COVARIATES = {
@@ -56,7 +58,7 @@ def _at_mode(problem: Problem, mode):
     """Return prediction, its standard deviation, the noise's and the whitened residual, each (E,)."""
     by = whitener(problem, mode.h)
     predicted = predict(problem, mode.z)
-    whitened = whiten(problem, by, problem.observations.value - predicted)
+    whitened = whiten(problem, by, pseudo_values(problem, mode.h, problem.observations.value - predicted))
     known = knowledge(problem, mode.about, mode.h)
     precision = known.precision + jnp.diag(prior_widths(problem, mode.h) ** -2)
     spread = jnp.linalg.solve(jnp.linalg.cholesky(precision), mode.about.jacobian.T)

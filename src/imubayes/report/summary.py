@@ -16,7 +16,7 @@ from imubayes.inference.identifiability import (
 from imubayes.inference.joint import JointFit
 from imubayes.inference.laplace import posterior_precision
 from imubayes.inference.posterior import in_units
-from imubayes.model.likelihood import values_of
+from imubayes.model.problem import values_of
 from imubayes.report.residuals import Residuals
 
 _INTERVAL = (2.5, 97.5)

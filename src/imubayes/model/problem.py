@@ -1,0 +1,191 @@
+"""The problem as arrays, and what the model predicts of it: a pure function of parameters.
+
+A `Problem` is one pytree: the nominal motion, the layers of the signal path, the measured entries, the noise, the
+priors.  Nothing here closes over a campaign, so units of equal structure are stacked and treated in one vmap.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.model.closure import Transitions, closing_rotations
+from imubayes.model.forward import Channels, Layer, start, travel
+from imubayes.model.servo import Servos, servo_angles
+from imubayes.noise.base import Entry, Noise
+from imubayes.parameters.vector import Priors
+from imubayes.stimulus import Instants, SignalPath
+from imubayes.types import Array, Bool, Float, Int
+
+
+class NoiseLayer(eqx.Module):
+    """A noise member with the places of its values: one per entry, or per run and channel for what is shared.
+
+    `acts` is 1 where the member applies and 0 elsewhere.
+    """
+
+    noise: type[Noise] = eqx.field(static=True)
+    places: dict[str, Array]
+    acts: Float[Array, " M"]
+
+    def correlations(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
+        """Return the correlation of neighbouring rows of every run and channel."""
+        chosen = {field: h[place] for field, place in self.places.items()}
+        return self.acts * jax.vmap(lambda one: self.noise(**one).of_neighbours())(chosen)  # pyright: ignore
+
+    def variances(self, h: Float[Array, " H"], entries: Entry | None) -> Float[Array, " M"]:
+        """Return the variance of every entry, or of every run and channel."""
+        chosen = {field: h[place] for field, place in self.places.items()}
+        if entries is not None:
+            found = jax.vmap(lambda one, entry: self.noise(**one).variance(entry))(chosen, entries)  # pyright: ignore
+        else:
+            found = jax.vmap(lambda one: self.noise(**one).shared_variance())(chosen)  # pyright: ignore
+        return self.acts * found
+
+    def tails(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
+        """Return one over the degrees of freedom of every run and channel, 0 for a normal law."""
+        chosen = {field: h[place] for field, place in self.places.items()}
+        return self.acts * jax.vmap(lambda one: 1 / self.noise(**one).degrees())(chosen)  # pyright: ignore
+
+
+class Observations(eqx.Module):
+    """What was measured (E entries in G groups, a group being one run and channel).
+
+    Attributes
+    ----------
+    value : shape (E,), output units; 0 for closing rotations, rad.
+    weight : shape (E,), 1, or 0 for an entry that is masked out.
+    entry : facts about each entry.
+    readout : shape (E_r,), place of each entry in the flattened outputs; closing rotations follow after these.
+    group : shape (E,), group of each entry.
+    members : shape (G, M), entries of each group, E where padded.
+    in_time : shape (G, M), the same in the order of time.
+    rank : shape (E,), the place of an entry's row in the order of time of its run.
+    """
+
+    value: Float[Array, " E"]
+    weight: Float[Array, " E"]
+    entry: Entry
+    readout: Int[Array, " Er"]
+    group: Int[Array, " E"]
+    members: Int[Array, "G M"]
+    in_time: Int[Array, "G M"]
+    rank: Int[Array, " E"]
+
+
+class Sparsity(eqx.Module):
+    """Which entries a parameter can reach; parameters of one colour reach no entry together.
+
+    Attributes
+    ----------
+    colour : shape (P,).
+    reach : shape (E, P), bool.
+    seeds : shape (colours, P), 0 or 1.
+    """
+
+    colour: Int[Array, " P"]
+    reach: Bool[Array, "E P"]
+    seeds: Float[Array, "K P"]
+
+
+class Problem(eqx.Module):
+    """Everything the inference needs, as arrays.
+
+    Attributes
+    ----------
+    instants, channels, layers, transitions, servos : the forward model.
+    turns : rows as (number of rows, nodes per row), in the order of the nodes; static.
+    node_weight : shape (N,).
+    nulls : shape (V − P,), the values behind the parameters at which effects do nothing.
+    priors, hyper_priors : from z to SI values, θ and h.
+    spread_of : shape (P,), place in h of the parameter's learnt prior width, H where the prior is fixed.
+    spread_unit : shape (P,), width of the parameter's own prior, SI.
+    """
+
+    instants: Instants
+    channels: dict[str, Channels]
+    layers: tuple[Layer, ...]
+    transitions: Transitions | None
+    servos: Servos | None
+    turns: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    node_weight: Float[Array, " N"]
+    nulls: Float[Array, " nulls"]
+    priors: Priors
+    hyper_priors: Priors
+    noise: tuple[NoiseLayer, ...]
+    observations: Observations
+    sparsity: Sparsity
+    spread_of: Int[Array, " P"]
+    spread_unit: Float[Array, " P"]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Number of parameters and of hyperparameters."""
+        return self.spread_of.shape[-1], len(self.hyper_priors.order)
+
+
+def values_of(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " V"]:
+    """Return all values the layers refer to: parameters in SI, then nulls."""
+    return jnp.concatenate([problem.priors.values(z), problem.nulls])
+
+
+def signal_path(problem: Problem, values: Float[Array, " V"]) -> SignalPath:
+    """Return the signal path at every node, for parameters in SI and nulls."""
+    return travel(problem.layers, start(problem.instants), values)
+
+
+def predict(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " E"]:
+    """Return the predicted value of every entry, output units (rad for closing rotations)."""
+    return predict_from(problem, values_of(problem, z))
+
+
+# Traced once for all that is built on it, whatever derivative is taken of it.
+@jax.jit
+def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, " E"]:
+    """Return what `predict` does, from parameters in SI and nulls."""
+    path = signal_path(problem, values)
+    outputs = [row_means(problem, path.signal[kind]).reshape(-1) for kind in sorted(problem.channels)]
+    if problem.servos is not None:
+        angles = servo_angles(problem.servos, problem.layers, problem.instants, problem.channels, values)
+        outputs.append(jnp.degrees(angles).reshape(-1))
+    predicted = jnp.concatenate(outputs)[problem.observations.readout]
+    if problem.transitions is None:
+        return predicted
+    closing = closing_rotations(problem.transitions, problem.channels, path.motion, values)
+    return jnp.concatenate([predicted, closing.reshape(-1)])
+
+
+def row_means(problem: Problem, signal: Float[Array, "N C"]) -> Float[Array, "R C"]:
+    """Average the nodes of each row; rows come sorted by their number of nodes, so this is a reshape and a sum."""
+    weighted = signal * problem.node_weight[:, None]
+    means, place = [], 0
+    for rows, nodes in problem.turns:
+        block = weighted[place : place + rows * nodes]
+        means.append(block.reshape(rows, nodes, -1).sum(axis=1))
+        place += rows * nodes
+    return jnp.concatenate(means)
+
+
+def prediction_jacobian(problem: Problem, z: Float[Array, " P"]) -> Float[Array, "E P"]:
+    """Return ∂f/∂z.
+
+    One forward derivative per colour instead of one per parameter: parameters of one colour reach no common entry, so
+    their columns are told apart by their reach.
+    """
+    sparsity = problem.sparsity
+    _, push = jax.linearize(lambda one: predict(problem, one), z)
+    packed = jax.vmap(push)(sparsity.seeds)
+    return jnp.where(sparsity.reach, packed[sparsity.colour].T, 0.0)
+
+
+def prior_widths(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " P"]:
+    """Return the standard deviation of each z_θ: 1, or what has been learnt of the spread."""
+    values = problem.hyper_priors.values(h)
+    widths = jnp.concatenate([values, jnp.ones(1)])[problem.spread_of]
+    return jnp.where(problem.spread_of < values.shape[0], widths / problem.spread_unit, 1.0)
+
+
+def without(problem: Problem, left_out: np.ndarray) -> Problem:
+    """Return the problem with entries, (E,) bool, masked out; its shapes stay, so that nothing is compiled again."""
+    weight = problem.observations.weight * jnp.asarray(~left_out, dtype=float)
+    return eqx.tree_at(lambda one: one.observations.weight, problem, weight)
