@@ -19,8 +19,6 @@ _DRAWS = 200
 # Rows times draws kept at once.
 _MOST_NUMBERS = 20_000_000
 _STRONGEST_CORRELATION = 0.95
-# A reading is far off beyond so many standard deviations, told by the median of their sizes over that of a normal law.
-_FAR_OFF, _MEDIAN_OF_NORMAL = 5.0, 0.6745
 
 
 @dataclass(frozen=True)
@@ -87,17 +85,6 @@ def tailedness(projection: Projection, entries: np.ndarray, chosen: np.ndarray) 
         own = entries[here[channel[here] == place]] ** 2
         fourth = fourth + len(own) * np.mean(own**2, axis=0) / np.maximum(np.mean(own, axis=0), 1e-300) ** 2
     return np.log(fourth / len(here))
-
-
-def far_off(projection: Projection) -> np.ndarray:
-    """Return which readings are so far off that a normal law does not bring them about, (E,) bool."""
-    left = np.abs(entries_of(projection, projection.residual[:, None])[:, 0])
-    channel, found = projection.fitted.model.entries.channel, np.zeros(len(left), dtype=bool)
-    seen = np.asarray(projection.fitted.model.problem.observations.weight) > 0
-    for place in np.unique(channel):
-        own = (channel == place) & seen
-        found[own] = left[own] > _FAR_OFF * np.median(left[own]) / _MEDIAN_OF_NORMAL
-    return found
 
 
 _KINDS: tuple[tuple[str, Callable], ...] = (

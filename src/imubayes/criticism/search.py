@@ -11,13 +11,15 @@ from imubayes.criticism.chance import LookElsewhere, look_elsewhere
 from imubayes.criticism.covariates import Covariate, covariates
 from imubayes.criticism.details import Details, Scan, details, scan
 from imubayes.criticism.groups import Group, group
-from imubayes.criticism.noise import OUTLIERS, NoiseCandidate, Prewhitening, far_off, prewhitening, screen_noise
+from imubayes.criticism.noise import OUTLIERS, NoiseCandidate, Prewhitening, prewhitening, screen_noise
+from imubayes.criticism.outliers import far_off, gathered
 from imubayes.criticism.projection import Projection, orthonormal, project
 from imubayes.criticism.screen import Candidate, Projected, prepare, screen
 from imubayes.criticism.structure import Laid, Structure, forms, lay, look
 from imubayes.inference.fit import find_mode
 from imubayes.inference.fitted import Fitted
 from imubayes.model.problem import without
+from imubayes.model.whitening import noise_law
 
 # Chance of a false alarm, of effects, of structure and of noise.
 EFFECT_THRESHOLD, STRUCTURE_THRESHOLD, NOISE_THRESHOLD = 0.02, 0.02, 0.01
@@ -79,6 +81,7 @@ class Found:
     left : those that remain so after the groups were taken out.
     noise : noise candidates as screened first.
     adopted : those that are beyond chance once effects and patterns are taken out.
+    far : shape (E,), by how many standard deviations of the others a reading is far off; 0 for those that are not.
     chance : of the smallest p-value of all candidates.
     """
 
@@ -90,6 +93,7 @@ class Found:
     left: tuple[tuple[Structure, float], ...]
     noise: tuple[NoiseCandidate, ...]
     adopted: tuple[NoiseCandidate, ...]
+    far: np.ndarray
     chance: LookElsewhere
 
 
@@ -135,13 +139,13 @@ def search(fitted: Fitted) -> Found:
     """Return what is missing in a converged fit; without a refit, but where readings are far off."""
     ground = Ground(fitted, respond(fitted), tuple(covariates(fitted)))
     sight = _sight(ground)
-    outliers, far = _outliers(sight)
+    outliers, far = _outliers(ground, sight)
     if not outliers:
         return _settled(ground, sight)
-    rest = _without(fitted, far)
+    rest, distances = _without(fitted, far)
     ground = Ground(rest, respond(rest), ground.covariates)
     found = _settled(ground, _sight(ground))
-    return replace(found, noise=sight.noise, adopted=(*outliers, *found.adopted))
+    return replace(found, noise=sight.noise, adopted=(*outliers, *found.adopted), far=distances)
 
 
 def _sight(ground: Ground) -> Sight:
@@ -158,24 +162,28 @@ def _sight(ground: Ground) -> Sight:
     return Sight(first, chances, tuple(noise), groups, last, alarm, cleared)
 
 
-def _outliers(sight: Sight) -> tuple[list[NoiseCandidate], np.ndarray]:
+def _outliers(ground: Ground, sight: Sight) -> tuple[list[NoiseCandidate], np.ndarray]:
     """Return the outliers among the noise beyond chance, and which readings these are, (E,) bool.
 
     A few readings that are far off pass for a pattern, and a pattern in a few rows for readings that are far off.  A
-    pattern explains more of them than it has directions.
+    pattern explains more of them than it has directions, or gathers them at one value of a covariate.
     """
     before = sight.first.projection
     beyond = [one for one in _within(sight.noise, NOISE_THRESHOLD) if one.effect == OUTLIERS]
     far = far_off(before)
     directions = sight.cleared.basis.shape[1] - before.basis.shape[1]
-    if not beyond or np.sum(far & ~far_off(sight.cleared)) > directions:
+    if not beyond or np.sum(far & ~far_off(sight.cleared)) > directions or gathered(before, far, ground.covariates):
         return [], far
     return (beyond if far.any() or not sight.alarm else []), far
 
 
-def _without(fitted: Fitted, far: np.ndarray) -> Fitted:
-    """Return the fit to all readings but those that are far off, (E,) bool: they have made the noise look wide."""
+def _without(fitted: Fitted, far: np.ndarray) -> tuple[Fitted, np.ndarray]:
+    """Return the fit to all readings but those that are far off, (E,) bool, and by how much they are, (E,).
+
+    They have made the noise look wide: once they are left out more of them may show.
+    """
     z, h, rest = jnp.asarray(fitted.z), jnp.asarray(fitted.h), fitted
+    distances = np.zeros(len(far))
     for _ in range(_MOST_ROUNDS):
         problem = without(fitted.model.problem, far)
         mode = find_mode(problem, z, h)
@@ -183,11 +191,13 @@ def _without(fitted: Fitted, far: np.ndarray) -> Fitted:
             break
         z, h = mode.z, mode.h
         rest = replace(fitted, model=replace(fitted.model, problem=problem), z=np.asarray(z), h=np.asarray(h))
+        deviation = np.sqrt(np.asarray(noise_law(problem, h).own))
+        distances = np.where(far, np.asarray(mode.about.misfit) / deviation, 0.0)
         more = far_off(project(rest, np.asarray(mode.about.misfit), np.asarray(mode.about.jacobian)))
         if not more.any():
             break
         far = far | more
-    return rest
+    return rest, distances
 
 
 def _settled(ground: Ground, sight: Sight) -> Found:
@@ -213,6 +223,7 @@ def _settled(ground: Ground, sight: Sight) -> Found:
         left=chances.alarming(last.structures, strict),
         noise=sight.noise,
         adopted=tuple(adopted),
+        far=np.zeros(len(ground.responses.misfit)),
         chance=chances.of_effect,
     )
 

@@ -83,7 +83,7 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
     verdict = _verdict(found, unexplained)
     document = _document(
         verdict,
-        _sentence(verdict, found, seen, telling),
+        _sentence(verdict, found, seen, telling) + _far_off_sentence(found),
         best,
         folder,
         groups=[_group_line(fitted, one, told) for one, told in zip(groups, telling, strict=True)]
@@ -103,6 +103,7 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
         nearest=[_nearest_line(one) for one in groups] if verdict == "unexplained_structure" else [],
         structure=_structure_lines(found, unexplained),
         looks=found.chance.looks,
+        far_off=_far_off_lines(found),
     )
     document["next"] = _next(verdict, found, folder)
     return Diagnosis(document, telling, found)
@@ -110,7 +111,8 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
 
 def _document(verdict: str, sentence: str, p_global: float, folder: str, **parts: Any) -> dict[str, Any]:
     empty = {
-        "groups": [], "ranking": [], "noise": [], "undetectable": [], "nearest": [], "structure": [], "looks": 0.0
+        "groups": [], "ranking": [], "noise": [], "undetectable": [], "nearest": [], "structure": [], "looks": 0.0,
+        "far_off": [],
     }  # fmt: skip
     return {
         "format": 1,
@@ -361,6 +363,30 @@ def _sentence(verdict: str, found: Found, seen: Sequence[Resolution], telling: S
     hidden = [one.effect for one in seen if one.undetectable] + list(found.responses.unobservable)
     rest = f" {len(hidden)} effects of the catalogue could not be seen in these runs." if hidden else ""
     return f"The model explains the data: nothing in the catalogue is missing as far as these runs can show.{rest}"
+
+
+def _far_off_lines(found: Found) -> list[dict[str, Any]]:
+    """Return run, channel and row of readings that are far off, with their distance, the farthest first."""
+    model, far = found.first.projection.fitted.model, found.far
+    names = [channel.name for channel in model.campaign.channels]
+    return [
+        {
+            "run": model.campaign.runs[model.entries.run[place]].name,
+            "channel": names[model.entries.channel[place]],
+            "row": int(model.entries.row[place]) + 1,
+            "distance": float(far[place]),
+        }
+        for place in np.argsort(-np.abs(far), kind="stable")[: np.count_nonzero(far)]
+    ]
+
+
+def _far_off_sentence(found: Found) -> str:
+    lines = _far_off_lines(found)
+    if not lines:
+        return ""
+    worst, size = lines[0], abs(lines[0]["distance"])
+    where = f"{worst['channel']} in row {worst['row']} of run {worst['run']}, by {size:.0f} standard deviations"
+    return f" {len(lines)} readings are far off, the farthest {where}." if len(lines) > 1 else f" Far off is {where}."
 
 
 def _next(verdict: str, found: Found, folder: str) -> str:

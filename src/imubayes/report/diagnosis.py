@@ -16,7 +16,7 @@ from imubayes.report.sheets import Cell, Sheet
 
 DIAGNOSIS = "diagnosis.json"
 Facts = Mapping[str, Any]
-_MOST_RANKED, _MOST_PATTERNS = 10, 6
+_MOST_RANKED, _MOST_PATTERNS, _MOST_FAR_OFF = 10, 6, 8
 # A shift below this share of a posterior standard deviation is not worth a word.
 _SMALL_SHIFT = 0.1
 
@@ -241,6 +241,19 @@ def noise_sheet(facts: Facts) -> Sheet:
         if one.get("adopted", True)
     ]
     return Sheet("Noise that the model lacks", ("noise", "on", "Δχ²", "chance"), rows, (0, 1))
+
+
+def far_off_sheet(facts: Facts) -> Sheet:
+    """Return the readings that are far off."""
+    readings = facts.get("far_off", ())
+    rows = [
+        (Cell(one["run"]), Cell(one["channel"]), Cell(str(one["row"])), Cell(f"{one['distance']:+.1f}"))
+        for one in readings[:_MOST_FAR_OFF]
+    ]
+    left = len(readings) - len(rows)
+    note = f"{left} more in {DIAGNOSIS}. " if left > 0 else ""
+    note += "In standard deviations of the other readings. The search went on without them."
+    return Sheet("Readings that are far off", ("run", "channel", "row", "distance"), rows, (0, 1), "", note)
 
 
 def _size(coefficient: Facts | None) -> str:

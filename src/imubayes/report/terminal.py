@@ -89,7 +89,8 @@ def print_diagnosis(facts: Mapping[str, Any], picture: Path | None = None, effec
         sheets = [diagnosed.ranking_sheet(facts, effect)]
     else:
         _lines(console, diagnosed.diagnosis_lines(facts, picture))
-        sheets = [diagnosed.ranking_sheet(facts), diagnosed.noise_sheet(facts), diagnosed.structure_sheet(facts)]
+        sheets = [diagnosed.ranking_sheet(facts), diagnosed.noise_sheet(facts), diagnosed.far_off_sheet(facts)]
+        sheets.append(diagnosed.structure_sheet(facts))
         sheets.append(diagnosed.undetectable_sheet(facts))
     for sheet in sheets:
         if sheet.rows:

@@ -1,0 +1,158 @@
+"""Readings that are far off: told from patterns, from effects and from chance, and mended by `outliers`."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from null_data import redrawn
+
+import imubayes.criticism.search as search_module
+from imubayes.api import fit
+from imubayes.criticism.candidates import respond
+from imubayes.criticism.noise import screen_noise
+from imubayes.criticism.projection import project
+from imubayes.criticism.verdict import judge
+from imubayes.inference.fit import find_mode
+from imubayes.inference.fitted import Fitted
+from imubayes.model.declaration import declare
+from imubayes.model.specification import EffectSpec
+from imubayes.model.whitening import noise_law
+
+ROOT = Path(__file__).parents[2]
+
+
+def fitted_to(name: str) -> Fitted:
+    return fit(ROOT / "data" / name, ROOT / "models" / "hidden-effects.toml", sample=False).fit.fitted
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return fitted_to("hidden-none")
+
+
+def deviations(fitted: Fitted) -> np.ndarray:
+    return np.sqrt(np.asarray(noise_law(fitted.model.problem, jnp.asarray(fitted.h)).own))
+
+
+def hits(fitted: Fitted, count: int, size: float, seed: int) -> np.ndarray:
+    """Return what some readings, drawn at random, are off by, (E,)."""
+    rng = np.random.default_rng(seed)
+    change = np.zeros(len(fitted.model.entries))
+    change[rng.choice(len(change), count, replace=False)] = size * rng.choice([-1, 1], count)
+    return change * deviations(fitted)
+
+
+def named(document: dict) -> set[tuple[str, str, int]]:
+    return {(one["run"], one["channel"], one["row"]) for one in document["far_off"]}
+
+
+def places(fitted: Fitted, change: np.ndarray) -> set[tuple[str, str, int]]:
+    entries, campaign = fitted.model.entries, fitted.model.campaign
+    return {
+        (campaign.runs[entries.run[k]].name, campaign.channels[entries.channel[k]].name, int(entries.row[k]) + 1)
+        for k in np.flatnonzero(change)
+    }
+
+
+@pytest.mark.parametrize("count", [1, 12])
+def test_readings_that_are_far_off_are_named(whole, count):
+    change = hits(whole, count, 12.0, seed=3)
+    found = judge(redrawn(whole, 5, change=change)).json
+    assert found["verdict"] == "noise_model", found["sentence"]
+    assert {one["effect"] for one in found["noise"] if one["adopted"]} == {"outliers"}
+    assert named(found) == places(whole, change)
+    assert "far off" in found["sentence"].lower()
+    assert all(8 < abs(one["distance"]) < 16 for one in found["far_off"])
+
+
+def test_without_the_look_for_outliers_they_pass_for_something_else(whole, monkeypatch):
+    """The planted fault: the check goes red where readings that are far off are not looked for."""
+    monkeypatch.setattr(search_module, "_outliers", lambda ground, sight: ([], np.zeros(0, dtype=bool)))
+    found = judge(redrawn(whole, 5, change=hits(whole, 12, 12.0, seed=3))).json
+    assert found["verdict"] not in ("noise_model", "adequate")
+    assert not found["far_off"]
+
+
+def test_a_pattern_in_a_few_rows_is_no_matter_of_outliers(whole):
+    """All readings of the gyros at one rate, in all runs, are off alike: many that are far off, and one cause."""
+    model = whole.model
+    gyros = [k for k, channel in enumerate(model.campaign.channels) if channel.kind == "gyro"]
+    rate = np.array(
+        [
+            model.campaign.runs[run].covariates["table_rate"][row]
+            for run, row in zip(model.entries.run, model.entries.row, strict=True)
+        ]
+    )
+    rates = np.unique(np.abs(rate[np.isin(model.entries.channel, gyros)]))
+    one = rates[len(rates) // 2]
+    here = np.isin(model.entries.channel, gyros) & (rate == one)
+    assert 0 < here.mean() < 0.2
+    found = judge(redrawn(whole, 6, change=9.0 * here * deviations(whole))).json
+    assert found["verdict"] not in ("noise_model", "adequate"), found["sentence"]
+    assert not found["far_off"]
+
+
+def test_an_effect_is_found_behind_them():
+    hidden = fitted_to("hidden-gyro")
+    change = hits(hidden, 12, 12.0, seed=4)
+    value = np.asarray(hidden.model.problem.observations.value) + change
+    spoilt = with_values(hidden, value)
+    found = judge(spoilt).json
+    assert "gyro_scale_asymmetry" in found["groups"][0]["effects"], found["sentence"]
+    assert places(hidden, change) <= named(found)
+    assert "outliers" in {one["effect"] for one in found["noise"] if one["adopted"]}
+
+
+def with_values(fitted: Fitted, value: np.ndarray) -> Fitted:
+    """Return the fit to other readings."""
+    entries = fitted.model.entries
+    runs = [replace(run, observed=run.observed.copy()) for run in fitted.model.campaign.runs]
+    for k, one in enumerate(value):
+        runs[entries.run[k]].observed[entries.row[k], entries.channel[k]] = one
+    model = declare(fitted.model.spec, replace(fitted.model.campaign, runs=tuple(runs)))
+    return refitted(model, np.zeros(len(fitted.z)), np.zeros(len(fitted.h)))
+
+
+def refitted(model, z, h) -> Fitted:
+    mode = find_mode(model.problem, jnp.asarray(z), jnp.asarray(h))
+    return Fitted(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged))
+
+
+def test_with_outliers_in_the_model_nothing_is_missing(whole):
+    change = hits(whole, 12, 12.0, seed=3)
+    spoilt = with_values(whole, np.asarray(whole.model.problem.observations.value) + change)
+    spec = replace(spoilt.model.spec, effects=(*spoilt.model.spec.effects, EffectSpec("outliers")))
+    model = declare(spec, spoilt.model.campaign)
+    robust = refitted(model, np.zeros(model.problem.size[0]), np.zeros(model.problem.size[1]))
+    assert robust.converged
+    found = judge(robust).json
+    assert found["verdict"] == "adequate", found["sentence"]
+    assert not found["far_off"]
+    # The scale is that of the good readings again.
+    names = robust.model.hyper_layout.names
+    sigma = np.asarray(robust.model.problem.hyper_priors.values(jnp.asarray(robust.h)))
+    was = np.asarray(whole.model.problem.hyper_priors.values(jnp.asarray(whole.h)))
+    for place, name in enumerate(whole.model.hyper_layout.names):
+        if name.startswith("white_noise"):
+            assert 0.7 < sigma[names.index(name)] / was[place] < 1.15
+
+
+def test_chance_of_tails_under_white_noise(whole):
+    """p-values of fresh white residuals are spread evenly; those of Student's t of 4 degrees of freedom are not."""
+    responses = respond(whole)
+    projection = project(whole, responses.misfit, responses.jacobian)
+    rng = np.random.default_rng(2)
+
+    def chances(draws: np.ndarray) -> np.ndarray:
+        found = [screen_noise(replace(projection, residual=projection.project(one))) for one in draws]
+        return np.array([c.p for candidates in found for c in candidates if c.effect == "outliers"])
+
+    rows = len(projection.residual)
+    white = chances(rng.normal(size=(60, rows)))
+    assert 0.2 < np.mean(white < 0.5) < 0.75
+    assert np.mean(white < 0.05) < 0.12
+    assert np.mean(white < 0.001) < 0.02
+    heavy = chances(rng.standard_t(4, size=(10, rows)))
+    assert np.mean(heavy < 0.001) > 0.6
