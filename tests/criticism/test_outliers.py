@@ -11,11 +11,13 @@ from null_data import redrawn
 import imubayes.criticism.search as search_module
 from imubayes.api import fit
 from imubayes.criticism.candidates import respond
-from imubayes.criticism.noise import screen_noise
+from imubayes.criticism.confirm import groups, predict_left_out
+from imubayes.criticism.noise import entries_of, screen_noise
 from imubayes.criticism.projection import project
 from imubayes.criticism.verdict import judge
 from imubayes.inference.fit import find_mode
 from imubayes.inference.fitted import Fitted
+from imubayes.inference.precision import linearise
 from imubayes.model.declaration import declare
 from imubayes.model.specification import EffectSpec
 from imubayes.model.whitening import noise_law
@@ -120,13 +122,20 @@ def refitted(model, z, h) -> Fitted:
     return Fitted(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged))
 
 
-def test_with_outliers_in_the_model_nothing_is_missing(whole):
+@pytest.fixture(scope="module")
+def mended(whole):
+    """The fit to readings of which some are far off, without `outliers` and with."""
     change = hits(whole, 12, 12.0, seed=3)
     spoilt = with_values(whole, np.asarray(whole.model.problem.observations.value) + change)
     spec = replace(spoilt.model.spec, effects=(*spoilt.model.spec.effects, EffectSpec("outliers")))
     model = declare(spec, spoilt.model.campaign)
     robust = refitted(model, np.zeros(model.problem.size[0]), np.zeros(model.problem.size[1]))
     assert robust.converged
+    return spoilt, robust
+
+
+def test_with_outliers_in_the_model_nothing_is_missing(whole, mended):
+    _, robust = mended
     found = judge(robust).json
     assert found["verdict"] == "adequate", found["sentence"]
     assert not found["far_off"]
@@ -137,6 +146,32 @@ def test_with_outliers_in_the_model_nothing_is_missing(whole):
     for place, name in enumerate(whole.model.hyper_layout.names):
         if name.startswith("white_noise"):
             assert 0.7 < sigma[names.index(name)] / was[place] < 1.15
+
+
+def test_runs_that_were_left_out_are_predicted_better(mended):
+    _, _, masks = groups(mended[0].model)
+    gains = []
+    for mask in masks[:3]:
+        normal, heavy = (
+            predict_left_out(one, linearise(one.model.problem, jnp.asarray(one.z)), mask).density for one in mended
+        )
+        gains.append(heavy - normal)
+    assert min(gains) > 0
+    assert sum(gains) > 30
+
+
+def test_a_reading_that_the_model_leans_on_is_seen(whole):
+    """The reading with the least of its variance left, yet enough, 20 standard deviations off."""
+    responses = respond(whole)
+    projection = project(whole, responses.misfit, responses.jacobian)
+    left = 1 - np.sum(entries_of(projection, projection.basis) ** 2, axis=1)
+    place = int(np.argmin(np.where(left > 0.2, left, 1.0)))
+    change = np.zeros(len(left))
+    change[place] = 20 * deviations(whole)[place]
+    assert left[place] < 0.7
+    found = judge(redrawn(whole, 7, change=change)).json
+    assert found["verdict"] == "noise_model", found["sentence"]
+    assert named(found) == places(whole, change)
 
 
 def test_chance_of_tails_under_white_noise(whole):

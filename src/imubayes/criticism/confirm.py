@@ -19,6 +19,7 @@ from imubayes.inference.precision import Linearised, linearise, log_marginal
 from imubayes.model.declaration import Model
 from imubayes.model.likelihood import residuals
 from imubayes.model.problem import without
+from imubayes.model.tails import has_tails
 from imubayes.parameters.vector import Layout
 
 # A refit of a model that contains the old one cannot be worse but for the priors of what is new.
@@ -154,7 +155,9 @@ def predict_left_out(fitted: Fitted, about: Linearised, left_out: np.ndarray) ->
     mode = mode_near(rest, about, h)
     if not bool(mode.converged):
         mode = find_mode(rest, jnp.asarray(fitted.z), h)
-    density = float(_log_marginal(problem, mode.about, mode.h) - _log_marginal(rest, mode.about, mode.h))
+    # Under a normal law the density of all may be taken about the fit to the rest; a heavy tail is no parabola.
+    whole = _linearise(problem, fit_at(problem, jnp.asarray(fitted.z), mode.h)) if has_tails(problem) else mode.about
+    density = float(_log_marginal(problem, whole, mode.h) - _log_marginal(rest, mode.about, mode.h))
     return LeftOut(density, np.asarray(mode.about.misfit)[left_out])
 
 

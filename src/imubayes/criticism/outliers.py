@@ -2,31 +2,72 @@
 
 from collections.abc import Sequence
 
+import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
 from imubayes.criticism.covariates import Covariate
 from imubayes.criticism.noise import entries_of
 from imubayes.criticism.projection import Projection
+from imubayes.inference.fitted import Fitted
+from imubayes.inference.precision import Linearised, deviations, knowledge
+from imubayes.model.declaration import Model
+from imubayes.model.problem import prior_widths
+from imubayes.model.whitening import noise_law
 
 # A reading is far off beyond so many standard deviations, told by the median of their sizes over that of a normal law.
 _FAR_OFF, _MEDIAN_OF_NORMAL = 5.0, 0.6745
+# One that was left out comes back if it is no farther than this from what the rest predicts.
+NEAR = 4.0
+# Of a reading that has less than this share of its variance left nothing can be said.
+_LEAST_FREE = 0.02
 # A covariate of so many values is looked at value by value, otherwise in so many parts.
 _MOST_VALUES, _PARTS, _DIGITS = 64, 16, 3
 # So many rows that are far off at one value, of so many runs, by so small a chance with all values counted, have a
 # cause.
-_LEAST_ROWS, _LEAST_RUNS, _NO_CHANCE = 3, 2, 1e-3
+_LEAST_ROWS, _LEAST_RUNS, _NO_CHANCE = 3, 2, 0.01
 
 
 def far_off(projection: Projection) -> np.ndarray:
     """Return which readings are so far off that a normal law does not bring them about, (E,) bool."""
     left = np.abs(entries_of(projection, projection.residual[:, None])[:, 0])
+    # A reading that the model leans on hides most of what it is off by (studentised residuals, Cook & Weisberg 1982).
+    leant_on = np.sum(entries_of(projection, projection.basis) ** 2, axis=1)
+    left /= np.sqrt(np.maximum(1 - leant_on, _LEAST_FREE))
     model, found = projection.fitted.model, np.zeros(len(left), dtype=bool)
     seen = (np.asarray(model.problem.observations.weight) > 0) & ~model.entries.closing
     for place in np.unique(model.entries.channel[seen]):
         own = (model.entries.channel == place) & seen
         found[own] = left[own] > _FAR_OFF * np.median(left[own]) / _MEDIAN_OF_NORMAL
     return found
+
+
+def distances(fitted: Fitted, about: Linearised) -> tuple[np.ndarray, np.ndarray]:
+    """Return by how much readings differ from what the rest predicts, each (E,).
+
+    First in standard deviations of a reading, then in those of its difference from the others of its run and channel:
+    what the rest predicts is uncertain, and what a run's readings have in common is none of its own.
+
+    Parameters
+    ----------
+    fitted : the fit to the rest.
+    about : the model linearised there.
+    """
+    problem, h = fitted.model.problem, jnp.asarray(fitted.h)
+    known = knowledge(problem, about, h).precision + jnp.diag(prior_widths(problem, h) ** -2)
+    group = np.asarray(problem.observations.group)
+    seen = (np.asarray(problem.observations.weight) > 0).astype(float)
+    count = np.maximum(np.bincount(group, seen), 1.0)
+
+    def apart(values: np.ndarray) -> np.ndarray:
+        mean = np.zeros((len(count), values.shape[1]))
+        np.add.at(mean, group, seen[:, None] * values)
+        return values - (mean / count[:, None])[group]
+
+    own, jacobian = np.asarray(noise_law(problem, h).own), apart(np.asarray(about.jacobian))
+    misfit = apart(np.asarray(about.misfit)[:, None])[:, 0]
+    variance = own * (1 + 1 / count[group]) + deviations(jacobian, np.asarray(known)) ** 2
+    return misfit / np.sqrt(own), misfit / np.sqrt(variance)
 
 
 def gathered(projection: Projection, far: np.ndarray, known: Sequence[Covariate]) -> bool:
@@ -41,14 +82,26 @@ def gathered(projection: Projection, far: np.ndarray, known: Sequence[Covariate]
         of_kind = [place for place, channel in enumerate(channels) if channel.kind == kind]
         here = np.isin(entries.channel, of_kind) & ~entries.closing
         share = len(np.unique(row[here & far])) / max(len(np.unique(row[here])), 1)
-        for covariate in known:
-            for cell in _cells(covariate.values, here):
+        for values in (*(one.values for one in known), _of_table(projection.fitted.model, "table_rate")):
+            for cell in _cells(values, here):
                 hit = cell & far
                 rows = np.unique(row[hit])
+                if len(np.unique(row[cell])) < _LEAST_ROWS or len(np.unique(entries.run[cell])) < _LEAST_RUNS:
+                    continue
                 looks += 1
                 if len(rows) >= _LEAST_ROWS and len(np.unique(entries.run[hit])) >= _LEAST_RUNS:
                     best = min(best, float(stats.binom.sf(len(rows) - 1, len(np.unique(row[cell])), share)))
     return best * looks < _NO_CHANCE
+
+
+def _of_table(model: Model, name: str) -> np.ndarray:
+    """Return what a table did at each reading, (E,), NaN where there is none: it acts on all channels alike."""
+    entries, found = model.entries, np.full(len(model.entries), np.nan)
+    for index, run in enumerate(model.campaign.runs):
+        if run.table is not None and name in run.covariates:
+            within = (entries.run == index) & ~entries.closing
+            found[within] = run.covariates[name][entries.row[within]]
+    return found
 
 
 def _cells(values: np.ndarray, here: np.ndarray) -> list[np.ndarray]:

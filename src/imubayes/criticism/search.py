@@ -12,14 +12,13 @@ from imubayes.criticism.covariates import Covariate, covariates
 from imubayes.criticism.details import Details, Scan, details, scan
 from imubayes.criticism.groups import Group, group
 from imubayes.criticism.noise import OUTLIERS, NoiseCandidate, Prewhitening, prewhitening, screen_noise
-from imubayes.criticism.outliers import far_off, gathered
+from imubayes.criticism.outliers import NEAR, distances, far_off, gathered
 from imubayes.criticism.projection import Projection, orthonormal, project
 from imubayes.criticism.screen import Candidate, Projected, prepare, screen
 from imubayes.criticism.structure import Laid, Structure, forms, lay, look
 from imubayes.inference.fit import find_mode
 from imubayes.inference.fitted import Fitted
 from imubayes.model.problem import without
-from imubayes.model.whitening import noise_law
 
 # Chance of a false alarm, of effects, of structure and of noise.
 EFFECT_THRESHOLD, STRUCTURE_THRESHOLD, NOISE_THRESHOLD = 0.02, 0.02, 0.01
@@ -142,10 +141,10 @@ def search(fitted: Fitted) -> Found:
     outliers, far = _outliers(ground, sight)
     if not outliers:
         return _settled(ground, sight)
-    rest, distances = _without(fitted, far)
+    rest, apart = _without(fitted, far)
     ground = Ground(rest, respond(rest), ground.covariates)
     found = _settled(ground, _sight(ground))
-    return replace(found, noise=sight.noise, adopted=(*outliers, *found.adopted), far=distances)
+    return replace(found, noise=sight.noise, adopted=(*outliers, *found.adopted), far=apart)
 
 
 def _sight(ground: Ground) -> Sight:
@@ -180,10 +179,11 @@ def _outliers(ground: Ground, sight: Sight) -> tuple[list[NoiseCandidate], np.nd
 def _without(fitted: Fitted, far: np.ndarray) -> tuple[Fitted, np.ndarray]:
     """Return the fit to all readings but those that are far off, (E,) bool, and by how much they are, (E,).
 
-    They have made the noise look wide: once they are left out more of them may show.
+    They have made the noise look wide and neighbours look far off: once they are left out, more of them may show, and
+    some that were left out come back.
     """
     z, h, rest = jnp.asarray(fitted.z), jnp.asarray(fitted.h), fitted
-    distances = np.zeros(len(far))
+    apart = np.zeros(len(far))
     for _ in range(_MOST_ROUNDS):
         problem = without(fitted.model.problem, far)
         mode = find_mode(problem, z, h)
@@ -191,13 +191,14 @@ def _without(fitted: Fitted, far: np.ndarray) -> tuple[Fitted, np.ndarray]:
             break
         z, h = mode.z, mode.h
         rest = replace(fitted, model=replace(fitted.model, problem=problem), z=np.asarray(z), h=np.asarray(h))
-        deviation = np.sqrt(np.asarray(noise_law(problem, h).own))
-        distances = np.where(far, np.asarray(mode.about.misfit) / deviation, 0.0)
+        sizes, surprise = distances(rest, mode.about)
+        apart = np.where(far, sizes, 0.0)
         more = far_off(project(rest, np.asarray(mode.about.misfit), np.asarray(mode.about.jacobian)))
-        if not more.any():
+        now = more | (far & (np.abs(surprise) > NEAR))
+        if np.array_equal(now, far):
             break
-        far = far | more
-    return rest, distances
+        far = now
+    return rest, apart
 
 
 def _settled(ground: Ground, sight: Sight) -> Found:
