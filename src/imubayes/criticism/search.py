@@ -141,10 +141,18 @@ def search(fitted: Fitted) -> Found:
     outliers, far = _outliers(ground, sight)
     if not outliers:
         return _settled(ground, sight)
-    rest, apart = _without(fitted, far)
-    ground = Ground(rest, respond(rest), ground.covariates)
-    found = _settled(ground, _sight(ground))
-    return replace(found, noise=sight.noise, adopted=(*outliers, *found.adopted), far=apart)
+    noise, apart = sight.noise, np.zeros(len(far))
+    for _ in range(_MOST_ROUNDS):
+        # What an effect that is missing moves far off has a cause: only what remains so without it is left out.
+        rest, apart = _without(fitted, far, 1 if sight.groups else _MOST_ROUNDS)
+        ground = Ground(rest, respond(rest), ground.covariates)
+        sight = _sight(ground)
+        more = far_off(sight.last.projection)
+        if not more.any():
+            break
+        far = (apart != 0) | more
+    found = _settled(ground, sight)
+    return replace(found, noise=noise, adopted=(*outliers, *found.adopted), far=apart)
 
 
 def _sight(ground: Ground) -> Sight:
@@ -169,14 +177,15 @@ def _outliers(ground: Ground, sight: Sight) -> tuple[list[NoiseCandidate], np.nd
     """
     before = sight.first.projection
     beyond = [one for one in _within(sight.noise, NOISE_THRESHOLD) if one.effect == OUTLIERS]
-    far = far_off(before)
+    far = far_off(sight.last.projection)
     directions = sight.cleared.basis.shape[1] - before.basis.shape[1]
-    if not beyond or np.sum(far & ~far_off(sight.cleared)) > directions or gathered(before, far, ground.covariates):
+    explained = np.sum(far_off(before) & ~far_off(sight.cleared))
+    if not beyond or explained > directions or gathered(sight.last.projection, far, ground.covariates):
         return [], far
     return (beyond if far.any() or not sight.alarm else []), far
 
 
-def _without(fitted: Fitted, far: np.ndarray) -> tuple[Fitted, np.ndarray]:
+def _without(fitted: Fitted, far: np.ndarray, rounds: int) -> tuple[Fitted, np.ndarray]:
     """Return the fit to all readings but those that are far off, (E,) bool, and by how much they are, (E,).
 
     They have made the noise look wide and neighbours look far off: once they are left out, more of them may show, and
@@ -184,7 +193,7 @@ def _without(fitted: Fitted, far: np.ndarray) -> tuple[Fitted, np.ndarray]:
     """
     z, h, rest = jnp.asarray(fitted.z), jnp.asarray(fitted.h), fitted
     apart = np.zeros(len(far))
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(rounds):
         problem = without(fitted.model.problem, far)
         mode = find_mode(problem, z, h)
         if not bool(mode.converged):
