@@ -113,7 +113,7 @@ def test_each_of_correlated_entries_has_its_conditional_density():
     inverse = np.linalg.inv(explicit)
     variance = 1 / np.diag(inverse)
     expected = stats.norm.logpdf(variance * (inverse @ misfit), scale=np.sqrt(variance))
-    found = entry_log_likelihood(model.problem, z, h)
+    found = entry_log_likelihood(model.problem, jnp.asarray(misfit), h)
     np.testing.assert_allclose(found.entry, expected, rtol=1e-8)
     for group in range(found.group.shape[0]):
         own = np.flatnonzero(np.asarray(model.problem.observations.group) == group)

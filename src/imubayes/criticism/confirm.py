@@ -32,7 +32,6 @@ _LEAST_GAIN = 0.5
 _MOST_BLOCKS, _LEAST_ROWS = 8, 4
 
 _log_marginal = eqx.filter_jit(log_marginal)
-_linearise = eqx.filter_jit(linearise)
 _residuals = eqx.filter_jit(residuals)
 
 
@@ -93,7 +92,7 @@ def held_out(before: Fitted, after: Fitted, progress: Callable[[str], None] | No
     """
     tell = progress or (lambda text: None)
     by, names, masks = groups(before.model)
-    about = [_linearise(one.model.problem, jnp.asarray(one.z)) for one in (before, after)]
+    about = [linearise(one.model.problem, jnp.asarray(one.z)) for one in (before, after)]
     seen = []
     for place, mask in enumerate(masks):
         tell(f"predicting {by} {place + 1} of {len(masks)} from the others")
@@ -156,7 +155,7 @@ def predict_left_out(fitted: Fitted, about: Linearised, left_out: np.ndarray) ->
     if not bool(mode.converged):
         mode = find_mode(rest, jnp.asarray(fitted.z), h)
     # Under a normal law the density of all may be taken about the fit to the rest; a heavy tail is no parabola.
-    whole = _linearise(problem, fit_at(problem, jnp.asarray(fitted.z), mode.h)) if has_tails(problem) else mode.about
+    whole = linearise(problem, fit_at(problem, jnp.asarray(fitted.z), mode.h)) if has_tails(problem) else mode.about
     density = float(_log_marginal(problem, whole, mode.h) - _log_marginal(rest, mode.about, mode.h))
     return LeftOut(density, np.asarray(mode.about.misfit)[left_out])
 
@@ -185,7 +184,7 @@ def _in_order(old: Layout, point: np.ndarray, new: Layout) -> np.ndarray:
 def _log_likelihood(fitted: Fitted) -> float:
     """Return log p(y | h) with θ integrated out about the mode."""
     problem, h = fitted.model.problem, jnp.asarray(fitted.h)
-    about = _linearise(problem, jnp.asarray(fitted.z))
+    about = linearise(problem, jnp.asarray(fitted.z))
     prior = 0.5 * float(h @ h) + 0.5 * len(fitted.h) * np.log(2 * np.pi)
     return float(_log_marginal(problem, about, h)) + prior
 

@@ -15,8 +15,9 @@ from scipy.linalg import solve_triangular
 from imubayes.criticism.candidates import fitting_channels
 from imubayes.effects.base import MotionEffect
 from imubayes.inference.fitted import Fitted
+from imubayes.inference.precision import Linearised, linearise
 from imubayes.model.declaration import Model, declare
-from imubayes.model.problem import Problem, predict, prediction_jacobian, prior_widths
+from imubayes.model.problem import Problem, prior_widths
 from imubayes.model.registry import Member, Registry
 from imubayes.model.specification import EffectSpec, ModelSpec
 from imubayes.model.tails import pseudo_values
@@ -222,13 +223,16 @@ def _new(old: Layout, model: Layout) -> np.ndarray:
     return np.array([name not in known for name in model.names], dtype=bool)
 
 
-@eqx.filter_jit
 def whitened(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
     """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,)."""
+    return _whitened(problem, linearise(problem, z), h)
+
+
+@eqx.filter_jit
+def _whitened(problem: Problem, about: Linearised, h: Float[Array, " H"]):
     by = whitener(problem, h)
-    residual = whiten(problem, by, pseudo_values(problem, h, problem.observations.value - predict(problem, z)))
-    jacobian = whiten(problem, by, prediction_jacobian(problem, z))
-    return residual, jacobian, prior_widths(problem, h)
+    residual = whiten(problem, by, pseudo_values(problem, h, about.misfit))
+    return residual, whiten(problem, by, about.jacobian), prior_widths(problem, h)
 
 
 def _first_step(

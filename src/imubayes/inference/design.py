@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,8 +19,7 @@ from imubayes.inference.joint import JointFit
 from imubayes.inference.planned import Candidate, candidates
 from imubayes.inference.precision import deviations, linearise, precision_of
 from imubayes.model.declaration import Model, declare
-from imubayes.model.derived import derive
-from imubayes.model.problem import values_of
+from imubayes.model.derived import derived_slopes
 
 # Derived quantities below this share from the data ask for a further run.
 _WANTED_SHARE = 0.5
@@ -45,11 +43,6 @@ def with_planned(fitted: Fitted, elsewhere: bool = False) -> tuple[Fitted, list[
     return Fitted(model, z, h, fitted.converged, fitted.message), planned
 
 
-@eqx.filter_jit
-def _gradient(derivation, problem, z):
-    return jax.jacfwd(lambda one: derivation(values_of(problem, one)))(z)
-
-
 def rank(fit: JointFit, quantities: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
     """Return, for each quantity, the candidate runs in order of its standard deviation after them.
 
@@ -62,8 +55,8 @@ def rank(fit: JointFit, quantities: Sequence[str]) -> dict[str, list[dict[str, A
     if not planned:
         return {}
     model, z, h = wide.model, wide.z, wide.h
-    about = _linearise(model.problem, jnp.asarray(z))
-    gradients = _gradients(model, z, quantities)
+    about = linearise(model.problem, jnp.asarray(z))
+    gradients = _gradients(fit, model, quantities)
     known_runs = len(fit.model.campaign.runs)
 
     def precision(included: Sequence[int]) -> np.ndarray:
@@ -89,23 +82,26 @@ def rank(fit: JointFit, quantities: Sequence[str]) -> dict[str, list[dict[str, A
     return found
 
 
-def _gradients(model: Model, z: np.ndarray, quantities: Sequence[str]) -> np.ndarray:
-    """Return the gradient with respect to z of derived quantities and parameters, in their units, (n, P)."""
-    derived = derive(model.assembly)
-    names = [name.name for name in derived.names]
-    of_derived = np.asarray(_gradient(derived.derivation, model.problem, z))
-    slopes = np.asarray(_slopes(model.problem, z)) / model.layout.factors()
+def _gradients(fit: JointFit, wide: Model, quantities: Sequence[str]) -> np.ndarray:
+    """Return the gradient of derived quantities and parameters, in their units, with respect to z of `wide`, (n, P).
+
+    What came with the planned runs, such as their tables and seats, changes no quantity of the fit.
+    """
+    layout, problem = fit.model.layout, fit.model.problem
+    names = [name.name for name in fit.derived.names]
+    of_derived = np.asarray(derived_slopes(fit.derived.derivation, problem, fit.mode.z))
+    slopes = np.asarray(_slopes(problem, fit.mode.z)) / layout.factors()
     rows = []
     for quantity in quantities:
         if quantity in names:
-            rows.append(of_derived[names.index(quantity)])
+            gradient = of_derived[names.index(quantity)]
         else:
-            place = model.layout.index(quantity)
-            rows.append(np.eye(len(z))[place] * slopes[place])
+            place = layout.index(quantity)
+            gradient = np.eye(len(layout))[place] * slopes[place]
+        rows.append(wide.layout.carried(layout, gradient))
     return np.array(rows)
 
 
-_linearise = eqx.filter_jit(linearise)
 _slopes = eqx.filter_jit(lambda problem, z: problem.priors.slopes(z))
 
 

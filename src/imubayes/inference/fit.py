@@ -5,14 +5,17 @@ are found in turns, a few rounds of each, because θ hardly depends on the noise
 fit that did not converge says so in a sentence.
 """
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from imubayes.inference.least_squares import GramCholesky, minimise
 from imubayes.inference.precision import Linearised, knowledge, linearise, log_marginal
-from imubayes.model.likelihood import residuals, whitened
-from imubayes.model.problem import Problem, predict, prediction_jacobian, prior_widths
+from imubayes.model.likelihood import log_normaliser, residuals_of, whitened
+from imubayes.model.problem import Problem, predict, predict_many, prediction_jacobian, prior_widths
 from imubayes.model.tails import has_tails, straightened, without_tails
 from imubayes.model.whitening import whiten
 from imubayes.types import Array, Bool, Float, Int, Scalar
@@ -109,6 +112,7 @@ def curvature(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Cur
     return Curvature(value, gradient, -0.5 * (hessian + hessian.T))
 
 
+@jax.jit
 def newton_step(at: Curvature) -> Float[Array, " H"]:
     """Return a step up the marginal: Newton's, with every curvature made positive and no longer than 1 per axis."""
     eigenvalues, axes = jnp.linalg.eigh(at.information)
@@ -118,34 +122,46 @@ def newton_step(at: Curvature) -> Float[Array, " H"]:
 
 
 _fit_parameters = eqx.filter_jit(lambda problem, z, h: fit_parameters(problem, z, h))
-_linearise = eqx.filter_jit(linearise)
 _curvature = eqx.filter_jit(curvature)
 
 
-class Polished(eqx.Module):
-    """One more Gauss–Newton step: where it leads, and its size before, in posterior standard deviations."""
+class Newton(eqx.Module):
+    """The Gauss–Newton step at given h, and its size, in posterior standard deviations."""
 
-    z: Float[Array, " P"]
+    step: Float[Array, " P"]
     decrement: Scalar
 
 
 # Where a weak direction is curved, Gauss–Newton creeps along it with steps that shrink by a constant factor.
-_LENGTHS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+_LENGTHS = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0])
 
 
-def polish(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Polished:
-    """Return the best of several lengths of the Gauss–Newton step, and the decrement √(gᵀH⁻¹g)."""
+def gauss_newton(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Newton:
+    """Return the step to the mode of the linearised model, and the decrement √(gᵀH⁻¹g)."""
     known, prior_precision = knowledge(problem, about, h), prior_widths(problem, h) ** -2
     total = known.precision + jnp.diag(prior_precision)
     gradient = known.gradient - prior_precision * about.z
     step = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(total), True), gradient)
-    ends = about.z[None, :] + jnp.array((0.0, *_LENGTHS))[:, None] * step[None, :]
-    cost = jax.vmap(lambda z: jnp.sum(residuals(problem, z, h) ** 2))(ends)
-    best = jnp.argmin(jnp.where(jnp.isfinite(cost), cost, jnp.inf))
-    return Polished(ends[best], jnp.sqrt(jnp.maximum(gradient @ step, 0.0)))
+    return Newton(step, jnp.sqrt(jnp.maximum(gradient @ step, 0.0)))
 
 
-_polish = eqx.filter_jit(polish)
+_gauss_newton = eqx.filter_jit(gauss_newton)
+
+
+@eqx.filter_jit
+def _heights(problem: Problem, predicted: Float[Array, "n E"], z: Float[Array, "n P"], h: Float[Array, " H"]):
+    def height(predicted, one):
+        misfit = problem.observations.value - predicted
+        return -0.5 * jnp.sum(residuals_of(problem, misfit, one, h) ** 2) + log_normaliser(problem, h)
+
+    return jax.vmap(height)(predicted, z)
+
+
+def heights(problem: Problem, z: Sequence[Float[Array, " P"]] | np.ndarray, h: Float[Array, " H"]) -> np.ndarray:
+    """Return the log density at several θ (n of shape P) and one h, −∞ where it is not finite; shape (n,)."""
+    points = np.stack([np.asarray(one) for one in z])
+    found = np.asarray(_heights(problem, predict_many(problem, points), points, h))
+    return np.where(np.isfinite(found), found, -np.inf)
 
 
 def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Mode:
@@ -162,7 +178,7 @@ def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) ->
         fitted = _fit_parameters(problem, z, h)
         steps += int(fitted.steps)
         z = fitted.value
-        about = _linearise(problem, z)
+        about = linearise(problem, z)
         before = h
         h, at = _climb(problem, about, h)
         settled = h.size == 0 or float(jnp.max(jnp.abs(h - before))) < _SETTLED
@@ -197,12 +213,16 @@ def _polished(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> tup
     """Return the model about the end of Gauss–Newton steps at given h, the decrement there, and how many they were."""
     decrement, steps = jnp.asarray(jnp.inf), 0
     for _ in range(_POLISH_STEPS):
-        polished = _polish(problem, about, h)
-        decrement = polished.decrement
-        if not float(decrement) >= _DECREMENT / 10 or bool(jnp.all(polished.z == about.z)):
+        newton = _gauss_newton(problem, about, h)
+        decrement = newton.decrement
+        if not float(decrement) >= _DECREMENT / 10:
+            break
+        ends = np.asarray(about.z) + _LENGTHS[:, None] * np.asarray(newton.step)
+        best = int(np.argmax(heights(problem, ends, h)))
+        if _LENGTHS[best] == 0:
             break
         steps += 1
-        about = _linearise(problem, polished.z)
+        about = linearise(problem, jnp.asarray(ends[best]))
     return about, decrement, steps
 
 

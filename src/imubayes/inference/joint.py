@@ -15,7 +15,7 @@ import numpy as np
 from imubayes.errors import InputError
 from imubayes.errors import Problem as Complaint
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.fit import Mode, find_mode, fit_at, message
+from imubayes.inference.fit import Mode, find_mode, fit_at, heights, message
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.laplace import NestedLaplace, nested_laplace
 from imubayes.inference.moves import LaplaceProposal, LogDensity
@@ -117,9 +117,8 @@ def joint_fit(
             file.check()
         tell("fitting")
         settings = sampling or Settings()
-        density = LogDensity(problem, walkers_for(sum(problem.size), settings) // 2)
         dispersed = _DISPERSED if sampling is not None or start is None else 0
-        mode, others = _best_start(problem, density, settings.seed, start, dispersed)
+        mode, others = _best_start(problem, settings.seed, start, dispersed)
         derived = derive(model.assembly)
         if not bool(mode.converged):
             return _unconverged(model, derived, mode, {"fit": time.perf_counter() - clock})
@@ -136,6 +135,7 @@ def joint_fit(
             def report(steps: int, word: str) -> None:
                 tell(f"sampling: {steps} steps" + (f" ({word})" if word else ""))
 
+            density = LogDensity(problem, walkers_for(sum(problem.size), settings) // 2)
             chains = sample(density, starts, names, sampling, file, proposal, report)
             points = chains.points.reshape(-1, chains.points.shape[-1])
         else:
@@ -190,7 +190,6 @@ def model_hash(model: Model) -> str:
 
 def _best_start(
     problem: Problem,
-    density: LogDensity,
     seed: int,
     start: tuple[np.ndarray, np.ndarray] | None,
     dispersed: int,
@@ -201,20 +200,16 @@ def _best_start(
     mode = find_mode(problem, jnp.asarray(z), jnp.asarray(h))
     random = np.random.default_rng([seed, 1])
     ends = [fit_at(problem, jnp.asarray(random.normal(size=size)), mode.h) for _ in range(dispersed)]
-    here, *densities = _densities(density, [mode.z, *ends], mode.h)
+    here, *densities = heights(problem, [mode.z, *ends], mode.h).tolist()
     best = int(np.argmax(densities)) if densities else -1
     if densities and (densities[best] > here + _SAME or (not bool(mode.converged) and np.isfinite(densities[best]))):
         again = find_mode(problem, ends[best], mode.h)
         if bool(again.converged) or not bool(mode.converged):
-            mode, here = again, _densities(density, [again.z], again.h)[0]
+            mode, here = again, float(heights(problem, [again.z], again.h)[0])
     others = [
         np.asarray(end) for end, height in zip(ends, densities, strict=True) if here - _HOPELESS < height < here - _SAME
     ]
     return mode, others
-
-
-def _densities(density: LogDensity, ends: list, h) -> list[float]:
-    return density(np.stack([np.concatenate([end, h]) for end in ends])).tolist()
 
 
 def _starts(

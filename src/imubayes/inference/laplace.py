@@ -15,12 +15,13 @@ independent noise and right to first order otherwise; each block is positive sem
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import solve_triangular
 from jax.scipy.special import ndtr, ndtri
 
 from imubayes.inference.fit import Mode
 from imubayes.inference.precision import knowledge, log_marginal
-from imubayes.model.problem import Problem, predict, prior_widths
+from imubayes.model.problem import Problem, predict_many, prior_widths
 from imubayes.model.whitening import inverse_covariance, whitener
 from imubayes.noise.base import TailNoise
 from imubayes.types import Array, Float
@@ -29,7 +30,7 @@ from imubayes.types import Array, Float
 # straight.
 _WEAK_SD = 0.03
 # Second derivatives are taken over pairs: 60 directions make 1830 of them.
-_MOST_WEAK, _BATCH = 60, 16
+_MOST_WEAK = 60
 # The marginal of h is followed along each axis as far as its value has dropped by about 1, where half the mass lies.
 _PROBE = 1.4
 
@@ -62,6 +63,7 @@ class NestedLaplace(eqx.Module):
     bend: Float[Array, "K K P"]
 
 
+@eqx.filter_jit
 def posterior_precision(problem: Problem, mode: Mode) -> Float[Array, "P P"]:
     """Return the Gauss–Newton precision of θ at the mode, in z."""
     known = knowledge(problem, mode.about, mode.h)
@@ -129,31 +131,28 @@ def bends(
     inverse : shape (P, P), inverse of the precision restricted to the strong directions.
     """
     count = weak.shape[1]
-    steps = weak.T * reach[:, None]
-    rows, columns = jnp.triu_indices(count)
-
-    def second(step):
-        both = jax.vmap(lambda z: predict(problem, z))(mode.z[None, :] + jnp.stack([step, -step]))
-        return both.sum(axis=0) - 2 * centre
-
-    centre = problem.observations.value - mode.about.misfit
-    pairs = steps[rows] + steps[columns]
-    # Whole batches: what is left over would be compiled a second time.
-    batch = min(_BATCH, len(pairs))
-    padded = jnp.concatenate([pairs, jnp.zeros((-len(pairs) % batch, pairs.shape[1]))])
-    whole = jax.lax.map(second, padded, batch_size=batch)[: len(pairs)]
+    steps = np.asarray(weak.T * reach[:, None])
+    rows, columns = np.triu_indices(count)
+    pairs, middle = steps[rows] + steps[columns], np.asarray(mode.z)
+    centre = np.asarray(problem.observations.value - mode.about.misfit)
+    whole = predict_many(problem, middle + pairs) + predict_many(problem, middle - pairs) - 2 * centre
     # ∂²f[a, b] = ½ (∂²f[a + b, a + b] − ∂²f[a, a] − ∂²f[b, b]); the pair (a, a) went along 2a, four times its own.
-    own = whole[jnp.nonzero(rows == columns, size=count)[0]] / 4
-    mixed = 0.5 * (whole - own[rows] - own[columns]) / (reach[rows] * reach[columns])[:, None]
+    own, far = whole[rows == columns] / 4, np.asarray(reach)
+    mixed = 0.5 * (whole - own[rows] - own[columns]) / (far[rows] * far[columns])[:, None]
+    acceleration = -np.asarray(_pulled(problem, mode, mixed)) @ np.asarray(inverse)
+    result = np.zeros((count, count, weak.shape[0]))
+    result[rows, columns] = result[columns, rows] = acceleration
+    return jnp.asarray(result)
+
+
+@eqx.filter_jit
+def _pulled(problem: Problem, mode: Mode, changes: Float[Array, "n E"]) -> Float[Array, "n P"]:
+    """Return JᵀΣ⁻¹ · change for each change of the prediction."""
     by = whitener(problem, mode.h)
-    pulled = jax.vmap(lambda d: mode.about.jacobian.T @ inverse_covariance(problem, by, d)[0])(mixed)
-    acceleration = -pulled @ inverse
-    result = jnp.zeros((count, count, weak.shape[0]))
-    return result.at[rows, columns].set(acceleration).at[columns, rows].set(acceleration)
+    return jax.vmap(lambda change: mode.about.jacobian.T @ inverse_covariance(problem, by, change)[0])(changes)
 
 
 _split_by_scale = eqx.filter_jit(split_by_scale)
-_bends = eqx.filter_jit(bends)
 _log_marginal = eqx.filter_jit(log_marginal)
 
 
@@ -165,7 +164,7 @@ def nested_laplace(problem: Problem, mode: Mode) -> NestedLaplace:
     inverse = (strong / split.eigenvalues[None, count:]) @ strong.T
     size = mode.z.shape[0]
     reach = split.eigenvalues[:count] ** -0.5
-    bend = _bends(problem, mode, weak, reach, inverse) if count else jnp.zeros((0, 0, size))
+    bend = bends(problem, mode, weak, reach, inverse) if count else jnp.zeros((0, 0, size))
     axes, left, right = _split_normal(problem, mode)
     return NestedLaplace(
         mode.z, mode.h, axes, left, right, split.blocks, split.gradients, split.fixed, split.fixed_gradient, weak, bend
@@ -174,22 +173,20 @@ def nested_laplace(problem: Problem, mode: Mode) -> NestedLaplace:
 
 def _split_normal(problem: Problem, mode: Mode):
     """Return axes of the marginal of h with a standard deviation for each side."""
-    at, h = mode.marginal, mode.h
-    eigenvalues, axes = jnp.linalg.eigh(at.information)
+    at, h = mode.marginal, np.asarray(mode.h)
+    eigenvalues, axes = np.linalg.eigh(np.asarray(at.information))
     # Where the marginal is flatter than the prior the Laplace width would be boundless; the prior has width 1.
-    deviation = 1 / jnp.sqrt(jnp.maximum(eigenvalues, 1.0))
+    deviation = 1 / np.sqrt(np.maximum(eigenvalues, 1.0))
 
     def side(axis: int, sign: float) -> float:
         step = sign * _PROBE * deviation[axis]
         drop = float(at.value - _log_marginal(problem, mode.about, h + step * axes[:, axis]))
         # A normal drops by ½·_PROBE²; the width that would give the drop found here, within a factor of 2.
-        ratio = jnp.clip(_PROBE / jnp.sqrt(2 * max(drop, 1e-3)), 0.5, 2.0)
+        ratio = np.clip(_PROBE / np.sqrt(2 * max(drop, 1e-3)), 0.5, 2.0)
         return float(deviation[axis] * ratio)
 
-    count = h.shape[0]
-    left = jnp.array([side(axis, -1.0) for axis in range(count)])
-    right = jnp.array([side(axis, +1.0) for axis in range(count)])
-    return axes, left, right
+    left, right = (np.array([side(axis, sign) for axis in range(len(h))]) for sign in (-1.0, 1.0))
+    return jnp.asarray(axes), jnp.asarray(left), jnp.asarray(right)
 
 
 def _conditional(approximation: NestedLaplace, problem: Problem, h: Float[Array, " H"]):

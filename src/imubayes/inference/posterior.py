@@ -13,7 +13,7 @@ from imubayes.inference.joint import JointFit, data_hash, model_hash
 from imubayes.inference.sample import burn_in
 from imubayes.inference.simulation import heavy_tailed
 from imubayes.model.likelihood import entry_log_likelihood
-from imubayes.model.problem import Problem, predict
+from imubayes.model.problem import Problem, predict_many
 from imubayes.model.whitening import noise_law
 from imubayes.parameters.vector import Layout
 
@@ -22,18 +22,17 @@ _KEPT, _BATCH = 200, 20
 
 
 @eqx.filter_jit
-def _predictions(problem: Problem, points):
-    size = problem.size[0]
-
-    def one(point):
-        pieces = entry_log_likelihood(problem, point[:size], point[size:])
-        law = noise_law(problem, point[size:])
+def _likelihoods(problem: Problem, predicted, h):
+    def one(at):
+        predicted, h = at
+        pieces = entry_log_likelihood(problem, problem.observations.value - predicted, h)
+        law = noise_law(problem, h)
         own = jnp.where(problem.observations.weight > 0, law.own, 0.0)
         tail = jnp.zeros_like(own) if law.tail is None else law.tail
-        return predict(problem, point[:size]), jnp.sqrt(own), tail, pieces.entry, pieces.group
+        return jnp.sqrt(own), tail, pieces.entry, pieces.group
 
     # Whole batches: what is left over would be compiled a second time.
-    return jax.lax.map(one, points, batch_size=_BATCH)
+    return jax.lax.map(one, (predicted, h), batch_size=_BATCH)
 
 
 @eqx.filter_jit
@@ -111,7 +110,9 @@ def posterior_tree(fit: JointFit) -> xarray.DataTree:
 
 def _predicted(problem: Problem, points: np.ndarray, random: np.random.Generator):
     """Return replicated outputs, and log likelihoods per entry and per run and channel."""
-    predicted, deviation, tail, entry, group = (np.asarray(part) for part in _predictions(problem, points))
+    size = problem.size[0]
+    predicted = predict_many(problem, points[:, :size])
+    deviation, tail, entry, group = (np.asarray(part) for part in _likelihoods(problem, predicted, points[:, size:]))
     alone = random.normal(size=predicted.shape) * heavy_tailed(tail, random)
     return predicted + deviation * alone, entry, group
 

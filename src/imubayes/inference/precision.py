@@ -33,6 +33,8 @@ class Knowledge(eqx.Module):
     square: Scalar
 
 
+# Compiled once for all who ask; what calls it from a compiled function takes it in.
+@eqx.filter_jit
 def linearise(problem: Problem, z: Float[Array, " P"]) -> Linearised:
     """Return the model linearised about z."""
     misfit = problem.observations.value - predict(problem, z)

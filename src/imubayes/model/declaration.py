@@ -7,7 +7,6 @@ an effect that no run can show, two that do not go together) is collected and re
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import Effect, MotionEffect, Stage
@@ -213,7 +212,7 @@ def problem_of(assembly: Assembly) -> Problem:
 
 def as_arrays(problem: Problem) -> Problem:
     """Return the problem with JAX arrays in place of NumPy's, so that a jitted call does not copy them each time."""
-    return jax.tree.map(jnp.asarray, problem)
+    return jax.device_put(problem)
 
 
 def _spreads(acting, layout: Layout, hyper_places: dict[str, int]) -> tuple[np.ndarray, np.ndarray]:

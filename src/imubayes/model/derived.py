@@ -20,6 +20,7 @@ from imubayes.model.probe import (
     sensitivities,
     thermal_slopes,
 )
+from imubayes.model.problem import Problem, values_of
 from imubayes.types import Array, Float, Int
 from imubayes.units import to_si
 
@@ -43,6 +44,8 @@ class Derivation(eqx.Module):
     thermal_pairs: dict[str, Int[Array, "_ 3"]]
     factors: Float[Array, " D"]
 
+    # Traced once, for the quantities of every draw and for their slopes.
+    @eqx.filter_jit
     def __call__(self, values: Float[Array, " V"]) -> Float[Array, " D"]:
         """Return all derived quantities in their units, in the order of the names."""
         response = sensitivities(self.probe, values)
@@ -64,6 +67,12 @@ class Derivation(eqx.Module):
                     own, reference = slopes[kind][run, channel], slopes[kind][base, channel]
                     parts.append(jnp.abs(own - reference) / jnp.abs(reference))
         return jnp.concatenate(parts) / self.factors
+
+
+@eqx.filter_jit
+def derived_slopes(derivation: Derivation, problem: Problem, z: Float[Array, " P"]) -> Float[Array, "D P"]:
+    """Return the derivative of every derived quantity, in its unit, by every parameter in z."""
+    return jax.jacfwd(lambda one: derivation(values_of(problem, one)))(z)
 
 
 @dataclass(frozen=True)
@@ -125,7 +134,7 @@ def derive(assembly: Assembly) -> Derived:
     )
     factors = np.array([name.factor for name in names])
     derivation = Derivation(probe, pairs, thermal_pairs, factors)
-    return Derived(tuple(names), jax.tree.map(jnp.asarray, derivation))
+    return Derived(tuple(names), jax.device_put(derivation))
 
 
 def _mounting_nodes(assembly: Assembly) -> tuple[list[str], np.ndarray]:

@@ -23,8 +23,14 @@ def whitened(problem: Problem, h: Float[Array, " H"], misfit: Float[Array, " E"]
 
 def residuals(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Float[Array, " EP"]:
     """Return [L⁻¹(y − f(θ)), z_θ/s(h)]: half its squared norm is what a fit at given h minimises."""
-    data = whitened(problem, h, problem.observations.value - predict(problem, z))
-    return jnp.concatenate([data, z / prior_widths(problem, h)])
+    return residuals_of(problem, problem.observations.value - predict(problem, z), z, h)
+
+
+def residuals_of(
+    problem: Problem, misfit: Float[Array, " E"], z: Float[Array, " P"], h: Float[Array, " H"]
+) -> Float[Array, " EP"]:
+    """Return what `residuals` does, where the misfit y − f(θ) is known."""
+    return jnp.concatenate([whitened(problem, h, misfit), z / prior_widths(problem, h)])
 
 
 def log_normaliser(problem: Problem, h: Float[Array, " H"]) -> Scalar:
@@ -55,15 +61,14 @@ class EntryLikelihood(eqx.Module):
     group: Float[Array, " G"]
 
 
-def entry_log_likelihood(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> EntryLikelihood:
-    """Return the log likelihood of every entry and of every run and channel.
+def entry_log_likelihood(problem: Problem, residual: Float[Array, " E"], h: Float[Array, " H"]) -> EntryLikelihood:
+    """Return the log likelihood of every entry and of every run and channel, for residuals y − f(θ).
 
     Entries of one run share an offset, so an entry's own density is conditional on the others: with Σ⁻¹ = Q its
     variance is 1/Q_ii and its residual (Q r)_i/Q_ii (Bürkner, Gabry, Vehtari, Computational Statistics 2021).  A law
     with heavy tails keeps its shape about that, its scale widened by what the offset is uncertain.
     """
     by, observations, law = whitener(problem, h), problem.observations, noise_law(problem, h)
-    residual = observations.value - predict(problem, z)
     pseudo = pseudo_values(problem, h, residual)
     pulled, precision = inverse_covariance(problem, by, pseudo)
     seen = observations.weight > 0

@@ -17,6 +17,9 @@ from imubayes.parameters.vector import Priors
 from imubayes.stimulus import Instants, SignalPath
 from imubayes.types import Array, Bool, Float, Int
 
+# Points that are predicted at once: more would leave much of a batch unused where a few are asked for.
+_AT_ONCE = 8
+
 
 class NoiseLayer(eqx.Module):
     """A noise member with the places of its values: one per entry, or per run and channel for what is shared.
@@ -155,6 +158,23 @@ def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, "
     return jnp.concatenate([predicted, closing.reshape(-1)])
 
 
+@jax.jit
+def _predict_batch(problem: Problem, points: Float[Array, "n P"]) -> Float[Array, "n E"]:
+    return jax.vmap(lambda z: predict(problem, z))(points)
+
+
+def predict_many(problem: Problem, points: np.ndarray) -> np.ndarray:
+    """Return the predictions of many points (n, P), shape (n, E).
+
+    In batches of one size: the signal path is compiled once for all who ask for more than one prediction.
+    """
+    points = np.asarray(points)
+    whole = np.concatenate([points, np.zeros((-len(points) % _AT_ONCE, points.shape[1]))])
+    batches = whole.reshape(-1, _AT_ONCE, points.shape[1])
+    parts = [np.asarray(_predict_batch(problem, batch)) for batch in batches]
+    return np.concatenate([np.zeros((0, len(problem.observations.value))), *parts])[: len(points)]
+
+
 def row_means(problem: Problem, signal: Float[Array, "N C"]) -> Float[Array, "R C"]:
     """Average the nodes of each row; rows come sorted by their number of nodes, so this is a reshape and a sum."""
     weighted = signal * problem.node_weight[:, None]
@@ -178,6 +198,7 @@ def prediction_jacobian(problem: Problem, z: Float[Array, " P"]) -> Float[Array,
     return jnp.where(sparsity.reach, packed[sparsity.colour].T, 0.0)
 
 
+@jax.jit
 def prior_widths(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " P"]:
     """Return the standard deviation of each z_θ: 1, or what has been learnt of the spread."""
     values = problem.hyper_priors.values(h)

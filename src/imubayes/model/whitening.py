@@ -111,6 +111,7 @@ def noise_law(problem: Problem, h: Float[Array, " H"]) -> Law:
     return Law(own, shared, tail)
 
 
+@jax.jit
 def whitener(problem: Problem, h: Float[Array, " H"]) -> Whitener:
     """Return the whitener at hyperparameters h (in z).
 

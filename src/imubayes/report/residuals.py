@@ -10,8 +10,8 @@ import numpy as np
 import polars as pl
 
 from imubayes.inference.joint import JointFit
-from imubayes.inference.precision import knowledge
-from imubayes.model.problem import Problem, predict, prior_widths
+from imubayes.inference.laplace import posterior_precision
+from imubayes.model.problem import Problem
 from imubayes.model.tails import pseudo_values
 from imubayes.model.whitening import whiten, whitener
 from imubayes.units import to_si
@@ -57,11 +57,9 @@ class Residuals:
 def _at_mode(problem: Problem, mode):
     """Return prediction, its standard deviation, the noise's and the whitened residual, each (E,)."""
     by = whitener(problem, mode.h)
-    predicted = predict(problem, mode.z)
-    whitened = whiten(problem, by, pseudo_values(problem, mode.h, problem.observations.value - predicted))
-    known = knowledge(problem, mode.about, mode.h)
-    precision = known.precision + jnp.diag(prior_widths(problem, mode.h) ** -2)
-    spread = jnp.linalg.solve(jnp.linalg.cholesky(precision), mode.about.jacobian.T)
+    whitened = whiten(problem, by, pseudo_values(problem, mode.h, mode.about.misfit))
+    spread = jnp.linalg.solve(jnp.linalg.cholesky(posterior_precision(problem, mode)), mode.about.jacobian.T)
+    predicted = problem.observations.value - mode.about.misfit
     return predicted, jnp.sqrt(jnp.sum(spread**2, axis=0)), noise_deviation(problem, by), whitened
 
 

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax
 import numpy as np
 
 from imubayes.classical.converter import THRESHOLD
@@ -16,7 +15,7 @@ from imubayes.inference.identifiability import (
 from imubayes.inference.joint import JointFit
 from imubayes.inference.laplace import posterior_precision
 from imubayes.inference.posterior import in_units
-from imubayes.model.problem import values_of
+from imubayes.model.derived import derived_slopes
 from imubayes.report.residuals import Residuals
 
 _INTERVAL = (2.5, 97.5)
@@ -108,9 +107,7 @@ def _derived(fit: JointFit) -> list[dict[str, Any]]:
 def _weak(fit: JointFit, precision: np.ndarray) -> list[WeakDirection]:
     """Return what the data did not determine: pairs of derived quantities first, then combinations of parameters."""
     model = fit.model
-    gradient = np.asarray(
-        jax.jit(jax.jacfwd(lambda z: fit.derived.derivation(values_of(model.problem, z))))(fit.mode.z)
-    )
+    gradient = np.asarray(derived_slopes(fit.derived.derivation, model.problem, fit.mode.z))
     prior, posterior = gradient @ gradient.T, gradient @ np.linalg.solve(precision, gradient.T)
     directions = np.linalg.solve(precision, gradient.T)
     spread = np.sum(directions * np.linalg.solve(precision, directions), axis=0)
