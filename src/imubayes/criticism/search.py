@@ -222,7 +222,7 @@ def _settled(ground: Ground, sight: Sight) -> Found:
     if doubted:
         offsets = any(one.effect == "run_scatter" for one in doubted)
         first = ground.look(ground.projection(prewhitening(sight.cleared, doubted), offsets))
-        strict = _WITH_MEMORY if any(one.effect == "correlated_noise" for one in adopted) else 1.0
+        strict = _WITH_MEMORY if any(one.effect == "correlated_noise" for one in doubted) else 1.0
         groups, last = _steps(first, chances.of_effect, strict)
     return Found(
         first=first,
