@@ -9,6 +9,7 @@ import numpy as np
 
 from imubayes.inference.fit import find_mode
 from imubayes.inference.fitted import Fitted
+from imubayes.model.declaration import Model, declare
 from imubayes.model.problem import predict
 from imubayes.noise.base import EntryNoise
 
@@ -36,4 +37,20 @@ def redrawn(fitted: Fitted, seed: int, correlation: float = 0.0, change: np.ndar
     fresh = eqx.tree_at(lambda p: p.observations.value, problem, jnp.asarray(readings))
     mode = find_mode(fresh, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
     model = replace(fitted.model, problem=fresh, entries=replace(fitted.model.entries, value=readings))
+    return Fitted(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged))
+
+
+def with_values(fitted: Fitted, value: np.ndarray) -> Fitted:
+    """Return the fit to other readings."""
+    entries = fitted.model.entries
+    runs = [replace(run, observed=run.observed.copy()) for run in fitted.model.campaign.runs]
+    for k, one in enumerate(value):
+        runs[entries.run[k]].observed[entries.row[k], entries.channel[k]] = one
+    model = declare(fitted.model.spec, replace(fitted.model.campaign, runs=tuple(runs)))
+    return refitted(model, np.zeros(len(fitted.z)), np.zeros(len(fitted.h)))
+
+
+def refitted(model: Model, z: np.ndarray, h: np.ndarray) -> Fitted:
+    """Return the fit of a model, begun at z and h."""
+    mode = find_mode(model.problem, jnp.asarray(z), jnp.asarray(h))
     return Fitted(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged))

@@ -6,7 +6,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from null_data import redrawn
+from null_data import redrawn, refitted, with_values
 
 import imubayes.criticism.search as search_module
 from imubayes.api import fit
@@ -15,7 +15,6 @@ from imubayes.criticism.confirm import groups, predict_left_out
 from imubayes.criticism.noise import entries_of, screen_noise
 from imubayes.criticism.projection import project
 from imubayes.criticism.verdict import judge
-from imubayes.inference.fit import find_mode
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.precision import linearise
 from imubayes.model.declaration import declare
@@ -105,21 +104,6 @@ def test_an_effect_is_found_behind_them():
     assert "gyro_scale_asymmetry" in found["groups"][0]["effects"], found["sentence"]
     assert places(hidden, change) <= named(found)
     assert "outliers" in {one["effect"] for one in found["noise"] if one["adopted"]}
-
-
-def with_values(fitted: Fitted, value: np.ndarray) -> Fitted:
-    """Return the fit to other readings."""
-    entries = fitted.model.entries
-    runs = [replace(run, observed=run.observed.copy()) for run in fitted.model.campaign.runs]
-    for k, one in enumerate(value):
-        runs[entries.run[k]].observed[entries.row[k], entries.channel[k]] = one
-    model = declare(fitted.model.spec, replace(fitted.model.campaign, runs=tuple(runs)))
-    return refitted(model, np.zeros(len(fitted.z)), np.zeros(len(fitted.h)))
-
-
-def refitted(model, z, h) -> Fitted:
-    mode = find_mode(model.problem, jnp.asarray(z), jnp.asarray(h))
-    return Fitted(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged))
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,7 @@ COUNTS = {
 }  # fmt: skip
 FIRST_SEEDS = dict.fromkeys(COUNTS, 1001) | {"outside": 4001, "two": 2001, "null-ar1": 3001}
 """Campaigns of smaller seeds were looked at while thresholds, ranking and rules were set."""
-ADDED = 30
+ADDED = 10
 """Every so manieth campaign with one hidden effect is gone on with: the effect is added and the refit judged."""
 
 
@@ -240,7 +240,8 @@ def study(counts: dict[str, int], path: Path = LINES, workers: int = 2) -> list[
         # After JAX has started a process must not fork.
         context = multiprocessing.get_context("spawn")
         with (
-            ProcessPoolExecutor(workers, mp_context=context, initializer=start_worker) as pool,
+            # What a process has compiled it keeps: after some hundreds of plans there is no more room for it.
+            ProcessPoolExecutor(workers, context, start_worker, max_tasks_per_child=100) as pool,
             path.open("a") as file,
         ):
             for number, future in enumerate(as_completed([pool.submit(attempt, *task) for task in left]), 1):
