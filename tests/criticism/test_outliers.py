@@ -13,6 +13,7 @@ from imubayes.api import fit
 from imubayes.criticism.candidates import respond
 from imubayes.criticism.confirm import groups, predict_left_out
 from imubayes.criticism.noise import entries_of, screen_noise
+from imubayes.criticism.outliers import in_a_row
 from imubayes.criticism.projection import project
 from imubayes.criticism.verdict import judge
 from imubayes.inference.fitted import Fitted
@@ -93,6 +94,34 @@ def test_a_pattern_in_a_few_rows_is_no_matter_of_outliers(whole):
     found = judge(redrawn(whole, 6, change=9.0 * here * deviations(whole))).json
     assert found["verdict"] not in ("noise_model", "adequate"), found["sentence"]
     assert not found["far_off"]
+
+
+def step(whole: Fitted) -> np.ndarray:
+    """Return what the last three readings of one channel in one run are off by, (E,)."""
+    entries = whole.model.entries
+    own = np.flatnonzero((entries.run == 1) & (entries.channel == 0))
+    change = np.zeros(len(entries))
+    change[own[np.argsort(entries.row[own])][-3:]] = 12.0
+    return change * deviations(whole)
+
+
+def test_a_step_is_no_matter_of_outliers(whole):
+    found = judge(redrawn(whole, 8, change=step(whole))).json
+    assert found["verdict"] == "unexplained_structure", found["sentence"]
+    assert not found["far_off"]
+    assert "time" in found["structure"][0]["covariate"]
+
+
+def test_a_step_would_pass_for_outliers(whole, monkeypatch):
+    """The planted fault: the check goes red where nobody asks whether they follow one another."""
+    monkeypatch.setattr(search_module, "in_a_row", lambda model, sizes: False)
+    found = judge(redrawn(whole, 8, change=step(whole))).json
+    assert found["verdict"] == "noise_model", found["sentence"]
+
+
+def test_readings_hit_at_random_seldom_follow_one_another(whole):
+    hit = [in_a_row(whole.model, hits(whole, count, 12.0, seed)) for count in (2, 6, 12, 30) for seed in range(50)]
+    assert np.mean(hit) < 0.03
 
 
 def test_an_effect_is_found_behind_them():

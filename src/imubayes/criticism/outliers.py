@@ -94,6 +94,27 @@ def gathered(projection: Projection, far: np.ndarray, known: Sequence[Covariate]
     return best * looks < _NO_CHANCE
 
 
+def in_a_row(model: Model, sizes: np.ndarray) -> bool:
+    """Tell whether readings that are far off follow one another, off to the same side: a step, or a narrow peak.
+
+    Parameters
+    ----------
+    sizes : shape (E,), by how much readings are off, with their sign; 0 for those that are not.
+
+    Readings that are hit at random are seldom neighbours in time: the number of such pairs is then Poisson's.
+    """
+    series = np.asarray(model.problem.observations.in_time)
+    signs = np.concatenate([np.sign(sizes), [0.0]])
+    first, second = series[:, :-1], series[:, 1:]
+    neighbours = (first < len(sizes)) & (second < len(sizes))
+    alike = neighbours & (signs[first] * signs[second] > 0)
+    at = first[alike]
+    # A blow to the table hits all channels at once, and counts once.
+    pairs = len(np.unique(np.stack([model.entries.run[at], model.entries.row[at]]), axis=1).T)
+    expected = neighbours.sum() * np.mean(sizes != 0) ** 2 / 2
+    return float(stats.poisson.sf(pairs - 1, expected)) < _NO_CHANCE
+
+
 def _of_table(model: Model, name: str) -> np.ndarray:
     """Return what a table did at each reading, (E,), NaN where there is none: it acts on all channels alike."""
     entries, found = model.entries, np.full(len(model.entries), np.nan)

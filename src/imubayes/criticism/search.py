@@ -12,7 +12,7 @@ from imubayes.criticism.covariates import Covariate, covariates
 from imubayes.criticism.details import Details, Scan, details, scan
 from imubayes.criticism.groups import Group, group
 from imubayes.criticism.noise import OUTLIERS, NoiseCandidate, Prewhitening, prewhitening, screen_noise
-from imubayes.criticism.outliers import NEAR, distances, far_off, gathered
+from imubayes.criticism.outliers import NEAR, distances, far_off, gathered, in_a_row
 from imubayes.criticism.projection import Projection, orthonormal, project
 from imubayes.criticism.screen import Candidate, Projected, prepare, screen
 from imubayes.criticism.structure import Laid, Structure, forms, lay, look
@@ -136,12 +136,12 @@ class Sight:
 
 def search(fitted: Fitted) -> Found:
     """Return what is missing in a converged fit; without a refit, but where readings are far off."""
-    ground = Ground(fitted, respond(fitted), tuple(covariates(fitted)))
-    sight = _sight(ground)
-    outliers, far = _outliers(ground, sight)
+    whole = Ground(fitted, respond(fitted), tuple(covariates(fitted)))
+    at_first = _sight(whole)
+    outliers, far = _outliers(whole, at_first)
     if not outliers:
-        return _settled(ground, sight)
-    noise, apart = sight.noise, np.zeros(len(far))
+        return _settled(whole, at_first)
+    ground, sight, apart = whole, at_first, np.zeros(len(far))
     for _ in range(_MOST_ROUNDS):
         # What an effect that is missing moves far off has a cause: only what remains so without it is left out.
         rest, apart = _without(fitted, far, 1 if sight.groups else _MOST_ROUNDS)
@@ -151,8 +151,10 @@ def search(fitted: Fitted) -> Found:
         if not more.any():
             break
         far = (apart != 0) | more
+    if in_a_row(fitted.model, apart):
+        return _settled(whole, at_first)
     found = _settled(ground, sight)
-    return replace(found, noise=noise, adopted=(*outliers, *found.adopted), far=apart)
+    return replace(found, noise=at_first.noise, adopted=(*outliers, *found.adopted), far=apart)
 
 
 def _sight(ground: Ground) -> Sight:
