@@ -240,8 +240,7 @@ def study(counts: dict[str, int], path: Path = LINES, workers: int = 2) -> list[
         # After JAX has started a process must not fork.
         context = multiprocessing.get_context("spawn")
         with (
-            # What a process has compiled it keeps: after some hundreds of plans there is no more room for it.
-            ProcessPoolExecutor(workers, context, start_worker, max_tasks_per_child=100) as pool,
+            ProcessPoolExecutor(workers, mp_context=context, initializer=start_worker) as pool,
             path.open("a") as file,
         ):
             for number, future in enumerate(as_completed([pool.submit(attempt, *task) for task in left]), 1):

@@ -30,6 +30,7 @@ from imubayes.model.labels import Belonging, colours
 from imubayes.model.members import Acting, NotShownError, act
 from imubayes.model.problem import NoiseLayer, Observations, Problem, Sparsity
 from imubayes.model.registry import Member, Registry
+from imubayes.model.room import make_room
 from imubayes.model.servo import servos_of
 from imubayes.model.specification import EffectSpec, ModelSpec
 from imubayes.noise.base import Entry, EntryNoise, Noise
@@ -100,6 +101,7 @@ def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = Non
         )
     if problems:
         raise InputError(problems)
+    make_room()  # what is compiled belongs to one structure, and each model declared may be another
     assembly = assemble(tuple(acting), belonging)
     return Model(
         spec,
