@@ -101,9 +101,9 @@ def test_planted_faults_of_the_diagnosis_are_seen():
 def test_additions_are_judged_beside_the_truth():
     good = {"taken": True, "predicted": 100.0, "found": 90.0, "noise": 1.03, "held_out": "helps",
             "coefficients": [{"value": 1.0, "sd": 0.1, "truth": 1.2}]}  # fmt: skip
-    bad = {"taken": False, "predicted": 100.0, "found": 70.0, "noise": 1.06, "held_out": "not",
+    bad = {"taken": False, "predicted": 100.0, "found": 70.0, "noise": 1.13, "held_out": "not",
            "coefficients": [{"value": 1.0, "sd": 0.1, "truth": 1.4}]}  # fmt: skip
-    found = judging.added([{"addition": good}, {"addition": bad}, {"addition": None}, {}])
+    found = judging.added([{"addition": one, "readings": 450} for one in (good, bad, None)])
     assert [(hits, of) for _, hits, of in found.values()] == [(1, 2)] * len(found)
 
 
