@@ -1,17 +1,35 @@
-"""Data without any missing effect: a fitted model's own prediction with fresh noise, refitted."""
+"""Fits to look at: of shipped campaigns, of other readings, and of a model's own prediction with fresh noise."""
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.campaign import load_campaign
+from imubayes.campaign.model_file import read_model
 from imubayes.inference.fit import find_mode
 from imubayes.inference.fitted import Fitted
 from imubayes.model.declaration import Model, declare
 from imubayes.model.problem import predict
 from imubayes.noise.base import EntryNoise
+from imubayes.procedures import PROCEDURES
+
+ROOT = Path(__file__).parents[2]
+
+
+@cache
+def fitted_to(campaign: str, model: str = "hidden-effects") -> Fitted:
+    """Return the fit of a shipped campaign, without what else is reported of one."""
+    declared = declare(
+        read_model(ROOT / "models" / f"{model}.toml"), load_campaign(ROOT / "data" / campaign, tuple(PROCEDURES))
+    )
+    found = refitted(declared, *(np.zeros(size) for size in declared.problem.size))
+    assert found.converged
+    return found
 
 
 def redrawn(fitted: Fitted, seed: int, correlation: float = 0.0, change: np.ndarray | None = None) -> Fitted:

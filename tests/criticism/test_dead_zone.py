@@ -1,19 +1,15 @@
 """An effect that cannot be absent by its prior: what is expected of it is what a refit finds."""
 
-from pathlib import Path
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from null_data import refitted, with_values
+from null_data import fitted_to, refitted, with_values
 
 import imubayes.criticism.extend as extend_module
-from imubayes.api import fit
 from imubayes.criticism.confirm import found_delta_chi2
 from imubayes.criticism.extend import extend
 from imubayes.model.problem import predict
 
-ROOT = Path(__file__).parents[2]
 HALF_WIDTH = 60.0  # ug, three times the standard deviation of its prior
 GRAVITY = 9.80665
 
@@ -21,7 +17,7 @@ GRAVITY = 9.80665
 @pytest.fixture(scope="module")
 def lacking():
     """The fit of readings of ay that miss what a play of 60 ug takes up."""
-    whole = fit(ROOT / "data" / "hidden-none", ROOT / "models" / "hidden-effects.toml", sample=False).fit.fitted
+    whole = fitted_to("hidden-none")
     model = whole.model
     names = [channel.name for channel in model.campaign.channels]
     channel = model.campaign.channels[names.index("ay")]

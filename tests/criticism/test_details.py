@@ -1,14 +1,12 @@
 """Details: what is narrow or sudden is found where broad forms see nothing, and every look at one is counted."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from null_data import redrawn
+from null_data import fitted_to, redrawn
 from scipy import stats
 
-from imubayes.api import fit
 from imubayes.criticism.candidates import respond
 from imubayes.criticism.chance import look_elsewhere
 from imubayes.criticism.covariates import covariates
@@ -18,12 +16,10 @@ from imubayes.criticism.screen import explain
 from imubayes.criticism.structure import forms, lay, look
 from imubayes.criticism.verdict import judge
 
-ROOT = Path(__file__).parents[2]
-
 
 @pytest.fixture(scope="module")
 def projection():
-    fitted = fit(ROOT / "data/accel-channel", ROOT / "models/accel-channel.toml", sample=False).fit.fitted
+    fitted = fitted_to("accel-channel", "accel-channel")
     responses = respond(fitted)
     return project(fitted, responses.misfit, responses.jacobian)
 

@@ -1,15 +1,13 @@
 """Readings that are far off: told from patterns, from effects and from chance, and mended by `outliers`."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from null_data import redrawn, refitted, with_values
+from null_data import fitted_to, redrawn, refitted, with_values
 
 import imubayes.criticism.search as search_module
-from imubayes.api import fit
 from imubayes.criticism.candidates import respond
 from imubayes.criticism.confirm import groups, predict_left_out
 from imubayes.criticism.noise import entries_of, screen_noise
@@ -21,12 +19,6 @@ from imubayes.inference.precision import linearise
 from imubayes.model.declaration import declare
 from imubayes.model.specification import EffectSpec
 from imubayes.model.whitening import noise_law
-
-ROOT = Path(__file__).parents[2]
-
-
-def fitted_to(name: str) -> Fitted:
-    return fit(ROOT / "data" / name, ROOT / "models" / "hidden-effects.toml", sample=False).fit.fitted
 
 
 @pytest.fixture(scope="module")

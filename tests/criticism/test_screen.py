@@ -1,15 +1,13 @@
 """The screen: it says before a refit what the refit finds, it does not cry wolf, and its faults would show."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from null_data import redrawn
+from null_data import fitted_to, redrawn
 from scipy import stats
 
 import imubayes.criticism.search as search_module
-from imubayes.api import fit
 from imubayes.criticism.candidates import respond
 from imubayes.criticism.chance import look_elsewhere
 from imubayes.criticism.projection import project
@@ -17,12 +15,10 @@ from imubayes.criticism.screen import prepare, screen
 from imubayes.criticism.search import search
 from imubayes.criticism.verdict import judge
 
-ROOT = Path(__file__).parents[2]
-
 
 @pytest.fixture(scope="module")
 def fitted():
-    return fit(ROOT / "data/accel-channel", ROOT / "models/accel-channel.toml", sample=False).fit.fitted
+    return fitted_to("accel-channel", "accel-channel")
 
 
 @pytest.fixture(scope="module")
