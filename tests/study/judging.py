@@ -21,6 +21,11 @@ SHAPES = {
 }
 """Words in the name of a covariate that tell the cause of an effect outside the catalogue."""
 UNDERSTATED = 1.5
+SEEDS = (
+    "**Seeds.** Effects outside the catalogue (from 5001) and AR(1) noise (from 3001) are drawn from seeds that nobody "
+    "had looked at before the rules that they judge were settled. Of the other kinds the failures of an earlier study "
+    "had been read; no rule came from them since."
+)
 
 Document = dict[str, Any]
 Line = dict[str, Any]
@@ -232,7 +237,7 @@ def report(lines: Sequence[Line], command: str = COMMAND) -> str:
     sizes = [len(line["document"]["groups"][0]["effects"]) for line in hidden.lines if line["document"]["groups"]]
     seconds = {key: np.mean([line["seconds"][key] for line in whole]) for key in ("draw", "fit", "diagnose")}
     text = [
-        "# Blind study of missing effects", "",
+        "# Blind study of missing effects", "", SEEDS, "",
         f"Made by `{command}`. {len(whole)} campaigns of {min(line['readings'] for line in whole)} to "
         f"{max(line['readings'] for line in whole)} readings, drawn by `data/generators/hidden.py`, which shares no "
         "code with the package: plan, unit, noise, effect, channels, size and sign. The true size of each hidden "
