@@ -168,25 +168,21 @@ def _extension(
     for place in np.flatnonzero(_new(old.hyper_layout, model.hyper_layout)).tolist():
         value = _given(model.hyper_layout.parameters[place], {**shape, **hints})
         h[place] = h[place] if value is None else value
-    return _first_step(model, null, h, new, hints, _present(before, model, null, h, new))
+    return _first_step(model, null, h, new, hints, _without_new(before, model, new))
 
 
-def _present(before: Fitted, model: Model, null: np.ndarray, h: np.ndarray, new: np.ndarray) -> float:
-    """Return by how much χ² has fallen where the expansion begins, because what is new acts there already.
+def _without_new(before: Fitted, model: Model, new: np.ndarray) -> float | None:
+    """Return χ² of the fit so far where what is new acts already where the expansion begins, None where it does not.
 
     The width of a dead zone cannot be zero: its prior excludes that, and the expansion begins at the prior's middle.
     """
     parameters = [one for one, is_new in zip(model.layout.parameters, new, strict=True) if is_new]
     acts = [one for one in parameters if _null(model, one) is None and not _declared(model, one).shape]
     if not acts or model.hyper_layout.names != before.model.hyper_layout.names:
-        return 0.0
-
-    def square(problem: Problem, z: np.ndarray, noise: np.ndarray, known: np.ndarray) -> float:
-        residual, _, widths = (np.asarray(part) for part in whitened(problem, jnp.asarray(z), jnp.asarray(noise)))
-        return float(residual @ residual + np.sum((z / widths)[known] ** 2))
-
-    without = square(before.model.problem, before.z, before.h, np.ones(len(before.z), dtype=bool))
-    return without - square(model.problem, null, h, ~new)
+        return None
+    parts = whitened(before.model.problem, jnp.asarray(before.z), jnp.asarray(before.h))
+    residual, _, widths = (np.asarray(part) for part in parts)
+    return float(residual @ residual + np.sum((before.z / widths) ** 2))
 
 
 def _wider(extension: Extension) -> dict[str, dict[str, str]]:
@@ -254,7 +250,7 @@ def _whitened(problem: Problem, about: Linearised, h: Float[Array, " H"]):
 
 
 def _first_step(
-    model: Model, null: np.ndarray, h: np.ndarray, new: np.ndarray, hints: Mapping[str, float], present: float
+    model: Model, null: np.ndarray, h: np.ndarray, new: np.ndarray, hints: Mapping[str, float], without: float | None
 ) -> Extension:
     parts = whitened(model.problem, jnp.asarray(null), jnp.asarray(h))
     residual, jacobian, widths = (np.asarray(part) for part in parts)
@@ -276,15 +272,15 @@ def _first_step(
         if blind:
             z[place] = _away_from_null(model, place, null[place], hints)
     tells = bool(count) and not flat.all()
-    # From where the expansion begins: the old parameters, at their mode without what is new, find their place again.
-    right_square = float(right @ right)
-    drop = float(2 * drive @ step - step @ squares @ step) + right_square - float(left @ left)
+    # Counted from χ² without what is new, which is that of the place where the expansion begins if nothing acts there.
+    without = float(right @ right) if without is None else without
+    drop = float(2 * drive @ step - step @ squares @ step) + without - float(left @ left)
     sd = np.sqrt(np.diag(covariance))
     if tells and flat.any():
         # A time constant that was scanned lies beside its true value: with its coefficient it has a gradient.
-        z, sd, drop, flat = _second_step(model, z, h, new, (sd, drop, flat), right_square)
+        z, sd, drop, flat = _second_step(model, z, h, new, (sd, drop, flat), without)
     return Extension(
-        model, z, h, null, new, present + drop if tells else None,
+        model, z, h, null, new, drop if tells else None,
         _coefficients(model.layout, z, new, sd, flat) if tells else (),
         _without_prior(squares, drive) + null[new], left[:entries], (across @ step)[:entries],
     )  # fmt: skip

@@ -2,17 +2,17 @@
 
 from collections.abc import Sequence
 
-import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
 from imubayes.criticism.covariates import Covariate
 from imubayes.criticism.noise import entries_of
 from imubayes.criticism.projection import Projection
-from imubayes.inference.fitted import Fitted
-from imubayes.inference.precision import Linearised, deviations, knowledge
+from imubayes.inference.fit import Mode
+from imubayes.inference.laplace import posterior_precision
+from imubayes.inference.precision import deviations
 from imubayes.model.declaration import Model
-from imubayes.model.problem import prior_widths
+from imubayes.model.problem import Problem
 from imubayes.model.whitening import noise_law
 
 # A reading is far off beyond so many standard deviations, told by the median of their sizes over that of a normal law.
@@ -42,7 +42,7 @@ def far_off(projection: Projection) -> np.ndarray:
     return found
 
 
-def distances(fitted: Fitted, about: Linearised) -> tuple[np.ndarray, np.ndarray]:
+def distances(problem: Problem, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
     """Return by how much readings differ from what the rest predicts, each (E,).
 
     First in standard deviations of a reading, then in those of its difference from the others of its run and channel:
@@ -50,11 +50,10 @@ def distances(fitted: Fitted, about: Linearised) -> tuple[np.ndarray, np.ndarray
 
     Parameters
     ----------
-    fitted : the fit to the rest.
-    about : the model linearised there.
+    problem : with the others masked out.
+    mode : the fit to the rest.
     """
-    problem, h = fitted.model.problem, jnp.asarray(fitted.h)
-    known = knowledge(problem, about, h).precision + jnp.diag(prior_widths(problem, h) ** -2)
+    known, about = posterior_precision(problem, mode), mode.about
     group = np.asarray(problem.observations.group)
     seen = (np.asarray(problem.observations.weight) > 0).astype(float)
     count = np.maximum(np.bincount(group, seen), 1.0)
@@ -64,7 +63,7 @@ def distances(fitted: Fitted, about: Linearised) -> tuple[np.ndarray, np.ndarray
         np.add.at(mean, group, seen[:, None] * values)
         return values - (mean / count[:, None])[group]
 
-    own, jacobian = np.asarray(noise_law(problem, h).own), apart(np.asarray(about.jacobian))
+    own, jacobian = np.asarray(noise_law(problem, mode.h).own), apart(np.asarray(about.jacobian))
     misfit = apart(np.asarray(about.misfit)[:, None])[:, 0]
     variance = own * (1 + 1 / count[group]) + deviations(jacobian, np.asarray(known)) ** 2
     return misfit / np.sqrt(own), misfit / np.sqrt(variance)

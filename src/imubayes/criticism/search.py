@@ -202,7 +202,7 @@ def _without(fitted: Fitted, far: np.ndarray, rounds: int) -> tuple[Fitted, np.n
             break
         z, h = mode.z, mode.h
         rest = replace(fitted, model=replace(fitted.model, problem=problem), z=np.asarray(z), h=np.asarray(h))
-        sizes, surprise = distances(rest, mode.about)
+        sizes, surprise = distances(problem, mode)
         apart = np.where(far, sizes, 0.0)
         more = far_off(project(rest, np.asarray(mode.about.misfit), np.asarray(mode.about.jacobian)))
         now = more | (far & (np.abs(surprise) > NEAR))
