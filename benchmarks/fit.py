@@ -20,7 +20,7 @@ from imubayes.inference.laplace import posterior_precision
 from imubayes.inference.least_squares import GramCholesky
 from imubayes.model.declaration import Model
 from imubayes.model.likelihood import residuals
-from imubayes.model.problem import predict, prediction_jacobian, prior_widths
+from imubayes.model.problem import predict, predict_with_jacobian, prior_widths
 from imubayes.model.whitening import whiten, whitener
 
 COMPILED_BAR, PLAIN_BAR, SAME_WITHIN = 4.0, 20.0, 0.05
@@ -29,7 +29,7 @@ _METHODS = ("trf", "lm")
 _fit = eqx.filter_jit(lambda problem, z, h: fit_parameters(problem, z, h))
 _residuals = eqx.filter_jit(lambda problem, z, h: residuals(problem, z, h))
 _predict = eqx.filter_jit(lambda problem, z: predict(problem, z))
-_jacobian = eqx.filter_jit(lambda problem, z: prediction_jacobian(problem, z))
+_jacobian = eqx.filter_jit(lambda problem, z: predict_with_jacobian(problem, z)[1])
 
 
 @eqx.filter_jit

@@ -7,7 +7,7 @@ import pytest
 
 SOURCE = Path(__file__).parents[1] / "src"
 FLOORS = (
-    ("errors", "units", "types"),
+    ("errors", "units", "types", "indexing"),
     ("parameters",),
     ("earth", "frames", "stimulus", "run"),
     ("procedures", "effects", "noise"),

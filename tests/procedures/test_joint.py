@@ -14,7 +14,7 @@ from imubayes.classical import Estimate, classical
 from imubayes.inference.fit import find_mode
 from imubayes.inference.laplace import posterior_precision
 from imubayes.model.declaration import declare
-from imubayes.model.problem import predict, prediction_jacobian
+from imubayes.model.problem import predict, predict_with_jacobian
 from imubayes.procedures import PROCEDURES
 
 ROOT = Path(__file__).parents[2]
@@ -56,7 +56,7 @@ def test_the_servo_table_is_integrated_to_the_truth(servo):
 def test_the_derivative_through_the_differential_equation(servo):
     """Against central differences of two steps, extrapolated, to a part in a million of each column."""
     model, mode, _ = servo
-    jacobian = np.asarray(jax.jit(prediction_jacobian)(model.problem, mode.z))
+    jacobian = np.asarray(jax.jit(predict_with_jacobian)(model.problem, mode.z)[1])
     forecast = jax.jit(predict)
     for place in range(len(mode.z)):
         unit = jnp.zeros_like(mode.z).at[place].set(1.0)

@@ -13,9 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import Effect, MotionEffect
+from imubayes.indexing import on_device
 from imubayes.inference.fitted import Fitted
 from imubayes.model.assembly import assemble
-from imubayes.model.declaration import as_arrays, problem_of
+from imubayes.model.declaration import problem_of
 from imubayes.model.members import Acting, NoChannelError, NotShownError, act
 from imubayes.model.problem import Problem, predict_from
 from imubayes.model.registry import Member, Registry
@@ -169,7 +170,7 @@ def _extend(fitted: Fitted, acting: tuple[Acting, ...]) -> _Extended:
     extended = assemble(assembly.acting + acting, assembly.belonging)
     parameters = extended.layout.parameters
     places = {parameter.name: place for place, parameter in enumerate(parameters)}
-    return _Extended(as_arrays(problem_of(extended)), len(assembly.layout), acting, parameters, places)
+    return _Extended(on_device(problem_of(extended)), len(assembly.layout), acting, parameters, places)
 
 
 def _grid(one: Acting) -> list[dict[str, float]]:

@@ -15,7 +15,8 @@ import numpy as np
 from imubayes.criticism.extend import Extension
 from imubayes.inference.fit import find_mode, fit_at, mode_near
 from imubayes.inference.fitted import Fitted
-from imubayes.inference.precision import Linearised, linearise, log_marginal
+from imubayes.inference.marginal import slope
+from imubayes.inference.precision import Linearised, linearise
 from imubayes.model.declaration import Model
 from imubayes.model.likelihood import residuals
 from imubayes.model.problem import without
@@ -31,7 +32,6 @@ _LEAST_GAIN = 0.5
 # One run alone is left out in so many parts at most, of so many rows at least.
 _MOST_BLOCKS, _LEAST_ROWS = 8, 4
 
-_log_marginal = eqx.filter_jit(log_marginal)
 _residuals = eqx.filter_jit(residuals)
 
 
@@ -156,7 +156,7 @@ def predict_left_out(fitted: Fitted, about: Linearised, left_out: np.ndarray) ->
         mode = find_mode(rest, jnp.asarray(fitted.z), h)
     # Under a normal law the density of all may be taken about the fit to the rest; a heavy tail is no parabola.
     whole = linearise(problem, fit_at(problem, jnp.asarray(fitted.z), mode.h)) if has_tails(problem) else mode.about
-    density = float(_log_marginal(problem, whole, mode.h) - _log_marginal(rest, mode.about, mode.h))
+    density = float(slope(problem, whole, mode.h).value - slope(rest, mode.about, mode.h).value)
     return LeftOut(density, np.asarray(mode.about.misfit)[left_out])
 
 
@@ -186,7 +186,7 @@ def _log_likelihood(fitted: Fitted) -> float:
     problem, h = fitted.model.problem, jnp.asarray(fitted.h)
     about = linearise(problem, jnp.asarray(fitted.z))
     prior = 0.5 * float(h @ h) + 0.5 * len(fitted.h) * np.log(2 * np.pi)
-    return float(_log_marginal(problem, about, h)) + prior
+    return float(slope(problem, about, h).value) + prior
 
 
 def objection(after: Fitted, delta_chi2: float) -> str:

@@ -13,9 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.inference.least_squares import GramCholesky, minimise
-from imubayes.inference.precision import Linearised, knowledge, linearise, log_marginal
-from imubayes.model.likelihood import log_normaliser, residuals_of, whitened
-from imubayes.model.problem import Problem, predict, predict_many, prediction_jacobian, prior_widths
+from imubayes.inference.marginal import Curvature, climb
+from imubayes.inference.precision import Linearised, knowledge, linearise
+from imubayes.model.likelihood import log_normaliser, residuals_of
+from imubayes.model.problem import Problem, predict_many, prior_widths
 from imubayes.model.tails import has_tails, straightened, without_tails
 from imubayes.model.whitening import whiten
 from imubayes.types import Array, Bool, Float, Int, Scalar
@@ -24,19 +25,11 @@ from imubayes.types import Array, Bool, Float, Int, Scalar
 _DECREMENT = 1e-2
 # Rounds of θ and h in turns; the change of h per round, in units of its prior, that ends them.
 _ROUNDS, _SETTLED = 8, 1e-2
-_STEPS, _HYPER_STEPS, _POLISH_STEPS = 30, 30, 20
+_STEPS, _POLISH_STEPS = 30, 20
 _TOLERANCE = 1e-3
 # Levenberg–Marquardt begins with a damping of 1 on the scale of the squared residual.  The prior damps already, so the
 # residual is scaled up until the first step is Gauss–Newton's; a step that fails raises the damping as usual.
 _UNDAMPED = 1e3
-
-
-class Curvature(eqx.Module):
-    """The Laplace marginal of h at one point: value, gradient (H,) and the negative of its Hessian (H, H)."""
-
-    value: Scalar
-    gradient: Float[Array, " H"]
-    information: Float[Array, "H H"]
 
 
 class Mode(eqx.Module):
@@ -63,66 +56,37 @@ class Mode(eqx.Module):
     converged: Bool[Array, ""]
 
 
-def sparse_residual(problem: Problem, h: Float[Array, " H"]):
-    """Return the residual as a function of z whose derivative uses the sparsity of the problem.
+def linear_residual(problem: Problem, h: Float[Array, " H"]):
+    """Return the residual as a function of z, with the model linearised there as its second value.
 
-    The Jacobian is formed once, from one forward derivative per colour, instead of one per parameter.
+    To whoever takes its derivative the residual is the linear function about the point, whose Jacobian uses the
+    sparsity of the problem: one forward derivative per colour instead of one per parameter.
     """
     widths = prior_widths(problem, h)
 
-    def misfit(z):
-        return problem.observations.value - predict(problem, z)
-
-    @jax.custom_jvp
     def residual(z):
-        data = whitened(problem, h, misfit(z))
-        return jnp.concatenate([data, z / widths])
-
-    @residual.defjvp
-    def push(primals, tangents):
-        (z,), (tangent,) = primals, tangents
-        by, straight = straightened(problem, h, misfit(z))
-        value = jnp.concatenate([whiten(problem, by, straight), z / widths])
-        jacobian = whiten(problem, by, prediction_jacobian(problem, z))
-        return value, jnp.concatenate([-jacobian @ tangent, tangent / widths])
+        here = jax.lax.stop_gradient(z)
+        about = linearise(problem, here)
+        by, straight = straightened(problem, h, about.misfit)
+        value = jnp.concatenate([whiten(problem, by, straight), here / widths])
+        slope = jnp.concatenate([-whiten(problem, by, about.jacobian), jnp.diag(1 / widths)])
+        return value + slope @ (z - here), about
 
     return residual
 
 
 def fit_parameters(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
-    """Return θ at given h, as a `LeastSquares` outcome: Levenberg–Marquardt from z."""
-    residual = sparse_residual(problem, h)
-    return minimise(
-        lambda one, _: _UNDAMPED * residual(one),
-        z,
-        tolerance=_TOLERANCE,
-        most_steps=_STEPS,
-        linear_solver=GramCholesky(),
-    )
+    """Return θ at given h, as a `LeastSquares` outcome with the model linearised there: Levenberg–Marquardt from z."""
+    residual = linear_residual(problem, h)
 
+    def undamped(one, _):
+        value, about = residual(one)
+        return _UNDAMPED * value, about
 
-def curvature(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Curvature:
-    """Return value, gradient and curvature of the Laplace marginal of h."""
-
-    def gradient_and_value(one):
-        value, gradient = jax.value_and_grad(log_marginal, argnums=2)(problem, about, one)
-        return gradient, (value, gradient)
-
-    hessian, (value, gradient) = jax.jacfwd(gradient_and_value, has_aux=True)(h)
-    return Curvature(value, gradient, -0.5 * (hessian + hessian.T))
-
-
-@jax.jit
-def newton_step(at: Curvature) -> Float[Array, " H"]:
-    """Return a step up the marginal: Newton's, with every curvature made positive and no longer than 1 per axis."""
-    eigenvalues, axes = jnp.linalg.eigh(at.information)
-    # Far from the mode the marginal may be flat or convex; the prior's own curvature, 1, is then the measure.
-    step = axes.T @ at.gradient / jnp.maximum(jnp.abs(eigenvalues), 0.1)
-    return axes @ jnp.clip(step, -1.0, 1.0)
+    return minimise(undamped, z, tolerance=_TOLERANCE, most_steps=_STEPS, linear_solver=GramCholesky(), has_aux=True)
 
 
 _fit_parameters = eqx.filter_jit(lambda problem, z, h: fit_parameters(problem, z, h))
-_curvature = eqx.filter_jit(curvature)
 
 
 class Newton(eqx.Module):
@@ -170,17 +134,16 @@ def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) ->
     The parts are pure functions of arrays and vmap over a stack of problems; this loop only decides how often they are
     called.
     """
-    steps, settled, about, at, decrement = 0, False, None, None, jnp.asarray(jnp.inf)
+    steps, settled, about, at = 0, False, None, None
     if has_tails(problem):
         # Far from the fit every reading would pass for an outlier, and pull on nothing.
         z = _fit_parameters(without_tails(problem), z, h).value
     for _ in range(_ROUNDS):
         fitted = _fit_parameters(problem, z, h)
         steps += int(fitted.steps)
-        z = fitted.value
-        about = linearise(problem, z)
+        z, about = fitted.value, fitted.aux
         before = h
-        h, at = _climb(problem, about, h)
+        h, at = climb(problem, about, h, at.information if at is not None else None)
         settled = h.size == 0 or float(jnp.max(jnp.abs(h - before))) < _SETTLED
         if settled or not bool(jnp.all(jnp.isfinite(h))):
             break
@@ -199,7 +162,7 @@ def mode_near(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Mod
     steps, settled, at, decrement = 0, False, None, jnp.asarray(jnp.inf)
     for _ in range(_ROUNDS):
         before = h
-        h, at = _climb(problem, about, h)
+        h, at = climb(problem, about, h, at.information if at is not None else None)
         settled = h.size == 0 or float(jnp.max(jnp.abs(h - before))) < _SETTLED
         about, decrement, more = _polished(problem, about, h)
         steps += more
@@ -237,24 +200,6 @@ def _mode(
 def fit_at(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Float[Array, " P"]:
     """Return θ at given h, started from z: the compiled form of `fit_parameters`."""
     return _fit_parameters(problem, z, h).value
-
-
-def _climb(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> tuple[Float[Array, " H"], Curvature]:
-    """Return the mode of the Laplace marginal of h, and the curvature there."""
-    at = _curvature(problem, about, h)
-    for _ in range(_HYPER_STEPS):
-        step = newton_step(at)
-        if not step.size or float(jnp.max(jnp.abs(step))) < _SETTLED / 10:
-            break
-        length = 1.0
-        ahead = _curvature(problem, about, h + step)
-        while not float(ahead.value) >= float(at.value) - 1e-9 and length > 1e-3:
-            length *= 0.3
-            ahead = _curvature(problem, about, h + length * step)
-        if not float(ahead.value) >= float(at.value) - 1e-9:
-            break
-        h, at = h + length * step, ahead
-    return h, at
 
 
 def message(mode: Mode) -> str:

@@ -20,7 +20,8 @@ from jax.scipy.linalg import solve_triangular
 from jax.scipy.special import ndtr, ndtri
 
 from imubayes.inference.fit import Mode
-from imubayes.inference.precision import knowledge, log_marginal
+from imubayes.inference.marginal import slope
+from imubayes.inference.precision import knowledge
 from imubayes.model.problem import Problem, predict_many, prior_widths
 from imubayes.model.whitening import inverse_covariance, whitener
 from imubayes.noise.base import TailNoise
@@ -153,7 +154,6 @@ def _pulled(problem: Problem, mode: Mode, changes: Float[Array, "n E"]) -> Float
 
 
 _split_by_scale = eqx.filter_jit(split_by_scale)
-_log_marginal = eqx.filter_jit(log_marginal)
 
 
 def nested_laplace(problem: Problem, mode: Mode) -> NestedLaplace:
@@ -180,7 +180,7 @@ def _split_normal(problem: Problem, mode: Mode):
 
     def side(axis: int, sign: float) -> float:
         step = sign * _PROBE * deviation[axis]
-        drop = float(at.value - _log_marginal(problem, mode.about, h + step * axes[:, axis]))
+        drop = float(at.value - slope(problem, mode.about, h + step * axes[:, axis]).value)
         # A normal drops by ½·_PROBE²; the width that would give the drop found here, within a factor of 2.
         ratio = np.clip(_PROBE / np.sqrt(2 * max(drop, 1e-3)), 0.5, 2.0)
         return float(deviation[axis] * ratio)

@@ -135,11 +135,13 @@ class LeastSquares(eqx.Module):
     Attributes
     ----------
     value : shape (P,), where it ended.
+    aux : what the residual gave beside its value there, see `minimise`.
     steps : number of steps taken.
     successful : whether it ended at a minimum.
     """
 
     value: Float[Array, " P"]
+    aux: Any
     steps: Int[Array, ""]
     successful: Bool[Array, ""]
 
@@ -151,6 +153,7 @@ def minimise(
     tolerance: float = 1e-9,
     most_steps: int = 1000,
     linear_solver: lx.AbstractLinearSolver | None = None,
+    has_aux: bool = False,
 ) -> LeastSquares:
     """Return the minimum of ½ |residual(x, arguments)|².
 
@@ -163,26 +166,31 @@ def minimise(
     linear_solver : of the damped step with one scale for all parameters; None for scaled damping by QR.  In that case
         success means that the undamped step still to go is small against the parameters or their standard errors,
         whatever ended the steps: a plateau, where damping stops the steps, is not a minimum.
+    has_aux : whether the residual returns a pair, the second of which is handed back as it was at the last point taken.
     """
+    pair = residual if has_aux else lambda x, given: (residual(x, given), None)
     if linear_solver is None:
         # Relative to its own size at the start, a residual has no unit.
-        size = jnp.linalg.norm(residual(guess, arguments))
+        size = jnp.linalg.norm(pair(guess, arguments)[0])
         size = jnp.where(jnp.isfinite(size) & (size > 0), size, 1.0)
-        scaled = _ScaledLevenbergMarquardt(tolerance, tolerance)
-        solution = optx.least_squares(
-            lambda x, given: residual(x, given) / size,
-            scaled,
-            guess,
-            args=arguments,
-            max_steps=most_steps,
-            throw=False,
-        )
-        value, arrived = _arrived(solution.state.descent_state, solution.value, tolerance)
-        return LeastSquares(value, solution.stats["num_steps"], arrived)
-    descent = optx.DampedNewtonDescent(linear_solver=linear_solver)
-    solver = _NormalEquationsLevenbergMarquardt(tolerance, tolerance, descent=descent)
-    solution = optx.least_squares(residual, solver, guess, args=arguments, max_steps=most_steps, throw=False)
-    return LeastSquares(solution.value, solution.stats["num_steps"], solution.result == optx.RESULTS.successful)
+
+        def relative(x, given):
+            value, aux = pair(x, given)
+            return value / size, aux
+
+        solution = _descended(relative, _ScaledLevenbergMarquardt(tolerance, tolerance), guess, arguments, most_steps)
+        value, successful = _arrived(solution.state.descent_state, solution.value, tolerance)
+    else:
+        descent = optx.DampedNewtonDescent(linear_solver=linear_solver)
+        solver = _NormalEquationsLevenbergMarquardt(tolerance, tolerance, descent=descent)
+        solution = _descended(pair, solver, guess, arguments, most_steps)
+        value, successful = solution.value, solution.result == optx.RESULTS.successful
+    # The solution's own `aux` is of the point before.
+    return LeastSquares(value, solution.state.aux, solution.stats["num_steps"], successful)
+
+
+def _descended(pair: Callable, solver: optx.AbstractGaussNewton, guess, arguments, most_steps: int):
+    return optx.least_squares(pair, solver, guess, args=arguments, max_steps=most_steps, throw=False, has_aux=True)
 
 
 def _arrived(

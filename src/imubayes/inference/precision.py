@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 
+from imubayes.indexing import take
 from imubayes.model.likelihood import log_normaliser, whitened
-from imubayes.model.problem import Problem, predict, prediction_jacobian, prior_widths
+from imubayes.model.problem import Problem, predict_with_jacobian, prior_widths
 from imubayes.model.tails import has_tails, pseudo_values
 from imubayes.model.whitening import whitener
 from imubayes.types import Array, Float, Scalar
@@ -37,8 +38,8 @@ class Knowledge(eqx.Module):
 @eqx.filter_jit
 def linearise(problem: Problem, z: Float[Array, " P"]) -> Linearised:
     """Return the model linearised about z."""
-    misfit = problem.observations.value - predict(problem, z)
-    return Linearised(z, misfit, prediction_jacobian(problem, z))
+    predicted, jacobian = predict_with_jacobian(problem, z)
+    return Linearised(z, problem.observations.value - predicted, jacobian)
 
 
 def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Knowledge:
@@ -48,7 +49,7 @@ def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Kno
 
     def gathered(values):
         padded = jnp.concatenate([values, jnp.zeros((1, *values.shape[1:]))])
-        return padded[members].sum(axis=1)
+        return take(padded, members).sum(axis=1)
 
     # (I − κ û ûᵀ)² = I − (2κ − κ²|u|²/|u|²…) û ûᵀ; with shrink = κ/|u|² the rank-one weight is 2·shrink − shrink²·|u|².
     weight = by.direction**2

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.frames import compose, exponential, small_rotation
+from imubayes.indexing import take
 from imubayes.model.forward import Channels, Layer, travel
 from imubayes.stimulus import Ambient, Experience, Motion, Records, SignalPath
 from imubayes.types import Array, Float
@@ -70,23 +71,25 @@ def closing_rotations(
     rotation = rate.reshape(count, steps, 3) * transitions.step[..., None] + transitions.coning
     carried = _product(jax.vmap(jax.vmap(exponential))(rotation))
     elapsed = transitions.step.sum(axis=1)
-    earth = jax.vmap(exponential)(-motion.earth_rate[transitions.start] * elapsed[:, None])
-    reached = jax.vmap(compose)(jax.vmap(compose)(earth, turned[transitions.start]), carried)
-    expected = turned[transitions.stop]
+    earth = jax.vmap(exponential)(-take(motion.earth_rate, transitions.start) * elapsed[:, None])
+    reached = jax.vmap(compose)(jax.vmap(compose)(earth, take(turned, transitions.start)), carried)
+    expected = take(turned, transitions.stop)
     return jax.vmap(lambda a, b: small_rotation(compose(a.T, b)))(expected, reached)
 
 
 def _inverted(transitions: Transitions, channels: dict[str, Channels], values) -> dict[str, Array]:
     """Return rate and force in body axes, kind → (T·K, 3), that would give the readings."""
-    found: dict[str, Array] = {kind: jnp.zeros((len(read), 3)) for kind, read in transitions.readings.items()}
-    for _ in range(_ROUNDS):
+
+    def nearer(_: Array, found: dict[str, Array]) -> dict[str, Array]:
         predicted = _readout(transitions, channels, found, values)
         misfit = {
             kind: (read - predicted[kind]) / channels[kind].scale[None, :]
             for kind, read in transitions.readings.items()
         }
-        found = {kind: found[kind] + misfit[kind] @ transitions.inverse[kind].T for kind in found}
-    return found
+        return {kind: found[kind] + misfit[kind] @ transitions.inverse[kind].T for kind in found}
+
+    nothing: dict[str, Array] = {kind: jnp.zeros((len(read), 3)) for kind, read in transitions.readings.items()}
+    return jax.lax.fori_loop(0, _ROUNDS, nearer, nothing)
 
 
 def _readout(transitions: Transitions, channels: dict[str, Channels], found: dict[str, Array], values):

@@ -6,12 +6,12 @@ an effect that no run can show, two that do not go together) is collected and re
 
 from dataclasses import dataclass
 
-import jax
 import numpy as np
 
 from imubayes.effects.base import Effect, MotionEffect, Stage
 from imubayes.errors import InputError, closest_first
 from imubayes.errors import Problem as Complaint
+from imubayes.indexing import on_device
 from imubayes.model.assembly import Assembly, assemble
 from imubayes.model.closure import Transitions, nominal_inverse
 from imubayes.model.forward import Convert, Emit, Layer, Project, Resolve, Spread, in_order
@@ -109,7 +109,7 @@ def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = Non
         campaign,
         assembly.layout,
         assembly.hyper_layout,
-        as_arrays(problem_of(assembly)),
+        on_device(problem_of(assembly)),
         nodes,
         entries,
         assembly,
@@ -210,11 +210,6 @@ def problem_of(assembly: Assembly) -> Problem:
         spread_of=spread_of,
         spread_unit=spread_unit,
     )
-
-
-def as_arrays(problem: Problem) -> Problem:
-    """Return the problem with JAX arrays in place of NumPy's, so that a jitted call does not copy them each time."""
-    return jax.device_put(problem)
 
 
 def _spreads(acting, layout: Layout, hyper_places: dict[str, int]) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import Effect, MotionEffect, Order, RecordEffect, Stage
+from imubayes.indexing import on_device
 from imubayes.model.assembly import Assembly
 from imubayes.model.forward import Convert, Emit, Layer, Project, Resolve, Spread, in_order
 from imubayes.model.instants import KINDS
@@ -134,7 +135,7 @@ def derive(assembly: Assembly) -> Derived:
     )
     factors = np.array([name.factor for name in names])
     derivation = Derivation(probe, pairs, thermal_pairs, factors)
-    return Derived(tuple(names), jax.device_put(derivation))
+    return Derived(tuple(names), on_device(derivation))
 
 
 def _mounting_nodes(assembly: Assembly) -> tuple[list[str], np.ndarray]:

@@ -14,9 +14,11 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from imubayes.effects.base import Effect, Stage
 from imubayes.frames import rotate, rotate_back, turn_back_about_z
+from imubayes.indexing import take
 from imubayes.stimulus import Ambient, Experience, Instants, Motion, Sample, SignalPath
 from imubayes.types import Array, Float, Vector3
 
@@ -47,9 +49,13 @@ class Layer(eqx.Module):
         """Return stage and order: layers are passed in the order of these."""
         return self.closes, math.inf
 
+    def asks(self) -> dict[str, Array]:
+        """Return the places of the values that the step needs, by field."""
+        return {}
+
     @abstractmethod
-    def __call__(self, path: SignalPath, values: Float[Array, " V"]) -> SignalPath:
-        """Return the path after this step; `values` are all parameters in SI, then the null values."""
+    def __call__(self, path: SignalPath, chosen: dict[str, Array]) -> SignalPath:
+        """Return the path after this step; `chosen` are the values it asked for, by field."""
 
 
 class EffectLayer(Layer):
@@ -72,8 +78,10 @@ class EffectLayer(Layer):
     def place(self):
         return self.effect.stage, self.effect.order
 
-    def __call__(self, path, values):
-        chosen = {field: values[place] for field, place in self.places.items()}
+    def asks(self):
+        return self.places
+
+    def __call__(self, path, chosen):
         options = dict(self.options)
         return self.effect.advance(lambda one: self.effect(**one, **options), chosen, path, self.kind)
 
@@ -83,19 +91,19 @@ class Spread(Layer):
 
     closes: ClassVar[Stage] = Stage.STAND
 
-    def __call__(self, path, values):
+    def __call__(self, path, chosen):
         at, stand = path.instants, path.motion
         assert at is not None
         motion = Motion(
-            base=stand.base[at.stand],
-            mounting=stand.mounting[at.stand],
+            base=take(stand.base, at.stand),
+            mounting=take(stand.mounting, at.stand),
             table_angle=at.table_angle,
             table_rate=at.table_rate,
             table_acceleration=at.table_acceleration,
             reference_rate=at.reference_rate,
             reference_acceleration=at.reference_acceleration,
-            gravity=stand.gravity[at.stand],
-            earth_rate=stand.earth_rate[at.stand],
+            gravity=take(stand.gravity, at.stand),
+            earth_rate=take(stand.earth_rate, at.stand),
         )
         return eqx.tree_at(lambda p: (p.motion, p.ambient), path, (motion, at.ambient))
 
@@ -106,7 +114,7 @@ class Resolve(Layer):
     counts: tuple[tuple[str, int], ...] = eqx.field(static=True)
     closes: ClassVar[Stage] = Stage.TABLE
 
-    def __call__(self, path, values):
+    def __call__(self, path, chosen):
         body = jax.vmap(on_body)(path.motion)
         experience = {
             kind: jax.tree.map(lambda leaf, count=count: jnp.broadcast_to(leaf[:, None], (len(leaf), count, 3)), body)
@@ -121,7 +129,7 @@ class Project(Layer):
     channels: dict[str, Channels]
     closes: ClassVar[Stage] = Stage.PLACE
 
-    def __call__(self, path, values):
+    def __call__(self, path, chosen):
         sample = {
             kind: jax.vmap(jax.vmap(project, (0, 0, None)), (None, 0, 0))(
                 channels.axes, path.experience[kind], path.ambient
@@ -148,7 +156,7 @@ class Convert(Layer):
     injected: Float[Array, " N"]
     closes: ClassVar[Stage] = Stage.SENSOR
 
-    def __call__(self, path, values):
+    def __call__(self, path, chosen):
         def converted(signal, channels):
             equivalent = path.ambient.current[:, None] / channels.current_per_acceleration[None, :]
             return channels.scale[None, :] * jnp.where(self.injected[:, None] > 0, equivalent, signal)
@@ -163,7 +171,7 @@ class Emit(Layer):
     channels: dict[str, Channels]
     closes: ClassVar[Stage] = Stage.CONVERTER
 
-    def __call__(self, path, values):
+    def __call__(self, path, chosen):
         signal = {kind: path.signal[kind] + channels.offset[None, :] for kind, channels in self.channels.items()}
         return eqx.tree_at(lambda p: p.signal, path, signal)
 
@@ -206,10 +214,20 @@ def start(instants: Instants) -> SignalPath:
 
 
 def travel(layers: Sequence[Layer], path: SignalPath, values: Float[Array, " V"]) -> SignalPath:
-    """Pass every layer in turn."""
-    for layer in layers:
-        path = layer(path, values)
+    """Pass every layer in turn; `values` are all parameters in SI, then the null values."""
+    for layer, chosen in zip(layers, _chosen(layers, values), strict=True):
+        path = layer(path, chosen)
     return path
+
+
+def _chosen(layers: Sequence[Layer], values: Float[Array, " V"]) -> list[dict[str, Array]]:
+    """Return what every layer asks for: all of it in one gather, since a program pays for each."""
+    places, tree = jax.tree.flatten([layer.asks() for layer in layers])
+    if not places:
+        return [{} for _ in layers]
+    ends = np.cumsum([math.prod(place.shape) for place in places])[:-1]
+    found = jnp.split(take(values, jnp.concatenate([jnp.ravel(place) for place in places])), ends)
+    return jax.tree.unflatten(tree, [one.reshape(place.shape) for one, place in zip(found, places, strict=True)])
 
 
 def in_order(layers: Sequence[Layer]) -> tuple[Layer, ...]:

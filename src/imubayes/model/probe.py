@@ -55,20 +55,16 @@ class DerivedName:
 
 def sensitivities(probe: Probe, values: Float[Array, " V"]) -> dict[str, Float[Array, "C 3"]]:
     """Return the gradient of every channel's output, kind → (C, 3), output units per rad/s or m/s² in body axes."""
-    found = {}
-    for kind, one in probe.channels.items():
-
-        def output(stimulus, kind=kind):
-            return _respond(probe, values, stimulus, kind)
-
-        found[kind] = jax.jacfwd(output)(jnp.zeros(3)) if one.scale.shape[0] else jnp.zeros((0, 3))
-    return found
+    slopes = jax.jacfwd(lambda stimulus: _respond(probe, values, stimulus))(jnp.zeros(6))
+    own = {"gyro": slice(0, 3), "accelerometer": slice(3, 6)}
+    return {kind: slopes[kind][:, own[kind]] for kind in probe.channels}
 
 
-def _respond(probe: Probe, values, stimulus: Float[Array, " 3"], kind: str) -> Float[Array, " C"]:
+def _respond(probe: Probe, values, stimulus: Float[Array, " 6"]) -> dict[str, Float[Array, " C"]]:
+    """Return the outputs at a rate and a specific force, kind → (C,)."""
     zero = jnp.zeros(1)
     nothing = jnp.zeros(3)
-    rate, force = (stimulus, nothing) if kind == "gyro" else (nothing, stimulus)
+    rate, force = stimulus[:3], stimulus[3:]
     experience = {
         name: Experience(*(jnp.broadcast_to(v, (1, one.scale.shape[0], 3)) for v in (rate, force, *(nothing,) * 4)))
         for name, one in probe.channels.items()
@@ -77,7 +73,8 @@ def _respond(probe: Probe, values, stimulus: Float[Array, " 3"], kind: str) -> F
     known = {"temperature": warm, "converter_temperature": warm, "power_on": long}
     ambient = Ambient(**{name: known.get(name, zero) for name in AMBIENT_NAMES})
     path = SignalPath(probe.mountings.stands, ambient, experience, {}, {})
-    return travel(probe.sensor_layers, path, values).signal[kind][0]
+    signal = travel(probe.sensor_layers, path, values).signal
+    return {kind: signal[kind][0] for kind in probe.channels}
 
 
 def axes_of_rotation(probe: Probe, values: Float[Array, " V"]) -> Float[Array, "M 3"]:

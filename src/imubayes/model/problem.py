@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.indexing import take
 from imubayes.model.closure import Transitions, closing_rotations
 from imubayes.model.forward import Channels, Layer, start, travel
 from imubayes.model.servo import Servos, servo_angles
@@ -33,12 +34,12 @@ class NoiseLayer(eqx.Module):
 
     def correlations(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
         """Return the correlation of neighbouring rows of every run and channel."""
-        chosen = {field: h[place] for field, place in self.places.items()}
+        chosen = {field: take(h, place) for field, place in self.places.items()}
         return self.acts * jax.vmap(lambda one: self.noise(**one).of_neighbours())(chosen)  # pyright: ignore
 
     def variances(self, h: Float[Array, " H"], entries: Entry | None) -> Float[Array, " M"]:
         """Return the variance of every entry, or of every run and channel."""
-        chosen = {field: h[place] for field, place in self.places.items()}
+        chosen = {field: take(h, place) for field, place in self.places.items()}
         if entries is not None:
             found = jax.vmap(lambda one, entry: self.noise(**one).variance(entry))(chosen, entries)  # pyright: ignore
         else:
@@ -47,7 +48,7 @@ class NoiseLayer(eqx.Module):
 
     def tails(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
         """Return one over the degrees of freedom of every run and channel, 0 for a normal law."""
-        chosen = {field: h[place] for field, place in self.places.items()}
+        chosen = {field: take(h, place) for field, place in self.places.items()}
         return self.acts * jax.vmap(lambda one: 1 / self.noise(**one).degrees())(chosen)  # pyright: ignore
 
 
@@ -151,7 +152,7 @@ def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, "
     if problem.servos is not None:
         angles = servo_angles(problem.servos, problem.layers, problem.instants, problem.channels, values)
         outputs.append(jnp.degrees(angles).reshape(-1))
-    predicted = jnp.concatenate(outputs)[problem.observations.readout]
+    predicted = take(jnp.concatenate(outputs), problem.observations.readout)
     if problem.transitions is None:
         return predicted
     closing = closing_rotations(problem.transitions, problem.channels, path.motion, values)
@@ -186,23 +187,23 @@ def row_means(problem: Problem, signal: Float[Array, "N C"]) -> Float[Array, "R 
     return jnp.concatenate(means)
 
 
-def prediction_jacobian(problem: Problem, z: Float[Array, " P"]) -> Float[Array, "E P"]:
-    """Return ∂f/∂z.
+def predict_with_jacobian(problem: Problem, z: Float[Array, " P"]) -> tuple[Float[Array, " E"], Float[Array, "E P"]]:
+    """Return f(z) and ∂f/∂z.
 
     One forward derivative per colour instead of one per parameter: parameters of one colour reach no common entry, so
     their columns are told apart by their reach.
     """
     sparsity = problem.sparsity
-    _, push = jax.linearize(lambda one: predict(problem, one), z)
+    predicted, push = jax.linearize(lambda one: predict(problem, one), z)
     packed = jax.vmap(push)(sparsity.seeds)
-    return jnp.where(sparsity.reach, packed[sparsity.colour].T, 0.0)
+    return predicted, jnp.where(sparsity.reach, take(packed, sparsity.colour).T, 0.0)
 
 
 @jax.jit
 def prior_widths(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " P"]:
     """Return the standard deviation of each z_θ: 1, or what has been learnt of the spread."""
     values = problem.hyper_priors.values(h)
-    widths = jnp.concatenate([values, jnp.ones(1)])[problem.spread_of]
+    widths = take(jnp.concatenate([values, jnp.ones(1)]), problem.spread_of)
     return jnp.where(problem.spread_of < values.shape[0], widths / problem.spread_unit, 1.0)
 
 

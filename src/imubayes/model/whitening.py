@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from imubayes.indexing import take
 from imubayes.model.problem import Observations, Problem
 from imubayes.model.student import information, of_tail
 from imubayes.noise.base import EntryNoise, SeriesNoise, SharedNoise, TailNoise
@@ -29,7 +30,7 @@ class Series(eqx.Module):
     def forward(self, x: Float[Array, "E *columns"]) -> Float[Array, "E *columns"]:
         """Return A x."""
         gain, carried = self._factors(x.ndim)
-        return gain * x - carried * jnp.concatenate([x, jnp.zeros((1, *x.shape[1:]))])[self.before]
+        return gain * x - carried * take(jnp.concatenate([x, jnp.zeros((1, *x.shape[1:]))]), self.before)
 
     def back(self, x: Float[Array, " E"]) -> Float[Array, " E"]:
         """Return Aᵀ x."""
@@ -77,7 +78,7 @@ class Whitener(eqx.Module):
 def group_sum(values: Float[Array, "E *columns"], observations: Observations) -> Float[Array, "G *columns"]:
     """Return the sums over the entries of each group."""
     padded = jnp.concatenate([values, jnp.zeros((1, *values.shape[1:]))])
-    return padded[observations.members].sum(axis=1)
+    return take(padded, observations.members).sum(axis=1)
 
 
 class Law(eqx.Module):
@@ -106,7 +107,7 @@ def noise_law(problem: Problem, h: Float[Array, " H"]) -> Law:
         elif issubclass(layer.noise, SharedNoise):
             shared = shared + layer.variances(values, None)
         elif issubclass(layer.noise, TailNoise):
-            here = layer.tails(values)[observations.group]
+            here = take(layer.tails(values), observations.group)
             tail = here if tail is None else tail + here
     return Law(own, shared, tail)
 
@@ -160,7 +161,7 @@ def _series(problem: Problem, values: Float[Array, " H"]) -> Series | None:
     last = jax.lax.cummax(jnp.where(seen, jnp.arange(most)[None, :], -1), axis=1)
     last = jnp.concatenate([jnp.full((groups, 1), -1), last[:, :-1]], axis=1)
     entry = jnp.where(last < 0, none, jnp.take_along_axis(observations.in_time, jnp.maximum(last, 0), axis=1))
-    before = jnp.full(none + 1, none).at[observations.in_time].set(entry)[:-1]
+    before = jnp.full(none + 1, none, dtype=entry.dtype).at[observations.in_time].set(entry)[:-1]
     before = jnp.where(observations.weight > 0, before, none)
     apart = (
         observations.rank - jnp.concatenate([observations.rank, jnp.zeros(1, dtype=observations.rank.dtype)])[before]
@@ -170,7 +171,7 @@ def _series(problem: Problem, values: Float[Array, " H"]) -> Series | None:
         one_row = one_row + layer.correlations(values)
     linked = before < none
     steps = jnp.where(linked, apart, 1).astype(float)
-    return Series(before, jnp.where(linked, one_row[observations.group] ** steps, 0.0))
+    return Series(before, jnp.where(linked, take(one_row, observations.group) ** steps, 0.0))
 
 
 def whiten(problem: Problem, by: Whitener, residual: Float[Array, "E *columns"]) -> Float[Array, "E *columns"]:
@@ -178,7 +179,7 @@ def whiten(problem: Problem, by: Whitener, residual: Float[Array, "E *columns"])
     columns = (-1, *(1,) * (residual.ndim - 1))
     scaled, direction = by.scale(residual), by.direction.reshape(columns)
     along = group_sum(direction * scaled, problem.observations)
-    return scaled - direction * (by.shrink.reshape(columns) * along)[problem.observations.group]
+    return scaled - direction * take(by.shrink.reshape(columns) * along, problem.observations.group)
 
 
 def inverse_covariance(problem: Problem, by: Whitener, residual: Float[Array, " E"]):
@@ -190,10 +191,10 @@ def inverse_covariance(problem: Problem, by: Whitener, residual: Float[Array, " 
     if by.series is not None:
         scaled = by.scale(residual)
         along = group_sum(direction * scaled, observations)
-        pulled = by.series.back(scaled - direction * (rank_one * along)[observations.group])
-        shared = rank_one[observations.group] * by.series.back(direction) ** 2
+        pulled = by.series.back(scaled - direction * take(rank_one * along, observations.group))
+        shared = take(rank_one, observations.group) * by.series.back(direction) ** 2
         return by.precision_root * pulled, by.precision_root**2 * (by.series.diagonal() - shared)
     weight = direction**2
     along = group_sum(weight * residual, observations)
-    pulled = weight * (residual - (rank_one * along)[observations.group])
-    return pulled, weight * (1 - rank_one[observations.group] * weight)
+    pulled = weight * (residual - take(rank_one * along, observations.group))
+    return pulled, weight * (1 - take(rank_one, observations.group) * weight)

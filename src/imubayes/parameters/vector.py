@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.indexing import take
 from imubayes.parameters.priors import Prior
 from imubayes.types import Array, Float, Int
 
@@ -116,12 +117,12 @@ class Priors(eqx.Module):
         """Return SI values of a vector of z."""
         if not self.families:
             return z
-        sorted_z, parts, start = z[self.sorted_by_family], [], 0
+        sorted_z, parts, start = take(z, self.sorted_by_family), [], 0
         for family, count in zip(self.families, self.counts, strict=True):
             chosen = sorted_z[start : start + count]
             parts.append(jax.vmap(lambda prior, one: prior.value(one))(family, chosen))
             start += count
-        return jnp.concatenate(parts)[self.order]
+        return take(jnp.concatenate(parts), self.order)
 
     def slopes(self, z: Float[Array, " P"]) -> Float[Array, " P"]:
         """Return the derivative of each value by its own z."""
