@@ -89,7 +89,7 @@ def _gradients(fit: JointFit, wide: Model, quantities: Sequence[str]) -> np.ndar
     """
     layout, problem = fit.model.layout, fit.model.problem
     names = [name.name for name in fit.derived.names]
-    of_derived = np.asarray(derived_slopes(fit.derived.derivation, problem, fit.mode.z))
+    of_derived = derived_slopes(fit.derived.derivation, problem, np.asarray(fit.mode.z))
     slopes = np.asarray(_slopes(problem, fit.mode.z)) / layout.factors()
     rows = []
     for quantity in quantities:

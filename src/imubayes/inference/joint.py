@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,8 +20,8 @@ from imubayes.inference.laplace import NestedLaplace, nested_laplace
 from imubayes.inference.moves import LaplaceProposal, LogDensity
 from imubayes.inference.sample import Chains, Settings, sample, walkers_for
 from imubayes.model.declaration import Model
-from imubayes.model.derived import Derived, derive
-from imubayes.model.problem import Problem, values_of
+from imubayes.model.derived import Derived, derive, derive_many
+from imubayes.model.problem import Problem
 
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
 # they are out of the running whatever their width.
@@ -226,17 +225,12 @@ def _starts(
     return starts
 
 
-@eqx.filter_jit
-def _derive_all(derived, problem: Problem, z):
-    return jax.lax.map(lambda one: derived(values_of(problem, one)), z, batch_size=500)
-
-
 def _derived_draws(derived: Derived, problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size = problem.size[0]
     chosen = _spread_over(points, _DERIVED_DRAWS)
     prior = np.random.default_rng(0).normal(size=(_PRIOR_DRAWS, size))
     both = np.concatenate([points[chosen, :size], prior])
-    values = np.asarray(_derive_all(derived.derivation, problem, both))
+    values = derive_many(derived.derivation, problem, both)
     return values[:_DERIVED_DRAWS], values[_DERIVED_DRAWS:]
 
 

@@ -107,7 +107,7 @@ def _derived(fit: JointFit) -> list[dict[str, Any]]:
 def _weak(fit: JointFit, precision: np.ndarray) -> list[WeakDirection]:
     """Return what the data did not determine: pairs of derived quantities first, then combinations of parameters."""
     model = fit.model
-    gradient = np.asarray(derived_slopes(fit.derived.derivation, model.problem, fit.mode.z))
+    gradient = derived_slopes(fit.derived.derivation, model.problem, np.asarray(fit.mode.z))
     prior, posterior = gradient @ gradient.T, gradient @ np.linalg.solve(precision, gradient.T)
     directions = np.linalg.solve(precision, gradient.T)
     spread = np.sum(directions * np.linalg.solve(precision, directions), axis=0)
