@@ -18,15 +18,17 @@ A new effect is one class:
             return signal + self.asymmetry * jnp.abs(sample.rate[0])
 """
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable
 from enum import IntEnum
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from imubayes.indexing import take
 from imubayes.run import Kind
 from imubayes.stimulus import Ambient, Experience, Motion, Records, Sample, SignalPath
 from imubayes.types import Array, Float, Scalar, Scalars
@@ -210,7 +212,7 @@ class RecordEffect(Effect):
     """An effect on one channel's signal that depends on what went before, at the stages SENSOR and CONVERTER.
 
     Its memory is one number that starts from 0 in every run (the unit has been as it is for long) and is carried from
-    one instant to the next.  The steps are put together pairwise, all runs and channels at once.
+    one instant to the next.  The steps are put together for all runs and channels at once.
     """
 
     @abstractmethod
@@ -226,9 +228,13 @@ class RecordEffect(Effect):
         records = path.records
         if records is None:
             return path
-        at_nodes = {field: value if value.shape[0] == 1 else value[records.node] for field, value in values.items()}
-        remembered = cls.memories(make, at_nodes, records)[records.place]
-        there = {field: value if value.shape[0] == 1 else value[records.place] for field, value in at_nodes.items()}
+        at_nodes = {
+            field: value if value.shape[0] == 1 else take(value, records.node) for field, value in values.items()
+        }
+        remembered = take(cls.memories(make, at_nodes, records), records.place)
+        there = {
+            field: value if value.shape[0] == 1 else take(value, records.place) for field, value in at_nodes.items()
+        }
         changed = _over_channels(lambda one, *state: make(one).apply(*state), there)(
             there, path.signal[kind], path.sample[kind], jnp.broadcast_to(remembered, path.signal[kind].shape)
         )
@@ -241,14 +247,52 @@ class RecordEffect(Effect):
         count = len(records.node)
         previous = jnp.where(records.begins, jnp.arange(count), jnp.arange(count) - 1)
         now = _of_all(records.ambient, channels)
-        before = jax.tree.map(lambda leaf: leaf[previous], now)
+        before = jax.tree.map(lambda leaf: take(leaf, previous), now)
         seconds = jnp.broadcast_to(records.seconds[:, None], (count, channels))
         spread = {field: jnp.broadcast_to(value, (value.shape[0], channels)) for field, value in values.items()}
         steps = _over_channels(lambda one, *state: make(one).carry(*state), spread)(spread, before, now, seconds)
         begins = records.begins[:, None]
         # What a run begins with is no step but the state of rest, whatever went before.
         steps = jax.tree.map(lambda leaf: jnp.where(begins, 0.0, leaf), steps)
-        return jax.lax.associative_scan(jax.vmap(jax.vmap(lambda a, b: a.then(b))), steps).from_rest()
+        return _put_together(steps).from_rest()
+
+
+def _put_together(steps: Any) -> Any:
+    """Return for every place what all steps up to there do as one; steps have leaves (N, C).
+
+    √N blocks of √N steps: all blocks at once step by step, then the blocks.  `jax.lax.associative_scan` does as much
+    in log N sweeps that are all different, and a program of these takes seconds to compile.
+    """
+    join = jax.vmap(jax.vmap(lambda one, later: one.then(later)))
+    count = len(jax.tree.leaves(steps)[0])
+    width = math.isqrt(max(count - 1, 0)) + 1
+    blocks = -(-count // width)
+    # What is added behind the last step reaches none before it.
+    padded = jax.tree.map(lambda leaf: jnp.pad(leaf, ((0, blocks * width - count), (0, 0))), steps)
+    in_turn = jax.tree.map(lambda leaf: jnp.swapaxes(leaf.reshape(blocks, width, -1), 0, 1), padded)
+    within = _running(join, in_turn)
+    whole = _running(jax.vmap(lambda one, later: one.then(later)), jax.tree.map(lambda leaf: leaf[-1], within))
+    before = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[None, :-1], (width, blocks - 1, leaf.shape[1])), whole)
+    joined = jax.vmap(join)(before, jax.tree.map(lambda leaf: leaf[:, 1:], within))
+    everywhere = jax.tree.map(lambda first, later: jnp.concatenate([first[:, :1], later], axis=1), within, joined)
+    return jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1).reshape(blocks * width, -1)[:count], everywhere)
+
+
+def _running(join: Callable, steps: Any) -> Any:
+    """Return what the first, the first two, … of steps along the first axis do as one."""
+
+    def further(so_far, step):
+        both = join(so_far, step)
+        return both, both
+
+    first = jax.tree.map(lambda leaf: leaf[0], steps)
+    _, rest = jax.lax.scan(further, first, jax.tree.map(lambda leaf: leaf[1:], steps))
+    return jax.tree.map(lambda one, others: jnp.concatenate([one[None], others]), first, rest)
+
+
+def _at(places: Array, values: dict) -> dict:
+    """Return the values at places along their node axis; those with an axis of length 1 are the same everywhere."""
+    return {field: value if value.shape[0] == 1 else take(value, places) for field, value in values.items()}
 
 
 def _of_all(ambient: Ambient, channels: int) -> Ambient:
