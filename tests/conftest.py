@@ -29,6 +29,9 @@ install_import_hook("imubayes", "strict_types.checked")
 
 
 def pytest_configure(config):
+    # Most of what is tested runs once, so that compiling is what takes time.  The long studies, and the commands that
+    # are run as a user would run them, are compiled as a user has them.
+    jax.config.update("jax_disable_most_optimizations", "not slow" in config.option.markexpr)
     # Two test processes share the cache: an entry that is still being written is compiled again.
     config.addinivalue_line("filterwarnings", "ignore:Error (reading|writing) persistent compilation cache:UserWarning")
     # Aliases of other packages, such as rich's, are still written in the old way.

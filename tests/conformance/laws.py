@@ -2,6 +2,7 @@
 member that breaks it."""
 
 import re
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -175,18 +176,19 @@ def null_is_the_identity(member: type) -> None:
 
 def gradients_are_finite(member: type) -> None:
     """At null and over draws of the prior, first and second derivatives are finite."""
+
+    def total(values, first, rest):
+        return sum(jnp.sum(leaf * leaf) for leaf in jax.tree.leaves(acted(member, values, first, *rest)))
+
+    derivatives = jax.jit(lambda *at: (jax.grad(total, argnums=(0, 1))(*at), jax.hessian(total)(*at)))
     for seed in range(6):
         values = null_values(member) if seed == 0 else drawn_values(member, seed)
         values = {field: jnp.asarray(value, dtype=float) for field, value in values.items()}
-        state = states(member, seed, still=seed == 1)
-
-        def total(one, first, rest=state[1:]):
-            leaves = jax.tree.leaves(acted(member, one, first, *rest))
-            return sum(jnp.sum(leaf * leaf) for leaf in leaves)
-
-        for leaf in jax.tree.leaves(jax.grad(total, argnums=(0, 1))(values, state[0])):
+        first, *rest = states(member, seed, still=seed == 1)
+        gradient, second = derivatives(values, first, rest)
+        for leaf in jax.tree.leaves(gradient):
             assert np.all(np.isfinite(leaf)), f"{member.name}: gradient {leaf}"
-        for leaf in jax.tree.leaves(jax.hessian(total)(values, state[0])):
+        for leaf in jax.tree.leaves(second):
             assert np.all(np.isfinite(leaf)), f"{member.name}: second derivative {leaf}"
 
 
@@ -249,26 +251,31 @@ def linear_coefficients_show_at_null(member: type) -> None:
         assert max(map(abs, places)) < 4, f"{member.name}.{field}: shapes {one.shape} outside the prior"
     spreads = {one.spread for one in declared.values()}
     count = max((len(one.shape) for one in shapes.values()), default=1)
+    slopes = {field: _slope_of(member, field) for field in set(declared) - set(shapes) - spreads}
     for place in range(count):
         at = {name: one.shape[min(place, len(one.shape) - 1)] * factors[name] for name, one in shapes.items()}
-        for field in set(declared) - set(shapes) - spreads:
-            found = [_slope(member, field, at, seed) for seed in range(1, 6)]
+        for field, slope in slopes.items():
+            found = [slope(at, seed) for seed in range(1, 6)]
             assert np.all(np.isfinite(found)), f"{member.name}.{field}: derivative {found}"
             if place == 0:
                 assert max(found) > 0, f"{member.name}.{field} has no derivative at its null"
 
 
-def _slope(member: type, field: str, shapes: dict, seed: int) -> float:
-    """Return the largest derivative by one parameter at null."""
-    state = states(member, seed)
+def _slope_of(member: type, field: str) -> Callable[[dict, int], float]:
+    """Return the largest derivative by one parameter at null, as a function of the shapes and of where it is taken."""
 
-    def at(value):
+    @jax.jit
+    def slope(values, state):
+        _, found = jax.jvp(
+            lambda one: acted(member, values | {field: one}, *state), (values[field],), (jnp.ones_like(values[field]),)
+        )
+        return found
+
+    def largest(shapes: dict, seed: int) -> float:
         values = {name: jnp.asarray(float(one)) for name, one in (null_values(member) | shapes).items()}
-        return acted(member, values | {field: value}, *state)
+        return max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(slope(values, states(member, seed))))
 
-    null = jnp.asarray(float(null_values(member)[field]))
-    _, slope = jax.jvp(at, (null,), (jnp.ones_like(null),))
-    return max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(slope))
+    return largest
 
 
 def variance_of(member: type, values: dict, samples: float) -> float:
