@@ -19,5 +19,5 @@ def compare(result: Path, *, parameters: list[str] | None = None) -> int:
     from imubayes.report.terminal import print_comparison
 
     comparison = compare_result(result, parameters=parameters)
-    print_comparison(comparison)
+    print_comparison(comparison.runs, comparison.textbook, comparison.pictures)
     return 0

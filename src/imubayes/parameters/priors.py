@@ -11,6 +11,7 @@ import math
 import re
 from abc import abstractmethod
 from collections.abc import Mapping
+from functools import lru_cache
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -149,6 +150,8 @@ FAMILIES: dict[str, tuple[type[Prior], tuple[bool, ...]]] = {
     "loguniform": (LogUniform, (True, True)),
     "halfcauchy": (HalfCauchy, (True,)),
 }
+# Units whose size is the channel's own.
+_OF_CHANNEL = re.compile(r"\b(noise|scale)\b")
 _FORM = re.compile(r"^\s*(?P<family>[A-Za-z_]+)\s*\((?P<arguments>(?:[^()]|\([^()]*\))*)\)\s*$")
 _ARGUMENT = re.compile(r"^\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>\S.*?)?\s*$")
 
@@ -169,6 +172,14 @@ def parse_prior(text: str, unit: str, gravity: float, where: str, own: Mapping[s
     InputError
         if the form, the family, a number or a unit cannot be used.
     """
+    # The catalogue is read anew for every channel of every model looked at: most of it is the same text again.
+    known = tuple(sorted((own or {}).items())) if _OF_CHANNEL.search(text + " " + unit) else ()
+    return _parse_prior(text, unit, gravity, where, known)
+
+
+@lru_cache(maxsize=4096)
+def _parse_prior(text: str, unit: str, gravity: float, where: str, known: tuple[tuple[str, float], ...]) -> Prior:
+    own = dict(known)
 
     def refuse(what: str, allowed: str) -> InputError:
         example = f"normal(0, 1 {unit})" if unit != "1" else "normal(0, 1)"

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.table import Table
 
 from imubayes.report import diagnosis as diagnosed
 from imubayes.report.addition import addition_text, coefficient_sheet, error_sheet
-from imubayes.report.comparison import Comparison
 from imubayes.report.planting import planting_lines, planting_sheet
 from imubayes.report.tables import (
     contribution_table,
@@ -59,15 +59,15 @@ def _show(summary: dict[str, Any], console: Console, verbose: bool) -> None:
     )
 
 
-def print_comparison(comparison: Comparison) -> None:
+def print_comparison(runs: Table, textbook: Mapping[str, Any] | None, pictures: Iterable[Path]) -> None:
     """Print the table per run and channel, the textbook beside the joint fit, and where the pictures are."""
     console = Console()
-    console.print(comparison.runs)
-    if comparison.textbook is not None:
-        beside = beside_sheet(comparison.textbook)
+    console.print(runs)
+    if textbook is not None:
+        beside = beside_sheet(textbook)
         if beside.rows:
             console.print(terminal(beside))
-    for path in comparison.pictures:
+    for path in pictures:
         console.print(str(path), highlight=False, soft_wrap=True)
 
 
