@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from imubayes.effects.base import Decay, Play, put_together
 from imubayes.model.declaration import Model, declare
 from imubayes.model.problem import predict
 from imubayes.procedures.base import rate_of_change
@@ -121,3 +122,26 @@ def test_a_rate_of_temperature_is_not_that_of_the_thermometers_noise():
     assert np.sqrt(np.mean((found - truth) ** 2)) < 0.1 * np.sqrt(np.mean(truth**2))
     assert rate_of_change(time, 25 + 0.05 * np.random.default_rng(3).normal(size=2000)) is None
     assert rate_of_change(np.zeros(6), np.arange(6.0)) is None
+
+
+def decays(rng, count: int) -> Decay:
+    return Decay(jnp.asarray(rng.uniform(size=(count, 2))), jnp.asarray(rng.normal(size=(count, 2))))
+
+
+def plays(rng, count: int) -> Play:
+    shift, low, room = rng.normal(size=(count, 2)), rng.normal(size=(count, 2)), rng.uniform(size=(count, 2))
+    return Play(*map(jnp.asarray, (shift, low, low + room)))
+
+
+@pytest.mark.parametrize("kind", [decays, plays])
+@pytest.mark.parametrize("count", [1, 2, 3, 9, 10, 23])
+def test_steps_are_put_together_in_their_order(kind, count):
+    steps = kind(np.random.default_rng(count), count)
+    memory, expected = np.zeros(2), []
+    for k in range(count):
+        if isinstance(steps, Decay):
+            memory = np.asarray(steps.gain)[k] * memory + np.asarray(steps.shift)[k]
+        else:
+            memory = np.clip(memory + np.asarray(steps.shift)[k], np.asarray(steps.low)[k], np.asarray(steps.high)[k])
+        expected.append(memory)
+    np.testing.assert_allclose(put_together(steps).from_rest(), expected, rtol=1e-12, atol=1e-12)

@@ -254,10 +254,10 @@ class RecordEffect(Effect):
         begins = records.begins[:, None]
         # What a run begins with is no step but the state of rest, whatever went before.
         steps = jax.tree.map(lambda leaf: jnp.where(begins, 0.0, leaf), steps)
-        return _put_together(steps).from_rest()
+        return put_together(steps).from_rest()
 
 
-def _put_together(steps: Any) -> Any:
+def put_together(steps: Any) -> Any:
     """Return for every place what all steps up to there do as one; steps have leaves (N, C).
 
     √N blocks of √N steps: all blocks at once step by step, then the blocks.  `jax.lax.associative_scan` does as much

@@ -4,6 +4,8 @@ An independence proposal with exact Metropolis–Hastings weights: the posterior
 approximation, which only decides how often a proposal is taken.
 """
 
+import math
+
 import emcee
 import equinox as eqx
 import jax
@@ -23,14 +25,14 @@ _to_normal = eqx.filter_jit(
 )
 
 
-_BLOCK = 16
+# All walkers at once would not fit into the cache of a core.
+_MOST_IN_BLOCK = 16
 
 
 @eqx.filter_jit
-def _log_density(problem: Problem, points: Float[Array, "n PH"]) -> Float[Array, " n"]:
+def _log_density(problem: Problem, points: Float[Array, "n PH"], block: int) -> Float[Array, " n"]:
     size = problem.size[0]
-    # In blocks: all walkers at once would not fit into the cache of a core.
-    return jax.lax.map(lambda one: log_density(problem, one[:size], one[size:]), points, batch_size=_BLOCK)
+    return jax.lax.map(lambda one: log_density(problem, one[:size], one[size:]), points, batch_size=block)
 
 
 class LogDensity:
@@ -41,7 +43,10 @@ class LogDensity:
     """
 
     def __init__(self, problem: Problem, batch: int):
-        self.problem, self.batch = problem, batch + -batch % _BLOCK
+        # Blocks of nearly the largest size that leave next to none of the last one unused.
+        blocks = math.ceil(batch / _MOST_IN_BLOCK)
+        self.problem, self.block = problem, math.ceil(batch / blocks)
+        self.batch = blocks * self.block
         self.evaluations = 0
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
@@ -49,7 +54,7 @@ class LogDensity:
         self.evaluations += count
         padded = np.concatenate([points, np.repeat(points[-1:], -count % self.batch, axis=0)])
         parts = [
-            np.asarray(_log_density(self.problem, padded[start : start + self.batch]))
+            np.asarray(_log_density(self.problem, padded[start : start + self.batch], self.block))
             for start in range(0, len(padded), self.batch)
         ]
         values = np.concatenate(parts)[:count]

@@ -1,0 +1,30 @@
+"""Derived quantities: many at once, and their slopes against automatic differentiation."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.model.declaration import declare
+from imubayes.model.derived import derive, derive_many, derived_slopes
+from imubayes.model.problem import values_of
+from small_campaign import campaign, spec
+
+EFFECTS = ("mounting_error", "table_axis_tilt", "gyro_misalignment", "gyro_scale_factor", "converter_gain_drift")
+
+
+def test_slopes_and_batches_are_those_of_one_quantity_at_a_time():
+    model = declare(spec(*EFFECTS), campaign())
+    derived, problem = derive(model.assembly).derivation, model.problem
+    points = np.random.default_rng(1).normal(size=(3, problem.size[0]))
+
+    @jax.jit
+    def of_one(z):
+        return derived(values_of(problem, z)), jax.jacfwd(lambda one: derived(values_of(problem, one)))(z)
+
+    values, slopes = of_one(jnp.asarray(points[1]))
+    np.testing.assert_allclose(derive_many(derived, problem, points)[1], values, rtol=1e-13)
+    found = derived_slopes(derived, problem, points[1])
+    assert np.any(found != 0)
+    largest = np.maximum(np.abs(slopes).max(axis=1, keepdims=True), 1e-30)
+    np.testing.assert_allclose(found / largest, slopes / largest, rtol=1e-6, atol=1e-7)
+    assert derive_many(derived, problem, np.zeros((0, points.shape[1]))).shape == (0, len(values))
