@@ -228,13 +228,9 @@ class RecordEffect(Effect):
         records = path.records
         if records is None:
             return path
-        at_nodes = {
-            field: value if value.shape[0] == 1 else take(value, records.node) for field, value in values.items()
-        }
+        at_nodes = _at(records.node, values)
         remembered = take(cls.memories(make, at_nodes, records), records.place)
-        there = {
-            field: value if value.shape[0] == 1 else take(value, records.place) for field, value in at_nodes.items()
-        }
+        there = _at(records.place, at_nodes)
         changed = _over_channels(lambda one, *state: make(one).apply(*state), there)(
             there, path.signal[kind], path.sample[kind], jnp.broadcast_to(remembered, path.signal[kind].shape)
         )
@@ -263,17 +259,18 @@ def put_together(steps: Any) -> Any:
     √N blocks of √N steps: all blocks at once step by step, then the blocks.  `jax.lax.associative_scan` does as much
     in log N sweeps that are all different, and a program of these takes seconds to compile.
     """
-    join = jax.vmap(jax.vmap(lambda one, later: one.then(later)))
+    join = jax.vmap(lambda one, later: one.then(later))
+    join_all = jax.vmap(join)
     count = len(jax.tree.leaves(steps)[0])
     width = math.isqrt(max(count - 1, 0)) + 1
     blocks = -(-count // width)
     # What is added behind the last step reaches none before it.
     padded = jax.tree.map(lambda leaf: jnp.pad(leaf, ((0, blocks * width - count), (0, 0))), steps)
     in_turn = jax.tree.map(lambda leaf: jnp.swapaxes(leaf.reshape(blocks, width, -1), 0, 1), padded)
-    within = _running(join, in_turn)
-    whole = _running(jax.vmap(lambda one, later: one.then(later)), jax.tree.map(lambda leaf: leaf[-1], within))
+    within = _running(join_all, in_turn)
+    whole = _running(join, jax.tree.map(lambda leaf: leaf[-1], within))
     before = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[None, :-1], (width, blocks - 1, leaf.shape[1])), whole)
-    joined = jax.vmap(join)(before, jax.tree.map(lambda leaf: leaf[:, 1:], within))
+    joined = jax.vmap(join_all)(before, jax.tree.map(lambda leaf: leaf[:, 1:], within))
     everywhere = jax.tree.map(lambda first, later: jnp.concatenate([first[:, :1], later], axis=1), within, joined)
     return jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1).reshape(blocks * width, -1)[:count], everywhere)
 

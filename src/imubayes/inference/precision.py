@@ -10,11 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 
-from imubayes.indexing import take
 from imubayes.model.likelihood import log_normaliser, whitened
 from imubayes.model.problem import Problem, predict_with_jacobian, prior_widths
 from imubayes.model.tails import has_tails, pseudo_values
-from imubayes.model.whitening import whitener
+from imubayes.model.whitening import group_sum, whitener
 from imubayes.types import Array, Float, Scalar
 
 
@@ -44,25 +43,20 @@ def linearise(problem: Problem, z: Float[Array, " P"]) -> Linearised:
 
 def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Knowledge:
     """Return what the data say about θ at hyperparameters h."""
-    by, pseudo = whitener(problem, h), pseudo_values(problem, h, about.misfit)
-    members = problem.observations.members
-
-    def gathered(values):
-        padded = jnp.concatenate([values, jnp.zeros((1, *values.shape[1:]))])
-        return take(padded, members).sum(axis=1)
-
+    by, pseudo, observations = whitener(problem, h), pseudo_values(problem, h, about.misfit), problem.observations
     # (I − κ û ûᵀ)² = I − (2κ − κ²|u|²/|u|²…) û ûᵀ; with shrink = κ/|u|² the rank-one weight is 2·shrink − shrink²·|u|².
     weight = by.direction**2
-    direction = gathered(weight)
+    direction = group_sum(weight, observations)
     rank_one = 2 * by.shrink - by.shrink**2 * direction
     if by.series is not None:
         jacobian, misfit = by.scale(about.jacobian), by.scale(pseudo)
-        along, misfit_along = gathered(by.direction[:, None] * jacobian), gathered(by.direction * misfit)
+        along = group_sum(by.direction[:, None] * jacobian, observations)
+        misfit_along = group_sum(by.direction * misfit, observations)
         precision = jacobian.T @ jacobian - along.T @ (rank_one[:, None] * along)
         gradient = jacobian.T @ misfit - along.T @ (rank_one * misfit_along)
         return Knowledge(precision, gradient, jnp.sum(misfit**2) - jnp.sum(rank_one * misfit_along**2))
     weighted = weight[:, None] * about.jacobian
-    along, misfit_along = gathered(weighted), gathered(weight * pseudo)
+    along, misfit_along = group_sum(weighted, observations), group_sum(weight * pseudo, observations)
     precision = about.jacobian.T @ weighted - along.T @ (rank_one[:, None] * along)
     gradient = weighted.T @ pseudo - along.T @ (rank_one * misfit_along)
     if has_tails(problem):
