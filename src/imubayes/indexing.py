@@ -1,5 +1,7 @@
 """Indexing for compiled code: only what is asked for, no guards."""
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -28,3 +30,13 @@ def on_device(tree: Any) -> Any:
 
 def _is_long(leaf: Any) -> bool:
     return isinstance(leaf, np.ndarray | jax.Array) and leaf.dtype == np.int64
+
+
+def in_batches(function: Callable[[np.ndarray], Array], points: np.ndarray, size: int) -> np.ndarray:
+    """Return what a function of `size` points makes of any number of them, (n, P) → (n, …).
+
+    In batches of one size, the last filled up with zeros: the function is compiled once for all who ask.
+    """
+    count = max(1, math.ceil(len(points) / size))
+    whole = np.concatenate([points, np.zeros((count * size - len(points), points.shape[1]))])
+    return np.concatenate([np.asarray(function(one)) for one in np.split(whole, count)])[: len(points)]

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import Effect, MotionEffect, Order, RecordEffect, Stage
-from imubayes.indexing import on_device
+from imubayes.indexing import in_batches, on_device
 from imubayes.model.assembly import Assembly
 from imubayes.model.forward import Convert, Emit, Layer, Project, Resolve, Spread, in_order
 from imubayes.model.instants import KINDS
@@ -80,12 +80,9 @@ def _derive_batch(derivation: Derivation, problem: Problem, points: Float[Array,
 def derive_many(derivation: Derivation, problem: Problem, points: np.ndarray) -> np.ndarray:
     """Return the derived quantities, in their units, of many points in z (n, P); shape (n, D).
 
-    In batches of one size: what is compiled for the draws serves the slopes.
+    What is compiled for the draws serves the slopes.
     """
-    whole = np.concatenate([points, np.zeros((-len(points) % _AT_ONCE, points.shape[1]))])
-    batches = whole.reshape(-1, _AT_ONCE, points.shape[1])
-    parts = [np.asarray(_derive_batch(derivation, problem, one)) for one in batches]
-    return np.concatenate([np.zeros((0, len(derivation.factors))), *parts])[: len(points)]
+    return in_batches(lambda batch: _derive_batch(derivation, problem, batch), points, _AT_ONCE)
 
 
 def derived_slopes(derivation: Derivation, problem: Problem, z: np.ndarray) -> np.ndarray:

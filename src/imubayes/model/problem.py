@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.indexing import take
+from imubayes.indexing import in_batches, take
 from imubayes.model.closure import Transitions, closing_rotations
 from imubayes.model.forward import Channels, Layer, start, travel
 from imubayes.model.servo import Servos, servo_angles
@@ -167,13 +167,9 @@ def _predict_batch(problem: Problem, points: Float[Array, "n P"]) -> Float[Array
 def predict_many(problem: Problem, points: np.ndarray) -> np.ndarray:
     """Return the predictions of many points (n, P), shape (n, E).
 
-    In batches of one size: the signal path is compiled once for all who ask for more than one prediction.
+    The signal path is compiled once for all who ask for more than one prediction.
     """
-    points = np.asarray(points)
-    whole = np.concatenate([points, np.zeros((-len(points) % _AT_ONCE, points.shape[1]))])
-    batches = whole.reshape(-1, _AT_ONCE, points.shape[1])
-    parts = [np.asarray(_predict_batch(problem, batch)) for batch in batches]
-    return np.concatenate([np.zeros((0, len(problem.observations.value))), *parts])[: len(points)]
+    return in_batches(lambda batch: _predict_batch(problem, batch), np.asarray(points), _AT_ONCE)
 
 
 def row_means(problem: Problem, signal: Float[Array, "N C"]) -> Float[Array, "R C"]:
