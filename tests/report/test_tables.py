@@ -68,6 +68,18 @@ def test_what_the_data_did_not_determine_is_marked(summary):
     assert "pose_attitude" not in text
 
 
+def test_words_give_way_before_names_and_numbers(summary):
+    name = "accel_misalignment.toward_o[ax]"
+    summary["parameters"].append(made.quantity(name, "arcsec", 1e-5, 9.9e-4, 0.01))
+    narrow = text_of(parameter_table(summary), width=80)
+    assert f" {name} " in narrow
+    assert "0.00001 ± 0.00099 arcsec" in narrow
+    assert "1 %, not determined" not in narrow
+    folded = text_of(parameter_table(summary), width=60)
+    assert f" {name} " not in folded
+    assert "1 %, not" in folded
+
+
 def test_what_did_not_converge_comes_first_and_red(summary):
     summary |= {"converged": False, "message": "The ensembles disagree on gyro_bias.bias[gx]."}
     summary["parameters"][0]["r_hat"] = 1.4

@@ -49,7 +49,7 @@ class Strata:
         """Return what each row has of values per stratum, that of prior rows last: (strata + 1, …) → (R, …)."""
         return values[self._place]
 
-    @property
+    @cached_property
     def _place(self) -> np.ndarray:
         return np.where(self.of_row == PRIOR, len(self.channel), self.of_row)
 

@@ -10,6 +10,7 @@ single stratum that is the F test of a nested linear model, exactly.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy import stats
@@ -73,7 +74,7 @@ class Candidate:
         """Chance of such a drop of χ² where there is no effect, of this candidate alone."""
         return self.found.p
 
-    @property
+    @cached_property
     def doubt(self) -> float:
         """Logarithm of the chance of such a gain of likelihood: what candidates are ranked by.
 

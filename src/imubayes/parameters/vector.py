@@ -7,6 +7,7 @@ of units in one vmap.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import equinox as eqx
 import jax
@@ -30,7 +31,7 @@ class Parameter:
     prior: Prior
     nuisance: bool = False
 
-    @property
+    @cached_property
     def name(self) -> str:
         """The full name, as in model files, on the command line and in results."""
         return f"{self.effect}.{self.field}[{','.join(self.label)}]"
@@ -58,7 +59,7 @@ class Layout:
     def __len__(self) -> int:
         return len(self.parameters)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """All names in order."""
         return tuple(parameter.name for parameter in self.parameters)

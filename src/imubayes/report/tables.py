@@ -1,6 +1,6 @@
 """Tables of a result for the terminal; what they say is in `imubayes.report.sheets`."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from rich import box
@@ -66,16 +66,32 @@ def contribution_table(summary: Summary) -> Table:
 
 
 class SheetTable(Table):
-    """A table that shows itself in fewer columns where the whole has no room."""
+    """A table that shows itself in fewer columns where the whole has no room.
+
+    A name, which is searched for and typed, is folded only where there is not enough room with words wrapped.
+
+    Attributes
+    ----------
+    narrow : the same in fewer columns.
+    kept : width of the columns that stay whole as long as others can give way: names and numbers.
+    """
 
     narrow: "SheetTable | None" = None
+    kept: Mapping[int, int] = {}
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterable[Any]:
-        if self.narrow is not None:
-            ample = options.update(max_width=10_000)
-            if self.__rich_measure__(console, ample).maximum > options.max_width:
-                return self.narrow.__rich_console__(console, options)
+        ample = options.update(max_width=10_000)
+        if self.narrow is not None and self.__rich_measure__(console, ample).maximum > options.max_width:
+            return self.narrow.__rich_console__(console, options)
+        folded = {place: (self.columns[place].no_wrap, self.columns[place].min_width) for place in self.kept}
+        self._set({place: (True, width) for place, width in self.kept.items()})
+        if self.__rich_measure__(console, ample).minimum > options.max_width:
+            self._set(folded)
         return super().__rich_console__(console, options)
+
+    def _set(self, columns: dict[int, tuple[bool, int | None]]) -> None:
+        for place, (no_wrap, least) in columns.items():
+            self.columns[place].no_wrap, self.columns[place].min_width = no_wrap, least
 
 
 def terminal(sheet: Sheet) -> SheetTable:
@@ -112,6 +128,8 @@ def _table(sheet: Sheet) -> SheetTable:
             no_wrap=not any(" " in text for text in texts) and place > 0,
             min_width=min(widest, _LEAST_NAME) if place == 0 else None,
         )
+        if place == 0 or any("±" in text for text in texts):
+            table.kept = {**table.kept, place: max(widest, len(name))}
     for place, row in enumerate(sheet.rows):
         if place in sheet.dividers:
             table.add_section()
