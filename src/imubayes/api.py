@@ -16,7 +16,7 @@ from imubayes.model.declaration import declare
 from imubayes.model.specification import ModelSpec
 from imubayes.procedures import PROCEDURES
 from imubayes.report.fit_file import read_fit
-from imubayes.report.folder import CHECKPOINT
+from imubayes.report.folder import CHECKPOINT, claim
 from imubayes.report.history_file import first_node, write_node
 from imubayes.report.result import Result, result_of
 from imubayes.run import Campaign
@@ -58,8 +58,8 @@ def fit(
     load_seconds = time.perf_counter() - clock
     folder = Path(out) if out is not None else None
     checkpoint = folder / CHECKPOINT if folder is not None else None
-    if folder is not None and not resume:
-        folder.mkdir(parents=True, exist_ok=True)
+    if folder is not None:
+        claim(folder, resume)
     sampling = replace(settings or Settings(), seed=seed) if sample else None
     fitted = joint_fit(declared, sampling, checkpoint, resume, progress)
     result = result_of(fitted, folder, seed, load_seconds)

@@ -17,6 +17,7 @@ from imubayes.criticism.extend import Extension, extend
 from imubayes.criticism.history import Node, Tree, node_id
 from imubayes.criticism.plant import Size, Trials, plant_effects
 from imubayes.errors import InputError, Problem
+from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.joint import JointFit, joint_fit, model_hash
 from imubayes.inference.sample import Settings
@@ -26,7 +27,7 @@ from imubayes.procedures import PROCEDURES
 from imubayes.report import addition as shown
 from imubayes.report.diagnosis import read_diagnosis, screened_candidate
 from imubayes.report.fit_file import FIT, campaign_hash, read_fit
-from imubayes.report.folder import CHECKPOINT, read_summary
+from imubayes.report.folder import CHECKPOINT, claim, read_summary
 from imubayes.report.history_file import first_node, join, read_node, read_tree, write_node
 from imubayes.report.html import sheet_html
 from imubayes.report.result import Result, result_of
@@ -129,6 +130,7 @@ def _free(out: Path, parent: Path | None) -> Path:
                 "choose another --out, or remove the folder",
             )
         )
+    claim(out, resume=True)
     return out
 
 
@@ -157,7 +159,9 @@ def _sampled(fit: JointFit, folder: Path | None, seed: int, tell: Progress) -> J
         folder.mkdir(parents=True, exist_ok=True)
     checkpoint = folder / CHECKPOINT if folder is not None else None
     start = (fit.fitted.z, fit.fitted.h)
-    return joint_fit(fit.model, Settings(seed=seed), checkpoint, progress=tell, start=start)
+    # Where an earlier call was interrupted its sampling goes on.
+    resume = checkpoint is not None and bool(steps_in(checkpoint))
+    return joint_fit(fit.model, Settings(seed=seed), checkpoint, resume, tell, start)
 
 
 def _facts(before, after, extension, effects, screened, drop, unseen, against) -> dict[str, Any]:

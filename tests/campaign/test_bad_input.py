@@ -119,7 +119,7 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "per of the wrong kind": (toml('per = "deg/s"', 'per = "g"'), "per 'g'", r":18, channel\[0\]\.per", "deg/s"),
     "zero scale": (toml("scale = 1000.0", "scale = 0.0"), "scale", r":17, channel\[0\]\.scale", "output units"),
     "input axis without length": (toml("input_axis = [1, 0, 0]", "input_axis = [0, 0, 0]"), "no length", r":15, channel\[0\]", "direction"),
-    "input axis of two numbers": (toml("input_axis = [1, 0, 0]", "input_axis = [1, 0]"), "at least 3", r":15, channel\[0\]", "array"),
+    "input axis of two numbers": (toml("input_axis = [1, 0, 0]", "input_axis = [1, 0]"), "at least 3", r":15, channel\[0\]", "three numbers"),
     "output axis along input": (
         toml("input_axis = [1, 0, 0]", "input_axis = [1, 0, 0]\noutput_axis = [1, 0.1, 0]"),
         "not square", r":16, channel\[0\]\.output_axis", "right angle",
@@ -129,7 +129,10 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "no channel table": (toml("[[channel]]", "[[chanel]]"), "chanel", r"campaign\.toml:1\d, chanel", "channel"),
     "elevation out of range": (toml("elevation_deg = 90.0", "elevation_deg = 200.0"), "200", r"table\[0\]\.elevation_deg", "at most 90"),
     "negative uncertainty": (
-        toml("axis_uncertainty_arcsec = 20.0", "axis_uncertainty_arcsec = -1.0"), "-1", r"table\[0\]\.axis", "at least 0",
+        toml("axis_uncertainty_arcsec = 20.0", "axis_uncertainty_arcsec = -1.0"), "-1", r"table\[0\]\.axis", "more than 0",
+    ),
+    "uncertainty of nothing": (
+        toml("axis_uncertainty_arcsec = 20.0", "axis_uncertainty_arcsec = 0"), "0", r"table\[0\]\.axis", "more than 0",
     ),
     "table twice": (toml('name = "head"', 'name = "rate"'), "given twice", r"table\[1\]\.name", "not yet used"),
     "singular mounting": (toml("[[1, 0, 0], [0, 1, 0]", "[[1, 0, 0], [1, 0, 0]"), "singular", r"mounting\[0\]", "orthonormal"),

@@ -44,6 +44,8 @@ def check_rows(
     found = _turns(run, where)
     if run.procedure == "current_injection":
         return found + _check_current(run, channels, where)
+    if run.procedure == "reference_gyro":
+        return found + _check_reference(run, channels, where)
     if table is None or mounting is None or run.rows == 0:
         return found
     if radians := _angle_in_radians(run, where):
@@ -57,6 +59,18 @@ def check_rows(
         found += _saturated(run, channel, stimulus, run.observed[:, index], where)
         slopes.append((channel, _slope(channel, stimulus, measured)))
     return found + _judge(run, slopes, where)
+
+
+def _check_reference(run: Run, channels: Sequence[Channel], where: str) -> list[Finding]:
+    """Compare each gyro with what the reference beside it measured."""
+    rate = np.stack([run.covariates[f"reference_{axis}"] for axis in "xyz"], axis=1)
+    found = []
+    for index, channel in enumerate(channels):
+        if channel.kind == "gyro":
+            measured = (run.observed[:, index] - channel.offset) / channel.scale_si
+            slope = _slope(channel, rate @ channel.axes[0], measured)
+            found += slope_findings(run.name, channel, slope, where) if math.isfinite(slope) else []
+    return found
 
 
 def slope_findings(run: str, channel: Channel, slope: float, where: str) -> list[Finding]:

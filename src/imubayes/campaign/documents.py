@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from imubayes.campaign.schema import SECTIONS
+from imubayes.campaign.schema import FORMS, PATTERNS, SECTIONS
 from imubayes.campaign.toml_lines import Path as KeyPath
 from imubayes.campaign.toml_lines import key_lines, line_of
 from imubayes.errors import InputError, Problem, closest_first
@@ -86,7 +86,7 @@ def read_document[Record: BaseModel](file: Path, record: type[Record]) -> Docume
 
 def _text(file: Path) -> str:
     try:
-        return file.read_text(encoding="utf-8")
+        return file.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         near = sorted(path.name for path in file.parent.glob("*.toml")) if file.parent.is_dir() else []
         raise InputError(
@@ -124,7 +124,7 @@ def _syntax_problem(file: Path, message: str) -> Problem:
 
 
 def _note_fault(ledger: Ledger, record: type[BaseModel], content: dict[str, Any], fault: Any) -> None:
-    path = tuple(part for part in fault["loc"] if part != "[key]")
+    path = _within(content, tuple(part for part in fault["loc"] if part != "[key]"))
     kind, context = fault["type"], fault.get("ctx", {})
     key = str(path[-1]) if path else ""
     owner = _owner(record, path)
@@ -144,8 +144,28 @@ def _note_fault(ledger: Ledger, record: type[BaseModel], content: dict[str, Any]
         )
     elif kind == "value_error":
         ledger.add(str(context["error"]), path, ", ".join(fields), "mend this entry")
+    elif kind == "string_pattern_mismatch":
+        allowed = PATTERNS[context["pattern"]]
+        ledger.add(f"{spell(path)}: {fault['input']!r} is no name", path, allowed, "correct the name")
     else:
-        ledger.add(f"{spell(path) or 'the file'}: {_sentence(fault)}", path, _range(owner, key), "correct the value")
+        named = [part for part in path[1:] if isinstance(part, str)] or [str(part) for part in path[:1]]
+        allowed = next((FORMS[part] for part in reversed(named) if part in FORMS), "") or _range(owner, key)
+        # A value that may be one of two types is reported once for each.
+        if not any(one.where == ledger.where(*path) for one in ledger.problems):
+            ledger.add(f"{spell(path) or 'the file'}: {_sentence(fault)}", path, allowed, "correct the value")
+
+
+def _within(content: Any, path: KeyPath) -> KeyPath:
+    """Return a path as far as the keys of the file go: of a value that may be one of two types, each is a step more."""
+    part: Any
+    for depth, part in enumerate(path):
+        if not isinstance(content, dict | list):
+            return path[:depth]
+        try:
+            content = content[part]
+        except (KeyError, IndexError, TypeError):
+            return path[: depth + 1]
+    return path
 
 
 def _sentence(fault: Any) -> str:

@@ -103,6 +103,8 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
         run = build_run(entry, rows.numbers, equipment.channels, rows.notes, attitude=named)
     if run.rows == 0:
         loaded.findings.append(_empty(entry, where, "no stretch of constant stimulus was found in the log"))
+    elif entry.procedure != "servo_table" and not np.isfinite(run.observed).any():
+        loaded.findings.append(_empty(entry, where, "no channel has a reading in any row"))
     if loaded.failed:
         return
     table, mounting = equipment.tables.get(entry.table or ""), equipment.mountings.get(entry.mounting or "")

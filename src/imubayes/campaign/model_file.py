@@ -27,8 +27,8 @@ def specification(file: ModelFile, path: Path) -> ModelSpec:
             channels=tuple(entry.channels) if entry.channels is not None else None,
             per=entry.per,
             prior=dict(entry.prior),
-            options={key: value for key, value in (entry.model_extra or {}).items() if key != "optional"},
-            optional=bool((entry.model_extra or {}).get("optional", False)),
+            options=dict(entry.model_extra or {}),
+            optional=entry.optional,
             where=f"{path}: effect {place + 1} ({entry.name})",
         )
         for place, entry in enumerate(file.effect)

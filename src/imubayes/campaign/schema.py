@@ -25,10 +25,10 @@ PROCEDURE_NAMES = (
     "free_tumble",
 )
 
-Name = Annotated[str, Field(min_length=1, pattern=r"^[^\s\[\],][^\[\],]*$")]
-ColumnName = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z_][A-Za-z0-9_.\-]*$")]
+_NAME, _COLUMN_NAME = r"^[^\s\[\],][^\[\],]*$", r"^[A-Za-z_][A-Za-z0-9_.\-]*$"
+Name = Annotated[str, Field(min_length=1, pattern=_NAME)]
+ColumnName = Annotated[str, Field(min_length=1, pattern=_COLUMN_NAME)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-Uncertainty = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 
@@ -73,9 +73,9 @@ class TableEntry(_Entry):
     name: Name
     azimuth_deg: Degrees = 0.0
     elevation_deg: float = Field(ge=-90, le=90)
-    axis_uncertainty_arcsec: Uncertainty | None = None
-    rate_uncertainty_ppm: Uncertainty | None = None
-    angle_uncertainty_arcsec: Uncertainty | None = None
+    axis_uncertainty_arcsec: Positive | None = None
+    rate_uncertainty_ppm: Positive | None = None
+    angle_uncertainty_arcsec: Positive | None = None
 
 
 class MountingEntry(_Entry):
@@ -84,7 +84,7 @@ class MountingEntry(_Entry):
     name: Name
     preset: Literal["trihedral", "aligned"] | None = None
     body_to_table: Annotated[list[Vector], Field(min_length=3, max_length=3)] | None = None
-    uncertainty_arcmin: Uncertainty | None = None
+    uncertainty_arcmin: Positive | None = None
 
     @model_validator(mode="after")
     def _one_of_two(self) -> "MountingEntry":
@@ -140,6 +140,7 @@ class EffectEntry(BaseModel):
     channels: Annotated[list[Name], Field(min_length=1)] | None = None
     per: Literal["channel", "all", "run", "mounting"] | None = None
     prior: dict[str, str] = {}
+    optional: bool = False
 
     @field_validator("channels")
     @classmethod
@@ -162,6 +163,28 @@ class ModelFile(_Entry):
     files: list[str] = []
     effect: list[EffectEntry] = Field(min_length=1)
 
+
+PATTERNS = {
+    _NAME: "a text without brackets and commas that does not begin with a blank",
+    _COLUMN_NAME: "letters, digits, '_', '.' and '-', a letter or '_' first",
+}
+"""The patterns of names, in words."""
+
+FORMS = {
+    "start": "a date, or a date and time, without quotes: 2026-03-10T08:00:00Z",
+    "input_axis": "three numbers: [1, 0, 0]",
+    "output_axis": "three numbers: [0, 1, 0]",
+    "body_to_table": "three rows of three numbers",
+    "channels": 'a list of names: ["gx", "gy"]',
+    "ignore": "a list of names of columns",
+    "notes": "a list of texts",
+    "files": "a list of names of Python files",
+    "prior": 'texts by parameter: { bias = "normal(0, 10 deg/h)" }',
+    "site": "a table [site]",
+    "unit": "a table [unit]",
+    "optional": "true or false, without quotes",
+}
+"""What the value of a key looks like, where its type alone does not say it."""
 
 SECTIONS: dict[type[BaseModel], dict[str, type[BaseModel]]] = {
     CampaignFile: {

@@ -23,13 +23,24 @@ def classical(campaign: Path, *, result: Path | None = None, as_json: Json = Fal
     """
     from imubayes.campaign import load_campaign
     from imubayes.classical import classical as evaluate
+    from imubayes.errors import InputError, Problem
     from imubayes.procedures import PROCEDURES
+    from imubayes.report.fit_file import read_record
     from imubayes.report.folder import read_summary
     from imubayes.report.terminal import print_textbook
     from imubayes.report.textbook import textbook_json
 
-    findings = evaluate(load_campaign(campaign, tuple(PROCEDURES)))
-    facts = textbook_json(findings, None if result is None else read_summary(result))
+    loaded = load_campaign(campaign, tuple(PROCEDURES))
+    if result is not None and read_record(result)["data_hash"] != loaded.digest:
+        raise InputError(
+            Problem(
+                f"the result is not of the campaign '{loaded.name}' as it is now",
+                str(result),
+                f"the result of a fit of {campaign}",
+                "name the result that belongs to it, or fit the campaign as it is now",
+            )
+        )
+    facts = textbook_json(evaluate(loaded), None if result is None else read_summary(result))
     if as_json:
         json.dump(facts, sys.stdout, ensure_ascii=False)
         print()

@@ -40,9 +40,14 @@ def history(
     start_jax()
     from imubayes.loop import export as export_model
     from imubayes.loop import history as read
+    from imubayes.report.folder import refuse_taken
     from imubayes.report.history_file import select as select_node
     from imubayes.report.history_table import history_json, print_history
 
+    if export is not None:
+        refuse_taken(export)
+    if html is not None:
+        refuse_taken(html, but="<!doctype html>")
     if select is not None:
         select_node(select)
     tree = read(*folders)

@@ -35,6 +35,7 @@ app = cyclopts.App(
     help="Bayesian calibration and uncertainty for inertial sensors.\n\n"
     "Example: imubayes fit data/trihedral-imu --model models/trihedral-imu.toml --out results/trihedral-imu",
     result_action="return_value",
+    suppress_keyboard_interrupt=False,
 )
 for _command in _COMMANDS:
     app.command(_command)
@@ -57,14 +58,16 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except cyclopts.CycloptsError as error:
         return _refuse(_of_command_line(error))
     except KeyboardInterrupt:
-        print("interrupted; `imubayes fit … --resume` goes on from the last checkpoint", file=sys.stderr)
+        print("interrupted; what `imubayes fit` has sampled so far is kept, and --resume goes on", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         return DONE
+    except OSError as error:
+        if os.environ.get("IMUBAYES_TRACEBACK") or not error.filename:
+            return _unforeseen(error)
+        return _refuse(_of_file(error))
     except Exception as error:
-        if os.environ.get("IMUBAYES_TRACEBACK"):
-            raise
-        return _refuse(_unforeseen(error))
+        return _unforeseen(error)
     return status if isinstance(status, int) else DONE
 
 
@@ -85,12 +88,25 @@ def _of_command_line(error: cyclopts.CycloptsError) -> Problem:
     )
 
 
-def _unforeseen(error: Exception) -> Problem:
+def _of_file(error: OSError) -> Problem:
     return Problem(
-        f"an unforeseen fault: {type(error).__name__}: {error}",
-        "inside imubayes",
-        "",
-        "set IMUBAYES_TRACEBACK=1, run the command again and report what it prints",
+        f"the file system refuses: {error.strerror or error}",
+        str(error.filename2 or error.filename),
+        "a place that can be read, or written where something is to be written there",
+        "choose another place, or mend its permissions",
+    )
+
+
+def _unforeseen(error: Exception) -> int:
+    if os.environ.get("IMUBAYES_TRACEBACK"):
+        raise error
+    return _refuse(
+        Problem(
+            f"an unforeseen fault: {type(error).__name__}: {error}",
+            "inside imubayes",
+            "",
+            "set IMUBAYES_TRACEBACK=1, run the command again and report what it prints",
+        )
     )
 
 

@@ -18,6 +18,7 @@ from imubayes.criticism.candidates import searchable
 from imubayes.criticism.extend import extended, whitened
 from imubayes.criticism.verdict import Diagnosis, judge
 from imubayes.errors import InputError
+from imubayes.errors import Problem as Complaint
 from imubayes.inference.fit import find_mode, message
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.simulation import random_stream, simulate
@@ -46,6 +47,13 @@ class Size:
 
     delta_chi2: float = 50.0
     typical: float | None = None
+
+    def __post_init__(self):
+        for name, value in (("delta_chi2", self.delta_chi2), ("size", self.typical)):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise InputError(
+                    Complaint(f"{name} = {value:g} is no size", "plant", "a number more than 0", f"correct {name}")
+                )
 
 
 @dataclass(frozen=True)
@@ -182,6 +190,8 @@ def plant_effects(
     InputError
         for an effect that does not exist, and for free tumbles, which cannot be simulated.
     """
+    if draws < 0:
+        raise InputError(Complaint(f"draws = {draws}", "plant", "a number of simulations, 0 or more", "correct draws"))
     threshold, nulls, trials, skipped = 0.0, [], [], {}
     for draw in range(draws):
         tell(f"nothing planted, {draw + 1} of {draws}")

@@ -23,6 +23,9 @@ _SMALLEST = 1e-300
 _LEAST_RETAINED = 1e-9
 # Of a form without a name much more must be left: it may be nearly what the model has.
 LEAST_OF_FORM = 1e-6
+# Where the largest size met in practice moves all readings together by less than this share of their noise, what is
+# there of a response is the rounding of the derivative.
+_LEAST_RESPONSE = 1e-6
 # What pleases the priors alone is no explanation where it has to be so many times the largest met in practice.
 _MOST_TYPICAL = 100.0
 
@@ -102,7 +105,9 @@ def prepare(projection: Projection, responses: Sequence[Response]) -> list[Proje
     """Return the responses as rows of the projection."""
     if not responses:
         return []
+    largest = np.array([coefficient.typical[1] for one in responses for coefficient in one.coefficients])
     whitened = projection.whitened(np.concatenate([one.columns for one in responses], axis=1))
+    whitened = np.where(largest * np.linalg.norm(whitened, axis=0) < _LEAST_RESPONSE, 0.0, whitened)
     projected = projection.project(whitened)
     ends = np.cumsum([len(one.coefficients) for one in responses])
     return [

@@ -16,6 +16,7 @@ from imubayes.criticism.shape import Shape, coefficient_unit, find_shape
 from imubayes.criticism.structure import Structure, strongest
 from imubayes.criticism.telling import Telling, tell, telling_covariate
 from imubayes.effects.base import Effect, Order
+from imubayes.errors import InputError, Problem
 from imubayes.inference.fitted import Fitted
 
 THRESHOLD = EFFECT_THRESHOLD + STRUCTURE_THRESHOLD + NOISE_THRESHOLD
@@ -68,6 +69,8 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
     folder : the result folder, for the next command.
     effect : ask about one effect only: whether it is there, absent or cannot be seen.
     """
+    if effect:
+        _refuse_unknown(effect, fitted)
     if not fitted.converged:
         return Diagnosis(_document("not_converged", fitted.message or "The fit did not converge.", 1.0, folder))
     found = search(fitted)
@@ -107,6 +110,26 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
     )
     document["next"] = _next(verdict, found, folder)
     return Diagnosis(document, telling, found)
+
+
+def _refuse_unknown(effect: str, fitted: Fitted) -> None:
+    """Raise where the effect that is asked about does not exist, or is in the model already."""
+    where = f"effect '{effect}'"
+    member = fitted.model.registry.find(effect, where)
+    if not issubclass(member, Effect):
+        raise InputError(
+            Problem(f"'{effect}' is noise, not an effect", where, "an effect", "ask without it: noise is always judged")
+        )
+    channels = [one.channels for one in fitted.model.spec.effects if one.name == effect]
+    if any(one is None for one in channels):
+        raise InputError(
+            Problem(
+                f"'{effect}' is in the model already",
+                fitted.model.spec.where,
+                "an effect that the model lacks",
+                "see its estimate in the summary of the fit",
+            )
+        )
 
 
 def _document(verdict: str, sentence: str, p_global: float, folder: str, **parts: Any) -> dict[str, Any]:

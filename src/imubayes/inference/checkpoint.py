@@ -78,7 +78,7 @@ class Checkpoint:
                     "the checkpoint is of another fit: " + "; ".join(_WORDS.get(key, key) for key in changed),
                     str(self.path),
                     "the same data, model, parameter order, seed and ensemble size",
-                    "restore them, or begin anew without --resume",
+                    "restore them, or choose another --out and begin anew",
                 )
             )
 
@@ -122,3 +122,12 @@ class Checkpoint:
             os.fsync(folder)
         finally:
             os.close(folder)
+
+
+def steps_in(path: Path) -> int:
+    """Return how many whole steps a checkpoint holds; 0 where there is none or it cannot be read."""
+    try:
+        with h5py.File(path, "r") as file:
+            return min((int(one.attrs["iteration"]) for one in file.values()), default=0)  # pyright: ignore
+    except (OSError, KeyError):
+        return 0

@@ -33,6 +33,7 @@ from imubayes.model.registry import Member, Registry
 from imubayes.model.room import make_room
 from imubayes.model.servo import servos_of
 from imubayes.model.specification import EffectSpec, ModelSpec
+from imubayes.model.trial import try_out
 from imubayes.noise.base import Entry, EntryNoise, Noise
 from imubayes.parameters.vector import Layout, Priors
 from imubayes.procedures import PROCEDURES
@@ -101,15 +102,27 @@ def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = Non
         )
     if problems:
         raise InputError(problems)
+    if not any(one.parameters for one in acting):
+        raise InputError(
+            Complaint(
+                "the model has no parameter to fit: it lists noise and no effect that acts in these runs",
+                spec.where,
+                "at least one effect, such as gyro_bias or accel_bias",
+                "add an [[effect]]; `imubayes effects --for CAMPAIGN` lists those that the runs could show",
+            )
+        )
     make_room()  # what is compiled belongs to one structure, and each model declared may be another
     assembly = assemble(tuple(acting), belonging)
+    problem = on_device(problem_of(assembly))
+    if spec.files:
+        try_out(problem, acting, spec.files)
     return Model(
         spec,
         registry,
         campaign,
         assembly.layout,
         assembly.hyper_layout,
-        on_device(problem_of(assembly)),
+        problem,
         nodes,
         entries,
         assembly,

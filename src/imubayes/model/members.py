@@ -264,7 +264,7 @@ def _from_equipment(fact: str, label: dict[str, str], campaign: Campaign, defaul
         stated = campaign.tables[label["table"]].rate_uncertainty
     else:
         stated = None
-    return default if not stated else Normal(0.0, stated)
+    return default if stated is None else Normal(0.0, stated)
 
 
 def is_effect(member: Member) -> bool:

@@ -79,7 +79,7 @@ def _members_of(file: Path) -> list[Member]:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise refuse(f"the file cannot be read: {type(error).__name__}: {error}") from error
     found = [
         value

@@ -95,9 +95,10 @@ def compare(folder: str | Path, parameters: Sequence[str] | None = None) -> Comp
     Raises
     ------
     InputError
-        if the folder is missing or damaged, or a parameter is not in it.
+        if the folder is missing or damaged, a parameter is not in it, or no prediction is a finite number.
     """
     stored = read_stored(folder)
+    _refuse_no_numbers(stored)
     names = _checked(stored, parameters) if parameters else corner_choice(stored.summary)
     draws = _draws(stored, names, asked=bool(parameters))
     notes = list(_notes(stored, draws))
@@ -114,6 +115,23 @@ def compare(folder: str | Path, parameters: Sequence[str] | None = None) -> Comp
     campaign = campaign_of(stored.folder)
     textbook = None if campaign is None else textbook_json(classical(campaign), stored.summary)
     return Comparison(stored.folder, tuple(made), captions, stored.summary, tuple(notes), textbook)
+
+
+def _refuse_no_numbers(stored: StoredResult) -> None:
+    """Raise where the model could not be evaluated for some readings: such a fit has nothing to draw."""
+    bad = stored.residuals.filter(~stored.residuals["predicted"].is_finite())
+    if bad.is_empty():
+        return
+    first = bad.row(0, named=True)
+    raise InputError(
+        Problem(
+            f"the model gave no finite number for {len(bad)} of {len(stored.residuals)} readings: "
+            f"the first is {first['channel']} in row {first['row']} of {first['run']}",
+            str(stored.folder),
+            "a model that can be evaluated everywhere",
+            "mend the model (an effect of your own may divide by zero), fit again, then compare",
+        )
+    )
 
 
 def _checked(stored: StoredResult, parameters: Sequence[str]) -> list[str]:

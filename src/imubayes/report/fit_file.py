@@ -20,6 +20,7 @@ from imubayes.inference.joint import data_hash, model_hash
 from imubayes.model.declaration import Model, declare
 from imubayes.parameters.vector import Layout
 from imubayes.procedures import PROCEDURES
+from imubayes.report.reading import way_back
 from imubayes.run import Campaign
 
 FIT, MODEL = "fit.json", "model.toml"
@@ -65,16 +66,19 @@ def read_record(folder: str | Path) -> dict[str, Any]:
     file = Path(folder) / FIT
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
-        missing = {"campaign", "data_hash", "z", "h", "converged", "message", "seed"} - set(record)
+        missing = {"campaign", "data_hash", "model_hash", "z", "h", "converged", "message", "seed"} - set(record)
         if missing:
             raise ValueError(f"it lacks {', '.join(sorted(missing))}")
+        wrong = [key for key in ("campaign", "z", "h") if not isinstance(record[key], dict)]
+        if wrong or record.get("format") != 1:
+            raise ValueError(f"its {wrong[0] if wrong else 'format'} is not what a fit writes")
     except (OSError, ValueError, TypeError) as error:
         raise InputError(
             Problem(
                 "this result holds no fit" if not file.is_file() else f"the record of the fit is damaged ({error})",
                 str(file),
                 "a folder written by `imubayes fit … --out FOLDER`",
-                "correct the path, or run the fit again",
+                way_back(Path(folder)),
             )
         ) from None
     return record
@@ -107,13 +111,18 @@ def read_fit(folder: str | Path, campaign: Campaign | None = None) -> Fitted:
                 f"{folder / MODEL} --out FOLDER`",
             )
         )
-    return Fitted(
-        model,
-        _in_order(model.layout, record["z"], folder),
-        _in_order(model.hyper_layout, record["h"], folder),
-        bool(record["converged"]),
-        str(record["message"]),
-    )
+    z, h = _in_order(model.layout, record["z"], folder), _in_order(model.hyper_layout, record["h"], folder)
+    if model_hash(model) != record["model_hash"]:
+        raise InputError(
+            Problem(
+                "the model is no longer the one that was fitted",
+                str(folder / MODEL),
+                "the file as the fit wrote it, with the effect files beside it",
+                "restore it; to fit the model as it is now: "
+                f"`imubayes fit CAMPAIGN --model {folder / MODEL} --out ANOTHER`",
+            )
+        )
+    return Fitted(model, z, h, bool(record["converged"]), str(record["message"]))
 
 
 def campaign_of(folder: str | Path) -> Campaign | None:

@@ -9,14 +9,53 @@ from typing import Any
 import tomlkit
 
 from imubayes.errors import InputError, Problem
+from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.joint import JointFit
 from imubayes.inference.posterior import posterior_tree
 from imubayes.model.specification import ModelSpec
 from imubayes.report.fit_file import FIT, MODEL, fit_record, read_fit
+from imubayes.report.reading import CHECKPOINT, SUMMARY, way_back
 from imubayes.report.residuals import Residuals
 
-CHECKPOINT = "checkpoint.h5"
-SUMMARY = "summary.json"
+
+def claim(folder: Path, resume: bool = False) -> None:
+    """Make sure that a folder can take a result, before anything is computed.
+
+    Raises
+    ------
+    InputError
+        where it holds files but no result, or a sampling that was interrupted and is not to be resumed.
+    """
+    if folder.is_dir():
+        held = [one for one in folder.iterdir() if not one.name.startswith(".")]
+        if held and not any((folder / name).is_file() for name in (FIT, CHECKPOINT)):
+            raise InputError(
+                Problem(
+                    f"the folder holds '{min(one.name for one in held)}' and no result",
+                    str(folder),
+                    "a folder that does not exist yet, an empty one, or one with a result, which is replaced",
+                    "choose another --out",
+                )
+            )
+        if not resume and interrupted(folder):
+            raise InputError(
+                Problem(
+                    "the folder holds a sampling that was interrupted",
+                    str(folder / CHECKPOINT),
+                    "the same fit with --resume, which goes on with it",
+                    f"add --resume; to begin anew choose another --out, or remove {folder / CHECKPOINT}",
+                )
+            )
+    if not resume:
+        folder.mkdir(parents=True, exist_ok=True)
+
+
+def interrupted(folder: Path) -> bool:
+    """Tell whether a folder holds a sampling that no result has come of."""
+    checkpoint, summary = folder / CHECKPOINT, folder / SUMMARY
+    if not steps_in(checkpoint):
+        return False
+    return not summary.is_file() or summary.stat().st_mtime_ns < checkpoint.stat().st_mtime_ns
 
 
 def write_result(folder: Path, fit: JointFit, summary: dict[str, Any], residuals: Residuals, seed: int = 0) -> None:
@@ -47,8 +86,23 @@ def write_result(folder: Path, fit: JointFit, summary: dict[str, Any], residuals
         shutil.rmtree(beside, ignore_errors=True)
 
 
+def refuse_taken(file: Path, but: str = "") -> None:
+    """Raise InputError where a file or folder is there already; one whose text begins with `but` may be replaced."""
+    if not file.exists() or (but and file.is_file() and file.read_bytes().startswith(but.encode())):
+        return
+    raise InputError(
+        Problem(
+            f"'{file.name}' is there already",
+            str(file),
+            "a file that does not exist yet",
+            "choose another name, or remove it first",
+        )
+    )
+
+
 def write_beside(file: Path, text: str) -> None:
     """Write a text file beside its place first, so that there is never half of it."""
+    file.parent.mkdir(parents=True, exist_ok=True)
     beside = file.with_name(f".{file.name}.{os.getpid()}.part")
     beside.write_text(text, encoding="utf-8")
     beside.replace(file)
@@ -93,9 +147,20 @@ def read_summary(folder: Path) -> dict[str, Any]:
                 "this is not a result folder" if not file.is_file() else f"the summary is damaged ({error})",
                 str(file),
                 "a folder written by `imubayes fit … --out FOLDER`",
-                "correct the path, or run the fit again",
+                way_back(folder),
             )
         ) from None
 
 
-__all__ = ["CHECKPOINT", "SUMMARY", "model_text", "read_fit", "read_summary", "write_beside", "write_result"]
+__all__ = [
+    "CHECKPOINT",
+    "SUMMARY",
+    "claim",
+    "interrupted",
+    "model_text",
+    "read_fit",
+    "read_summary",
+    "refuse_taken",
+    "write_beside",
+    "write_result",
+]

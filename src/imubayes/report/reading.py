@@ -10,7 +10,8 @@ import polars as pl
 from imubayes.errors import InputError, Problem, closest_first
 
 FORMAT = 1
-_FILES = ("summary.json", "residuals.parquet")
+CHECKPOINT, SUMMARY = "checkpoint.h5", "summary.json"
+_FILES = (SUMMARY, "residuals.parquet")
 _KEYS = ("campaign", "model", "converged", "parameters", "derived", "runs", "chi2", "dof")
 _LISTS = {
     "parameters": ("name", "unit", "mean", "sd", "q025", "q975", "from_data"),
@@ -59,6 +60,13 @@ def read_stored(folder: str | Path) -> StoredResult:
     return StoredResult(folder, summary, residuals, posterior if posterior.is_file() else None)
 
 
+def way_back(folder: Path) -> str:
+    """Return what to do where a folder holds no result."""
+    if (folder / CHECKPOINT).is_file():
+        return "its sampling was interrupted: run the same `imubayes fit` again with --resume"
+    return "correct the path, or run the fit again"
+
+
 def damaged(file: Path, reason: object) -> Problem:
     """Return the problem of a file that is there but cannot be read."""
     detail = " ".join(str(reason).split())[:200]
@@ -74,6 +82,8 @@ def _missing(folder: Path) -> list[Problem]:
         return [Problem("there is no such result folder", str(folder), listed, "name the folder given to --out")]
     if not folder.is_dir():
         return [Problem("this is a file, not a result folder", str(folder), allowed, "name the folder it lies in")]
+    if not (folder / SUMMARY).is_file() and (folder / CHECKPOINT).is_file():
+        return [Problem("there is no result yet", str(folder / SUMMARY), allowed, way_back(folder))]
     return [
         Problem(f"the result folder has no {name}", str(folder / name), allowed, _AGAIN)
         for name in _FILES

@@ -40,7 +40,7 @@ class Residuals:
         return float((self.table["whitened"] ** 2).sum())
 
     def by_run_and_channel(self) -> list[dict[str, Any]]:
-        """Return n, chi² and rms in input units for each run and channel."""
+        """Return n, chi² and rms in input units for each run and channel; null where they are no numbers."""
         grouped = self.table.group_by("run", "channel", maintain_order=True).agg(
             pl.len().alias("n"),
             (pl.col("whitened") ** 2).sum().alias("chi2"),
@@ -48,9 +48,19 @@ class Residuals:
             pl.col("input_unit").first().alias("unit"),
         )
         return [
-            {"name": line["run"], **{key: line[key] for key in ("channel", "n", "chi2", "rms", "unit")}}
+            {
+                "name": line["run"],
+                **{key: line[key] for key in ("channel", "n")},
+                **{key: finite(line[key]) for key in ("chi2", "rms")},
+                "unit": line["unit"],
+            }
             for line in grouped.iter_rows(named=True)
         ]
+
+
+def finite(value: float) -> float | None:
+    """Return a number, or None where a fit that went astray left none."""
+    return float(value) if math.isfinite(value) else None
 
 
 @eqx.filter_jit

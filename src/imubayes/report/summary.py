@@ -16,7 +16,7 @@ from imubayes.inference.joint import JointFit
 from imubayes.inference.laplace import posterior_precision
 from imubayes.inference.posterior import in_units
 from imubayes.model.derived import derived_slopes
-from imubayes.report.residuals import Residuals
+from imubayes.report.residuals import Residuals, finite
 
 _INTERVAL = (2.5, 97.5)
 
@@ -41,7 +41,7 @@ def summarise(fit: JointFit, residuals: Residuals) -> dict[str, Any]:
         "parameters": _parameters(fit),
         "derived": _derived(fit),
         "runs": residuals.by_run_and_channel(),
-        "chi2": residuals.chi2,
+        "chi2": finite(residuals.chi2),
         "dof": round(dof, 1),
         "log_evidence": _log_evidence(fit),
         "weak_directions": [{"combination": one.combination, "from_data": one.from_data} for one in weak],

@@ -51,8 +51,9 @@ def _show(summary: dict[str, Any], console: Console, verbose: bool) -> None:
     if summary.get("contributions"):
         console.print(contribution_table(summary))
     seconds = summary["seconds"]
+    chi2 = "–" if summary["chi2"] is None else f"{summary['chi2']:.1f}"
     console.print(
-        f"chi2 {summary['chi2']:.1f} for {summary['dof']:.0f} degrees of freedom; "
+        f"chi2 {chi2} for {summary['dof']:.0f} degrees of freedom; "
         f"fit {seconds['fit']:.1f} s, sampling {seconds['sample']:.1f} s; "
         f"intervals are {summary['interval']}; uncertainty is the {summary['uncertainty']}",
         highlight=False,

@@ -4,7 +4,9 @@ A recording does not say its units, its site or what was done; the options say i
 the recording can tell (the nominal scale of raw counts) is estimated, and the campaign carries a note of it.
 """
 
+import re
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from imubayes.campaign.convert.write import refuse_occupied, write_campaign
 from imubayes.earth import normal_gravity
 from imubayes.errors import InputError, Problem, closest_first
 
+RECORDING = "runs/recording.csv"
 DEFAULT_LATITUDE = 45.0
 # Without a site: the rounded value that desk calibration tools and their published results assume.
 DEFAULT_GRAVITY = 9.81  # m/s²
@@ -50,8 +53,19 @@ def convert(kind: str, files: Sequence[str | Path], out: str | Path, **options: 
     refuse_occupied(folder)
     columns = KINDS[kind]([Path(file) for file in files], chosen)
     table, document = _campaign(columns, chosen, folder, kind, ", ".join(Path(file).name for file in files))
-    write_campaign(folder, document, {"runs/recording.csv": table})
+    recording = " and ".join(str(file) for file in files)
+    write_campaign(folder, document, {RECORDING: table}, came_from=lambda where: _came_from(where, recording))
     return folder
+
+
+def _came_from(where: str, recording: str) -> str:
+    """Return the place in the recording, or the option, that a place in the campaign was made of."""
+    if found := re.search(rf"{re.escape(RECORDING)}(?::(\d+))?(.*)", where):
+        # The first line of the table is its header.
+        reading = f", reading {int(found[1]) - 1}" if found[1] else ""
+        return f"{recording}{reading}{found[2]}"
+    key = where.rpartition(".")[2].rpartition(" ")[2]
+    return f"option {key}" if key in {one.name for one in fields(ConvertOptions)} else where
 
 
 def _campaign(
@@ -74,7 +88,7 @@ def _campaign(
     site = {"latitude_deg": float(latitude), "height_m": float(options.height_m)}
     if known:
         site["gravity_m_s2"] = float(gravity)
-    run: dict[str, Any] = {"name": "recording", "procedure": options.procedure, "file": "runs/recording.csv"}
+    run: dict[str, Any] = {"name": "recording", "procedure": options.procedure, "file": RECORDING}
     for key in ("temperature_degC", "initial_rest_s"):
         if getattr(options, key) is not None:
             run[key] = float(getattr(options, key))

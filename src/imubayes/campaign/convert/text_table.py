@@ -88,7 +88,9 @@ def read_numbers(table: TextTable, positions: Mapping[str, int]) -> dict[str, np
         )  # fmt: skip
     except ValueError as error:
         place = _PLACE.search(str(error))
-        line = f":{int(place[1]) + 1 + skip}" if place else ""
+        # NumPy counts the rows of numbers it cannot read from 0, those that are too short from 1.
+        first = 0 if "could not convert" in str(error) else 1
+        line = f":{int(place[1]) + 1 - first + skip}" if place else ""
         raise InputError(
             Problem(
                 f"the table cannot be read: {str(error).splitlines()[0]}",

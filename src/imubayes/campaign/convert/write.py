@@ -3,7 +3,7 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,11 @@ from imubayes.errors import InputError, Problem
 
 
 def write_campaign(
-    out: Path, document: Mapping[str, Any], tables: Mapping[str, Mapping[str, np.ndarray]], check: bool = True
+    out: Path,
+    document: Mapping[str, Any],
+    tables: Mapping[str, Mapping[str, np.ndarray]],
+    check: bool = True,
+    came_from: Callable[[str], str] = lambda where: where,
 ) -> None:
     """Write `campaign.toml` and run tables into a new folder.
 
@@ -27,6 +31,7 @@ def write_campaign(
     document : content of `campaign.toml`.
     tables : path of a run table within the folder → its columns.
     check : read the campaign back before it is put in place.
+    came_from : says where that came from which a problem finds at a place of the campaign.
 
     Raises
     ------
@@ -44,7 +49,7 @@ def write_campaign(
         problems = inspect_campaign(draft).problems if check else ()
         if problems:
             raise InputError(
-                Problem(p.what, p.where.replace(str(draft), str(out)), p.allowed, p.remedy) for p in problems
+                Problem(p.what, came_from(p.where.replace(str(draft), str(out))), p.allowed, p.remedy) for p in problems
             )
         draft.chmod(0o777 & ~_umask())
         os.rename(draft, out)
