@@ -205,6 +205,7 @@ MODELS: dict[str, tuple[str, str, str, str, str]] = {
     "model: channel twice": ('["gx", "gz"]', '["gx", "gx"]', "twice", r"m\.toml:6, effect\[0\]\.channels", ""),
     "model: prior is a number": ('"normal(0, 2000 ppm)"', "2000", "prior", r"m\.toml:8, effect\[0\]\.prior", ""),
     "model: missing file": ('name = "small"', 'name = "small"\nfiles = ["own.py"]', "'own.py' does not exist", r"m\.toml:3, files", "Python file"),
+    "model: optional is text": ('name = "gyro_scale_factor"', 'name = "gyro_scale_factor"\noptional = "no"', "boolean", r"m\.toml:6, effect\[0\]\.optional", "without quotes"),
     "model: option is a table": ("reference_degC = 25.0", "reference_degC = [25.0]", "finite number", r"m\.toml:12, effect\[1\]", ""),
     "model: option not finite": ("reference_degC = 25.0", "reference_degC = nan", "finite", r"m\.toml:12, effect\[1\]", ""),
 }  # fmt: skip

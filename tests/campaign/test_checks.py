@@ -1,5 +1,6 @@
 """Named findings: what is odd about the data is said by name, with the right severity, and nothing else is."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -82,6 +83,39 @@ def test_raw_log(small: Path, change: Change, name: str, severity: str) -> None:
         assert any(name in note for note in campaign.runs[-1].notes)
     else:
         assert inspect_campaign(small).campaign is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "name", "severity"),
+    [
+        ('per = "deg/s"', 'per = "rad/s"', "rate_unit", "error"),
+        ("input_axis = [1.0, 0.0, 0.0]", "input_axis = [-1.0, 0.0, 0.0]", "sign_reversed", "warning"),
+    ],
+)
+def test_a_gyro_is_compared_with_the_reference_beside_it(tmp_path: Path, old, new, name, severity) -> None:
+    folder = Path(shutil.copytree(Path(__file__).parents[2] / "data" / "reference-gyro", tmp_path / "campaign"))
+    assert not {one.name for one in check_campaign(folder)} & {"rate_unit", "sign_reversed"}
+    text = (folder / "campaign.toml").read_text()
+    assert old in text
+    (folder / "campaign.toml").write_text(text.replace(old, new, 1))
+    found = [one for one in check_campaign(folder) if one.name == name]
+    assert found
+    assert {one.severity for one in found} == {severity}
+    assert all("'gx'" in one.what for one in found)
+
+
+def test_a_run_without_any_reading_is_empty(small: Path) -> None:
+    def forget(columns: dict) -> None:
+        for name in ("gx", "gy", "gz", "ax", "ay", "az"):
+            if name in columns:
+                columns[name] = np.full(len(columns[name]), np.nan)
+
+    file = small / "runs/rates.csv"
+    alter(file, forget)
+    file.write_text(file.read_text().replace("nan", ""))
+    (finding,) = [one for one in check_campaign(small) if one.name == "empty_run"]
+    assert (finding.severity, finding.run) == ("error", "rates")
+    assert "no channel has a reading" in finding.what
 
 
 def test_coarse_converter_is_not_stuck(small: Path) -> None:

@@ -141,6 +141,29 @@ def test_refusals_leave_nothing_behind(tmp_path: Path, change: dict, text: str) 
     assert sorted(tmp_path.rglob("*")) == before
 
 
+def test_problems_are_placed_in_the_recording_and_its_options(tmp_path: Path) -> None:
+    columns, _ = tumble_log(poses=6)
+    columns["ax"][40] = np.nan
+    log = write_log(tmp_path / "unit.log", columns)
+    with pytest.raises(InputError) as caught:
+        convert("six-column", [log], tmp_path / "c", sample_rate_hz=100, latitude_deg=200.0, temperature_degC=1000.0)
+    places = [problem.where for problem in caught.value.problems]
+    assert {"option latitude_deg", "option temperature_degC"} <= set(places)
+    columns["ax"][40] = 0.0
+    columns["gy"][41] = np.inf
+    with pytest.raises(InputError) as caught:
+        convert("six-column", [write_log(log, columns)], tmp_path / "c", sample_rate_hz=100)
+    assert [problem.where for problem in caught.value.problems] == [f"{log}, reading 42, column 'gy'"]
+    assert not (tmp_path / "c").exists()
+
+
+def test_lines_that_cannot_be_read_are_counted_from_one(tmp_path: Path) -> None:
+    for third in ("1 2 x 4 5 6", "1 2"):
+        (tmp_path / "bad.log").write_text(f"1 2 3 4 5 6\n1 2 3 4 5 6\n{third}\n1 2 3 4 5 6\n")
+        with pytest.raises(InputError, match=r"bad\.log:3"):
+            convert("six-column", [tmp_path / "bad.log"], tmp_path / "c", sample_rate_hz=100)
+
+
 def test_writing_into_an_empty_folder(tmp_path: Path) -> None:
     (tmp_path / "c").mkdir()
     write_campaign(tmp_path / "c", {"format": 1}, {"runs/a.csv": {"x": np.arange(2.0)}}, check=False)

@@ -1,5 +1,6 @@
 """Poses and motion of a free tumble, on a tumble whose motion is known exactly and on real recordings."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -7,10 +8,13 @@ import pytest
 from small_files import GRAVITY
 from tumble_files import NAMES, channels, tumble_log
 
+from imubayes.campaign import check_campaign
 from imubayes.campaign.tumble import reduce_tumble
 from imubayes.campaign.tumble.magnitude import fit_magnitude
 from imubayes.campaign.tumble.motion import coning, mean_readings, rotation_over, step_edges
 from imubayes.campaign.tumble.rotation import exponential, logarithm, shortest
+
+DESK = Path(__file__).parents[2] / "data" / "desk-imu"
 
 
 def test_poses_and_rows() -> None:
@@ -120,3 +124,31 @@ def test_wrong_units_are_named() -> None:
     in_degrees = columns | {name: np.rad2deg(columns[name]) / 57.3**2 for name in NAMES[3:]}
     names = [f.name for f in reduce_tumble(in_degrees, channels(), GRAVITY, None, Path("log.csv")).findings]
     assert names == ["rate_unit"]
+
+
+@pytest.fixture(scope="module")
+def desk() -> str:
+    return (DESK / "campaign.toml").read_text()
+
+
+@pytest.mark.parametrize("channel", ["ax", "az", "gx", "gy"])
+def test_a_reversed_axis_is_named(tmp_path: Path, desk: str, channel: str) -> None:
+    folder = Path(shutil.copytree(DESK, tmp_path / "desk"))
+    head, tail = desk.split(f'name = "{channel}"', 1)
+    axis, rest = tail.split("input_axis = ", 1)
+    line, rest = rest.split("\n", 1)
+    turned = line.replace("1.0", "-1.0")
+    assert turned != line
+    (folder / "campaign.toml").write_text(f'{head}name = "{channel}"{axis}input_axis = {turned}\n{rest}')
+    (finding,) = check_campaign(folder)
+    assert (finding.name, finding.severity) == ("sign_reversed", "warning")
+    assert f"with '{channel}' reversed" in finding.what
+
+
+def test_exchanged_axes_are_noticed(tmp_path: Path, desk: str) -> None:
+    folder = Path(shutil.copytree(DESK, tmp_path / "desk"))
+    assert not check_campaign(folder)
+    exchanged = desk.replace('name = "gx"', 'name = "-"').replace('name = "gy"', 'name = "gx"')
+    (folder / "campaign.toml").write_text(exchanged.replace('name = "-"', 'name = "gy"'))
+    (finding,) = check_campaign(folder)
+    assert finding.name == "axes_do_not_fit"

@@ -7,6 +7,7 @@ import pytest
 from null_data import fitted_to, redrawn
 from scipy import stats
 
+import imubayes.criticism.screen as screen_module
 import imubayes.criticism.search as search_module
 from imubayes.criticism.candidates import respond
 from imubayes.criticism.chance import look_elsewhere
@@ -40,6 +41,24 @@ def test_what_the_model_absorbs_is_orthogonal_to_what_is_screened(fitted):
     assert np.abs(projection.basis.T @ projection.residual).max() < 1e-8
     for one in prepare(projection, responses.candidates):
         assert np.abs(projection.basis.T @ one.projected).max() < 1e-8 * max(1.0, np.abs(one.whitened).max())
+
+
+def test_what_is_rounding_of_a_response_has_no_coefficient(fitted, monkeypatch):
+    """On a level table at rest a tilt about one axis does nothing; of its derivative only rounding is left."""
+
+    def absurd() -> list[str]:
+        projection = project(fitted, responses.misfit, responses.jacobian)
+        return [
+            coefficient.parameter.name
+            for one in screen(projection, prepare(projection, responses.candidates))
+            for coefficient, value in zip(one.coefficients, one.value, strict=True)
+            if abs(value) > 1e6 * coefficient.typical[1]
+        ]
+
+    responses = respond(fitted)
+    assert not absurd()
+    monkeypatch.setattr(screen_module, "_LEAST_RESPONSE", 0.0)
+    assert any(name.startswith("table_axis_tilt") for name in absurd())
 
 
 def test_degrees_of_freedom_add_up(fitted):

@@ -107,6 +107,11 @@ def test_a_model_without_noise_is_refused():
         declare(ModelSpec("m", (effect("gyro_bias"),), where="model.toml"), campaign())
 
 
+def test_a_model_of_noise_alone_is_refused():
+    with pytest.raises(InputError, match="no parameter to fit"):
+        declare(ModelSpec("m", (NOISE,), where="model.toml"), campaign())
+
+
 def test_all_problems_come_together():
     problems = refused(effect("gyro_bais"), effect("gyro_bias", per="table"), effect("accel_bias", channels=("gx",)))
     assert len(problems) == 3

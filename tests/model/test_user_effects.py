@@ -77,3 +77,34 @@ def test_a_file_that_cannot_be_used_is_refused(tmp_path, text, what):
 def test_a_name_without_its_file_is_unknown():
     with pytest.raises(InputError, match="no effect 'house_asymmetry'"):
         declare(model_of("house_asymmetry"), campaign())
+
+
+@pytest.mark.parametrize(
+    ("returned", "what"),
+    [
+        ("signal + self.nothing", "no attribute 'nothing'"),
+        ("signal + sample.humidity", "no attribute 'humidity'"),
+        ("signal if signal > 0 else -signal", "boolean"),
+        ("self.apply(signal, sample)", "recursion"),
+        ("signal.astype(complex)", "complex"),
+        ("signal * jnp.ones(3)", "Error"),
+        ("None", "None"),
+        ("exit(3)", "SystemExit"),
+    ],
+)
+def test_a_class_that_fails_is_named_before_anything_is_fitted(tmp_path, returned, what):
+    file = tmp_path / "house.py"
+    file.write_text(SOURCE.replace("signal + self.asymmetry * jnp.abs(sample.rate[0])", returned), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        declare(model_of("gyro_bias", "house_asymmetry", files=(file,)), campaign())
+    (problem,) = caught.value.problems
+    assert what in problem.what
+    assert str(file) in problem.where
+    assert "HouseAsymmetry" in problem.where or ":20, in apply" in problem.where
+    assert "jnp.where" in problem.remedy
+
+
+def test_a_file_that_leaves_is_refused(tmp_path):
+    (tmp_path / "house.py").write_text("raise SystemExit(3)")
+    with pytest.raises(InputError, match="SystemExit"):
+        declare(model_of("gyro_bias", files=(tmp_path / "house.py",)), campaign())

@@ -27,6 +27,7 @@ FINDINGS: dict[str, str] = {
     "acceleration_unit": "the accelerometer is in m/s² where g is meant, or the other way round",
     "scale_far_from_nominal": "the output moves with the input by a factor far from the nominal scale",
     "sign_reversed": "the output moves against the input",
+    "axes_do_not_fit": "gyros and accelerometers do not turn together: axes are exchanged or reversed",
     "segment_not_constant": "the stimulus changes within a labelled segment",
     "partial_turn": "a mean over less than one turn at an unknown angle",
     "bad_count": "a number of samples or a standard deviation that cannot be",

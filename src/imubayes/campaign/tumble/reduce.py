@@ -9,10 +9,12 @@ import numpy as np
 
 from imubayes.campaign.columns import COVARIATE_COLUMNS
 from imubayes.campaign.findings import Finding
+from imubayes.campaign.tumble.handed import check_axes
 from imubayes.campaign.tumble.magnitude import MagnitudeFit, fit_magnitude
 from imubayes.campaign.tumble.motion import coning, mean_readings, padded, rotation_over, step_edges
+from imubayes.campaign.tumble.recording import Recording, pose_means, record
 from imubayes.campaign.tumble.rotation import shortest
-from imubayes.campaign.tumble.static import Pose, Rest, find_rests, initial_rest, join_rests, unrest
+from imubayes.campaign.tumble.static import Pose, find_rests, join_rests, unrest
 from imubayes.errors import InputError, Problem
 from imubayes.run import Channel, Tumble
 
@@ -30,18 +32,6 @@ class ReducedTumble:
     tumble: Tumble
     notes: tuple[str, ...]
     findings: tuple[Finding, ...]
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A raw log with nominal calibration: time (N,), readings (N, C), force and rate in body axes (N, 3)."""
-
-    time: np.ndarray
-    readings: np.ndarray
-    force: np.ndarray
-    rate: np.ndarray
-    initial: Rest
-    interval: float
 
 
 @dataclass(frozen=True)
@@ -91,27 +81,11 @@ def reduce_tumble(
     tumble = _tumble(recording, detection, flagged)
     rows = _rows(numbers, channels, [p for p, bad in zip(detection.poses, flagged, strict=True) if not bad])
     notes = _notes(recording, detection, flagged, turned, tumble)
-    return ReducedTumble(rows, tumble, notes, tuple(_findings(recording, detection, gravity, file)))
-
-
-def record(
-    numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], initial_seconds: float | None, file: Path
-) -> Recording:
-    """Return the log with nominal calibration; gyro bias from the rest at the beginning."""
-    time = numbers["time_s"]
-    readings = np.stack([numbers.get(c.name, np.full(len(time), np.nan)) for c in channels], axis=1)
-    if len(time) < 100 or (used := np.isfinite(readings).all(axis=1)).sum() < 100:
-        raise InputError(
-            Problem("the recording has fewer than 100 complete rows", str(file), "a raw log", "record for longer")
-        )
-    time, readings = time[used], readings[used]
-    signal = (readings - [c.offset for c in channels]) / [c.scale_si for c in channels]
-    force = _body(signal, channels, "accelerometer", file)
-    interval = float(np.median(np.diff(time)))
-    initial = initial_rest(force, interval, initial_seconds)
-    rate = _body(signal, channels, "gyro", file)
-    rate = rate - rate[initial.start : initial.stop].mean(0)
-    return Recording(time, readings, force, rate, initial, interval)
+    found = _findings(recording, detection, gravity, file)
+    if not found:
+        good = [pose for pose, bad in zip(detection.poses, flagged, strict=True) if not bad]
+        found = check_axes(recording, good, channels, str(file))
+    return ReducedTumble(rows, tumble, notes, tuple(found))
 
 
 def detect_poses(recording: Recording, gravity: float) -> Detection:
@@ -128,11 +102,6 @@ def detect_poses(recording: Recording, gravity: float) -> Detection:
     return best
 
 
-def pose_means(values: np.ndarray, poses: Sequence[Pose]) -> np.ndarray:
-    """Return the mean over each pose, shape (poses, …)."""
-    return np.array([values[pose.indices()].mean(0) for pose in poses]).reshape(len(poses), *values.shape[1:])
-
-
 def turned_within(recording: Recording, pose: Pose) -> float:
     """Return how far the gyros say that the unit turned during a pose, rad, the constant part taken off."""
     worst = 0.0
@@ -146,22 +115,6 @@ def turned_within(recording: Recording, pose: Pose) -> float:
 def _rank(found: Detection) -> tuple[int, float]:
     """Enough poses for the full fit first, then the smallest scatter of |f|."""
     return found.fit.parameters, -found.fit.spread
-
-
-def _body(signal: np.ndarray, channels: Sequence[Channel], kind: str, file: Path) -> np.ndarray:
-    """Return the body vector that channels of one kind measure together, shape (N, 3)."""
-    index = [i for i, channel in enumerate(channels) if channel.kind == kind]
-    axes = np.array([channels[i].axes[0] for i in index]).reshape(len(index), 3)
-    if np.linalg.matrix_rank(axes, tol=1e-3) < 3:
-        raise InputError(
-            Problem(
-                f"a free tumble needs three {kind}s in different directions",
-                f"{file}, [[channel]] of campaign.toml",
-                f"three or more {kind} channels whose input axes are not in one plane",
-                "complete the channels, or choose another procedure",
-            )
-        )
-    return signal[:, index] @ np.linalg.pinv(axes).T
 
 
 def _tumble(recording: Recording, detection: Detection, flagged: np.ndarray) -> Tumble:

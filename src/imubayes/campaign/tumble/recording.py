@@ -1,0 +1,64 @@
+"""The raw log of a hand-held unit with nominal calibration, as vectors in body axes."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from imubayes.campaign.tumble.static import Pose, Rest, initial_rest
+from imubayes.errors import InputError, Problem
+from imubayes.run import Channel
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A raw log with nominal calibration: time (N,), readings (N, C), force and rate in body axes (N, 3)."""
+
+    time: np.ndarray
+    readings: np.ndarray
+    force: np.ndarray
+    rate: np.ndarray
+    initial: Rest
+    interval: float
+
+
+def record(
+    numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], initial_seconds: float | None, file: Path
+) -> Recording:
+    """Return the log with nominal calibration; gyro bias from the rest at the beginning."""
+    time = numbers["time_s"]
+    readings = np.stack([numbers.get(c.name, np.full(len(time), np.nan)) for c in channels], axis=1)
+    if len(time) < 100 or (used := np.isfinite(readings).all(axis=1)).sum() < 100:
+        raise InputError(
+            Problem("the recording has fewer than 100 complete rows", str(file), "a raw log", "record for longer")
+        )
+    time, readings = time[used], readings[used]
+    signal = (readings - [c.offset for c in channels]) / [c.scale_si for c in channels]
+    force = body_vector(signal, channels, "accelerometer", file)
+    interval = float(np.median(np.diff(time)))
+    initial = initial_rest(force, interval, initial_seconds)
+    rate = body_vector(signal, channels, "gyro", file)
+    rate = rate - rate[initial.start : initial.stop].mean(0)
+    return Recording(time, readings, force, rate, initial, interval)
+
+
+def pose_means(values: np.ndarray, poses: Sequence[Pose]) -> np.ndarray:
+    """Return the mean over each pose, shape (poses, …)."""
+    return np.array([values[pose.indices()].mean(0) for pose in poses]).reshape(len(poses), *values.shape[1:])
+
+
+def body_vector(signal: np.ndarray, channels: Sequence[Channel], kind: str, file: Path | str) -> np.ndarray:
+    """Return the body vector that channels of one kind measure together, shape (N, 3)."""
+    index = [i for i, channel in enumerate(channels) if channel.kind == kind]
+    axes = np.array([channels[i].axes[0] for i in index]).reshape(len(index), 3)
+    if np.linalg.matrix_rank(axes, tol=1e-3) < 3:
+        raise InputError(
+            Problem(
+                f"a free tumble needs three {kind}s in different directions",
+                f"{file}, [[channel]] of campaign.toml",
+                f"three or more {kind} channels whose input axes are not in one plane",
+                "complete the channels, or choose another procedure",
+            )
+        )
+    return signal[:, index] @ np.linalg.pinv(axes).T

@@ -1,0 +1,193 @@
+"""What is the user's stays: folders that are no result, samplings that were interrupted, files of other commands."""
+
+import json
+import shutil
+from pathlib import Path
+
+import h5py
+import pytest
+
+from imubayes.cli.main import run
+from imubayes.inference.checkpoint import steps_in
+
+ROOT = Path(__file__).parents[2]
+CAMPAIGN, MODEL = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml"
+PARTS = ("error: ", "  where:   ", "  do:      ")
+
+
+@pytest.fixture(scope="module")
+def once(tmp_path_factory) -> Path:
+    """A result, made once."""
+    folder = tmp_path_factory.mktemp("once") / "result"
+    assert run(["fit", str(CAMPAIGN), "--model", str(MODEL), "--out", str(folder), "--no-sample"]) == 0
+    return folder
+
+
+@pytest.fixture
+def result(once, tmp_path) -> Path:
+    return Path(shutil.copytree(once, tmp_path / "result"))
+
+
+@pytest.fixture
+def refused(capsys):
+    def check(*words: object) -> str:
+        capsys.readouterr()
+        status = run([str(word) for word in words])
+        err = capsys.readouterr().err
+        assert status == 2, err
+        assert all(part in err for part in PARTS), err
+        assert "unforeseen" not in err
+        return err
+
+    return check
+
+
+def fit_into(out: object, *words: str) -> tuple:
+    return ("fit", CAMPAIGN, "--model", MODEL, "--out", out, "--no-sample", *words)
+
+
+def begun(folder: Path, steps: int) -> Path:
+    """A checkpoint of so many steps, with nothing else in the folder."""
+    folder.mkdir(exist_ok=True)
+    with h5py.File(folder / "checkpoint.h5", "w") as file:
+        for number in range(4):
+            file.create_group(f"ensemble_{number}").attrs["iteration"] = steps
+    return folder
+
+
+def test_a_folder_that_is_no_result_is_not_written_to(tmp_path, refused):
+    own = tmp_path / "work"
+    own.mkdir()
+    (own / "model.toml").write_text("# my notes\n")
+    assert "'model.toml' and no result" in refused(*fit_into(own))
+    assert [one.name for one in own.iterdir()] == ["model.toml"]
+    assert (own / "model.toml").read_text() == "# my notes\n"
+
+
+def test_the_campaign_is_no_place_for_a_result(tmp_path, refused):
+    campaign = Path(shutil.copytree(CAMPAIGN, tmp_path / "campaign"))
+    there = sorted(campaign.rglob("*"))
+    refused("fit", campaign, "--model", MODEL, "--out", campaign, "--no-sample")
+    assert sorted(campaign.rglob("*")) == there
+
+
+@pytest.mark.parametrize("below", ["", "folder"])
+def test_a_file_is_no_place_for_a_result(tmp_path, refused, below):
+    (tmp_path / "file").write_text("mine")
+    assert str(tmp_path / "file") in refused(*fit_into(tmp_path / "file" / below))
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_result_is_replaced_and_what_stands_beside_it_stays(result):
+    (result / "notes.txt").write_text("mine")
+    assert run([str(word) for word in fit_into(result)]) == 0
+    assert (result / "notes.txt").read_text() == "mine"
+
+
+def test_an_interrupted_sampling_is_not_begun_anew(tmp_path, refused):
+    folder = begun(tmp_path / "cut", 5)
+    whole = (folder / "checkpoint.h5").read_bytes()
+    assert "--resume" in refused(*fit_into(folder))
+    for words in (("compare", folder), ("diagnose", folder), ("add", "accel_quadratic", "--to", folder, "--out", "x")):
+        assert "with --resume" in refused(*words)
+    assert (folder / "checkpoint.h5").read_bytes() == whole
+
+
+def test_one_that_came_to_nothing_or_to_a_result_is_replaced(tmp_path, result):
+    assert run([str(word) for word in fit_into(begun(tmp_path / "none", 0))]) == 0
+    begun(result, 5)
+    summary = result / "summary.json"
+    summary.write_text(summary.read_text())  # after the checkpoint: the result is of it
+    assert run([str(word) for word in fit_into(result)]) == 0
+
+
+def test_steps_of_what_is_no_checkpoint(tmp_path):
+    (tmp_path / "checkpoint.h5").write_text("no")
+    assert steps_in(tmp_path / "checkpoint.h5") == steps_in(tmp_path / "none.h5") == 0
+    assert steps_in(begun(tmp_path / "cut", 7) / "checkpoint.h5") == 7
+
+
+def test_an_interrupt_is_said(monkeypatch, capsys, tmp_path):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("imubayes.api.fit", interrupt)
+    assert run([str(word) for word in fit_into(tmp_path / "out")]) == 130
+    assert "--resume" in capsys.readouterr().err
+
+
+def test_history_overwrites_no_file(result, tmp_path, refused):
+    other = tmp_path / "campaign.toml"
+    other.write_text("mine")
+    for option in ("--export", "--html"):
+        assert "is there already" in refused("history", result, option, other)
+        assert other.read_text() == "mine"
+    page = tmp_path / "new" / "history.html"
+    for _ in range(2):  # its own page is brought up to date
+        assert run(["history", str(result), "--html", str(page)]) == 0
+    assert refused("history", result, "--html", tmp_path)
+
+
+def test_a_model_that_was_edited_is_noticed(result, refused):
+    model = result / "model.toml"
+    text = model.read_text()
+    assert "normal(0, " in text
+    model.write_text(text.replace("normal(0, ", "normal(0, 2", 1))
+    assert "no longer the one that was fitted" in refused("diagnose", result)
+    model.write_text(text)
+    assert run(["diagnose", str(result), "--effect", "accel_quadratic"]) == 0
+
+
+def test_a_damaged_record_is_named(result, refused):
+    record = json.loads((result / "fit.json").read_text())
+    for key, value in (("z", [1.0]), ("campaign", "x"), ("format", 99)):
+        (result / "fit.json").write_text(json.dumps(record | {key: value}))
+        assert "fit.json" in refused("diagnose", result)
+
+
+@pytest.mark.parametrize(
+    ("effect", "text"),
+    [
+        ("accel_quadratik", "allowed: accel_quadratic"),
+        ("white_noise", "noise, not an effect"),
+        ("accel_bias", "in the model already"),
+    ],
+)
+def test_only_what_could_be_missing_is_asked_about(result, refused, effect, text):
+    assert text in refused("diagnose", result, "--effect", effect)
+
+
+def test_the_textbook_stands_beside_its_own_campaign_alone(result, refused):
+    assert "not of the campaign" in refused("classical", ROOT / "data" / "redundant-imu", "--result", result)
+    assert run(["classical", str(CAMPAIGN), "--result", str(result)]) == 0
+
+
+@pytest.mark.parametrize("words", [("--size", "-1"), ("--size", "nan"), ("--delta-chi2", "0"), ("--draws", "-3")])
+def test_what_is_planted_has_a_size(result, refused, words):
+    assert "plant" in refused("plant", "--result", result, *words)
+
+
+def test_a_fit_without_numbers_is_told_and_not_drawn(tmp_path, refused, capsys):
+    (tmp_path / "mine.py").write_text(
+        "import jax.numpy as jnp\n"
+        "from imubayes.effects import Order, SignalEffect, Stage\n"
+        "from imubayes.parameters.parameter import parameter\n"
+        "from imubayes.types import Scalar\n\n\n"
+        "class Mine(SignalEffect):\n"
+        '    """signal/0."""\n\n'
+        '    name = "mine"\n'
+        '    stage, order, kinds = Stage.SENSOR, Order.SCALE, ("accelerometer",)\n'
+        '    k: Scalar = parameter("ppm", "normal(0, 100 ppm)", (10, 300), "k")\n\n'
+        "    def apply(self, signal, sample):\n"
+        "        return signal + self.k * jnp.nan\n"
+    )
+    first, effects = MODEL.read_text().split("[[effect]]", 1)
+    own = f'{first}files = ["mine.py"]\n[[effect]]{effects}\n[[effect]]\nname = "mine"\n'
+    (tmp_path / "model.toml").write_text(own)
+    out = tmp_path / "out"
+    assert run(["fit", str(CAMPAIGN), "--model", str(tmp_path / "model.toml"), "--out", str(out), "--no-sample"]) == 1
+    assert "NOT CONVERGED" in capsys.readouterr().out
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["chi2"] is None
+    assert not summary["converged"]
+    assert "no finite number" in refused("compare", out)
