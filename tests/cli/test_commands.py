@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -161,15 +159,13 @@ def test_effects_says_what_a_campaign_could_show(capsys):
     assert "gyro_bias" not in shown
 
 
-def test_fit_writes_the_contract(tmp_path, compile_cache):
+def test_fit_writes_the_contract(tmp_path, capsys):
     """`summary.json` has every key of the interface, alone on standard output with --json-output."""
     out = tmp_path / "result"
-    words = ["fit", "data/accel-channel", "--model", "models/accel-channel.toml", "--out", str(out), "--json-output"]
-    done = subprocess.run(
-        [sys.executable, "-m", "imubayes.cli.main", *words], cwd=ROOT, env=compile_cache, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
+    campaign, model = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml"
+    status, said_out, _ = said(capsys, "fit", campaign, "--model", model, "--out", out, "--json-output")
+    assert status == 0
+    summary = json.loads(said_out)
     assert summary == json.loads((out / "summary.json").read_text())
     top = {"format", "campaign", "model", "converged", "message", "parameters", "derived", "runs", "chi2", "dof"}
     assert top | {"log_evidence", "weak_directions", "seconds"} <= set(summary)
@@ -194,28 +190,17 @@ def test_fit_writes_the_contract(tmp_path, compile_cache):
         assert abs(by_name[name]["mean"] - truth["parameters"][name]) < 4 * by_name[name]["sd"]
 
 
-def test_without_injected_current_gain_and_offset_are_not_separated(copy, tmp_path, compile_cache):
+def test_without_injected_current_gain_and_offset_are_not_separated(copy, tmp_path, capsys):
     campaign, model = copy
     text = (campaign / "campaign.toml").read_text()
     head, *runs = text.split("[[run]]")
     kept = [one for one in runs if "current_injection" not in one]
     assert len(kept) == len(runs) - 1
     (campaign / "campaign.toml").write_text("[[run]]".join([head, *kept]))
-    words = [
-        "fit",
-        str(campaign),
-        "--model",
-        str(model),
-        "--out",
-        str(tmp_path / "out"),
-        "--no-sample",
-        "--json-output",
-    ]
-    done = subprocess.run(
-        [sys.executable, "-m", "imubayes.cli.main", *words], cwd=ROOT, env=compile_cache, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
+    out = tmp_path / "out"
+    status, said_out, _ = said(capsys, "fit", campaign, "--model", model, "--out", out, "--no-sample", "--json-output")
+    assert status == 0
+    summary = json.loads(said_out)
     weak = [one for one in summary["weak_directions"] if "converter_gain_drift" in one["combination"]]
     assert weak
     assert weak[0]["from_data"] < 0.2

@@ -18,7 +18,7 @@ from small_campaign import campaign, simulated, spec
 
 @cache
 def made() -> Model:
-    plain = declare(spec("gyro_bias", "accel_bias", noise=("white_noise", "run_scatter")), campaign())
+    plain = declare(spec("gyro_bias", noise=("white_noise", "run_scatter")), campaign())
     rng = np.random.default_rng(3)
     return declare(plain.spec, simulated(plain, rng.normal(size=plain.problem.size[0]), 4))
 
