@@ -62,6 +62,40 @@ def test_rates_and_whole_turns(tmp_path: Path) -> None:
     assert rows.numbers["a_sd"] == pytest.approx(0.1, rel=0.1)
 
 
+@pytest.mark.parametrize("form", ["rows", "cells"])
+def test_no_turn_leads_across_a_hole(tmp_path: Path, form: str) -> None:
+    log = rate_log()
+    hole = (log["time_s"] > 22) & (log["time_s"] < 26)  # 144 deg of the first turn at 36 deg/s
+    if form == "rows":
+        log = {name: values[~hole] for name, values in log.items()}
+    else:
+        log["g"] = np.where(hole, np.nan, log["g"])
+    rows = reduce_columns(tmp_path, log)
+    # One turn is whole behind the hole; the sum over all that is there would be off by the swing.
+    assert rows.numbers["g"][1] == pytest.approx(361, abs=1e-4)
+    assert rows.numbers["table_angle_span_deg"][1] == 360
+    assert rows.numbers["g"][2] == pytest.approx(-899, abs=2e-5)
+    assert any("1 means are over the turns between the holes" in note for note in rows.notes)
+
+
+def test_what_has_no_whole_turn_between_holes_is_left_out(tmp_path: Path) -> None:
+    log = rate_log()
+    holes = (log["time_s"] > 21) & (log["time_s"] < 41) & (np.mod(log["time_s"], 8) < 2)
+    rows = reduce_columns(tmp_path, {name: values[~holes] for name, values in log.items()})
+    assert np.isnan(rows.numbers["g"][1])
+    assert np.isfinite(np.delete(rows.numbers["g"], 1)).all()
+    assert any("1 left out because no turn is whole" in note for note in rows.notes)
+
+
+def test_a_lost_sample_here_and_there_costs_nothing(tmp_path: Path) -> None:
+    log = rate_log()
+    kept = np.random.default_rng(1).random(len(log["time_s"])) > 0.2
+    rows = reduce_columns(tmp_path, {name: values[kept] for name, values in log.items()})
+    # Summed without regard to what is missing the swing of 5 would leave 0.04.
+    assert rows.numbers["g"][1] == pytest.approx(361, abs=2e-3)
+    assert rows.numbers["g"][2] == pytest.approx(-899, abs=2e-3)
+
+
 def test_partial_turn_keeps_its_angle(tmp_path: Path) -> None:
     log = rate_log()
     rows = reduce_columns(tmp_path, log)

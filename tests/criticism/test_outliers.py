@@ -102,6 +102,10 @@ def test_a_step_is_no_matter_of_outliers(whole):
     assert found["verdict"] == "unexplained_structure", found["sentence"]
     assert not found["far_off"]
     assert "time" in found["structure"][0]["covariate"]
+    # What happens once has no formula: none is offered, and what comes next can be done.
+    assert "has a step" in found["sentence"]
+    assert not any(line.get("python") for line in found["structure"])
+    assert found["next"].startswith("imubayes compare")
 
 
 def test_a_step_would_pass_for_outliers(whole, monkeypatch):

@@ -1,12 +1,15 @@
 """The textbook beside the joint fit: the difference, and what of it the mounting angle explains."""
 
+import io
 import json
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from imubayes.classical import Estimate, Undetermined
 from imubayes.cli.main import run
+from imubayes.report.tables import terminal
 from imubayes.report.textbook import decision_sheet, textbook_json, textbook_sheet, undetermined_sheet
 
 ROOT = Path(__file__).parents[2]
@@ -38,6 +41,19 @@ def test_the_angle_explains_the_difference():
     row = [cell.text for cell in textbook_sheet(facts).rows[0]]
     assert "angle 10.0 arcsec off: -68.6 ppm" in row
     json.dumps(facts, allow_nan=False)
+
+
+def test_a_narrow_terminal_keeps_both_numbers():
+    sheet = textbook_sheet(textbook_json(FOUND, summary(1000.0686, TRIHEDRAL)))
+    buffer = io.StringIO()
+    Console(file=buffer, width=80).print(terminal(sheet))
+    lines = [line.rstrip() for line in buffer.getvalue().splitlines()]
+    assert max(map(len, lines)) <= 80
+    shown = next(line for line in lines if "scale_factor[gx]" in line)
+    assert "1000.0000 ± 0.0010" in shown
+    assert "1000.0686 ± 0.0020" in shown
+    assert any(UNIT in line for line in lines)
+    assert any("2.00000 ppm" in line for line in lines)
 
 
 def test_without_a_fit_there_is_no_comparison():

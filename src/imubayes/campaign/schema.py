@@ -61,7 +61,9 @@ class ChannelEntry(_Entry):
     output_axis: Vector | None = None
     output_unit: str
     scale: float
-    per: Literal["deg/s", "deg/h", "rad/s", "g", "m/s^2"]
+    per: Literal["deg/s", "deg/h", "rad/s", "g", "m/s^2"] = Field(
+        description="unit of the input; g is the gravity of the site, not 9.80665 m/s^2"
+    )
     offset: float = 0.0
     noise: Positive | None = None
     current_mA_per_g: float | None = None

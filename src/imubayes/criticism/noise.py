@@ -113,7 +113,7 @@ def screen_noise(projection: Projection, seed: int = 1) -> list[NoiseCandidate]:
             mean, sd = float(np.mean(values[1:])), float(np.std(values[1:]))
             z = (float(values[0]) - mean) / max(sd, 1e-12)
             # Squares are skew: the tail of a normal would understate how often chance does as well.
-            skew = float(np.clip(stats.skew(values[1:]), 0.0, 4.0))
+            skew = float(np.clip(stats.skew(values[1:]), 0.0, 4.0)) if sd > 1e-9 * abs(mean) else 0.0
             p = float(stats.pearson3.sf(z, skew)) if np.isfinite(skew) else float(stats.norm.sf(z))
             value = float(np.clip(values[0] - mean, -_STRONGEST_CORRELATION, None))
             found.append(NoiseCandidate(effect, names, value, max(p, 1e-300), max(z, 0.0) ** 2))

@@ -108,7 +108,8 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
         looks=found.chance.looks,
         far_off=_far_off_lines(found),
     )
-    document["next"] = _next(verdict, found, folder)
+    printable = any(line.get("python") for line in document["structure"])
+    document["next"] = _next(verdict, found, folder, printable)
     return Diagnosis(document, telling, found)
 
 
@@ -307,11 +308,16 @@ def _resolution_line(one: Resolution) -> dict[str, Any]:
 def _structure_lines(found: Found, unexplained: Sequence[tuple[Structure, float]]) -> list[dict[str, Any]]:
     """Return the free forms that stand out, with a formula for each channel where no effect explains them."""
     listed = _simplest(unexplained or found.structures)
-    first = {one.channel: one for one, _ in reversed(unexplained)}
     # What happens once in one run has no formula in what runs share.
-    channels = [name for name in dict.fromkeys(one.channel for one, _ in unexplained) if first[name].test != STEP]
+    channels = [name for name in dict.fromkeys(one.channel for one, _ in unexplained) if not _once(name, unexplained)]
     shapes = {name: find_shape(found.first.projection, found.covariates, name) for name in channels[:_MOST_SHAPES]}
     return [_structure_line(found, one, p, shapes.get(one.channel)) for one, p in listed]
+
+
+def _once(channel: str, structures: Sequence[tuple[Structure, float]]) -> bool:
+    """Tell whether most of what a channel shows is a step in one run."""
+    drops = [(one.test == STEP, one.found.drop) for one, _ in structures if one.channel == channel]
+    return max((drop for step, drop in drops if step), default=0.0) > _MOST * max(drop for _, drop in drops)
 
 
 def _simplest(structures: Sequence[tuple[Structure, float]]) -> list[tuple[Structure, float]]:
@@ -374,6 +380,10 @@ def _sentence(verdict: str, found: Found, seen: Sequence[Resolution], telling: S
         return f"{group.leader.effect} is missing on {where}.{changes}{also}"
     if verdict == "unexplained_structure":
         one = (found.left or found.structures)[0][0]
+        steps = [each for each, _ in (found.left or found.structures) if each.test == STEP]
+        if steps and _once(steps[0].channel, found.left or found.structures):
+            one = steps[0]
+            return f"The residual of {one.channel} has a {one.text}: no effect of the catalogue happens once."
         phrases = " and ".join(each.phrase for each in one.covariates)
         depends = (
             f"The residual of {one.channel} depends on {phrases} in a way that no effect of the catalogue explains."
@@ -412,7 +422,7 @@ def _far_off_sentence(found: Found) -> str:
     return f" {len(lines)} readings are far off, the farthest {where}." if len(lines) > 1 else f" Far off is {where}."
 
 
-def _next(verdict: str, found: Found, folder: str) -> str:
+def _next(verdict: str, found: Found, folder: str, printable: bool) -> str:
     if verdict in ("missing_effect", "equivalent_effects"):
         leader = found.groups[0].leader
         channels = _channels(found, leader)
@@ -425,7 +435,7 @@ def _next(verdict: str, found: Found, folder: str) -> str:
         name = found.adopted[0].effect
         return f"imubayes add {name} --to {folder} --out {folder}-{name}"
     if verdict == "unexplained_structure":
-        return f"imubayes diagnose {folder} --python > found_shape.py"
+        return f"imubayes diagnose {folder} --python > found_shape.py" if printable else f"imubayes compare {folder}"
     return f"imubayes plant --result {folder}"
 
 

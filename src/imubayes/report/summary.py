@@ -19,6 +19,8 @@ from imubayes.model.derived import derived_slopes
 from imubayes.report.residuals import Residuals, finite
 
 _INTERVAL = (2.5, 97.5)
+# A derived quantity that varies by less than this share of itself over the whole prior varies by rounding.
+_ROUNDING = 1e-12
 
 
 def summarise(fit: JointFit, residuals: Residuals) -> dict[str, Any]:
@@ -94,7 +96,7 @@ def _derived(fit: JointFit) -> list[dict[str, Any]]:
         line = {"name": name.name, "unit": name.unit, **_numbers(draws, usable)}
         line["prior_sd"] = float(prior.std()) if usable else None
         # What no parameter reaches is neither the data's nor a prior's.
-        known = usable and float(np.ptp(prior)) > 0
+        known = usable and float(np.ptp(prior)) > _ROUNDING * float(np.max(np.abs(prior)))
         line["from_data"] = float(from_data(float(np.var(draws)), float(np.var(prior)))) if known else None
         if name.name.startswith("delta_k["):
             # Whether the line of 1 g may stand for this input: what the textbook decides by a number without doubt.

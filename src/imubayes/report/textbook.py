@@ -76,7 +76,17 @@ def textbook_sheet(facts: Facts) -> Sheet:
         "The sd of the textbook is the scatter about its fitted curve; what is wrong with its assumptions it does not "
         "contain."
     )
-    return Sheet("Textbook estimates, each run by itself", head, rows, (0, 1, 7) if compared else (0, 1), "", note)
+    sheet = Sheet("Textbook estimates, each run by itself", head, rows, (0, 1, 7) if compared else (0, 1), "", note)
+    if not compared:
+        return sheet
+    lines = [(row[0], row[1], _with_sd(row[2], row[3], row[-1]), _with_sd(row[4], row[5])) for row in rows]
+    few = ("quantity", "run", "textbook ± sd", "joint ± sd")
+    return replace(sheet, narrow=replace(sheet, head=few, rows=lines, left=(0, 1)))
+
+
+def _with_sd(value: Cell, sd: Cell, unit: Cell | None = None) -> Cell:
+    known = f"{value.text} ± {sd.text}" if sd.text not in ("", "–") else value.text
+    return Cell(f"{known} {unit.text}" if unit is not None else known, value.mood)
 
 
 def _is_beyond(one: Facts) -> bool:
@@ -111,7 +121,9 @@ def beside_sheet(facts: Facts) -> Sheet:
         "uncertainties from the joint fit: their assumptions do not hold. All of them: imubayes classical CAMPAIGN "
         "--result RESULT."
     )
-    return replace(sheet, title="The textbook beside the joint fit, where they differ", note=note)
+    words = {"title": "The textbook beside the joint fit, where they differ", "note": note}
+    narrow = replace(sheet.narrow, **words) if sheet.narrow is not None else None
+    return replace(sheet, **words, narrow=narrow)
 
 
 def decision_sheet(facts: Facts) -> Sheet:
