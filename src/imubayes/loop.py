@@ -27,7 +27,7 @@ from imubayes.procedures import PROCEDURES
 from imubayes.report import addition as shown
 from imubayes.report.diagnosis import read_diagnosis, screened_candidate
 from imubayes.report.fit_file import FIT, campaign_hash, read_fit
-from imubayes.report.folder import CHECKPOINT, claim, read_summary
+from imubayes.report.folder import CHECKPOINT, claim, read_summary, refuse_taken
 from imubayes.report.history_file import first_node, join, read_node, read_tree, write_node
 from imubayes.report.html import sheet_html
 from imubayes.report.result import Result, result_of
@@ -283,8 +283,11 @@ def export(folder: str | Path, file: str | Path) -> str:
     chosen = next(one for one in (*tree.selected, place) if one in tree.together_with(place))
     file = Path(file)
     file.parent.mkdir(parents=True, exist_ok=True)
-    for source in read_model(Path(chosen) / "model.toml").files:
-        shutil.copyfile(source, file.parent / Path(source).name)
+    own = {Path(source): file.parent / Path(source).name for source in read_model(Path(chosen) / "model.toml").files}
+    for source, target in own.items():
+        refuse_taken(target, but=source.read_bytes().__eq__)
+    for source, target in own.items():
+        shutil.copyfile(source, target)
     shutil.copyfile(Path(chosen) / "model.toml", file)
     return chosen
 

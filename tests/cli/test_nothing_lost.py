@@ -55,6 +55,27 @@ def begun(folder: Path, steps: int) -> Path:
     return folder
 
 
+def with_own_effect(folder: Path, returned: str) -> Path:
+    """The model with an effect of the user's own beside it."""
+    (folder / "mine.py").write_text(
+        "import jax.numpy as jnp\n"
+        "from imubayes.effects import Order, SignalEffect, Stage\n"
+        "from imubayes.parameters.parameter import parameter\n"
+        "from imubayes.types import Scalar\n\n\n"
+        "class Mine(SignalEffect):\n"
+        '    """A scale factor of one\'s own."""\n\n'
+        '    name = "mine"\n'
+        '    stage, order, kinds = Stage.SENSOR, Order.SCALE, ("accelerometer",)\n'
+        '    k: Scalar = parameter("ppm", "normal(0, 100 ppm)", (10, 300), "k")\n\n'
+        "    def apply(self, signal, sample):\n"
+        f"        return {returned}\n"
+    )
+    first, effects = MODEL.read_text().split("[[effect]]", 1)
+    own = f'{first}files = ["mine.py"]\n[[effect]]{effects}\n[[effect]]\nname = "mine"\n'
+    (folder / "model.toml").write_text(own)
+    return folder / "model.toml"
+
+
 def test_a_folder_that_is_no_result_is_not_written_to(tmp_path, refused):
     own = tmp_path / "work"
     own.mkdir()
@@ -128,6 +149,26 @@ def test_history_overwrites_no_file(result, tmp_path, refused):
     assert refused("history", result, "--html", tmp_path)
 
 
+def test_a_damaged_result_is_not_called_interrupted(result, refused):
+    begun(result, 5)
+    (result / "fit.json").write_text("{")
+    assert "run the fit again" in refused("diagnose", result)
+
+
+def test_export_leaves_another_effect_of_that_name_alone(tmp_path, refused):
+    models = tmp_path / "models"
+    models.mkdir()
+    model = with_own_effect(models, "signal * (1 + self.k)")
+    out, effect = tmp_path / "out", models / "mine.py"
+    assert run(["fit", str(CAMPAIGN), "--model", str(model), "--out", str(out), "--no-sample"]) == 0
+    assert run(["history", str(out), "--export", str(models / "same.toml")]) == 0  # the same file may stand there
+    edited = effect.read_text() + "# mine\n"
+    effect.write_text(edited)
+    assert "mine.py" in refused("history", out, "--export", models / "other.toml")
+    assert effect.read_text() == edited
+    assert not (models / "other.toml").exists()
+
+
 def test_a_model_that_was_edited_is_noticed(result, refused):
     model = result / "model.toml"
     text = model.read_text()
@@ -168,24 +209,9 @@ def test_what_is_planted_has_a_size(result, refused, words):
 
 
 def test_a_fit_without_numbers_is_told_and_not_drawn(tmp_path, refused, capsys):
-    (tmp_path / "mine.py").write_text(
-        "import jax.numpy as jnp\n"
-        "from imubayes.effects import Order, SignalEffect, Stage\n"
-        "from imubayes.parameters.parameter import parameter\n"
-        "from imubayes.types import Scalar\n\n\n"
-        "class Mine(SignalEffect):\n"
-        '    """signal/0."""\n\n'
-        '    name = "mine"\n'
-        '    stage, order, kinds = Stage.SENSOR, Order.SCALE, ("accelerometer",)\n'
-        '    k: Scalar = parameter("ppm", "normal(0, 100 ppm)", (10, 300), "k")\n\n'
-        "    def apply(self, signal, sample):\n"
-        "        return signal + self.k * jnp.nan\n"
-    )
-    first, effects = MODEL.read_text().split("[[effect]]", 1)
-    own = f'{first}files = ["mine.py"]\n[[effect]]{effects}\n[[effect]]\nname = "mine"\n'
-    (tmp_path / "model.toml").write_text(own)
+    model = with_own_effect(tmp_path, "signal + self.k * jnp.nan")
     out = tmp_path / "out"
-    assert run(["fit", str(CAMPAIGN), "--model", str(tmp_path / "model.toml"), "--out", str(out), "--no-sample"]) == 1
+    assert run(["fit", str(CAMPAIGN), "--model", str(model), "--out", str(out), "--no-sample"]) == 1
     assert "NOT CONVERGED" in capsys.readouterr().out
     summary = json.loads((out / "summary.json").read_text())
     assert summary["chi2"] is None

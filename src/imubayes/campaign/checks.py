@@ -54,7 +54,7 @@ def check_rows(
     slopes: list[tuple[Channel, float]] = []
     for index, channel in enumerate(channels):
         stimulus = nominal_input(channel, table, mounting, site, rate, angle)
-        measured = (run.observed[:, index] - channel.offset) / channel.scale_si
+        measured = _measured(run, index, channel)
         found += _stuck(run, channel, stimulus, run.observed[:, index], where)
         found += _saturated(run, channel, stimulus, run.observed[:, index], where)
         slopes.append((channel, _slope(channel, stimulus, measured)))
@@ -67,10 +67,15 @@ def _check_reference(run: Run, channels: Sequence[Channel], where: str) -> list[
     found = []
     for index, channel in enumerate(channels):
         if channel.kind == "gyro":
-            measured = (run.observed[:, index] - channel.offset) / channel.scale_si
+            measured = _measured(run, index, channel)
             slope = _slope(channel, rate @ channel.axes[0], measured)
             found += slope_findings(run.name, channel, slope, where) if math.isfinite(slope) else []
     return found
+
+
+def _measured(run: Run, index: int, channel: Channel) -> np.ndarray:
+    """Return what a channel read, by its nominal scale, in rad/s or m/s²."""
+    return (run.observed[:, index] - channel.offset) / channel.scale_si
 
 
 def slope_findings(run: str, channel: Channel, slope: float, where: str) -> list[Finding]:
@@ -228,7 +233,7 @@ def _check_current(run: Run, channels: Sequence[Channel], where: str) -> list[Fi
         if not channel.current_per_acceleration or "current" not in run.covariates:
             continue
         stimulus = run.covariates["current"] / channel.current_per_acceleration
-        measured = (run.observed[:, index] - channel.offset) / channel.scale_si
+        measured = _measured(run, index, channel)
         good = np.isfinite(measured) & (stimulus != 0)
         ratio = float(np.median(measured[good] / stimulus[good])) if good.any() else 1.0
         if _is_factor(ratio, 1000.0):

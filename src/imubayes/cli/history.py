@@ -47,7 +47,7 @@ def history(
     if export is not None:
         refuse_taken(export)
     if html is not None:
-        refuse_taken(html, but="<!doctype html>")
+        refuse_taken(html, but=lambda content: content.startswith(b"<!doctype html>"))
     if select is not None:
         select_node(select)
     tree = read(*folders)

@@ -62,12 +62,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except BrokenPipeError:
         return DONE
-    except OSError as error:
-        if os.environ.get("IMUBAYES_TRACEBACK") or not error.filename:
-            return _unforeseen(error)
-        return _refuse(_of_file(error))
     except Exception as error:
-        return _unforeseen(error)
+        if os.environ.get("IMUBAYES_TRACEBACK"):
+            raise
+        return _refuse(_of_file(error) if isinstance(error, OSError) and error.filename else _unforeseen(error))
     return status if isinstance(status, int) else DONE
 
 
@@ -97,16 +95,12 @@ def _of_file(error: OSError) -> Problem:
     )
 
 
-def _unforeseen(error: Exception) -> int:
-    if os.environ.get("IMUBAYES_TRACEBACK"):
-        raise error
-    return _refuse(
-        Problem(
-            f"an unforeseen fault: {type(error).__name__}: {error}",
-            "inside imubayes",
-            "",
-            "set IMUBAYES_TRACEBACK=1, run the command again and report what it prints",
-        )
+def _unforeseen(error: Exception) -> Problem:
+    return Problem(
+        f"an unforeseen fault: {type(error).__name__}: {error}",
+        "inside imubayes",
+        "",
+        "set IMUBAYES_TRACEBACK=1, run the command again and report what it prints",
     )
 
 

@@ -21,6 +21,7 @@ from imubayes.model.problem import Problem, prior_widths
 from imubayes.model.registry import Member, Registry
 from imubayes.model.specification import EffectSpec, ModelSpec
 from imubayes.model.tails import pseudo_values
+from imubayes.model.trial import try_out
 from imubayes.model.whitening import whiten, whitener
 from imubayes.parameters.parameter import Declared
 from imubayes.parameters.priors import Normal
@@ -160,6 +161,7 @@ def _extension(
     before: Fitted, spec: ModelSpec, registry: Registry, shape: Mapping[str, float], hints: Mapping[str, float]
 ) -> Extension:
     old, model = before.model, declare(spec, before.model.campaign, registry)
+    try_out(model.problem, model.assembly.acting, spec.files)
     null, new = model.layout.carried(old.layout, before.z, _nulls(model)), _new(old.layout, model.layout)
     h = model.hyper_layout.carried(old.hyper_layout, before.h)
     for place in np.flatnonzero(new).tolist():

@@ -121,8 +121,7 @@ def _refuse_unknown(effect: str, fitted: Fitted) -> None:
         raise InputError(
             Problem(f"'{effect}' is noise, not an effect", where, "an effect", "ask without it: noise is always judged")
         )
-    channels = [one.channels for one in fitted.model.spec.effects if one.name == effect]
-    if any(one is None for one in channels):
+    if any(one.name == effect and one.channels is None for one in fitted.model.spec.effects):
         raise InputError(
             Problem(
                 f"'{effect}' is in the model already",
@@ -379,11 +378,11 @@ def _sentence(verdict: str, found: Found, seen: Sequence[Resolution], telling: S
         also = f" {' and '.join((*others, *more))} would fit as well: these runs cannot tell." if others else ""
         return f"{group.leader.effect} is missing on {where}.{changes}{also}"
     if verdict == "unexplained_structure":
-        one = (found.left or found.structures)[0][0]
-        steps = [each for each, _ in (found.left or found.structures) if each.test == STEP]
-        if steps and _once(steps[0].channel, found.left or found.structures):
-            one = steps[0]
-            return f"The residual of {one.channel} has a {one.text}: no effect of the catalogue happens once."
+        structures = found.left or found.structures
+        one = structures[0][0]
+        step = next((each for each, _ in structures if each.test == STEP), None)
+        if step is not None and _once(step.channel, structures):
+            return f"The residual of {step.channel} has a {step.text}: no effect of the catalogue happens once."
         phrases = " and ".join(each.phrase for each in one.covariates)
         depends = (
             f"The residual of {one.channel} depends on {phrases} in a way that no effect of the catalogue explains."

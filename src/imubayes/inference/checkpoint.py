@@ -108,7 +108,7 @@ class Checkpoint:
     @property
     def steps(self) -> int:
         """Number of whole steps of all ensembles."""
-        return min(int(np.asarray(backend.iteration)) for backend in self.read())
+        return steps_in(self.path)
 
     def _beside(self) -> Path:
         return self.path.with_name(f"{self.path.name}.{os.getpid()}.tmp")

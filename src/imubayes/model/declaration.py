@@ -77,6 +77,7 @@ def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = Non
         with everything in the model that does not fit the campaign.
     """
     _refuse_unknown_procedures(campaign)
+    first = registry is None
     registry = (registry or Registry()).with_files(spec.files)
     spec = _with_implied(spec, campaign)
     nodes, entries = join_nodes(campaign), join_entries(campaign)
@@ -114,7 +115,7 @@ def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = Non
     make_room()  # what is compiled belongs to one structure, and each model declared may be another
     assembly = assemble(tuple(acting), belonging)
     problem = on_device(problem_of(assembly))
-    if spec.files:
+    if first:  # what is declared again, on simulated data say, has been tried
         try_out(problem, acting, spec.files)
     return Model(
         spec,

@@ -29,6 +29,8 @@ def try_out(problem: Problem, acting: Sequence[Acting], files: Sequence[str]) ->
         where a class of the user fails, or returns what is not one real number; it names file, line and fault.
     """
     own = [one.member for one in acting if _is_own(one, files)]
+    if not own:
+        return
     try:
         path = jax.eval_shape(lambda z: signal_path(problem, values_of(problem, z)), _like(problem.size[0]))
         nodes = len(problem.instants.stand)
@@ -38,8 +40,6 @@ def try_out(problem: Problem, acting: Sequence[Acting], files: Sequence[str]) ->
                 raise TypeError(f"the signal of a sample must be one real number, not {found.dtype}{found.shape[2:]}")
         jax.eval_shape(lambda z, h: log_density(problem, z, h), *map(_like, problem.size))
     except (Exception, SystemExit) as error:
-        if not own:
-            raise
         line = _line(error, files)
         names = ", ".join(member.__name__ for member in own)
         raise InputError(

@@ -14,7 +14,7 @@ from imubayes.criticism.history import mean_square
 from imubayes.report.display import pretty, readable
 from imubayes.report.folder import write_beside
 from imubayes.report.history_file import channel_errors
-from imubayes.report.rounding import significant, value_and_sd
+from imubayes.report.rounding import finite, significant, value_and_sd
 from imubayes.report.sheets import Cell, Sheet
 from imubayes.units import to_si
 
@@ -41,7 +41,7 @@ def found_line(summary: Facts, names: Sequence[str], delta_chi2: float) -> dict[
     """Return what the refit found: drop of chi² and the new parameters."""
     lines = [one for one in summary["parameters"] if one["name"] in names]
     coefficients = [{"name": o["name"], "value": o["mean"], "sd": o["sd"], "unit": o["unit"]} for o in lines]
-    return {"delta_chi2": delta_chi2 if np.isfinite(delta_chi2) else None, "coefficients": coefficients}
+    return {"delta_chi2": finite(delta_chi2), "coefficients": coefficients}
 
 
 def held_out_line(found: HeldOut | None) -> dict[str, Any]:
@@ -52,7 +52,7 @@ def held_out_line(found: HeldOut | None) -> dict[str, Any]:
     return {
         "by": found.by,
         "delta": found.gain,
-        "se": found.se if np.isfinite(found.se) else None,
+        "se": finite(found.se),
         "helped": found.helped,
         "of": len(found.gains),
         "verdict": found.verdict,

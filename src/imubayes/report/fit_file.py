@@ -21,6 +21,7 @@ from imubayes.model.declaration import Model, declare
 from imubayes.parameters.vector import Layout
 from imubayes.procedures import PROCEDURES
 from imubayes.report.reading import way_back
+from imubayes.report.rounding import finite
 from imubayes.run import Campaign
 
 FIT, MODEL = "fit.json", "model.toml"
@@ -58,7 +59,7 @@ def _places(campaign: Campaign, folder: Path) -> dict[str, str | None]:
 
 def _by_name(layout: Layout, z: np.ndarray) -> dict[str, float | None]:
     numbers = np.asarray(z).tolist()
-    return {name: value if math.isfinite(value) else None for name, value in zip(layout.names, numbers, strict=True)}
+    return {name: finite(value) for name, value in zip(layout.names, numbers, strict=True)}
 
 
 def read_record(folder: str | Path) -> dict[str, Any]:

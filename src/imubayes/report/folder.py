@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ def claim(folder: Path, resume: bool = False) -> None:
                     "choose another --out",
                 )
             )
-        if not resume and interrupted(folder):
+        if not resume and _interrupted(folder):
             raise InputError(
                 Problem(
                     "the folder holds a sampling that was interrupted",
@@ -50,7 +51,7 @@ def claim(folder: Path, resume: bool = False) -> None:
         folder.mkdir(parents=True, exist_ok=True)
 
 
-def interrupted(folder: Path) -> bool:
+def _interrupted(folder: Path) -> bool:
     """Tell whether a folder holds a sampling that no result has come of."""
     checkpoint, summary = folder / CHECKPOINT, folder / SUMMARY
     if not steps_in(checkpoint):
@@ -86,9 +87,9 @@ def write_result(folder: Path, fit: JointFit, summary: dict[str, Any], residuals
         shutil.rmtree(beside, ignore_errors=True)
 
 
-def refuse_taken(file: Path, but: str = "") -> None:
-    """Raise InputError where a file or folder is there already; one whose text begins with `but` may be replaced."""
-    if not file.exists() or (but and file.is_file() and file.read_bytes().startswith(but.encode())):
+def refuse_taken(file: Path, but: Callable[[bytes], bool] = lambda content: False) -> None:
+    """Raise InputError where a file or folder is there already, but for a file whose content may be replaced."""
+    if not file.exists() or (file.is_file() and but(file.read_bytes())):
         return
     raise InputError(
         Problem(
@@ -156,7 +157,6 @@ __all__ = [
     "CHECKPOINT",
     "SUMMARY",
     "claim",
-    "interrupted",
     "model_text",
     "read_fit",
     "read_summary",

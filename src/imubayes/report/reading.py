@@ -62,9 +62,13 @@ def read_stored(folder: str | Path) -> StoredResult:
 
 def way_back(folder: Path) -> str:
     """Return what to do where a folder holds no result."""
-    if (folder / CHECKPOINT).is_file():
+    if _only_begun(folder):
         return "its sampling was interrupted: run the same `imubayes fit` again with --resume"
     return "correct the path, or run the fit again"
+
+
+def _only_begun(folder: Path) -> bool:
+    return (folder / CHECKPOINT).is_file() and not (folder / SUMMARY).is_file()
 
 
 def damaged(file: Path, reason: object) -> Problem:
@@ -82,7 +86,7 @@ def _missing(folder: Path) -> list[Problem]:
         return [Problem("there is no such result folder", str(folder), listed, "name the folder given to --out")]
     if not folder.is_dir():
         return [Problem("this is a file, not a result folder", str(folder), allowed, "name the folder it lies in")]
-    if not (folder / SUMMARY).is_file() and (folder / CHECKPOINT).is_file():
+    if _only_begun(folder):
         return [Problem("there is no result yet", str(folder / SUMMARY), allowed, way_back(folder))]
     return [
         Problem(f"the result folder has no {name}", str(folder / name), allowed, _AGAIN)

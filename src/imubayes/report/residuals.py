@@ -13,7 +13,8 @@ from imubayes.inference.joint import JointFit
 from imubayes.inference.laplace import posterior_precision
 from imubayes.model.problem import Problem
 from imubayes.model.tails import pseudo_values
-from imubayes.model.whitening import whiten, whitener
+from imubayes.model.whitening import group_sum, whiten, whitener
+from imubayes.report.rounding import finite
 from imubayes.units import to_si
 
 _COVARIATES = {
@@ -58,11 +59,6 @@ class Residuals:
         ]
 
 
-def finite(value: float) -> float | None:
-    """Return a number, or None where a fit that went astray left none."""
-    return float(value) if math.isfinite(value) else None
-
-
 @eqx.filter_jit
 def _at_mode(problem: Problem, mode):
     """Return prediction, its standard deviation, the noise's and the whitened residual, each (E,)."""
@@ -76,7 +72,7 @@ def _at_mode(problem: Problem, mode):
 def noise_deviation(problem: Problem, by) -> jnp.ndarray:
     """Return the standard deviation of each entry's noise, what runs have in common included, shape (E,)."""
     weight = by.precision_root**2
-    direction = jnp.concatenate([by.direction**2, jnp.zeros(1)])[problem.observations.members].sum(axis=1)
+    direction = group_sum(by.direction**2, problem.observations)
     # shrink = (1 − 1/√(1 + T|u|²))/|u|² solved for T
     safe = jnp.where(direction > 0, direction, 1.0)
     shared = ((1 - by.shrink * direction) ** -2 - 1) / safe

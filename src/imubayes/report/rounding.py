@@ -98,3 +98,8 @@ def percent(share: float | None) -> str:
     if share >= 95:
         return f"{math.floor(share * 10) / 10:.1f} %"
     return f"{share:.0f} %"
+
+
+def finite(value: float) -> float | None:
+    """Return a number for JSON, None where it is none."""
+    return float(value) if math.isfinite(value) else None

@@ -16,7 +16,8 @@ from imubayes.inference.joint import JointFit
 from imubayes.inference.laplace import posterior_precision
 from imubayes.inference.posterior import in_units
 from imubayes.model.derived import derived_slopes
-from imubayes.report.residuals import Residuals, finite
+from imubayes.report.residuals import Residuals
+from imubayes.report.rounding import finite
 
 _INTERVAL = (2.5, 97.5)
 # A derived quantity that varies by less than this share of itself over the whole prior varies by rounding.
@@ -67,8 +68,7 @@ def _parameters(fit: JointFit) -> list[dict[str, Any]]:
         line = {"name": parameter.name, "unit": parameter.unit, **_numbers(draws, usable)}
         line["nuisance"] = parameter.nuisance
         line["map"] = float(best[place]) if usable else None
-        prior_sd = parameter.prior_sd
-        line["prior_sd"] = prior_sd if np.isfinite(prior_sd) else None
+        line["prior_sd"] = finite(parameter.prior_sd)
         line["from_data"] = _share(fit.points[:, place]) if usable else None
         for key in ("r_hat", "ess_bulk", "ess_tail"):
             line[key] = float(getattr(diagnosis, key)[place]) if diagnosis is not None else None

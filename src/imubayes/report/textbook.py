@@ -10,7 +10,7 @@ from typing import Any
 
 from imubayes.classical import Estimate, Finding, Undetermined
 from imubayes.report.display import pretty
-from imubayes.report.rounding import significant, value_and_sd
+from imubayes.report.rounding import finite, significant, value_and_sd
 from imubayes.report.sheets import Cell, Sheet
 
 Facts = Mapping[str, Any]
@@ -39,7 +39,7 @@ def _line(one: Estimate, joint: Mapping[str, Facts]) -> dict[str, Any]:
         "name": one.name,
         "run": one.run,
         "value": one.value,
-        "sd": one.sd if math.isfinite(one.sd) else None,
+        "sd": finite(one.sd),
         "unit": one.unit,
         "method": one.method,
         "decision": one.decision,

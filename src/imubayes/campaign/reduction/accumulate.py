@@ -51,6 +51,11 @@ class Row:
     missing: bool
     holes: bool
 
+    @property
+    def lost(self) -> bool:
+        """Whether no turn is whole between the holes: such a mean belongs to no angle."""
+        return self.holes and not self.turns
+
 
 def accumulate(
     batches: Iterable[Batch], spans: Sequence[Span], columns: Sequence[str], interval: float | None
@@ -107,10 +112,9 @@ class _SpanSum:
         self._dropped |= bool(partly.any())
         table = table[~partly]
         joined = np.concatenate([self._last[None, :], table])
-        turned = np.abs(self._expected_step(joined)) if self._rate is not None else np.zeros(len(table))
-        if self._rate is None and self._angle is not None:
-            turned = np.abs(np.diff(self._unwrapped(joined), prepend=self._angle_last))
-        holes = np.flatnonzero(self._lost(joined) & (turned > _HOLE))
+        by_angle = self._rate is None and self._angle is not None
+        turned = np.diff(self._unwrapped(joined), prepend=self._angle_last) if by_angle else self._expected_step(joined)
+        holes = np.flatnonzero(self._lost(joined) & (np.abs(turned) > _HOLE))
         for start, stop in pairwise((0, *holes.tolist(), len(table))):
             if start in holes:
                 self._end_stretch()

@@ -85,8 +85,7 @@ def _columns(columns: list[str], layout: Layout, reduced: list[Row]) -> dict[str
     mean = np.array([row.mean for row in reduced]).reshape(len(reduced), len(columns))
     sd = np.array([row.sd for row in reduced]).reshape(len(reduced), len(columns))
     numbers = {name: mean[:, index] for index, name in enumerate(columns)}
-    # Over less than a turn, with samples missing, a mean belongs to no angle.
-    lost = np.array([row.holes and not row.turns for row in reduced], dtype=bool)
+    lost = np.array([row.lost for row in reduced], dtype=bool)
     numbers |= {name: np.where(lost, np.nan, numbers[name]) for name in layout.channels}
     numbers |= {f"{name}_sd": sd[:, columns.index(name)] for name in layout.channels}
     numbers["samples"] = np.array([float(row.samples) for row in reduced])
@@ -113,9 +112,10 @@ def _unsteady(columns: list[str], reduced: list[Row]) -> tuple[int, ...]:
 
 def _account(rows: int, reduced: list[Row], how: str) -> tuple[str, ...]:
     used = sum(row.samples for row in reduced)
-    rest = sum(1 for row in reduced if row.swept == 0.0 and not row.holes)
+    lost = sum(1 for row in reduced if row.lost)
+    rest = sum(1 for row in reduced if row.swept == 0.0 and not row.lost)
     whole = sum(1 for row in reduced if row.turns)
-    part = sum(1 for row in reduced if row.swept != 0.0 and not row.turns and not row.holes)
+    part = len(reduced) - rest - whole - lost
     notes = [f"{rows} raw rows reduced to {len(reduced)} means {how}: {rest} at rest, {len(reduced) - rest} turning"]
     if rows > used:
         share = 100 * (rows - used) / rows
@@ -126,8 +126,7 @@ def _account(rows: int, reduced: list[Row], how: str) -> tuple[str, ...]:
     if whole:
         notes.append(f"means while turning cut to whole turns: {whole}")
     if any(row.holes for row in reduced):
-        kept = sum(1 for row in reduced if row.holes and row.turns)
-        lost = sum(1 for row in reduced if row.holes and not row.turns)
+        kept = sum(1 for row in reduced if row.holes and not row.lost)
         notes.append(
             f"samples are missing while the table turned: {kept} means are over the turns between the holes, "
             f"{lost} left out because no turn is whole"

@@ -3,12 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
 from imubayes.campaign.findings import Finding
-from imubayes.campaign.tumble.motion import coning, mean_readings, rotation_over, step_edges
-from imubayes.campaign.tumble.recording import Recording, body_vector, pose_means
+from imubayes.campaign.tumble.motion import step_edges
+from imubayes.campaign.tumble.recording import Recording, body_vectors, initial_mean, pose_means, turned_over
 from imubayes.campaign.tumble.static import Pose
 from imubayes.run import Channel
 
@@ -18,7 +19,7 @@ _APART = np.deg2rad(20.0)
 _BETTER = 0.3
 
 
-def check_axes(recording: Recording, poses: Sequence[Pose], channels: Sequence[Channel], file: str) -> list[Finding]:
+def check_axes(recording: Recording, poses: Sequence[Pose], channels: Sequence[Channel], file: Path) -> list[Finding]:
     """Compare gravity as the gyros carry it from pose to pose with what the accelerometers read there.
 
     A reversed accelerometer goes unseen in |f| = g, and a fit finds some other way to live with it.
@@ -27,8 +28,8 @@ def check_axes(recording: Recording, poses: Sequence[Pose], channels: Sequence[C
     if not apart > _APART:
         return []
     gyros = [place for place, channel in enumerate(channels) if channel.kind == "gyro"]
-    trials = [[place] for place, channel in enumerate(channels) if channel.kind in ("gyro", "accelerometer")]
-    left = [carried_apart(_with_reversed(recording, channels, trial, file), poses) for trial in (*trials, gyros)]
+    trials = [*([place] for place, one in enumerate(channels) if one.kind in ("gyro", "accelerometer")), gyros]
+    left = [carried_apart(_with_reversed(recording, channels, trial, file), poses) for trial in trials]
     best = int(np.argmin(left))
     what = (
         f"carried from pose to pose by the gyros, gravity ends {np.rad2deg(apart):.3g} deg from where the "
@@ -36,12 +37,12 @@ def check_axes(recording: Recording, poses: Sequence[Pose], channels: Sequence[C
     )
     allowed = "axes of one right-handed system, gyros and accelerometers alike"
     if left[best] < _BETTER * apart:
-        names = ", ".join(f"'{channels[place].name}'" for place in (*trials, gyros)[best])
+        names = ", ".join(f"'{channels[place].name}'" for place in trials[best])
         what += f"; with {names} reversed it is {np.rad2deg(left[best]):.2g} deg"
         remedy = f"check the sign of input_axis of {names}"
-        return [Finding("sign_reversed", "warning", "", what, file, allowed, remedy)]
+        return [Finding("sign_reversed", "warning", "", what, str(file), allowed, remedy)]
     remedy = "check input_axis of all channels: axes exchanged, or more than one reversed?"
-    return [Finding("axes_do_not_fit", "warning", "", what, file, allowed, remedy)]
+    return [Finding("axes_do_not_fit", "warning", "", what, str(file), allowed, remedy)]
 
 
 def carried_apart(recording: Recording, poses: Sequence[Pose]) -> float:
@@ -50,19 +51,14 @@ def carried_apart(recording: Recording, poses: Sequence[Pose]) -> float:
     angles = []
     for (before, f), (after, h) in pairwise(zip(poses, means, strict=True)):
         edges = step_edges(recording.time, recording.rate, before.stop - 1, after.start)
-        length, rate = mean_readings(recording.time, recording.rate, edges)
-        carried = rotation_over(rate, length, coning(recording.time, recording.rate, edges)).T @ f
+        carried = turned_over(recording, edges)[0].T @ f
         cosine = carried @ h / np.linalg.norm(carried) / np.linalg.norm(h)
         angles.append(np.arccos(np.clip(cosine, -1, 1)))
     return float(np.mean(angles)) if angles else 0.0
 
 
-def _with_reversed(recording: Recording, channels: Sequence[Channel], places: Sequence[int], file: str) -> Recording:
+def _with_reversed(recording: Recording, channels: Sequence[Channel], places: Sequence[int], file: Path) -> Recording:
     sign = np.ones(len(channels))
     sign[list(places)] = -1.0
-    signal = sign * (recording.readings - [c.offset for c in channels]) / [c.scale_si for c in channels]
-    rate = body_vector(signal, channels, "gyro", file)
-    rest = slice(recording.initial.start, recording.initial.stop)
-    return replace(
-        recording, force=body_vector(signal, channels, "accelerometer", file), rate=rate - rate[rest].mean(0)
-    )
+    force, rate = body_vectors(recording.readings, channels, file, sign)
+    return replace(recording, force=force, rate=rate - initial_mean(rate, recording.initial))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from imubayes.campaign.tumble.motion import coning, mean_readings, rotation_over
 from imubayes.campaign.tumble.static import Pose, Rest, initial_rest
 from imubayes.errors import InputError, Problem
 from imubayes.run import Channel
@@ -34,13 +35,10 @@ def record(
             Problem("the recording has fewer than 100 complete rows", str(file), "a raw log", "record for longer")
         )
     time, readings = time[used], readings[used]
-    signal = (readings - [c.offset for c in channels]) / [c.scale_si for c in channels]
-    force = body_vector(signal, channels, "accelerometer", file)
+    force, rate = body_vectors(readings, channels, file)
     interval = float(np.median(np.diff(time)))
     initial = initial_rest(force, interval, initial_seconds)
-    rate = body_vector(signal, channels, "gyro", file)
-    rate = rate - rate[initial.start : initial.stop].mean(0)
-    return Recording(time, readings, force, rate, initial, interval)
+    return Recording(time, readings, force, rate - initial_mean(rate, initial), initial, interval)
 
 
 def pose_means(values: np.ndarray, poses: Sequence[Pose]) -> np.ndarray:
@@ -48,7 +46,27 @@ def pose_means(values: np.ndarray, poses: Sequence[Pose]) -> np.ndarray:
     return np.array([values[pose.indices()].mean(0) for pose in poses]).reshape(len(poses), *values.shape[1:])
 
 
-def body_vector(signal: np.ndarray, channels: Sequence[Channel], kind: str, file: Path | str) -> np.ndarray:
+def initial_mean(rate: np.ndarray, initial: Rest) -> np.ndarray:
+    """Return the mean rate in the rest at the beginning: the gyros' bias, shape (3,)."""
+    return rate[initial.start : initial.stop].mean(0)
+
+
+def turned_over(recording: Recording, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rotation over the steps between edges, body after → body before, and its coning correction."""
+    length, rate = mean_readings(recording.time, recording.rate, edges)
+    correction = coning(recording.time, recording.rate, edges)
+    return rotation_over(rate, length, correction), correction
+
+
+def body_vectors(
+    readings: np.ndarray, channels: Sequence[Channel], file: Path, sign: np.ndarray | float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return force and rate in body axes by nominal numbers, (N, 3) each; `sign` is −1 for reversed channels, (C,)."""
+    signal = sign * (readings - [c.offset for c in channels]) / [c.scale_si for c in channels]
+    return _body(signal, channels, "accelerometer", file), _body(signal, channels, "gyro", file)
+
+
+def _body(signal: np.ndarray, channels: Sequence[Channel], kind: str, file: Path) -> np.ndarray:
     """Return the body vector that channels of one kind measure together, shape (N, 3)."""
     index = [i for i, channel in enumerate(channels) if channel.kind == kind]
     axes = np.array([channels[i].axes[0] for i in index]).reshape(len(index), 3)

@@ -11,8 +11,8 @@ from imubayes.campaign.columns import COVARIATE_COLUMNS
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.tumble.handed import check_axes
 from imubayes.campaign.tumble.magnitude import MagnitudeFit, fit_magnitude
-from imubayes.campaign.tumble.motion import coning, mean_readings, padded, rotation_over, step_edges
-from imubayes.campaign.tumble.recording import Recording, pose_means, record
+from imubayes.campaign.tumble.motion import mean_readings, padded, step_edges
+from imubayes.campaign.tumble.recording import Recording, pose_means, record, turned_over
 from imubayes.campaign.tumble.rotation import shortest
 from imubayes.campaign.tumble.static import Pose, find_rests, join_rests, unrest
 from imubayes.errors import InputError, Problem
@@ -84,7 +84,7 @@ def reduce_tumble(
     found = _findings(recording, detection, gravity, file)
     if not found:
         good = [pose for pose, bad in zip(detection.poses, flagged, strict=True) if not bad]
-        found = check_axes(recording, good, channels, str(file))
+        found = check_axes(recording, good, channels, file)
     return ReducedTumble(rows, tumble, notes, tuple(found))
 
 
@@ -127,9 +127,8 @@ def _tumble(recording: Recording, detection: Detection, flagged: np.ndarray) -> 
             recording.time, recording.rate, detection.poses[before].stop - 1, detection.poses[after].start
         )
         length, mean = mean_readings(recording.time, recording.readings, edges)
-        _, mean_rate = mean_readings(recording.time, recording.rate, edges)
-        correction = coning(recording.time, recording.rate, edges)
-        carried = attitude[before] @ rotation_over(mean_rate, length, correction)
+        rotation, correction = turned_over(recording, edges)
+        carried = attitude[before] @ rotation
         attitude[after] = shortest(carried @ level[after], UP) @ carried
         lengths.append(length)
         readings.append(mean)
