@@ -16,8 +16,8 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 from imubayes.campaign import load_campaign  # noqa: E402
-from imubayes.campaign.model_file import read_model  # noqa: E402
-from imubayes.model.declaration import Model, declare  # noqa: E402
+from imubayes.model.bind import Model, declare  # noqa: E402
+from imubayes.model.model_file import read_model  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
 RESULTS = Path(__file__).parent / "results"

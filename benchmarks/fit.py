@@ -15,13 +15,13 @@ from common import Report, in_words, once, seconds, trihedral
 from plain_numpy import PlainModel
 from scipy.optimize import least_squares
 
-from imubayes.inference.fit import find_mode, fit_at, fit_parameters
-from imubayes.inference.laplace import posterior_precision
 from imubayes.inference.least_squares import GramCholesky
-from imubayes.model.declaration import Model
+from imubayes.inference.nested_laplace import posterior_precision
+from imubayes.inference.posterior_mode import find_mode, fit_at, fit_parameters
+from imubayes.model.bind import Model
 from imubayes.model.likelihood import residuals
+from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import predict, predict_with_jacobian, prior_widths
-from imubayes.model.whitening import whiten, whitener
 
 COMPILED_BAR, PLAIN_BAR, SAME_WITHIN = 4.0, 20.0, 0.05
 _METHODS = ("trf", "lm")

@@ -26,10 +26,10 @@ import numpy as np
 from common import Report, require, trihedral
 from emcee.autocorr import integrated_time
 
-from imubayes.inference.fit import find_mode
-from imubayes.inference.laplace import NestedLaplace, nested_laplace, posterior_precision
-from imubayes.inference.moves import LaplaceMove, LaplaceProposal, LogDensity
-from imubayes.inference.sample import _SHORT_SHARE, _SHORT_STEP, Settings, _sampler, burn_in, walkers_for
+from imubayes.inference.ensemble_sampling import _SHORT_SHARE, _SHORT_STEP, Settings, _sampler, burn_in, walkers_for
+from imubayes.inference.laplace_move import LaplaceMove, LaplaceProposal, LogDensity
+from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace, posterior_precision
+from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.likelihood import log_density
 from imubayes.model.problem import Problem
 

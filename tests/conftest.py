@@ -23,7 +23,7 @@ settings.register_profile("tests", derandomize=True, deadline=None, max_examples
 settings.load_profile("tests")
 
 # Folders whose tests compile models of their own.
-HEAVY = ("readme", "criticism", "cli", "conformance", "inference", "model", "report")
+HEAVY = ("readme", "criticism", "cli", "conformance", "inference", "model", "display", "results")
 
 # What is imported from within a module under the hook is looked for as if it, too, had been compiled under it, and is
 # compiled anew: some 1400 modules, so they come first.

@@ -9,9 +9,9 @@ from functools import cache
 import numpy as np
 
 from imubayes.earth import normal_gravity
-from imubayes.model.declaration import Model, declare
+from imubayes.model.bind import Model, declare
+from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
-from imubayes.model.specification import EffectSpec, ModelSpec
 from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table, Tumble
 
 LATITUDE, HEIGHT = np.radians(34.25), 400.0

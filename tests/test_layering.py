@@ -7,17 +7,18 @@ import pytest
 
 SOURCE = Path(__file__).parents[1] / "src"
 FLOORS = (
-    ("errors", "units", "types", "indexing"),
+    ("errors", "units", "types", "gather", "frames", "earth"),
     ("parameters",),
-    ("earth", "frames", "stimulus", "run"),
-    ("procedures", "effects", "noise"),
+    ("covariates", "run", "stimulus"),
+    ("procedures", "classical"),
+    ("campaign",),
+    ("effects", "noise"),
     ("model",),
-    ("inference",),
-    ("criticism",),
-    ("campaign", "classical", "archive"),
-    ("report",),
-    ("loop",),
-    ("api", ""),
+    ("inference", "simulation"),
+    ("criticism", "archive"),
+    ("results",),
+    ("display",),
+    ("api", "loop", ""),
     ("cli",),
 )
 PLUGINS = ("procedures", "effects", "noise")
@@ -100,9 +101,9 @@ def test_the_sources_keep_the_rules():
 @pytest.mark.parametrize(
     ("sources", "complaint"),
     [
-        ({"imubayes.units": "from imubayes.model.forward import travel"}, "is above it"),
-        ({"imubayes.effects.base": "import imubayes.report.tables"}, "is above it"),
-        ({"imubayes.model.labels": "def f():\n    import imubayes.run"}, "inside a function"),
+        ({"imubayes.units": "from imubayes.model.signal_path import travel"}, "is above it"),
+        ({"imubayes.effects.base": "import imubayes.display.terminal_tables"}, "is above it"),
+        ({"imubayes.model.grouping": "def f():\n    import imubayes.run"}, "inside a function"),
         ({"imubayes.run": "f = 1\n" * 501}, "more than 500 lines"),
         ({"imubayes.effects.a": "from imubayes.effects.b import B"}, "do not know each other"),
         ({"imubayes.effects.a": "from imubayes.effects import b", "imubayes.effects.b": ""}, "do not know each other"),
@@ -119,7 +120,7 @@ def test_a_planted_fault_is_found(sources, complaint):
     [
         {"imubayes.cli.fit": "def fit():\n    from imubayes.api import fit"},
         {"imubayes.effects.a": "from imubayes.effects.base import Effect\nimport jax"},
-        {"imubayes.model.forward": "from imubayes.frames import compose"},
+        {"imubayes.model.signal_path": "from imubayes.frames import compose"},
     ],
 )
 def test_what_is_allowed_passes(sources):

@@ -127,7 +127,7 @@ def test_dimensions(one, other, same):
 def test_an_unknown_unit_is_refused_with_the_closest(unit, closest):
     with pytest.raises(InputError) as caught:
         to_si(unit, where="model.toml, line 3")
-    (problem,) = caught.value.problems
+    (problem,) = caught.value.issues
     assert problem.where == "model.toml, line 3"
     assert problem.allowed.startswith(closest)
     assert problem.remedy

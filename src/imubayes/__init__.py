@@ -23,10 +23,10 @@ _HOME = {
     "Result": ("imubayes.api", "Result"),
     "load_campaign": ("imubayes.campaign", "load_campaign"),
     "check_campaign": ("imubayes.campaign", "check_campaign"),
-    "load_model": ("imubayes.campaign.model_file", "read_model"),
-    "compare": ("imubayes.report.comparison", "compare"),
+    "load_model": ("imubayes.model.model_file", "read_model"),
+    "compare": ("imubayes.display.comparison", "compare"),
     "Campaign": ("imubayes.run", "Campaign"),
-    "Settings": ("imubayes.inference.sample", "Settings"),
+    "Settings": ("imubayes.inference.ensemble_sampling", "Settings"),
     "InputError": ("imubayes.errors", "InputError"),
 }
 

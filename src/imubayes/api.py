@@ -5,20 +5,21 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import imubayes.display.presentation  # noqa: F401  (records learn how to show themselves)
 from imubayes.campaign import load_campaign
-from imubayes.campaign.model_file import read_model
-from imubayes.criticism.verdict import Diagnosis, judge
+from imubayes.criticism.diagnosis import Diagnosis, judge
+from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fitted import Fitted
-from imubayes.inference.joint import joint_fit
-from imubayes.inference.sample import Settings
+from imubayes.inference.joint_fit import joint_fit
 from imubayes.loop import Addition, add, history, plant
-from imubayes.model.declaration import declare
-from imubayes.model.specification import ModelSpec
+from imubayes.model.bind import declare
+from imubayes.model.model_file import read_model
+from imubayes.model.model_spec import ModelSpec
 from imubayes.procedures import PROCEDURES
-from imubayes.report.fit_file import read_fit
-from imubayes.report.folder import CHECKPOINT, claim
-from imubayes.report.history_file import first_node, write_node
-from imubayes.report.result import Result, result_of
+from imubayes.results.fit_file import read_fit
+from imubayes.results.history_file import first_node, write_node
+from imubayes.results.result import Result, result_of
+from imubayes.results.result_folder import CHECKPOINT, claim
 from imubayes.run import Campaign
 
 

@@ -1,6 +1,6 @@
 """Named errors whose text an engineer can act on.
 
-Every complaint about an input is a `Problem` in four parts: what is wrong, where, what is allowed
+Every complaint about an input is a `Issue` in four parts: what is wrong, where, what is allowed
 (closest first) and what to do.  Problems are collected and raised together as one `InputError`, so
 that a campaign with five mistakes is mended in one go.  Numerical failure is not an exception but a
 value with a sentence (see `imubayes.inference`).
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Problem:
+class Issue:
     """One thing that is wrong with an input.
 
     Attributes
@@ -39,9 +39,9 @@ class Problem:
 class InputError(Exception):
     """An input that cannot be used; carries every problem found in it."""
 
-    def __init__(self, problems: Problem | Iterable[Problem]):
-        self.problems = (problems,) if isinstance(problems, Problem) else tuple(problems)
-        super().__init__("\n".join(str(problem) for problem in self.problems))
+    def __init__(self, issues: Issue | Iterable[Issue]):
+        self.issues = (issues,) if isinstance(issues, Issue) else tuple(issues)
+        super().__init__("\n".join(str(problem) for problem in self.issues))
 
 
 def closest_first(word: str, options: Iterable[str], most: int = 8) -> str:

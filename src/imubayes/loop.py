@@ -11,26 +11,26 @@ from pathlib import Path
 from typing import Any
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign.model_file import read_model
-from imubayes.criticism.confirm import found_delta_chi2, held_out, objection
-from imubayes.criticism.extend import Extension, extend
-from imubayes.criticism.history import Node, Tree, node_id
-from imubayes.criticism.plant import Size, Trials, plant_effects
-from imubayes.errors import InputError, Problem
+from imubayes.criticism.cross_validation import found_delta_chi2, held_out, objection
+from imubayes.criticism.injection_recovery import Size, Trials, plant_effects
+from imubayes.criticism.model_history import Node, Tree, node_id
+from imubayes.criticism.warm_start import Extension, extend
+from imubayes.display import addition_report as shown
+from imubayes.display.diagnosis_report import read_diagnosis, screened_candidate
+from imubayes.display.html import sheet_html
+from imubayes.errors import InputError, Issue
 from imubayes.inference.checkpoint import steps_in
+from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fitted import Fitted
-from imubayes.inference.joint import JointFit, joint_fit, model_hash
-from imubayes.inference.sample import Settings
-from imubayes.model.declaration import declare
-from imubayes.model.specification import ModelSpec
+from imubayes.inference.joint_fit import JointFit, joint_fit, model_hash
+from imubayes.model.bind import declare
+from imubayes.model.model_file import read_model
+from imubayes.model.model_spec import ModelSpec
 from imubayes.procedures import PROCEDURES
-from imubayes.report import addition as shown
-from imubayes.report.diagnosis import read_diagnosis, screened_candidate
-from imubayes.report.fit_file import FIT, campaign_hash, read_fit
-from imubayes.report.folder import CHECKPOINT, claim, read_summary, refuse_taken
-from imubayes.report.history_file import first_node, join, read_node, read_tree, write_node
-from imubayes.report.html import sheet_html
-from imubayes.report.result import Result, result_of
+from imubayes.results.fit_file import FIT, campaign_hash, read_fit
+from imubayes.results.history_file import first_node, join, read_node, read_tree, write_node
+from imubayes.results.result import Result, result_of
+from imubayes.results.result_folder import CHECKPOINT, claim, read_summary, refuse_taken
 from imubayes.run import Campaign
 
 Progress = Callable[[str], None]
@@ -123,7 +123,7 @@ def _free(out: Path, parent: Path | None) -> Path:
     """Return the folder to write; refuse one that already holds a result: no step overwrites another."""
     if (out / FIT).exists() or (parent is not None and out.resolve() == parent.resolve()):
         raise InputError(
-            Problem(
+            Issue(
                 "the folder holds a result already",
                 str(out),
                 "a folder that does not exist yet: each model tried keeps its own",
@@ -139,7 +139,7 @@ def _extension(
 ) -> Extension:
     if not all(map(bool, (abs(before.z) < float("inf")).tolist())):
         raise InputError(
-            Problem(
+            Issue(
                 f"there is no fit to go on from: {before.message}",
                 before.model.spec.where,
                 "a fit that converged",
@@ -263,7 +263,7 @@ def plant(
         fitted = read_fit(Path(result))
     elif campaign is None or model is None:
         raise InputError(
-            Problem("nothing to plant into", "plant", "a campaign with a model, or a result", "give one of the two")
+            Issue("nothing to plant into", "plant", "a campaign with a model, or a result", "give one of the two")
         )
     else:
         tell("fitting")

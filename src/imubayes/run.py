@@ -2,7 +2,7 @@
 
 A `Campaign` is one unit's set of runs.  A `Run` holds rows: each row is the mean of `samples` raw samples
 taken while the stimulus was what the covariates say.  These are plain frozen records of NumPy arrays; files
-and units are the business of `imubayes.campaign`, pictures and datasheet units of `imubayes.report`.
+and units are the business of `imubayes.campaign`, pictures and datasheet units of `imubayes.display`.
 """
 
 from collections.abc import Mapping

@@ -83,7 +83,7 @@ class Records(eqx.Module):
         return Records(self.node, self.place[chosen], self.begins, self.seconds, self.ambient)
 
 
-class Instants(eqx.Module):
+class Nodes(eqx.Module):
     """The nodes of all runs, one after the other.
 
     What lasts as long as a run or pose, its *stand*, is kept once: S stands serve N nodes, and the rotations of
@@ -113,9 +113,9 @@ class Instants(eqx.Module):
     injected: Float[Array, " N"]
     records: Records
 
-    def at(self, chosen: Array) -> "Instants":
+    def at(self, chosen: Array) -> "Nodes":
         """Return chosen nodes, with all stands."""
-        return Instants(
+        return Nodes(
             self.stands,
             self.stand_ambient,
             self.stand[chosen],
@@ -176,7 +176,7 @@ class SignalPath(eqx.Module):
     experience: dict[str, Experience]
     sample: dict[str, Sample]
     signal: dict[str, Float[Array, "N C"]]
-    instants: Instants | None = None
+    instants: Nodes | None = None
     records: Records | None = None
 
 

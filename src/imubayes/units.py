@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Mapping
 
-from imubayes.errors import InputError, Problem, closest_first
+from imubayes.errors import InputError, Issue, closest_first
 
 STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901; used only where no site is known
 
@@ -57,7 +57,7 @@ def _parse(unit: str, where: str, own: Mapping[str, float]) -> tuple[float, int,
             scale, gravity, exponents = _UNITS[name]
         else:
             raise InputError(
-                Problem(
+                Issue(
                     f"'{part}' is not a unit",
                     where or f"unit '{unit}'",
                     closest_first(part, _UNITS),

@@ -13,7 +13,7 @@ import pytest
 from small_files import MODEL, write_csv
 
 from imubayes.campaign import load_campaign, read_model_file
-from imubayes.errors import InputError, Problem
+from imubayes.errors import InputError, Issue
 
 Spoil = Callable[[Path], None]
 
@@ -211,7 +211,7 @@ MODELS: dict[str, tuple[str, str, str, str, str]] = {
 }  # fmt: skip
 
 
-def expect(problems: tuple[Problem, ...], what: str, where: str, allowed: str) -> None:
+def expect(problems: tuple[Issue, ...], what: str, where: str, allowed: str) -> None:
     fitting = [p for p in problems if what in p.what and re.search(where, p.where) and allowed in p.allowed]
     assert fitting, "\n".join(map(str, problems))
     for problem in problems:
@@ -229,7 +229,7 @@ def test_campaign(name: str, small: Path) -> None:
     spoil(small)
     with pytest.raises(InputError) as caught:
         load_campaign(small)
-    expect(caught.value.problems, what, where, allowed)
+    expect(caught.value.issues, what, where, allowed)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -239,23 +239,23 @@ def test_model_file(name: str, tmp_path: Path) -> None:
     (tmp_path / "m.toml").write_text(MODEL.replace(old, new, 1))
     with pytest.raises(InputError) as caught:
         read_model_file(tmp_path / "m.toml")
-    expect(caught.value.problems, what, where, allowed)
+    expect(caught.value.issues, what, where, allowed)
 
 
 def test_no_such_campaign(small: Path) -> None:
     with pytest.raises(InputError) as caught:
         load_campaign(small.parent / "smell")
-    expect(caught.value.problems, "no folder", "smell", "small")
+    expect(caught.value.issues, "no folder", "smell", "small")
     with pytest.raises(InputError) as caught:
         load_campaign(small.parent)
-    expect(caught.value.problems, "no file", "campaign.toml", "small")
+    expect(caught.value.issues, "no file", "campaign.toml", "small")
 
 
 def test_model_file_missing(tmp_path: Path) -> None:
     (tmp_path / "base.toml").write_text(MODEL)
     with pytest.raises(InputError) as caught:
         read_model_file(tmp_path / "bass.toml")
-    expect(caught.value.problems, "no file", "bass.toml", "base.toml")
+    expect(caught.value.issues, "no file", "bass.toml", "base.toml")
 
 
 def test_all_problems_at_once(small: Path) -> None:
@@ -263,7 +263,7 @@ def test_all_problems_at_once(small: Path) -> None:
         CAMPAIGNS[name][0](small)
     with pytest.raises(InputError) as caught:
         load_campaign(small)
-    assert len(caught.value.problems) == 3
+    assert len(caught.value.issues) == 3
 
 
 def test_files_and_references_at_once(small: Path) -> None:
@@ -271,7 +271,7 @@ def test_files_and_references_at_once(small: Path) -> None:
         CAMPAIGNS[name][0](small)
     with pytest.raises(InputError) as caught:
         load_campaign(small)
-    assert len(caught.value.problems) == 4
+    assert len(caught.value.issues) == 4
 
 
 def test_structure_and_data_at_once(small: Path) -> None:
@@ -279,7 +279,7 @@ def test_structure_and_data_at_once(small: Path) -> None:
         CAMPAIGNS[name][0](small)
     with pytest.raises(InputError) as caught:
         load_campaign(small)
-    assert len(caught.value.problems) == 6
+    assert len(caught.value.issues) == 6
 
 
 def test_injected_current_in_amperes(small: Path) -> None:

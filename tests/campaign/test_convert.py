@@ -137,7 +137,7 @@ def test_refusals_leave_nothing_behind(tmp_path: Path, change: dict, text: str) 
     kind, files, out = call.pop("kind"), [tmp_path / f for f in call.pop("files")], tmp_path / call.pop("out")
     with pytest.raises(InputError, match=text) as caught:
         convert(kind, files, out, **call)
-    assert all(problem.where and problem.remedy for problem in caught.value.problems)
+    assert all(problem.where and problem.remedy for problem in caught.value.issues)
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -147,13 +147,13 @@ def test_problems_are_placed_in_the_recording_and_its_options(tmp_path: Path) ->
     log = write_log(tmp_path / "unit.log", columns)
     with pytest.raises(InputError) as caught:
         convert("six-column", [log], tmp_path / "c", sample_rate_hz=100, latitude_deg=200.0, temperature_degC=1000.0)
-    places = [problem.where for problem in caught.value.problems]
+    places = [problem.where for problem in caught.value.issues]
     assert {"option latitude_deg", "option temperature_degC"} <= set(places)
     columns["ax"][40] = 0.0
     columns["gy"][41] = np.inf
     with pytest.raises(InputError) as caught:
         convert("six-column", [write_log(log, columns)], tmp_path / "c", sample_rate_hz=100)
-    assert [problem.where for problem in caught.value.problems] == [f"{log}, reading 42, column 'gy'"]
+    assert [problem.where for problem in caught.value.issues] == [f"{log}, reading 42, column 'gy'"]
     assert not (tmp_path / "c").exists()
 
 

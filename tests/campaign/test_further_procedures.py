@@ -50,7 +50,7 @@ def campaign(tmp_path):
 def refused(campaign, *args, **more):
     with pytest.raises(InputError) as caught:
         campaign(*args, **more)
-    return [problem.what for problem in caught.value.problems]
+    return [problem.what for problem in caught.value.issues]
 
 
 # directions

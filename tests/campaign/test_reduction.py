@@ -9,11 +9,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from imubayes.campaign.columns import Layout
 from imubayes.campaign.reduction import BlockBuilder, SegmentTracker, Span, constant_spans, reduce_log
-from imubayes.campaign.reduction import blocks as blocks_module
-from imubayes.campaign.reduction.accumulate import accumulate
-from imubayes.campaign.tables import TableSource
+from imubayes.campaign.reduction import block_survey as blocks_module
+from imubayes.campaign.reduction.span_means import accumulate
+from imubayes.campaign.run_columns import ColumnLayout
+from imubayes.campaign.run_tables import TableSource
 
 
 def reduce_columns(tmp_path: Path, columns: dict, procedure: str = "rate_table"):
@@ -22,7 +22,7 @@ def reduce_columns(tmp_path: Path, columns: dict, procedure: str = "rate_table")
     texts = tuple(name for name in columns if name == "segment")
     numbers = tuple(name for name in columns if name not in texts)
     channels = tuple(name for name in numbers if name in ("g", "a"))
-    source = TableSource(file, Layout(tuple(columns), numbers, texts, channels, ()))
+    source = TableSource(file, ColumnLayout(tuple(columns), numbers, texts, channels, ()))
     builder, tracker = BlockBuilder(numbers), SegmentTracker()
     rows = 0
     for batch in source:
@@ -227,8 +227,8 @@ def test_batches_do_not_matter(sizes: list[int]) -> None:
     batches = []
     for start, end in zip([0, *stop[:-1]], [*stop[:-1], len(log["g"])], strict=True):
         numbers = {name: values[start:end] for name, values in log.items()}
-        batches.append(blocks_module.Batch(int(start), int(end - start), numbers, {}, {}))
-    whole = [blocks_module.Batch(0, len(log["g"]), log, {}, {})]
+        batches.append(blocks_module.RowBatch(int(start), int(end - start), numbers, {}, {}))
+    whole = [blocks_module.RowBatch(0, len(log["g"]), log, {}, {})]
     spans = [Span(3, 95), Span(110, 200, True), Span(215, 305, True)]
     for one, other in zip(accumulate(batches, spans, names, 0.2), accumulate(whole, spans, names, 0.2), strict=True):
         np.testing.assert_allclose(one.mean, other.mean, rtol=1e-12)
@@ -238,7 +238,7 @@ def test_batches_do_not_matter(sizes: list[int]) -> None:
 
 def test_merged_blocks_find_the_same_spans(monkeypatch: pytest.MonkeyPatch) -> None:
     log = rate_log()
-    batch = blocks_module.Batch(0, len(log["g"]), log, {}, {})
+    batch = blocks_module.RowBatch(0, len(log["g"]), log, {}, {})
 
     def spans_with(most: int) -> list[Span]:
         monkeypatch.setattr(blocks_module, "MOST_BLOCKS", most)

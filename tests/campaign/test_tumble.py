@@ -9,10 +9,10 @@ from small_files import GRAVITY
 from tumble_files import NAMES, channels, tumble_log
 
 from imubayes.campaign import check_campaign
-from imubayes.campaign.tumble import reduce_tumble
-from imubayes.campaign.tumble.magnitude import fit_magnitude
-from imubayes.campaign.tumble.motion import coning, mean_readings, rotation_over, step_edges
-from imubayes.campaign.tumble.rotation import exponential, logarithm, shortest
+from imubayes.campaign.free_tumble import reduce_tumble
+from imubayes.campaign.free_tumble.magnitude_calibration import fit_magnitude
+from imubayes.campaign.free_tumble.pose_transitions import coning, mean_readings, rotation_over, step_edges
+from imubayes.campaign.free_tumble.rotation import exponential, logarithm, shortest
 
 DESK = Path(__file__).parents[2] / "data" / "desk-imu"
 

@@ -4,7 +4,7 @@ import numpy as np
 from small_files import GRAVITY
 
 from imubayes.campaign.equipment import complete_axes
-from imubayes.campaign.tumble.rotation import exponential, shortest
+from imubayes.campaign.free_tumble.rotation import exponential, shortest
 from imubayes.run import Channel
 
 NAMES = ("ax", "ay", "az", "gx", "gy", "gz")

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.inference.fit import find_mode
-from imubayes.model.declaration import Model, declare
-from imubayes.model.instants import join_nodes
+from imubayes.inference.posterior_mode import find_mode
+from imubayes.model.bind import Model, declare
+from imubayes.model.effect_registry import Registry
+from imubayes.model.nodes import join_nodes
 from imubayes.model.problem import predict
-from imubayes.model.registry import Registry
 from imubayes.run import Campaign
 from small_campaign import (
     campaign,

@@ -7,7 +7,7 @@ import recover
 
 from imubayes.effects.base import Decay, Order, RecordEffect, SignalEffect, Stage
 from imubayes.errors import InputError
-from imubayes.model.registry import Registry
+from imubayes.model.effect_registry import Registry
 from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, TailNoise
 from imubayes.parameters.parameter import option, parameter
 from imubayes.stimulus import Ambient, Sample

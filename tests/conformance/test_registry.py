@@ -9,12 +9,12 @@ import pytest
 import recover
 import tomlkit
 
-from imubayes.campaign.model_file import read_model
 from imubayes.effects.base import Effect
-from imubayes.model.declaration import declare
+from imubayes.model.bind import declare
+from imubayes.model.effect_registry import Registry
+from imubayes.model.model_file import read_model
+from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
-from imubayes.model.registry import Registry
-from imubayes.model.specification import EffectSpec, ModelSpec
 from imubayes.noise.base import Noise
 from imubayes.parameters.parameter import declared_options, declared_parameters
 from imubayes.stimulus import AMBIENT_NAMES

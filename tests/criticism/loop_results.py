@@ -3,8 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
-from imubayes.campaign.model_file import read_model
-from imubayes.model.specification import ModelSpec
+from imubayes.model.model_file import read_model
+from imubayes.model.model_spec import ModelSpec
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGN = ROOT / "data" / "accel-channel"

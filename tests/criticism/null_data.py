@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign.model_file import read_model
-from imubayes.inference.fit import find_mode
 from imubayes.inference.fitted import Fitted
-from imubayes.model.declaration import Model, declare
+from imubayes.inference.posterior_mode import find_mode
+from imubayes.model.bind import Model, declare
+from imubayes.model.model_file import read_model
 from imubayes.model.problem import predict
 from imubayes.noise.base import EntryNoise
 from imubayes.procedures import PROCEDURES

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from null_data import fitted_to, refitted, with_values
 
-import imubayes.criticism.extend as extend_module
-from imubayes.criticism.confirm import found_delta_chi2
-from imubayes.criticism.extend import extend
+import imubayes.criticism.warm_start as extend_module
+from imubayes.criticism.cross_validation import found_delta_chi2
+from imubayes.criticism.warm_start import extend
 from imubayes.model.problem import predict
 
 HALF_WIDTH = 60.0  # ug, three times the standard deviation of its prior

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from imubayes.criticism.confirm import groups
-from imubayes.model.declaration import declare
+from imubayes.criticism.cross_validation import groups
+from imubayes.model.bind import declare
 from small_campaign import spec, tumble_campaign, wide_campaign
 
 

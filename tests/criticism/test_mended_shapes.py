@@ -5,11 +5,11 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from imubayes.criticism.groups import group
+from imubayes.criticism.diagnosis import _resembles
+from imubayes.criticism.equivalent_effects import group
 from imubayes.criticism.projection import Projection, Strata
-from imubayes.criticism.screen import Candidate, Explained
-from imubayes.criticism.search import Found, Look
-from imubayes.criticism.verdict import _resembles
+from imubayes.criticism.score_test import Candidate, Explained
+from imubayes.criticism.stepwise_search import Found, Look
 
 RATE = np.linspace(-1.0, 1.0, 201)
 

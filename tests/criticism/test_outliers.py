@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from null_data import fitted_to, redrawn, refitted, with_values
 
-import imubayes.criticism.search as search_module
-from imubayes.criticism.candidates import respond
-from imubayes.criticism.confirm import groups, predict_left_out
-from imubayes.criticism.noise import entries_of, screen_noise
+import imubayes.criticism.stepwise_search as search_module
+from imubayes.criticism.candidate_effects import respond
+from imubayes.criticism.cross_validation import groups, predict_left_out
+from imubayes.criticism.diagnosis import judge
+from imubayes.criticism.noise_tests import entries_of, screen_noise
 from imubayes.criticism.outliers import in_a_row
 from imubayes.criticism.projection import project
-from imubayes.criticism.verdict import judge
 from imubayes.inference.fitted import Fitted
-from imubayes.inference.precision import linearise
-from imubayes.model.declaration import declare
-from imubayes.model.specification import EffectSpec
-from imubayes.model.whitening import noise_law
+from imubayes.inference.posterior_precision import linearise
+from imubayes.model.bind import declare
+from imubayes.model.model_spec import EffectSpec
+from imubayes.model.noise_covariance import noise_law
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from imubayes.api import Result, add, diagnose, fit
 from imubayes.campaign.convert import convert
-from imubayes.campaign.model_file import read_model
+from imubayes.model.model_file import read_model
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "data"
 MODELS = Path(__file__).parents[2] / "models"

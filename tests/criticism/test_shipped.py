@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from null_data import fitted_to
 
-from imubayes.criticism.verdict import judge
+from imubayes.criticism.diagnosis import judge
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS = sorted(folder.name for folder in (ROOT / "data").glob("hidden-*"))

@@ -9,7 +9,7 @@ from scipy import stats
 
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.convergence import diagnose, nested_r_hat
-from imubayes.inference.sample import Settings, sample
+from imubayes.inference.ensemble_sampling import Settings, sample
 
 REFERENCE = Path(__file__).parents[2] / ".." / "shared" / "reference" / "posteriordb"
 NAMES = ("a", "b")

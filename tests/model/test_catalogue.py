@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imubayes.model.declaration import Model, declare
+from imubayes.model.bind import Model, declare
 from imubayes.model.problem import predict
 from small_campaign import ACCEL_SCALE, ARCSEC, DEGREE, GRAVITY, GYRO_SCALE, LATITUDE, spec, wide_campaign
 

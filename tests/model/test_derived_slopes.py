@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.model.declaration import declare
-from imubayes.model.derived import derive, derive_many, derived_slopes
+from imubayes.model.bind import declare
+from imubayes.model.derived_quantities import derive, derive_many, derived_slopes
 from imubayes.model.problem import values_of
 from small_campaign import campaign, spec
 

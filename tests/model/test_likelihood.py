@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from imubayes.inference.precision import knowledge, linearise
-from imubayes.inference.simulation import simulate
-from imubayes.model.declaration import Model, declare
+from imubayes.inference.posterior_precision import knowledge, linearise
+from imubayes.model.bind import Model, declare
 from imubayes.model.likelihood import entry_log_likelihood, log_density, residuals
+from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import predict, predict_with_jacobian, prior_widths
-from imubayes.model.whitening import whiten, whitener
+from imubayes.simulation.simulate import simulate
 from small_campaign import campaign, full_model, simulated, spec, tumble_campaign
 
 

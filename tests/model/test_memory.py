@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imubayes.effects.base import Decay, Play, put_together
-from imubayes.model.declaration import Model, declare
+from imubayes.model.bind import Model, declare
 from imubayes.model.problem import predict
 from imubayes.procedures.base import rate_of_change
 from small_campaign import DEGREE, GYRO_SCALE, spec, tumble_campaign, wide_campaign

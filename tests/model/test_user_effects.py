@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from imubayes.errors import InputError
-from imubayes.model.declaration import declare
+from imubayes.model.bind import declare
+from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
-from imubayes.model.specification import EffectSpec, ModelSpec
 from small_campaign import campaign
 
 SOURCE = '''
@@ -68,7 +68,7 @@ def test_a_file_that_cannot_be_used_is_refused(tmp_path, text, what):
         file.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
         declare(model_of("gyro_bias", files=(file,)), campaign())
-    (problem,) = caught.value.problems
+    (problem,) = caught.value.issues
     assert what in problem.what
     assert str(file) in problem.where
     assert problem.remedy
@@ -97,7 +97,7 @@ def test_a_class_that_fails_is_named_before_anything_is_fitted(tmp_path, returne
     file.write_text(SOURCE.replace("signal + self.asymmetry * jnp.abs(sample.rate[0])", returned), encoding="utf-8")
     with pytest.raises(InputError) as caught:
         declare(model_of("gyro_bias", "house_asymmetry", files=(file,)), campaign())
-    (problem,) = caught.value.problems
+    (problem,) = caught.value.issues
     assert what in problem.what
     assert str(file) in problem.where
     assert "HouseAsymmetry" in problem.where or ":20, in apply" in problem.where

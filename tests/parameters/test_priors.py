@@ -115,7 +115,7 @@ def test_text_becomes_a_prior_in_si(text, unit, expected):
 def test_what_is_no_prior_is_refused_in_four_parts(text, unit, what, allowed):
     with pytest.raises(InputError) as caught:
         parse_prior(text, unit, 9.8, "model.toml, line 7", {"noise": 1.0})
-    (problem,) = caught.value.problems
+    (problem,) = caught.value.issues
     assert what in problem.what
     assert problem.where == "model.toml, line 7"
     assert allowed in problem.allowed

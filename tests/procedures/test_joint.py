@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign.model_file import read_model
 from imubayes.classical import Estimate, classical
-from imubayes.inference.fit import find_mode
-from imubayes.inference.laplace import posterior_precision
-from imubayes.model.declaration import declare
+from imubayes.inference.nested_laplace import posterior_precision
+from imubayes.inference.posterior_mode import find_mode
+from imubayes.model.bind import declare
+from imubayes.model.model_file import read_model
 from imubayes.model.problem import predict, predict_with_jacobian
 from imubayes.procedures import PROCEDURES
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from imubayes.errors import InputError
-from imubayes.inference.planned import candidates
+from imubayes.inference.candidate_runs import candidate_runs
 from imubayes.procedures import PROCEDURES
 from imubayes.run import Campaign, Run
 from imubayes.stimulus import Stimulus
@@ -107,7 +107,7 @@ def test_a_tumble_without_its_turns_is_refused():
     among = tumble_campaign()
     with pytest.raises(InputError) as caught:
         stimulus(replace(among.runs[0], tumble=None), among)
-    assert "tumble" in caught.value.problems[0].where
+    assert "tumble" in caught.value.issues[0].where
 
 
 @pytest.mark.parametrize("name", PROCEDURES)
@@ -158,7 +158,7 @@ def test_a_covariate_with_gaps_is_not_supplied():
 
 def test_a_run_to_come_has_no_angle_of_a_driven_table():
     """Read where a gyro drives the table, nowhere else: a candidate run would stand for the record of the servo."""
-    planned = candidates(driven_campaign())[1]
+    planned = candidate_runs(driven_campaign())[1]
     assert planned
     for one in planned:
         assert np.isnan(one.run.observed[:, 1]).all()

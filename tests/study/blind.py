@@ -87,8 +87,8 @@ def draw_and_judge(kind: str, seed: int, folder: Path | None = None) -> Line:
 def mode_of(campaign: Path, model: Path) -> Any:
     """Return the fit alone, without what else is reported of one: that is compiled anew for many plans."""
     from imubayes.campaign import load_campaign
-    from imubayes.campaign.model_file import read_model
-    from imubayes.model.declaration import declare
+    from imubayes.model.bind import declare
+    from imubayes.model.model_file import read_model
     from imubayes.procedures import PROCEDURES
 
     declared = declare(read_model(model), load_campaign(campaign, tuple(PROCEDURES)))
@@ -99,8 +99,8 @@ def mode_from(declared: Any, z: np.ndarray, h: np.ndarray) -> Any:
     """Return the fit of a declared model, started from a point."""
     import jax.numpy as jnp
 
-    from imubayes.inference.fit import find_mode, message
     from imubayes.inference.fitted import Fitted
+    from imubayes.inference.posterior_mode import find_mode, message
 
     mode = find_mode(declared.problem, jnp.asarray(z), jnp.asarray(h))
     return Fitted(declared, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged), message(mode))
@@ -108,7 +108,7 @@ def mode_from(declared: Any, z: np.ndarray, h: np.ndarray) -> Any:
 
 def diagnosed(fitted: Any, effect: str = "") -> Document:
     """Return what the diagnosis says, of all or of one effect, without the tail of the ranking."""
-    from imubayes.criticism.verdict import judge
+    from imubayes.criticism.diagnosis import judge
 
     document = json.loads(json.dumps(judge(fitted, effect=effect).json))
     document["ranking"] = document.get("ranking", [])[: None if effect else 12]
@@ -118,7 +118,7 @@ def diagnosed(fitted: Any, effect: str = "") -> Document:
 def diagnosed_as_white(fitted: Any) -> Document | None:
     """Planted fault: return the diagnosis without a look at the noise; None where that cannot be asked."""
     try:
-        with mock.patch("imubayes.criticism.search.screen_noise", return_value=[]):
+        with mock.patch("imubayes.criticism.stepwise_search.screen_noise", return_value=[]):
             return diagnosed(fitted)
     except AttributeError:
         return None
@@ -176,7 +176,7 @@ def second_step(fitted: Any, document: Document, planted: list[dict[str, Any]]) 
 
 def extended_mode(fitted: Any, found: dict[str, Any]) -> Any:
     """Return the fit with one effect more, as `imubayes add` begins it."""
-    from imubayes.criticism.extend import extend
+    from imubayes.criticism.warm_start import extend
 
     shape = {f"{found['effect']}.{field}": value for field, value in found["shape"].items()}
     hints = {one["name"]: one["value"] for one in found["coefficients"]}
@@ -193,11 +193,11 @@ def start_worker() -> None:
     sys.path.insert(0, str(ROOT / "data" / "generators"))
     import jax
 
-    import imubayes.criticism.verdict
-    import imubayes.report.result
+    import imubayes.criticism.diagnosis
+    import imubayes.results.result
 
-    imubayes.report.result.next_runs = lambda *_: []
-    imubayes.criticism.verdict.separating_run = lambda *_: None
+    imubayes.results.result.next_runs = lambda *_: []
+    imubayes.criticism.diagnosis.separating_run = lambda *_: None
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax-study"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

@@ -18,10 +18,10 @@ import jax
 import numpy as np
 
 from imubayes.campaign import load_campaign
-from imubayes.campaign.model_file import read_model
-from imubayes.inference.joint import joint_fit
-from imubayes.inference.sample import Settings
-from imubayes.model.declaration import declare
+from imubayes.inference.ensemble_sampling import Settings
+from imubayes.inference.joint_fit import joint_fit
+from imubayes.model.bind import declare
+from imubayes.model.model_file import read_model
 from imubayes.procedures import PROCEDURES
 
 jax.config.update("jax_enable_x64", True)

@@ -4,9 +4,14 @@
 and `convert` makes campaigns of foreign recordings.
 """
 
-from imubayes.campaign.findings import FINDINGS, Finding
-from imubayes.campaign.readers import Inspection, check_campaign, inspect_campaign, load_campaign, read_model_file
-from imubayes.campaign.schema import (
+from imubayes.campaign.campaign_reader import (
+    Inspection,
+    check_campaign,
+    inspect_campaign,
+    load_campaign,
+    read_model_file,
+)
+from imubayes.campaign.file_schemas import (
     PROCEDURE_NAMES,
     CampaignFile,
     EffectEntry,
@@ -14,6 +19,7 @@ from imubayes.campaign.schema import (
     campaign_schema,
     model_schema,
 )
+from imubayes.campaign.findings import FINDINGS, Finding
 
 __all__ = [
     "FINDINGS",

@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from imubayes.campaign.columns import COVARIATE_COLUMNS, NEEDS_TABLE, TEXT_COLUMNS, Layout
-from imubayes.campaign.directions import DIRECTION_COLUMNS
+from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.findings import Finding
-from imubayes.campaign.schema import RunEntry
+from imubayes.campaign.geographic_directions import DIRECTION_COLUMNS
+from imubayes.campaign.run_columns import COVARIATE_COLUMNS, NEEDS_TABLE, TEXT_COLUMNS, ColumnLayout
 from imubayes.run import Channel, Run, Tumble
 from imubayes.units import to_si
 
@@ -69,7 +69,7 @@ def build_run(
     )
 
 
-def unused_columns(layout: Layout, procedure: str, run: str, where: str) -> list[Finding]:
+def unused_columns(layout: ColumnLayout, procedure: str, run: str, where: str) -> list[Finding]:
     """Name the columns that are understood but take no part in the rows."""
     used = {"segment", *(DIRECTION_COLUMNS if procedure == "geographic_tumble" else ())}
     unused = [name for name in TEXT_COLUMNS if layout.has(name) and name not in used]

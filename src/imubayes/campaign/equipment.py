@@ -9,8 +9,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from imubayes.campaign.documents import Ledger
-from imubayes.campaign.schema import ChannelEntry, MountingEntry, SiteEntry, TableEntry
+from imubayes.campaign.file_schemas import ChannelEntry, MountingEntry, SiteEntry, TableEntry
+from imubayes.campaign.toml_documents import Ledger
 from imubayes.earth import normal_gravity
 from imubayes.run import Channel, Mounting, Site, Table
 from imubayes.units import to_si
@@ -99,7 +99,7 @@ def complete_axes(input_axis: np.ndarray, output_axis: np.ndarray | None) -> np.
 
 
 def _channel(entry: ChannelEntry, path: tuple[str, int], gravity: float, ledger: Ledger) -> Channel | None:
-    before = len(ledger.problems)
+    before = len(ledger.issues)
     input_axis = np.array(entry.input_axis, dtype=float)
     output_axis = None if entry.output_axis is None else np.array(entry.output_axis, dtype=float)
     if np.linalg.norm(input_axis) < 1e-9:
@@ -125,7 +125,7 @@ def _channel(entry: ChannelEntry, path: tuple[str, int], gravity: float, ledger:
             ", ".join(_ALLOWED_PER[entry.kind]),
             "correct 'per' or 'kind'",
         )
-    if len(ledger.problems) > before:
+    if len(ledger.issues) > before:
         return None
     current = entry.current_mA_per_g
     return Channel(

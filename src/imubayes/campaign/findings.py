@@ -7,7 +7,7 @@ campaign from loading; warnings travel with it as notes.
 from dataclasses import dataclass
 from typing import Literal
 
-from imubayes.errors import Problem
+from imubayes.errors import Issue
 
 Severity = Literal["error", "warning"]
 
@@ -56,9 +56,9 @@ class Finding:
     allowed: str
     remedy: str
 
-    def problem(self) -> Problem:
+    def problem(self) -> Issue:
         """Return the finding as a complaint."""
-        return Problem(f"{self.name}: {self.what}", self.where, self.allowed, self.remedy)
+        return Issue(f"{self.name}: {self.what}", self.where, self.allowed, self.remedy)
 
     def __str__(self) -> str:
         return f"{self.name} ({self.severity}) in run '{self.run}': {self.what} [{self.where}]"

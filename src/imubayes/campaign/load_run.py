@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from imubayes.campaign.build_run import build_run, unused_columns
-from imubayes.campaign.checks import check_log, check_rows
-from imubayes.campaign.columns import lay_out
-from imubayes.campaign.directions import DIRECTION_COLUMNS, attitudes
+from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.findings import Finding
-from imubayes.campaign.monitor import Monitor
-from imubayes.campaign.reduction import BlockBuilder, Blocks, SegmentTracker, Span, reduce_log
-from imubayes.campaign.schema import RunEntry
-from imubayes.campaign.tables import TableSource, read_header
-from imubayes.campaign.tumble import reduce_tumble
-from imubayes.errors import InputError, Problem
+from imubayes.campaign.free_tumble import reduce_tumble
+from imubayes.campaign.geographic_directions import DIRECTION_COLUMNS, attitudes
+from imubayes.campaign.physical_checks import check_log, check_rows
+from imubayes.campaign.reduction import BlockBuilder, BlockSurvey, SegmentTracker, Span, reduce_log
+from imubayes.campaign.run_columns import lay_out
+from imubayes.campaign.run_tables import TableSource, read_header
+from imubayes.campaign.stream_checks import Monitor
+from imubayes.errors import InputError, Issue
 from imubayes.run import Channel, Mounting, Run, Site, Table
 
 
@@ -39,19 +39,19 @@ class Loaded:
     """What came of one run: the run where it is usable, problems of the file, findings in the data."""
 
     run: Run | None = None
-    problems: list[Problem] = field(default_factory=list)
+    issues: list[Issue] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
 
     @property
     def failed(self) -> bool:
         """Whether something is wrong that stops the campaign."""
-        return bool(self.problems) or any(finding.severity == "error" for finding in self.findings)
+        return bool(self.issues) or any(finding.severity == "error" for finding in self.findings)
 
 
 @dataclass(frozen=True)
 class _Survey:
     rows: int
-    blocks: Blocks | None
+    blocks: BlockSurvey | None
     labelled: list[Span] | None
     findings: list[Finding]
 
@@ -68,12 +68,12 @@ def load_run(file: Path, entry: RunEntry, channel_names: Sequence[str], equipmen
     """
     loaded = Loaded()
     try:
-        layout, loaded.problems = lay_out(read_header(file), channel_names, entry.ignore, entry.procedure, str(file))
-        if loaded.problems:
+        layout, loaded.issues = lay_out(read_header(file), channel_names, entry.ignore, entry.procedure, str(file))
+        if loaded.issues:
             return loaded
         _load(loaded, TableSource(file, layout), entry, equipment)
     except InputError as error:
-        loaded.problems += error.problems
+        loaded.issues += error.issues
     return loaded
 
 
@@ -148,7 +148,7 @@ def _load_tumble(source: TableSource, entry: RunEntry, equipment: Equipment) -> 
     layout = source.layout
     if layout.reduced:
         raise InputError(
-            Problem(
+            Issue(
                 "a free tumble is given as means, without the motion between its poses",
                 f"{source.file}, column 'samples'",
                 "a raw log: time_s and one column per channel",

@@ -43,12 +43,12 @@ def add(
     from imubayes.cli.session import progress, start_jax
 
     start_jax()
-    from imubayes.errors import InputError, Problem
+    from imubayes.errors import InputError, Issue
 
     if not effects:
-        raise InputError(Problem("no effect is named", "command line", "imubayes effects lists them", "name one"))
+        raise InputError(Issue("no effect is named", "command line", "imubayes effects lists them", "name one"))
+    from imubayes.display.terminal import print_addition
     from imubayes.loop import add as add_effects
-    from imubayes.report.terminal import print_addition
 
     with progress() as tell:
         addition = add_effects(to, effects, out, split(channels), sample, seed, tell)

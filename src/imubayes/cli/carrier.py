@@ -20,9 +20,9 @@ def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) 
         Result folder of a fit of the same campaign, whose biases are subtracted first.
     """
     from imubayes.campaign import load_campaign
+    from imubayes.display.carrier_motion import fitted_biases, rotating_run, write_carrier
     from imubayes.procedures import PROCEDURES
-    from imubayes.report.carrier import fitted_biases, rotating_run, write_carrier
-    from imubayes.report.folder import read_summary
+    from imubayes.results.result_folder import read_summary
 
     loaded = load_campaign(campaign, tuple(PROCEDURES))
     chosen = rotating_run(loaded, run)

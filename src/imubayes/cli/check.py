@@ -20,7 +20,7 @@ def check(campaign: Path, *, model: Path | None = None, json_output: bool = Fals
         Print one JSON object on standard output.
     """
     from imubayes.campaign import inspect_campaign
-    from imubayes.report.inspection import inspection_json, print_inspection
+    from imubayes.display.check_report import inspection_json, print_inspection
 
     inspection = inspect_campaign(campaign)
     declared = None
@@ -28,8 +28,8 @@ def check(campaign: Path, *, model: Path | None = None, json_output: bool = Fals
         from imubayes.cli.session import start_jax
 
         start_jax()
-        from imubayes.campaign.model_file import read_model
-        from imubayes.model.declaration import declare
+        from imubayes.model.bind import declare
+        from imubayes.model.model_file import read_model
 
         declared = declare(read_model(model), inspection.campaign)
     if json_output:

@@ -23,17 +23,17 @@ def classical(campaign: Path, *, result: Path | None = None, as_json: Json = Fal
     """
     from imubayes.campaign import load_campaign
     from imubayes.classical import classical as evaluate
-    from imubayes.errors import InputError, Problem
+    from imubayes.display.classical_comparison import textbook_json
+    from imubayes.display.terminal import print_textbook
+    from imubayes.errors import InputError, Issue
     from imubayes.procedures import PROCEDURES
-    from imubayes.report.fit_file import read_record
-    from imubayes.report.folder import read_summary
-    from imubayes.report.terminal import print_textbook
-    from imubayes.report.textbook import textbook_json
+    from imubayes.results.fit_file import read_record
+    from imubayes.results.result_folder import read_summary
 
     loaded = load_campaign(campaign, tuple(PROCEDURES))
     if result is not None and read_record(result)["data_hash"] != loaded.digest:
         raise InputError(
-            Problem(
+            Issue(
                 f"the result is not of the campaign '{loaded.name}' as it is now",
                 str(result),
                 f"the result of a fit of {campaign}",

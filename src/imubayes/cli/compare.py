@@ -15,8 +15,8 @@ def compare(result: Path, *, parameters: list[str] | None = None) -> int:
     parameters
         Names for the corner plot; by default the mounting angles and scale factors that matter most.
     """
-    from imubayes.report.comparison import compare as compare_result
-    from imubayes.report.terminal import print_comparison
+    from imubayes.display.comparison import compare as compare_result
+    from imubayes.display.terminal import print_comparison
 
     comparison = compare_result(result, parameters=parameters)
     print_comparison(comparison.runs, comparison.textbook, comparison.pictures)

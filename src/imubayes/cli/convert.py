@@ -77,14 +77,14 @@ def convert(
         Serial number of the unit.
     """
     from imubayes.campaign.convert import convert as convert_recording
-    from imubayes.errors import InputError, Problem
+    from imubayes.errors import InputError, Issue
 
     columns = {}
     for word in column or []:
         key, equals, source = word.partition("=")
         if not (key and equals and source):
             raise InputError(
-                Problem(
+                Issue(
                     f"'{word}' is not COLUMN=SOURCE",
                     "option --column",
                     "such as gx=imu.gyro.x or gx=4",

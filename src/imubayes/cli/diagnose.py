@@ -34,9 +34,9 @@ def diagnose(
 
     start_jax()
     from imubayes.api import diagnose as find_missing
-    from imubayes.report.diagnosis import found_class, write_diagnosis
-    from imubayes.report.figures.save import save_telling
-    from imubayes.report.terminal import print_diagnosis
+    from imubayes.display.diagnosis_report import found_class, write_diagnosis
+    from imubayes.display.figures.save import save_telling
+    from imubayes.display.terminal import print_diagnosis
 
     with progress() as tell:
         tell("looking for what is missing")

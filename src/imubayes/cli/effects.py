@@ -21,7 +21,7 @@ def effects(name: str | None = None, *, campaign: Annotated[Path | None, Paramet
     from imubayes.cli.session import start_jax
 
     start_jax()
-    from imubayes.report.catalogue import print_catalogue, print_effect, print_observable
+    from imubayes.display.effect_catalogue import print_catalogue, print_effect, print_observable
 
     if campaign is not None:
         from imubayes.campaign import load_campaign

@@ -43,7 +43,7 @@ def fit(
 
     start_jax()
     from imubayes.api import fit as fit_campaign
-    from imubayes.report.terminal import print_summary
+    from imubayes.display.terminal import print_summary
 
     with progress() as tell:
         result = fit_campaign(campaign, model, out, sample=sample, seed=seed, resume=resume, progress=tell)

@@ -32,17 +32,17 @@ def history(
         Print one JSON object on standard output.
     """
     from imubayes.cli.session import start_jax
-    from imubayes.errors import InputError, Problem
+    from imubayes.errors import InputError, Issue
 
     folders = [*results, *([select] if select is not None and not results else [])]
     if not folders:
-        raise InputError(Problem("no result is named", "command line", "result folders", "name at least one"))
+        raise InputError(Issue("no result is named", "command line", "result folders", "name at least one"))
     start_jax()
+    from imubayes.display.history_table import history_json, print_history
     from imubayes.loop import export as export_model
     from imubayes.loop import history as read
-    from imubayes.report.folder import refuse_taken
-    from imubayes.report.history_file import select as select_node
-    from imubayes.report.history_table import history_json, print_history
+    from imubayes.results.history_file import select as select_node
+    from imubayes.results.result_folder import refuse_taken
 
     if export is not None:
         refuse_taken(export)
@@ -54,8 +54,8 @@ def history(
     if export is not None:
         export_model(folders[0], export)
     if html is not None:
-        from imubayes.report.folder import write_beside
-        from imubayes.report.history_page import history_page
+        from imubayes.display.history_page import history_page
+        from imubayes.results.result_folder import write_beside
 
         write_beside(html, history_page(tree))
     if as_json:

@@ -21,7 +21,7 @@ from imubayes.cli.history import history
 from imubayes.cli.plant import plant
 from imubayes.cli.schema import schema
 from imubayes.cli.simulate import simulate
-from imubayes.errors import InputError, Problem, closest_first
+from imubayes.errors import InputError, Issue, closest_first
 
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 _RARELY = 100_000
@@ -54,7 +54,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     try:
         status = app(arguments, exit_on_error=False, print_error=False)
     except InputError as error:
-        return _refuse(*error.problems)
+        return _refuse(*error.issues)
     except cyclopts.CycloptsError as error:
         return _refuse(_of_command_line(error))
     except KeyboardInterrupt:
@@ -69,25 +69,25 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return status if isinstance(status, int) else DONE
 
 
-def _refuse(*problems: Problem) -> int:
-    print("\n\n".join(str(problem) for problem in problems), file=sys.stderr)
-    if len(problems) > 1:
-        print(f"\n{len(problems)} problems found; nothing was written", file=sys.stderr)
+def _refuse(*issues: Issue) -> int:
+    print("\n\n".join(str(problem) for problem in issues), file=sys.stderr)
+    if len(issues) > 1:
+        print(f"\n{len(issues)} problems found; nothing was written", file=sys.stderr)
     return UNUSABLE
 
 
-def _of_command_line(error: cyclopts.CycloptsError) -> Problem:
+def _of_command_line(error: cyclopts.CycloptsError) -> Issue:
     names = [command.__name__ for command in _COMMANDS]
     words = [word for word in (getattr(error, "unused_tokens", None) or []) if isinstance(word, str)]
     known = words[0] if words else ""
     allowed = closest_first(known, names) if isinstance(error, cyclopts.UnknownCommandError) else "see --help"
-    return Problem(
+    return Issue(
         str(error).strip().splitlines()[0], "command line", allowed, "imubayes COMMAND --help shows an example"
     )
 
 
-def _of_file(error: OSError) -> Problem:
-    return Problem(
+def _of_file(error: OSError) -> Issue:
+    return Issue(
         f"the file system refuses: {error.strerror or error}",
         str(error.filename2 or error.filename),
         "a place that can be read, or written where something is to be written there",
@@ -95,8 +95,8 @@ def _of_file(error: OSError) -> Problem:
     )
 
 
-def _unforeseen(error: Exception) -> Problem:
-    return Problem(
+def _unforeseen(error: Exception) -> Issue:
+    return Issue(
         f"an unforeseen fault: {type(error).__name__}: {error}",
         "inside imubayes",
         "",

@@ -50,9 +50,9 @@ def plant(
     from imubayes.cli.session import progress, start_jax
 
     start_jax()
-    from imubayes.criticism.plant import Size
+    from imubayes.criticism.injection_recovery import Size
+    from imubayes.display.terminal import print_trials
     from imubayes.loop import plant as plant_effects
-    from imubayes.report.terminal import print_trials
 
     with progress() as tell:
         trials = plant_effects(

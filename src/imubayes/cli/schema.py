@@ -15,7 +15,7 @@ def schema(kind: Literal["campaign", "model"]) -> int:
     kind
         Which file.
     """
-    from imubayes.campaign.schema import campaign_schema, model_schema
+    from imubayes.campaign.file_schemas import campaign_schema, model_schema
 
     json.dump(campaign_schema() if kind == "campaign" else model_schema(), sys.stdout, indent=1)
     print()

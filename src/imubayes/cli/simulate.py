@@ -20,7 +20,7 @@ def simulate(plan: Path, *, out: Path, seed: int | None = None) -> int:
     from imubayes.cli.session import start_jax
 
     start_jax()
-    from imubayes.campaign.simulate import simulate_plan
+    from imubayes.simulation.simulated_campaign import simulate_plan
 
     folder = simulate_plan(plan, out, seed)
     print(f"campaign in {folder}, truth in {folder / 'truth.toml'}; next: imubayes check {folder}")

@@ -5,15 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from imubayes.criticism.covariates import Covariate
-from imubayes.criticism.noise import entries_of
+from imubayes.criticism.noise_tests import entries_of
 from imubayes.criticism.projection import Projection
-from imubayes.inference.fit import Mode
-from imubayes.inference.laplace import posterior_precision
-from imubayes.inference.precision import deviations
-from imubayes.model.declaration import Model
+from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.inference.nested_laplace import posterior_precision
+from imubayes.inference.posterior_mode import Mode
+from imubayes.inference.posterior_precision import deviations
+from imubayes.model.bind import Model
+from imubayes.model.noise_covariance import noise_law
 from imubayes.model.problem import Problem
-from imubayes.model.whitening import noise_law
 
 # A reading is far off beyond so many standard deviations, told by the median of their sizes over that of a normal law.
 _FAR_OFF, _MEDIAN_OF_NORMAL = 5.0, 0.6745
@@ -69,7 +69,7 @@ def distances(problem: Problem, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
     return misfit / np.sqrt(own), misfit / np.sqrt(variance)
 
 
-def gathered(projection: Projection, far: np.ndarray, known: Sequence[Covariate]) -> bool:
+def gathered(projection: Projection, far: np.ndarray, known: Sequence[ResidualCovariate]) -> bool:
     """Tell whether readings that are far off, (E,) bool, gather at one value of a covariate, in more than one run.
 
     A row counts once, however many of its channels are far off: what happens once happens to all of them.

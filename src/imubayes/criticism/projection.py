@@ -16,9 +16,9 @@ import numpy as np
 import scipy.linalg
 
 from imubayes.inference.fitted import Fitted
+from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Observations, Problem, prior_widths
-from imubayes.model.tails import pseudo_values
-from imubayes.model.whitening import whiten, whitener
+from imubayes.model.robust_likelihood import pseudo_values
 
 # A run offset counts as noise of its own where it widens the mean of its run by more than this factor in variance.
 _OFFSET_MATTERS = 1.2
@@ -122,7 +122,7 @@ class Turn:
     """From entries to rows: whiten, then turn each group's common direction into its first row.
 
     `members` are the groups' entries, `series` the same in the order of time, both (G, M) and padded with E; `extra`
-    (optional) is a further whitening of the entries, see `imubayes.criticism.noise`.
+    (optional) is a further whitening of the entries, see `imubayes.criticism.noise_tests`.
     """
 
     problem: Problem
@@ -166,7 +166,7 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
 
     Parameters
     ----------
-    misfit, jacobian : shapes (E,) and (E, P), as of `imubayes.criticism.candidates.respond`.
+    misfit, jacobian : shapes (E,) and (E, P), as of `imubayes.criticism.candidate_effects.respond`.
     extra : a further whitening of the entries.
     offsets : whether run offsets count as noise of their own although the model does not say so.
     """

@@ -28,7 +28,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from imubayes.indexing import take
+from imubayes.gather import take
 from imubayes.run import Kind
 from imubayes.stimulus import Ambient, Experience, Motion, Records, Sample, SignalPath
 from imubayes.types import Array, Float, Scalar, Scalars

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 from emcee.backends import HDFBackend
 
-from imubayes.errors import InputError, Problem
+from imubayes.errors import InputError, Issue
 
 _WORDS = {
     "data": "the data have changed",
@@ -56,15 +56,13 @@ class Checkpoint:
     def check(self) -> None:
         """Raise InputError unless the file belongs to this fit."""
         if not self.path.is_file():
-            raise InputError(
-                Problem("there is nothing to resume", str(self.path), "a checkpoint", "leave --resume out")
-            )
+            raise InputError(Issue("there is nothing to resume", str(self.path), "a checkpoint", "leave --resume out"))
         try:
             with h5py.File(self.path, "r") as file:
                 found = {key: str(file.attrs.get(key, "")) for key in self.fingerprints}
         except OSError as error:
             raise InputError(
-                Problem(
+                Issue(
                     f"the checkpoint cannot be read ({error})",
                     str(self.path),
                     "a checkpoint written by this command",
@@ -74,7 +72,7 @@ class Checkpoint:
         changed = [key for key, value in self.fingerprints.items() if found[key] != value]
         if changed:
             raise InputError(
-                Problem(
+                Issue(
                     "the checkpoint is of another fit: " + "; ".join(_WORDS.get(key, key) for key in changed),
                     str(self.path),
                     "the same data, model, parameter order, seed and ensemble size",

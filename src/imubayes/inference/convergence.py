@@ -16,7 +16,7 @@ NESTED_R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Convergence:
     """Convergence of every parameter.
 
     Attributes
@@ -33,7 +33,7 @@ class Diagnosis:
     message: str
 
 
-def diagnose(chain: np.ndarray, log_density: np.ndarray, names: Sequence[str]) -> Diagnosis:
+def diagnose(chain: np.ndarray, log_density: np.ndarray, names: Sequence[str]) -> Convergence:
     """Return the verdict on chains.
 
     Parameters
@@ -66,7 +66,7 @@ def diagnose(chain: np.ndarray, log_density: np.ndarray, names: Sequence[str]) -
         if not size[least] >= EFFECTIVE_SIZE:
             faults.append(f"{what} effective size of {names[least]} is {size[least]:.0f}, below {EFFECTIVE_SIZE:.0f}")
     message = "The sampling did not converge: " + "; ".join(faults) + "." if faults else ""
-    return Diagnosis(r_hat, bulk, tail, not faults, message)
+    return Convergence(r_hat, bulk, tail, not faults, message)
 
 
 def nested_r_hat(chain: np.ndarray) -> np.ndarray:

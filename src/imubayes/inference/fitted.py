@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.model.declaration import Model
+from imubayes.model.bind import Model
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,13 @@ import numpy as np
 
 from imubayes.earth import earth_rate
 from imubayes.effects.base import Effect, MotionEffect, RecordEffect, Stage
-from imubayes.model.forward import Channels, EffectLayer
-from imubayes.model.instants import KINDS, Nodes, records_of
-from imubayes.model.labels import Belonging
-from imubayes.model.members import Acting
+from imubayes.model.bound_effects import BoundEffect
+from imubayes.model.grouping import Belonging
+from imubayes.model.nodes import KINDS, NodeTable, records_of
+from imubayes.model.signal_path import Channels, EffectLayer
 from imubayes.parameters.vector import Layout
 from imubayes.run import Campaign
-from imubayes.stimulus import Ambient, Instants, Motion
+from imubayes.stimulus import Ambient, Motion, Nodes
 from imubayes.types import Array
 
 
@@ -30,15 +30,15 @@ class Assembly:
     instants : all nodes.
     """
 
-    acting: tuple[Acting, ...]
+    acting: tuple[BoundEffect, ...]
     belonging: Belonging
     layout: Layout
     hyper_layout: Layout
     nulls: np.ndarray
     channels: dict[str, Channels]
-    instants: Instants
+    instants: Nodes
 
-    def effect_layers(self, one: Acting, chosen: np.ndarray | None) -> list[EffectLayer]:
+    def effect_layers(self, one: BoundEffect, chosen: np.ndarray | None) -> list[EffectLayer]:
         """Return the layers of an effect at chosen nodes; None stands for one node that belongs to no run.
 
         What acts on stands is laid out over all stands, what has a memory over all nodes, whatever the nodes.
@@ -63,7 +63,7 @@ class Assembly:
         return layers
 
     def _places(
-        self, one: Acting, field: str, belonging: Belonging, names: list[str], places: dict[str, int]
+        self, one: BoundEffect, field: str, belonging: Belonging, names: list[str], places: dict[str, int]
     ) -> np.ndarray:
         """Return the places of one field's values: (1 or N, 1 or C), or (1 or N,) for effects on the motion."""
         null = len(self.layout) + int(np.searchsorted(self.nulls, one.declared[field].null))
@@ -80,7 +80,7 @@ class Assembly:
         return place if names else place[:, 0]
 
 
-def assemble(acting: tuple[Acting, ...], belonging: Belonging) -> Assembly:
+def assemble(acting: tuple[BoundEffect, ...], belonging: Belonging) -> Assembly:
     """Return the assembly of effects on a campaign."""
     campaign = belonging.campaign
     return Assembly(
@@ -104,7 +104,7 @@ def _channels(campaign: Campaign, kind: str) -> Channels:
     )
 
 
-def _instants(campaign: Campaign, nodes: Nodes) -> Instants:
+def _instants(campaign: Campaign, nodes: NodeTable) -> Nodes:
     stimulus, first = nodes.stimulus, nodes.stand_node
     count, still = len(first), np.zeros(len(first))
     referenced = np.any(stimulus.reference_rate[first] != 0, axis=1)
@@ -119,7 +119,7 @@ def _instants(campaign: Campaign, nodes: Nodes) -> Instants:
         gravity=np.tile([0.0, 0.0, campaign.site.gravity], (count, 1)),
         earth_rate=np.where(referenced[:, None], 0.0, earth_rate(campaign.site.latitude)),
     )
-    return Instants(
+    return Nodes(
         stands=stands,
         stand_ambient=Ambient(**{name: values[first] for name, values in stimulus.ambient.items()}),
         stand=nodes.stand,
@@ -134,9 +134,9 @@ def _instants(campaign: Campaign, nodes: Nodes) -> Instants:
     )
 
 
-def _at(nodes: Nodes, chosen: np.ndarray) -> Nodes:
+def _at(nodes: NodeTable, chosen: np.ndarray) -> NodeTable:
     """Return what labels need to know of chosen nodes."""
-    return Nodes(
+    return NodeTable(
         nodes.stimulus,
         nodes.run[chosen],
         nodes.pose[chosen],
@@ -149,7 +149,7 @@ def _at(nodes: Nodes, chosen: np.ndarray) -> Nodes:
     )
 
 
-def _nowhere(nodes: Nodes) -> Nodes:
+def _nowhere(nodes: NodeTable) -> NodeTable:
     """Return one node that belongs to no run and no pose."""
     one = _at(nodes, np.zeros(1, dtype=int))
     return replace(one, run=np.array([-1]), pose=np.array([-1]))

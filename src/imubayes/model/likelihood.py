@@ -2,16 +2,16 @@
 
 With θ in z (prior: standard normal) and hyperparameters h in z, the log density is
 −½ |r|² − ½ log det Σ(h) + const with r = [L⁻¹(y − f(θ)), (z_θ)/s(h), z_h]; s(h) is 1 except for parameters whose prior
-width is itself learnt.  Under heavy tails r is that of the straightened problem (`imubayes.model.tails`).
+width is itself learnt.  Under heavy tails r is that of the straightened problem (`imubayes.model.robust_likelihood`).
 """
 
 import equinox as eqx
 import jax.numpy as jnp
 
+from imubayes.model.noise_covariance import group_sum, inverse_covariance, noise_law, whiten, whitener
 from imubayes.model.problem import Problem, predict, prior_widths
-from imubayes.model.student import normaliser, of_tail, square
-from imubayes.model.tails import pseudo_values, straightened
-from imubayes.model.whitening import group_sum, inverse_covariance, noise_law, whiten, whitener
+from imubayes.model.robust_likelihood import pseudo_values, straightened
+from imubayes.model.student_t import normaliser, of_tail, square
 from imubayes.types import Array, Float, Scalar
 
 

@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.indexing import in_batches, take
-from imubayes.model.closure import Transitions, closing_rotations
-from imubayes.model.forward import Channels, Layer, start, travel
-from imubayes.model.servo import Servos, servo_angles
+from imubayes.gather import in_batches, take
+from imubayes.model.attitude_closure import Transitions, closing_rotations
+from imubayes.model.servo_ode import Servos, servo_angles
+from imubayes.model.signal_path import Channels, Layer, start, travel
 from imubayes.noise.base import Entry, Noise
 from imubayes.parameters.vector import Priors
-from imubayes.stimulus import Instants, SignalPath
+from imubayes.stimulus import Nodes, SignalPath
 from imubayes.types import Array, Bool, Float, Int
 
 # Points that are predicted at once: more would leave much of a batch unused where a few are asked for.
@@ -106,7 +106,7 @@ class Problem(eqx.Module):
     spread_unit : shape (P,), width of the parameter's own prior, SI.
     """
 
-    instants: Instants
+    instants: Nodes
     channels: dict[str, Channels]
     layers: tuple[Layer, ...]
     transitions: Transitions | None

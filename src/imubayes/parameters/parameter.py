@@ -16,7 +16,7 @@ class Declared:
     prior : default prior, as written in a model file.
     typical : smallest and largest magnitude met in practice, in `unit`.
     meaning : a phrase that completes "this is …".
-    equipment : name of the equipment fact (see `imubayes.model.declaration`) that replaces the default prior's
+    equipment : name of the equipment fact (see `imubayes.model.bind`) that replaces the default prior's
         width where the campaign states it, or empty.
     null : the value, in SI, at which the effect does nothing.
     per : what a value belongs to, where that differs from the effect's own `per`.

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtr, ndtri
 from scipy import special
 
-from imubayes.errors import InputError, Problem, closest_first
+from imubayes.errors import InputError, Issue, closest_first
 from imubayes.types import Array, Float, Scalar
 from imubayes.units import same_dimension, to_si
 
@@ -183,7 +183,7 @@ def _parse_prior(text: str, unit: str, gravity: float, where: str, known: tuple[
 
     def refuse(what: str, allowed: str) -> InputError:
         example = f"normal(0, 1 {unit})" if unit != "1" else "normal(0, 1)"
-        return InputError(Problem(what, where, allowed, f"write the prior like {example}"))
+        return InputError(Issue(what, where, allowed, f"write the prior like {example}"))
 
     form = _FORM.match(text)
     if form is None:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.indexing import take
+from imubayes.gather import take
 from imubayes.parameters.priors import Prior
 from imubayes.types import Array, Float, Int
 

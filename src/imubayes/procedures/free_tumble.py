@@ -10,7 +10,7 @@ equipments", ICRA 2014.
 
 import numpy as np
 
-from imubayes.errors import InputError, Problem
+from imubayes.errors import InputError, Issue
 from imubayes.procedures.base import Procedure, ambient_of
 from imubayes.run import Campaign, Run
 from imubayes.stimulus import Stimulus
@@ -26,7 +26,7 @@ class FreeTumble(Procedure):
     def stimulus(self, run: Run, campaign: Campaign) -> Stimulus:
         if run.tumble is None:
             raise InputError(
-                Problem(
+                Issue(
                     "this free tumble has no rotations between its poses",
                     f"run '{run.name}'",
                     "a raw log of all channels with time_s",

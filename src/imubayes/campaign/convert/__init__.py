@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.campaign.columns import NEEDS_TABLE
-from imubayes.campaign.convert.counts import nominal_of_counts
-from imubayes.campaign.convert.options import ACCEL_UNITS, GYRO_UNITS, ConvertOptions, read_options
-from imubayes.campaign.convert.recordings import GYROS, KINDS, SIX, Columns
-from imubayes.campaign.convert.write import refuse_occupied, write_campaign
+from imubayes.campaign.convert.campaign_writer import refuse_occupied, write_campaign
+from imubayes.campaign.convert.count_scaling import nominal_of_counts
+from imubayes.campaign.convert.recording_formats import GYROS, KINDS, SIX, Columns
+from imubayes.campaign.convert.recording_options import ACCEL_UNITS, GYRO_UNITS, ConvertOptions, read_options
+from imubayes.campaign.run_columns import NEEDS_TABLE
 from imubayes.earth import normal_gravity
-from imubayes.errors import InputError, Problem, closest_first
+from imubayes.errors import InputError, Issue, closest_first
 
 RECORDING = "runs/recording.csv"
 DEFAULT_LATITUDE = 45.0
@@ -46,7 +46,7 @@ def convert(kind: str, files: Sequence[str | Path], out: str | Path, **options: 
     """
     if kind not in KINDS:
         raise InputError(
-            Problem(f"'{kind}' is no kind of recording", "KIND", closest_first(kind, KINDS), "use one of these kinds")
+            Issue(f"'{kind}' is no kind of recording", "KIND", closest_first(kind, KINDS), "use one of these kinds")
         )
     chosen = read_options(options)
     folder = Path(out)

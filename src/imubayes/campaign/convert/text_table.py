@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.campaign.convert.options import DELIMITERS
-from imubayes.errors import InputError, Problem, closest_first
+from imubayes.campaign.convert.recording_options import DELIMITERS
+from imubayes.errors import InputError, Issue, closest_first
 
 _PLACE = re.compile(r"at row (\d+)")
 
@@ -36,7 +36,7 @@ def look_at(file: Path, delimiter: str | None) -> TextTable:
     except FileNotFoundError:
         near = [path.name for path in file.parent.iterdir()] if file.parent.is_dir() else []
         raise InputError(
-            Problem(
+            Issue(
                 f"there is no file '{file}'",
                 str(file),
                 closest_first(file.name, near),
@@ -45,10 +45,10 @@ def look_at(file: Path, delimiter: str | None) -> TextTable:
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
-            Problem(f"the file cannot be read as text: {error}", str(file), "UTF-8 text", "convert it")
+            Issue(f"the file cannot be read as text: {error}", str(file), "UTF-8 text", "convert it")
         ) from None
     if not line:
-        raise InputError(Problem("the file is empty", str(file), "a table of numbers", "export the recording again"))
+        raise InputError(Issue("the file is empty", str(file), "a table of numbers", "export the recording again"))
     separator = DELIMITERS[delimiter] if delimiter else next((d for d in ("\t", ",", ";") if d in line), None)
     cells = [cell.strip().strip('"') for cell in line.split(separator)]
     header = any(not _is_number(cell) for cell in cells)
@@ -57,7 +57,7 @@ def look_at(file: Path, delimiter: str | None) -> TextTable:
 
 def pick_columns(table: TextTable, wanted: Mapping[str, str | int], file_option: str = "columns") -> dict[str, int]:
     """Return the position (from 0) of each wanted column, given by name or by number from 1."""
-    positions, problems = {}, []
+    positions, issues = {}, []
     for target, source in wanted.items():
         if str(source) in table.names:
             positions[target] = table.names.index(str(source))
@@ -65,16 +65,16 @@ def pick_columns(table: TextTable, wanted: Mapping[str, str | int], file_option:
             positions[target] = int(source) - 1
         else:
             there = closest_first(str(source), table.names) if table.names else f"1 … {table.width}"
-            problems.append(
-                Problem(
+            issues.append(
+                Issue(
                     f"there is no column '{source}' for '{target}'",
                     f"{table.file}:1 (option {file_option})",
                     there,
                     f"say which column holds {target}: {target}=NAME or {target}=NUMBER",
                 )
             )
-    if problems:
-        raise InputError(problems)
+    if issues:
+        raise InputError(issues)
     return positions
 
 
@@ -92,7 +92,7 @@ def read_numbers(table: TextTable, positions: Mapping[str, int]) -> dict[str, np
         first = 0 if "could not convert" in str(error) else 1
         line = f":{int(place[1]) + 1 - first + skip}" if place else ""
         raise InputError(
-            Problem(
+            Issue(
                 f"the table cannot be read: {str(error).splitlines()[0]}",
                 f"{table.file}{line}",
                 f"{table.width} numbers per line",

@@ -5,15 +5,15 @@ constant rate, angle and rest are recognised (`detect`), or takes them from the 
 The second pass sums each span exactly (`accumulate`).  Memory does not grow with the length of the log.
 """
 
-from imubayes.campaign.reduction.blocks import BlockBuilder, Blocks, sampling_interval
-from imubayes.campaign.reduction.detect import Span, constant_spans
-from imubayes.campaign.reduction.raw import BINNED, Rows, reduce_log
-from imubayes.campaign.reduction.segments import SegmentTracker
+from imubayes.campaign.reduction.block_survey import BlockBuilder, BlockSurvey, sampling_interval
+from imubayes.campaign.reduction.constant_spans import Span, constant_spans
+from imubayes.campaign.reduction.log_reduction import BINNED, Rows, reduce_log
+from imubayes.campaign.reduction.segment_labels import SegmentTracker
 
 __all__ = [
     "BINNED",
     "BlockBuilder",
-    "Blocks",
+    "BlockSurvey",
     "Rows",
     "SegmentTracker",
     "Span",

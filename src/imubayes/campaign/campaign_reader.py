@@ -1,0 +1,277 @@
+"""A campaign folder becomes a `Campaign`; a model file becomes a `ModelFile`.
+
+Everything is read before anything is refused: `inspect_campaign` returns all problems and findings together
+with the campaign where there is one, and `load_campaign` raises them at once.
+"""
+
+import hashlib
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from imubayes.campaign.equipment import build_channels, build_mountings, build_site, build_tables, refuse_repeats
+from imubayes.campaign.file_schemas import PROCEDURE_NAMES, CampaignFile, ModelFile, RunEntry
+from imubayes.campaign.findings import Finding
+from imubayes.campaign.load_run import Equipment, Loaded, load_run
+from imubayes.campaign.run_columns import KNOWN_COLUMNS, NEEDS_GYRO, NEEDS_TABLE
+from imubayes.campaign.servo_angle import with_angles
+from imubayes.campaign.toml_documents import Ledger, read_document
+from imubayes.campaign.valid_entries import Draft, draft_of
+from imubayes.errors import InputError, Issue, closest_first
+from imubayes.run import Campaign, Channel, Run, Site
+from imubayes.units import STANDARD_GRAVITY
+
+CAMPAIGN_FILE = "campaign.toml"
+TABLE_FILES = ("*.csv", "*.parquet", "*/*.csv", "*/*.parquet")
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """Everything a reading of a campaign brought up.
+
+    Attributes
+    ----------
+    campaign : the campaign, or None where something stops it.
+    problems : faults of the files, and findings of severity error, as complaints.
+    findings : findings in the data, errors and warnings.
+    """
+
+    campaign: Campaign | None
+    issues: tuple[Issue, ...]
+    findings: tuple[Finding, ...]
+
+
+def load_campaign(path: str | Path, procedures: Collection[str] = PROCEDURE_NAMES) -> Campaign:
+    """Read a campaign folder.
+
+    Parameters
+    ----------
+    path : the folder, or its `campaign.toml`.
+    procedures : names of the procedures there are.
+
+    Raises
+    ------
+    InputError
+        with every problem of the campaign.
+    """
+    inspection = inspect_campaign(path, procedures)
+    if inspection.campaign is None:
+        raise InputError(inspection.issues)
+    return inspection.campaign
+
+
+def check_campaign(path: str | Path, procedures: Collection[str] = PROCEDURE_NAMES) -> tuple[Finding, ...]:
+    """Return the named findings in the data of a campaign, warnings too."""
+    return inspect_campaign(path, procedures).findings
+
+
+def inspect_campaign(path: str | Path, procedures: Collection[str] = PROCEDURE_NAMES) -> Inspection:
+    """Read a campaign folder and return what is there and what is wrong; never raises for bad input."""
+    file = Path(path)
+    file = file if file.suffix == ".toml" else file / CAMPAIGN_FILE
+    if not file.exists():
+        return Inspection(None, (_no_campaign(file),), ())
+    try:
+        document = read_document(file, CampaignFile)
+    except InputError as error:
+        return Inspection(None, error.issues, ())
+    draft, ledger = draft_of(document.content), document.ledger
+    equipment = _equipment(draft, ledger)
+    _check_channel_names(draft, ledger)
+    _check_runs(draft, procedures, ledger)
+    judge = None if ledger.issues else equipment
+    loaded = [_load(file.parent / run.file, run, draft.names["channel"], judge) for run in draft.runs.values()]
+    findings = tuple(finding for one in loaded for finding in one.findings)
+    issues = [*ledger.issues, *(problem for one in loaded for problem in one.issues)]
+    issues += [finding.problem() for finding in findings if finding.severity == "error"]
+    if issues or document.entry is None:
+        return Inspection(None, tuple(issues), findings)
+    return Inspection(_campaign(document.entry, equipment, loaded, findings, file), (), findings)
+
+
+def read_model_file(path: str | Path) -> ModelFile:
+    """Read a model file; whether its effects exist is for the registry of effects to say.
+
+    Raises
+    ------
+    InputError
+        with every problem of structure.
+    """
+    document = read_document(Path(path), ModelFile)
+    folder = Path(path).parent
+    for index, name in enumerate(document.entry.files if document.entry else ()):
+        if not (folder / name).is_file():
+            near = closest_first(name, [file.name for file in folder.glob("*.py")])
+            allowed = near or "a Python file beside the model file"
+            document.ledger.add(f"the file '{name}' does not exist", ("files", index), allowed, "correct the path")
+    document.ledger.stop_if_any()
+    assert document.entry is not None
+    return document.entry
+
+
+def _no_campaign(file: Path) -> Issue:
+    folder = file.parent
+    near = [*folder.glob(f"*/{CAMPAIGN_FILE}"), *folder.parent.glob(f"*/{CAMPAIGN_FILE}")]
+    names = [str(path.parent) for path in sorted(near)]
+    return Issue(
+        f"there is no file '{file.name}' in {folder}" if folder.is_dir() else f"there is no folder '{folder}'",
+        str(file),
+        closest_first(str(folder), names) or f"a folder with {CAMPAIGN_FILE}",
+        "give the path of a campaign folder",
+    )
+
+
+def _equipment(draft: Draft, ledger: Ledger) -> Equipment:
+    site = Site(0.0, 0.0, STANDARD_GRAVITY) if draft.site is None else build_site(draft.site)
+    return Equipment(
+        site,
+        build_channels(draft.channels, site.gravity, ledger),
+        build_tables(draft.tables, ledger),
+        build_mountings(draft.mountings, ledger),
+    )
+
+
+def _campaign(
+    entry: CampaignFile, equipment: Equipment, loaded: Sequence[Loaded], findings: Sequence[Finding], file: Path
+) -> Campaign:
+    runs = tuple(one.run for one in loaded if one.run is not None)
+    channels, runs = with_angles(equipment.channels, runs, equipment.tables)
+    channels, said = _fill_noise(channels, runs)
+    return Campaign(
+        entry.name,
+        equipment.site,
+        channels,
+        equipment.tables,
+        equipment.mountings,
+        runs,
+        entry.unit.serial,
+        _digest([file, *(file.parent / run.file for run in entry.run)]),
+        (*entry.notes, *said, *(str(finding) for finding in findings)),
+        str(file.parent),
+    )
+
+
+def _load(file: Path, entry: RunEntry, names: Sequence[str], equipment: Equipment | None) -> Loaded:
+    # A missing file has been reported with the line that names it.
+    return load_run(file, entry, names, equipment) if file.is_file() else Loaded()
+
+
+def _check_channel_names(draft: Draft, ledger: Ledger) -> None:
+    taken = {*KNOWN_COLUMNS, *(f"{name}_sd" for name in draft.names["channel"])}
+    for index, channel in draft.channels.items():
+        if channel.name in taken:
+            ledger.add(
+                f"the channel name '{channel.name}' already means something else in a run table",
+                ("channel", index, "name"),
+                "a name that is no known column and no '<channel>_sd'",
+                "rename the channel and its column",
+            )
+
+
+def _check_runs(draft: Draft, procedures: Collection[str], ledger: Ledger) -> None:
+    refuse_repeats({index: run.name for index, run in draft.runs.items()}, "run", ledger)
+    for index, run in draft.runs.items():
+        if run.procedure not in procedures:
+            ledger.add(
+                f"procedure '{run.procedure}' of run '{run.name}' is not known",
+                ("run", index, "procedure"),
+                closest_first(run.procedure, procedures, most=len(procedures)),
+                "use one of the allowed procedures",
+            )
+        _check_reference(run, index, "table", run.table, draft.names["table"], ledger)
+        _check_reference(run, index, "mounting", run.mounting, draft.names["mounting"], ledger)
+        _check_file(run, index, ledger)
+    _check_gyros(draft, ledger)
+    injected = [index for index, run in draft.runs.items() if run.procedure == "current_injection"]
+    # A faulty entry may be the one that says so.
+    sound = len(draft.channels) == len(draft.names["channel"])
+    if injected and sound and not any(channel.current_mA_per_g for channel in draft.channels.values()):
+        ledger.add(
+            "a current is injected, and no channel says what its current stands for",
+            ("run", injected[0], "procedure"),
+            "current_mA_per_g = … in a [[channel]]",
+            "add current_mA_per_g to the channel under test",
+        )
+
+
+def _check_gyros(draft: Draft, ledger: Ledger) -> None:
+    """Note runs that only a gyro gives a meaning, in a unit that has none."""
+    if any(channel.kind == "gyro" for channel in draft.channels.values()):
+        return
+    for index, run in draft.runs.items():
+        if run.procedure in NEEDS_GYRO:
+            ledger.add(
+                f"run '{run.name}' of procedure '{run.procedure}' has no gyro",
+                ("run", index, "procedure"),
+                'a [[channel]] of kind = "gyro"',
+                "add the gyro, or correct 'procedure'",
+            )
+
+
+def _check_reference(
+    run: RunEntry, index: int, section: str, name: str | None, there: Sequence[str], ledger: Ledger
+) -> None:
+    if name is None:
+        if run.procedure in NEEDS_TABLE:
+            ledger.add(
+                f"run '{run.name}' of procedure '{run.procedure}' has no '{section}'",
+                ("run", index, section),
+                ", ".join(there) or f"the name of a [[{section}]]",
+                f"say which {section} was used",
+            )
+    elif name not in there:
+        ledger.add(
+            f"run '{run.name}' refers to the {section} '{name}', which is not in the campaign",
+            ("run", index, section),
+            closest_first(name, there) or f"none is there: add a [[{section}]]",
+            f"correct the name, or add the {section}",
+        )
+
+
+def _check_file(run: RunEntry, index: int, ledger: Ledger) -> None:
+    file = ledger.file.parent / run.file
+    if file.is_file():
+        return
+    root = ledger.file.parent
+    near = sorted(str(p.relative_to(root)) for pattern in TABLE_FILES for p in root.glob(pattern))
+    what = "is a folder" if file.is_dir() else "does not exist"
+    ledger.add(
+        f"the table '{run.file}' of run '{run.name}' {what}",
+        ("run", index, "file"),
+        closest_first(run.file, near) or "a CSV or Parquet file inside the campaign folder",
+        "correct the path (relative to campaign.toml), or supply the file",
+    )
+
+
+def _fill_noise(channels: Sequence[Channel], runs: Sequence[Run]) -> tuple[tuple[Channel, ...], list[str]]:
+    """Give a channel without stated noise the pooled standard deviation of one sample, from rest where there is any."""
+    filled, notes = [], []
+    for index, channel in enumerate(channels):
+        pooled = math.nan if channel.noise is not None else _pooled(runs, index)
+        if math.isfinite(pooled) and pooled > 0:
+            notes.append(
+                f"noise of channel '{channel.name}': {pooled:.4g} {channel.output_unit}, from the scatter within means"
+            )
+            channel = replace(channel, noise=pooled)
+        filled.append(channel)
+    return tuple(filled), notes
+
+
+def _pooled(runs: Sequence[Run], index: int) -> float:
+    sd = np.concatenate([run.sample_sd[:, index] for run in runs])
+    freedom = np.concatenate([run.samples for run in runs]) - 1
+    still = np.concatenate([run.covariates["table_rate"] for run in runs]) == 0
+    good = np.isfinite(sd) & (freedom > 0)
+    good = good & still if np.any(good & still) else good
+    return math.sqrt(float(np.average(sd[good] ** 2, weights=freedom[good]))) if good.any() else math.nan
+
+
+def _digest(files: Sequence[Path]) -> str:
+    digest = hashlib.sha256()
+    for file in files:
+        with file.open("rb") as stream:
+            digest.update(hashlib.file_digest(stream, "sha256").digest())
+    return digest.hexdigest()

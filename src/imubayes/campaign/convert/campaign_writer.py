@@ -1,0 +1,82 @@
+"""Write a campaign folder whole or not at all: beside its place first, renamed into place at the end."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import tomlkit
+
+from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign
+from imubayes.errors import InputError, Issue
+
+
+def write_campaign(
+    out: Path,
+    document: Mapping[str, Any],
+    tables: Mapping[str, Mapping[str, np.ndarray]],
+    check: bool = True,
+    came_from: Callable[[str], str] = lambda where: where,
+) -> None:
+    """Write `campaign.toml` and run tables into a new folder.
+
+    Parameters
+    ----------
+    out : the folder; must not exist or be empty.
+    document : content of `campaign.toml`.
+    tables : path of a run table within the folder → its columns.
+    check : read the campaign back before it is put in place.
+    came_from : says where that came from which a problem finds at a place of the campaign.
+
+    Raises
+    ------
+    InputError
+        where the folder has something in it, or what was written would not load.
+    """
+    refuse_occupied(out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    try:
+        for name, columns in tables.items():
+            (draft / name).parent.mkdir(parents=True, exist_ok=True)
+            _write_csv(draft / name, columns)
+        (draft / CAMPAIGN_FILE).write_text(tomlkit.dumps(document), encoding="utf-8")
+        issues = inspect_campaign(draft).issues if check else ()
+        if issues:
+            raise InputError(
+                Issue(p.what, came_from(p.where.replace(str(draft), str(out))), p.allowed, p.remedy) for p in issues
+            )
+        draft.chmod(0o777 & ~_umask())
+        os.rename(draft, out)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def refuse_occupied(out: Path) -> None:
+    """Raise where a folder has something in it, or a file is in its place."""
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(
+            Issue(
+                f"'{out}' is there already and not an empty folder",
+                str(out),
+                "a folder that does not exist yet, or an empty one",
+                "choose another name, or remove the folder first",
+            )
+        )
+
+
+def _write_csv(file: Path, columns: Mapping[str, np.ndarray]) -> None:
+    with file.open("wb") as stream:
+        stream.write((",".join(columns) + "\n").encode())
+        pacsv.write_csv(pa.table(dict(columns)), stream, pacsv.WriteOptions(include_header=False))
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,129 @@
+"""Nominal scale and offset from the recording itself, where counts come without a datasheet.
+
+The accelerometers' static means lie on an ellipsoid whose half axes are g times the scales and whose centre is
+the offset.  The gyros' offset is their mean at rest, and their scale is the one with which the turns between
+poses carry gravity from each pose to the next.  The result serves as nominal: a few per cent are good enough,
+the fit of the campaign does the rest.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from imubayes.campaign.free_tumble.rotation import exponential
+from imubayes.campaign.free_tumble.static_detection import Rest, find_rests, initial_rest, unrest
+from imubayes.errors import InputError, Issue
+
+QUIET = 6.0  # times the variance at rest
+LEAST_POSES = 9
+LEAST_TURN = 0.3  # rad between the gravity directions of two poses for a transition to tell about the scale
+SEARCH = np.geomspace(0.2, 2.0, 60)
+REFINEMENTS = 12
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """Nominal output = scale · input + offset, per axis, shape (3,) each."""
+
+    scale: np.ndarray
+    offset: np.ndarray
+
+
+def find_poses(force: np.ndarray, interval: float, seconds: float | None) -> tuple[list[Rest], Rest]:
+    """Return the rests of a recording and the rest at its beginning, from accelerometer readings of any unit."""
+    initial = initial_rest(force, interval, seconds)
+    return find_rests(unrest(force, interval, initial) < QUIET, interval), initial
+
+
+def estimate_accelerometers(force: np.ndarray, rests: list[Rest], gravity: float, where: str) -> Nominal:
+    """Return scale (counts per m/s²) and offset by an ellipsoid through the static means."""
+    means = np.array([force[rest.start : rest.stop].mean(0) for rest in rests]).reshape(-1, 3)
+    if len(means) >= LEAST_POSES:
+        centre, size = means.mean(0), np.ptp(means, axis=0).max()
+        scaled = (means - centre) / size
+        solution, _, rank, _ = np.linalg.lstsq(np.hstack([scaled**2, scaled]), np.ones(len(scaled)), rcond=1e-6)
+        square, linear = solution[:3], solution[3:]
+        if rank == 6 and (square > 0).all():
+            middle = -linear / (2 * square)
+            half = np.sqrt((1 + np.sum(square * middle**2)) / square)
+            return Nominal(half * size / gravity, centre + size * middle)
+    raise InputError(
+        Issue(
+            f"the accelerometers' scale cannot be estimated from {len(means)} static poses",
+            where,
+            f"{LEAST_POSES} or more poses all around, or accel_scale and accel_offset",
+            "give the nominal scale and offset of the datasheet",
+        )
+    )
+
+
+def estimate_gyros(
+    rate: np.ndarray, down: np.ndarray, time: np.ndarray, rests: list[Rest], initial: Rest, where: str
+) -> Nominal:
+    """Return scale (counts per rad/s) and offset.
+
+    Parameters
+    ----------
+    rate : raw readings, shape (N, 3).
+    down : unit direction of the specific force in each rest, shape (rests, 3).
+    """
+    offset = rate[initial.start : initial.stop].mean(0)
+    pairs = [
+        (index, rest.stop - 1, after.start)
+        for index, (rest, after) in enumerate(pairwise(rests))
+        if np.arccos(np.clip(down[index] @ down[index + 1], -1, 1)) > LEAST_TURN
+    ]
+    if len(pairs) < 4:
+        raise InputError(
+            Issue(
+                f"the gyros' scale cannot be estimated from {len(pairs)} turns between poses",
+                where,
+                "four or more turns about all axes, or gyro_scale and gyro_offset",
+                "give the nominal scale and offset of the datasheet",
+            )
+        )
+    before = down[[index for index, _, _ in pairs]]
+    after = down[[index + 1 for index, _, _ in pairs]]
+    turns = _increments(rate - offset, time, pairs)
+    # No turn is shorter than the angle between the two directions of gravity.
+    angle = np.arccos(np.clip(np.sum(before * after, axis=1), -1, 1))
+    most = float(np.median(np.linalg.norm(turns, axis=2).sum(1) / angle))
+    trial = [float(np.sum(_mismatch(np.full(3, 1 / (most * s)), turns, before, after) ** 2)) for s in SEARCH]
+    inverse = np.full(3, 1 / (most * SEARCH[int(np.argmin(trial))]))
+    for _ in range(REFINEMENTS):
+        inverse = _refine(inverse, turns, before, after)
+    return Nominal(1 / inverse, offset)
+
+
+def _increments(rate: np.ndarray, time: np.ndarray, pairs: list[tuple[int, int, int]]) -> np.ndarray:
+    """Return reading × time per sample interval of every turn, shape (turns, longest, 3), padded with zeros."""
+    longest = max(stop - start for _, start, stop in pairs)
+    steps = np.zeros((len(pairs), longest, 3))
+    for row, (_, start, stop) in enumerate(pairs):
+        mean = 0.5 * (rate[start:stop] + rate[start + 1 : stop + 1])
+        steps[row, : stop - start] = mean * np.diff(time[start : stop + 1])[:, None]
+    return steps
+
+
+def _mismatch(inverse: np.ndarray, turns: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return carried less seen direction of gravity for every turn, flat."""
+    carried = before[:, :, None]
+    rotations = np.swapaxes(exponential(turns * inverse), -1, -2)
+    for step in range(turns.shape[1]):
+        carried = rotations[:, step] @ carried
+    return (carried[:, :, 0] - after).ravel()
+
+
+def _refine(inverse: np.ndarray, turns: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """One Gauss–Newton step with weights that spare disturbed turns."""
+    base = _mismatch(inverse, turns, before, after)
+    change = 1e-4 * np.abs(inverse)
+    slopes = [
+        (_mismatch(inverse + change * unit, turns, before, after) - base) / change[axis]
+        for axis, unit in enumerate(np.eye(3))
+    ]
+    scatter = 1.4826 * np.median(np.abs(base)) + 1e-12
+    root = np.sqrt(1 / np.maximum(1, np.abs(base) / (2 * scatter)))
+    step = np.linalg.lstsq(root[:, None] * np.stack(slopes, axis=1), -root * base, rcond=None)[0]
+    return inverse + np.clip(step, -0.2 * np.abs(inverse), 0.2 * np.abs(inverse))

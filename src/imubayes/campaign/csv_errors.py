@@ -1,0 +1,65 @@
+"""The careful second look at a CSV table that the fast parser refused: which line, which cell, and why."""
+
+import csv
+from pathlib import Path
+
+from imubayes.campaign.run_columns import ColumnLayout
+from imubayes.errors import Issue
+
+MOST = 10  # faults of one file that are listed before the rest is counted
+
+
+def csv_faults(file: Path, layout: ColumnLayout) -> list[Issue]:
+    """Return one problem per ragged line and per cell that is not a number, the first `MOST` of them."""
+    issues: list[Issue] = []
+    more = 0
+    wanted = [(index, name) for index, name in enumerate(layout.header) if name in layout.numbers]
+    with file.open(encoding="utf-8-sig", newline="", errors="replace") as stream:
+        reader = csv.reader(stream)
+        next(reader, None)
+        for cells in reader:
+            found = _line_faults(cells, wanted, layout, f"{file}:{reader.line_num}")
+            room = MOST - len(issues)
+            issues += found[:room]
+            more += len(found[room:])
+    if more:
+        issues.append(
+            Issue(
+                f"{more} more cells or lines cannot be read",
+                str(file),
+                "numbers with a decimal point, empty where missing",
+                "mend the ones above first",
+            )
+        )
+    return issues
+
+
+def _line_faults(cells: list[str], wanted: list[tuple[int, str]], layout: ColumnLayout, where: str) -> list[Issue]:
+    if not cells:
+        return []
+    if len(cells) != len(layout.header):
+        return [
+            Issue(
+                f"the line has {len(cells)} cells where the header has {len(layout.header)}",
+                where,
+                f"{len(layout.header)} cells: {','.join(layout.header)}",
+                "complete or remove the line; write decimals with a point",
+            )
+        ]
+    return [
+        Issue(
+            f"'{cells[index]}' is not a number",
+            f"{where}, column '{name}'",
+            "a number with a decimal point, or an empty cell where the value is missing",
+            "correct the cell",
+        )
+        for index, name in wanted
+        if not _is_number(cells[index])
+    ]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return not cell or (float(cell) is not None and "_" not in cell)
+    except ValueError:
+        return False

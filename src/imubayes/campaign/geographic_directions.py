@@ -1,0 +1,68 @@
+"""Positions named by directions: `i_axis` and `o_axis` say where a gyro's input and output axes point, E W N S U D."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imubayes.campaign.run_tables import TableSource
+from imubayes.errors import InputError, Issue
+from imubayes.run import Channel
+
+DIRECTIONS = {
+    "E": (1.0, 0.0, 0.0),
+    "W": (-1.0, 0.0, 0.0),
+    "N": (0.0, 1.0, 0.0),
+    "S": (0.0, -1.0, 0.0),
+    "U": (0.0, 0.0, 1.0),
+    "D": (0.0, 0.0, -1.0),
+}
+"""Letter → unit vector in the local level (East, North, Up)."""
+
+DIRECTION_COLUMNS = ("i_axis", "o_axis")
+
+
+def attitudes(source: TableSource, rows: Sequence[int], channels: Sequence[Channel]) -> np.ndarray:
+    """Return body → local level at chosen rows of a table, shape (len(rows), 3, 3).
+
+    The axes are those of the campaign's first gyro, or of its first channel where it has none.
+
+    Raises
+    ------
+    InputError
+        for a letter that is no direction, or an output axis along the input axis.
+    """
+    named = next((one for one in channels if one.kind == "gyro"), channels[0])
+    letters = {name: [text for batch in source for text in batch.texts[name]] for name in DIRECTION_COLUMNS}
+    found, issues = [], []
+    for row in rows:
+        pair = [letters[name][row] or "" for name in DIRECTION_COLUMNS]
+        issues += _judge(pair, source.place(row))
+        if not issues:
+            i, o = (np.array(DIRECTIONS[letter]) for letter in pair)
+            found.append(np.stack([i, o, np.cross(i, o)], axis=1) @ named.axes)
+    if issues:
+        raise InputError(issues)
+    return np.array(found).reshape(-1, 3, 3)
+
+
+def _judge(pair: Sequence[str], where: str) -> list[Issue]:
+    unknown = [
+        Issue(
+            f"'{letter}' is no direction",
+            f"{where}, column '{name}'",
+            ", ".join(DIRECTIONS),
+            "give the direction of the axis as one letter: East, West, North, South, Up or Down",
+        )
+        for name, letter in zip(DIRECTION_COLUMNS, pair, strict=True)
+        if letter not in DIRECTIONS
+    ]
+    if unknown or abs(np.dot(DIRECTIONS[pair[0]], DIRECTIONS[pair[1]])) < 0.5:
+        return unknown
+    return [
+        Issue(
+            f"the output axis points {pair[1]} and the input axis {pair[0]}: they lie along one line",
+            f"{where}, columns 'i_axis' and 'o_axis'",
+            "two directions that are perpendicular to each other",
+            "correct the letters of this row",
+        )
+    ]

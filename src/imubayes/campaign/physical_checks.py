@@ -1,0 +1,246 @@
+"""Physical sanity of the reduced rows: the channels must follow the stimulus by about the nominal scale.
+
+A wrong unit shows as a factor.  Each channel is regressed on its nominal input; a slope near 57.3 means
+degrees against radians, near 9.81 means g against m/s².  These checks look for mistakes of bookkeeping, by
+factors of two and more, and leave calibration to the fit.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from imubayes.campaign.findings import Finding
+from imubayes.campaign.nominal_input import nominal_input
+from imubayes.campaign.reduction import BlockSurvey
+from imubayes.run import Channel, Mounting, Run, Site, Table
+
+DEGREE = math.pi / 180
+TURN = 2 * math.pi
+SAME_FACTOR = 0.05  # a slope this close to a unit's factor is that unit
+ORDINARY = (0.6, 1.6)  # slopes of a channel whose nominal scale is roughly right
+LEAST_SPREAD = {"gyro": 0.05 * DEGREE, "accelerometer": 0.5}
+FOLLOWS = 0.9  # squared correlation from which a slope is believed
+_RATE_FACTORS = {1 / DEGREE: "rad/s for deg/s", 3600.0: "deg/h for deg/s", 3600 / DEGREE: "rad/s for deg/h"}
+_ACCELERATION_FACTORS = {9.80665: "g and m/s² exchanged", 1000.0: "g and mg exchanged"}
+
+
+def check_log(blocks: BlockSurvey, run: str, where: str) -> list[Finding]:
+    """Check a raw log as surveyed: an angle column that stays below 2π while the table turns is in radians."""
+    if "table_angle_deg" not in blocks.mean or "table_rate_deg_s" not in blocks.mean or blocks.interval is None:
+        return []
+    swept = np.nansum(np.abs(blocks.mean["table_rate_deg_s"]) * blocks.count) * blocks.interval
+    reach = np.nanmax(blocks.high["table_angle_deg"]) - np.nanmin(blocks.low["table_angle_deg"])
+    if not (swept > 30.0 and 0.1 < reach <= TURN * 1.001):
+        return []
+    what = f"the angle column stays within {reach:.3g} while the table turns by {swept:.4g} deg"
+    return [_angle_finding(run, what, where)]
+
+
+def check_rows(
+    run: Run, channels: Sequence[Channel], site: Site, table: Table | None, mounting: Mounting | None, where: str
+) -> list[Finding]:
+    """Check the rows of one run against what the nominal numbers predict."""
+    found = _turns(run, where)
+    if run.procedure == "current_injection":
+        return found + _check_current(run, channels, where)
+    if run.procedure == "reference_gyro":
+        return found + _check_reference(run, channels, where)
+    if table is None or mounting is None or run.rows == 0:
+        return found
+    if radians := _angle_in_radians(run, where):
+        return [*found, radians]
+    rate, angle = run.covariates["table_rate"], run.covariates["table_angle"]
+    slopes: list[tuple[Channel, float]] = []
+    for index, channel in enumerate(channels):
+        stimulus = nominal_input(channel, table, mounting, site, rate, angle)
+        measured = _measured(run, index, channel)
+        found += _stuck(run, channel, stimulus, run.observed[:, index], where)
+        found += _saturated(run, channel, stimulus, run.observed[:, index], where)
+        slopes.append((channel, _slope(channel, stimulus, measured)))
+    return found + _judge(run, slopes, where)
+
+
+def _check_reference(run: Run, channels: Sequence[Channel], where: str) -> list[Finding]:
+    """Compare each gyro with what the reference beside it measured."""
+    rate = np.stack([run.covariates[f"reference_{axis}"] for axis in "xyz"], axis=1)
+    found = []
+    for index, channel in enumerate(channels):
+        if channel.kind == "gyro":
+            measured = _measured(run, index, channel)
+            slope = _slope(channel, rate @ channel.axes[0], measured)
+            found += slope_findings(run.name, channel, slope, where) if math.isfinite(slope) else []
+    return found
+
+
+def _measured(run: Run, index: int, channel: Channel) -> np.ndarray:
+    """Return what a channel read, by its nominal scale, in rad/s or m/s²."""
+    return (run.observed[:, index] - channel.offset) / channel.scale_si
+
+
+def slope_findings(run: str, channel: Channel, slope: float, where: str) -> list[Finding]:
+    """Say what is wrong with a channel whose output moves by `slope` times the nominal."""
+    place = f"{where}, column '{channel.name}'"
+    factors = _RATE_FACTORS if channel.kind == "gyro" else _ACCELERATION_FACTORS
+    expected = f"{channel.scale:g} {channel.output_unit} per {channel.per} (a slope of about 1)"
+    meaning = next((text for factor, text in factors.items() if _is_factor(slope, factor)), "")
+    if meaning:
+        name = "rate_unit" if channel.kind == "gyro" else "acceleration_unit"
+        what = f"channel '{channel.name}' moves {abs(slope):.4g} times as much as its nominal scale says: {meaning}?"
+        remedy = "correct 'scale' or 'per' of the channel, or convert the column"
+        return [Finding(name, "error", run, what, place, expected, remedy)]
+    if slope < 0:
+        what = f"channel '{channel.name}' moves against its nominal input (slope {slope:.3g})"
+        remedy = "check input_axis, the mounting and the sign of the rate"
+        return [Finding("sign_reversed", "warning", run, what, place, expected, remedy)]
+    if not ORDINARY[0] <= slope <= ORDINARY[1]:
+        what = f"channel '{channel.name}' moves {slope:.3g} times as much as its nominal scale says"
+        remedy = "check scale, per, input_axis and the mounting"
+        return [Finding("scale_far_from_nominal", "warning", run, what, place, expected, remedy)]
+    return []
+
+
+def _is_factor(slope: float, factor: float) -> bool:
+    size = abs(slope)
+    return any(abs(size / f - 1) < SAME_FACTOR for f in (factor, 1 / factor))
+
+
+def _judge(run: Run, slopes: Sequence[tuple[Channel, float]], where: str) -> list[Finding]:
+    """One finding for the rate column where all gyros agree, otherwise one per channel."""
+    seen = [(channel, slope) for channel, slope in slopes if math.isfinite(slope)]
+    gyros = [slope for channel, slope in seen if channel.kind == "gyro"]
+    if len(gyros) > 1 and all(_is_factor(slope, 1 / DEGREE) for slope in gyros):
+        what = f"every gyro moves {abs(float(np.median(gyros))):.4g} times as much as the rate column says"
+        found = [
+            Finding(
+                "rate_unit", "error", run.name, what, f"{where}, column 'table_rate_deg_s'",
+                "degrees per second", "convert the rate column from rad/s to deg/s, or correct the gyros' scale",
+            )
+        ]  # fmt: skip
+        seen = [(channel, slope) for channel, slope in seen if channel.kind != "gyro"]
+    else:
+        found = []
+    for channel, slope in seen:
+        found += slope_findings(run.name, channel, slope, where)
+    return found
+
+
+def _slope(channel: Channel, stimulus: np.ndarray, measured: np.ndarray) -> float:
+    """Return the slope of the reading on its nominal input, NaN where the rows do not tell."""
+    good = np.isfinite(stimulus) & np.isfinite(measured)
+    x, y = stimulus[good], measured[good]
+    if len(x) >= 3 and np.ptp(x) > LEAST_SPREAD[channel.kind]:
+        dx, dy = x - x.mean(), y - y.mean()
+        slope = float(dx @ dy / (dx @ dx))
+        return slope if slope * float(dx @ dy) > FOLLOWS * float(dy @ dy) else math.nan
+    if channel.kind == "accelerometer" and len(x) and abs(x.mean()) > 3.0:
+        return float(y.mean() / x.mean())
+    return math.nan
+
+
+def _angle_in_radians(run: Run, where: str) -> Finding | None:
+    degrees = run.covariates["table_angle"] / DEGREE
+    known = np.isfinite(degrees) & (run.covariates["table_angle_span"] == 0)
+    given = degrees[known]
+    if len(np.unique(given)) < 5 or np.max(np.abs(given)) > TURN * 1.01 or np.ptp(given) < 1.0:
+        return None
+    repeats = [
+        _harmonic_rest(given, values) < min(0.02, 0.05 * _harmonic_rest(given * DEGREE, values))
+        for values in run.observed[known].T
+        if np.isfinite(values).all() and np.ptp(values) > 0
+    ]
+    if not any(repeats):
+        return None
+    what = f"the angles reach {np.max(np.abs(given)):.4g} and the readings repeat with 2π of them"
+    return _angle_finding(run.name, what, where)
+
+
+def _harmonic_rest(angle: np.ndarray, values: np.ndarray) -> float:
+    """Return the share of the variance that one sine wave of the angle leaves over."""
+    design = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
+    scaled = (values - values.mean()) / np.std(values)
+    rest = scaled - design @ np.linalg.lstsq(design, scaled, rcond=None)[0]
+    return float(rest @ rest) / len(values) + 1e-12
+
+
+def _angle_finding(run: str, what: str, where: str) -> Finding:
+    place = f"{where}, column 'table_angle_deg'"
+    return Finding("angle_in_radians", "error", run, what, place, "degrees", "multiply the angle column by 180/π")
+
+
+def _stuck(run: Run, channel: Channel, stimulus: np.ndarray, observed: np.ndarray, where: str) -> list[Finding]:
+    good = np.isfinite(observed) & np.isfinite(stimulus)
+    x, y = stimulus[good], observed[good]
+    if len(y) < 3 or np.ptp(y) > 0 or np.ptp(x) <= LEAST_SPREAD[channel.kind]:
+        return []
+    return [
+        Finding(
+            "stuck_channel", "error", run.name,
+            f"channel '{channel.name}' has the one value {y[0] + 0.0:g} in all {len(y)} rows while its input changes",
+            f"{where}, column '{channel.name}'", "readings that move with the input",
+            "check the channel; leave its cells empty where it cannot be used",
+        )
+    ]  # fmt: skip
+
+
+def _saturated(run: Run, channel: Channel, stimulus: np.ndarray, observed: np.ndarray, where: str) -> list[Finding]:
+    good = np.isfinite(observed) & np.isfinite(stimulus)
+    x, y = stimulus[good], observed[good]
+    if len(y) < 5 or np.ptp(y) == 0 or np.ptp(x) <= LEAST_SPREAD[channel.kind]:
+        return []
+    for extreme in (y.max(), y.min()):
+        level = np.abs(y - extreme) <= 1e-9 * np.ptp(y)
+        if level.sum() >= 2 and np.ptp(x[level]) > 0.02 * np.ptp(x):
+            return [
+                Finding(
+                    "saturated_channel", "error", run.name,
+                    f"channel '{channel.name}' reads {extreme:g} in {level.sum()} rows of different input",
+                    f"{where}, column '{channel.name}'", "readings inside the range of the converter",
+                    "leave the cells of the saturated rows empty",
+                )
+            ]  # fmt: skip
+    return []
+
+
+def _turns(run: Run, where: str) -> list[Finding]:
+    """Means at an unknown angle whose time to the neighbouring rows does not allow a full turn."""
+    span, angle = run.covariates["table_angle_span"], run.covariates["table_angle"]
+    rate = np.abs(run.covariates["table_rate"])
+    short = np.isnan(angle) & (span < TURN * 0.999)
+    if "time" in run.covariates and run.rows > 2:
+        step = np.diff(run.covariates["time"])
+        longest = np.maximum(np.append(step, step[-1]), np.insert(step, 0, step[0]))
+        short |= np.isnan(angle) & (rate > 0) & (rate * longest < TURN * 0.999)
+    if not short.any():
+        return []
+    rows = np.flatnonzero(short)
+    listed = ", ".join(f"{rate[row] / DEGREE:g}" for row in rows[:6])
+    return [
+        Finding(
+            "partial_turn", "warning", run.name,
+            f"{len(rows)} means over less than one full turn at an unknown angle (at {listed} deg/s)",
+            f"{where}, column 'table_angle_deg'",
+            "whole turns, or the mean angle in 'table_angle_deg' with 'table_angle_span_deg'",
+            "record the table angle, or turn longer; these rows are treated as whole turns",
+        )
+    ]  # fmt: skip
+
+
+def _check_current(run: Run, channels: Sequence[Channel], where: str) -> list[Finding]:
+    """Compare each channel that can be driven by current with what the current stands for."""
+    found = []
+    for index, channel in enumerate(channels):
+        if not channel.current_per_acceleration or "current" not in run.covariates:
+            continue
+        stimulus = run.covariates["current"] / channel.current_per_acceleration
+        measured = _measured(run, index, channel)
+        good = np.isfinite(measured) & (stimulus != 0)
+        ratio = float(np.median(measured[good] / stimulus[good])) if good.any() else 1.0
+        if _is_factor(ratio, 1000.0):
+            what = f"channel '{channel.name}' answers the current {ratio:.4g} times as much as it should: A for mA?"
+            place = f"{where}, column 'current_mA'"
+            remedy = "convert the column to mA, or correct current_mA_per_g"
+            found.append(Finding("current_unit", "error", run.name, what, place, "milliamperes", remedy))
+        else:
+            found += slope_findings(run.name, channel, ratio, where)
+    return found

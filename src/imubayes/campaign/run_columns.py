@@ -1,0 +1,161 @@
+"""The columns a run table may have, and what each becomes.
+
+The suffix of a column is its unit.  A column that is neither known nor a channel is refused with the closest
+known name, so that a misspelt `table_angle_degs` is not silently left out of the physics; columns that do not
+matter are listed under `ignore` in the run's entry.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from imubayes.errors import Issue, closest_first
+
+COVARIATE_COLUMNS = {
+    "time_s": "time",
+    "power_on_s": "power_on",
+    "table_rate_deg_s": "table_rate",
+    "table_angle_deg": "table_angle",
+    "table_angle_span_deg": "table_angle_span",
+    "table_acceleration_deg_s2": "table_acceleration",
+    "temperature_degC": "temperature",
+    "converter_temperature_degC": "converter_temperature",
+    "current_mA": "current",
+    "vibration_g_rms": "vibration",
+    "reference_x_deg_s": "reference_x",
+    "reference_y_deg_s": "reference_y",
+    "reference_z_deg_s": "reference_z",
+}
+"""Column → covariate of a run."""
+
+REFERENCE_COLUMNS = ("reference_x_deg_s", "reference_y_deg_s", "reference_z_deg_s")
+"""Rates of a reference gyro that rides along, about the axes of the body."""
+TEXT_COLUMNS = ("segment", "i_axis", "o_axis")
+KNOWN_COLUMNS = (*COVARIATE_COLUMNS, *TEXT_COLUMNS, "samples")
+
+REQUIRED_COLUMNS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "rate_table": (("table_rate_deg_s",),),
+    "rotation_modulation": (("table_rate_deg_s", "table_angle_deg"),),
+    "dividing_head": (("table_angle_deg",),),
+    "polar_tumble": (("table_angle_deg",),),
+    "servo_table": (("time_s",), ("table_angle_deg",)),
+    "geographic_tumble": (("i_axis",), ("o_axis",)),
+    "thermal_ramp": (("converter_temperature_degC", "temperature_degC"),),
+    "current_injection": (("current_mA",),),
+    "reference_gyro": (("time_s",), *((column,) for column in REFERENCE_COLUMNS)),
+    "free_tumble": (("time_s",),),
+}
+"""For each procedure the columns it cannot do without; of each inner group one is enough."""
+
+NEEDS_TABLE = {
+    "rate_table",
+    "rotation_modulation",
+    "dividing_head",
+    "polar_tumble",
+    "servo_table",
+    "thermal_ramp",
+    "reference_gyro",
+}
+"""Procedures whose stimulus comes from a table and a mounting."""
+
+NEEDS_GYRO = {"servo_table", "reference_gyro"}
+"""Procedures that are about gyros alone."""
+
+
+@dataclass(frozen=True)
+class ColumnLayout:
+    """What the columns of one run table are.
+
+    Attributes
+    ----------
+    header : all columns, in the order of the file.
+    numbers : columns read as numbers.
+    texts : columns read as text.
+    channels : the channels that have a column.
+    deviations : the channels that have a `<channel>_sd` column.
+    """
+
+    header: tuple[str, ...]
+    numbers: tuple[str, ...]
+    texts: tuple[str, ...]
+    channels: tuple[str, ...]
+    deviations: tuple[str, ...]
+
+    def has(self, column: str) -> bool:
+        """Tell whether a column is read."""
+        return column in self.numbers or column in self.texts
+
+    @property
+    def reduced(self) -> bool:
+        """Whether the rows are means of samples already."""
+        return "samples" in self.numbers
+
+
+def lay_out(
+    header: Sequence[str], channels: Sequence[str], ignore: Sequence[str], procedure: str, where: str
+) -> tuple[ColumnLayout, list[Issue]]:
+    """Sort the columns of a table, and say what is wrong with them."""
+    deviation_names = {f"{channel}_sd": channel for channel in channels}
+    known = (*KNOWN_COLUMNS, *channels, *deviation_names)
+    issues = _repeated(header, where)
+    numbers, texts = [], []
+    for column in dict.fromkeys(header):
+        if column in ignore:
+            continue
+        if column in TEXT_COLUMNS:
+            texts.append(column)
+        elif column in known:
+            numbers.append(column)
+        else:
+            issues.append(
+                Issue(
+                    f"column '{column}' is neither known nor a channel",
+                    f"{where}, column '{column}'",
+                    closest_first(column, known),
+                    "correct the name, or list the column under 'ignore' in the run's entry",
+                )
+            )
+    layout = ColumnLayout(
+        tuple(header),
+        tuple(numbers),
+        tuple(texts),
+        tuple(channel for channel in channels if channel in numbers),
+        tuple(channel for name, channel in deviation_names.items() if name in numbers),
+    )
+    return layout, issues + _missing(layout, channels, procedure, where)
+
+
+def _repeated(header: Sequence[str], where: str) -> list[Issue]:
+    repeats = {column for column in header if list(header).count(column) > 1}
+    return [
+        Issue(
+            f"column '{column}' is there more than once" if column else "a column has no name",
+            f"{where}, header",
+            "one name per column, each used once",
+            "rename or remove the column",
+        )
+        for column in sorted(repeats | ({""} & set(header)))
+    ]
+
+
+def _missing(layout: ColumnLayout, channels: Sequence[str], procedure: str, where: str) -> list[Issue]:
+    issues = []
+    if not layout.channels and procedure != "servo_table":
+        issues.append(
+            Issue(
+                "no channel of the campaign has a column in this table",
+                f"{where}, header",
+                ", ".join(channels),
+                "name the columns of readings as the channels of campaign.toml",
+            )
+        )
+    issues += [
+        Issue(
+            f"a run of procedure '{procedure}' needs the column '{group[0]}'",
+            f"{where}, header",
+            ", or ".join(group),
+            "add the column, or correct 'procedure' of the run",
+        )
+        for group in REQUIRED_COLUMNS.get(procedure, ())
+        if not any(layout.has(column) for column in group)
+    ]
+    return issues

@@ -1,0 +1,206 @@
+"""Run tables as streams of batches: CSV and Parquet of any length in bounded memory.
+
+A `TableSource` can be read as often as needed.  Small tables are kept after the first reading; large ones are
+read again from the file, batch by batch.  The fast parser says only that something is wrong; the search for
+the line and the cell (`faults.py`) runs only then.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+
+from imubayes.campaign.csv_errors import csv_faults
+from imubayes.campaign.run_columns import ColumnLayout
+from imubayes.errors import InputError, Issue
+
+BATCH_ROWS = 65536
+BLOCK_BYTES = 1 << 20
+KEEP_ROWS = 200_000  # at most this many rows of a table stay in memory (10 columns: 16 MB)
+
+
+@dataclass(frozen=True)
+class RowBatch:
+    """Consecutive rows of a table.
+
+    Attributes
+    ----------
+    first : index of the first row (0 is the first below the header).
+    rows : number of rows.
+    numbers : column → float64 values, NaN where the cell is empty.
+    texts : column → list of str or None.
+    not_finite : column → indices within the batch of cells that hold NaN or infinity.
+    """
+
+    first: int
+    rows: int
+    numbers: dict[str, np.ndarray]
+    texts: dict[str, list[str | None]]
+    not_finite: dict[str, np.ndarray]
+
+
+class TableSource:
+    """One run table, to be streamed as often as needed."""
+
+    def __init__(self, file: Path, layout: ColumnLayout):
+        self.file = file
+        self.layout = layout
+        self._kept: list[RowBatch] | None = None
+
+    def place(self, row: int) -> str:
+        """Return where a row stands: file and line (CSV) or row number (Parquet)."""
+        return f"{self.file}:{row + 2}" if is_csv(self.file) else f"{self.file}, row {row + 1}"
+
+    def __iter__(self) -> Iterator[RowBatch]:
+        if self._kept is not None:
+            yield from self._kept
+            return
+        kept: list[RowBatch] | None = []
+        first = 0
+        for record_batch in _record_batches(self.file, self.layout):
+            batch = _to_batch(record_batch, self.layout, first)
+            first += batch.rows
+            if kept is not None:
+                kept = [*kept, batch] if first <= KEEP_ROWS else None
+            yield batch
+        self._kept = kept
+
+
+def is_csv(file: Path) -> bool:
+    """Tell whether a table is text; everything that is not named .parquet is."""
+    return file.suffix.lower() not in (".parquet", ".pq")
+
+
+def read_header(file: Path) -> tuple[str, ...]:
+    """Return the column names of a table.
+
+    Raises
+    ------
+    InputError
+        where the file is empty, truncated or not a table.
+    """
+    if not is_csv(file):
+        return tuple(_parquet(file).schema_arrow.names)
+    try:
+        with file.open(encoding="utf-8-sig", newline="") as stream:
+            line = stream.readline().rstrip("\r\n")
+    except UnicodeDecodeError:
+        raise InputError(_unreadable(file, "it is not UTF-8 text")) from None
+    except OSError as error:
+        raise InputError(_unreadable(file, str(error.strerror or error))) from None
+    if not line.strip():
+        raise InputError(
+            Issue(
+                "the run table is empty",
+                f"{file}:1",
+                "a header line with column names, then one line per row",
+                "export the table again, or remove the run",
+            )
+        )
+    for separator, word in ((";", "';'"), ("\t", "tabs"), ("|", "'|'")):
+        if "," not in line and separator in line:
+            raise InputError(
+                Issue(
+                    f"the columns are separated by {word}",
+                    f"{file}:1",
+                    "commas",
+                    "export the table with commas and decimal points",
+                )
+            )
+    return tuple(name.strip().strip('"') for name in line.split(","))
+
+
+def _parquet(file: Path) -> pq.ParquetFile:
+    try:
+        return pq.ParquetFile(file, pre_buffer=False)  # the buffer would be kept to the end of the file
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(
+            _unreadable(file, f"the Parquet file is damaged or cut short ({_first_line(error)})")
+        ) from None
+
+
+def _record_batches(file: Path, layout: ColumnLayout) -> Iterator[pa.RecordBatch]:
+    columns = [*layout.numbers, *layout.texts]
+    if is_csv(file):
+        yield from _csv_batches(file, layout, columns)
+        return
+    with _parquet(file) as parquet:
+        _refuse_wrong_types(file, parquet.schema_arrow, layout)
+        try:
+            yield from parquet.iter_batches(batch_size=BATCH_ROWS, columns=columns)
+        except (pa.ArrowException, OSError) as error:
+            raise InputError(
+                _unreadable(file, f"the Parquet file is damaged or cut short ({_first_line(error)})")
+            ) from None
+
+
+def _csv_batches(file: Path, layout: ColumnLayout, columns: list[str]) -> Iterator[pa.RecordBatch]:
+    types = {name: pa.float64() for name in layout.numbers} | {name: pa.string() for name in layout.texts}
+    try:
+        reader = pacsv.open_csv(
+            file,
+            read_options=pacsv.ReadOptions(
+                block_size=BLOCK_BYTES, column_names=list(layout.header), skip_rows=1, use_threads=False
+            ),
+            convert_options=pacsv.ConvertOptions(
+                column_types=types, include_columns=columns, null_values=[""], strings_can_be_null=True
+            ),
+        )
+        with reader:
+            yield from reader
+    except OSError as error:
+        raise InputError(_unreadable(file, str(error.strerror or error))) from None
+    except pa.ArrowInvalid as error:
+        if "Empty CSV" in str(error):
+            return
+        faults = csv_faults(file, layout)
+        raise InputError(faults or [_unreadable(file, _first_line(error))]) from None
+
+
+def _refuse_wrong_types(file: Path, schema: pa.Schema, layout: ColumnLayout) -> None:
+    issues = []
+    for name in layout.numbers:
+        kind = schema.field(name).type
+        if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)):
+            issues.append(
+                Issue(
+                    f"column '{name}' holds {kind}, not numbers",
+                    f"{file}, column '{name}'",
+                    "floating-point or integer columns",
+                    "write the column as numbers",
+                )
+            )
+    if issues:
+        raise InputError(issues)
+
+
+def _to_batch(records: pa.RecordBatch, layout: ColumnLayout, first: int) -> RowBatch:
+    numbers, not_finite = {}, {}
+    for name in layout.numbers:
+        column = records.column(name)
+        values = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
+        numbers[name] = values
+        bad = ~np.isfinite(values)
+        if column.null_count:
+            bad &= ~column.is_null().to_numpy(zero_copy_only=False)
+        if bad.any():
+            not_finite[name] = np.flatnonzero(bad)
+    texts = {name: records.column(name).cast(pa.string()).to_pylist() for name in layout.texts}
+    return RowBatch(first, records.num_rows, numbers, texts, not_finite)
+
+
+def _unreadable(file: Path, why: str) -> Issue:
+    return Issue(
+        f"the run table cannot be read: {why}",
+        str(file),
+        "CSV with a header line (UTF-8, commas) or Parquet",
+        "export or copy the file again",
+    )
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).splitlines()[0][:160] if str(error) else type(error).__name__

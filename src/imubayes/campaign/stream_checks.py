@@ -1,0 +1,243 @@
+"""Sanity of the cells and of the time axis, watched while a table streams by.
+
+Counts and first places only are kept, so a fault that repeats a million times is one finding that says so.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imubayes.campaign.findings import Finding, Severity
+from imubayes.campaign.reduction import sampling_interval
+from imubayes.campaign.run_tables import RowBatch, TableSource
+
+GAP_STEPS = 10.0  # a time step this many times the usual one is a gap
+STUCK_RUN = 300  # raw samples of one value; coarse converters repeat tens of times at rest
+COARSE_CODES = 100  # a channel that spans fewer codes than this repeats its values for want of resolution
+PLATEAU_RUN = 5  # raw samples in a row at the very extreme
+KELVIN_ABOVE = 150.0
+TEMPERATURES = ("temperature_degC", "converter_temperature_degC")
+MUST_BE_FILLED = ("time_s", "table_rate_deg_s", "current_mA", "samples")
+
+
+@dataclass
+class _Tally:
+    """How often something was seen, and where first."""
+
+    count: int = 0
+    first: int = -1
+
+    def note(self, rows: np.ndarray) -> None:
+        if len(rows):
+            self.first = int(rows[0]) if self.count == 0 else self.first
+            self.count += len(rows)
+
+
+@dataclass
+class _Repeat:
+    """The longest stretch of one value in a channel, and stretches at its extremes."""
+
+    value: float = np.nan
+    length: int = 0
+    longest: int = 0
+    changed: bool = False
+    low: float = np.inf
+    high: float = -np.inf
+    at_low: int = 0
+    at_high: int = 0
+    present: int = 0
+    quantum: float = np.inf
+
+    def add(self, values: np.ndarray) -> None:
+        values = values[~np.isnan(values)]
+        if not len(values):
+            return
+        step = np.abs(np.diff(values))
+        edges = np.flatnonzero(step) + 1
+        self.quantum = min(self.quantum, float(step[edges - 1].min(initial=np.inf)))
+        lengths = np.diff(np.concatenate([[0], edges, [len(values)]]))
+        heads = values[np.concatenate([[0], edges])]
+        if heads[0] == self.value:
+            lengths[0] += self.length
+        elif self.present:
+            self.changed = True
+        self.changed |= len(edges) > 0
+        self.longest = max(self.longest, int(lengths.max()))
+        self._extremes(heads, lengths)
+        self.value, self.length = float(heads[-1]), int(lengths[-1])
+        self.present += len(values)
+
+    @property
+    def coarse(self) -> bool:
+        """Whether the channel only flickers between a few codes of its converter."""
+        return self.high - self.low < COARSE_CODES * self.quantum
+
+    def _extremes(self, heads: np.ndarray, lengths: np.ndarray) -> None:
+        low, high = float(heads.min()), float(heads.max())
+        if low < self.low:
+            self.low, self.at_low = low, 0
+        if high > self.high:
+            self.high, self.at_high = high, 0
+        self.at_low = max(self.at_low, int(lengths[heads == self.low].max(initial=0)))
+        self.at_high = max(self.at_high, int(lengths[heads == self.high].max(initial=0)))
+
+
+@dataclass
+class Monitor:
+    """Watches one table; `findings` tells what was seen.
+
+    With `all_move` every channel must move at some time, as in a free tumble, and one that does not is an error.
+    """
+
+    source: TableSource
+    run: str
+    all_move: bool = False
+    rows: int = 0
+    interval: float | None = None
+    _back: _Tally = field(default_factory=_Tally)
+    _same: _Tally = field(default_factory=_Tally)
+    _gaps: _Tally = field(default_factory=_Tally)
+    _empty: dict[str, _Tally] = field(default_factory=dict)
+    _not_finite: dict[str, _Tally] = field(default_factory=dict)
+    _kelvin: dict[str, _Tally] = field(default_factory=dict)
+    _repeats: dict[str, _Repeat] = field(default_factory=dict)
+    _previous: dict[str, float] = field(default_factory=dict)
+    _longest_gap: float = 0.0
+
+    def push(self, batch: RowBatch) -> None:
+        """Take in the next batch."""
+        self.rows = batch.first + batch.rows
+        for name, rows in batch.not_finite.items():
+            self._not_finite.setdefault(name, _Tally()).note(batch.first + rows)
+        for name in MUST_BE_FILLED:
+            if name in batch.numbers:
+                empty = np.flatnonzero(np.isnan(batch.numbers[name]))
+                bad = batch.not_finite.get(name, np.zeros(0, dtype=int))
+                self._empty.setdefault(name, _Tally()).note(batch.first + np.setdiff1d(empty, bad))
+        for name in TEMPERATURES:
+            if name in batch.numbers:
+                hot = np.flatnonzero(batch.numbers[name] > KELVIN_ABOVE)
+                self._kelvin.setdefault(name, _Tally()).note(batch.first + hot)
+        for name in self.source.layout.channels:
+            self._repeats.setdefault(name, _Repeat()).add(batch.numbers[name])
+        if "time_s" in batch.numbers and batch.rows:
+            self._follow_time(batch)
+        self._previous = {name: float(values[-1]) for name, values in batch.numbers.items() if batch.rows}
+
+    def findings(self) -> list[Finding]:
+        """Return what was seen."""
+        found = [*self._cell_findings(), *self._time_findings()]
+        return found if self.source.layout.reduced else [*found, *self._channel_findings()]
+
+    def _follow_time(self, batch: RowBatch) -> None:
+        time = batch.numbers["time_s"]
+        if self.interval is None:
+            self.interval = sampling_interval(time)
+        joined = np.concatenate([[self._previous.get("time_s", np.nan)], time])
+        step = np.diff(joined)
+        still = np.flatnonzero(step == 0)
+        same = np.array([row for row in still.tolist() if self._repeats_previous(batch, row)], dtype=int)
+        self._same.note(batch.first + same)
+        self._back.note(batch.first + np.setdiff1d(np.flatnonzero(step <= 0), same))
+        if self.interval is not None and not self.source.layout.reduced:
+            wide = np.flatnonzero(step > GAP_STEPS * self.interval)
+            self._gaps.note(batch.first + wide)
+            self._longest_gap = max(self._longest_gap, float(step[wide].max(initial=0.0)))
+
+    def _repeats_previous(self, batch: RowBatch, row: int) -> bool:
+        for name, values in batch.numbers.items():
+            before = values[row - 1] if row else self._previous[name]
+            if not (values[row] == before or (np.isnan(values[row]) and np.isnan(before))):
+                return False
+        return True
+
+    def _cell_findings(self) -> list[Finding]:
+        found = []
+        for name, tally in self._not_finite.items():
+            found.append(
+                self._at(
+                    "nan_values", "error", tally, name, f"{_times(tally.count, 'cell')} of '{name}' NaN or infinite",
+                    "a finite number, or an empty cell where the value is missing", "empty or correct the cell",
+                )
+            )  # fmt: skip
+        for name, tally in self._empty.items():
+            if tally.count:
+                found.append(
+                    self._at(
+                        "missing_values", "error", tally, name, f"{_times(tally.count, 'cell')} of '{name}' empty",
+                        f"a number in every row of '{name}'", "fill the cell, or remove the row",
+                    )
+                )  # fmt: skip
+        for name, tally in self._kelvin.items():
+            if tally.count:
+                found.append(
+                    self._at(
+                        "kelvin_temperature", "error", tally, name,
+                        f"{_times(tally.count, 'value')} of '{name}' above {KELVIN_ABOVE:g}, as kelvin would be",
+                        f"degrees Celsius up to {KELVIN_ABOVE:g}", "subtract 273.15 from the column",
+                    )
+                )  # fmt: skip
+        return found
+
+    def _time_findings(self) -> list[Finding]:
+        found = []
+        if self._back.count:
+            found.append(
+                self._at(
+                    "time_not_increasing", "error", self._back, "time_s",
+                    f"the time goes back or stands still {_times(self._back.count, 'time')}",
+                    "seconds that increase from row to row", "sort or split the log, or correct the clock",
+                )
+            )  # fmt: skip
+        if self._same.count:
+            found.append(
+                self._at(
+                    "duplicate_row", "error", self._same, "time_s",
+                    f"{_times(self._same.count, 'row')} repeat the row before",
+                    "each row once", "remove the repeated rows",
+                )
+            )  # fmt: skip
+        if self._gaps.count:
+            found.append(
+                self._at(
+                    "gap", "warning", self._gaps, "time_s",
+                    f"{_times(self._gaps.count, 'gap')} in time, the longest {self._longest_gap:.4g} s "
+                    f"where samples come every {self.interval:.4g} s",
+                    "a steady sampling interval", "check the logger; the means are over what is there",
+                )
+            )  # fmt: skip
+        return found
+
+    def _channel_findings(self) -> list[Finding]:
+        found = []
+        for name, seen in self._repeats.items():
+            if seen.present >= 2 * STUCK_RUN and not seen.changed:
+                what = f"channel '{name}' has the one value {seen.value + 0.0:g} in all {seen.present} samples"
+                found.append(self._about_channel("stuck_channel", "error" if self.all_move else "warning", name, what))
+            if not seen.changed or seen.coarse:
+                continue
+            plateaus = [(v, n) for v, n in ((seen.low, seen.at_low), (seen.high, seen.at_high)) if n >= PLATEAU_RUN]
+            for value, length in plateaus:
+                what = f"channel '{name}' stays at its extreme {value:g} over {length} samples in a row"
+                found.append(self._about_channel("saturated_channel", "warning", name, what))
+            if seen.longest >= STUCK_RUN and not plateaus:
+                what = f"channel '{name}' keeps one value over {seen.longest} samples"
+                found.append(self._about_channel("stuck_channel", "warning", name, what))
+        return found
+
+    def _about_channel(self, finding: str, severity: Severity, channel: str, what: str) -> Finding:
+        return Finding(
+            finding, severity, self.run, what, f"{self.source.file}, column '{channel}'",
+            "readings that move with the input and with noise",
+            "check the cable, the range and the converter; leave the column empty where it cannot be used",
+        )  # fmt: skip
+
+    def _at(
+        self, finding: str, severity: Severity, tally: _Tally, column: str, what: str, allowed: str, remedy: str
+    ) -> Finding:
+        where = f"{self.source.place(tally.first)}, column '{column}'"
+        return Finding(finding, severity, self.run, what, where, allowed, remedy)
+
+
+def _times(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"

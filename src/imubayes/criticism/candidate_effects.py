@@ -1,0 +1,221 @@
+"""What else could act: every effect of the catalogue that the model lacks, laid beside the model at its null.
+
+The model and all candidates become one problem whose first parameters are the model's own.  At their nulls the
+candidates change nothing, so one linearisation gives the Jacobian of the fit and what every candidate would do.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.effects.base import Effect, MotionEffect
+from imubayes.gather import on_device
+from imubayes.inference.fitted import Fitted
+from imubayes.model.assembly import assemble
+from imubayes.model.bind import problem_of
+from imubayes.model.bound_effects import BoundEffect, NoChannelError, NotShownError, act
+from imubayes.model.effect_registry import Member, Registry
+from imubayes.model.model_spec import EffectSpec
+from imubayes.model.problem import Problem, predict_from
+from imubayes.parameters.parameter import declared_parameters
+from imubayes.parameters.vector import Parameter
+from imubayes.run import Campaign
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One linear coefficient of a candidate.
+
+    Attributes
+    ----------
+    parameter : name, unit and prior.
+    owner : the channel, mounting, table or run it belongs to.
+    typical : smallest and largest magnitude met in practice, in its unit.
+    """
+
+    parameter: Parameter
+    owner: str
+    typical: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ShapeScan:
+    """Values of a candidate's shape parameters: field → value in its unit; empty where it has none."""
+
+    effect: str
+    shape: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Response:
+    """What one candidate would do, for one choice of its shape.
+
+    Attributes
+    ----------
+    scan : effect and shape.
+    coefficients : C of them.
+    columns : shape (E, C), change of the predicted entries per unit of each coefficient.
+    """
+
+    scan: ShapeScan
+    coefficients: tuple[Coefficient, ...]
+    columns: np.ndarray
+
+
+@dataclass(frozen=True)
+class Responses:
+    """The fit, linearised, with all candidates.
+
+    Attributes
+    ----------
+    misfit : shape (E,), observed less predicted, output units.
+    jacobian : shape (E, P), of the model's own parameters in z.
+    candidates : one response per candidate and shape.
+    unobservable : effects that no run can show → what they need.
+    """
+
+    misfit: np.ndarray
+    jacobian: np.ndarray
+    candidates: tuple[Response, ...]
+    unobservable: dict[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class _Extended:
+    problem: Problem
+    known: int
+    acting: tuple[BoundEffect, ...]
+    parameters: tuple[Parameter, ...]
+    places: dict[str, int]
+
+
+def respond(fitted: Fitted, only: Sequence[str] = ()) -> Responses:
+    """Return the fit linearised in its own parameters and in those of every candidate, or of the named ones only."""
+    acting, unobservable = _candidates(fitted)
+    if only:
+        acting = tuple(one for one in acting if one.member.name in only)
+    extended = _extend(fitted, acting)
+    z = np.concatenate([fitted.z, np.zeros(len(extended.parameters) - extended.known)])
+    slopes = np.asarray(_slopes(extended.problem, jnp.asarray(z)))
+    own = np.asarray(_values(extended.problem, jnp.asarray(z)))[: extended.known]
+    predicted, first = _linearised(extended, own, scan_place=0)
+    candidates: list[Response] = []
+    longest = max((1, *(len(_grid(one)) for one in acting)))
+    for place in range(longest):
+        jacobian = first if place == 0 else _linearised(extended, own, place)[1]
+        candidates.extend(
+            _response(one, extended, jacobian, place) for one in acting if place < max(1, len(_grid(one)))
+        )
+    misfit = np.asarray(fitted.model.problem.observations.value) - predicted
+    known = extended.known
+    return Responses(misfit, first[:, :known] * slopes[None, :known], tuple(candidates), unobservable)
+
+
+def searchable(registry: Registry) -> Iterator[type[Effect]]:
+    """Return the effects that can be missing: causes, not what stands for unknowns of the runs themselves."""
+    for member in registry.members.values():
+        learns_spread = any(one.spread for one in declared_parameters(member).values())
+        if issubclass(member, Effect) and not member.nuisance and not learns_spread:
+            yield member
+
+
+def fitting_channels(member: Member, campaign: Campaign) -> list[str]:
+    """Return the names of the channels that a member can act on."""
+    return [channel.name for channel in campaign.channels if channel.kind in member.kinds]
+
+
+def _candidates(fitted: Fitted) -> tuple[tuple[BoundEffect, ...], dict[str, tuple[str, ...]]]:
+    """Return every effect that the model lacks, on the channels on which it lacks it, and what no run can show."""
+    model = fitted.model
+    acting: list[BoundEffect] = []
+    unobservable: dict[str, tuple[str, ...]] = {}
+    for member in searchable(model.registry):
+        spec = _spec(member, fitted)
+        if spec is None:
+            continue
+        try:
+            one = act(spec, model.assembly.belonging, model.registry)
+            # Without a label, a table where there is none, there is nothing to find.
+            acting.extend([one] if one.parameters else [])
+        except NoChannelError:
+            continue
+        except NotShownError:
+            unobservable[member.name] = member.needs
+    return tuple(acting), unobservable
+
+
+def _spec(member: type[Effect], fitted: Fitted) -> EffectSpec | None:
+    """Return the candidate for what the model does not have yet; None where it has all of it."""
+    rivals = [one for one in fitted.model.assembly.acting if _rival(one.member, member)]
+    spec = EffectSpec(member.name, where=f"candidate {member.name}")
+    if not rivals:
+        return spec
+    if issubclass(member, MotionEffect):
+        return None
+    taken = {name for one in rivals for name in one.channels}
+    free = tuple(name for name in fitting_channels(member, fitted.model.campaign) if name not in taken)
+    return replace(spec, channels=free) if free else None
+
+
+def _rival(one: Member, other: Member) -> bool:
+    return one.name == other.name or one.name in other.excludes or other.name in one.excludes
+
+
+def _extend(fitted: Fitted, acting: tuple[BoundEffect, ...]) -> _Extended:
+    assembly = fitted.model.assembly
+    extended = assemble(assembly.acting + acting, assembly.belonging)
+    parameters = extended.layout.parameters
+    places = {parameter.name: place for place, parameter in enumerate(parameters)}
+    return _Extended(on_device(problem_of(extended)), len(assembly.layout), acting, parameters, places)
+
+
+def _grid(one: BoundEffect) -> list[dict[str, float]]:
+    """Return the shapes to try; several shape parameters are scanned together, place by place."""
+    grids = {field: declared.shape for field, declared in one.declared.items() if declared.shape}
+    longest = max((len(grid) for grid in grids.values()), default=0)
+    return [{field: grid[min(place, len(grid) - 1)] for field, grid in grids.items()} for place in range(longest)]
+
+
+def _linearised(extended: _Extended, own: np.ndarray, scan_place: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return prediction (E,) and its derivative by all parameters in SI (E, P + C), candidates at their nulls."""
+    values = np.concatenate([own, np.zeros(len(extended.parameters) - extended.known)])
+    place = extended.known
+    for one in extended.acting:
+        grid = _grid(one)
+        shape = grid[min(scan_place, len(grid) - 1)] if grid else {}
+        for parameter in one.parameters:
+            null = one.declared[parameter.field].null
+            values[place] = shape[parameter.field] * parameter.factor if parameter.field in shape else null
+            place += 1
+    whole = jnp.concatenate([jnp.asarray(values), extended.problem.nulls])
+    predicted, packed = _push(extended.problem, whole)
+    sparsity = extended.problem.sparsity
+    jacobian = np.where(np.asarray(sparsity.reach), np.asarray(packed)[np.asarray(sparsity.colour)].T, 0.0)
+    return np.asarray(predicted), jacobian
+
+
+@eqx.filter_jit
+def _push(problem: Problem, values):
+    predicted, push = jax.linearize(lambda one: predict_from(problem, one), values)
+    nulls = jnp.zeros_like(problem.nulls)
+    return predicted, jax.vmap(lambda seed: push(jnp.concatenate([seed, nulls])))(problem.sparsity.seeds)
+
+
+_values = eqx.filter_jit(lambda problem, z: problem.priors.values(z))
+_slopes = eqx.filter_jit(lambda problem, z: problem.priors.slopes(z))
+
+
+def _response(one: BoundEffect, extended: _Extended, jacobian: np.ndarray, scan_place: int) -> Response:
+    grid = _grid(one)
+    shape = grid[scan_place] if grid else {}
+    linear = [parameter for parameter in one.parameters if not one.declared[parameter.field].shape]
+    places = [extended.places[parameter.name] for parameter in linear]
+    coefficients = tuple(
+        Coefficient(parameter, ",".join(parameter.label), one.declared[parameter.field].typical) for parameter in linear
+    )
+    factors = np.array([parameter.factor for parameter in linear])
+    return Response(ShapeScan(one.member.name, shape), coefficients, jacobian[:, places] * factors)

@@ -1,0 +1,221 @@
+"""Structure without a name: whether the residual of a channel depends on anything, whatever the form.
+
+Each channel, and all channels of a kind together, are looked at against each covariate with a form free enough to
+follow any broad cause: one value per level where a covariate was stepped through few of them, a cubic spline where it
+varied freely, harmonics for the table angle, steps in time for each run by itself.  What is narrow, fast or sudden, and
+products of two covariates, are covered by `imubayes.criticism.localised_structure`.  Everything goes through the same
+projection as the candidates, so what the model absorbs is not taken for structure.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+from scipy.interpolate import BSpline
+
+from imubayes.criticism.localised_structure import STEP, Detail, Details, FeatureScan, in_time, time_within
+from imubayes.criticism.projection import Projection
+from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.criticism.score_test import LEAST_OF_FORM, Explained, explain, sizes
+from imubayes.criticism.term_library import HARMONICS, levels
+
+# A covariate with so few levels gets one value per level.
+_MOST_LEVELS = 16
+_SPLINE_COLUMNS = 7
+_FEWEST_ROWS = 8
+# The course of a run is followed in steps of so many rows at least.
+_FEWEST_COURSE, _ROWS_OF_SEGMENT, _MOST_SEGMENTS = 12, 3, 8
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The dependence of residuals on one covariate, or on a pair of them.
+
+    Attributes
+    ----------
+    channel : name; of several that were looked at together the one with most of it.
+    covariates : one or two.
+    test : what form was allowed.
+    found : what it explains.
+    text : of a detail: what it is in brief.
+    size : of a step: its height in the channel and the standard deviation of that, in output units.
+    """
+
+    channel: str
+    covariates: tuple[ResidualCovariate, ...]
+    test: str
+    found: Explained
+    text: str = ""
+    size: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Form:
+    """A free form on one or more channels: columns over the entries, before whitening, shape (E, C)."""
+
+    channels: tuple[str, ...]
+    covariate: ResidualCovariate
+    test: str
+    columns: np.ndarray
+
+
+def forms(projection: Projection, known: Sequence[ResidualCovariate]) -> list[Form]:
+    """Return the free forms of every channel, and of all of a kind, in every covariate."""
+    fitted = projection.fitted
+    entries, found = fitted.model.entries, []
+    kinds: dict[str, list[list[Form]]] = {}
+    for place, channel in enumerate(fitted.model.campaign.channels):
+        here = (entries.channel == place) & ~entries.closing
+        alone = _of_channel(projection, channel.name, here, known)
+        kinds.setdefault(channel.kind, []).append(alone)
+        found += [*alone, *_courses(projection, channel.name, here)]
+    for each in kinds.values():
+        found.extend(_together(each))
+    return found
+
+
+def _of_channel(
+    projection: Projection, channel: str, here: np.ndarray, known: Sequence[ResidualCovariate]
+) -> list[Form]:
+    found = []
+    usable = [one for one in known if _rows(one, here).sum() >= _FEWEST_ROWS]
+    for one in usable:
+        test, columns = _alone(one, _rows(one, here))
+        if columns.shape[1]:
+            found.append(Form((channel,), one, test, columns))
+    return found
+
+
+def _together(channels: Sequence[Sequence[Form]]) -> list[Form]:
+    """Return the forms of several channels in the same covariates as one each, every channel with its own values."""
+    alike: dict[str, list[Form]] = {}
+    for one in (form for forms in channels for form in forms):
+        alike.setdefault(one.covariate.name, []).append(one)
+    return [
+        Form(
+            tuple(name for one in each for name in one.channels),
+            each[0].covariate,
+            each[0].test,
+            np.concatenate([one.columns for one in each], axis=1),
+        )
+        for each in alike.values()
+        if len(each) > 1
+    ]
+
+
+def _courses(projection: Projection, channel: str, here: np.ndarray) -> list[Form]:
+    """Return the course of each run by itself: what happens once belongs to no covariate that runs share."""
+    model, found = projection.fitted.model, []
+    for index in range(len(model.campaign.runs)):
+        rows = here & (model.entries.run == index)
+        count = int(rows.sum())
+        if count < _FEWEST_COURSE:
+            continue
+        place = np.zeros(len(rows), dtype=int)
+        place[rows] = in_time(projection, rows)
+        segment = place[rows] * min(_MOST_SEGMENTS, count // _ROWS_OF_SEGMENT) // count
+        covariate = time_within(projection, index, rows, place)
+        steps = np.eye(segment.max() + 1)[segment]
+        found.append(Form((channel,), covariate, "course of one run", _spread(steps, rows)))
+    return found
+
+
+def _rows(one: ResidualCovariate, here: np.ndarray) -> np.ndarray:
+    rows = here & np.isfinite(one.values)
+    return rows if rows.any() and np.ptp(one.values[rows]) > 0 else np.zeros_like(rows)
+
+
+def _alone(one: ResidualCovariate, rows: np.ndarray) -> tuple[str, np.ndarray]:
+    values = one.values[rows]
+    if one.name == "table_angle_deg":
+        angle = np.radians(values)
+        basis = np.stack([f(k * angle) for k in range(1, HARMONICS + 1) for f in (np.sin, np.cos)], axis=1)
+        return f"harmonics to {HARMONICS}", _spread(basis, rows)
+    level = levels(values)
+    if level.max() + 1 <= _MOST_LEVELS:
+        return "levels", _spread(np.eye(level.max() + 1)[level], rows)
+    return "spline", _spread(_spline(values), rows)
+
+
+def _spline(values: np.ndarray) -> np.ndarray:
+    """Return a cubic B-spline basis with knots at quantiles, (n, columns)."""
+    inner = np.unique(np.quantile(values, np.linspace(0, 1, _SPLINE_COLUMNS - 2)))
+    knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
+    return BSpline.design_matrix(values, knots, 3).toarray()
+
+
+def _spread(basis: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    columns = np.zeros((len(rows), basis.shape[1]))
+    columns[rows] = basis
+    return columns
+
+
+@dataclass(frozen=True)
+class Laid:
+    """A form as projected rows (R, C), with the lengths of its columns before."""
+
+    form: Form
+    columns: np.ndarray
+    length: np.ndarray
+
+
+def lay(projection: Projection, found: Sequence[Form]) -> list[Laid]:
+    """Return forms as rows of the projection."""
+    if not found:
+        return []
+    whitened = projection.whitened(np.concatenate([one.columns for one in found], axis=1))
+    projected = projection.project(whitened)
+    length = np.linalg.norm(whitened, axis=0)
+    ends = np.cumsum([one.columns.shape[1] for one in found])
+    parts = [slice(end - one.columns.shape[1], end) for one, end in zip(found, ends, strict=True)]
+    return [Laid(one, projected[:, part], length[part]) for one, part in zip(found, parts, strict=True)]
+
+
+def look(projection: Projection, laid: Sequence[Laid], scans: Sequence[FeatureScan]) -> list[Structure]:
+    """Return what each form, and the best detail against each covariate, explains; the least likely by chance first."""
+    found = []
+    for one in laid:
+        explained = explain(projection, one.columns, one.length, LEAST_OF_FORM)
+        channel = strongest(projection, one.form.channels, explained)
+        found.append(Structure(channel, (one.form.covariate,), one.form.test, explained))
+    found += [_detailed(projection, one.details, detail) for one in scans for detail in _best(projection, one)]
+    return sorted((one for one in found if one.found.span.shape[1]), key=lambda one: one.found.p)
+
+
+def _detailed(projection: Projection, of: Details, detail: Detail) -> Structure:
+    """Return what one detail explains."""
+    whole = of.whole(detail, len(projection.residual))
+    columns = projection.project(whole)
+    explained = explain(projection, columns, np.linalg.norm(whole, axis=0), LEAST_OF_FORM)
+    channel = strongest(projection, of.channels, explained)
+    if detail.test != STEP:
+        return Structure(channel, detail.covariates, detail.test, explained, detail.text)
+    value, sd = sizes(projection, columns, explained.fitted, explained.variance)
+    place = of.channels.index(channel)
+    return Structure(
+        channel, detail.covariates, detail.test, explained, detail.text, (float(value[place]), float(sd[place]))
+    )
+
+
+def _best(projection: Projection, one: FeatureScan) -> list[Detail]:
+    """Return the detail with the strongest evidence against each covariate."""
+    best: dict[str, tuple[float, Detail]] = {}
+    for batch, scores in one.scores(projection.residual[None, :]):
+        doubts = stats.chi2.logsf(scores[0], np.maximum(batch.freedom, 1))
+        for place, doubt, freedom in zip(batch.members.tolist(), doubts.tolist(), batch.freedom.tolist(), strict=True):
+            detail = one.details.found[place]
+            key = " × ".join(each.phrase for each in detail.covariates)
+            if freedom and (key not in best or doubt < best[key][0]):
+                best[key] = (doubt, detail)
+    return [detail for _, detail in best.values()]
+
+
+def strongest(projection: Projection, channels: Sequence[str], found: Explained) -> str:
+    """Return the channel in which most is explained."""
+    if len(channels) == 1:
+        return channels[0]
+    names = [one.name for one in projection.fitted.model.campaign.channels]
+    squares = projection.strata.sums(found.fitted**2)[:-1]
+    worth = {name: float(squares[projection.strata.channel == names.index(name)].sum()) for name in channels}
+    return max(worth, key=lambda name: worth[name])

@@ -1,0 +1,225 @@
+"""Details: dependences that are narrow, fast or sudden, which a free form over the whole range is too stiff to follow.
+
+Each family of the library's terms, and a step at each of some instants of each run, is looked at on all channels of a
+kind together, each channel with a size of its own.  Products of two covariates are among them, for a form that is free
+in two would be free in too much.  They are many and each has few directions: scores of all come from products of
+matrices, and only the best against each covariate is looked at closely.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.criticism.projection import Projection
+from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.criticism.score_test import LEAST_OF_FORM
+from imubayes.criticism.term_library import library
+
+STEP = "step"
+# Where readings are more, details would not fit into memory, and free forms have to do.
+_FEWEST_ROWS, _MOST_ROWS = 12, 30_000
+# A step in a run falls between any two of so many parts, of so many rows at least.
+_MOST_PARTS, _ROWS_OF_PART = 16, 3
+# Columns are whitened in blocks of so many, for what whitens is compiled anew for each number of them.
+_BLOCK = 256
+
+
+@dataclass(frozen=True)
+class Detail:
+    """One family of terms: one or two covariates, sort of test, where its columns stand, and what it is in brief."""
+
+    covariates: tuple[ResidualCovariate, ...]
+    test: str
+    columns: tuple[int, ...]
+    text: str
+
+
+@dataclass(frozen=True)
+class Details:
+    """The details of one kind of channel, whitened.
+
+    Attributes
+    ----------
+    channels : names, C of them.
+    rows : the rows of the projection that hold each channel.
+    columns : one per channel, shape (rows of it, N), whitened.
+    found : what the N columns belong to.
+    """
+
+    channels: tuple[str, ...]
+    rows: tuple[np.ndarray, ...]
+    columns: tuple[np.ndarray, ...]
+    found: tuple[Detail, ...]
+
+    def whole(self, one: Detail, height: int) -> np.ndarray:
+        """Return the whitened columns of a detail over all rows, (height, C · its columns): each channel its own."""
+        chosen = list(one.columns)
+        result = np.zeros((height, len(self.channels) * len(chosen)))
+        for place, (rows, columns) in enumerate(zip(self.rows, self.columns, strict=True)):
+            result[rows, place * len(chosen) : (place + 1) * len(chosen)] = columns[:, chosen]
+        return result
+
+
+@dataclass(frozen=True)
+class FeatureBatch:
+    """Details with equally many columns, ready to be scored.
+
+    Attributes
+    ----------
+    members : places among the details, (F,).
+    index : shape (F, k), columns of each.
+    white : shape (F, C · k, C · k), from the products of columns with a residual to independent scores.
+    freedom : shape (F,), directions that the model does not absorb.
+    """
+
+    members: np.ndarray
+    index: np.ndarray
+    white: np.ndarray
+    freedom: np.ndarray
+
+
+@dataclass(frozen=True)
+class FeatureScan:
+    """Details with the model's part taken out."""
+
+    details: Details
+    basis: np.ndarray
+    batches: tuple[FeatureBatch, ...]
+
+    def scores(self, residuals: np.ndarray) -> list[tuple[FeatureBatch, np.ndarray]]:
+        """Return for each batch the drops of χ², shape (n, F), of residuals (n, R); they need not be projected."""
+        left = residuals - (residuals @ self.basis) @ self.basis.T
+        products = [left[:, rows] @ each for rows, each in zip(self.details.rows, self.details.columns, strict=True)]
+        found = []
+        for batch in self.batches:
+            along = np.concatenate([one[:, batch.index] for one in products], axis=2)
+            found.append((batch, np.sum(np.einsum("nfa,fab->nfb", along, batch.white, optimize=True) ** 2, axis=2)))
+        return found
+
+
+def details(projection: Projection, known: Sequence[ResidualCovariate]) -> list[Details]:
+    """Return the details of each kind of channel; none where the readings are too many."""
+    model = projection.fitted.model
+    entries, gravity = model.entries, model.campaign.site.gravity
+    result = []
+    for kind in dict.fromkeys(channel.kind for channel in model.campaign.channels):
+        places = [place for place, channel in enumerate(model.campaign.channels) if channel.kind == kind]
+        here = np.isin(entries.channel, places) & ~entries.closing
+        if not _FEWEST_ROWS <= here.sum() <= _MOST_ROWS:
+            continue
+        columns, found = _of_terms(known, here, gravity)
+        steps, sudden = _steps(projection, here, len(columns))
+        columns, found = [*columns, *steps], (*found, *sudden)
+        if not columns:
+            continue
+        rows = [np.flatnonzero(here & (entries.channel == place)) for place in places]
+        whitened = _whitened(projection, np.stack(columns, axis=1), here)
+        names = tuple(model.campaign.channels[place].name for place in places)
+        result.append(Details(names, tuple(rows), tuple(whitened[each] for each in rows), found))
+    return result
+
+
+def _of_terms(
+    known: Sequence[ResidualCovariate], here: np.ndarray, gravity: float
+) -> tuple[list[np.ndarray], list[Detail]]:
+    columns, families = [], {}
+    for term in library(known, here, gravity):
+        families.setdefault((term.sort, term.family), []).append((len(columns), term))
+        columns.append(np.where(here, term.values, 0.0))
+    found = [
+        Detail(terms[0][1].covariates, terms[0][1].sort, tuple(place for place, _ in terms), terms[0][1].family)
+        for terms in families.values()
+    ]
+    return columns, found
+
+
+def _steps(projection: Projection, here: np.ndarray, first: int) -> tuple[list[np.ndarray], list[Detail]]:
+    """Return a step at each of some instants of each run: what happens once belongs to no covariate that runs share."""
+    model = projection.fitted.model
+    columns, found = [], []
+    for index in range(len(model.campaign.runs)):
+        within = here & (model.entries.run == index)
+        # Place among the readings of the same channel.
+        place, count = np.zeros(len(within), dtype=int), 0
+        for channel in np.unique(model.entries.channel[within]):
+            rows = within & (model.entries.channel == channel)
+            place[rows] = in_time(projection, rows)
+            count = max(count, int(rows.sum()))
+        if count < _FEWEST_ROWS:
+            continue
+        covariate = time_within(projection, index, within, place)
+        parts = min(_MOST_PARTS, count // _ROWS_OF_PART)
+        for part in range(1, parts):
+            after = within & (place * parts >= part * count)
+            at = float(np.nanmin(covariate.values[after]))
+            where = f"at {at:.4g} s" if covariate.name == "time_s" else f"from row {at:.0f}"
+            text = f"step {where} of run {model.campaign.runs[index].name}"
+            found.append(Detail((covariate,), STEP, (first + len(columns),), text))
+            columns.append(after.astype(float))
+    return columns, found
+
+
+def in_time(projection: Projection, rows: np.ndarray) -> np.ndarray:
+    """Return the place in time, from 0, of each of some entries, (E,) bool, of one run and channel."""
+    rank = np.asarray(projection.fitted.model.problem.observations.rank)[rows]
+    return np.argsort(np.argsort(rank, kind="stable"))
+
+
+def time_within(projection: Projection, index: int, rows: np.ndarray, place: np.ndarray) -> ResidualCovariate:
+    """Return time within one run, or the row where it has no time.
+
+    Parameters
+    ----------
+    rows : shape (E,) bool.
+    place : shape (E,), the row's number.
+    """
+    model = projection.fitted.model
+    run = model.campaign.runs[index]
+    time = run.covariates.get("time")
+    values = np.full(len(rows), np.nan)
+    values[rows] = time[model.entries.row[rows]] if time is not None else place[rows]
+    return ResidualCovariate("time_s" if time is not None else "row", "s", values, f"time within run {run.name}")
+
+
+def _whitened(projection: Projection, columns: np.ndarray, here: np.ndarray) -> np.ndarray:
+    """Return columns (E, N) as rows, scaled to comparable lengths, (R, N)."""
+    size = np.abs(columns[here]).max(axis=0)
+    columns = columns / np.where(size > 0, size, 1.0)
+    blocks = []
+    for start in range(0, columns.shape[1], _BLOCK):
+        block = columns[:, start : start + _BLOCK]
+        padded = np.concatenate([block, np.zeros((len(block), _BLOCK - block.shape[1]))], axis=1)
+        blocks.append(projection.whitened(padded)[:, : block.shape[1]])
+    return np.concatenate(blocks, axis=1)
+
+
+def scan(projection: Projection, of: Details) -> FeatureScan:
+    """Return details with everything taken out that the projection takes out."""
+    basis = projection.basis
+    taken = [basis[rows].T @ columns for rows, columns in zip(of.rows, of.columns, strict=True)]
+    widths = np.array([len(one.columns) for one in of.found])
+    batches = []
+    for width in np.unique(widths).tolist():
+        members = np.flatnonzero(widths == width)
+        index = np.array([of.found[place].columns for place in members])
+        batches.append(_batch(of, taken, members, index))
+    return FeatureScan(of, basis, tuple(batches))
+
+
+def _batch(of: Details, taken: Sequence[np.ndarray], members: np.ndarray, index: np.ndarray) -> FeatureBatch:
+    absorbed = np.concatenate([one[:, index] for one in taken], axis=2)
+    count, width = index.shape
+    size = len(of.channels) * width
+    squares = np.zeros((count, size, size))
+    for place, columns in enumerate(of.columns):
+        part = slice(place * width, (place + 1) * width)
+        own = columns[:, index]
+        squares[:, part, part] = np.einsum("rfa,rfb->fab", own, own, optimize=True)
+    length = np.sqrt(np.einsum("faa->fa", squares))
+    scale = np.where(length > 0, 1 / np.where(length > 0, length, 1.0), 0.0)
+    left = squares - np.einsum("pfa,pfb->fab", absorbed, absorbed, optimize=True)
+    values, axes = np.linalg.eigh(left * scale[:, :, None] * scale[:, None, :])
+    held = values > LEAST_OF_FORM
+    white = scale[:, :, None] * axes * np.where(held, 1 / np.sqrt(np.where(held, values, 1.0)), 0.0)[:, None, :]
+    return FeatureBatch(members, index, white, held.sum(axis=1))

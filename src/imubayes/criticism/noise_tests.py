@@ -1,0 +1,179 @@
+"""Is it the noise?  Correlation within runs, offsets from run to run, scatter that grows with the input, outliers.
+
+Each kind of noise has a statistic of the whitened, projected residual.  Projection itself correlates residuals, so each
+statistic is compared with its own distribution for white noise sent through the same projection, by simulation.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from imubayes.criticism.gauss_markov import FORGETFUL, Innovations, Memory, memories
+from imubayes.criticism.projection import Projection
+from imubayes.noise.outliers import Outliers
+
+OUTLIERS = "outliers"
+_DRAWS = 200
+# Rows times draws kept at once.
+_MOST_NUMBERS = 20_000_000
+_STRONGEST_CORRELATION = 0.95
+
+
+@dataclass(frozen=True)
+class NoiseCandidate:
+    """A kind of noise that the model lacks, on one kind of channel or all.
+
+    Attributes
+    ----------
+    effect : name in the catalogue.
+    channels : names.
+    value : estimate: correlation from row to row, variance of offsets over that of a run's mean, …; of outliers the
+        logarithm of the kurtosis over that of white noise.
+    p : chance of so much under white noise.
+    drop : square of the statistic in standard deviations: what S is for an effect.
+    """
+
+    effect: str
+    channels: tuple[str, ...]
+    value: float
+    p: float
+    drop: float
+
+
+def entries_of(projection: Projection, rows: np.ndarray) -> np.ndarray:
+    """Return rows of the projection as whitened entries, (E, …), the run offsets taken out where they are noise."""
+    count = len(projection.fitted.model.entries)
+    kept = rows.copy()
+    kept[: len(projection.strata.of_row)][projection.offset_rows] = 0.0
+    return projection.turn.reflect(kept[:count].reshape(count, -1)).reshape(count, *rows.shape[1:])
+
+
+def correlation(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return the lag-one correlation of whitened entries of the chosen groups, per column."""
+    padded = np.concatenate([entries, np.zeros((1, *entries.shape[1:]))])[projection.turn.series[chosen]]
+    return np.sum(padded[:, 1:] * padded[:, :-1], axis=(0, 1)) / np.sum(padded**2, axis=(0, 1))
+
+
+def run_offsets(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return the mean square of the groups' common parts over that of single entries, less one, per column."""
+    members = projection.turn.members[chosen]
+    padded = np.concatenate([entries, np.zeros((1, *entries.shape[1:]))])[members]
+    size = np.sum(members < len(entries), axis=1)
+    common = np.sum(padded, axis=1) / np.sqrt(size)[:, None]
+    return np.mean(common**2, axis=0) / (np.sum(padded**2, axis=(0, 1)) / size.sum()) - 1
+
+
+def growth(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return how the squared entries grow with the squared input, per column."""
+    here = np.unique(projection.turn.members[chosen])
+    here = here[here < len(entries)]
+    weight = _relative_square(projection.input[here])
+    weight = weight - weight.mean()
+    square = entries[here] ** 2
+    return weight @ square / np.sum(square, axis=0) * len(here) / max(float(weight @ weight), 1e-300)
+
+
+def tailedness(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return the logarithm of the kurtosis of the entries, each channel on its own scale, per column."""
+    channel = projection.fitted.model.entries.channel
+    here = np.unique(projection.turn.members[chosen])
+    here = here[here < len(entries)]
+    fourth = 0.0
+    for place in np.unique(channel[here]):
+        own = entries[here[channel[here] == place]] ** 2
+        fourth = fourth + len(own) * np.mean(own**2, axis=0) / np.maximum(np.mean(own, axis=0), 1e-300) ** 2
+    return np.log(fourth / len(here))
+
+
+_KINDS: tuple[tuple[str, Callable], ...] = (
+    ("correlated_noise", correlation),
+    ("run_scatter", run_offsets),
+    ("rate_proportional_noise", growth),
+    (OUTLIERS, tailedness),
+)
+
+
+def screen_noise(projection: Projection, seed: int = 1) -> list[NoiseCandidate]:
+    """Return the noise candidates on each kind of channel, the least likely by chance first."""
+    model = projection.fitted.model
+    rows = len(projection.residual)
+    draws = np.random.default_rng(seed).normal(size=(rows, max(20, min(_DRAWS, _MOST_NUMBERS // rows))))
+    both = np.concatenate([projection.residual[:, None], projection.project(draws)], axis=1)
+    entries = entries_of(projection, both)
+    found = []
+    for kind in dict.fromkeys(channel.kind for channel in model.campaign.channels):
+        names = tuple(channel.name for channel in model.campaign.channels if channel.kind == kind)
+        for effect, statistic in _KINDS:
+            chosen = _groups(projection, names, effect)
+            if not chosen.any():
+                continue
+            values = statistic(projection, entries, chosen)
+            mean, sd = float(np.mean(values[1:])), float(np.std(values[1:]))
+            z = (float(values[0]) - mean) / max(sd, 1e-12)
+            # Squares are skew: the tail of a normal would understate how often chance does as well.
+            skew = float(np.clip(stats.skew(values[1:]), 0.0, 4.0)) if sd > 1e-9 * abs(mean) else 0.0
+            p = float(stats.pearson3.sf(z, skew)) if np.isfinite(skew) else float(stats.norm.sf(z))
+            value = float(np.clip(values[0] - mean, -_STRONGEST_CORRELATION, None))
+            found.append(NoiseCandidate(effect, names, value, max(p, 1e-300), max(z, 0.0) ** 2))
+    return sorted(found, key=lambda one: one.p)
+
+
+def _groups(projection: Projection, names: tuple[str, ...], effect: str) -> np.ndarray:
+    """Return the groups of channels in which a kind of noise can show, (G,) bool."""
+    model = projection.fitted.model
+    index = [place for place, channel in enumerate(model.campaign.channels) if channel.name in names]
+    first = projection.turn.members[:, 0]
+    chosen = np.isin(model.entries.channel[first], index) & (projection.turn.sizes > 2)
+    present = {one.member.name for one in model.assembly.acting if set(one.channels) & set(names)}
+    allowed = present.isdisjoint(Outliers.excludes) if effect == OUTLIERS else True
+    if effect in present or not allowed or (effect == "run_scatter" and {"gyro_run_bias", "accel_run_bias"} & present):
+        return np.zeros_like(chosen)
+    return chosen
+
+
+@dataclass(frozen=True)
+class Prewhitening:
+    """Takes further noise out of whitened entries: what grows with the input, then what remembers the row before.
+
+    Attributes
+    ----------
+    weight : shape (E,), one over the standard deviation relative to the model's.
+    innovations : of the slow part in each record.
+    """
+
+    weight: np.ndarray
+    innovations: Innovations
+
+    def __call__(self, white: np.ndarray) -> np.ndarray:
+        return self.innovations(self.weight[:, None] * white)
+
+
+def prewhitening(projection: Projection, candidates: Sequence[NoiseCandidate]) -> Prewhitening:
+    """Return the whitening that the noise candidates ask for.
+
+    Parameters
+    ----------
+    projection : with everything taken out that may be more than noise.
+    """
+    model, series = projection.fitted.model, projection.turn.series
+    names = [channel.name for channel in model.campaign.channels] + [""] * 3
+    known: dict[int, Memory] = {}
+    weight = np.ones(len(model.entries))
+    for one in candidates:
+        here = np.isin(np.array(names)[model.entries.channel], one.channels)
+        if one.effect == "correlated_noise":
+            known |= memories(projection, [names.index(name) for name in one.channels])
+        if one.effect == "rate_proportional_noise":
+            relative = _relative_square(projection.input[here])
+            # e² follows 1 + k w about its mean: k from the slope over the mean.
+            slope = np.clip(one.value * (1 - one.value * relative.mean()) ** -1, 0, 1e6)
+            weight[here] = 1 / np.sqrt(1 + slope * relative)
+    each = [known.get(place, FORGETFUL) for place in model.entries.channel[series[:, 0]].tolist()]
+    share, correlation = (np.array([getattr(one, field) for one in each]) for field in ("share", "correlation"))
+    return Prewhitening(weight, Innovations(series, share, correlation))
+
+
+def _relative_square(values: np.ndarray) -> np.ndarray:
+    return (values / max(float(np.abs(values).max()), 1e-300)) ** 2

@@ -1,0 +1,233 @@
+"""One pass over all candidates, before any refit: what a refit would bring, and which coefficients it would find.
+
+With r the whitened residual and g⊥ a candidate's whitened response less what the model can absorb, u = g⊥ᵀr and
+V = g⊥ᵀg⊥ give the score S = uᵀV⁻¹u, the drop of χ² of a refit, and β̂ = V⁻¹u, the coefficients it would find.
+
+A hidden effect has inflated the noise scales that the fit found, so S is measured against the scale of each stratum
+as it is *after* the candidate has been taken out: F = Σ_s (S_s/s_s²)/d with Satterthwaite's degrees of freedom.  In a
+single stratum that is the F test of a nested linear model, exactly.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy import stats
+
+from imubayes.criticism.candidate_effects import Coefficient, Response, ShapeScan
+from imubayes.criticism.projection import Projection, orthonormal
+
+_SMALLEST = 1e-300
+# A candidate direction that keeps less than this share of its squared length is nothing but rounding.
+_LEAST_RETAINED = 1e-9
+# Of a form without a name much more must be left: it may be nearly what the model has.
+LEAST_OF_FORM = 1e-6
+# Where the largest size met in practice moves all readings together by less than this share of their noise, what is
+# there of a response is the rounding of the derivative.
+_LEAST_RESPONSE = 1e-6
+# What pleases the priors alone is no explanation where it has to be so many times the largest met in practice.
+_MOST_TYPICAL = 100.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A candidate on some channels (or mountings, tables), as screened.
+
+    Attributes
+    ----------
+    scan : effect and shape.
+    coefficients : C of them.
+    owners : the channels, mountings or tables of the coefficients.
+    value, sd : shape (C,), in the coefficients' units, the sd with the noise scale after the candidate.
+    retained : share of the response that the model cannot absorb, shape (C,).
+    found : what it explains.
+    """
+
+    scan: ShapeScan
+    coefficients: tuple[Coefficient, ...]
+    owners: tuple[str, ...]
+    value: np.ndarray
+    sd: np.ndarray
+    retained: np.ndarray
+    found: "Explained" = field(repr=False)
+
+    @property
+    def effect(self) -> str:
+        """Name of the effect."""
+        return self.scan.effect
+
+    @property
+    def dof(self) -> int:
+        """Number of directions that could be resolved."""
+        return self.found.span.shape[1]
+
+    @property
+    def plausible(self) -> bool:
+        """Whether it is more than a way to please the priors at an absurd size.
+
+        What the model absorbs all but for its priors would fit best without gravity, say: then all g-sensitivities
+        could be zero, as their priors like it.
+        """
+        typical = np.array([one.typical[1] for one in self.coefficients])
+        return self.found.of_priors < 0.5 or bool(np.any(np.abs(self.value) <= _MOST_TYPICAL * typical))
+
+    @property
+    def p(self) -> float:
+        """Chance of such a drop of χ² where there is no effect, of this candidate alone."""
+        return self.found.p
+
+    @cached_property
+    def doubt(self) -> float:
+        """Logarithm of the chance of such a gain of likelihood: what candidates are ranked by.
+
+        The F test of `p` loses power where evidence comes from between few runs as well; which of two causes explains
+        more must not depend on that.
+        """
+        return float(stats.chi2.logsf(2 * self.found.gain, max(self.dof, 1)))
+
+    @property
+    def drop(self) -> float:
+        """The drop of χ² that a refit brings, in units of the noise after it."""
+        return self.found.drop
+
+
+@dataclass(frozen=True)
+class Projected:
+    """A response as rows, before and after projection: whitened (R, C) and projected (R, C)."""
+
+    response: Response
+    whitened: np.ndarray
+    projected: np.ndarray
+
+
+def prepare(projection: Projection, responses: Sequence[Response]) -> list[Projected]:
+    """Return the responses as rows of the projection."""
+    if not responses:
+        return []
+    largest = np.array([coefficient.typical[1] for one in responses for coefficient in one.coefficients])
+    whitened = projection.whitened(np.concatenate([one.columns for one in responses], axis=1))
+    whitened = np.where(largest * np.linalg.norm(whitened, axis=0) < _LEAST_RESPONSE, 0.0, whitened)
+    projected = projection.project(whitened)
+    ends = np.cumsum([len(one.coefficients) for one in responses])
+    return [
+        Projected(one, whitened[:, end - len(one.coefficients) : end], projected[:, end - len(one.coefficients) : end])
+        for one, end in zip(responses, ends, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class Explained:
+    """The part of the residual that lies in the span of some projected columns.
+
+    Attributes
+    ----------
+    span : shape (R, d), orthonormal.
+    fitted : shape (R,).
+    drop, drop_at_fit : S with the noise scales after it, and with those of the fit.
+    p : chance of such a drop under no effect.
+    gain : of the log likelihood, the noise scale of every stratum free: what is explained counts wherever it is.
+    within, of_priors : shares of S that come from within runs, and from the priors.
+    variance : shape (strata + 1,), noise variance of each stratum after it, relative to the fit's.
+    """
+
+    span: np.ndarray
+    fitted: np.ndarray
+    drop: float
+    drop_at_fit: float
+    p: float
+    gain: float
+    within: float
+    of_priors: float
+    variance: np.ndarray
+
+
+def explain(
+    projection: Projection, columns: np.ndarray, length: np.ndarray, least: float = _LEAST_RETAINED
+) -> Explained:
+    """Return what projected columns explain of the residual.
+
+    Parameters
+    ----------
+    columns : shape (R, C), projected.
+    length : shape (C,), their lengths before projection.
+    least : directions that keep less than this share of their squared length count as absorbed.
+    """
+    span = orthonormal(columns, length, least)
+    along = span.T @ projection.residual
+    fitted = span @ along
+    strata = projection.strata
+    drop = strata.sums(fitted**2)
+    left = strata.sums((projection.residual - fitted) ** 2)
+    freedom = projection.freedom - strata.sums(np.sum(span**2, axis=1))
+    # The prior's scale is known; a stratum with no freedom left has none that could be judged.
+    judged = freedom > 0.5
+    judged[-1] = False
+    variance = np.maximum(np.where(judged, left / np.where(judged, freedom, 1.0), 1.0), 1e-12)
+    weighted = drop / variance
+    total, count = float(weighted.sum()), span.shape[1]
+    finite = np.where(judged, freedom, 1e9)
+    denominator = total**2 / max(float(np.sum(weighted**2 / finite)), _SMALLEST) if total > 0 else 1.0
+    p = float(stats.f.sf(total / count, count, denominator)) if count else 1.0
+    # Where the scale is estimated: half the degrees of freedom times the logarithm of what the scatter shrank by.
+    shrank = np.log1p(drop / np.where(judged, freedom * variance, 1.0))
+    gain = float(np.sum(np.where(judged, freedom * shrank, drop))) / 2
+    within = float(weighted[:-1][~strata.between].sum()) / total if total > 0 else 1.0
+    of_priors = float(weighted[-1]) / total if total > 0 else 0.0
+    return Explained(span, fitted, total, float(along @ along), max(p, _SMALLEST), gain, within, of_priors, variance)
+
+
+def assess(projection: Projection, one: Projected, chosen: np.ndarray | None = None) -> Candidate:
+    """Return a candidate with the chosen coefficients; all of them where None."""
+    chosen = np.arange(len(one.response.coefficients)) if chosen is None else chosen
+    columns, length = one.projected[:, chosen], np.linalg.norm(one.whitened[:, chosen], axis=0)
+    found = explain(projection, columns, length)
+    value, sd = sizes(projection, columns, found.fitted, found.variance)
+    coefficients = tuple(one.response.coefficients[place] for place in chosen)
+    return Candidate(
+        scan=one.response.scan,
+        coefficients=coefficients,
+        owners=tuple(dict.fromkeys(coefficient.owner for coefficient in coefficients)),
+        value=value,
+        sd=sd,
+        retained=np.sum(columns**2, axis=0) / np.where(length > 0, length**2, 1.0),
+        found=found,
+    )
+
+
+def sizes(projection: Projection, columns, explained, variance) -> tuple[np.ndarray, np.ndarray]:
+    """Return coefficients and standard deviations by generalised least squares with the scales of the strata."""
+    size = np.linalg.norm(columns, axis=0)
+    unit = columns / np.where(size > 0, size, 1.0)
+    inverse = np.linalg.pinv(unit.T @ unit, rcond=1e-12, hermitian=True) @ unit.T
+    value = inverse @ explained
+    covariance = (inverse * projection.strata.at_rows(variance)) @ inverse.T
+    with np.errstate(divide="ignore"):
+        # A column that is all absorbed has no coefficient: its uncertainty is boundless.
+        sd = np.where(size > 0, np.sqrt(np.diag(covariance)) / np.where(size > 0, size, 1.0), np.inf)
+    return np.where(size > 0, value / np.where(size > 0, size, 1.0), 0.0), sd
+
+
+def variants(response: Response, kinds: Mapping[str, str]) -> list[np.ndarray]:
+    """Return which coefficients to try together: those of each kind of channel, those of each owner alone.
+
+    What acts on gyros and accelerometers alike is one cause for each kind: together they would pass off two causes, one
+    in each, as one.
+
+    Parameters
+    ----------
+    kinds : kind of each channel by name.
+    """
+    owners = [coefficient.owner for coefficient in response.coefficients]
+    every = range(len(owners))
+    alone = [[i for i in every if owners[i] == owner] for owner in dict.fromkeys(owners)]
+    together = [[i for i in every if kinds.get(owners[i], "") == kind] for kind in dict.fromkeys((*kinds.values(), ""))]
+    chosen = dict.fromkeys(tuple(one) for one in (*together, *alone) if one)
+    return [np.array(one) for one in chosen]
+
+
+def screen(projection: Projection, responses: Sequence[Projected]) -> list[Candidate]:
+    """Return every candidate on all its channels together, on each kind and on each alone, the best founded first."""
+    kinds = {channel.name: channel.kind for channel in projection.fitted.model.campaign.channels}
+    found = [assess(projection, one, chosen) for one in responses for chosen in variants(one.response, kinds)]
+    return sorted((one for one in found if one.dof and one.plausible), key=lambda one: (one.doubt, -one.drop / one.dof))

@@ -1,0 +1,296 @@
+"""The search: look, take out the best explanation, look again, until nothing is left that chance would not do."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.criticism.candidate_effects import Responses, respond
+from imubayes.criticism.equivalent_effects import Group, group
+from imubayes.criticism.lack_of_fit import Laid, Structure, forms, lay, look
+from imubayes.criticism.localised_structure import Details, FeatureScan, details, scan
+from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
+from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, Prewhitening, prewhitening, screen_noise
+from imubayes.criticism.outliers import NEAR, distances, far_off, gathered, in_a_row
+from imubayes.criticism.projection import Projection, orthonormal, project
+from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
+from imubayes.criticism.score_test import Candidate, Projected, prepare, screen
+from imubayes.inference.fitted import Fitted
+from imubayes.inference.posterior_mode import find_mode
+from imubayes.model.problem import without
+
+# Chance of a false alarm, of effects, of structure and of noise.
+EFFECT_THRESHOLD, STRUCTURE_THRESHOLD, NOISE_THRESHOLD = 0.02, 0.02, 0.01
+# Chances are worked out for a known noise.  Where its memory had to be estimated from the same readings, so much less
+# chance is asked for.
+_WITH_MEMORY = 0.1
+# Noise with memory, or offsets of runs, that is so much as hinted at is allowed for before an effect is claimed: where
+# it is real it passes for effects.
+_NOISE_DOUBT, _DOUBTED = 0.1, ("correlated_noise", "run_scatter")
+# A pattern this far beyond chance is no noise, whatever its memory.
+_NO_NOISE = 1e-6
+_MOST_STEPS, _MOST_PATTERNS = 4, 8
+# Fits in turns with looks for readings that are far off.
+_MOST_ROUNDS = 4
+# Directions between neighbouring shapes count down to this share of their squared length.
+_SAME_SHAPE = 1e-4
+
+
+@dataclass(frozen=True)
+class Look:
+    """One pass over candidates and free forms.
+
+    Attributes
+    ----------
+    candidates, structures : the least likely by chance first.
+    """
+
+    projection: Projection
+    prepared: tuple[Projected, ...]
+    laid: tuple[Laid, ...]
+    scans: tuple[FeatureScan, ...]
+    candidates: tuple[Candidate, ...]
+    structures: tuple[Structure, ...]
+
+
+@dataclass(frozen=True)
+class Chances:
+    """Chance of so small a p-value among all that was looked at: effects, and structure."""
+
+    of_effect: LookElsewhere
+    of_structure: LookElsewhere
+
+    def alarming(self, structures: Sequence[Structure], strict: float = 1.0) -> tuple[tuple[Structure, float], ...]:
+        """Return the structures beyond chance, with their chance."""
+        judged = [(one, self.of_structure(one.found.p)) for one in structures]
+        return tuple(pair for pair in judged if pair[1] < strict * STRUCTURE_THRESHOLD)
+
+
+@dataclass(frozen=True)
+class Found:
+    """The outcome of a search.
+
+    Attributes
+    ----------
+    first : the first look, at the noise that was settled on.
+    responses, covariates : what was looked at.
+    groups : one per effect found, in the order of evidence.
+    structures : those beyond chance at the first look, with their chance.
+    left : those that remain so after the groups were taken out.
+    noise : noise candidates as screened first.
+    adopted : those that are beyond chance once effects and patterns are taken out.
+    far : shape (E,), by how many standard deviations of the others a reading is far off; 0 for those that are not.
+    chance : of the smallest p-value of all candidates.
+    """
+
+    first: Look
+    responses: Responses
+    covariates: tuple[ResidualCovariate, ...]
+    groups: tuple[Group, ...]
+    structures: tuple[tuple[Structure, float], ...]
+    left: tuple[tuple[Structure, float], ...]
+    noise: tuple[NoiseCandidate, ...]
+    adopted: tuple[NoiseCandidate, ...]
+    far: np.ndarray
+    chance: LookElsewhere
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A fit and what is looked at in it."""
+
+    fitted: Fitted
+    responses: Responses
+    covariates: tuple[ResidualCovariate, ...]
+
+    def projection(self, extra: Prewhitening | None = None, offsets: bool = False) -> Projection:
+        """Return residuals and responses without what the model absorbs."""
+        return project(self.fitted, self.responses.misfit, self.responses.jacobian, extra, offsets)
+
+    def look(self, at: Projection) -> Look:
+        """Return one pass over candidates and free forms."""
+        laid = lay(at, forms(at, self.covariates))
+        return _look(at, prepare(at, self.responses.candidates), laid, details(at, self.covariates))
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What the first look shows, the noise being what the model says.
+
+    Attributes
+    ----------
+    first, last : the look at all, and at what the groups leave.
+    alarm : whether anything but noise is beyond chance.
+    cleared : the projection without groups and without patterns that are no noise.
+    """
+
+    first: Look
+    chances: Chances
+    noise: tuple[NoiseCandidate, ...]
+    groups: tuple[Group, ...]
+    last: Look
+    alarm: bool
+    cleared: Projection
+
+
+def search(fitted: Fitted) -> Found:
+    """Return what is missing in a converged fit; without a refit, but where readings are far off."""
+    whole = Ground(fitted, respond(fitted), tuple(covariates(fitted)))
+    at_first = _sight(whole)
+    outliers, far = _outliers(whole, at_first)
+    if not outliers:
+        return _settled(whole, at_first)
+    ground, sight, apart = whole, at_first, np.zeros(len(far))
+    for _ in range(_MOST_ROUNDS):
+        # What an effect that is missing moves far off has a cause: only what remains so without it is left out.
+        rest, apart = _without(fitted, far, 1 if sight.groups else _MOST_ROUNDS)
+        ground = Ground(rest, respond(rest), ground.covariates)
+        sight = _sight(ground)
+        more = far_off(sight.last.projection)
+        if not more.any():
+            break
+        far = (apart != 0) | more
+    if in_a_row(fitted.model, apart):
+        return _settled(whole, at_first)
+    found = _settled(ground, sight)
+    return replace(found, noise=at_first.noise, adopted=(*outliers, *found.adopted), far=apart)
+
+
+def _sight(ground: Ground) -> Sight:
+    first = ground.look(ground.projection())
+    chances = Chances(
+        look_elsewhere([one.found for one in first.candidates]),
+        look_elsewhere([one.found for one in first.structures], first.scans),
+    )
+    noise = screen_noise(first.projection)
+    groups, last = _steps(first, chances.of_effect)
+    alarm, cleared = bool(groups or chances.alarming(first.structures)), last.projection
+    if alarm or _within(noise, NOISE_THRESHOLD):
+        cleared = _without_patterns(last, chances.of_structure, at_least=int(alarm and not groups)).projection
+    return Sight(first, chances, tuple(noise), groups, last, alarm, cleared)
+
+
+def _outliers(ground: Ground, sight: Sight) -> tuple[list[NoiseCandidate], np.ndarray]:
+    """Return the outliers among the noise beyond chance, and which readings these are, (E,) bool.
+
+    A few readings that are far off pass for a pattern, and a pattern in a few rows for readings that are far off.  A
+    pattern explains more of them than it has directions, or gathers them at one value of a covariate.
+    """
+    before = sight.first.projection
+    beyond = [one for one in _within(sight.noise, NOISE_THRESHOLD) if one.effect == OUTLIERS]
+    far = far_off(sight.last.projection)
+    directions = sight.cleared.basis.shape[1] - before.basis.shape[1]
+    explained = np.sum(far_off(before) & ~far_off(sight.cleared))
+    if not beyond or explained > directions or gathered(sight.last.projection, far, ground.covariates):
+        return [], far
+    return (beyond if far.any() or not sight.alarm else []), far
+
+
+def _without(fitted: Fitted, far: np.ndarray, rounds: int) -> tuple[Fitted, np.ndarray]:
+    """Return the fit to all readings but those that are far off, (E,) bool, and by how much they are, (E,).
+
+    They have made the noise look wide and neighbours look far off: once they are left out, more of them may show, and
+    some that were left out come back.
+    """
+    z, h, rest = jnp.asarray(fitted.z), jnp.asarray(fitted.h), fitted
+    apart = np.zeros(len(far))
+    for _ in range(rounds):
+        problem = without(fitted.model.problem, far)
+        mode = find_mode(problem, z, h)
+        if not bool(mode.converged):
+            break
+        z, h = mode.z, mode.h
+        rest = replace(fitted, model=replace(fitted.model, problem=problem), z=np.asarray(z), h=np.asarray(h))
+        sizes, surprise = distances(problem, mode)
+        apart = np.where(far, sizes, 0.0)
+        more = far_off(project(rest, np.asarray(mode.about.misfit), np.asarray(mode.about.jacobian)))
+        now = more | (far & (np.abs(surprise) > NEAR))
+        if np.array_equal(now, far):
+            break
+        far = now
+    return rest, apart
+
+
+def _settled(ground: Ground, sight: Sight) -> Found:
+    """Return what is missing once the noise is what the readings say."""
+    first, chances, groups, last = sight.first, sight.chances, sight.groups, sight.last
+    adopted, doubted, strict = [], [], 1.0
+    if sight.alarm or _within(sight.noise, NOISE_THRESHOLD):
+        remaining = [one for one in screen_noise(sight.cleared) if one.effect != OUTLIERS]
+        adopted = _within(remaining, NOISE_THRESHOLD)
+        hinted = [one for one in _within(remaining, _NOISE_DOUBT) if one.effect in _DOUBTED and one not in adopted]
+        doubted = [*adopted, *(hinted if sight.alarm else ())]
+    if doubted:
+        offsets = any(one.effect == "run_scatter" for one in doubted)
+        first = ground.look(ground.projection(prewhitening(sight.cleared, doubted), offsets))
+        strict = _WITH_MEMORY if any(one.effect == "correlated_noise" for one in doubted) else 1.0
+        groups, last = _steps(first, chances.of_effect, strict)
+    return Found(
+        first=first,
+        responses=ground.responses,
+        covariates=ground.covariates,
+        groups=groups,
+        structures=chances.alarming(first.structures, strict),
+        left=chances.alarming(last.structures, strict),
+        noise=sight.noise,
+        adopted=tuple(adopted),
+        far=np.zeros(len(ground.responses.misfit)),
+        chance=chances.of_effect,
+    )
+
+
+def _within(noise: Sequence[NoiseCandidate], threshold: float) -> list[NoiseCandidate]:
+    """Return the noise candidates whose chance, with all of them counted, is below a threshold."""
+    return [one for one in noise if one.p * len(noise) < threshold]
+
+
+def _look(projection: Projection, prepared: Sequence[Projected], laid: Sequence[Laid], fine: Sequence[Details]) -> Look:
+    scans = [scan(projection, one) for one in fine]
+    candidates, structures = screen(projection, prepared), look(projection, laid, scans)
+    return Look(projection, tuple(prepared), tuple(laid), tuple(scans), tuple(candidates), tuple(structures))
+
+
+def _steps(first: Look, chance: LookElsewhere, strict: float = 1.0) -> tuple[tuple[Group, ...], Look]:
+    """Take out the best candidate and look again, as long as one is beyond chance."""
+    at, groups = first, []
+    while at.candidates and len(groups) < _MOST_STEPS:
+        p = chance(min(one.p for one in at.candidates))
+        if p >= strict * EFFECT_THRESHOLD:
+            break
+        leader = next(one for one in at.candidates if chance(one.p) < strict * EFFECT_THRESHOLD)
+        groups.append(group(at.projection, leader, at.candidates, p))
+        at = take_out(at, whole_span(at, leader))
+    return tuple(groups), at
+
+
+def _without_patterns(at: Look, chance: LookElsewhere, at_least: int) -> Look:
+    """Take out the strongest patterns that are no noise; the weaker ones would take the noise along."""
+    for place in range(_MOST_PATTERNS):
+        if not at.structures or (place >= at_least and chance(at.structures[0].found.p) >= _NO_NOISE):
+            break
+        at = take_out(at, at.structures[0].found.span)
+    return at
+
+
+def whole_span(at: Look, leader: Candidate) -> np.ndarray:
+    """Return the directions of a candidate at every shape that was tried, (R, d): the true one lies between them."""
+    names = {coefficient.parameter.name for coefficient in leader.coefficients}
+    columns, lengths = [], []
+    for one in at.prepared:
+        if one.response.scan.effect == leader.effect:
+            chosen = [i for i, each in enumerate(one.response.coefficients) if each.parameter.name in names]
+            columns.append(one.projected[:, chosen])
+            lengths.append(np.linalg.norm(one.whitened[:, chosen], axis=0))
+    return orthonormal(np.concatenate(columns, axis=1), np.concatenate(lengths), _SAME_SHAPE)
+
+
+def take_out(at: Look, span: np.ndarray) -> Look:
+    """Return the look after some directions, (R, d), have been taken out."""
+
+    def less(columns: np.ndarray) -> np.ndarray:
+        return columns - span @ (span.T @ columns)
+
+    prepared = [replace(one, projected=less(one.projected)) for one in at.prepared]
+    laid = [replace(one, columns=less(one.columns)) for one in at.laid]
+    return _look(at.projection.without(span), prepared, laid, [one.details for one in at.scans])

@@ -1,0 +1,79 @@
+"""The motion of the carrier of a rotating unit, as a table and a picture."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from imubayes.classical.rotation_modulation import Carrier, attenuation, carrier
+from imubayes.display.figures.modulation import modulation_figure
+from imubayes.display.theme import Picture
+from imubayes.earth import earth_rate, table_to_local
+from imubayes.errors import InputError, Issue, closest_first
+from imubayes.results.result_folder import write_beside
+from imubayes.run import Campaign, Run
+from imubayes.units import to_si
+
+Facts = Mapping[str, Any]
+_BIASES = {"gyro": "gyro_bias.bias", "accelerometer": "accel_bias.bias"}
+
+
+def rotating_run(campaign: Campaign, name: str) -> Run:
+    """Return a run of a campaign in which the unit turns on a table; raises InputError where it is none."""
+    turning = [run for run in campaign.runs if run.table and run.mounting and np.any(run.covariates["table_rate"] != 0)]
+    found = next((run for run in turning if run.name == name), None)
+    if found is not None and np.isfinite(found.covariates["table_angle"]).all():
+        return found
+    fault = "is no run that turns on a table" if found is None else "has no table angle in some of its rows"
+    known = [run.name for run in turning if np.isfinite(run.covariates["table_angle"]).all()]
+    raise InputError(
+        Issue(
+            f"'{name}' {fault}",
+            f"campaign '{campaign.name}'",
+            closest_first(name, known) or "a run with table_rate_deg_s and table_angle_deg in every row",
+            "name a run of procedure rotation_modulation",
+        )
+    )
+
+
+def fitted_biases(campaign: Campaign, summary: Facts) -> dict[str, float]:
+    """Return the bias of each channel that a fit has found, rad/s or m/s²."""
+    found = {one["name"]: one for one in summary["parameters"]}
+    named = {one.name: found.get(f"{_BIASES[one.kind]}[{one.name}]") for one in campaign.channels}
+    return {name: one["mean"] * to_si(one["unit"], campaign.site.gravity) for name, one in named.items() if one}
+
+
+def carrier_table(motion: Carrier, gravity: float) -> pl.DataFrame:
+    """Return the motion of a carrier as a table in deg/s and g."""
+    columns = {"time_s": motion.time, "table_angle_deg": np.degrees(motion.angle)}
+    columns |= {f"rate_{axis}_deg_s": np.degrees(motion.rate[:, place]) for place, axis in enumerate("xyz")}
+    columns |= {f"force_{axis}_g": motion.force[:, place] / gravity for place, axis in enumerate("xyz")}
+    return pl.DataFrame(columns)
+
+
+def modulation_picture(campaign: Campaign, run: Run) -> Picture | None:
+    """Return the picture of the gyros' bias vector as it turns; None where there are too few gyros."""
+    motion = carrier(campaign, run)
+    if not np.isfinite(motion.rate).all() or run.table is None:
+        return None
+    table = campaign.tables[run.table]
+    earth = table_to_local(table.azimuth, table.elevation).T @ earth_rate(campaign.site.latitude)
+    felt = np.degrees(motion.rate - earth) * 3600
+    weight = np.abs(run.covariates["table_angle_span"])
+    arc = attenuation(run)[:, None]
+    total = np.cumsum(weight)
+    # Weighted by the arcs; over an arc of its own a turning vector is as short as the measured mean of it was.
+    mean = np.cumsum(felt[:, :2] * arc * weight[:, None], axis=0) / total[:, None]
+    along = np.cumsum(felt[:, 2] * weight) / total
+    length = float(np.mean(np.hypot(felt[:, 0], felt[:, 1])))
+    expected = length * np.abs(np.sinc(total / (2 * np.pi)))
+    return modulation_figure(total / (2 * np.pi), felt[:, :2], mean, along, expected, "deg/h", run.name)
+
+
+def write_carrier(file: Path, campaign: Campaign, run: Run, biases: Mapping[str, float] | None) -> list[Path]:
+    """Write the table of a carrier's motion, and the picture beside it; return the files."""
+    write_beside(file, carrier_table(carrier(campaign, run, biases), campaign.site.gravity).write_csv())
+    drawn = modulation_picture(campaign, run)
+    return [file, *([] if drawn is None else [drawn.save(file.with_suffix(".png"))])]

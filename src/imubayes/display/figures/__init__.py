@@ -1,0 +1,17 @@
+"""Pictures of a result, one call each: `figure = residual_figure(residuals, "table_rate")`."""
+
+from imubayes.display.figures.corner import corner_figure
+from imubayes.display.figures.identifiability import identifiability_figure
+from imubayes.display.figures.measurement import measurement_figure
+from imubayes.display.figures.prior_posterior import prior_posterior_figure
+from imubayes.display.figures.residual import residual_figure
+from imubayes.display.figures.run_chi2 import run_chi2_figure
+
+__all__ = [
+    "corner_figure",
+    "identifiability_figure",
+    "measurement_figure",
+    "prior_posterior_figure",
+    "residual_figure",
+    "run_chi2_figure",
+]

@@ -1,0 +1,107 @@
+"""Pictures of a diagnosis and of an addition, drawn from what stands in a result folder."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from imubayes.criticism.residual_evidence import Telling
+from imubayes.display.figures.residual_evidence import added_variable_figure, before_after_figure, telling_figure
+from imubayes.display.labels import COVARIATES, pretty
+from imubayes.display.theme import Picture
+
+_LEVELS, _TIME_LAST = 24, 0.1
+
+
+def save_telling(folder: Path, telling: Telling, facts: Mapping[str, Any]) -> Path:
+    """Draw the telling residual of a diagnosis into the `figures` of its result folder; return the file."""
+    effect = facts["groups"][0]["effects"][0] if facts["groups"] else "the best candidate"
+    if telling.covariate is not None:
+        unit = pretty(telling.covariate.unit)
+        against = f"{telling.covariate.phrase} / {unit}" if unit else telling.covariate.phrase
+    else:
+        against = f"what the effect explains / {pretty(telling.unit)}"
+    drawn = telling_figure(
+        np.asarray(telling.at, dtype=float), np.asarray(telling.residual), np.asarray(telling.explained),
+        telling.run.tolist(), telling.channel, telling.unit, against, effect,
+    )  # fmt: skip
+    target = folder / "figures"
+    target.mkdir(exist_ok=True)
+    return drawn.save(target / "diagnosis.png")
+
+
+def before_after(
+    before: pl.DataFrame,
+    after: pl.DataFrame,
+    added: str,
+    floors: Mapping[str, float] | None = None,
+    telling: Mapping[str, str] | None = None,
+) -> Picture | None:
+    """Return the residual of the channel that changed most against what tells; None where the tables do not match.
+
+    Parameters
+    ----------
+    before, after : `residuals.parquet` of two fits of one campaign.
+    added : the effect.
+    floors : channel → noise of one row, input units.
+    telling : `channel` and `covariate` that the diagnosis before named; without them those that changed most.
+    """
+    keys = ["run", "row", "channel"]
+    joined = before.join(after.select([*keys, pl.col("input_residual").alias("after")]), on=keys, how="inner")
+    joined = joined.filter(~pl.col("channel").str.starts_with("closure_"))
+    if not joined.height:
+        return None
+    change = ((pl.col("input_residual") - pl.col("after")) / pl.col("input_sd")) ** 2
+    channel = joined.group_by("channel").agg(change.sum().alias("worth")).sort("worth")["channel"][-1]
+    named = telling or {}
+    channel = named["channel"] if named.get("channel") in joined["channel"].unique().to_list() else channel
+    own = joined.filter(pl.col("channel") == channel)
+    at, label = telling_abscissa(
+        own, own["input_residual"].to_numpy() - own["after"].to_numpy(), named.get("covariate")
+    )
+    return before_after_figure(
+        at, own["input_residual"].to_numpy(), own["after"].to_numpy(), own["run"].to_list(), channel,
+        own["input_unit"][0], label, added, (floors or {}).get(channel),
+    )  # fmt: skip
+
+
+def telling_abscissa(own: pl.DataFrame, change: np.ndarray, named: str | None = None) -> tuple[np.ndarray, str]:
+    """Return the covariate that a change follows best, by the means of its levels; the row where none tells.
+
+    One that is named goes first where the table has it; time, along which everything changes, goes last.
+    """
+    best, found = 0.15, None
+    for covariate in COVARIATES:
+        if covariate.column == "row" or covariate.column not in own.columns:
+            continue
+        x = own[covariate.column].cast(pl.Float64).fill_null(float("nan")).to_numpy()
+        share = _share(x, change) + (2.0 if covariate.column == named else 0.0)
+        share -= _TIME_LAST if covariate.column in ("time_s", "power_on_s") else 0.0
+        if share > best:
+            best, found = share, (x, f"{covariate.phrase} / {pretty(covariate.unit)}")
+    return found or (np.arange(own.height, dtype=float), "row, in the order of the runs")
+
+
+def _share(x: np.ndarray, y: np.ndarray) -> float:
+    """Return the share of the variance of y between levels of x, less what chance gives."""
+    good = np.isfinite(x)
+    if good.sum() < 0.6 * len(x) or np.ptp(x[good]) == 0:
+        return 0.0
+    x, y = x[good], y[good]
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, min(_LEVELS, max(3, len(x) // 6)) + 1)))
+    level = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    count = np.bincount(level, minlength=len(edges) - 1)
+    means = np.bincount(level, y, len(edges) - 1) / np.maximum(count, 1)
+    whole = float(np.sum((y - y.mean()) ** 2))
+    between = float(np.sum(count * (means - y.mean()) ** 2))
+    free = len(x) - len(edges) + 1
+    return (between - (len(edges) - 2) * (whole - between) / max(free, 1)) / whole if whole > 0 else 0.0
+
+
+def added_variable(table: pl.DataFrame, added: str) -> Picture | None:
+    """Return the added-variable plot of an addition; None where it has no points."""
+    if not table.height:
+        return None
+    return added_variable_figure(table["added"].to_numpy(), table["residual"].to_numpy(), table["run"].to_list(), added)

@@ -1,0 +1,173 @@
+"""The runs that could be made next: what the campaign's tables, mountings, chamber and converters allow."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imubayes.run import Campaign, Mounting, Run, Table
+
+_HEAD_POSITIONS = 12
+_DEFAULT_RATES = (100.0, 30.0, 10.0, -100.0, -30.0, -10.0)  # deg/s
+_VERTICAL = math.radians(45.0)
+_STANDARD = {
+    "x-up": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+    "y-up": np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+    "z-up": np.eye(3),
+}
+_INJECTED_G, _RAMP = 10.0, (15.0, 45.0)
+# A temperature counts as changed in a run where it moves by this much, degC.
+_CHANGED = 2.0
+# A cycle: up at the fastest slope seen, a hold, down at a third of it, a hold; shares of the time against the range.
+_CYCLE = ((0.0, 0.15, 0.45, 0.9, 1.0), (0.0, 1.0, 1.0, 0.0, 0.0))
+_CYCLE_ROWS = 60
+
+
+@dataclass(frozen=True)
+class CandidateRun:
+    """A run that could be made: a sentence for the engineer, and the run itself."""
+
+    sentence: str
+    run: Run
+
+
+def candidate_runs(campaign: Campaign, elsewhere: bool = False) -> tuple[Campaign, list[CandidateRun]]:
+    """Return the campaign with standard mountings added, and the runs that its equipment allows.
+
+    Parameters
+    ----------
+    elsewhere : whether runs on another rate table, which has errors of its own, count.
+    """
+    mountings = dict(campaign.mountings)
+    seats = [one.uncertainty for one in mountings.values() if one.uncertainty]
+    for name, matrix in _STANDARD.items():
+        if not any(np.allclose(one.body_to_table[2], matrix[2], atol=1e-3) for one in mountings.values()):
+            mountings[name] = Mounting(name, matrix, max(seats, default=None))
+    others = {one.name: _another(one) for one in campaign.tables.values() if elsewhere and one.elevation > _VERTICAL}
+    tables = {**campaign.tables, **{other.name: other for other in others.values()}}
+    extended = replace(campaign, mountings=mountings, tables=tables)
+    used = {(run.table, run.mounting) for run in campaign.runs}
+    found = []
+    for table in campaign.tables.values():
+        for mounting in mountings.values():
+            run, sentence = _planned(campaign, table, mounting)
+            again = "another run: " if (table.name, mounting.name) in used else ""
+            found.append(CandidateRun(again + sentence, run))
+    for original, other in others.items():
+        seen = [mounting for mounting in campaign.mountings.values() if (original, mounting.name) in used]
+        found.extend(_on(other, campaign.tables[original], campaign, mounting) for mounting in seen)
+    found.extend(_injections(campaign))
+    found.extend(_cycles(campaign))
+    return extended, found
+
+
+def _another(table: Table) -> Table:
+    return replace(table, name=f"another table than {table.name}")
+
+
+def _on(table: Table, original: Table, campaign: Campaign, mounting: Mounting) -> CandidateRun:
+    """Return a run on another table, as it is made on the one there is."""
+    run, sentence = _planned(campaign, original, mounting)
+    run = replace(run, name=f"{run.name} elsewhere", table=table.name)
+    return CandidateRun(sentence.replace(f"on '{original.name}'", f"on another table than '{original.name}'"), run)
+
+
+def _cycles(campaign: Campaign) -> list[CandidateRun]:
+    """Return a thermal run with two slopes and holds, in place of the first of each kind that there is."""
+    found = []
+    for name, words in (("temperature", "temperature"), ("converter_temperature", "converter temperature")):
+        runs = [run for run in campaign.runs if name in run.covariates and "time" in run.covariates]
+        changed = [run for run in runs if np.ptp(run.covariates[name]) > _CHANGED and run.tumble is None]
+        if not changed:
+            continue
+        run = changed[0]
+        low, high = float(run.covariates[name].min()), float(run.covariates[name].max())
+        duration = float(np.ptp(run.covariates["time"]))
+        time = np.linspace(0.0, duration, _CYCLE_ROWS)
+        still = np.zeros(_CYCLE_ROWS)
+        covariates = {"time": time, "table_rate": still, "table_angle": still, "table_angle_span": still}
+        for other in ("temperature", "converter_temperature", "current"):
+            if other in run.covariates:
+                covariates[other] = np.full(_CYCLE_ROWS, float(np.median(run.covariates[other])))
+        if "power_on" in run.covariates:
+            covariates["power_on"] = time + float(run.covariates["power_on"].min())
+        covariates[name] = low + (high - low) * np.interp(time / duration, *_CYCLE)
+        planned = _empty_run(campaign, f"candidate {name} cycle", run.procedure, run.table, run.mounting, covariates)
+        where = f" in mounting '{run.mounting}'" if run.mounting is not None else ""
+        sentence = (
+            f"{run.procedure}{where}, {words} cycled within {duration / 3600:.2g} h from {low:.3g} to {high:.3g} degC, "
+            "held, and back three times slower"
+        )
+        found.append(CandidateRun(sentence, planned))
+    return found
+
+
+def _injections(campaign: Campaign) -> list[CandidateRun]:
+    """Return a run with injected current over a converter ramp, where the sensors have a current output."""
+    currents = [c.current_per_acceleration for c in campaign.channels if c.current_per_acceleration]
+    if not currents or not any("converter_temperature" in run.covariates for run in campaign.runs):
+        return []
+    current = _INJECTED_G * campaign.site.gravity * currents[0]
+    count = _HEAD_POSITIONS
+    still = np.zeros(count)
+    covariates = {
+        "time": 600.0 * np.arange(count),
+        "table_rate": still,
+        "table_angle": still,
+        "table_angle_span": still,
+        "converter_temperature": np.linspace(*_RAMP, count),
+        "current": np.full(count, current),
+    }
+    run = _empty_run(campaign, "candidate injection", "current_injection", None, None, covariates)
+    sentence = f"current_injection of {current * 1e3:.3g} mA ({_INJECTED_G:g} g) over a converter ramp of "
+    return [CandidateRun(sentence + f"{_RAMP[1] - _RAMP[0]:g} degC", run)]
+
+
+def _empty_run(
+    campaign: Campaign, name: str, procedure: str, table: str | None, mounting: str | None, covariates: dict
+) -> Run:
+    """Return a run whose readings are yet to be made."""
+    count = len(covariates["time"])
+    samples = float(np.median(np.concatenate([run.samples for run in campaign.runs])))
+    injected = procedure == "current_injection"
+    # A current goes into channels that have one; the angle of a table is read where a gyro drives it, never here.
+    known = np.array(
+        [c.kind != "angle" and (not injected or bool(c.current_per_acceleration)) for c in campaign.channels]
+    )
+    observed = np.where(known, np.zeros((count, len(known))), np.nan)
+    return Run(
+        name, procedure, table, mounting, covariates, observed, np.full(count, samples), np.full_like(observed, np.nan)
+    )
+
+
+def _planned(campaign: Campaign, table: Table, mounting: Mounting) -> tuple[Run, str]:
+    if table.elevation > _VERTICAL:
+        rates = _rates(campaign, table)
+        rate = np.array([0.0, *rates, 0.0])
+        angle = np.where(rate == 0, 0.0, np.nan)
+        procedure, what = "rate_table", f"rates to ±{max(map(abs, rates)):.0f} deg/s"
+    else:
+        rate = np.zeros(_HEAD_POSITIONS)
+        angle = 2 * np.pi * np.arange(_HEAD_POSITIONS) / _HEAD_POSITIONS
+        procedure, what = "dividing_head", f"{_HEAD_POSITIONS} positions"
+        rates = []
+    rate = np.radians(rate)
+    count = len(rate)
+    covariates = {"time": np.arange(count, dtype=float), "table_rate": rate, "table_angle": angle}
+    covariates["table_angle_span"] = np.zeros(count)
+    for name in ("temperature", "converter_temperature"):
+        known = [run.covariates[name].mean() for run in campaign.runs if name in run.covariates]
+        if known:
+            covariates[name] = np.full(count, float(np.median(known)))
+    run = _empty_run(
+        campaign, f"candidate {table.name} {mounting.name}", procedure, table.name, mounting.name, covariates
+    )
+    return run, f"{procedure} on '{table.name}' in mounting '{mounting.name}', {what}"
+
+
+def _rates(campaign: Campaign, table: Table) -> list[float]:
+    """Return the rates that this table has been run at, deg/s, or usual ones."""
+    made = [run.covariates["table_rate"] for run in campaign.runs if run.table == table.name]
+    rates = np.unique(np.degrees(np.round(np.concatenate(made), 9))) if made else np.zeros(0)
+    turning = [float(rate) for rate in rates if rate != 0]
+    return turning or list(_DEFAULT_RATES)

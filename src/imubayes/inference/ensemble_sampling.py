@@ -1,0 +1,169 @@
+"""Sampling: independent emcee ensembles that run until they agree.
+
+Four ensembles, each of its own seed, begin from fits that were started far apart in the prior, so that a second
+mode, where there is one, is found by one of them and shows as disagreement.  They advance in blocks; after each
+block the checkpoint is replaced as a whole and convergence is judged.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import emcee
+import numpy as np
+from emcee.moves import DEMove, StretchMove
+
+from imubayes.inference.checkpoint import Checkpoint
+from imubayes.inference.convergence import Convergence, diagnose
+from imubayes.inference.laplace_move import LaplaceMove, LaplaceProposal
+
+# The safety net for what is not Gaussian takes this share of the steps.  DESnookerMove of emcee 3.1.6 is biased.
+_STRETCH_SHARE = _DE_SHARE = 0.02
+# Short steps of the Laplace move, and the share of them; where independent draws are mostly refused, half of all.
+# In ten steps two walkers of three take a short one: it frees those few from which independent draws rarely lead.
+_SHORT_STEP, _SHORT_SHARE, _SHORT_SHARE_HARD = 0.3, 0.1, 0.5
+_HARD_ACCEPTANCE, _TRIAL = 0.5, 256
+_FEWEST_WALKERS = 64
+_BURN_IN, _BLOCK = 5, 5
+# So many draws of all ensembles together are taken even where fewer would do, and so many steps.
+_LEAST_DRAWS, _LEAST_STEPS = 6000, 10
+# A chain longer than this did not begin where it should; a quarter of it is then left out.
+_LONG = 60
+# Largest size of all chains together, in numbers: 400 MB.
+_MOST_NUMBERS = 50_000_000
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to sample; `walkers` of 0 takes the smallest number that emcee's moves allow.
+
+    `least_steps` are taken by each ensemble after the burn-in even when fewer would do; `most_steps` of 0 is what
+    memory allows.
+    """
+
+    ensembles: int = 4
+    walkers: int = 0
+    seed: int = 0
+    least_steps: int = 0
+    most_steps: int = 0
+
+
+@dataclass(frozen=True)
+class Chains:
+    """What was sampled, burn-in removed.
+
+    Attributes
+    ----------
+    points : shape (ensembles, steps, walkers, D), in z.
+    log_density : shape (ensembles, steps, walkers).
+    acceptance : share of proposals taken, all moves together.
+    diagnosis : convergence.
+    """
+
+    points: np.ndarray
+    log_density: np.ndarray
+    acceptance: float
+    diagnosis: Convergence
+
+
+def walkers_for(dimensions: int, settings: Settings) -> int:
+    """Return the number of walkers of an ensemble: even, and at least twice the dimensions plus two."""
+    fewest = max(_FEWEST_WALKERS, 2 * dimensions + 2)
+    return max(settings.walkers + settings.walkers % 2, fewest)
+
+
+def sample(
+    log_density: Callable[[np.ndarray], np.ndarray],
+    starts: Sequence[np.ndarray],
+    names: Sequence[str],
+    settings: Settings,
+    checkpoint: Checkpoint,
+    proposal: LaplaceProposal | None = None,
+    progress: Callable[[int, str], None] | None = None,
+) -> Chains:
+    """Sample until converged, or until the longest chain allowed.
+
+    Parameters
+    ----------
+    log_density : points (n, D) → (n,).
+    starts : for each ensemble its first points, shape (walkers, D).
+    names : of the D parameters.
+    checkpoint : created or checked before; where it holds steps, they are continued.
+    proposal : the Laplace proposal; None for stretch and DE moves alone.
+    progress : called with the number of steps done and a word on convergence.
+    """
+    walkers, dimensions = starts[0].shape
+    hard = proposal is not None and expected_acceptance(log_density, proposal, settings.seed) < _HARD_ACCEPTANCE
+    short_share = _SHORT_SHARE_HARD if hard else _SHORT_SHARE
+    moves = [LaplaceMove(proposal, _SHORT_STEP, short_share) if proposal is not None else None for _ in starts]
+    samplers = [_sampler(log_density, walkers, dimensions, move) for move in moves]
+    states = [_state(place, start, settings, checkpoint) for place, start in enumerate(starts)]
+    memory = _MOST_NUMBERS // (len(starts) * walkers * dimensions)
+    most = min(settings.most_steps + _BURN_IN if settings.most_steps else memory, memory)
+    enough = settings.least_steps or max(_LEAST_STEPS, math.ceil(_LEAST_DRAWS / (len(starts) * walkers)))
+    least = min(enough + _BURN_IN, most)
+    taken, block = checkpoint.steps, _BLOCK
+    while True:
+        if taken >= least or taken >= most:
+            chains = _judged(checkpoint, names)
+            if progress is not None:
+                progress(taken, chains.diagnosis.message or "converged")
+            if chains.diagnosis.converged or taken >= most:
+                return chains
+            block = max(_BLOCK, taken // 4)
+        steps = min(block, (least if taken < least else most) - taken)
+        with checkpoint.block() as backends:
+            for place, (sampler, move, backend) in enumerate(zip(samplers, moves, backends, strict=True)):
+                sampler.backend = backend
+                if move is not None:
+                    move.forget()
+                for state in sampler.sample(states[place], iterations=steps, skip_initial_state_check=True):
+                    states[place] = state
+        taken += steps
+        if progress is not None:
+            progress(taken, "")
+
+
+def _sampler(log_density, walkers: int, dimensions: int, move: LaplaceMove | None) -> emcee.EnsembleSampler:
+    moves = [(StretchMove(), _STRETCH_SHARE), (DEMove(), _DE_SHARE)]
+    if move is not None:
+        moves.append((move, 1 - _STRETCH_SHARE - _DE_SHARE))
+    return emcee.EnsembleSampler(walkers, dimensions, log_density, moves=moves, vectorize=True)
+
+
+def expected_acceptance(log_density, proposal: LaplaceProposal, seed: int) -> float:
+    """Return the share of independent proposals that would be taken, from importance weights of a few draws."""
+    points, density = proposal.to_point(np.random.RandomState(seed).normal(size=(_TRIAL, proposal.dimensions)))
+    log_weight = log_density(points) - density
+    log_weight = log_weight[np.isfinite(log_weight)]
+    if not log_weight.size:
+        return 0.0
+    weight = np.exp(log_weight - log_weight.max())
+    # E[min(1, w′/w)] under w-weighted current points and unweighted proposals
+    taken = np.minimum(weight[:, None], weight[None, :]).mean(axis=1).sum() / weight.sum()
+    return float(taken * log_weight.size / _TRIAL)
+
+
+def _state(place: int, start: np.ndarray, settings: Settings, checkpoint: Checkpoint) -> emcee.State:
+    """Return where an ensemble stands: its last checkpoint, or its start with a random stream of its own."""
+    if checkpoint.steps:
+        state = checkpoint.read()[place].get_last_sample()
+        # The random stream comes back as a list, which NumPy does not take and emcee does not complain about.
+        state.random_state = tuple(state.random_state or ())
+        return state
+    random = np.random.RandomState(np.random.SeedSequence([settings.seed, place]).generate_state(4))
+    return emcee.State(start, random_state=random.get_state())
+
+
+def burn_in(steps: int) -> int:
+    """Return how many of the first steps are left out: the first few, or a quarter of a long chain."""
+    return min(max(_BURN_IN, steps // 4 if steps > _LONG else 0), max(steps - 2, 0))
+
+
+def _judged(checkpoint: Checkpoint, names: Sequence[str]) -> Chains:
+    points, log_density = checkpoint.chains()
+    first = burn_in(points.shape[1])
+    points, log_density = points[:, first:], log_density[:, first:]
+    moved = np.any(np.diff(points, axis=1) != 0, axis=-1)
+    acceptance = float(moved.mean()) if moved.size else math.nan
+    return Chains(points, log_density, acceptance, diagnose(points, log_density, names))

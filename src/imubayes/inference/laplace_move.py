@@ -1,0 +1,142 @@
+"""The emcee move that proposes from the nested Laplace approximation.
+
+An independence proposal with exact Metropolis–Hastings weights: the posterior stays exact whatever the quality of the
+approximation, which only decides how often a proposal is taken.
+"""
+
+import math
+
+import emcee
+import equinox as eqx
+import jax
+import numpy as np
+from emcee.moves import Move
+
+from imubayes.inference.nested_laplace import NestedLaplace, to_normal, to_point
+from imubayes.model.likelihood import log_density
+from imubayes.model.problem import Problem
+from imubayes.types import Array, Float
+
+_to_point = eqx.filter_jit(
+    lambda approximation, problem, normal: jax.vmap(lambda one: to_point(approximation, problem, one))(normal)
+)
+_to_normal = eqx.filter_jit(
+    lambda approximation, problem, points: jax.vmap(lambda one: to_normal(approximation, problem, one))(points)
+)
+
+
+# All walkers at once would not fit into the cache of a core.
+_MOST_IN_BLOCK = 16
+
+
+@eqx.filter_jit
+def _log_density(problem: Problem, points: Float[Array, "n PH"], block: int) -> Float[Array, " n"]:
+    size = problem.size[0]
+    return jax.lax.map(lambda one: log_density(problem, one[:size], one[size:]), points, batch_size=block)
+
+
+class LogDensity:
+    """The log density of a problem for many points at once, in z.
+
+    Points are handed to the compiled function in batches of one size, so that it is compiled once.  What is not a
+    number counts as impossible; +∞ is an error, since a sampler would take it for the best of all points.
+    """
+
+    def __init__(self, problem: Problem, batch: int):
+        # Blocks of nearly the largest size that leave next to none of the last one unused.
+        blocks = math.ceil(batch / _MOST_IN_BLOCK)
+        self.problem, self.block = problem, math.ceil(batch / blocks)
+        self.batch = blocks * self.block
+        self.evaluations = 0
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        count = len(points)
+        self.evaluations += count
+        padded = np.concatenate([points, np.repeat(points[-1:], -count % self.batch, axis=0)])
+        parts = [
+            np.asarray(_log_density(self.problem, padded[start : start + self.batch], self.block))
+            for start in range(0, len(padded), self.batch)
+        ]
+        values = np.concatenate(parts)[:count]
+        if np.any(values == np.inf):
+            raise FloatingPointError("the log density is +∞ at a sampled point")
+        return np.where(np.isnan(values), -np.inf, values)
+
+
+class LaplaceProposal:
+    """The nested Laplace approximation for whole ensembles: a map from standard normal vectors and back."""
+
+    def __init__(self, approximation: NestedLaplace, problem: Problem):
+        self.approximation, self.problem = approximation, problem
+        self.dimensions = sum(problem.size)
+
+    def to_point(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points of standard normal vectors, (n, P + H), and the log density of the proposal, (n,)."""
+        points, density = _to_point(self.approximation, self.problem, normal)
+        return np.array(points), np.array(density)
+
+    def to_normal(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the standard normal vectors of points, (n, P + H), and the log density of the proposal, (n,)."""
+        normal, density = _to_normal(self.approximation, self.problem, points)
+        return np.array(normal), np.array(density)
+
+    def draw(self, random: np.random.RandomState, count: int) -> np.ndarray:
+        """Return `count` independent proposals, shape (count, P + H)."""
+        return self.to_point(random.normal(size=(count, self.dimensions)))[0]
+
+
+class LaplaceMove(Move):
+    """Move every walker within the coordinates of the proposal, where the posterior nearly is standard normal.
+
+    u′ = √(1 − β²) u + β ξ leaves the standard normal invariant (preconditioned Crank–Nicolson, Cotter et al. 2013), so
+    a move is taken with probability min(1, w′/w), w = posterior over proposal.  β = 1 is an independent draw; smaller
+    steps free a walker from where the proposal is far too thin.  Which walkers take a short step is drawn anew each
+    time, whatever their state.
+
+    Parameters
+    ----------
+    proposal : map and log density, see `LaplaceProposal`.
+    short_step : β of the short steps, above 0, at most 1.
+    short_share : share of walkers that take one.
+
+    Attributes
+    ----------
+    proposed, taken : numbers of independent draws.
+    """
+
+    def __init__(self, proposal: LaplaceProposal, short_step: float, short_share: float):
+        self.proposal, self.short_step, self.short_share = proposal, short_step, short_share
+        self.proposed = self.taken = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the normal vectors of the walkers; a run that is resumed begins without them, too."""
+        self._known: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+
+    def _normal(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `to_normal` of the walkers; where no other move has come between it is known from the last step."""
+        if self._known is not None and np.array_equal(self._known[0], points):
+            return self._known[1:]
+        return self.proposal.to_normal(points)
+
+    def propose(self, model, state):
+        """Advance the whole ensemble; see `emcee.moves.Move`."""
+        count = len(state.coords)
+        normal, old_proposal = self._normal(state.coords)
+        step = np.where(model.random.uniform(size=count) < self.short_share, self.short_step, 1.0)[:, None]
+        fresh = np.sqrt(1 - step**2) * normal + step * model.random.normal(size=normal.shape)
+        points, new_proposal = self.proposal.to_point(fresh)
+        new, _ = model.compute_log_prob_fn(points)
+        with np.errstate(invalid="ignore"):
+            ratio = (new - new_proposal) - (state.log_prob - old_proposal)
+        # A walker at zero density takes whatever is possible; nothing impossible is ever taken.
+        ratio = np.where(np.isneginf(state.log_prob), np.inf, ratio)
+        ratio = np.where(np.isneginf(new) | np.isnan(ratio), -np.inf, ratio)
+        accepted = np.log(model.random.uniform(size=count)) < ratio
+        independent = step[:, 0] == 1
+        self.proposed += int(independent.sum())
+        self.taken += int(accepted[independent].sum())
+        state = self.update(state, emcee.State(points, log_prob=new), accepted)
+        normal = np.where(accepted[:, None], fresh, normal)
+        self._known = state.coords.copy(), normal, np.where(accepted, new_proposal, old_proposal)
+        return state, accepted

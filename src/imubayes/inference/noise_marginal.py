@@ -1,0 +1,125 @@
+"""The noise scales: the mode of their Laplace marginal, θ integrated out of the model linearised about a point.
+
+Newton steps whose curvature is measured once, by differences of the gradient, and then learnt from the steps
+themselves.  Where they have become short it is measured anew, and only what that calls the mode is one.  The second
+derivative of the marginal as a program takes longer to compile than all these gradients take to run.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.inference.posterior_precision import Linearised, log_marginal
+from imubayes.model.problem import Problem
+from imubayes.types import Array, Float, Scalar
+
+_MOST_STEPS = 60
+# A step is short where no h changes by this, in units of its prior.
+_SHORT = 1e-3
+# Half the distance of the gradients that are subtracted: it leaves six digits of the curvature.
+_APART = 1e-3
+# What counts as no step down, and the shortest part of a step that is tried.
+_ROUNDING, _SHORTEST = 1e-9, 1e-3
+# A pair of step and change of slope that are nearly orthogonal would blow the learnt curvature up.
+_TELLING = 1e-8
+
+
+class Slope(eqx.Module):
+    """The Laplace marginal of h at one point: log p(y, h) and its gradient (H,)."""
+
+    value: Scalar
+    gradient: Float[Array, " H"]
+
+
+class Curvature(eqx.Module):
+    """The Laplace marginal of h at one point: value, gradient (H,) and the negative of its Hessian (H, H)."""
+
+    value: Scalar
+    gradient: Float[Array, " H"]
+    information: Float[Array, "H H"]
+
+
+@eqx.filter_jit
+def slope(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Slope:
+    """Return value and gradient of the Laplace marginal of h."""
+    return Slope(*jax.value_and_grad(log_marginal, argnums=2)(problem, about, h))
+
+
+def curvature(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Curvature:
+    """Return value, gradient and curvature of the Laplace marginal of h, the last by central differences."""
+    here = slope(problem, about, h)
+    rows = []
+    for axis in np.eye(len(h)):
+        above, below = (slope(problem, about, h + side * _APART * axis).gradient for side in (1.0, -1.0))
+        rows.append((np.asarray(below) - np.asarray(above)) / (2 * _APART))
+    information = np.reshape(rows, (len(h), len(h)))
+    return Curvature(here.value, here.gradient, jnp.asarray(0.5 * (information + information.T)))
+
+
+def climb(
+    problem: Problem, about: Linearised, h: Float[Array, " H"], information: Float[Array, "H H"] | None = None
+) -> tuple[Float[Array, " H"], Curvature]:
+    """Return the mode of the Laplace marginal of h, and the curvature there.
+
+    Parameters
+    ----------
+    problem, about : the model linearised about θ.
+    h : shape (H,), where to begin.
+    information : shape (H, H), the curvature to begin with, where one is known of a point nearby.
+    """
+    measured = information is None
+    at = curvature(problem, about, h) if information is None else _with(slope(problem, about, h), information)
+    for _ in range(_MOST_STEPS):
+        step = _newton_step(at)
+        ahead, length = None, 1.0
+        if step.size and float(np.max(np.abs(step))) >= _SHORT:
+            ahead, length = _ahead(problem, about, h, at, step)
+        if ahead is None:
+            if measured:
+                break
+            at, measured = curvature(problem, about, h), True
+            continue
+        taken = length * step
+        h, at, measured = h + taken, _with(ahead, _learnt(at, taken, ahead.gradient)), False
+    return h, at if measured else curvature(problem, about, h)
+
+
+def _with(here: Slope, information: Float[Array, "H H"]) -> Curvature:
+    return Curvature(here.value, here.gradient, information)
+
+
+def _newton_step(at: Curvature) -> np.ndarray:
+    """Return a step up the marginal: Newton's, with every curvature made positive and no longer than 1 per axis."""
+    information, gradient = np.asarray(at.information), np.asarray(at.gradient)
+    if not (np.all(np.isfinite(information)) and np.all(np.isfinite(gradient))):
+        return np.full(len(gradient), np.nan)
+    eigenvalues, axes = np.linalg.eigh(information)
+    # Far from the mode the marginal may be flat or convex; the prior's own curvature, 1, is then the measure.
+    step = axes.T @ gradient / np.maximum(np.abs(eigenvalues), 0.1)
+    return axes @ np.clip(step, -1.0, 1.0)
+
+
+def _ahead(
+    problem: Problem, about: Linearised, h: Float[Array, " H"], at: Curvature, step: np.ndarray
+) -> tuple[Slope | None, float]:
+    """Return the marginal at the end of a step, cut where it led down, and its length; None where all of it does."""
+    length = 1.0
+    while length > _SHORTEST:
+        ahead = slope(problem, about, h + length * step)
+        if float(ahead.value) >= float(at.value) - _ROUNDING:
+            return ahead, length
+        length *= 0.3
+    return None, length
+
+
+def _learnt(at: Curvature, taken: np.ndarray, gradient: Float[Array, " H"]) -> Float[Array, "H H"]:
+    """Return the curvature after a step, by the symmetric rank-one update (Conn, Gould & Toint 1991).
+
+    Unlike BFGS it may become indefinite, as the marginal itself is far from its mode.
+    """
+    lacking = np.asarray(at.gradient) - np.asarray(gradient) - np.asarray(at.information) @ taken
+    along = float(lacking @ taken)
+    if not abs(along) > _TELLING * float(np.linalg.norm(lacking) * np.linalg.norm(taken)):
+        return at.information
+    return at.information + jnp.asarray(np.outer(lacking, lacking) / along)

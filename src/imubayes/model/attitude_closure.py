@@ -1,0 +1,119 @@
+"""Closing a free tumble: the gyros must carry each pose into the next.
+
+While the unit is moved by hand nothing is known of its motion but what its own sensors say.  The signal path is
+therefore run backwards: the readings are inverted to angular rate and specific force (a fixed point of a few
+rounds, since every channel is nominal to some percent), the rates are integrated, and what is observed is that the
+rotation so found leads from the attitude of one pose to that of the next.  The Earth's rotation is taken out
+exactly, in the local level: C_nb(stop) = exp(−ω_E Δt) · C_nb(start) · Π exp(ω_k Δt_k + coning_k).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.frames import compose, exponential, small_rotation
+from imubayes.gather import take
+from imubayes.model.signal_path import Channels, Layer, travel
+from imubayes.stimulus import Ambient, Experience, Motion, Records, SignalPath
+from imubayes.types import Array, Float
+
+# Each round shrinks the error of the inverse by the size of the calibration errors: 3 % to the fourth is 1 ppm.
+_ROUNDS = 4
+
+
+class Transitions(eqx.Module):
+    """All transitions of a campaign (T of them, of K steps each).
+
+    Attributes
+    ----------
+    start, stop : shape (T,), nodes of the poses that a transition joins.
+    step : shape (T, K), s.
+    readings : kind → shape (T·K, C), output units.
+    coning : shape (T, K, 3), rad.
+    ambient : circumstances of every step, T·K of them: those of the pose before.
+    records : the static nodes in the order of time, for effects with memory.
+    inverse : kind → shape (3, C); least-squares inverse of the nominal axes.
+    layers : the signal path from the projection on, with places of values for T·K instants.
+    """
+
+    start: Array
+    stop: Array
+    step: Float[Array, "T K"]
+    readings: dict[str, Float[Array, "TK C"]]
+    coning: Float[Array, "T K 3"]
+    ambient: Ambient
+    records: Records
+    inverse: dict[str, Float[Array, "3 C"]]
+    layers: tuple[Layer, ...]
+
+
+def nominal_inverse(axes: Array) -> np.ndarray:
+    """Return the least-squares inverse (3, C) of the input axes, from axes (C, 3, 3)."""
+    return np.linalg.pinv(np.asarray(axes)[:, 0, :])
+
+
+def closing_rotations(
+    transitions: Transitions, channels: dict[str, Channels], motion: Motion, values: Float[Array, " V"]
+) -> Float[Array, "T 3"]:
+    """Return the rotation by which each transition misses the attitude of its last pose, rad, body axes.
+
+    Parameters
+    ----------
+    transitions : the moving parts.
+    channels : constants of the channels, per kind.
+    motion : the static nodes after all kinematic effects; its mounting is the attitude of each pose.
+    values : all parameters in SI, then the null values.
+    """
+    turned = jax.vmap(compose)(motion.base, motion.mounting)
+    rate = _inverted(transitions, channels, values)["gyro"]
+    count, steps = transitions.step.shape
+    rotation = rate.reshape(count, steps, 3) * transitions.step[..., None] + transitions.coning
+    carried = _product(jax.vmap(jax.vmap(exponential))(rotation))
+    elapsed = transitions.step.sum(axis=1)
+    earth = jax.vmap(exponential)(-take(motion.earth_rate, transitions.start) * elapsed[:, None])
+    reached = jax.vmap(compose)(jax.vmap(compose)(earth, take(turned, transitions.start)), carried)
+    expected = take(turned, transitions.stop)
+    return jax.vmap(lambda a, b: small_rotation(compose(a.T, b)))(expected, reached)
+
+
+def _inverted(transitions: Transitions, channels: dict[str, Channels], values) -> dict[str, Array]:
+    """Return rate and force in body axes, kind → (T·K, 3), that would give the readings."""
+
+    def nearer(_: Array, found: dict[str, Array]) -> dict[str, Array]:
+        predicted = _readout(transitions, channels, found, values)
+        misfit = {
+            kind: (read - predicted[kind]) / channels[kind].scale[None, :]
+            for kind, read in transitions.readings.items()
+        }
+        return {kind: found[kind] + misfit[kind] @ transitions.inverse[kind].T for kind in found}
+
+    nothing: dict[str, Array] = {kind: jnp.zeros((len(read), 3)) for kind, read in transitions.readings.items()}
+    return jax.lax.fori_loop(0, _ROUNDS, nearer, nothing)
+
+
+def _readout(transitions: Transitions, channels: dict[str, Channels], found: dict[str, Array], values):
+    """Return what the channels would read, kind → (T·K, C)."""
+    zero = jnp.zeros_like(next(iter(found.values())))
+    body = Experience(found.get("gyro", zero), found.get("accelerometer", zero), zero, zero, zero, zero)
+    experience = {
+        kind: jax.tree.map(lambda leaf, one=one: jnp.broadcast_to(leaf[:, None], (len(leaf), len(one.scale), 3)), body)
+        for kind, one in channels.items()
+    }
+    path = SignalPath(_no_motion(len(zero)), transitions.ambient, experience, {}, {}, records=transitions.records)
+    return travel(transitions.layers, path, values).signal
+
+
+def _no_motion(count: int) -> Motion:
+    zero, eye = jnp.zeros(count), jnp.broadcast_to(jnp.eye(3), (count, 3, 3))
+    return Motion(eye, eye, zero, zero, zero, *(jnp.zeros((count, 3)) for _ in range(4)))
+
+
+def _product(rotations: Float[Array, "T K 3 3"]) -> Float[Array, "T 3 3"]:
+    """Return the ordered product over K, pairwise."""
+    while rotations.shape[1] > 1:
+        if rotations.shape[1] % 2:
+            last = jnp.broadcast_to(jnp.eye(3), (len(rotations), 1, 3, 3))
+            rotations = jnp.concatenate([rotations, last], axis=1)
+        rotations = jax.vmap(jax.vmap(compose))(rotations[:, ::2], rotations[:, 1::2])
+    return rotations[:, 0]

@@ -1,0 +1,73 @@
+"""Whether the user's own effects can be evaluated: tried without computing anything, before anything is fitted."""
+
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+
+from imubayes.errors import InputError, Issue
+from imubayes.model.bound_effects import BoundEffect
+from imubayes.model.likelihood import log_density
+from imubayes.model.problem import Problem, signal_path, values_of
+
+
+def try_out(problem: Problem, acting: Sequence[BoundEffect], files: Sequence[str]) -> None:
+    """Follow the signal path by shapes and types alone.
+
+    Parameters
+    ----------
+    problem, acting : the model with the user's effects.
+    files : where these are defined.
+
+    Raises
+    ------
+    InputError
+        where a class of the user fails, or returns what is not one real number; it names file, line and fault.
+    """
+    own = [one.member for one in acting if _is_own(one, files)]
+    if not own:
+        return
+    try:
+        path = jax.eval_shape(lambda z: signal_path(problem, values_of(problem, z)), _like(problem.size[0]))
+        nodes = len(problem.instants.stand)
+        for kind, channels in problem.channels.items():
+            found, wanted = path.signal[kind], (nodes, len(channels.scale))
+            if found.shape != wanted or not jnp.issubdtype(found.dtype, jnp.floating):
+                raise TypeError(f"the signal of a sample must be one real number, not {found.dtype}{found.shape[2:]}")
+        jax.eval_shape(lambda z, h: log_density(problem, z, h), *map(_like, problem.size))
+    except (Exception, SystemExit) as error:
+        line = _line(error, files)
+        names = ", ".join(member.__name__ for member in own)
+        raise InputError(
+            Issue(
+                f"an effect of the user cannot be evaluated: {type(error).__name__}: {_short(error)}",
+                line or f"{', '.join(files)}: {names}",
+                "methods as their base class describes them, written with jax.numpy, for one sample, returning what "
+                "they are given, changed",
+                "mend the class; a choice that depends on a value is jnp.where, not if",
+            )
+        ) from error
+
+
+def _like(size: int) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct((size,), jnp.zeros(0).dtype)
+
+
+def _is_own(one: BoundEffect, files: Sequence[str]) -> bool:
+    module = getattr(sys.modules.get(one.member.__module__), "__file__", None)
+    return module is not None and any(Path(module) == Path(file) for file in files)
+
+
+def _line(error: BaseException, files: Sequence[str]) -> str:
+    """Return file, line and method of the last step in a file of the user; empty where there is none."""
+    own = {str(Path(file).resolve()) for file in files}
+    steps = [one for one in traceback.extract_tb(error.__traceback__) if str(Path(one.filename).resolve()) in own]
+    return f"{steps[-1].filename}:{steps[-1].lineno}, in {steps[-1].name}" if steps else ""
+
+
+def _short(error: BaseException) -> str:
+    text = str(error).strip()
+    return text.splitlines()[0] if text else "no message"

@@ -1,0 +1,94 @@
+"""Which effects and noise members there are: the package's own and the user's."""
+
+import hashlib
+import importlib.util
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from imubayes.effects import EFFECTS, Effect
+from imubayes.errors import InputError, Issue, closest_first
+from imubayes.noise import NOISES, Noise
+from imubayes.parameters.parameter import declared_parameters
+
+Member = type[Effect] | type[Noise]
+_USER = "imubayes_user_"
+
+
+@dataclass(frozen=True)
+class Registry:
+    """Effects and noise members by name."""
+
+    members: dict[str, Member] = field(default_factory=lambda: {m.name: m for m in (*EFFECTS, *NOISES)})
+
+    def find(self, name: str, where: str) -> Member:
+        """Return the member of a name; raises InputError with the closest names."""
+        if name not in self.members:
+            raise InputError(
+                Issue(
+                    f"there is no effect '{name}'",
+                    where,
+                    closest_first(name, self.members),
+                    "correct the name; `imubayes effects` lists all",
+                )
+            )
+        return self.members[name]
+
+    def with_files(self, files: Iterable[str | Path]) -> "Registry":
+        """Return the registry with the effects that Python files define."""
+        members = dict(self.members)
+        for file in files:
+            for member in _members_of(Path(file)):
+                if member.name in self.members:
+                    raise InputError(
+                        Issue(
+                            f"the effect '{member.name}' exists already",
+                            str(file),
+                            "a name that `imubayes effects` does not list",
+                            "give the new effect a name of its own",
+                        )
+                    )
+                members[member.name] = member
+        return Registry(members)
+
+    def without_files(self) -> "Registry":
+        """Return the registry without what files define: for a model that names its files itself."""
+        return Registry({name: one for name, one in self.members.items() if not one.__module__.startswith(_USER)})
+
+
+def _members_of(file: Path) -> list[Member]:
+    def refuse(what: str) -> InputError:
+        return InputError(
+            Issue(
+                what,
+                str(file),
+                "a Python file with classes derived from SignalEffect, RecordEffect, MotionEffect, PlaceEffect, "
+                "EntryNoise, SharedNoise, SeriesNoise or TailNoise that have a name and parameters",
+                "mend the file, or take it out of the model's 'files'",
+            )
+        )
+
+    if not file.is_file():
+        raise refuse("the file with the user's effects is missing")
+    name = _USER + hashlib.sha256(str(file.resolve()).encode()).hexdigest()[:12]
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None or spec.loader is None:
+        raise refuse("the file is not Python")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        raise refuse(f"the file cannot be read: {type(error).__name__}: {error}") from error
+    found = [
+        value
+        for value in vars(module).values()
+        if isinstance(value, type) and issubclass(value, Effect | Noise) and value.__module__ == name
+    ]
+    if not found:
+        raise refuse("the file defines no effect")
+    for member in found:
+        if not isinstance(getattr(member, "name", None), str) or not declared_parameters(member):
+            raise refuse(f"the class {member.__name__} has no name or no parameter")
+    return found

@@ -1,0 +1,214 @@
+"""From runs to arrays: the nodes of all runs one after the other, and what was measured in them (NumPy only)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.procedures import PROCEDURES
+from imubayes.procedures.servo_table import ServoTable
+from imubayes.run import Campaign, Kind
+from imubayes.stimulus import AMBIENT_NAMES, Ambient, Records, Stimulus
+
+# Sorted, because that is the order in which JAX walks through a dictionary.
+KINDS: tuple[Kind, ...] = ("accelerometer", "gyro")
+
+
+@dataclass(frozen=True)
+class NodeTable:
+    """Nodes of all runs (N of them), sorted by how many nodes their row has.
+
+    Attributes
+    ----------
+    stimulus : the arrays of `Stimulus`, joined; `ambient` has every covariate, 0 where a run lacks it.
+    run, pose : shape (N,), index of the run and pose, −1 where there is no pose.
+    stand : shape (N,), the stand of each node: its run, or its pose or position where the run has those.
+    stand_node : shape (S,), the first node of each stand.
+    turns : rows as (number of rows, nodes per row), in order.
+    row_of : shape (R,), global row (run after run) at each place of the sorted rows.
+    injected : shape (N,), 1 where a current is injected.
+    supplies : for each run what it supplies.
+    """
+
+    stimulus: Stimulus
+    run: np.ndarray
+    pose: np.ndarray
+    stand: np.ndarray
+    stand_node: np.ndarray
+    turns: tuple[tuple[int, int], ...]
+    row_of: np.ndarray
+    injected: np.ndarray
+    supplies: tuple[frozenset[str], ...]
+
+
+@dataclass(frozen=True)
+class Entries:
+    """What was measured, one entry per value (E of them).
+
+    The channel index counts the campaign's channels; a closing rotation's components count on from there.
+    `row` is the row within the run, or the transition for closing rotations.  `transition_start` and `_stop` are
+    poses, −1 for readouts.
+    """
+
+    run: np.ndarray
+    row: np.ndarray
+    channel: np.ndarray
+    value: np.ndarray
+    samples: np.ndarray
+    pose: np.ndarray
+    pose_stop: np.ndarray
+    closing: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+
+def join_nodes(campaign: Campaign) -> NodeTable:
+    """Return the nodes of all runs of a campaign."""
+    parts = [PROCEDURES[run.procedure].stimulus(run, campaign) for run in campaign.runs]
+    first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
+    row = np.concatenate([part.row + first for part, first in zip(parts, first_row, strict=False)])
+    count = np.bincount(row, minlength=first_row[-1])
+    order = np.lexsort((row, count[row]))
+    sorted_rows = np.lexsort((np.arange(len(count)), count))
+    sizes, numbers = np.unique(count, return_counts=True)
+    run = np.concatenate([np.full(len(part.row), index) for index, part in enumerate(parts)])
+    run, pose = run[order], np.concatenate([part.pose for part in parts])[order]
+    joined = _join(parts, order)
+    stands = np.column_stack([run, pose, joined.base.reshape(-1, 9)])
+    _, stand_node, stand = np.unique(stands, axis=0, return_index=True, return_inverse=True)
+    return NodeTable(
+        stimulus=joined,
+        run=run,
+        pose=pose,
+        stand=stand.reshape(-1),
+        stand_node=stand_node,
+        turns=tuple((int(n), int(size)) for size, n in zip(sizes, numbers, strict=True)),
+        row_of=sorted_rows,
+        injected=np.concatenate([np.full(len(part.row), float(part.injected)) for part in parts])[order],
+        supplies=tuple(part.supplies for part in parts),
+    )
+
+
+def _join(parts: Sequence[Stimulus], order: np.ndarray) -> Stimulus:
+    def joined(name: str) -> np.ndarray:
+        return np.concatenate([getattr(part, name) for part in parts])[order]
+
+    ambient = {
+        name: np.concatenate([part.ambient.get(name, np.zeros(len(part.row))) for part in parts])[order]
+        for name in AMBIENT_NAMES
+    }
+    return Stimulus(
+        row=joined("row"),
+        weight=joined("weight"),
+        base=joined("base"),
+        mounting=joined("mounting"),
+        table_angle=joined("table_angle"),
+        table_rate=joined("table_rate"),
+        table_acceleration=joined("table_acceleration"),
+        reference_rate=joined("reference_rate"),
+        reference_acceleration=joined("reference_acceleration"),
+        ambient=ambient,
+        injected=False,
+        pose=joined("pose"),
+    )
+
+
+def records_of(nodes: NodeTable) -> Records:
+    """Return the nodes in the order of time, run after run; where a run has no time, in the order of its rows."""
+    stimulus = nodes.stimulus
+    time = stimulus.ambient["time"]
+    order = np.lexsort((stimulus.row, time, nodes.run))
+    begins = np.diff(nodes.run[order], prepend=-1) != 0
+    return Records(
+        node=order,
+        place=np.argsort(order),
+        begins=begins,
+        seconds=np.where(begins, 0.0, np.diff(time[order], prepend=0.0)),
+        ambient=Ambient(**{name: values[order] for name, values in stimulus.ambient.items()}),
+    )
+
+
+def join_entries(campaign: Campaign) -> Entries:
+    """Return all measured values of a campaign, readouts first, then closing rotations."""
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in Entries.__dataclass_fields__}
+    for index, run in enumerate(campaign.runs):
+        row, channel = np.nonzero(np.isfinite(run.observed))
+        pose = run.tumble.pose[row] if run.tumble is not None else np.full(len(row), -1)
+        _append(columns, index, row, channel, run.observed[row, channel], run.samples[row], pose, pose, False)
+    channels = len(campaign.channels)
+    for index, run in enumerate(campaign.runs):
+        if run.tumble is None:
+            continue
+        transition = np.repeat(np.arange(len(run.tumble.start)), 3)
+        component = channels + np.tile(np.arange(3), len(run.tumble.start))
+        start, stop = run.tumble.start[transition], run.tumble.stop[transition]
+        nothing = np.zeros(len(transition))
+        _append(columns, index, transition, component, nothing, nothing + 1, start, stop, True)
+    return Entries(**{name: np.concatenate(parts) for name, parts in columns.items()})
+
+
+def _append(columns, run, row, channel, value, samples, pose, pose_stop, closing) -> None:
+    count = len(row)
+    new = (np.full(count, run), row, channel, value, samples, pose, pose_stop, np.full(count, closing))
+    for name, part in zip(columns, new, strict=True):
+        columns[name].append(np.asarray(part))
+
+
+def readout_places(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.ndarray:
+    """Return for each readout entry its place in the outputs: kind after kind as rows × channels, then table angles."""
+    kinds = [channel.kind for channel in campaign.channels]
+    counts = {kind: kinds.count(kind) for kind in (*KINDS, "angle")}
+    within = np.array([kinds[:index].count(kind) for index, kind in enumerate(kinds)], dtype=int)
+    rows = len(nodes.row_of)
+    sensors = rows * counts["accelerometer"]
+    base = {"accelerometer": 0, "gyro": sensors, "angle": sensors + rows * counts["gyro"]}
+    first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
+    place_of_row = np.argsort(nodes.row_of)
+    readout = ~entries.closing
+    row = place_of_row[first_row[entries.run[readout]] + entries.row[readout]]
+    channel = entries.channel[readout]
+    width = np.array([counts[kind] for kind in kinds])[channel]
+    place = np.array([base[kind] for kind in kinds])[channel] + row * width + within[channel]
+    # Angles of driven tables follow behind the sensors, run after run, padded to the longest.
+    driven = servo_runs(campaign)
+    longest = max((campaign.runs[run].rows for run in driven), default=0)
+    number = np.array([driven.index(run) if run in driven else 0 for run in range(len(campaign.runs))])
+    angle = np.array([kind == "angle" for kind in kinds])[channel]
+    in_run = base["angle"] + number[entries.run[readout]] * longest + entries.row[readout]
+    return np.where(angle, in_run, place)
+
+
+def servo_runs(campaign: Campaign) -> list[int]:
+    """Return the indices of the runs in which a gyro drives the table."""
+    return [index for index, run in enumerate(campaign.runs) if run.procedure == ServoTable.name]
+
+
+def nominal_rates(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.ndarray:
+    """Return for each entry of a gyro the size of the table's rate along its input axis, output units; 0 for others."""
+    stimulus = nodes.stimulus
+    first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
+    rate = np.zeros((first_row[-1], 3))
+    rate[first_row[nodes.run] + stimulus.row] = stimulus.mounting[:, 2, :] * stimulus.table_rate[:, None]
+    gyro = np.array([channel.kind == "gyro" for channel in campaign.channels] + [False] * 3)[entries.channel]
+    axes = np.array([channel.axes[0] * channel.scale_si for channel in campaign.channels] + [np.zeros(3)] * 3)
+    row = np.where(entries.closing, 0, first_row[entries.run] + np.where(entries.closing, 0, entries.row))
+    return np.where(gyro, np.abs(np.sum(axes[entries.channel] * rate[row], axis=1)), 0.0)
+
+
+def referenced_scales(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.ndarray:
+    """Return for each entry of a gyro beside a reference the size of its nominal scale, SI; 0 for others."""
+    referenced = np.array(["reference" in supplies for supplies in nodes.supplies])[entries.run]
+    scale = np.array([c.scale_si if c.kind == "gyro" else 0.0 for c in campaign.channels] + [0.0] * 3)[entries.channel]
+    return np.where(referenced & ~entries.closing, np.abs(scale), 0.0)
+
+
+def ranks_in_time(campaign: Campaign, entries: Entries) -> np.ndarray:
+    """Return for each entry the place of its row in the order of time of its run; without a time, that of the rows."""
+    rank = entries.row.copy()
+    for index, run in enumerate(campaign.runs):
+        if "time" in run.covariates:
+            place = np.argsort(np.argsort(run.covariates["time"], kind="stable"))
+            chosen = (entries.run == index) & ~entries.closing
+            rank[chosen] = place[entries.row[chosen]]
+    return rank

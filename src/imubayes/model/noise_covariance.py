@@ -1,0 +1,200 @@
+"""The covariance of the data, and its inverse root, in closed form.
+
+Σ = D^½ R D^½ + Σ_g T_g 1 1ᵀ (see `imubayes.noise.base`), R = I unless a member correlates.  A model with heavy tails
+has a Σ too: that of the normal law that says as much of the parameters (`imubayes.model.robust_likelihood`).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from imubayes.gather import take
+from imubayes.model.problem import Observations, Problem
+from imubayes.model.student_t import information, of_tail
+from imubayes.noise.base import EntryNoise, SeriesNoise, SharedNoise, TailNoise
+from imubayes.types import Array, Float, Int, Scalar
+
+
+class Series(eqx.Module):
+    """The root A of R⁻¹, R = AR(1) along each group: (A x)_k = (x_k − ρ_k x_(k−1))/√(1 − ρ_k²).
+
+    Attributes
+    ----------
+    before : shape (E,), the entry before in the same group that is not masked, E where there is none.
+    correlation : shape (E,), ρ with that entry, 0 where there is none.
+    """
+
+    before: Int[Array, " E"]
+    correlation: Float[Array, " E"]
+
+    def forward(self, x: Float[Array, "E *columns"]) -> Float[Array, "E *columns"]:
+        """Return A x."""
+        gain, carried = self._factors(x.ndim)
+        return gain * x - carried * take(jnp.concatenate([x, jnp.zeros((1, *x.shape[1:]))]), self.before)
+
+    def back(self, x: Float[Array, " E"]) -> Float[Array, " E"]:
+        """Return Aᵀ x."""
+        gain, carried = self._factors(1)
+        return gain * x - jnp.zeros(len(x) + 1).at[self.before].add(carried * x)[:-1]
+
+    def diagonal(self) -> Float[Array, " E"]:
+        """Return the diagonal of AᵀA = R⁻¹."""
+        gain, carried = self._factors(1)
+        return gain**2 + jnp.zeros(len(gain) + 1).at[self.before].add(carried**2)[:-1]
+
+    def _factors(self, dimensions: int):
+        gain = 1 / jnp.sqrt(1 - self.correlation**2)
+        shape = (-1, *(1,) * (dimensions - 1))
+        return gain.reshape(shape), (gain * self.correlation).reshape(shape)
+
+
+class Whitener(eqx.Module):
+    """Σ(h)^(−½) of the data, in closed form, and its log determinant.
+
+    Attributes
+    ----------
+    precision_root : shape (E,), D^(−½), 0 where masked.
+    shrink : shape (G,), what the shared part takes off along each group's direction.
+    log_determinant : log det Σ.
+    series : the correlation in time; None in a model without.
+    """
+
+    precision_root: Float[Array, " E"]
+    shrink: Float[Array, " G"]
+    log_determinant: Scalar
+    series: Series | None
+
+    @property
+    def direction(self) -> Float[Array, " E"]:
+        """What the entries of a group have in common, scaled: u = A D^(−½) 1."""
+        return self.precision_root if self.series is None else self.series.forward(self.precision_root)
+
+    def scale(self, values: Float[Array, "E *columns"]) -> Float[Array, "E *columns"]:
+        """Return A D^(−½) · values."""
+        root = self.precision_root if values.ndim == 1 else self.precision_root[:, None]
+        return root * values if self.series is None else self.series.forward(root * values)
+
+
+def group_sum(values: Float[Array, "E *columns"], observations: Observations) -> Float[Array, "G *columns"]:
+    """Return the sums over the entries of each group."""
+    padded = jnp.concatenate([values, jnp.zeros((1, *values.shape[1:]))])
+    return take(padded, observations.members).sum(axis=1)
+
+
+class Law(eqx.Module):
+    """How the readings scatter about the prediction at given hyperparameters.
+
+    Attributes
+    ----------
+    own : shape (E,), square of the scale of what each entry has alone: its variance under a normal law.
+    shared : shape (G,), variance of what all entries of a group have in common.
+    tail : shape (E,), one over the degrees of freedom, 0 for a normal law; None in a model without heavy tails.
+    """
+
+    own: Float[Array, " E"]
+    shared: Float[Array, " G"]
+    tail: Float[Array, " E"] | None
+
+
+def noise_law(problem: Problem, h: Float[Array, " H"]) -> Law:
+    """Return how the readings scatter at hyperparameters h (in z)."""
+    values, observations = problem.hyper_priors.values(h), problem.observations
+    own, tail = jnp.zeros_like(observations.value), None
+    shared = jnp.zeros(observations.members.shape[0])
+    for layer in problem.noise:
+        if issubclass(layer.noise, EntryNoise):
+            own = own + layer.variances(values, observations.entry)
+        elif issubclass(layer.noise, SharedNoise):
+            shared = shared + layer.variances(values, None)
+        elif issubclass(layer.noise, TailNoise):
+            here = take(layer.tails(values), observations.group)
+            tail = here if tail is None else tail + here
+    return Law(own, shared, tail)
+
+
+@jax.jit
+def whitener(problem: Problem, h: Float[Array, " H"]) -> Whitener:
+    """Return the whitener at hyperparameters h (in z).
+
+    Under heavy tails an entry counts with the Fisher information of its law, and what the logarithm of that law has
+    beyond its square is in the log determinant.
+    """
+    law = noise_law(problem, h)
+    if law.tail is None:
+        return whitener_of(problem, h, law.own, law.shared)
+    by = whitener_of(problem, h, law.own / information(law.tail), law.shared)
+    beyond = jnp.sum(problem.observations.weight * of_tail(law.tail))
+    return eqx.tree_at(lambda one: one.log_determinant, by, by.log_determinant + beyond)
+
+
+def whitener_of(
+    problem: Problem, h: Float[Array, " H"], own: Float[Array, " E"], shared: Float[Array, " G"]
+) -> Whitener:
+    """Return the whitener of given variances.
+
+    The inverse of D + T 1 1ᵀ with u = D^(−½) 1 has the root (I − κ û ûᵀ) D^(−½), κ = 1 − 1/√(1 + T |u|²); with rows
+    that are correlated u = A D^(−½) 1 and the root is (I − κ û ûᵀ) A D^(−½), AᵀA = R⁻¹.
+    """
+    observations = problem.observations
+    root = observations.weight / jnp.sqrt(own)
+    series = _series(problem, problem.hyper_priors.values(h))
+    along = root if series is None else series.forward(root)
+    direction = group_sum(along**2, observations)
+    gain = 1 + shared * direction
+    safe = jnp.where(direction > 0, direction, 1.0)
+    shrink = (1 - 1 / jnp.sqrt(gain)) / safe
+    log_determinant = jnp.sum(observations.weight * jnp.log(own)) + jnp.sum(jnp.log(gain))
+    if series is not None:
+        log_determinant = log_determinant + jnp.sum(observations.weight * jnp.log1p(-(series.correlation**2)))
+    return Whitener(root, shrink, log_determinant, series)
+
+
+def _series(problem: Problem, values: Float[Array, " H"]) -> Series | None:
+    """Return each entry's correlation with the one before it that is not masked; None where nothing correlates."""
+    layers = [layer for layer in problem.noise if issubclass(layer.noise, SeriesNoise)]
+    if not layers:
+        return None
+    observations = problem.observations
+    groups, most = observations.in_time.shape
+    none = len(observations.value)
+    seen = jnp.concatenate([observations.weight > 0, jnp.zeros(1, dtype=bool)])[observations.in_time]
+    last = jax.lax.cummax(jnp.where(seen, jnp.arange(most)[None, :], -1), axis=1)
+    last = jnp.concatenate([jnp.full((groups, 1), -1), last[:, :-1]], axis=1)
+    entry = jnp.where(last < 0, none, jnp.take_along_axis(observations.in_time, jnp.maximum(last, 0), axis=1))
+    before = jnp.full(none + 1, none, dtype=entry.dtype).at[observations.in_time].set(entry)[:-1]
+    before = jnp.where(observations.weight > 0, before, none)
+    apart = (
+        observations.rank - jnp.concatenate([observations.rank, jnp.zeros(1, dtype=observations.rank.dtype)])[before]
+    )
+    one_row = jnp.zeros(groups)
+    for layer in layers:
+        one_row = one_row + layer.correlations(values)
+    linked = before < none
+    steps = jnp.where(linked, apart, 1).astype(float)
+    return Series(before, jnp.where(linked, take(one_row, observations.group) ** steps, 0.0))
+
+
+def whiten(problem: Problem, by: Whitener, residual: Float[Array, "E *columns"]) -> Float[Array, "E *columns"]:
+    """Return Σ^(−½) · residual, of one or of many columns."""
+    columns = (-1, *(1,) * (residual.ndim - 1))
+    scaled, direction = by.scale(residual), by.direction.reshape(columns)
+    along = group_sum(direction * scaled, problem.observations)
+    return scaled - direction * take(by.shrink.reshape(columns) * along, problem.observations.group)
+
+
+def inverse_covariance(problem: Problem, by: Whitener, residual: Float[Array, " E"]):
+    """Return Σ⁻¹ · residual and the diagonal of Σ⁻¹, both of shape (E,)."""
+    observations = problem.observations
+    direction = by.direction
+    # (I − κ û ûᵀ)² = I − (2 shrink − shrink² |u|²) u uᵀ, with shrink = κ/|u|²
+    rank_one = 2 * by.shrink - by.shrink**2 * group_sum(direction**2, observations)
+    if by.series is not None:
+        scaled = by.scale(residual)
+        along = group_sum(direction * scaled, observations)
+        pulled = by.series.back(scaled - direction * take(rank_one * along, observations.group))
+        shared = take(rank_one, observations.group) * by.series.back(direction) ** 2
+        return by.precision_root * pulled, by.precision_root**2 * (by.series.diagonal() - shared)
+    weight = direction**2
+    along = group_sum(weight * residual, observations)
+    pulled = weight * (residual - take(rank_one * along, observations.group))
+    return pulled, weight * (1 - take(rank_one, observations.group) * weight)

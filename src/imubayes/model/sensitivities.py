@@ -1,0 +1,121 @@
+"""Derived quantities, found by probing the signal path: no effect is asked for by name.
+
+The true sensitive axis of a channel is the gradient of its output with respect to the rate (or specific force) it is
+exposed to, at rest and at the reference temperatures; its length is the scale factor, its angle to the table's axis in
+a mounting the true mounting angle.  The relative slope against converter temperature is a derivative as well.  An
+effect added tomorrow takes part in all of them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from imubayes.model.signal_path import Channels, Layer, start, travel
+from imubayes.stimulus import AMBIENT_NAMES, Ambient, Experience, Nodes, SignalPath
+from imubayes.types import Array, Float
+
+REFERENCE_TEMPERATURE = 25.0  # °C, the catalogue's own
+WARMED_UP = 1e9  # s since power-on: longer than any warm-up
+
+
+class Probe(eqx.Module):
+    """Where the signal path is probed.
+
+    Attributes
+    ----------
+    channels : constants of all channels, per kind.
+    sensor_layers : from the projection on, at one node without run.
+    mountings : one node per mounting (M of them).
+    mounting_layers : effects on the motion at these nodes.
+    thermal : one node per run with a converter temperature (T of them), None where there is none.
+    thermal_layers : the whole path at these nodes.
+    thermal_input : kind → shape (T, C), nominal input in SI.
+    """
+
+    channels: dict[str, Channels]
+    sensor_layers: tuple[Layer, ...]
+    mountings: Nodes
+    mounting_layers: tuple[Layer, ...]
+    thermal: Nodes | None
+    thermal_layers: tuple[Layer, ...]
+    thermal_input: dict[str, Float[Array, "T C"]]
+
+
+@dataclass(frozen=True)
+class DerivedName:
+    """Name, unit and the factor from the probe's number to that unit."""
+
+    name: str
+    unit: str
+    factor: float
+
+
+def sensitivities(probe: Probe, values: Float[Array, " V"]) -> dict[str, Float[Array, "C 3"]]:
+    """Return the gradient of every channel's output, kind → (C, 3), output units per rad/s or m/s² in body axes."""
+    slopes = jax.jacfwd(lambda stimulus: _respond(probe, values, stimulus))(jnp.zeros(6))
+    own = {"gyro": slice(0, 3), "accelerometer": slice(3, 6)}
+    return {kind: slopes[kind][:, own[kind]] for kind in probe.channels}
+
+
+def _respond(probe: Probe, values, stimulus: Float[Array, " 6"]) -> dict[str, Float[Array, " C"]]:
+    """Return the outputs at a rate and a specific force, kind → (C,)."""
+    zero = jnp.zeros(1)
+    nothing = jnp.zeros(3)
+    rate, force = stimulus[:3], stimulus[3:]
+    experience = {
+        name: Experience(*(jnp.broadcast_to(v, (1, one.scale.shape[0], 3)) for v in (rate, force, *(nothing,) * 4)))
+        for name, one in probe.channels.items()
+    }
+    warm, long = jnp.full(1, REFERENCE_TEMPERATURE), jnp.full(1, WARMED_UP)
+    known = {"temperature": warm, "converter_temperature": warm, "power_on": long}
+    ambient = Ambient(**{name: known.get(name, zero) for name in AMBIENT_NAMES})
+    path = SignalPath(probe.mountings.stands, ambient, experience, {}, {})
+    signal = travel(probe.sensor_layers, path, values).signal
+    return {kind: signal[kind][0] for kind in probe.channels}
+
+
+def axes_of_rotation(probe: Probe, values: Float[Array, " V"]) -> Float[Array, "M 3"]:
+    """Return the table's axis in body axes, for each mounting."""
+    return travel(probe.mounting_layers, start(probe.mountings), values).motion.mounting[:, 2, :]
+
+
+def thermal_slopes(probe: Probe, values: Float[Array, " V"]) -> dict[str, Float[Array, "T C"]]:
+    """Return d(output)/d(converter temperature) over the nominal output of the input, kind → (T, C), per °C."""
+    assert probe.thermal is not None
+    instants = probe.thermal
+
+    def output(temperature):
+        warmed = eqx.tree_at(lambda i: i.ambient.converter_temperature, instants, temperature)
+        return travel(probe.thermal_layers, start(warmed), values).signal
+
+    at = instants.ambient.converter_temperature
+    _, slope = jax.jvp(output, (at,), (jnp.ones_like(at),))
+    return {
+        kind: slope[kind] / (one.scale[None, :] * probe.thermal_input[kind]) for kind, one in probe.channels.items()
+    }
+
+
+Derive = Callable[[Probe, Float[Array, " V"]], Float[Array, " D"]]
+
+
+def unit_vectors(vectors: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """Return vectors of length 1."""
+    return vectors / jnp.sqrt(jnp.sum(vectors**2, axis=-1, keepdims=True))
+
+
+def angle_between(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, "..."]:
+    """Return the angle between vectors, rad, accurate at 0° and 90° alike.
+
+    At exactly 0° and 180° an angle has no derivative; 0 is returned for it, not NaN.
+    """
+    a, b = unit_vectors(a), unit_vectors(b)
+    return 2 * jnp.arctan2(_length(a - b), _length(a + b))
+
+
+def _length(vectors: Float[Array, "... 3"]) -> Float[Array, "..."]:
+    square = jnp.sum(vectors**2, axis=-1)
+    zero = square == 0
+    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))

@@ -1,0 +1,235 @@
+"""The signal path: one loop over layers, from the table's motion to the output of every channel.
+
+A layer is an effect together with the places of its values in the parameter vector, or one of five junctions that
+every path has: `Spread` (the stand of a run → its nodes), `Resolve` (motion → what acts on the body), `Project` (body →
+channel axes, where the signal starts), `Convert` (SI → output units; an injected current takes the sensor's place) and
+`Emit` (the nominal offset).  There is no case per kind of run and none per effect.
+"""
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.effects.base import Effect, Stage
+from imubayes.frames import rotate, rotate_back, turn_back_about_z
+from imubayes.gather import take
+from imubayes.stimulus import Ambient, Experience, Motion, Nodes, Sample, SignalPath
+from imubayes.types import Array, Float, Vector3
+
+
+class Channels(eqx.Module):
+    """Constants of all channels of one kind (C of them).
+
+    Attributes
+    ----------
+    axes : shape (C, 3, 3), rows I, O, S in body axes.
+    scale : shape (C,), nominal output units per rad/s or m/s².
+    offset : shape (C,), output units.
+    current_per_acceleration : shape (C,), A per m/s²; infinite where the channel has no current output.
+    """
+
+    axes: Float[Array, "C 3 3"]
+    scale: Float[Array, " C"]
+    offset: Float[Array, " C"]
+    current_per_acceleration: Float[Array, " C"]
+
+
+class Layer(eqx.Module):
+    """One step of the signal path; a junction stands at the end of the stage that it closes."""
+
+    closes: ClassVar[Stage]
+
+    def place(self) -> tuple[int, float]:
+        """Return stage and order: layers are passed in the order of these."""
+        return self.closes, math.inf
+
+    def asks(self) -> dict[str, Array]:
+        """Return the places of the values that the step needs, by field."""
+        return {}
+
+    @abstractmethod
+    def __call__(self, path: SignalPath, chosen: dict[str, Array]) -> SignalPath:
+        """Return the path after this step; `chosen` are the values it asked for, by field."""
+
+
+class EffectLayer(Layer):
+    """An effect with the places of its values.
+
+    Attributes
+    ----------
+    effect : the class.
+    options : fixed settings of the effect.
+    places : field → integer array (1 or N, 1 or C) of places in the values; null values for channels and nodes that
+        the effect does not touch.
+    kind : kind of channel it acts on, empty for effects on the motion.
+    """
+
+    effect: type[Effect] = eqx.field(static=True)
+    options: tuple[tuple[str, float], ...] = eqx.field(static=True)
+    places: dict[str, Array]
+    kind: str = eqx.field(static=True)
+
+    def place(self):
+        return self.effect.stage, self.effect.order
+
+    def asks(self):
+        return self.places
+
+    def __call__(self, path, chosen):
+        options = dict(self.options)
+        return self.effect.advance(lambda one: self.effect(**one, **options), chosen, path, self.kind)
+
+
+class Spread(Layer):
+    """From stands to nodes: each node gets the table and mounting of its stand, and its own angle and rate."""
+
+    closes: ClassVar[Stage] = Stage.STAND
+
+    def __call__(self, path, chosen):
+        at, stand = path.instants, path.motion
+        assert at is not None
+        motion = Motion(
+            base=take(stand.base, at.stand),
+            mounting=take(stand.mounting, at.stand),
+            table_angle=at.table_angle,
+            table_rate=at.table_rate,
+            table_acceleration=at.table_acceleration,
+            reference_rate=at.reference_rate,
+            reference_acceleration=at.reference_acceleration,
+            gravity=take(stand.gravity, at.stand),
+            earth_rate=take(stand.earth_rate, at.stand),
+        )
+        return eqx.tree_at(lambda p: (p.motion, p.ambient), path, (motion, at.ambient))
+
+
+class Resolve(Layer):
+    """From the motion to what acts on the body, for every channel alike."""
+
+    counts: tuple[tuple[str, int], ...] = eqx.field(static=True)
+    closes: ClassVar[Stage] = Stage.TABLE
+
+    def __call__(self, path, chosen):
+        body = jax.vmap(on_body)(path.motion)
+        experience = {
+            kind: jax.tree.map(lambda leaf, count=count: jnp.broadcast_to(leaf[:, None], (len(leaf), count, 3)), body)
+            for kind, count in self.counts
+        }
+        return eqx.tree_at(lambda p: p.experience, path, experience)
+
+
+class Project(Layer):
+    """From body axes to each channel's own: here the signal starts."""
+
+    channels: dict[str, Channels]
+    closes: ClassVar[Stage] = Stage.PLACE
+
+    def __call__(self, path, chosen):
+        sample = {
+            kind: jax.vmap(jax.vmap(project, (0, 0, None)), (None, 0, 0))(
+                channels.axes, path.experience[kind], path.ambient
+            )
+            for kind, channels in self.channels.items()
+        }
+        sample = {
+            kind: eqx.tree_at(
+                lambda s: s.output_scale,
+                sample[kind],
+                jnp.broadcast_to(channels.scale, sample[kind].output_scale.shape),
+            )
+            for kind, channels in self.channels.items()
+        }
+        first = {"gyro": lambda s: s.rate[..., 0], "accelerometer": lambda s: s.force[..., 0]}
+        signal = {kind: first[kind](sample[kind]) for kind in self.channels}
+        return eqx.tree_at(lambda p: (p.sample, p.signal), path, (sample, signal))
+
+
+class Convert(Layer):
+    """From SI to output units; where a current is injected it stands for the sensor's own."""
+
+    channels: dict[str, Channels]
+    injected: Float[Array, " N"]
+    closes: ClassVar[Stage] = Stage.SENSOR
+
+    def __call__(self, path, chosen):
+        def converted(signal, channels):
+            equivalent = path.ambient.current[:, None] / channels.current_per_acceleration[None, :]
+            return channels.scale[None, :] * jnp.where(self.injected[:, None] > 0, equivalent, signal)
+
+        signal = {kind: converted(path.signal[kind], channels) for kind, channels in self.channels.items()}
+        return eqx.tree_at(lambda p: p.signal, path, signal)
+
+
+class Emit(Layer):
+    """The nominal offset."""
+
+    channels: dict[str, Channels]
+    closes: ClassVar[Stage] = Stage.CONVERTER
+
+    def __call__(self, path, chosen):
+        signal = {kind: path.signal[kind] + channels.offset[None, :] for kind, channels in self.channels.items()}
+        return eqx.tree_at(lambda p: p.signal, path, signal)
+
+
+def on_body(motion: Motion) -> Experience:
+    """Return what acts on a body that moves like this, in body axes."""
+    axis = motion.mounting[2]
+    turning = axis * motion.table_rate + motion.reference_rate
+    return Experience(
+        rate=turning + into_body(motion, motion.earth_rate),
+        force=into_body(motion, motion.gravity),
+        table_rate=turning,
+        table_acceleration=axis * motion.table_acceleration + motion.reference_acceleration,
+        north=into_body(motion, jnp.array([0.0, 1.0, 0.0])),
+        up=into_body(motion, jnp.array([0.0, 0.0, 1.0])),
+    )
+
+
+def into_body(motion: Motion, vector: Vector3) -> Vector3:
+    """Return a vector given in n in body axes; three turns of a vector cost less than the product of matrices."""
+    return rotate_back(motion.mounting, turn_back_about_z(rotate_back(motion.base, vector), motion.table_angle))
+
+
+def project(axes, experience: Experience, ambient: Ambient) -> Sample:
+    """Return what one channel experiences along its own axes."""
+    return Sample(
+        rate=rotate(axes, experience.rate),
+        force=rotate(axes, experience.force),
+        acceleration=rotate(axes, experience.table_acceleration),
+        north=rotate(axes, experience.north),
+        up=rotate(axes, experience.up),
+        ambient=ambient,
+        output_scale=jnp.zeros_like(ambient.time),
+    )
+
+
+def start(instants: Nodes) -> SignalPath:
+    """Return a path on which nothing has happened yet."""
+    return SignalPath(instants.stands, instants.stand_ambient, {}, {}, {}, instants, instants.records)
+
+
+def travel(layers: Sequence[Layer], path: SignalPath, values: Float[Array, " V"]) -> SignalPath:
+    """Pass every layer in turn; `values` are all parameters in SI, then the null values."""
+    for layer, chosen in zip(layers, _chosen(layers, values), strict=True):
+        path = layer(path, chosen)
+    return path
+
+
+def _chosen(layers: Sequence[Layer], values: Float[Array, " V"]) -> list[dict[str, Array]]:
+    """Return what every layer asks for: all of it in one gather, since a program pays for each."""
+    places, tree = jax.tree.flatten([layer.asks() for layer in layers])
+    if not places:
+        return [{} for _ in layers]
+    ends = np.cumsum([math.prod(place.shape) for place in places])[:-1]
+    found = jnp.split(take(values, jnp.concatenate([jnp.ravel(place) for place in places])), ends)
+    return jax.tree.unflatten(tree, [one.reshape(place.shape) for one, place in zip(found, places, strict=True)])
+
+
+def in_order(layers: Sequence[Layer]) -> tuple[Layer, ...]:
+    """Sort layers by stage and order; a junction closes its stage."""
+    return tuple(sorted(layers, key=lambda layer: layer.place()))

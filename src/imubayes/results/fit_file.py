@@ -1,0 +1,172 @@
+"""`fit.json`: what it takes to go on from a result without fitting again.
+
+The data stay in the campaign folder; a result says where that was and what its content was, so that a campaign that
+has moved is found and one that has changed is noticed.
+"""
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imubayes.campaign import load_campaign
+from imubayes.errors import InputError, Issue
+from imubayes.inference.fitted import Fitted
+from imubayes.inference.joint_fit import data_hash, model_hash
+from imubayes.model.bind import Model, declare
+from imubayes.model.model_file import read_model
+from imubayes.parameters.vector import Layout
+from imubayes.procedures import PROCEDURES
+from imubayes.results.stored_result import way_back
+from imubayes.results.summary import finite
+from imubayes.run import Campaign
+
+FIT, MODEL = "fit.json", "model.toml"
+
+
+def fit_record(fitted: Fitted, folder: Path, seed: int) -> dict[str, Any]:
+    """Return the contents of `fit.json` of a result in `folder`."""
+    model = fitted.model
+    return {
+        "format": 1,
+        "campaign": _places(model.campaign, folder),
+        "data_hash": campaign_hash(model),
+        "model_hash": model_hash(model),
+        "z": _by_name(model.layout, fitted.z),
+        "h": _by_name(model.hyper_layout, fitted.h),
+        "converged": fitted.converged,
+        "message": fitted.message,
+        "seed": seed,
+    }
+
+
+def campaign_hash(model: Model) -> str:
+    """Return what identifies the data: the hash of the files, or of the arrays where there are no files."""
+    return model.campaign.digest or data_hash(model)
+
+
+def _places(campaign: Campaign, folder: Path) -> dict[str, str | None]:
+    """Return the campaign's folder as given, whole, and as seen from the result; nothing where it has none."""
+    if not campaign.folder:
+        return dict.fromkeys(("given", "absolute", "from_result"))
+    absolute = Path(campaign.folder).resolve()
+    from_result = os.path.relpath(absolute, folder.resolve())
+    return {"given": campaign.folder, "absolute": str(absolute), "from_result": from_result}
+
+
+def _by_name(layout: Layout, z: np.ndarray) -> dict[str, float | None]:
+    numbers = np.asarray(z).tolist()
+    return {name: finite(value) for name, value in zip(layout.names, numbers, strict=True)}
+
+
+def read_record(folder: str | Path) -> dict[str, Any]:
+    """Return `fit.json` of a result folder; raises InputError where there is none or it is damaged."""
+    file = Path(folder) / FIT
+    try:
+        record = json.loads(file.read_text(encoding="utf-8"))
+        missing = {"campaign", "data_hash", "model_hash", "z", "h", "converged", "message", "seed"} - set(record)
+        if missing:
+            raise ValueError(f"it lacks {', '.join(sorted(missing))}")
+        wrong = [key for key in ("campaign", "z", "h") if not isinstance(record[key], dict)]
+        if wrong or record.get("format") != 1:
+            raise ValueError(f"its {wrong[0] if wrong else 'format'} is not what a fit writes")
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            Issue(
+                "this result holds no fit" if not file.is_file() else f"the record of the fit is damaged ({error})",
+                str(file),
+                "a folder written by `imubayes fit … --out FOLDER`",
+                way_back(Path(folder)),
+            )
+        ) from None
+    return record
+
+
+def read_fit(folder: str | Path, campaign: Campaign | None = None) -> Fitted:
+    """Return the fit of a result folder, its campaign read again and its model declared; nothing is refitted.
+
+    Parameters
+    ----------
+    folder : as written by a fit.
+    campaign : the campaign, where it is at hand; without it, it is looked for where the result says.
+
+    Raises
+    ------
+    InputError
+        where the folder holds no fit, the campaign is gone, or campaign or model are not those that were fitted.
+    """
+    folder = Path(folder)
+    record = read_record(folder)
+    found = campaign if campaign is not None else load_campaign(_folder(record, folder), tuple(PROCEDURES))
+    model = declare(read_model(folder / MODEL), found)
+    if campaign_hash(model) != record["data_hash"]:
+        raise InputError(
+            Issue(
+                f"the campaign '{found.name}' is no longer the one that was fitted",
+                found.folder or f"{folder / FIT}, key 'data_hash'",
+                "the files as they were: the fit belongs to their every byte, campaign.toml included",
+                "restore the campaign, or fit it as it is now: `imubayes fit CAMPAIGN --model "
+                f"{folder / MODEL} --out FOLDER`",
+            )
+        )
+    z, h = _in_order(model.layout, record["z"], folder), _in_order(model.hyper_layout, record["h"], folder)
+    if model_hash(model) != record["model_hash"]:
+        raise InputError(
+            Issue(
+                "the model is no longer the one that was fitted",
+                str(folder / MODEL),
+                "the file as the fit wrote it, with the effect files beside it",
+                "restore it; to fit the model as it is now: "
+                f"`imubayes fit CAMPAIGN --model {folder / MODEL} --out ANOTHER`",
+            )
+        )
+    return Fitted(model, z, h, bool(record["converged"]), str(record["message"]))
+
+
+def campaign_of(folder: str | Path) -> Campaign | None:
+    """Return the campaign of a result folder, read again; None where it is gone or no longer what was fitted."""
+    try:
+        record = read_record(folder)
+        found = load_campaign(_folder(record, Path(folder)), tuple(PROCEDURES))
+    except InputError:
+        return None
+    return found if found.digest == record["data_hash"] else None
+
+
+def _folder(record: dict[str, Any], folder: Path) -> Path:
+    """Return the first place that holds a campaign: where it was, or as far from the result as it was."""
+    places = record["campaign"]
+    roots = {"absolute": Path(), "given": Path(), "from_result": folder}
+    candidates = [root / places[key] for key, root in roots.items() if places.get(key)]
+    for place in candidates:
+        if (place / "campaign.toml").is_file():
+            return place
+    what = (
+        f"the campaign is not at '{places['given']}' any more" if candidates else "the campaign was never in a folder"
+    )
+    raise InputError(
+        Issue(
+            what,
+            f"{folder / FIT}, key 'campaign'",
+            " or ".join(str(place) for place in candidates) or "a fit of a campaign folder",
+            "put the campaign back, or fit it at its new place",
+        )
+    )
+
+
+def _in_order(layout: Layout, by_name: dict[str, float | None], folder: Path) -> np.ndarray:
+    if set(by_name) != set(layout.names):
+        changed = sorted(set(by_name) ^ set(layout.names))
+        raise InputError(
+            Issue(
+                f"the model declares other parameters than were fitted: {', '.join(changed[:4])}",
+                f"{folder / MODEL}",
+                "the model file as the fit wrote it, and the effects of its time",
+                "run the fit again",
+            )
+        )
+    numbers = [by_name[name] for name in layout.names]
+    return np.array([math.nan if value is None else value for value in numbers], dtype=float)

@@ -1,0 +1,134 @@
+"""Residuals of a fit in output and input units, with every covariate: what compare and criticism look at."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import polars as pl
+
+from imubayes.inference.joint_fit import JointFit
+from imubayes.inference.nested_laplace import posterior_precision
+from imubayes.model.noise_covariance import group_sum, whiten, whitener
+from imubayes.model.problem import Problem
+from imubayes.model.robust_likelihood import pseudo_values
+from imubayes.results.summary import finite
+from imubayes.units import to_si
+
+_COVARIATES = {
+    "time_s": ("time", 1.0),
+    "power_on_s": ("power_on", 1.0),
+    "table_rate_deg_s": ("table_rate", math.radians(1)),
+    "table_angle_deg": ("table_angle", math.radians(1)),
+    "temperature_degC": ("temperature", 1.0),
+    "converter_temperature_degC": ("converter_temperature", 1.0),
+    "current_mA": ("current", 1e-3),
+}
+INPUT_UNIT = {"gyro": "deg/s", "accelerometer": "g", "angle": "deg"}
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals as a table, one line per run, row and channel."""
+
+    table: pl.DataFrame
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squares of the whitened residuals."""
+        return float((self.table["whitened"] ** 2).sum())
+
+    def by_run_and_channel(self) -> list[dict[str, Any]]:
+        """Return n, chi² and rms in input units for each run and channel; null where they are no numbers."""
+        grouped = self.table.group_by("run", "channel", maintain_order=True).agg(
+            pl.len().alias("n"),
+            (pl.col("whitened") ** 2).sum().alias("chi2"),
+            (pl.col("input_residual") ** 2).mean().sqrt().alias("rms"),
+            pl.col("input_unit").first().alias("unit"),
+        )
+        return [
+            {
+                "name": line["run"],
+                **{key: line[key] for key in ("channel", "n")},
+                **{key: finite(line[key]) for key in ("chi2", "rms")},
+                "unit": line["unit"],
+            }
+            for line in grouped.iter_rows(named=True)
+        ]
+
+
+@eqx.filter_jit
+def _at_mode(problem: Problem, mode):
+    """Return prediction, its standard deviation, the noise's and the whitened residual, each (E,)."""
+    by = whitener(problem, mode.h)
+    whitened = whiten(problem, by, pseudo_values(problem, mode.h, mode.about.misfit))
+    spread = jnp.linalg.solve(jnp.linalg.cholesky(posterior_precision(problem, mode)), mode.about.jacobian.T)
+    predicted = problem.observations.value - mode.about.misfit
+    return predicted, jnp.sqrt(jnp.sum(spread**2, axis=0)), noise_deviation(problem, by), whitened
+
+
+def noise_deviation(problem: Problem, by) -> jnp.ndarray:
+    """Return the standard deviation of each entry's noise, what runs have in common included, shape (E,)."""
+    weight = by.precision_root**2
+    direction = group_sum(by.direction**2, problem.observations)
+    # shrink = (1 − 1/√(1 + T|u|²))/|u|² solved for T
+    safe = jnp.where(direction > 0, direction, 1.0)
+    shared = ((1 - by.shrink * direction) ** -2 - 1) / safe
+    return jnp.sqrt(1 / jnp.where(weight > 0, weight, jnp.inf) + shared[problem.observations.group])
+
+
+def residuals_of(fit: JointFit) -> Residuals:
+    """Return the residuals of a fit at its mode."""
+    model, campaign, entries = fit.model, fit.model.campaign, fit.model.entries
+    predicted, model_sd, sd, whitened = (np.asarray(part) for part in _at_mode(model.problem, fit.mode))
+    channels = campaign.channels
+    closing = np.asarray(entries.closing)
+    place = np.where(closing, 0, entries.channel)
+    names = np.array([*(c.name for c in channels), "closure_x", "closure_y", "closure_z"])[entries.channel]
+    kind = np.where(closing, "closure", np.array([c.kind for c in channels])[place])
+    output_unit = np.where(closing, "deg", np.array([c.output_unit for c in channels])[place])
+    input_unit = np.where(closing, "deg", np.array([INPUT_UNIT[c.kind] for c in channels])[place])
+    per_output = np.array([1 / (c.scale_si * to_si(INPUT_UNIT[c.kind], campaign.site.gravity)) for c in channels])
+    degree = to_si("deg")
+    to_output = np.where(closing, 1 / degree, 1.0)
+    to_input = np.where(closing, 1 / degree, per_output[place])
+    offset = np.where(closing, 0.0, np.array([c.offset for c in channels])[place])
+    residual = entries.value - predicted
+    table = {
+        "run": np.array([run.name for run in campaign.runs])[entries.run],
+        "procedure": np.array([run.procedure for run in campaign.runs])[entries.run],
+        "row": entries.row,
+        "channel": names,
+        "kind": kind,
+        **_covariates(fit),
+        "samples": entries.samples,
+        "observed": entries.value * to_output,
+        "predicted": predicted * to_output,
+        "sd": sd * to_output,
+        "model_sd": model_sd * to_output,
+        "residual": residual * to_output,
+        "output_unit": output_unit,
+        "input_observed": (entries.value - offset) * to_input,
+        "input_residual": residual * to_input,
+        "input_sd": sd * np.abs(to_input),
+        "input_unit": input_unit,
+        "whitened": whitened,
+    }
+    return Residuals(pl.DataFrame(table))
+
+
+def _covariates(fit: JointFit) -> dict[str, pl.Series]:
+    """Return each covariate per entry, null where the run lacks it or the entry is a closing rotation."""
+    campaign, entries = fit.model.campaign, fit.model.entries
+    found = {}
+    for column, (name, factor) in _COVARIATES.items():
+        values, known = np.zeros(len(entries)), np.zeros(len(entries), dtype=bool)
+        for index, run in enumerate(campaign.runs):
+            chosen = (entries.run == index) & ~entries.closing
+            if name in run.covariates and (run.table is not None or not name.startswith("table_")):
+                values[chosen] = run.covariates[name][entries.row[chosen]] / factor
+                known[chosen] = True
+        found[column] = pl.Series(column, [v if k else None for v, k in zip(values, known, strict=True)], pl.Float64)
+    return found

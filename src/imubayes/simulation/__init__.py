@@ -1,0 +1,1 @@
+"""Simulation: from a test plan and a model to a synthetic campaign."""

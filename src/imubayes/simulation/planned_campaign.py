@@ -1,0 +1,158 @@
+"""A plan file becomes the campaign that it will be, with nothing read yet."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from imubayes.campaign.build_run import build_run
+from imubayes.campaign.equipment import build_channels, build_mountings, build_site, build_tables, refuse_repeats
+from imubayes.campaign.file_schemas import RunEntry
+from imubayes.campaign.run_columns import KNOWN_COLUMNS, NEEDS_TABLE
+from imubayes.campaign.toml_documents import Ledger, read_document
+from imubayes.errors import InputError, closest_first
+from imubayes.run import Campaign, Channel
+from imubayes.simulation.planned_rows import ASKED, columns_of, judge_steps
+from imubayes.simulation.test_plan import PlanFile, PlannedRun
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A plan that was read and found sound.
+
+    Attributes
+    ----------
+    file : its content.
+    path, model : the plan file, and the model file it names.
+    campaign : the planned runs, with 0 in the place of every output that will be recorded.
+    entries : what `campaign.toml` will say of each run.
+    columns : for each run the columns of its table but for the outputs, in the units of the file.
+    """
+
+    file: PlanFile
+    path: Path
+    model: Path
+    campaign: Campaign
+    entries: tuple[RunEntry, ...]
+    columns: tuple[dict[str, np.ndarray], ...]
+
+
+def read_plan(path: str | Path) -> Plan:
+    """Read a plan.
+
+    Raises
+    ------
+    InputError
+        with everything that is wrong with the plan.
+    """
+    path = Path(path)
+    document = read_document(path, PlanFile)
+    file, ledger = document.entry, document.ledger
+    if file is None:
+        raise InputError(ledger.issues)
+    site = build_site(file.site)
+    channels = build_channels(dict(enumerate(file.channel)), site.gravity, ledger)
+    tables = build_tables(dict(enumerate(file.table)), ledger)
+    mountings = build_mountings(dict(enumerate(file.mounting)), ledger)
+    _check_channels(file, ledger)
+    _check_runs(file, ledger)
+    ledger.stop_if_any()
+    entries = tuple(_entry(run, place) for place, run in enumerate(file.run))
+    columns = tuple(columns_of(run) for run in file.run)
+    runs = tuple(
+        build_run(entry, one | _nothing_yet(run, one, channels), channels)
+        for entry, one, run in zip(entries, columns, file.run, strict=True)
+    )
+    campaign = Campaign(file.name, site, channels, tables, mountings, runs, file.unit.serial)
+    return Plan(file, path, path.parent / file.model, campaign, entries, columns)
+
+
+def recorded(run: PlannedRun, channels: tuple[Channel, ...]) -> list[str]:
+    """Return the channels that give a reading in a run: a current goes into those with a current output alone."""
+    injected = run.procedure == "current_injection"
+    return [one.name for one in channels if one.current_per_acceleration or not injected]
+
+
+def _nothing_yet(run: PlannedRun, columns: dict[str, np.ndarray], channels: tuple[Channel, ...]):
+    return {name: np.zeros(len(columns["time_s"])) for name in recorded(run, channels)}
+
+
+def _entry(run: PlannedRun, place: int) -> RunEntry:
+    plain = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in run.name)
+    return RunEntry(
+        name=run.name,
+        procedure=run.procedure,
+        # A name need not be a good file name; the number keeps two of them apart.
+        file=f"runs/{plain}.csv" if plain == run.name else f"runs/{place:03d}-{plain}.csv",
+        table=run.table,
+        mounting=run.mounting,
+        temperature_degC=run.temperature_degC,
+        start=run.start,
+    )
+
+
+def _check_channels(file: PlanFile, ledger: Ledger) -> None:
+    for place, channel in enumerate(file.channel):
+        if channel.name in KNOWN_COLUMNS:
+            ledger.add(
+                f"the channel name '{channel.name}' already means something else in a run table",
+                ("channel", place, "name"),
+                "a name that is no known column",
+                "rename the channel",
+            )
+        if channel.noise is None:
+            ledger.add(
+                f"channel '{channel.name}' has no noise",
+                ("channel", place, "noise"),
+                "noise = standard deviation of one raw sample, output units",
+                "add 'noise': with no readings yet nothing else says how noisy the channel is",
+            )
+
+
+def _check_runs(file: PlanFile, ledger: Ledger) -> None:
+    refuse_repeats({place: run.name for place, run in enumerate(file.run)}, "run", ledger)
+    there = {"table": [one.name for one in file.table], "mounting": [one.name for one in file.mounting]}
+    for place, run in enumerate(file.run):
+        if run.procedure == "free_tumble":
+            ledger.add(
+                f"run '{run.name}' is a free tumble, which cannot be planned: its rotations are made by hand",
+                ("run", place, "procedure"),
+                ", ".join(ASKED),
+                "plan the poses as a dividing_head run, or record a tumble and fit it",
+            )
+        elif run.procedure not in ASKED:
+            ledger.add(
+                f"procedure '{run.procedure}' of run '{run.name}' cannot be simulated",
+                ("run", place, "procedure"),
+                closest_first(run.procedure, ASKED),
+                "use one of the allowed procedures",
+            )
+        else:
+            judge_steps(run, place, ledger)
+        for section, names in there.items():
+            _check_reference(run, place, section, names, ledger)
+        if run.procedure == "current_injection" and not any(one.current_mA_per_g for one in file.channel):
+            ledger.add(
+                "a current is injected, and no channel says what its current stands for",
+                ("run", place, "procedure"),
+                "current_mA_per_g = … in a [[channel]]",
+                "add current_mA_per_g to the channel under test",
+            )
+
+
+def _check_reference(run: PlannedRun, place: int, section: str, there: list[str], ledger: Ledger) -> None:
+    name = getattr(run, section)
+    if name is None and run.procedure in NEEDS_TABLE:
+        ledger.add(
+            f"run '{run.name}' of procedure '{run.procedure}' has no '{section}'",
+            ("run", place, section),
+            ", ".join(there) or f"the name of a [[{section}]]",
+            f"say which {section} is to be used",
+        )
+    elif name is not None and name not in there:
+        ledger.add(
+            f"run '{run.name}' refers to the {section} '{name}', which is not in the plan",
+            ("run", place, section),
+            closest_first(name, there) or f"none is there: add a [[{section}]]",
+            f"correct the name, or add the {section}",
+        )

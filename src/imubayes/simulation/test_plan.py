@@ -1,0 +1,83 @@
+"""A plan: a campaign before it is measured, with the model that is to be believed.
+
+A plan describes site, unit, tables and mountings in the words of `campaign.toml`; each run says what shall be done
+instead of naming a file:
+
+    model = "../models/trihedral-imu.toml"     # relative to the plan
+    seed = 1
+
+    [truth]                                    # optional; all else is drawn from the priors
+    "gyro_scale_factor.scale[gx]" = 250.0
+
+    [[run]]
+    name = "pyramid"
+    procedure = "rate_table"
+    table = "rate"
+    mounting = "pyramid"
+    temperature_degC = 25.0
+    rates_deg_s = [0, 100, -100, 0]
+"""
+
+from datetime import date, datetime
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, Field
+
+from imubayes.campaign.file_schemas import (
+    SECTIONS,
+    CampaignFile,
+    ChannelEntry,
+    MountingEntry,
+    Name,
+    Positive,
+    SiteEntry,
+    TableEntry,
+    UnitEntry,
+)
+
+Temperature = Annotated[float, Field(ge=-150, le=150)]
+
+
+class PlannedRun(BaseModel):
+    """One run of a plan; which keys a procedure takes stands in `planned_rows.ASKED`."""
+
+    model_config = CampaignFile.model_config
+
+    name: Name
+    procedure: str
+    table: str | None = None
+    mounting: str | None = None
+    temperature_degC: Temperature | None = None
+    start: datetime | date | None = None
+    rates_deg_s: Annotated[list[float], Field(min_length=1)] | None = None
+    positions: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    angles_deg: Annotated[list[float], Field(min_length=1)] | None = None
+    converter_temperature_degC: Annotated[list[Temperature], Field(min_length=2, max_length=2)] | None = None
+    rows: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    rate_degC_per_h: Positive | None = None
+    current_mA: float | None = None
+    samples: Annotated[int, Field(ge=1)] = 1200
+    seconds_per_row: Positive | None = None
+
+
+class PlanFile(BaseModel):
+    """A plan file."""
+
+    model_config = CampaignFile.model_config
+
+    format: Literal[1]
+    name: Name
+    notes: list[str] = []
+    model: str = Field(min_length=1)
+    seed: int = Field(default=1, ge=0)
+    truth: dict[str, float] = {}
+    site: SiteEntry
+    unit: UnitEntry = UnitEntry()
+    channel: list[ChannelEntry] = Field(min_length=1)
+    table: list[TableEntry] = []
+    mounting: list[MountingEntry] = []
+    run: list[PlannedRun] = Field(min_length=1)
+
+
+# The reader of documents looks here for the keys it proposes in place of a misspelt one.
+SECTIONS[PlanFile] = SECTIONS[CampaignFile] | {"run": PlannedRun}

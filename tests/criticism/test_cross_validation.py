@@ -1,0 +1,217 @@
+"""Adding an effect: what is expected is found, unseen runs agree, and what does not help is said not to."""
+
+import json
+import shutil
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from loop_results import CAMPAIGN, LACKING, lacking_model
+
+import imubayes.loop
+from imubayes.api import Result, fit
+from imubayes.criticism.cross_validation import HeldOut, groups, objection, predict_left_out
+from imubayes.criticism.warm_start import extend
+from imubayes.errors import InputError
+from imubayes.inference.fitted import Fitted
+from imubayes.inference.nested_laplace import posterior_precision
+from imubayes.inference.posterior_mode import find_mode
+from imubayes.inference.posterior_precision import linearise
+from imubayes.loop import Addition, add
+from imubayes.model.noise_covariance import noise_law
+from imubayes.model.problem import without
+from imubayes.results.history_file import read_node, read_tree, select
+from imubayes.results.result_folder import read_fit
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("loop")
+
+
+@pytest.fixture(scope="module")
+def first(place) -> Result:
+    return fit(CAMPAIGN, lacking_model(), place / "first", sample=False)
+
+
+@pytest.fixture(scope="module")
+def second(place, first) -> Addition:
+    return add(place / "first", [LACKING], place / "second")
+
+
+@pytest.fixture(scope="module")
+def third(place, second) -> Addition:
+    return add(second.result, ["accel_quadratic"], place / "third")
+
+
+def test_expected_is_found(second):
+    assert second.taken
+    expected, found = second.json["predicted"], second.json["found"]
+    # The effect is linear in its coefficient, so the prediction is exact but for the curvature of the others.
+    assert found["delta_chi2"] == pytest.approx(expected["delta_chi2"], rel=1e-2)
+    assert expected["delta_chi2"] > 36
+    (guess,), (value,) = expected["coefficients"], found["coefficients"]
+    truth = tomllib.loads((CAMPAIGN / "truth.toml").read_text())["parameters"][value["name"]]
+    assert abs(guess["value"] - truth) < 4 * guess["sd"]
+    assert abs(value["value"] - truth) < 4 * value["sd"]
+
+
+def test_what_is_missing_helps_unseen_runs(second):
+    unseen = second.json["held_out"]
+    assert (unseen["verdict"], unseen["by"]) == ("helps", "run")
+    assert unseen["helped"] == unseen["of"] == 3
+    assert unseen["delta"] == pytest.approx(sum(one["delta"] for one in unseen["each"]))
+
+
+def test_what_is_not_missing_is_marked_so(third):
+    """The planted fault: an effect that is not in the data does not pass for one that helps."""
+    assert third.taken
+    assert third.json["held_out"]["verdict"] == "not"
+    assert "DOES NOT HELP" in repr(third)
+
+
+def test_the_error_falls_to_the_noise(second, place):
+    (channel,) = second.json["channels"]
+    assert channel["after"] < 0.7 * channel["before"]
+    floor, unit = read_node(place / "second").floor["ax"]
+    assert unit == channel["unit"] == "g"
+    assert channel["after"] == pytest.approx(floor, rel=0.1)
+
+
+def dense_density(fitted: Fitted, left_out: np.ndarray, parameters_known: bool = False) -> float:
+    """Return log p(left out | rest) from whole covariance matrices, linear about the mode without."""
+    problem = fitted.model.problem
+    rest = without(problem, left_out)
+    mode = find_mode(rest, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
+    law = noise_law(problem, mode.h)
+    own, shared = np.asarray(law.own), np.asarray(law.shared)
+    group = np.asarray(problem.observations.group)[left_out]
+    covariance = np.diag(own[left_out]) + np.where(group[:, None] == group, shared[group][:, None], 0.0)
+    jacobian = np.asarray(mode.about.jacobian)[left_out]
+    if not parameters_known:
+        covariance = covariance + jacobian @ np.linalg.solve(np.asarray(posterior_precision(rest, mode)), jacobian.T)
+    misfit = np.asarray(mode.about.misfit)[left_out]
+    _, log_determinant = np.linalg.slogdet(2 * np.pi * covariance)
+    return float(-0.5 * (misfit @ np.linalg.solve(covariance, misfit) + log_determinant))
+
+
+def test_the_predictive_density_is_that_of_whole_matrices(first):
+    """Red without the uncertainty of the parameters: then the numbers differ by more than rounding."""
+    fitted = first.fit.fitted
+    _, names, masks = groups(fitted.model)
+    assert names == tuple(run.name for run in fitted.model.campaign.runs)
+    about = linearise(fitted.model.problem, jnp.asarray(fitted.z))
+    for mask in masks[:2]:
+        found = predict_left_out(fitted, about, mask).density
+        assert found == pytest.approx(dense_density(fitted, mask), abs=1e-3)
+        assert abs(found - dense_density(fitted, mask, parameters_known=True)) > 0.05
+
+
+@pytest.mark.parametrize(
+    ("gains", "verdict"),
+    [([3.0, 2.0, 4.0], "helps"), ([9.0, -8.0, 4.0], "unclear"), ([-1.0, 0.2, -3.0], "not"), ([0.1, 0.1, 0.2], "not")],
+)
+def test_the_verdict_of_gains(gains, verdict):
+    assert HeldOut("run", ("a", "b", "c"), np.array(gains)).verdict == verdict
+
+
+def test_one_run_alone_has_no_standard_error():
+    assert np.isinf(HeldOut("run", ("a",), np.array([3.0])).se)
+
+
+def test_what_stands_in_the_model_is_not_added_again(first):
+    with pytest.raises(InputError, match="stands twice"):
+        extend(first.fit.fitted, ["white_noise"])
+
+
+def test_a_prior_gives_way_to_what_was_measured_beyond_doubt(first):
+    """A thousand times the usual drift in the readings: held back by its prior it would not be found."""
+    assert extend(first.fit.fitted, [LACKING]).widened == {}
+    campaign, drift = first.fit.model.campaign, 1000.0
+    runs = [
+        replace(run, observed=run.observed + drift * (run.covariates["converter_temperature"][:, None] - 25.0))
+        for run in campaign.runs
+    ]
+    fitted = fit(replace(campaign, runs=tuple(runs)), lacking_model(), sample=False).fit.fitted
+    found = extend(fitted, [LACKING])
+    (one,) = found.coefficients
+    assert one.value == pytest.approx(drift, rel=0.01)
+    assert found.widened == {f"{LACKING}.slope": f"normal(0, 1000 {one.unit})"}
+
+
+def test_an_effect_that_does_not_exist_is_refused(first, tmp_path):
+    with pytest.raises(InputError, match="accel_quadratic"):
+        add(first, ["accel_quadratik"], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_no_result_is_overwritten(place, first, second):
+    with pytest.raises(InputError, match="holds a result already"):
+        add(first, [LACKING], place / "second")
+
+
+def test_a_scanned_shape_begins_at_its_value(first):
+    name = "converter_leakage.doubling[ax]"
+    found = {}
+    for value in (6.0, 14.0):
+        extension = extend(first.fit.fitted, ["converter_leakage"], shape={"converter_leakage.doubling": value})
+        at = extension.model.layout.index(name)
+        parameter = extension.model.layout.parameters[at]
+        assert float(parameter.prior.value(jnp.asarray(extension.z[at]))) / parameter.factor == pytest.approx(value)
+        found[value] = extension.delta_chi2
+    assert found[6.0] != pytest.approx(found[14.0], rel=0.05)
+
+
+def copied(place: Path, to: Path, *names: str) -> list[Path]:
+    for name in names:
+        shutil.copytree(place / name, to / name)
+    return [to / name for name in names]
+
+
+@pytest.mark.parametrize("fault", ["unconverged", "worse"])
+def test_a_bad_refit_is_not_taken(place, first, tmp_path, monkeypatch, fault):
+    (result,) = copied(place, tmp_path, "first")
+    select(result)
+    if fault == "worse":
+        monkeypatch.setattr(imubayes.loop, "found_delta_chi2", lambda *_: -3.0)
+    else:
+        monkeypatch.setattr(
+            imubayes.loop,
+            "objection",
+            lambda after, drop: objection(Fitted(after.model, after.z, after.h, False, "No."), drop),
+        )
+    found = add(result, [LACKING], tmp_path / "next")
+    assert not found.taken
+    assert "not taken" in found.json["message"]
+    node = read_node(tmp_path / "next")
+    assert (node.taken, node.selected) == (False, False)
+    assert read_node(result).selected
+    with pytest.raises(InputError, match="was not taken"):
+        select(tmp_path / "next")
+
+
+def test_the_history_is_a_tree_with_one_selected(place, third, tmp_path):
+    folders = copied(place, tmp_path, "first", "second", "third")
+    tree = read_tree([folders[1]])
+    assert set(tree.nodes) == {str(folder.resolve()) for folder in folders}
+    assert [depth for depth, _ in tree.in_order()] == [0, 1, 2]
+    assert tree.selected == (str(folders[2].resolve()),)
+    # Undo: the parent is selected again, and exported.
+    tree = select(folders[1])
+    assert tree.selected == (str(folders[1].resolve()),)
+    imubayes.loop.export(folders[2], tmp_path / "selected.toml")
+    assert (tmp_path / "selected.toml").read_text() == (folders[1] / "model.toml").read_text()
+    node = read_node(folders[1])
+    assert node.added == ({"effect": LACKING, "channels": ["ax"]},)
+    assert node.held_out["verdict"] == "helps"
+    assert node.data_hash == read_node(folders[0]).data_hash
+    assert node.model_hash != read_node(folders[0]).model_hash
+
+
+def test_the_old_result_stays(place, second):
+    fitted = read_fit(place / "first")
+    assert LACKING not in {one.name for one in fitted.model.spec.effects}
+    assert json.loads((place / "second" / "addition.json").read_text())["taken"]

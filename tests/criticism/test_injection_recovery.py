@@ -1,0 +1,81 @@
+"""Planting: the size is the size asked for, and the tally is that of the screen's answers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from loop_results import CAMPAIGN, lacking_model
+
+from imubayes.campaign import load_campaign
+from imubayes.criticism.diagnosis import Diagnosis
+from imubayes.criticism.injection_recovery import Size, plant_effects, refitted
+from imubayes.criticism.warm_start import extend
+from imubayes.errors import InputError
+from imubayes.inference.fitted import Fitted
+from imubayes.inference.joint_fit import joint_fit
+from imubayes.model.bind import declare
+from imubayes.procedures import PROCEDURES
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Fitted:
+    model = declare(lacking_model(), load_campaign(CAMPAIGN, tuple(PROCEDURES)))
+    return joint_fit(model, None).fitted
+
+
+def answer(verdict: str, *effects: str) -> Diagnosis:
+    groups = [{"effects": list(effects)}] if effects else []
+    return Diagnosis({"verdict": verdict, "sentence": "", "p_global": 0.01, "threshold": 0.05, "groups": groups})
+
+
+def test_the_planted_size_is_the_size_asked_for(fitted):
+    """The screen sees data in which a refit would find it: chi² falls by 400, give or take the noise (sd 40)."""
+    drops = []
+
+    def screen(one: Fitted) -> Diagnosis:
+        # A fit without the effect takes it for noise; what was asked for counts in the noise of the simulation.
+        drops.append(extend(replace(one, h=fitted.h), ["converter_offset_drift"]).delta_chi2)
+        return answer("missing_effect", "converter_offset_drift")
+
+    found = plant_effects(fitted, ["converter_offset_drift"], Size(400.0), 1, 5, screen=screen)
+    (trial,) = found.trials
+    assert trial.delta_chi2 == pytest.approx(400, rel=0.03)
+    null, planted = drops
+    truth = trial.planted[0]["value"]
+    assert truth != 0
+    assert null < 30
+    assert abs(planted - 400) < 5 * np.sqrt(2 + 4 * 400)
+
+
+def test_the_typical_size(fitted):
+    found = plant_effects(fitted, ["accel_quadratic"], Size(typical=2.0), 0, 0, screen=lambda _: answer("adequate"))
+    assert abs(found.trials[0].planted[0]["value"]) == pytest.approx(100)
+    assert found.json["size"] == {"typical": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("said", "detected", "first"),
+    [
+        (answer("adequate"), False, False),
+        (answer("missing_effect", "accel_cubic"), True, False),
+        (answer("equivalent_effects", "accel_cubic", "accel_quadratic"), True, True),
+        (answer("not_converged"), False, False),
+    ],
+)
+def test_the_tally(fitted, said, detected, first):
+    found = plant_effects(fitted, ["accel_quadratic"], Size(), 2, 0, screen=lambda _: said).json
+    assert (found["effects"][0]["detected"], found["effects"][0]["group_first"]) == (detected, first)
+    assert found["null"]["false_alarms"] == (0 if said.verdict == "adequate" else 2)
+    low, high = found["null"]["interval_95"]
+    assert 0 <= low <= found["null"]["rate"] <= high <= 1
+
+
+def test_what_no_run_shows_is_skipped_or_refused_when_asked_for(fitted):
+    with pytest.raises(InputError, match="no run can show"):
+        plant_effects(fitted, ["accel_bias_temperature_rate"], Size(), 0, 0, screen=lambda _: answer("adequate"))
+
+
+def test_a_refit_ends_where_a_fit_ends(fitted):
+    again = refitted(fitted, fitted.model.campaign)
+    assert again.converged
+    assert np.allclose(again.z, fitted.z, atol=1e-2)

@@ -1,0 +1,153 @@
+"""The screen: it says before a refit what the refit finds, it does not cry wolf, and its faults would show."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from null_data import fitted_to, redrawn
+from scipy import stats
+
+import imubayes.criticism.score_test as screen_module
+import imubayes.criticism.stepwise_search as search_module
+from imubayes.criticism.candidate_effects import respond
+from imubayes.criticism.diagnosis import judge
+from imubayes.criticism.multiple_testing import look_elsewhere
+from imubayes.criticism.projection import project
+from imubayes.criticism.score_test import prepare, screen
+from imubayes.criticism.stepwise_search import search
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return fitted_to("accel-channel", "accel-channel")
+
+
+@pytest.fixture(scope="module")
+def looked(fitted):
+    """Candidates of twenty null data sets, with the chance of the best of each."""
+    found = []
+    for seed in range(20):
+        fresh = redrawn(fitted, seed)
+        responses = respond(fresh)
+        projection = project(fresh, responses.misfit, responses.jacobian)
+        candidates = screen(projection, prepare(projection, responses.candidates))
+        found.append((projection, candidates))
+    return found
+
+
+def test_what_the_model_absorbs_is_orthogonal_to_what_is_screened(fitted):
+    responses = respond(fitted)
+    projection = project(fitted, responses.misfit, responses.jacobian)
+    assert np.abs(projection.basis.T @ projection.residual).max() < 1e-8
+    for one in prepare(projection, responses.candidates):
+        assert np.abs(projection.basis.T @ one.projected).max() < 1e-8 * max(1.0, np.abs(one.whitened).max())
+
+
+def test_what_is_rounding_of_a_response_has_no_coefficient(fitted, monkeypatch):
+    """On a level table at rest a tilt about one axis does nothing; of its derivative only rounding is left."""
+
+    def absurd() -> list[str]:
+        projection = project(fitted, responses.misfit, responses.jacobian)
+        return [
+            coefficient.parameter.name
+            for one in screen(projection, prepare(projection, responses.candidates))
+            for coefficient, value in zip(one.coefficients, one.value, strict=True)
+            if abs(value) > 1e6 * coefficient.typical[1]
+        ]
+
+    responses = respond(fitted)
+    assert not absurd()
+    monkeypatch.setattr(screen_module, "_LEAST_RESPONSE", 0.0)
+    assert any(name.startswith("table_axis_tilt") for name in absurd())
+
+
+def test_degrees_of_freedom_add_up(fitted):
+    responses = respond(fitted)
+    projection = project(fitted, responses.misfit, responses.jacobian)
+    assert projection.freedom.sum() == pytest.approx(len(fitted.model.entries), abs=1e-6)
+
+
+def test_the_score_is_the_drop_of_a_linear_refit(fitted):
+    """Δχ² by least squares with the columns of the candidate added, from scratch."""
+    responses = respond(fitted)
+    projection = project(fitted, responses.misfit, responses.jacobian)
+    one = prepare(projection, responses.candidates)[0]
+    candidate = next(c for c in screen(projection, [one]) if len(c.coefficients) == len(one.response.coefficients))
+    whole = projection.basis @ (projection.basis.T @ one.whitened) + one.projected
+    both = np.concatenate([projection.jacobian, whole], axis=1)
+    left = projection.residual - both @ np.linalg.lstsq(both, projection.residual, rcond=1e-12)[0]
+    drop = projection.residual @ projection.residual - left @ left
+    assert candidate.found.drop_at_fit == pytest.approx(drop, rel=1e-6, abs=1e-9)
+
+
+def test_single_p_values_are_uniform_under_no_effect(looked):
+    """Where the model absorbs nearly all, only the pull on the priors is left: the truth is the same each time."""
+    values = [one.p for _, candidates in looked for one in candidates if one.dof == 1 and one.retained.min() > 0.02]
+    below = np.mean(np.array(values) < 0.1)
+    assert 0.02 < below < 0.2
+    assert 0.35 < np.mean(values) < 0.65
+
+
+def test_the_best_of_many_is_judged_by_all_looks(looked):
+    """Left out, the look-elsewhere correction would raise an alarm nearly every time."""
+    uncorrected = np.array([min(one.p for one in candidates) for _, candidates in looked])
+    corrected = np.array([look_elsewhere([c.found for c in cs])(min(c.p for c in cs)) for _, cs in looked])
+    assert np.mean(corrected < 0.05) <= 0.2
+    assert np.mean(uncorrected < 0.05) > 0.5
+
+
+def test_understated_noise_does_not_raise_an_alarm(looked):
+    """The noise is judged after the candidate; a χ² test that believes in a noise 1.5 times too small cries wolf."""
+    believed = []
+    for _, candidates in looked:
+        chance = look_elsewhere([one.found for one in candidates])
+        p = min(stats.chi2.sf(1.5**2 * one.found.drop_at_fit, one.dof) for one in candidates)
+        believed.append(chance(float(p)))
+        louder = candidates[0].found
+        assert louder.drop > 0
+    corrected = [look_elsewhere([c.found for c in cs])(min(c.p for c in cs)) for _, cs in looked]
+    assert np.mean(np.array(believed) < 0.05) > 0.3
+    assert np.mean(np.array(corrected) < 0.05) <= 0.2
+
+
+def test_correlated_noise_is_named_as_noise(fitted, monkeypatch):
+    """With the correlation ignored the same data raise alarms."""
+    data = [redrawn(fitted, seed, correlation=0.8) for seed in range(4)]
+    verdicts = [judge(one).verdict for one in data]
+    assert all(verdict == "noise_model" for verdict in verdicts), verdicts
+    monkeypatch.setattr(search_module, "screen_noise", lambda projection: [])
+    ignored = [search(one) for one in data]
+    assert any(one.groups or one.structures for one in ignored)
+
+
+def test_a_hidden_effect_is_found_with_its_size(fitted):
+    """A planted drift of the response is found with the coefficient it was planted with."""
+    responses = respond(fitted)
+    hidden = next(one for one in responses.candidates if one.scan.effect == "accel_bias_drift")
+    projection = project(fitted, responses.misfit, responses.jacobian)
+    length = float(np.linalg.norm(prepare(projection, [hidden])[0].projected))
+    size = 10 / length
+    fresh = redrawn(fitted, 3, change=hidden.columns[:, 0] * size)
+    found = search(fresh)
+    assert "accel_bias_drift" in found.groups[0].effects
+    member = next(one for one in found.groups[0].members if one.effect == "accel_bias_drift")
+    assert abs(member.value[0] - size) < 3.5 * member.sd[0]
+
+
+def test_an_unconverged_fit_is_not_ranked(fitted):
+
+    document = judge(replace(fitted, converged=False, message="It did not settle.")).json
+    assert document["verdict"] == "not_converged"
+    assert document["ranking"] == []
+    assert document["sentence"] == "It did not settle."
+
+
+def test_what_only_pleases_the_priors_at_an_absurd_size_is_no_candidate(fitted):
+    """Its evidence all in the prior rows, its coefficient far beyond what is met in practice."""
+    responses = respond(fitted)
+    projection = project(fitted, responses.misfit, responses.jacobian)
+    found = screen(projection, prepare(projection, responses.candidates))[0]
+    absurd = np.array([1e4 * one.typical[1] for one in found.coefficients])
+    assert not replace(found, value=absurd, found=replace(found.found, of_priors=0.9)).plausible
+    assert replace(found, value=absurd, found=replace(found.found, of_priors=0.1)).plausible
+    assert replace(found, value=absurd / 1e4, found=replace(found.found, of_priors=0.9)).plausible

@@ -1,0 +1,74 @@
+"""The textbook beside the joint fit: the difference, and what of it the mounting angle explains."""
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from imubayes.classical import Estimate, Undetermined
+from imubayes.cli.main import run
+from imubayes.display.classical_comparison import decision_sheet, textbook_json, textbook_sheet, undetermined_sheet
+from imubayes.display.terminal_tables import terminal
+
+ROOT = Path(__file__).parents[2]
+TRIHEDRAL = 54.735610317245346
+UNIT = "pulse/s per deg/s"
+FOUND = [
+    Estimate("scale_factor[gx]", "rate-pyramid", 1000.0, 0.001, UNIT, "m", "mounting_angle[gx,pyramid]", TRIHEDRAL),
+    Estimate("nonlinearity[gx]", "rate-pyramid", 2.0, float("nan"), "ppm", "m"),
+    Estimate("delta_k[ax,hot]", "hot, cold", 3.0, 1.0, "%", "m", decision="hot keeps its own line"),
+    Undetermined("rate-pyramid", "not this"),
+]
+
+
+def summary(value, degrees):
+    scale = {"name": "scale_factor[gx]", "mean": value, "sd": 0.002, "unit": UNIT}
+    angle = {"name": "mounting_angle[gx,pyramid]", "mean": degrees, "sd": 1e-5, "unit": "deg"}
+    return {"derived": [scale, angle], "parameters": []}
+
+
+def test_the_angle_explains_the_difference():
+    """The unit leans 10 arcsec further out than the drawing says: the textbook's k is 68.6 ppm too small."""
+    facts = textbook_json(FOUND, summary(1000.0686, TRIHEDRAL + 10 / 3600))
+    first, second, *_ = facts["estimates"]
+    assert first["of_angle"]["arcsec"] == pytest.approx(10, abs=1e-6)
+    assert first["of_angle"]["ppm"] == pytest.approx(-68.6, abs=0.1)
+    assert first["difference"] / 1000 * 1e6 == pytest.approx(-68.6, abs=0.1)
+    assert second["joint"] is None
+    assert second["sd"] is None
+    row = [cell.text for cell in textbook_sheet(facts).rows[0]]
+    assert "angle 10.0 arcsec off: -68.6 ppm" in row
+    json.dumps(facts, allow_nan=False)
+
+
+def test_a_narrow_terminal_keeps_both_numbers():
+    sheet = textbook_sheet(textbook_json(FOUND, summary(1000.0686, TRIHEDRAL)))
+    buffer = io.StringIO()
+    Console(file=buffer, width=80).print(terminal(sheet))
+    lines = [line.rstrip() for line in buffer.getvalue().splitlines()]
+    assert max(map(len, lines)) <= 80
+    shown = next(line for line in lines if "scale_factor[gx]" in line)
+    assert "1000.0000 ± 0.0010" in shown
+    assert "1000.0686 ± 0.0020" in shown
+    assert any(UNIT in line for line in lines)
+    assert any("2.00000 ppm" in line for line in lines)
+
+
+def test_without_a_fit_there_is_no_comparison():
+    facts = textbook_json(FOUND)
+    assert len(textbook_sheet(facts).head) == 5
+    assert [cell.text for cell in decision_sheet(facts).rows[0]] == ["delta_k[ax,hot]", "hot keeps its own line", ""]
+    assert len(undetermined_sheet(facts).rows) == 1
+
+
+def test_on_the_command_line(capsys):
+    assert run(["classical", str(ROOT / "data" / "polar-tumble"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert any(one["name"] == "gyro_g_sensitivity.d_i[g]" for one in facts["estimates"])
+    assert run(["classical", str(ROOT / "data" / "polar-tumble")]) == 0
+    assert "Textbook estimates" in capsys.readouterr().out
+    assert run(["classical", str(ROOT / "data" / "desk-imu")]) == 1
+    assert "no evaluation" in capsys.readouterr().out
+    assert run(["classical", str(ROOT / "data" / "none")]) == 2

@@ -1,0 +1,224 @@
+"""`compare`: the files it makes, what it keeps and removes, and what it says of a folder it cannot use."""
+
+import json
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+import polars as pl
+import pytest
+import synthetic_results as made
+import xarray as xr
+from PIL import Image
+
+from imubayes.display.comparison import Comparison, compare
+from imubayes.display.figure_selection import corner_choice
+from imubayes.errors import InputError
+from imubayes.results.posterior_draws import draws_of, read_draws
+
+
+def test_all_pictures_are_made_with_captions(compared: Comparison, trihedral: Path):
+    names = [path.name for path in compared.pictures]
+    overview = ["fit-of-runs.png", "identifiability.png", "mounting-prior-posterior.png", "corner.png"]
+    covariates = ["row", "time", "power-on", "table-rate", "table-angle", "temperature"]
+    assert set(names[:10]) == {*overview, *(f"residuals-{one}.png" for one in covariates)}
+    assert sum(name.startswith("run-") for name in names) == 21
+    folder = trihedral / "figures"
+    assert {path.name for path in folder.iterdir()} == {*names, "captions.json"}
+    captions = json.loads((folder / "captions.json").read_text())
+    assert captions == compared.captions
+    assert all(len(caption) > 60 for caption in captions.values())
+    for path in compared.pictures:
+        with Image.open(path) as image:
+            image.verify()
+        with Image.open(path) as image:
+            assert 600 <= image.width <= 1400
+            assert np.asarray(image.convert("L")).std() > 5
+
+
+def test_it_shows_itself(compared: Comparison):
+    assert compared.converged
+    assert len(compared.tables) == 5
+    assert compared._repr_html_().startswith("<div")
+
+
+def test_a_tumble_without_table_and_without_samples(tumble: Path):
+    found = compare(tumble)
+    names = [path.name for path in found.pictures]
+    assert "corner.png" not in names
+    assert {"run-tumble-1.png", "run-tumble-2.png", "residuals-time.png", "residuals-row-2.png"} <= set(names)
+    assert not any("table" in name for name in names)
+    assert any("No corner plot" in note for note in found.notes)
+
+
+def test_one_run_of_one_channel(single: Path):
+    names = {path.name for path in compare(single).pictures}
+    assert {"fit-of-runs.png", "run-rate-pyramid-25C.png", "residuals-table-rate.png"} <= names
+
+
+def test_two_rows_are_enough(tmp_path: Path):
+    residuals = made.trihedral_residuals(temperatures=(25,), channels=("gx",))
+    residuals = residuals.filter(pl.col("run") == "rate-pyramid-25C").head(2)
+    folder = made.write_folder(tmp_path / "two", residuals, made.summary_of(residuals, sampled=False))
+    assert compare(folder).pictures
+    folder = made.write_folder(tmp_path / "one", residuals.head(1), made.summary_of(residuals.head(1), sampled=False))
+    assert compare(folder).pictures
+
+
+def test_missing_values_are_left_out(tmp_path: Path):
+    residuals = made.trihedral_residuals(temperatures=(25,), channels=("gx", "ax"))
+    holes = pl.int_range(pl.len()) % 7 == 0
+    columns = ("observed", "residual", "input_residual", "whitened")
+    residuals = residuals.with_columns(pl.when(holes).then(None).otherwise(pl.col(one)).alias(one) for one in columns)
+    folder = made.write_folder(
+        tmp_path / "holes", residuals, made.summary_of(residuals.drop_nulls("whitened"), sampled=False)
+    )
+    assert len(compare(folder).pictures) > 10
+
+
+def test_a_fit_that_failed_is_still_shown(tmp_path: Path):
+    residuals = made.trihedral_residuals(temperatures=(25,))
+    parameters, derived = made.trihedral_quantities()
+    for entry in (*parameters, *derived):
+        entry |= dict.fromkeys(("mean", "sd", "q025", "q975", "from_data", "r_hat", "ess_bulk", "ess_tail"))
+    more = {"converged": False, "message": "The fit did not converge.", "sampled": False}
+    summary = made.summary_of(residuals, parameters, derived, **more)
+    found = compare(made.write_folder(tmp_path / "failed", residuals, summary))
+    assert not found.converged
+    assert "identifiability.png" not in {path.name for path in found.pictures}
+
+
+def test_awkward_names_of_runs_make_safe_files(tmp_path: Path):
+    residuals = made.trihedral_residuals(temperatures=(25,), channels=("gx",))
+    awkward = {"rate-x-up-25C": "../a/b", "rate-y-up-25C": "$x_1$ ü", "rate-z-up-25C": "A", "rate-pyramid-25C": "a"}
+    residuals = residuals.filter(pl.col("run").is_in(list(awkward))).with_columns(pl.col("run").replace(awkward))
+    folder = made.write_folder(tmp_path / "awkward", residuals, made.summary_of(residuals, sampled=False))
+    names = {path.name for path in compare(folder).pictures}
+    assert {"run-.._a_b.png", "run-_x_1___.png", "run-A.png", "run-a_2.png"} <= names
+    assert all((folder / "figures" / name).is_file() for name in names)
+
+
+def test_what_an_earlier_comparison_drew_goes_and_the_rest_stays(single: Path):
+    compare(single)
+    figures = single / "figures"
+    (figures / "my-own.png").write_bytes(b"kept")
+    shorter = pl.read_parquet(single / "residuals.parquet").drop("table_rate_deg_s")
+    shorter.write_parquet(single / "residuals.parquet")
+    compare(single)
+    names = {path.name for path in figures.iterdir()}
+    assert "residuals-table-rate.png" not in names
+    assert {"my-own.png", "residuals-time.png"} <= names
+    assert not any(name.endswith(".part") for name in names)
+
+
+def test_chosen_parameters(trihedral: Path, tmp_path: Path):
+    folder = Path(shutil.copytree(trihedral, tmp_path / "copy", ignore=shutil.ignore_patterns("figures")))
+    assert "corner.png" in {path.name for path in compare(folder, ["gyro_bias.bias[gx]", "accel_bias.bias"]).pictures}
+    with pytest.raises(InputError) as caught:
+        compare(folder, ["gyro_bias.bais[gx]", "humidity"])
+    assert len(caught.value.issues) == 2
+    assert caught.value.issues[0].allowed.startswith("gyro_bias.bias[gx]")
+
+
+def test_default_choice_pairs_angles_with_scale_factors():
+    parameters, derived = made.trihedral_quantities()
+    summary = {"parameters": parameters, "derived": derived}
+    angles = [f"mounting_angle[{channel},pyramid]" for channel in made.GYROS]
+    assert corner_choice(summary) == [*angles, *(f"scale_factor[{channel}]" for channel in made.GYROS)]
+    assert len(corner_choice({"parameters": parameters, "derived": []})) == 6
+
+
+def test_draws_from_file_tree_and_arviz_agree(trihedral: Path):
+    file = trihedral / "posterior.nc"
+    names = [
+        "gyro_bias.bias[gy]",
+        "mounting_angle[ax,pyramid]",
+        "table_rate_error.rate_error[rate]",
+        "scale_factor[gz]",
+    ]
+    from_file = read_draws(file, [*names, "gyro_bias.bias[gq]", "nothing"])
+    assert list(from_file) == names
+    with xr.open_datatree(file, engine="h5netcdf") as tree:
+        from_tree = draws_of(tree, names)
+        expected = np.ravel(tree["posterior"]["mounting_angle"].sel(channel="ax", mounting="pyramid").to_numpy())
+    for name in names:
+        np.testing.assert_array_equal(from_file[name], from_tree[name])
+    np.testing.assert_array_equal(from_file[names[1]], expected)
+
+
+def test_draws_of_a_family_with_one_list_of_labels_or_none():
+    values = np.arange(12.0).reshape(2, 3, 2)
+    labelled = xr.DataArray(values, dims=("chain", "draw", "f.label"), coords={"f.label": ["gx,up", "gy,up"]})
+    bare = xr.DataArray(values[..., :1], dims=("chain", "draw", "b.label"), coords={"b.label": [""]})
+    data = xr.Dataset({"f": labelled, "b": bare, "s": (("draw", "chain"), values[..., 0].T)})
+    found = draws_of(data, ["f[gy,up]", "b", "s"])
+    np.testing.assert_array_equal(found["f[gy,up]"], values[..., 1].reshape(-1))
+    np.testing.assert_array_equal(found["b"], found["s"])
+
+
+@pytest.fixture
+def spoilt(trihedral: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(trihedral, tmp_path / "spoilt", ignore=shutil.ignore_patterns("figures")))
+
+
+def _edit(folder: Path, **changes) -> None:
+    file = folder / "summary.json"
+    content = json.loads(file.read_text()) | changes
+    file.write_text(json.dumps({key: value for key, value in content.items() if value != "gone"}))
+
+
+def _cut(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+SPOILERS = {
+    "no folder": lambda folder: shutil.rmtree(folder),
+    "a file": lambda folder: (shutil.rmtree(folder), folder.write_text("")),
+    "no summary": lambda folder: (folder / "summary.json").unlink(),
+    "no residuals": lambda folder: (folder / "residuals.parquet").unlink(),
+    "no posterior": lambda folder: (folder / "posterior.nc").unlink(),
+    "summary cut": lambda folder: _cut(folder / "summary.json"),
+    "summary not text": lambda folder: (folder / "summary.json").write_bytes(b"\xff\xfe\x00"),
+    "summary a list": lambda folder: (folder / "summary.json").write_text("[]"),
+    "other format": lambda folder: _edit(folder, format=2),
+    "no parameters": lambda folder: _edit(folder, parameters="gone"),
+    "parameters not a list": lambda folder: _edit(folder, parameters={"a": 1}),
+    "parameter without unit": lambda folder: _edit(folder, parameters=[{"name": "a"}]),
+    "residuals cut": lambda folder: _cut(folder / "residuals.parquet"),
+    "residuals not parquet": lambda folder: (folder / "residuals.parquet").write_text("run,row\n"),
+    "column missing": lambda folder: (
+        pl.read_parquet(folder / "residuals.parquet").drop("whitened").write_parquet(folder / "residuals.parquet")
+    ),
+    "no rows": lambda folder: (
+        pl.read_parquet(folder / "residuals.parquet").clear().write_parquet(folder / "residuals.parquet")
+    ),
+    "posterior cut": lambda folder: _cut(folder / "posterior.nc"),
+    "posterior not netCDF": lambda folder: (folder / "posterior.nc").write_text("draws"),
+    "posterior empty": lambda folder: h5py.File(folder / "posterior.nc", "w").close(),
+}
+
+
+@pytest.mark.parametrize("name", SPOILERS)
+def test_a_folder_that_cannot_be_used_is_said_in_four_parts(spoilt: Path, name: str):
+    SPOILERS[name](spoilt)
+    with pytest.raises(InputError) as caught:
+        compare(spoilt)
+    for problem in caught.value.issues:
+        assert problem.what
+        assert "spoilt" in problem.where
+        assert problem.allowed
+        assert problem.remedy
+    assert not (spoilt / "figures").exists()
+
+
+def test_the_nearest_result_is_named(trihedral: Path):
+    with pytest.raises(InputError) as caught:
+        compare(trihedral.parent / "trihedrall")
+    assert "trihedral" in caught.value.issues[0].allowed
+
+
+def test_figures_that_cannot_be_written(single: Path):
+    (single / "figures").write_text("in the way")
+    with pytest.raises(InputError, match="cannot be written"):
+        compare(single)

@@ -1,0 +1,253 @@
+"""Pictures: drawn, captioned, with units, nothing outside the paper, readable where the data are odd."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import polars as pl
+import pytest
+import synthetic_results as made
+from matplotlib import rcParams
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
+
+from imubayes.display.figures import (
+    corner_figure,
+    identifiability_figure,
+    measurement_figure,
+    prior_posterior_figure,
+    residual_figure,
+    run_chi2_figure,
+)
+from imubayes.display.figures.measurement import driver
+from imubayes.display.figures.panels import neighbour_means
+from imubayes.display.labels import covariates_of
+from imubayes.display.theme import Picture
+from imubayes.display.ticks import tick_places, tick_texts
+
+
+def texts_of(figure: Picture) -> Iterator[tuple[str, Bbox]]:
+    """Yield every visible text with its place on the paper, in pixels."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    for text in figure.findobj(Text):
+        if text.get_visible() and text.get_text().strip():
+            yield text.get_text(), text.get_window_extent(renderer)
+
+
+def assert_readable(figure: Picture, touching: float = 0.0) -> None:
+    """No text leaves the paper, none lies on another."""
+    paper = figure.bbox
+    placed = list(texts_of(figure))
+    for text, box in placed:
+        assert box.x0 >= paper.x0, text
+        assert box.y0 >= paper.y0, text
+        assert box.x1 <= paper.x1, text
+        assert box.y1 <= paper.y1, text
+    for place, (text, box) in enumerate(placed):
+        for other, beside in placed[place + 1 :]:
+            common = Bbox.intersection(box, beside)
+            # Boxes hold the line's full height; a pixel of it is no overlap of letters.
+            overlap = common is not None and min(common.width, common.height) > 1.5 + touching
+            assert not overlap, f"{text!r} lies on {other!r}"
+    assert figure.caption
+    assert any(figure.caption[:30] in text for text, _ in placed)
+
+
+@pytest.fixture(scope="module")
+def residuals() -> pl.DataFrame:
+    return made.trihedral_residuals()
+
+
+@pytest.fixture(scope="module")
+def summary(residuals: pl.DataFrame) -> dict:
+    return made.summary_of(residuals)
+
+
+def test_measurement_of_a_run(residuals):
+    for run in ("rate-pyramid-25C", "head-y-up-55C"):
+        figure = measurement_figure(residuals, run)
+        assert_readable(figure)
+        assert len(figure.axes) == 12
+        words = [text for text, _ in texts_of(figure)]
+        assert {"gx", "az", "pulse/s", "deg/h", "µg"} <= set(words)
+        assert "good model" in figure.caption
+
+
+@pytest.mark.parametrize("one", ["row", "time", "power_on", "table_rate", "table_angle", "temperature"])
+def test_residuals_against_every_covariate(residuals, one):
+    figure = residual_figure(residuals, one)
+    assert_readable(figure)
+    assert len(figure.axes) == 13  # six channels twice, and the list of runs
+    assert "good model" in figure.caption
+
+
+def test_rows_without_the_covariate_are_counted(residuals):
+    assert "are means over whole turns" in residual_figure(residuals, "table_angle").caption
+    assert "left out" not in residual_figure(residuals, "time").caption
+
+
+def test_covariates_that_are_missing_or_constant_are_skipped(residuals):
+    keys = [one.key for one in covariates_of(residuals)]
+    assert keys == ["row", "time", "power_on", "table_rate", "table_angle", "temperature"]
+    assert [one.key for one in covariates_of(made.tumble_residuals())] == ["row", "time"]
+    with pytest.raises(ValueError, match="no injected current that varies"):
+        residual_figure(residuals, "current")
+    with pytest.raises(KeyError, match="is not a covariate"):
+        residual_figure(residuals, "humidity")
+
+
+def test_what_drives_a_run():
+    frame = made.trihedral_residuals(temperatures=(25,))
+    runs = {"rate-x-up-25C": "table_rate", "head-x-up-25C": "table_angle"}
+    assert {run: driver(frame.filter(pl.col("run") == run)).key for run in runs} == runs
+    thermal = made.thermal_residuals()
+    assert driver(thermal.filter(pl.col("run") == "ramp-1g")).key == "converter_temperature"
+    assert driver(made.tumble_residuals()).key == "row"
+
+
+def test_thirty_five_runs(residuals):
+    many = made.trihedral_residuals(temperatures=(-40, -20, 25, 40, 60))
+    assert_readable(residual_figure(many, "row"))
+    assert_readable(run_chi2_figure(made.summary_of(many)))
+
+
+def test_hundred_runs_are_limited():
+    many = made.trihedral_residuals(temperatures=tuple(range(-40, 60, 7)), channels=("gx", "ax"))
+    figure = run_chi2_figure(made.summary_of(many))
+    assert_readable(figure)
+    assert "Shown: 40 of 105 runs" in figure.caption
+    figure = residual_figure(many, "temperature")
+    assert any("more" in text and "…" in text for text, _ in texts_of(figure))
+    assert_readable(figure)
+
+
+def test_many_channels_are_limited():
+    random = np.random.default_rng(0)
+    names = [f"g{i}" for i in range(9)]
+    frame = made.rows_of("a", "rate_table", {"time_s": np.arange(20)}, {n: np.ones(20) for n in names}, random)
+    frame = frame.with_columns(
+        pl.when(pl.col("channel") == "g8").then(9.0).otherwise(pl.col("whitened")).alias("whitened")
+    )
+    figure = residual_figure(frame, "time")
+    assert "Of 9 channels the 6 of the largest residuals are shown" in figure.caption
+    assert any(text == "g8" for text, _ in texts_of(figure))
+    assert_readable(figure)
+
+
+def test_long_names_are_shortened(residuals):
+    renamed = residuals.with_columns(pl.col("run") + "-with-a-name-that-nobody-would-want-to-read-in-full")
+    assert_readable(residual_figure(renamed, "row"))
+    assert_readable(run_chi2_figure(made.summary_of(renamed)))
+
+
+def test_outliers_do_not_press_the_rest_flat(residuals):
+    spoilt = residuals.with_columns(
+        pl.when(pl.int_range(pl.len()) == 5).then(400.0).otherwise(pl.col("whitened")).alias("whitened")
+    )
+    figure = residual_figure(spoilt, "time")
+    assert float(figure.axes[1].get_ylim()[1]) < 20
+    assert any("1 beyond the edge" in text for text, _ in texts_of(figure))
+
+
+def test_chi2_map_makes_misfit_stand_out():
+    planted = made.summary_of(made.trihedral_residuals(planted=True))
+    figure = run_chi2_figure(planted)
+    assert_readable(figure)
+    colours = np.array([patch.get_facecolor() for patch in figure.axes[0].patches])
+    assert (
+        np.count_nonzero((colours[:, 0] > 0.7) & (colours[:, 1] < 0.3)) >= 36
+    )  # three gyros in twelve runs on the rate table
+
+
+def test_corner(summary):
+    names = ["mounting_angle[gx,pyramid]", "mounting_angle[gy,pyramid]", "scale_factor[gx]", "scale_factor[gy]"]
+    posterior = made.posterior_of(summary)
+    figure = corner_figure(posterior, names, summary)
+    assert_readable(figure)
+    assert len(figure.axes) == 10
+    words = [text for text, _ in texts_of(figure)]
+    assert {"Δ / arcsec", "Δ / ppm"} <= set(words)
+    assert any("+0.6" in word for word in words)
+    assert_readable(corner_figure(posterior["posterior"], names[:1], summary))
+    assert_readable(corner_figure(posterior["posterior"].to_dataset(), names[:2], summary))
+    with pytest.raises(ValueError, match=r"no draws of gyro_bias\.bias\[gq\]"):
+        corner_figure(posterior, ["gyro_bias.bias[gq]"], summary)
+
+
+def test_corner_of_a_quantity_kept_for_some_draws(summary):
+    random = np.random.default_rng(1)
+    values = 54.7 + 1e-4 * random.standard_normal(4000)
+    values[::3] = np.nan
+    draws = {"mounting_angle[gx,pyramid]": values, "scale_factor[gx]": 1000 + 0.01 * random.standard_normal(4000)}
+    assert_readable(corner_figure(draws, list(draws), summary))
+
+
+def test_corner_of_very_small_and_very_large_numbers(summary):
+    random = np.random.default_rng(1).standard_normal((3, 2000))
+    sizes = {"gyro_bias.bias[gx]": 2e-5, "accel_bias.bias[ax]": 3e5, "lever_arm.x[ax]": 0.4}
+    draws = {name: size * column for (name, size), column in zip(sizes.items(), random, strict=True)}
+    figure = corner_figure(draws, list(draws), summary)
+    assert_readable(figure)
+    words = {text for text, _ in texts_of(figure)}
+    assert {"Δ / 10⁻⁶ deg/h", "Δ / g", "Δ / mm"} <= words
+
+
+def test_unsampled_and_unconverged_are_said_in_the_picture(summary):
+    draws = {"scale_factor[gx]": 1000 + np.linspace(-1, 1, 500)}
+    words = [text for text, _ in texts_of(corner_figure(draws, list(draws), summary | {"sampled": False}))]
+    assert any("Laplace approximation" in word for word in words)
+    failed = summary | {"converged": False, "message": "It stopped."}
+    for figure in (corner_figure(draws, list(draws), failed), run_chi2_figure(failed), identifiability_figure(failed)):
+        assert any(word.startswith("NOT CONVERGED. It stopped.") for word, _ in texts_of(figure))
+
+
+def test_prior_and_posterior(summary):
+    figure = prior_posterior_figure(summary)
+    assert_readable(figure)
+    words = [text for text, _ in texts_of(figure)]
+    assert "standard uncertainty / arcsec" in words
+    assert_readable(prior_posterior_figure(summary, ["gyro_bias.bias[gx]", "accel_bias.bias[ax]"]))
+    with pytest.raises(ValueError, match="no quantity"):
+        prior_posterior_figure(summary, ["gyro_bias.bias[gq]"])
+
+
+def test_identifiability(summary):
+    figure = identifiability_figure(summary)
+    assert_readable(figure)
+    assert "The other" in figure.caption
+    few = summary | {"parameters": summary["parameters"][:3], "derived": []}
+    assert_readable(identifiability_figure(few))
+
+
+def test_a_picture_shows_itself_and_leaves_the_style_alone(summary):
+    before = dict(rcParams)
+    figure = identifiability_figure(summary)
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    assert dict(rcParams) == before
+
+
+def test_means_of_neighbours():
+    x = np.repeat([-10.0, 0.0, 10.0], 6)
+    y = np.tile([1.0, 2.0, 3.0, 1.0, 2.0, 3.0], 3) + 0.1 * x
+    place, mean, error = neighbour_means(x, y)
+    np.testing.assert_allclose(place, [-10, 0, 10])
+    np.testing.assert_allclose(mean, [1, 2, 3])
+    np.testing.assert_allclose(error, np.std([1, 2, 3, 1, 2, 3], ddof=1) / np.sqrt(6))
+
+
+@pytest.mark.parametrize(
+    ("places", "expected"),
+    [
+        (tick_places(-5, 5, 5), ["−4", "−2", "0", "2", "4"]),
+        ([-2.5, 0.0, 2.5], ["−2.5", "0.0", "2.5"]),
+        (tick_places(0, 360, 6, turns=True), ["0", "90", "180", "270", "360"]),
+        (tick_places(-300, 300, 9, 1.0), ["−100", "−10", "−1", "0", "1", "10", "100"]),
+        (tick_places(0.8, 400, 7, 0.0), ["1", "3", "10", "30", "100", "300"]),
+        (tick_places(-3e5, 3e5, 5, 1000.0), ["−10⁵", "−1000", "0", "1000", "10⁵"]),
+        (tick_places(19960.2, 19961.3, 4), ["19960.5", "19961.0"]),
+    ],
+)
+def test_ticks(places, expected):
+    assert tick_texts(places) == expected

@@ -1,0 +1,68 @@
+"""Numbers as GUM 7.2.6 wants them, against cases worked by hand."""
+
+import math
+
+import pytest
+
+from imubayes.display.rounding import concise, percent, ratio_text, significant, value_and_sd
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "expected"),
+    [
+        (12.3456, 0.0213, ("12.346", "0.021")),
+        (100.02147, 0.00035, ("100.02147", "0.00035")),  # the mass standard of GUM 7.2.2
+        (1.0, 0.0996, ("1.00", "0.10")),  # rounding carries into a new digit
+        (-0.004, 0.21, ("0.00", "0.21")),  # no negative zero
+        (1234.5, 168.1, ("1230", "170")),
+        (1000.1796, 0.00502, ("1000.1796", "0.0050")),
+        (5, 1, ("5.0", "1.0")),
+        (3.2e-7, 1.4e-8, ("3.20e-07", "0.14e-07")),
+        (0.0, 0.5, ("0.00", "0.50")),
+        (2.34567891, 0.0, ("2.34568", "0.00000")),  # no uncertainty: six digits
+        (None, None, ("–", "–")),
+        (math.nan, 1.0, ("–", "1.0")),
+    ],
+)
+def test_value_is_rounded_by_its_uncertainty(value, sd, expected):
+    assert value_and_sd(value, sd) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "expected"),
+    [
+        (54.735612, 0.000361, "54.73561(36)"),
+        (12.3456, 2.13, "12.3 ± 2.1"),
+        (1000.18, 0.0996, "1000.18(10)"),
+        (7.0, 0.0, "7.00000"),
+    ],
+)
+def test_concise_notation(value, sd, expected):
+    assert concise(value, sd) == expected
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"),
+    [
+        (0.0, "0 %"), (-0.02, "0 %"), (0.099, "10 %"), (0.123, "12 %"), (0.949, "95 %"), (0.973, "97.3 %"),
+        (0.9989, "99.8 %"), (0.99967, "99.96 %"), (0.9999, "99.99 %"), (0.999999, "> 99.99 %"), (1.0, "> 99.99 %"),
+        (None, "–"),
+    ],
+)  # fmt: skip
+def test_share_is_never_rounded_to_certainty(share, expected):
+    assert percent(share) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "expected"),
+    [(381.2, 2, "380"), (0.012345, 3, "0.0123"), (2251.3, 4, "2251"), (0, 3, "0"), (1.2e-9, 3, "1.20e-09")],
+)
+def test_significant_digits(value, digits, expected):
+    assert significant(value, digits) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"), [(0.4101, "0.41"), (9.998, "10.00"), (12.34, "12.3"), (123456.0, "1.2e5"), (None, "–")]
+)
+def test_ratio(value, expected):
+    assert ratio_text(value) == expected

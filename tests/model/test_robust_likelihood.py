@@ -1,0 +1,196 @@
+"""Heavy tails: the density against scipy and quadrature, the fit against data with readings that are far off."""
+
+from dataclasses import replace
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from imubayes.errors import InputError
+from imubayes.inference.posterior_mode import Mode, find_mode
+from imubayes.inference.posterior_precision import knowledge, linearise, log_marginal
+from imubayes.model import robust_likelihood as tails
+from imubayes.model.bind import Model, declare
+from imubayes.model.likelihood import entry_log_likelihood, log_density, residuals
+from imubayes.model.model_spec import EffectSpec
+from imubayes.model.noise_covariance import noise_law, whiten, whitener
+from imubayes.model.problem import predict
+from imubayes.simulation.simulate import simulate
+from small_campaign import campaign, simulated, spec
+
+EFFECTS = ("gyro_bias", "gyro_scale_factor", "accel_bias", "accel_scale_factor", "mounting_error")
+
+
+WITH_OFFSETS = ("white_noise", "run_scatter", "outliers")
+
+
+@cache
+def spoilt(noise: tuple[str, ...] = ("white_noise", "outliers")) -> Model:
+    """Return a model of readings of which every tenth is 15 noises off."""
+    model = declare(spec(*EFFECTS, noise=("white_noise",)), campaign())
+    among = simulated(model, 0.3 * np.random.default_rng(1).normal(size=model.problem.size[0]), 2)
+    rng = np.random.default_rng(3)
+    noises = np.array([channel.noise for channel in among.channels]) / 10
+
+    def spoil(observed: np.ndarray) -> np.ndarray:
+        hit = rng.random(observed.shape) < 0.1
+        return observed + hit * 15 * noises * rng.choice([-1, 1], size=observed.shape)
+
+    runs = tuple(replace(run, observed=spoil(run.observed)) for run in among.runs)
+    return declare(spec(*EFFECTS, noise=noise), replace(among, runs=runs))
+
+
+@cache
+def fitted() -> Mode:
+    """Return the fit with an offset of every run, compiled once for all tests."""
+    model = spoilt(WITH_OFFSETS)
+    return find_mode(model.problem, *point(model, 4))
+
+
+@cache
+def fitted_by_a_normal_law() -> Mode:
+    return find_mode(tails.without_tails(spoilt(WITH_OFFSETS).problem), fitted().z, fitted().h)
+
+
+def point(model: Model, seed: int) -> tuple[jax.Array, jax.Array]:
+    rng = np.random.default_rng(seed)
+    size, hypers = model.problem.size
+    return jnp.asarray(0.3 * rng.normal(size=size)), jnp.asarray(0.3 * rng.normal(size=hypers))
+
+
+def values(model: Model, h) -> dict[str, float]:
+    return dict(zip(model.hyper_layout.names, np.asarray(model.problem.hyper_priors.values(h)), strict=True))
+
+
+def of_entries(model: Model, h, name: str) -> np.ndarray:
+    known = values(model, h)
+    channels = [channel.name for channel in model.campaign.channels]
+    return np.array([known[f"{name}[{channels[place]}]"] for place in model.entries.channel])
+
+
+def scaled_laws(model: Model, z, h) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return misfit, scale and degrees of freedom of every entry, spelled out from names."""
+    misfit = np.asarray(model.problem.observations.value - predict(model.problem, z))
+    scale = of_entries(model, h, "white_noise.sigma") / np.sqrt(model.entries.samples)
+    return misfit, scale, of_entries(model, h, "outliers.degrees_of_freedom")
+
+
+def test_without_offsets_the_density_is_that_of_scipy():
+    model = spoilt()
+    z, h = point(model, 4)
+    misfit, scale, degrees = scaled_laws(model, z, h)
+    expected = stats.t(degrees, scale=scale).logpdf(misfit)
+    prior = stats.norm.logpdf(np.concatenate([z, h])).sum()
+    assert float(log_density(model.problem, z, h)) == pytest.approx(expected.sum() + prior, rel=1e-10)
+    np.testing.assert_allclose(entry_log_likelihood(model.problem, jnp.asarray(misfit), h).entry, expected, rtol=1e-8)
+
+
+def test_offsets_of_runs_are_integrated_out():
+    """Against quadrature: expanding about the most likely offset errs by less than a tenth, rows being 4 to 8."""
+    model, at = spoilt(WITH_OFFSETS), fitted()
+    z, h = at.z, at.h
+    misfit, scale, degrees = scaled_laws(model, z, h)
+    spread = of_entries(model, h, "run_scatter.tau")
+    found = np.asarray(entry_log_likelihood(model.problem, jnp.asarray(misfit), h).group)
+    left = []
+    for group, mine in enumerate(found):
+        own = np.flatnonzero(np.asarray(model.problem.observations.group) == group)
+        tau = spread[own[0]]
+        top = stats.t(degrees[own], scale=scale[own]).logpdf(0).sum()
+        offset = np.linspace(-8 * tau, 8 * tau, 4001)
+        readings = stats.t(degrees[own], scale=scale[own]).logpdf(misfit[own] - offset[:, None]).sum(axis=1)
+        density = np.exp(readings - top) * stats.norm(scale=tau).pdf(offset)
+        left.append(mine - np.log(np.trapezoid(density, offset)) - top)
+    assert np.sqrt(np.mean(np.square(left))) < 0.1
+    assert np.max(np.abs(left)) < 0.4
+    prior = stats.norm.logpdf(np.concatenate([z, h])).sum()
+    assert float(log_density(model.problem, z, h)) == pytest.approx(found.sum() + prior, rel=1e-10)
+
+
+@pytest.mark.parametrize("noise", [("white_noise", "outliers"), ("white_noise", "run_scatter", "outliers")])
+def test_pseudo_values_have_the_slope_of_the_density(noise):
+    model = spoilt(noise)
+    z, h = point(model, 5)
+    found = knowledge(model.problem, linearise(model.problem, z), h)
+    slope = jax.grad(lambda one: -0.5 * jnp.sum(residuals(model.problem, one, h) ** 2))(z)
+    np.testing.assert_allclose(found.gradient - z, slope, rtol=1e-6, atol=1e-6 * float(jnp.abs(slope).max()))
+
+
+def test_the_marginal_of_the_noise_has_the_derivatives_it_states():
+    model, at = spoilt(WITH_OFFSETS), fitted()
+    h, step = at.h + 0.1, 1e-4
+    marginal = jax.jit(lambda one: log_marginal(model.problem, at.about, one))
+    ahead = [(marginal(h + step * seed) - marginal(h - step * seed)) / (2 * step) for seed in jnp.eye(len(h))]
+    np.testing.assert_allclose(jax.grad(marginal)(h), ahead, rtol=1e-4, atol=1e-4)
+
+
+def test_what_is_whitened_scatters_by_one_under_its_own_law():
+    plain = spoilt(WITH_OFFSETS)
+    squares = []
+    for seed in range(6):
+        made = simulate(plain, seed)
+        model = declare(plain.spec, made.campaign)
+        misfit = model.problem.observations.value - predict(model.problem, jnp.asarray(made.z))
+        h = jnp.asarray(made.h)
+        pseudo = tails.pseudo_values(model.problem, h, misfit)
+        squares.append(np.asarray(whiten(model.problem, whitener(model.problem, h), pseudo)) ** 2)
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.06)
+
+
+def test_many_degrees_of_freedom_are_a_normal_law():
+    model, plain = spoilt(WITH_OFFSETS), spoilt(("white_noise", "run_scatter"))
+    at = fitted_by_a_normal_law()
+    z, h = at.z, at.h[:-6]
+    normal = tails.without_tails(model.problem)
+    whole = jnp.concatenate([h, jnp.zeros(6)])
+    constant = stats.norm.logpdf(np.zeros(6)).sum()
+    expected = float(log_density(plain.problem, z, h))
+    assert float(log_density(normal, z, whole)) == pytest.approx(expected + constant, rel=1e-12)
+    # z of 15 in a log-normal prior of 0.8 is some millions of degrees of freedom.
+    far = jnp.concatenate([h, jnp.full(6, 15.0)])
+    assert float(log_density(model.problem, z, far)) == pytest.approx(expected + constant - 3 * 15.0**2, abs=0.05)
+
+
+def test_readings_that_are_far_off_pull_on_nothing():
+    model, heavy, normal = spoilt(WITH_OFFSETS), fitted(), fitted_by_a_normal_law()
+    assert bool(heavy.converged)
+    assert bool(normal.converged)
+    size = model.problem.size[0]
+    truth = 0.3 * np.random.default_rng(1).normal(size=size)
+
+    def deviations(problem, mode: Mode) -> np.ndarray:
+        precision = knowledge(problem, mode.about, mode.h).precision + jnp.eye(size)
+        return np.sqrt(np.diag(np.linalg.inv(precision)))
+
+    sd = deviations(model.problem, heavy)
+    assert np.sqrt(np.mean(((np.asarray(heavy.z) - truth) / sd) ** 2)) < 1.4
+    # The normal law takes them for noise, and knows far less for it.
+    assert np.median(deviations(tails.without_tails(model.problem), normal) / sd) > 1.8
+
+
+def test_an_offset_is_not_dragged_along_by_one_reading():
+    model = spoilt(WITH_OFFSETS)
+    _, h = point(model, 5)
+    law = noise_law(model.problem, h)
+    misfit = np.zeros(len(model.entries))
+    offsets = []
+    for far in (0.0, 30.0, 3000.0):
+        misfit[0] = far * float(jnp.sqrt(law.own[0]))
+        offsets.append(
+            float(tails.run_offsets(model.problem, law, jnp.asarray(misfit))[model.problem.observations.group[0]])
+        )
+    scale = float(jnp.sqrt(law.own[0]))
+    assert offsets[0] == pytest.approx(0.0, abs=1e-12)
+    assert abs(offsets[1]) < 0.3 * scale
+    assert abs(offsets[2]) < abs(offsets[1])
+
+
+def test_it_does_not_stand_beside_correlated_noise():
+    with pytest.raises(InputError, match=r"outliers.*correlated_noise"):
+        declare(spec("gyro_bias", noise=("white_noise", "correlated_noise", "outliers")), campaign())
+    one = spec("gyro_bias", noise=("white_noise",))
+    apart = (EffectSpec("correlated_noise", ("gx",)), EffectSpec("outliers", ("gy", "gz")))
+    declare(replace(one, effects=(*one.effects, *apart)), campaign())

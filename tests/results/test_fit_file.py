@@ -1,0 +1,93 @@
+"""A result folder is enough to go on from: what is read back is what was fitted, and a changed campaign is noticed."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imubayes.api import Result, fit
+from imubayes.errors import InputError
+from imubayes.inference.joint_fit import model_hash
+from imubayes.model.likelihood import residuals
+from imubayes.results.result_folder import read_fit
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("fit")
+    shutil.copytree(ROOT / "data" / "accel-channel", folder / "campaign")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(place) -> Result:
+    return fit(place / "campaign", ROOT / "models" / "accel-channel.toml", place / "result", sample=False, seed=3)
+
+
+@pytest.fixture
+def copy(place, result, tmp_path) -> Path:
+    shutil.copytree(place / "campaign", tmp_path / "campaign")
+    shutil.copytree(place / "result", tmp_path / "result")
+    # What the record says of the campaign's place has to be wrong for the copy to be the one that is found.
+    file = tmp_path / "result" / "fit.json"
+    record = json.loads(file.read_text())
+    record["campaign"]["absolute"] = record["campaign"]["given"] = str(tmp_path / "elsewhere")
+    file.write_text(json.dumps(record))
+    return tmp_path
+
+
+def test_the_fit_comes_back(place, result):
+    found, was = read_fit(place / "result"), result.fit.fitted
+    assert found.model.layout.names == was.model.layout.names
+    assert np.array_equal(found.z, was.z)
+    assert np.array_equal(found.h, was.h)
+    assert (found.converged, found.message) == (True, "")
+    assert model_hash(found.model) == model_hash(was.model)
+    whitened = np.asarray(residuals(found.model.problem, found.z, found.h))
+    assert np.allclose(whitened, np.asarray(residuals(was.model.problem, was.z, was.h)), rtol=0, atol=1e-12)
+    assert json.loads((place / "result" / "fit.json").read_text())["seed"] == 3
+
+
+def test_a_result_that_moved_with_its_campaign_is_found(copy):
+    assert Path(read_fit(copy / "result").model.campaign.folder).resolve() == copy / "campaign"
+
+
+def refused(folder: Path) -> str:
+    with pytest.raises(InputError) as error:
+        read_fit(folder)
+    assert all(part in str(error.value) for part in ("error: ", "  where:   ", "  allowed: ", "  do:      "))
+    return str(error.value)
+
+
+def test_a_campaign_that_changed_is_refused(copy):
+    run = sorted((copy / "campaign" / "runs").iterdir())[0]
+    text = run.read_text()
+    last = text.rstrip("\n").rpartition("\n")[0]
+    run.write_text(last + "\n")
+    assert "no longer the one that was fitted" in refused(copy / "result")
+
+
+def test_a_campaign_that_is_gone_is_refused(copy):
+    shutil.rmtree(copy / "campaign")
+    assert "is not at" in refused(copy / "result")
+
+
+@pytest.mark.parametrize(("text", "said"), [("{", "damaged"), ('{"format": 1}', "lacks"), (None, "holds no fit")])
+def test_a_damaged_record_is_refused(copy, text, said):
+    file = copy / "result" / "fit.json"
+    file.unlink()
+    if text is not None:
+        file.write_text(text)
+    assert said in refused(copy / "result")
+
+
+def test_another_model_is_refused(copy):
+    file = copy / "result" / "model.toml"
+    text = file.read_text()
+    assert '\n[[effect]]\nname = "accel_bias"' in text
+    file.write_text(text + '\n[[effect]]\nname = "accel_quadratic"\n')
+    assert "other parameters" in refused(copy / "result")
