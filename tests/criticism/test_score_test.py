@@ -7,8 +7,8 @@ import pytest
 from null_data import fitted_to, redrawn
 from scipy import stats
 
-import imubayes.criticism.score_test as screen_module
 import imubayes.criticism.stepwise_search as search_module
+from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import respond
 from imubayes.criticism.diagnosis import judge
 from imubayes.criticism.multiple_testing import look_elsewhere
@@ -57,7 +57,7 @@ def test_what_is_rounding_of_a_response_has_no_coefficient(fitted, monkeypatch):
 
     responses = respond(fitted)
     assert not absurd()
-    monkeypatch.setattr(screen_module, "_LEAST_RESPONSE", 0.0)
+    monkeypatch.setattr(thresholds, "RESPONSE_MIN", 0.0)
     assert any(name.startswith("table_axis_tilt") for name in absurd())
 
 

@@ -12,6 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.warm_start import Extension
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.noise_marginal import slope
@@ -22,15 +23,6 @@ from imubayes.model.likelihood import residuals
 from imubayes.model.problem import without
 from imubayes.model.robust_likelihood import has_tails
 from imubayes.parameters.vector import Layout
-
-# A refit of a model that contains the old one cannot be worse but for the priors of what is new.
-_WORSE = -0.5
-# Twice its standard error: a gain less than this may be chance.
-_SURE = 2.0
-# A parameter that is not needed costs half a unit of log density on unseen data; a gain below that is none.
-_LEAST_GAIN = 0.5
-# One run alone is left out in so many parts at most, of so many rows at least.
-_MOST_BLOCKS, _LEAST_ROWS = 8, 4
 
 _residuals = eqx.filter_jit(residuals)
 
@@ -72,9 +64,9 @@ class HeldOut:
     @property
     def verdict(self) -> str:
         """Say whether the addition ``helps``, that it is ``unclear``, or that it does ``not`` help."""
-        if not self.gain > _LEAST_GAIN:
+        if not self.gain > thresholds.GAIN_MIN:
             return "not"
-        return "helps" if self.gain > _SURE * self.se else "unclear"
+        return "helps" if self.gain > thresholds.GAIN_STANDARD_ERRORS * self.se else "unclear"
 
 
 @dataclass(frozen=True)
@@ -135,7 +127,7 @@ def groups(model: Model) -> tuple[str, tuple[str, ...], tuple[np.ndarray, ...]]:
         masks = tuple((pose == one) & ~entries.closing for one in there)
         return "pose", tuple(str(one) for one in there.tolist()), masks
     in_time = np.argsort(run.covariates["time"], kind="stable") if "time" in run.covariates else np.arange(run.rows)
-    blocks = np.array_split(in_time, max(min(_MOST_BLOCKS, run.rows // _LEAST_ROWS), 1))
+    blocks = np.array_split(in_time, max(min(thresholds.MAX_BLOCKS, run.rows // thresholds.BLOCK_ROWS), 1))
     names = tuple(f"rows {one.min() + 1} to {one.max() + 1}" for one in blocks)
     return "block", names, tuple(np.isin(entries.row, one) for one in blocks)
 
@@ -193,7 +185,7 @@ def objection(after: Fitted, delta_chi2: float) -> str:
     """Return the sentence that says why a refit is not taken; empty where nothing speaks against it."""
     if not after.converged:
         return f"The refit is not taken. {after.message}"
-    if not delta_chi2 > _WORSE:
+    if not delta_chi2 > thresholds.REFIT_LOSS:
         return (
             f"The refit is not taken: it fits worse than the model without the addition (chi2 rose by "
             f"{-delta_chi2:.1f} at the same noise)."

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.score_test import Projected
-
-_POWER = 0.8
-_NAMED = 0.01
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,7 @@ def resolution(projection: Projection, one: Projected, threshold: float, looks: 
     """
     length = np.linalg.norm(one.projected, axis=0)
     raw = np.sum((projection.root[:, None] * one.response.columns) ** 2, axis=0)
-    needed = stats.norm.isf(threshold / max(looks, 1.0) / 2) + stats.norm.ppf(_POWER)
+    needed = stats.norm.isf(threshold / max(looks, 1.0) / 2) + stats.norm.ppf(thresholds.DETECTION_POWER)
     typical = np.array([coefficient.typical[1] for coefficient in one.response.coefficients])
     with np.errstate(divide="ignore"):
         smallest = needed * np.where(length > 1e-9 * np.sqrt(raw), 1 / length, np.inf)
@@ -122,4 +120,4 @@ def _absorbers(projection: Projection, whitened: np.ndarray, raw: float) -> tupl
     positive = {name: share for name, share in taken.items() if share > 0}
     whole = sum(positive.values()) or 1.0
     found = [Absorbed(name, share / whole * min(absorbed, 1.0)) for name, share in positive.items()]
-    return tuple(sorted((one for one in found if one.share >= _NAMED), key=lambda one: -one.share))
+    return tuple(sorted((one for one in found if one.share >= thresholds.ABSORBER_SHARE), key=lambda one: -one.share))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import Resolution, resolution
 from imubayes.criticism.discriminating_run import separating_run
 from imubayes.criticism.equivalent_effects import Group, unreached
@@ -14,21 +15,12 @@ from imubayes.criticism.lack_of_fit import Structure, strongest
 from imubayes.criticism.localised_structure import STEP
 from imubayes.criticism.residual_evidence import Telling, tell, telling_covariate
 from imubayes.criticism.score_test import Candidate
-from imubayes.criticism.stepwise_search import EFFECT_THRESHOLD, NOISE_THRESHOLD, STRUCTURE_THRESHOLD, Found, search
+from imubayes.criticism.stepwise_search import Found, search
 from imubayes.effects.base import Effect, Order
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted import Fitted
 
-THRESHOLD = EFFECT_THRESHOLD + STRUCTURE_THRESHOLD + NOISE_THRESHOLD
-# A structure that the candidates leave, and that is this strong against what the first of them explains, says that it
-# only resembles the cause; so does a channel that needs so many of them, the same names again after the first, or
-# a second one that could do most of what the first does.
-_RESEMBLES, _TOO_MANY, _MOST = 0.01, 3, 0.75
-# A step in one run that is worth so many times what the leader is was not caused by it.
-_LARGER = 1.5
-# Against a single good name it takes more than the chance of a false alarm.
-_AGAINST_A_NAME = 1e-3
-_MOST_SHAPES, _MOST_NAMED = 3, 3
+_MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -142,7 +134,7 @@ def _document(verdict: str, sentence: str, p_global: float, folder: str, **parts
         "verdict": verdict,
         "sentence": sentence,
         "p_global": p_global,
-        "threshold": THRESHOLD,
+        "threshold": thresholds.FALSE_ALARM,
         **empty,
         **parts,
         "next": f"imubayes fit … --out {folder}" if verdict == "not_converged" else "",
@@ -169,7 +161,7 @@ def _unexplained(found: Found) -> list[tuple[Structure, float]]:
     # The leader took a part of something larger; nor does anything in the catalogue happen once.
     larger = [(one, p) for one, p in _of_kind(found, leader, found.left) if one.found.drop > leader.drop]
     once = [(one, p) for one, p in _of_kind(found, leader, found.structures) if one.test == STEP]
-    once = [(one, p) for one, p in once if one.found.drop > _LARGER * leader.drop]
+    once = [(one, p) for one, p in once if one.found.drop > thresholds.STEP_DOMINATES * leader.drop]
     if larger or once:
         return larger or once
     member = found.first.projection.fitted.model.registry.members[leader.effect]
@@ -180,12 +172,12 @@ def _unexplained(found: Found) -> list[tuple[Structure, float]]:
         of_owner = [group for group in found.groups if owner in group.leader.owners]
         again = any(set(group.effects) & set(found.groups[0].effects) for group in of_owner[1:])
         mended = any(_resembles(found, group.leader, leader) for group in of_owner[1:])
-        if again or mended or len(of_owner) >= _TOO_MANY:
+        if again or mended or len(of_owner) >= thresholds.CROWDED_EFFECTS:
             return concerned(found.structures)
         several = several or len(of_owner) > 1
     # What remains has to be worth something beside what was explained: a large effect shows its smallest imperfection.
-    worth = [(one, p) for one, p in concerned(found.left) if one.found.drop > _RESEMBLES * leader.drop]
-    return worth if several else [(one, p) for one, p in worth if p < _AGAINST_A_NAME]
+    worth = [(one, p) for one, p in concerned(found.left) if one.found.drop > thresholds.REMAINDER_SHARE * leader.drop]
+    return worth if several else [(one, p) for one, p in worth if p < thresholds.AGAINST_SINGLE_NAME_P]
 
 
 def _of_kind(
@@ -206,7 +198,7 @@ def _resembles(found: Found, other: Candidate, leader: Candidate) -> bool:
     shared = set(leader.owners) & set(other.owners)
     rivals = [one for one in found.first.candidates if one.effect == other.effect and set(one.owners) >= shared]
     shares = (unreached(found.first.projection, leader, one) for one in rivals)
-    return any(left < (1 - _MOST) * whole for left, whole in shares)
+    return any(left < (1 - thresholds.MAIN_SHARE) * whole for left, whole in shares)
 
 
 def _channels(found: Found, candidate: Candidate) -> tuple[str, ...]:
@@ -220,7 +212,7 @@ def _resolutions(found: Found) -> list[Resolution]:
     projection = found.first.projection
     best: dict[str, Resolution] = {}
     for one in found.first.prepared:
-        seen = resolution(projection, one, EFFECT_THRESHOLD, found.chance.looks)
+        seen = resolution(projection, one, thresholds.FALSE_ALARM_EFFECT, found.chance.looks)
         known = best.get(seen.effect)
         if known is None or seen.smallest / seen.typical[1] < known.smallest / known.typical[1]:
             best[seen.effect] = seen
@@ -309,14 +301,18 @@ def _structure_lines(found: Found, unexplained: Sequence[tuple[Structure, float]
     listed = _simplest(unexplained or found.structures)
     # What happens once in one run has no formula in what runs share.
     channels = [name for name in dict.fromkeys(one.channel for one, _ in unexplained) if not _once(name, unexplained)]
-    shapes = {name: find_shape(found.first.projection, found.covariates, name) for name in channels[:_MOST_SHAPES]}
+    shapes = {
+        name: find_shape(found.first.projection, found.covariates, name) for name in channels[: thresholds.MAX_FORMULAS]
+    }
     return [_structure_line(found, one, p, shapes.get(one.channel)) for one, p in listed]
 
 
 def _once(channel: str, structures: Sequence[tuple[Structure, float]]) -> bool:
     """Tell whether most of what a channel shows is a step in one run."""
     drops = [(one.test == STEP, one.found.drop) for one, _ in structures if one.channel == channel]
-    return max((drop for step, drop in drops if step), default=0.0) > _MOST * max(drop for _, drop in drops)
+    return max((drop for step, drop in drops if step), default=0.0) > thresholds.MAIN_SHARE * max(
+        drop for _, drop in drops
+    )
 
 
 def _simplest(structures: Sequence[tuple[Structure, float]]) -> list[tuple[Structure, float]]:
@@ -445,7 +441,7 @@ def _asked(
     lines = [line for line in ranking if line["effect"] == effect]
     known = [one for one in seen if one.effect == effect]
     best = min((line["p_global"] for line in lines), default=1.0)
-    if best < EFFECT_THRESHOLD:
+    if best < thresholds.FALSE_ALARM_EFFECT:
         sentence = f"{effect} is in the data, or something that looks like it: chance {best:.2g}."
         return Diagnosis(_document("missing_effect", sentence, best, folder, ranking=lines), (), found)
     if known and not known[0].undetectable:

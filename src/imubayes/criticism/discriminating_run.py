@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Response, respond
-from imubayes.criticism.equivalent_effects import TOLD_APART, Group
+from imubayes.criticism.equivalent_effects import Group
 from imubayes.criticism.projection import project
 from imubayes.criticism.score_test import Candidate
 from imubayes.inference.experiment_design import with_planned
@@ -44,7 +45,7 @@ def separating_run(fitted: Fitted, group: Group) -> Separation | None:
         difference = _least_difference(projection.jacobian[: len(model.entries)][included], prior, spread, included)
         if best is None or difference > best.difference:
             best = Separation(one.sentence, difference)
-    return best if best is not None and best.difference >= TOLD_APART else None
+    return best if best is not None and best.difference >= thresholds.DISTINGUISHABLE_CHI2 else None
 
 
 def _rows(projection, group: Group, responses: Sequence[Response]) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -11,12 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.score_test import Candidate
-
-TOLD_APART = 16.0
-# Odds of 20 to 1 decide nothing between two that explain half of the same.
-_ODDS = float(np.log(20.0))
 
 
 @dataclass(frozen=True)
@@ -72,9 +69,9 @@ def group(projection: Projection, leader: Candidate, ranked: Sequence[Candidate]
         if one.effect == leader.effect:
             continue
         left, whole = unreached(projection, leader, one)
-        near = one.doubt < leader.doubt + _ODDS and left < whole / 2
+        near = one.doubt < leader.doubt + thresholds.DECISIVE_LOG_ODDS and left < whole / 2
         best = members.get(one.effect)
-        if (left < TOLD_APART or near) and (best is None or _simpler(one, left, *best)):
+        if (left < thresholds.DISTINGUISHABLE_CHI2 or near) and (best is None or _simpler(one, left, *best)):
             members[one.effect] = (one, left)
     others = sorted((pair for pair in members.values() if pair[0] is not leader), key=lambda pair: pair[0].doubt)
     return Group((leader, *(one for one, _ in others)), p, (0.0, *(left for _, left in others)))

@@ -10,15 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.score_test import LEAST_OF_FORM, explain
+from imubayes.criticism.score_test import explain
 from imubayes.criticism.term_library import Term, library
 
-_MOST_TERMS = 3
-# A product of two covariates, or a wave, has to explain so much more of χ² than the best plainer term.
-_ELABORATE, _PENALTY = ("product", "wave"), 9.0
-_THRESHOLD, _RESAMPLES, _NEAR = 0.01, 200, 4.0
+# Sorts of terms that are chosen from many: penalised against plain ones.
+_ELABORATE = ("product", "wave")
 
 
 @dataclass(frozen=True)
@@ -70,24 +69,24 @@ def find_shape(projection: Projection, known: Sequence[ResidualCovariate], chann
     whitened = projection.whitened(columns / size)
     at, taken = projection, []
     first: tuple[float, tuple[str, ...]] = (0.0, ())
-    for step in range(_MOST_TERMS):
+    for step in range(thresholds.MAX_TERMS):
         found = [
-            explain(at, projected[:, None], np.linalg.norm(column, keepdims=True), LEAST_OF_FORM)
+            explain(at, projected[:, None], np.linalg.norm(column, keepdims=True), thresholds.FORM_RETAINED_MIN)
             for projected, column in zip(at.project(whitened).T, whitened.T, strict=True)
         ]
         worth = [
-            one.drop - _PENALTY * (term.sort in _ELABORATE) if one.span.shape[1] else -np.inf
+            one.drop - thresholds.ELABORATE_PENALTY * (term.sort in _ELABORATE) if one.span.shape[1] else -np.inf
             for term, one in zip(terms, found, strict=True)
         ]
         best = int(np.argmax(worth))
         p = min(1.0, found[best].p * len(terms))
-        if p >= _THRESHOLD:
+        if p >= thresholds.TERM_P:
             break
         if step == 0:
             near = [
                 term.text
                 for term, one in zip(terms, found, strict=True)
-                if one.drop > found[best].drop - _NEAR and term is not terms[best]
+                if one.drop > found[best].drop - thresholds.NEAR_CHI2 and term is not terms[best]
             ]
             first = (_inclusion(at, at.project(whitened), best), tuple(near))
         taken.append((best, found[best].drop, p, found[best].variance))
@@ -132,7 +131,7 @@ def _inclusion(projection: Projection, projected: np.ndarray, best: int) -> floa
     along, square = np.zeros((runs, projected.shape[1])), np.zeros((runs, projected.shape[1]))
     np.add.at(along, model.entries.run, projected[:count] * projection.residual[:count, None])
     np.add.at(square, model.entries.run, projected[:count] ** 2)
-    drawn = np.random.default_rng(0).multinomial(runs, np.full(runs, 1 / runs), size=_RESAMPLES)
+    drawn = np.random.default_rng(0).multinomial(runs, np.full(runs, 1 / runs), size=thresholds.RESAMPLES)
     whole = drawn @ square
     score = np.where(whole > 1e-12, (drawn @ along) ** 2 / np.where(whole > 1e-12, whole, 1.0), 0.0)
     return float(np.mean(np.argmax(score, axis=1) == best))

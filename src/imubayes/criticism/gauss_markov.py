@@ -12,14 +12,8 @@ from itertools import product
 
 import numpy as np
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.projection import Projection
-
-_SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0)
-_CORRELATIONS = (0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.96)
-# Memories whose log likelihood is less by so little, one standard deviation and a half, are nearly as likely.
-_NEARLY = 1.0
-# A direction of which the rows of a channel hold less than this share of the squared length leaves them as they are.
-_HELD = 0.1
 
 
 @dataclass(frozen=True)
@@ -36,7 +30,7 @@ class Memory:
 
 
 FORGETFUL = Memory(0.0, 0.0)
-GRID = (FORGETFUL, *(Memory(*pair) for pair in product(_SHARES, _CORRELATIONS)))
+GRID = (FORGETFUL, *(Memory(*pair) for pair in product(thresholds.MARKOV_SHARES, thresholds.MARKOV_CORRELATIONS)))
 
 
 @dataclass(frozen=True)
@@ -86,7 +80,7 @@ def memories(projection: Projection, channels: Sequence[int]) -> dict[int, Memor
     others = (tables.sum(axis=0) - tables) / max(len(channels) - 1, 1)
     slow = np.array([one.slow for one in GRID])
     whole = tables + others
-    likely = np.where(whole > whole.max(axis=1, keepdims=True) - _NEARLY, slow, 0.0)
+    likely = np.where(whole > whole.max(axis=1, keepdims=True) - thresholds.MARKOV_NEARLY, slow, 0.0)
     return {place: GRID[int(np.argmax(own))] for place, own in zip(channels, likely, strict=True)}
 
 
@@ -118,7 +112,7 @@ def likelihoods(residual: np.ndarray, taken: np.ndarray, series: np.ndarray) -> 
     offsets = (series[:, :, None] == np.arange(count)).any(axis=1).T.astype(float)
     whole = np.concatenate([taken, offsets / np.sqrt(offsets.sum(axis=0))], axis=1)
     left, lengths, _ = np.linalg.svd(whole, full_matrices=False)
-    columns = np.concatenate([residual[:, None], left[:, lengths**2 > _HELD]], axis=1)
+    columns = np.concatenate([residual[:, None], left[:, lengths**2 > thresholds.DIRECTION_HELD_MIN]], axis=1)
     found = []
     for one in GRID:
         by = Innovations(series, np.full(len(series), one.share), np.full(len(series), one.correlation))

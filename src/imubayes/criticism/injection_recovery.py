@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import searchable
 from imubayes.criticism.diagnosis import Diagnosis, judge
 from imubayes.criticism.warm_start import extended, whitened
@@ -26,10 +27,6 @@ from imubayes.model.problem import Problem, predict
 from imubayes.parameters.parameter import Declared
 from imubayes.run import Campaign
 from imubayes.simulation.simulate import random_stream, simulate
-
-# The size is found by a few steps of the rule that chi² grows with its square.
-_SIZING = 6
-_SIMILAR = 0.02
 
 Screen = Callable[[Fitted], Diagnosis]
 
@@ -298,11 +295,11 @@ def _trial(fitted: Fitted, clear: _Clear, name: str, size: Size, seed: int, scre
 def _scaled(strength: Callable[[float], float], target: float) -> float | None:
     """Return the scale at which a strength is reached; None where none of any use does."""
     scale = 1e-3
-    for _ in range(_SIZING):
+    for _ in range(thresholds.SIZING_STEPS):
         there = strength(scale)
         if not there > 1e-12 or not np.isfinite(there):
             return None
-        if abs(there / target - 1) < _SIMILAR:
+        if abs(there / target - 1) < thresholds.SIZING_TOLERANCE:
             break
         scale *= float(np.sqrt(target / there))
     return scale

@@ -14,18 +14,12 @@ import numpy as np
 from scipy import stats
 from scipy.interpolate import BSpline
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.localised_structure import STEP, Detail, Details, FeatureScan, in_time, time_within
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.score_test import LEAST_OF_FORM, Explained, explain, sizes
-from imubayes.criticism.term_library import HARMONICS, levels
-
-# A covariate with so few levels gets one value per level.
-_MOST_LEVELS = 16
-_SPLINE_COLUMNS = 7
-_FEWEST_ROWS = 8
-# The course of a run is followed in steps of so many rows at least.
-_FEWEST_COURSE, _ROWS_OF_SEGMENT, _MOST_SEGMENTS = 12, 3, 8
+from imubayes.criticism.score_test import Explained, explain, sizes
+from imubayes.criticism.term_library import levels
 
 
 @dataclass(frozen=True)
@@ -79,7 +73,7 @@ def _of_channel(
     projection: Projection, channel: str, here: np.ndarray, known: Sequence[ResidualCovariate]
 ) -> list[Form]:
     found = []
-    usable = [one for one in known if _rows(one, here).sum() >= _FEWEST_ROWS]
+    usable = [one for one in known if _rows(one, here).sum() >= thresholds.FORM_MIN_ROWS]
     for one in usable:
         test, columns = _alone(one, _rows(one, here))
         if columns.shape[1]:
@@ -110,11 +104,11 @@ def _courses(projection: Projection, channel: str, here: np.ndarray) -> list[For
     for index in range(len(model.campaign.runs)):
         rows = here & (model.entries.run == index)
         count = int(rows.sum())
-        if count < _FEWEST_COURSE:
+        if count < thresholds.COURSE_MIN_ROWS:
             continue
         place = np.zeros(len(rows), dtype=int)
         place[rows] = in_time(projection, rows)
-        segment = place[rows] * min(_MOST_SEGMENTS, count // _ROWS_OF_SEGMENT) // count
+        segment = place[rows] * min(thresholds.MAX_SEGMENTS, count // thresholds.SEGMENT_ROWS) // count
         covariate = time_within(projection, index, rows, place)
         steps = np.eye(segment.max() + 1)[segment]
         found.append(Form((channel,), covariate, "course of one run", _spread(steps, rows)))
@@ -130,17 +124,17 @@ def _alone(one: ResidualCovariate, rows: np.ndarray) -> tuple[str, np.ndarray]:
     values = one.values[rows]
     if one.name == "table_angle_deg":
         angle = np.radians(values)
-        basis = np.stack([f(k * angle) for k in range(1, HARMONICS + 1) for f in (np.sin, np.cos)], axis=1)
-        return f"harmonics to {HARMONICS}", _spread(basis, rows)
+        basis = np.stack([f(k * angle) for k in range(1, thresholds.HARMONICS + 1) for f in (np.sin, np.cos)], axis=1)
+        return f"harmonics to {thresholds.HARMONICS}", _spread(basis, rows)
     level = levels(values)
-    if level.max() + 1 <= _MOST_LEVELS:
+    if level.max() + 1 <= thresholds.MAX_LEVELS:
         return "levels", _spread(np.eye(level.max() + 1)[level], rows)
     return "spline", _spread(_spline(values), rows)
 
 
 def _spline(values: np.ndarray) -> np.ndarray:
     """Return a cubic B-spline basis with knots at quantiles, (n, columns)."""
-    inner = np.unique(np.quantile(values, np.linspace(0, 1, _SPLINE_COLUMNS - 2)))
+    inner = np.unique(np.quantile(values, np.linspace(0, 1, thresholds.SPLINE_COLUMNS - 2)))
     knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
     return BSpline.design_matrix(values, knots, 3).toarray()
 
@@ -176,7 +170,7 @@ def look(projection: Projection, laid: Sequence[Laid], scans: Sequence[FeatureSc
     """Return what each form, and the best detail against each covariate, explains; the least likely by chance first."""
     found = []
     for one in laid:
-        explained = explain(projection, one.columns, one.length, LEAST_OF_FORM)
+        explained = explain(projection, one.columns, one.length, thresholds.FORM_RETAINED_MIN)
         channel = strongest(projection, one.form.channels, explained)
         found.append(Structure(channel, (one.form.covariate,), one.form.test, explained))
     found += [_detailed(projection, one.details, detail) for one in scans for detail in _best(projection, one)]
@@ -187,7 +181,7 @@ def _detailed(projection: Projection, of: Details, detail: Detail) -> Structure:
     """Return what one detail explains."""
     whole = of.whole(detail, len(projection.residual))
     columns = projection.project(whole)
-    explained = explain(projection, columns, np.linalg.norm(whole, axis=0), LEAST_OF_FORM)
+    explained = explain(projection, columns, np.linalg.norm(whole, axis=0), thresholds.FORM_RETAINED_MIN)
     channel = strongest(projection, of.channels, explained)
     if detail.test != STEP:
         return Structure(channel, detail.covariates, detail.test, explained, detail.text)

@@ -11,18 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.score_test import LEAST_OF_FORM
 from imubayes.criticism.term_library import library
 
 STEP = "step"
-# Where readings are more, details would not fit into memory, and free forms have to do.
-_FEWEST_ROWS, _MOST_ROWS = 12, 30_000
-# A step in a run falls between any two of so many parts, of so many rows at least.
-_MOST_PARTS, _ROWS_OF_PART = 16, 3
-# Columns are whitened in blocks of so many, for what whitens is compiled anew for each number of them.
-_BLOCK = 256
 
 
 @dataclass(frozen=True)
@@ -106,7 +100,7 @@ def details(projection: Projection, known: Sequence[ResidualCovariate]) -> list[
     for kind in dict.fromkeys(channel.kind for channel in model.campaign.channels):
         places = [place for place, channel in enumerate(model.campaign.channels) if channel.kind == kind]
         here = np.isin(entries.channel, places) & ~entries.closing
-        if not _FEWEST_ROWS <= here.sum() <= _MOST_ROWS:
+        if not thresholds.FEATURE_MIN_ROWS <= here.sum() <= thresholds.FEATURE_MAX_ROWS:
             continue
         columns, found = _of_terms(known, here, gravity)
         steps, sudden = _steps(projection, here, len(columns))
@@ -146,10 +140,10 @@ def _steps(projection: Projection, here: np.ndarray, first: int) -> tuple[list[n
             rows = within & (model.entries.channel == channel)
             place[rows] = in_time(projection, rows)
             count = max(count, int(rows.sum()))
-        if count < _FEWEST_ROWS:
+        if count < thresholds.FEATURE_MIN_ROWS:
             continue
         covariate = time_within(projection, index, within, place)
-        parts = min(_MOST_PARTS, count // _ROWS_OF_PART)
+        parts = min(thresholds.MAX_STEP_PARTS, count // thresholds.STEP_PART_ROWS)
         for part in range(1, parts):
             after = within & (place * parts >= part * count)
             at = float(np.nanmin(covariate.values[after]))
@@ -187,9 +181,9 @@ def _whitened(projection: Projection, columns: np.ndarray, here: np.ndarray) -> 
     size = np.abs(columns[here]).max(axis=0)
     columns = columns / np.where(size > 0, size, 1.0)
     blocks = []
-    for start in range(0, columns.shape[1], _BLOCK):
-        block = columns[:, start : start + _BLOCK]
-        padded = np.concatenate([block, np.zeros((len(block), _BLOCK - block.shape[1]))], axis=1)
+    for start in range(0, columns.shape[1], thresholds.WHITENING_BLOCK):
+        block = columns[:, start : start + thresholds.WHITENING_BLOCK]
+        padded = np.concatenate([block, np.zeros((len(block), thresholds.WHITENING_BLOCK - block.shape[1]))], axis=1)
         blocks.append(projection.whitened(padded)[:, : block.shape[1]])
     return np.concatenate(blocks, axis=1)
 
@@ -220,6 +214,6 @@ def _batch(of: Details, taken: Sequence[np.ndarray], members: np.ndarray, index:
     scale = np.where(length > 0, 1 / np.where(length > 0, length, 1.0), 0.0)
     left = squares - np.einsum("pfa,pfb->fab", absorbed, absorbed, optimize=True)
     values, axes = np.linalg.eigh(left * scale[:, :, None] * scale[:, None, :])
-    held = values > LEAST_OF_FORM
+    held = values > thresholds.FORM_RETAINED_MIN
     white = scale[:, :, None] * axes * np.where(held, 1 / np.sqrt(np.where(held, values, 1.0)), 0.0)[:, None, :]
     return FeatureBatch(members, index, white, held.sum(axis=1))

@@ -11,12 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.localised_structure import FeatureScan
 from imubayes.criticism.score_test import Explained
-
-_DRAWS, _AT_ONCE = 3000, 250
-# Below this quantile of the drawn minima their tail is carried on: there p_global is proportional to p.
-_TAIL = 0.01
 
 
 @dataclass(frozen=True)
@@ -34,7 +31,7 @@ class LookElsewhere:
 
     def __call__(self, p: float) -> float:
         """Return the chance that any candidate reaches p."""
-        edge = max(2, int(_TAIL * len(self.smallest)))
+        edge = max(2, int(thresholds.LOOK_TAIL * len(self.smallest)))
         reference = self.smallest[edge - 1]
         if p < reference:
             return min(1.0, p * edge / len(self.smallest) / reference)
@@ -57,13 +54,13 @@ def look_elsewhere(looked: Sequence[Explained], scans: Sequence[FeatureScan] = (
     ends = np.cumsum([one.span.shape[1] for one in looked], dtype=int)
     random = np.random.default_rng(seed)
     parts = []
-    for _ in range(_DRAWS // _AT_ONCE):
-        draws = random.normal(size=(_AT_ONCE, height))
+    for _ in range(thresholds.LOOK_DRAWS // thresholds.LOOK_DRAWS_AT_ONCE):
+        draws = random.normal(size=(thresholds.LOOK_DRAWS_AT_ONCE, height))
         each = [_smallest((draws @ spans) ** 2, ends)] if looked else []
         parts.append(np.min([*each, *(_smallest_detail(one, draws) for one in scans)], axis=0))
     smallest = np.sort(np.concatenate(parts))
-    edge = max(2, int(_TAIL * _DRAWS))
-    return LookElsewhere(smallest, float(edge / _DRAWS / smallest[edge - 1]))
+    edge = max(2, int(thresholds.LOOK_TAIL * thresholds.LOOK_DRAWS))
+    return LookElsewhere(smallest, float(edge / thresholds.LOOK_DRAWS / smallest[edge - 1]))
 
 
 def _smallest(squares: np.ndarray, ends: np.ndarray) -> np.ndarray:

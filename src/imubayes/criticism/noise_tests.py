@@ -10,15 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.gauss_markov import FORGETFUL, Innovations, Memory, memories
 from imubayes.criticism.projection import Projection
 from imubayes.noise.outliers import Outliers
 
 OUTLIERS = "outliers"
-_DRAWS = 200
-# Rows times draws kept at once.
-_MOST_NUMBERS = 20_000_000
-_STRONGEST_CORRELATION = 0.95
 
 
 @dataclass(frozen=True)
@@ -99,7 +96,9 @@ def screen_noise(projection: Projection, seed: int = 1) -> list[NoiseCandidate]:
     """Return the noise candidates on each kind of channel, the least likely by chance first."""
     model = projection.fitted.model
     rows = len(projection.residual)
-    draws = np.random.default_rng(seed).normal(size=(rows, max(20, min(_DRAWS, _MOST_NUMBERS // rows))))
+    draws = np.random.default_rng(seed).normal(
+        size=(rows, max(20, min(thresholds.NOISE_DRAWS, thresholds.NOISE_DRAWS_AT_ONCE // rows)))
+    )
     both = np.concatenate([projection.residual[:, None], projection.project(draws)], axis=1)
     entries = entries_of(projection, both)
     found = []
@@ -115,7 +114,7 @@ def screen_noise(projection: Projection, seed: int = 1) -> list[NoiseCandidate]:
             # Squares are skew: the tail of a normal would understate how often chance does as well.
             skew = float(np.clip(stats.skew(values[1:]), 0.0, 4.0)) if sd > 1e-9 * abs(mean) else 0.0
             p = float(stats.pearson3.sf(z, skew)) if np.isfinite(skew) else float(stats.norm.sf(z))
-            value = float(np.clip(values[0] - mean, -_STRONGEST_CORRELATION, None))
+            value = float(np.clip(values[0] - mean, -thresholds.STRONGEST_ANTICORRELATION, None))
             found.append(NoiseCandidate(effect, names, value, max(p, 1e-300), max(z, 0.0) ** 2))
     return sorted(found, key=lambda one: one.p)
 

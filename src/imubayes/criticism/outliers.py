@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.noise_tests import entries_of
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
@@ -15,30 +16,18 @@ from imubayes.model.bind import Model
 from imubayes.model.noise_covariance import noise_law
 from imubayes.model.problem import Problem
 
-# A reading is far off beyond so many standard deviations, told by the median of their sizes over that of a normal law.
-_FAR_OFF, _MEDIAN_OF_NORMAL = 5.0, 0.6745
-# One that was left out comes back if it is no farther than this from what the rest predicts.
-NEAR = 4.0
-# Of a reading that has less than this share of its variance left nothing can be said.
-_LEAST_FREE = 0.02
-# A covariate of so many values is looked at value by value, otherwise in so many parts.
-_MOST_VALUES, _PARTS, _DIGITS = 64, 16, 3
-# So many rows that are far off at one value, of so many runs, by so small a chance with all values counted, have a
-# cause.
-_LEAST_ROWS, _LEAST_RUNS, _NO_CHANCE = 3, 2, 0.01
-
 
 def far_off(projection: Projection) -> np.ndarray:
     """Return which readings are so far off that a normal law does not bring them about, (E,) bool."""
     left = np.abs(entries_of(projection, projection.residual[:, None])[:, 0])
     # A reading that the model leans on hides most of what it is off by (studentised residuals, Cook & Weisberg 1982).
     leant_on = np.sum(entries_of(projection, projection.basis) ** 2, axis=1)
-    left /= np.sqrt(np.maximum(1 - leant_on, _LEAST_FREE))
+    left /= np.sqrt(np.maximum(1 - leant_on, thresholds.UNLEVERAGED_MIN))
     model, found = projection.fitted.model, np.zeros(len(left), dtype=bool)
     seen = (np.asarray(model.problem.observations.weight) > 0) & ~model.entries.closing
     for place in np.unique(model.entries.channel[seen]):
         own = (model.entries.channel == place) & seen
-        found[own] = left[own] > _FAR_OFF * np.median(left[own]) / _MEDIAN_OF_NORMAL
+        found[own] = left[own] > thresholds.OUTLIER_SD * np.median(left[own]) / thresholds.NORMAL_MAD
     return found
 
 
@@ -85,12 +74,15 @@ def gathered(projection: Projection, far: np.ndarray, known: Sequence[ResidualCo
             for cell in _cells(values, here):
                 hit = cell & far
                 rows = np.unique(row[hit])
-                if len(np.unique(row[cell])) < _LEAST_ROWS or len(np.unique(entries.run[cell])) < _LEAST_RUNS:
+                if (
+                    len(np.unique(row[cell])) < thresholds.CLUSTER_ROWS
+                    or len(np.unique(entries.run[cell])) < thresholds.CLUSTER_RUNS
+                ):
                     continue
                 looks += 1
-                if len(rows) >= _LEAST_ROWS and len(np.unique(entries.run[hit])) >= _LEAST_RUNS:
+                if len(rows) >= thresholds.CLUSTER_ROWS and len(np.unique(entries.run[hit])) >= thresholds.CLUSTER_RUNS:
                     best = min(best, float(stats.binom.sf(len(rows) - 1, len(np.unique(row[cell])), share)))
-    return best * looks < _NO_CHANCE
+    return best * looks < thresholds.CLUSTER_P
 
 
 def in_a_row(model: Model, sizes: np.ndarray) -> bool:
@@ -111,7 +103,7 @@ def in_a_row(model: Model, sizes: np.ndarray) -> bool:
     # A blow to the table hits all channels at once, and counts once.
     pairs = len(np.unique(np.stack([model.entries.run[at], model.entries.row[at]]), axis=1).T)
     expected = neighbours.sum() * np.mean(sizes != 0) ** 2 / 2
-    return float(stats.poisson.sf(pairs - 1, expected)) < _NO_CHANCE
+    return float(stats.poisson.sf(pairs - 1, expected)) < thresholds.CLUSTER_P
 
 
 def _of_table(model: Model, name: str) -> np.ndarray:
@@ -130,10 +122,10 @@ def _cells(values: np.ndarray, here: np.ndarray) -> list[np.ndarray]:
     if not here.any():
         return []
     size = float(np.abs(values[here]).max())
-    rounded = np.round(values / (size or 1.0), _DIGITS)
+    rounded = np.round(values / (size or 1.0), thresholds.OUTLIER_DIGITS)
     single = np.unique(rounded[here])
-    if len(single) <= _MOST_VALUES:
+    if len(single) <= thresholds.OUTLIER_MAX_VALUES:
         return [here & (rounded == one) for one in single]
-    edges = np.quantile(rounded[here], np.linspace(0, 1, _PARTS + 1)[1:-1])
+    edges = np.quantile(rounded[here], np.linspace(0, 1, thresholds.OUTLIER_BINS + 1)[1:-1])
     part = np.searchsorted(edges, rounded)
-    return [here & (part == one) for one in range(_PARTS)]
+    return [here & (part == one) for one in range(thresholds.OUTLIER_BINS)]

@@ -15,13 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
+from imubayes.criticism import thresholds
 from imubayes.inference.fitted import Fitted
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Observations, Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
 
-# A run offset counts as noise of its own where it widens the mean of its run by more than this factor in variance.
-_OFFSET_MATTERS = 1.2
 PRIOR = -1
 
 
@@ -182,7 +181,7 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
     direction = np.concatenate([np.asarray(by.direction), [0.0]])[members]
     # Variance of the run's mean with its offset against without: (1 − κ)⁻², κ = shrink · |u|².
     kappa = np.asarray(by.shrink) * np.sum(direction**2, axis=1)
-    separate = ((1 - kappa) ** -2 > _OFFSET_MATTERS) | (offsets & (sizes > 1))
+    separate = ((1 - kappa) ** -2 > thresholds.OFFSET_INFLATION) | (offsets & (sizes > 1))
     reflectors = np.zeros(members.shape)
     unit = offset / np.where(length > 0, length, 1.0)[:, None]
     first = unit - np.eye(1, members.shape[1])

@@ -5,14 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
 from imubayes.criticism.lack_of_fit import Structure
 from imubayes.criticism.projection import PRIOR, Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import Candidate, Projected
-
-# A form that follows so much of what a candidate explains has the covariate that the candidate depends on.
-_FOLLOWS = 0.9
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,7 @@ def telling_covariate(
         if one.channel == channel and len(one.covariates) == 1 and whole > 0
     ]
     share, covariate = max(shares, key=lambda pair: pair[0], default=(0.0, None))
-    return covariate if share > _FOLLOWS else None
+    return covariate if share > thresholds.COVARIATE_SHARE else None
 
 
 def tell(

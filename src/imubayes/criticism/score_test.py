@@ -15,19 +15,11 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Coefficient, Response, ShapeScan
 from imubayes.criticism.projection import Projection, orthonormal
 
 _SMALLEST = 1e-300
-# A candidate direction that keeps less than this share of its squared length is nothing but rounding.
-_LEAST_RETAINED = 1e-9
-# Of a form without a name much more must be left: it may be nearly what the model has.
-LEAST_OF_FORM = 1e-6
-# Where the largest size met in practice moves all readings together by less than this share of their noise, what is
-# there of a response is the rounding of the derivative.
-_LEAST_RESPONSE = 1e-6
-# What pleases the priors alone is no explanation where it has to be so many times the largest met in practice.
-_MOST_TYPICAL = 100.0
 
 
 @dataclass(frozen=True)
@@ -70,7 +62,7 @@ class Candidate:
         could be zero, as their priors like it.
         """
         typical = np.array([one.typical[1] for one in self.coefficients])
-        return self.found.of_priors < 0.5 or bool(np.any(np.abs(self.value) <= _MOST_TYPICAL * typical))
+        return self.found.of_priors < 0.5 or bool(np.any(np.abs(self.value) <= thresholds.IMPLAUSIBLE_SIZE * typical))
 
     @property
     def p(self) -> float:
@@ -107,7 +99,7 @@ def prepare(projection: Projection, responses: Sequence[Response]) -> list[Proje
         return []
     largest = np.array([coefficient.typical[1] for one in responses for coefficient in one.coefficients])
     whitened = projection.whitened(np.concatenate([one.columns for one in responses], axis=1))
-    whitened = np.where(largest * np.linalg.norm(whitened, axis=0) < _LEAST_RESPONSE, 0.0, whitened)
+    whitened = np.where(largest * np.linalg.norm(whitened, axis=0) < thresholds.RESPONSE_MIN, 0.0, whitened)
     projected = projection.project(whitened)
     ends = np.cumsum([len(one.coefficients) for one in responses])
     return [
@@ -143,7 +135,7 @@ class Explained:
 
 
 def explain(
-    projection: Projection, columns: np.ndarray, length: np.ndarray, least: float = _LEAST_RETAINED
+    projection: Projection, columns: np.ndarray, length: np.ndarray, least: float = thresholds.RETAINED_MIN
 ) -> Explained:
     """Return what projected columns explain of the residual.
 

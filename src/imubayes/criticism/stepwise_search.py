@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses, respond
 from imubayes.criticism.equivalent_effects import Group, group
 from imubayes.criticism.lack_of_fit import Laid, Structure, forms, lay, look
 from imubayes.criticism.localised_structure import Details, FeatureScan, details, scan
 from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
 from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, Prewhitening, prewhitening, screen_noise
-from imubayes.criticism.outliers import NEAR, distances, far_off, gathered, in_a_row
+from imubayes.criticism.outliers import distances, far_off, gathered, in_a_row
 from imubayes.criticism.projection import Projection, orthonormal, project
 from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
 from imubayes.criticism.score_test import Candidate, Projected, prepare, screen
@@ -20,21 +21,8 @@ from imubayes.inference.fitted import Fitted
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.problem import without
 
-# Chance of a false alarm, of effects, of structure and of noise.
-EFFECT_THRESHOLD, STRUCTURE_THRESHOLD, NOISE_THRESHOLD = 0.02, 0.02, 0.01
-# Chances are worked out for a known noise.  Where its memory had to be estimated from the same readings, so much less
-# chance is asked for.
-_WITH_MEMORY = 0.1
-# Noise with memory, or offsets of runs, that is so much as hinted at is allowed for before an effect is claimed: where
-# it is real it passes for effects.
-_NOISE_DOUBT, _DOUBTED = 0.1, ("correlated_noise", "run_scatter")
-# A pattern this far beyond chance is no noise, whatever its memory.
-_NO_NOISE = 1e-6
-_MOST_STEPS, _MOST_PATTERNS = 4, 8
-# Fits in turns with looks for readings that are far off.
-_MOST_ROUNDS = 4
-# Directions between neighbouring shapes count down to this share of their squared length.
-_SAME_SHAPE = 1e-4
+# Noise that passes for effects where the model lacks it.
+_CONFOUNDED_NOISE = ("correlated_noise", "run_scatter")
 
 
 @dataclass(frozen=True)
@@ -64,7 +52,7 @@ class Chances:
     def alarming(self, structures: Sequence[Structure], strict: float = 1.0) -> tuple[tuple[Structure, float], ...]:
         """Return the structures beyond chance, with their chance."""
         judged = [(one, self.of_structure(one.found.p)) for one in structures]
-        return tuple(pair for pair in judged if pair[1] < strict * STRUCTURE_THRESHOLD)
+        return tuple(pair for pair in judged if pair[1] < strict * thresholds.FALSE_ALARM_STRUCTURE)
 
 
 @dataclass(frozen=True)
@@ -142,9 +130,9 @@ def search(fitted: Fitted) -> Found:
     if not outliers:
         return _settled(whole, at_first)
     ground, sight, apart = whole, at_first, np.zeros(len(far))
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(thresholds.MAX_OUTLIER_ROUNDS):
         # What an effect that is missing moves far off has a cause: only what remains so without it is left out.
-        rest, apart = _without(fitted, far, 1 if sight.groups else _MOST_ROUNDS)
+        rest, apart = _without(fitted, far, 1 if sight.groups else thresholds.MAX_OUTLIER_ROUNDS)
         ground = Ground(rest, respond(rest), ground.covariates)
         sight = _sight(ground)
         more = far_off(sight.last.projection)
@@ -166,7 +154,7 @@ def _sight(ground: Ground) -> Sight:
     noise = screen_noise(first.projection)
     groups, last = _steps(first, chances.of_effect)
     alarm, cleared = bool(groups or chances.alarming(first.structures)), last.projection
-    if alarm or _within(noise, NOISE_THRESHOLD):
+    if alarm or _within(noise, thresholds.FALSE_ALARM_NOISE):
         cleared = _without_patterns(last, chances.of_structure, at_least=int(alarm and not groups)).projection
     return Sight(first, chances, tuple(noise), groups, last, alarm, cleared)
 
@@ -178,7 +166,7 @@ def _outliers(ground: Ground, sight: Sight) -> tuple[list[NoiseCandidate], np.nd
     pattern explains more of them than it has directions, or gathers them at one value of a covariate.
     """
     before = sight.first.projection
-    beyond = [one for one in _within(sight.noise, NOISE_THRESHOLD) if one.effect == OUTLIERS]
+    beyond = [one for one in _within(sight.noise, thresholds.FALSE_ALARM_NOISE) if one.effect == OUTLIERS]
     far = far_off(sight.last.projection)
     directions = sight.cleared.basis.shape[1] - before.basis.shape[1]
     explained = np.sum(far_off(before) & ~far_off(sight.cleared))
@@ -205,7 +193,7 @@ def _without(fitted: Fitted, far: np.ndarray, rounds: int) -> tuple[Fitted, np.n
         sizes, surprise = distances(problem, mode)
         apart = np.where(far, sizes, 0.0)
         more = far_off(project(rest, np.asarray(mode.about.misfit), np.asarray(mode.about.jacobian)))
-        now = more | (far & (np.abs(surprise) > NEAR))
+        now = more | (far & (np.abs(surprise) > thresholds.READMIT_SD))
         if np.array_equal(now, far):
             break
         far = now
@@ -216,15 +204,18 @@ def _settled(ground: Ground, sight: Sight) -> Found:
     """Return what is missing once the noise is what the readings say."""
     first, chances, groups, last = sight.first, sight.chances, sight.groups, sight.last
     adopted, doubted, strict = [], [], 1.0
-    if sight.alarm or _within(sight.noise, NOISE_THRESHOLD):
+    if sight.alarm or _within(sight.noise, thresholds.FALSE_ALARM_NOISE):
         remaining = [one for one in screen_noise(sight.cleared) if one.effect != OUTLIERS]
-        adopted = _within(remaining, NOISE_THRESHOLD)
-        hinted = [one for one in _within(remaining, _NOISE_DOUBT) if one.effect in _DOUBTED and one not in adopted]
+        adopted = _within(remaining, thresholds.FALSE_ALARM_NOISE)
+        suspected = _within(remaining, thresholds.SUSPECTED_NOISE_P)
+        hinted = [one for one in suspected if one.effect in _CONFOUNDED_NOISE and one not in adopted]
         doubted = [*adopted, *(hinted if sight.alarm else ())]
     if doubted:
         offsets = any(one.effect == "run_scatter" for one in doubted)
         first = ground.look(ground.projection(prewhitening(sight.cleared, doubted), offsets))
-        strict = _WITH_MEMORY if any(one.effect == "correlated_noise" for one in doubted) else 1.0
+        strict = (
+            thresholds.ESTIMATED_CORRELATION_FACTOR if any(one.effect == "correlated_noise" for one in doubted) else 1.0
+        )
         groups, last = _steps(first, chances.of_effect, strict)
     return Found(
         first=first,
@@ -254,11 +245,11 @@ def _look(projection: Projection, prepared: Sequence[Projected], laid: Sequence[
 def _steps(first: Look, chance: LookElsewhere, strict: float = 1.0) -> tuple[tuple[Group, ...], Look]:
     """Take out the best candidate and look again, as long as one is beyond chance."""
     at, groups = first, []
-    while at.candidates and len(groups) < _MOST_STEPS:
+    while at.candidates and len(groups) < thresholds.MAX_EFFECTS:
         p = chance(min(one.p for one in at.candidates))
-        if p >= strict * EFFECT_THRESHOLD:
+        if p >= strict * thresholds.FALSE_ALARM_EFFECT:
             break
-        leader = next(one for one in at.candidates if chance(one.p) < strict * EFFECT_THRESHOLD)
+        leader = next(one for one in at.candidates if chance(one.p) < strict * thresholds.FALSE_ALARM_EFFECT)
         groups.append(group(at.projection, leader, at.candidates, p))
         at = take_out(at, whole_span(at, leader))
     return tuple(groups), at
@@ -266,8 +257,10 @@ def _steps(first: Look, chance: LookElsewhere, strict: float = 1.0) -> tuple[tup
 
 def _without_patterns(at: Look, chance: LookElsewhere, at_least: int) -> Look:
     """Take out the strongest patterns that are no noise; the weaker ones would take the noise along."""
-    for place in range(_MOST_PATTERNS):
-        if not at.structures or (place >= at_least and chance(at.structures[0].found.p) >= _NO_NOISE):
+    for place in range(thresholds.MAX_PATTERNS):
+        if not at.structures or (
+            place >= at_least and chance(at.structures[0].found.p) >= thresholds.PATTERN_NOT_NOISE_P
+        ):
             break
         at = take_out(at, at.structures[0].found.span)
     return at
@@ -282,7 +275,7 @@ def whole_span(at: Look, leader: Candidate) -> np.ndarray:
             chosen = [i for i, each in enumerate(one.response.coefficients) if each.parameter.name in names]
             columns.append(one.projected[:, chosen])
             lengths.append(np.linalg.norm(one.whitened[:, chosen], axis=0))
-    return orthonormal(np.concatenate(columns, axis=1), np.concatenate(lengths), _SAME_SHAPE)
+    return orthonormal(np.concatenate(columns, axis=1), np.concatenate(lengths), thresholds.SHAPE_RETAINED_MIN)
 
 
 def take_out(at: Look, span: np.ndarray) -> Look:

@@ -12,16 +12,11 @@ from itertools import combinations
 
 import numpy as np
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.units import to_si
 
-_MOST_POWER, HARMONICS, _CENTRES = 5, 6, 9
-# Waves go through the range of a covariate so many times at most, and never faster than its values can show.
-_MOST_WAVES = 16
-_TIMES = (2.0, 5.0, 10.0, 30.0, 60.0)  # minutes
 _REFERENCE = 25.0  # °C
-# Values of a covariate closer than this share of its range are one level.
-_SAME_LEVEL = 0.02
 
 
 @dataclass(frozen=True)
@@ -114,12 +109,12 @@ def levels(values: np.ndarray) -> np.ndarray:
     values : shape (n,), finite.
     """
     order = np.argsort(values)
-    gaps = np.diff(values[order]) > _SAME_LEVEL * np.ptp(values)
+    gaps = np.diff(values[order]) > thresholds.SAME_LEVEL * np.ptp(values)
     level = np.empty(len(values), dtype=int)
     level[order] = np.concatenate([[0], np.cumsum(gaps)])
     widths = [np.ptp(values[level == one]) for one in range(level.max() + 1)]
     # A chain of close values is a continuum, not a level.
-    return level if max(widths) < _SAME_LEVEL * np.ptp(values) or level.max() == 0 else np.arange(len(values))
+    return level if max(widths) < thresholds.SAME_LEVEL * np.ptp(values) or level.max() == 0 else np.arange(len(values))
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
@@ -130,7 +125,7 @@ def _harmonics(covariate: ResidualCovariate, angle: np.ndarray) -> list[Term]:
     base = _Base("φ", "sample.ambient.table_angle", ("table_angle",), "", angle, covariate)
     return [
         base.term(f"{name} {k}φ", "", f"jnp.{name}({k} * {base.expression})", f(k * angle), "harmonic", f"{k}φ")
-        for k in range(1, HARMONICS + 1)
+        for k in range(1, thresholds.HARMONICS + 1)
         for name, f in (("sin", np.sin), ("cos", np.cos))
     ]
 
@@ -141,7 +136,7 @@ def _of_one(base: _Base, gravity: float) -> list[Term]:
         base.term(
             _power_text(symbol, power), _power_unit(unit, power), f"{expression} ** {power}", values**power, "power"
         )
-        for power in range(1, _MOST_POWER + 1)
+        for power in range(1, thresholds.MAX_POWER + 1)
     ]
     if symbol in ("t", "t_on"):
         found += [
@@ -149,7 +144,7 @@ def _of_one(base: _Base, gravity: float) -> list[Term]:
                 f"exp(−{symbol}/{minutes:g} min)", "", f"jnp.exp(-{expression} / {60 * minutes})",
                 np.exp(-values / (60 * minutes)), "power",
             )
-            for minutes in _TIMES
+            for minutes in thresholds.TIME_CONSTANTS_MIN
         ]  # fmt: skip
         return found + _waves(base, gravity)
     signed: tuple[tuple[str, str, str, Callable], ...] = (
@@ -178,7 +173,7 @@ def _bumps(base: _Base, gravity: float) -> list[Term]:
     unit = base.unit.strip("()")
     factor = to_si(unit, gravity)
     found = []
-    for centre in np.linspace(low, high, _CENTRES + 2)[1:-1].tolist():
+    for centre in np.linspace(low, high, thresholds.BUMP_CENTRES + 2)[1:-1].tolist():
         for width in ((high - low) / 16, (high - low) / 8, (high - low) / 4):
             formula = f"1/(1 + (({text} − {centre:.3g})/{width:.3g})²) with {base.symbol} in {unit}"
             python = f"1 / (1 + (({code} - {centre * factor:.6g}) / {width * factor:.6g}) ** 2)"
@@ -190,7 +185,7 @@ def _bumps(base: _Base, gravity: float) -> list[Term]:
 def _waves(base: _Base, gravity: float) -> list[Term]:
     """Return waves along a covariate, from one through its range to as many as its levels can show."""
     known = base.values[np.isfinite(base.values)]
-    most = min(_MOST_WAVES, len(np.unique(levels(known))) // 3)
+    most = min(thresholds.MAX_WAVES, len(np.unique(levels(known))) // 3)
     unit = base.unit.strip("()")
     factor = to_si(unit, gravity)
     found = []

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import fitting_channels
 from imubayes.effects.base import MotionEffect
 from imubayes.inference.fitted import Fitted
@@ -28,13 +29,6 @@ from imubayes.parameters.priors import Normal
 from imubayes.parameters.vector import Layout, Parameter
 from imubayes.run import Campaign
 from imubayes.types import Array, Float
-
-# A coefficient whose column is this much shorter than its prior allows has no gradient at its null: β² or |β|.
-_NO_GRADIENT = 1e-14
-# Combinations of new coefficients this much weaker than the strongest are not told by the data.
-_SINGULAR = 1e-9
-# A prior gives way where the data alone ask for more than three of its standard deviations, known to a fifth or better.
-_UNUSUAL, _BEYOND_DOUBT = 3.0, 5.0
 
 
 @dataclass(frozen=True)
@@ -200,7 +194,7 @@ def _wider(extension: Extension) -> dict[str, dict[str, str]]:
         parameter, z = extension.model.layout.parameters[int(places[one])], abs(float(extension.asked[one]))
         declared = _declared(extension.model, parameter)
         about_zero = isinstance(parameter.prior, Normal) and float(parameter.prior.mean) == 0
-        if z > _UNUSUAL and about_zero and not declared.equipment and not declared.spread:
+        if z > thresholds.UNUSUAL_PRIOR_SD and about_zero and not declared.equipment and not declared.spread:
             width = _rounded_up(z * parameter.prior_sd)
             wanted.setdefault(parameter.effect, {})[parameter.field] = f"normal(0, {width:g} {parameter.unit})"
     return wanted
@@ -269,7 +263,7 @@ def _first_step(
     z = null.copy()
     z[new] += step
     z[~new] += solve_triangular(upper, q.T @ (right - fresh @ step))
-    flat = np.diag(squares) < _NO_GRADIENT
+    flat = np.diag(squares) < thresholds.NO_GRADIENT
     for place, blind in zip(np.flatnonzero(new).tolist(), flat.tolist(), strict=True):
         if blind:
             z[place] = _away_from_null(model, place, null[place], hints)
@@ -291,10 +285,10 @@ def _first_step(
 def _without_prior(squares: np.ndarray, drive: np.ndarray) -> np.ndarray:
     """Return the step in z, (K,), that the data alone ask for; 0 where they say nothing beyond doubt."""
     values, axes = np.linalg.eigh(squares)
-    told = values > max(_SINGULAR * float(values.max(initial=0.0)), _NO_GRADIENT)
+    told = values > max(thresholds.SINGULAR * float(values.max(initial=0.0)), thresholds.NO_GRADIENT)
     inverse = (axes[:, told] / values[told]) @ axes[:, told].T
     step = inverse @ drive
-    return np.where(np.abs(step) > _BEYOND_DOUBT * np.sqrt(np.diag(inverse)), step, 0.0)
+    return np.where(np.abs(step) > thresholds.DETERMINED_SD * np.sqrt(np.diag(inverse)), step, 0.0)
 
 
 def _second_step(

@@ -1,0 +1,177 @@
+"""Every threshold and search limit of criticism, with its meaning, its origin and the effect of changing it.
+
+Origins.  *Derived*: follows from the reasoning given.  *Blind study*: set by random campaigns from the independent
+generator (`tests/study/blind.py`), where false alarms, detections and wrong names are counted; a change must be
+followed by a new run of that study.  *Convention*: usual practice; results depend on it only weakly.  *Numerical*:
+separates signal from rounding; anything within an order of magnitude or two gives the same results.  *Effort*: bounds
+computing time or memory.
+
+Vocabulary: a *false alarm* is any verdict but `adequate` on a complete model; *power* is the chance to detect a missing
+effect; a *wrong name* is a single effect reported with confidence that is not the cause.
+"""
+
+import math
+
+# ---- False-alarm budget: probability of any false alarm per diagnosis, all looks counted -----------------------------
+# Design value: 5 % in all, spent on three families of tests (Bonferroni between them).  Raising one raises false alarms
+# and power together; lowering it hides weak effects.
+FALSE_ALARM_EFFECT = 0.02
+FALSE_ALARM_STRUCTURE = 0.02
+FALSE_ALARM_NOISE = 0.01
+FALSE_ALARM = FALSE_ALARM_EFFECT + FALSE_ALARM_STRUCTURE + FALSE_ALARM_NOISE
+
+# ---- Noise adopted before effects are judged (stepwise_search) -------------------------------------------------------
+# p-values assume known noise.  Where its correlation was estimated from the same samples, the budget is multiplied by
+# this.  Blind study with AR(1) noise (7a6fcab): larger gives false alarms, smaller costs power in correlated noise.
+ESTIMATED_CORRELATION_FACTOR = 0.1
+# Autocorrelation or run scatter below this p-value, once an alarm is raised, is modelled before an effect is claimed:
+# left out, it passes for effects.  Blind study (195861c): smaller gives wrong names, larger costs power.
+SUSPECTED_NOISE_P = 0.1
+# A pattern less probable than this is not noise, whatever the autocorrelation: it is projected out before the noise is
+# estimated.  Blind study: larger lets patterns of noise be projected out, smaller lets effects inflate the noise.
+PATTERN_NOT_NOISE_P = 1e-6
+# Most effects, most patterns and most rounds of outlier rejection in one search.  Effort: the study needs two effects.
+MAX_EFFECTS, MAX_PATTERNS, MAX_OUTLIER_ROUNDS = 4, 8, 4
+
+# ---- Candidates: projected responses (projection, score_test) --------------------------------------------------------
+# A direction of a candidate whose projection retains less than this share of its squared length is rounding.
+# Numerical: larger calls weakly identifiable effects undetectable.
+RETAINED_MIN = 1e-9
+# The same for free forms and formulas, which may all but coincide with what the model has.  Numerical: smaller lets the
+# curvature of the model pass for structure.
+FORM_RETAINED_MIN = 1e-6
+# The same between neighbouring values of a scanned shape parameter, projected out together.  Numerical.
+SHAPE_RETAINED_MIN = 1e-4
+# A response that at the largest typical size changes all samples together by less than this share of their noise is the
+# rounding error of the derivative.  Numerical: smaller gives such candidates absurd coefficients.
+RESPONSE_MIN = 1e-6
+# A candidate supported only by the priors is implausible beyond so many times the largest typical size.  Convention.
+IMPLAUSIBLE_SIZE = 100.0
+# A run offset is a stratum of its own where it inflates the variance of the run's mean by more than this factor.
+# Convention: smaller makes more between-run strata, each with few degrees of freedom and little power.
+OFFSET_INFLATION = 1.2
+
+# ---- Equivalence groups (equivalent_effects, discriminating_run) -----------------------------------------------------
+# Two candidates are distinguishable where substituting one for the other leaves at least this χ².  Derived: three
+# standard deviations (9) raised to four for some fifty rivals that can lead by chance; confirmed by the blind study
+# (ef1da2f).  Smaller means wrong names, larger means longer groups.
+DISTINGUISHABLE_CHI2 = 16.0
+# Odds of 20 to 1 do not decide between two candidates that explain half of the same.  Convention (95 %), blind study.
+DECISIVE_LOG_ODDS = math.log(20.0)
+
+# ---- Verdict (diagnosis, residual_evidence) --------------------------------------------------------------------------
+# Structure left by the candidates counts against the leader if it is worth more than this share of the leader's Δχ²: a
+# large effect reveals its smallest imperfection.  Blind study: smaller withholds right names, larger gives wrong ones.
+REMAINDER_SHARE = 0.01
+# So many effects on one channel only approximate one cause that the catalogue lacks.  Blind study, as above.
+CROWDED_EFFECTS = 3
+# A share that makes one thing the main part of another: of a leader's χ² for a second effect that mends its shape, of a
+# channel's structure for a step in one run.  Blind study, as above.
+MAIN_SHARE = 0.75
+# A step in one run that is worth so many times the leader's Δχ² was not caused by it.  Convention.
+STEP_DOMINATES = 1.5
+# Remaining structure contradicts a single name only below this p-value.  Blind study: larger withholds right names.
+AGAINST_SINGLE_NAME_P = 1e-3
+# Most channels for which a formula is sought.  Effort.
+MAX_FORMULAS = 3
+# A covariate is named as the one an effect depends on where its free form explains more than this share of what the
+# effect explains.  Convention: smaller names covariates that are merely correlated with the right one.
+COVARIATE_SHARE = 0.9
+
+# ---- Detectability ---------------------------------------------------------------------------------------------------
+# Power at which the smallest detectable size is given.  Convention (Cohen 1988).
+DETECTION_POWER = 0.8
+# Smallest share of a response at which a parameter family is listed as absorbing it.  Convention.
+ABSORBER_SHARE = 0.01
+
+# ---- Outliers --------------------------------------------------------------------------------------------------------
+# Outlier threshold, in robust (MAD-based) standard deviations.  Derived: under normality 6e-7 per sample, one false
+# outlier in some 10⁶ samples.  Smaller rejects valid samples of heavy-tailed noise, larger leaves outliers that mask.
+OUTLIER_SD = 5.0
+# Ratio of the median absolute value to the standard deviation of a normal distribution, to four digits.
+NORMAL_MAD = 0.6745
+# A rejected sample is readmitted if it lies within so many predictive standard deviations of what the rest predicts.
+# Convention: below OUTLIER_SD, because the first threshold was masked by the outliers themselves.
+READMIT_SD = 4.0
+# Lower bound of one minus leverage in studentising: above, a sample has no residual to judge.  Numerical.
+UNLEVERAGED_MIN = 0.02
+# A covariate with at most so many values (rounded to so many digits of its range) is scanned by value, otherwise in so
+# many quantile bins.  Convention.
+OUTLIER_MAX_VALUES, OUTLIER_DIGITS, OUTLIER_BINS = 64, 3, 16
+# Outliers have a common cause where at least so many rows of so many runs fall on one value, or where successive ones
+# share a sign, with less than this probability.  Blind study: smaller lets narrow effects pass for
+# outliers.
+CLUSTER_ROWS, CLUSTER_RUNS, CLUSTER_P = 3, 2, 0.01
+
+# ---- Noise tests (noise_tests, gauss_markov) -------------------------------------------------------------------------
+# Simulations of white noise through the projection, and rows times simulations held at once.  Effort: the
+# standard deviation is known to 5 %; the tail is that of a Pearson III distribution.
+NOISE_DRAWS, NOISE_DRAWS_AT_ONCE = 200, 20_000_000
+# Bound of the estimated negative noise statistic (a correlation cannot be −1).  Numerical.
+STRONGEST_ANTICORRELATION = 0.95
+# Grid of the restricted likelihood: share of the variance that is correlated, correlation from row to row.  Effort.
+MARKOV_SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0)
+MARKOV_CORRELATIONS = (0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.96)
+# Grid points within this log likelihood of the best (1.4 standard deviations) are nearly as likely; the one with most
+# low-frequency noise is taken.  Blind study (7a6fcab): zero gives false alarms in correlated noise.
+MARKOV_NEARLY = 1.0
+# A projected direction with less than this share of its squared length in a channel is ignored there.  Numerical.
+DIRECTION_HELD_MIN = 0.1
+
+# ---- Free forms (lack_of_fit) ----------------------------------------------------------------------------------------
+# One value per level up to so many levels, otherwise a cubic spline of so many columns; fewer rows have no form.
+# Convention: more columns follow narrower structure at the cost of power for broad structure.
+MAX_LEVELS, SPLINE_COLUMNS, FORM_MIN_ROWS = 16, 7, 8
+# Course of one run: fewest rows, fewest rows of a segment, most segments.  Convention.
+COURSE_MIN_ROWS, SEGMENT_ROWS, MAX_SEGMENTS = 12, 3, 8
+# Values of a covariate closer than this share of its range are one level.  Convention: the scatter about a set point.
+SAME_LEVEL = 0.02
+
+# ---- Localised structure ---------------------------------------------------------------------------------------------
+# Samples of a kind of channel between which features are scanned; above, they would not fit into memory.  Effort.
+FEATURE_MIN_ROWS, FEATURE_MAX_ROWS = 12, 30_000
+# Steps in a run are sought between so many parts at most, of so many rows at least.  Convention.
+MAX_STEP_PARTS, STEP_PART_ROWS = 16, 3
+# Columns whitened at a time: the compiled whitening depends on their number.  Effort.
+WHITENING_BLOCK = 256
+
+# ---- Term library and formula search ---------------------------------------------------------------------------------
+# Powers, harmonics of the table angle, centres of bumps, waves through the range; time constants in minutes.
+# Convention: every family more is one look more for every other.
+MAX_POWER, HARMONICS, BUMP_CENTRES, MAX_WAVES = 5, 6, 9, 16
+TIME_CONSTANTS_MIN = (2.0, 5.0, 10.0, 30.0, 60.0)
+# Most terms of a formula, and p-value (all terms of the library counted) below which one is taken.  Convention.
+MAX_TERMS, TERM_P = 3, 0.01
+# A product or a wave is chosen from many: it must explain so much more χ² than the best plain term.  Derived: three
+# standard deviations.  Smaller prefers products of covariates that vary together.
+ELABORATE_PENALTY = 9.0
+# Terms within this χ² of the best (two standard deviations) are listed beside it.  Convention.
+NEAR_CHI2 = 4.0
+# Resampled sets of runs for the inclusion frequency.  Effort: its standard error is at most 3.5 %.
+RESAMPLES = 200
+
+# ---- Look-elsewhere correction (multiple_testing) --------------------------------------------------------------------
+# Simulated residuals, and how many at once.  Effort: the 1 % quantile is known to some 20 %.
+LOOK_DRAWS, LOOK_DRAWS_AT_ONCE = 3000, 250
+# Below this quantile of the simulated minima the corrected p-value is proportional to the single one.  Derived: the
+# union bound is tight in the tail; 30 of 3000 draws fix the factor.
+LOOK_TAIL = 0.01
+
+# ---- Adding an effect (warm_start, cross_validation) -----------------------------------------------------------------
+# A new coefficient whose squared whitened column is below this in prior units has no gradient at its null (it enters as
+# β² or |β|), and combinations this much weaker than the strongest are not determined.  Numerical.
+NO_GRADIENT, SINGULAR = 1e-14, 1e-9
+# A prior is widened where the estimate without it exceeds so many prior standard deviations and so many of its own.
+# Convention: 3 σ is unusual under the prior, 5 σ is determined to one fifth or better.
+UNUSUAL_PRIOR_SD, DETERMINED_SD = 3.0, 5.0
+# A refit that loses more χ² than this is refused: a larger model cannot fit worse but for its new priors.  Derived.
+REFIT_LOSS = -0.5
+# A gain in log predictive density helps if it exceeds so many standard errors (convention) and this value.  Derived: a
+# superfluous parameter costs half a unit on unseen data (Akaike).
+GAIN_STANDARD_ERRORS, GAIN_MIN = 2.0, 0.5
+# A single run is left out in so many blocks at most, of so many rows at least.  Convention.
+MAX_BLOCKS, BLOCK_ROWS = 8, 4
+
+# ---- Injection and recovery ------------------------------------------------------------------------------------------
+# Steps to find the injected size, and relative tolerance of its Δχ².  Numerical.
+SIZING_STEPS, SIZING_TOLERANCE = 6, 0.02
