@@ -1,4 +1,4 @@
-"""The measurable part of the house style: sizes, complexity, names, annotations and docstrings, read from the sources."""
+"""The measurable part of the house style: sizes, complexity, names, annotations, docstrings; read from the sources."""
 
 import ast
 from collections import Counter
