@@ -22,6 +22,8 @@ FLOORS = (
     ("cli",),
 )
 PLUGINS = ("procedures", "effects", "noise")
+# What the plug-ins of a package build on; all other modules of such a package are plug-ins.
+FOUNDATIONS = ("base", "memory", "shared_formulas")
 MOST_LINES = 500
 
 
@@ -45,7 +47,7 @@ def imported(node: ast.AST, modules: set[str]) -> list[str]:
 
 def is_member(module: str) -> bool:
     parts = module.split(".")
-    return len(parts) == 3 and parts[1] in PLUGINS and parts[2] != "base"
+    return len(parts) == 3 and parts[1] in PLUGINS and parts[2] not in FOUNDATIONS
 
 
 def violations(sources: dict[str, str]) -> list[str]:
@@ -120,6 +122,7 @@ def test_a_planted_fault_is_found(sources, complaint):
     [
         {"imubayes.cli.fit": "def fit():\n    from imubayes.api import fit"},
         {"imubayes.effects.a": "from imubayes.effects.base import Effect\nimport jax"},
+        {"imubayes.effects.a": "from imubayes.effects.shared_formulas import ConstantBias"},
         {"imubayes.model.signal_path": "from imubayes.frames import compose"},
     ],
 )

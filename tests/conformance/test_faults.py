@@ -5,7 +5,8 @@ import laws
 import pytest
 import recover
 
-from imubayes.effects.base import Decay, Order, RecordEffect, SignalEffect, Stage
+from imubayes.effects.base import Order, RecordEffect, SignalEffect, Stage
+from imubayes.effects.memory import Decay
 from imubayes.errors import InputError
 from imubayes.model.effect_registry import Registry
 from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, TailNoise

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from imubayes.effects.base import Decay, Play, put_together
+from imubayes.effects.memory import Decay, Play, inclusive_scan
 from imubayes.model.bind import Model, declare
 from imubayes.model.problem import predict
 from imubayes.procedures.base import rate_of_change
@@ -135,7 +135,7 @@ def plays(rng, count: int) -> Play:
 
 @pytest.mark.parametrize("kind", [decays, plays])
 @pytest.mark.parametrize("count", [1, 2, 3, 9, 10, 23])
-def test_steps_are_put_together_in_their_order(kind, count):
+def test_an_inclusive_scan_composes_the_steps_in_order(kind, count):
     steps = kind(np.random.default_rng(count), count)
     memory, expected = np.zeros(2), []
     for k in range(count):
@@ -144,4 +144,4 @@ def test_steps_are_put_together_in_their_order(kind, count):
         else:
             memory = np.clip(memory + np.asarray(steps.shift)[k], np.asarray(steps.low)[k], np.asarray(steps.high)[k])
         expected.append(memory)
-    np.testing.assert_allclose(put_together(steps).from_rest(), expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(inclusive_scan(steps).from_rest(), expected, rtol=1e-12, atol=1e-12)

@@ -63,6 +63,11 @@ def option(default: float, meaning: str) -> Any:
     return eqx.field(default=default, metadata={"option": meaning})
 
 
+def reference_temperature() -> Any:
+    """Declare a field as the reference temperature of a temperature coefficient, °C."""
+    return option(25.0, "reference temperature T_ref, °C")
+
+
 def declared_parameters(effect: type) -> dict[str, Declared]:
     """Return the parameters an effect or noise class declares, in the order of its fields."""
     fields = effect.__dataclass_fields__.values()

@@ -1,0 +1,191 @@
+"""Effects of the readout: ADC, current-to-frequency or voltage-to-frequency converter, and the injected current."""
+
+import jax.numpy as jnp
+
+from imubayes.effects.base import Order, SignalEffect
+from imubayes.effects.shared_formulas import (
+    Converter,
+    DeadZone,
+    LinearThermalBias,
+    LinearThermalScale,
+    QuadraticThermalBias,
+    QuadraticThermalScale,
+    WarmUp,
+)
+from imubayes.parameters.parameter import parameter, reference_temperature, time_constant
+from imubayes.stimulus import Sample
+from imubayes.types import Scalar
+
+
+class InjectionError(Converter, SignalEffect):
+    """Gain and offset error of the current source against the sensor's own current: c · (1 + g) + scale · o."""
+
+    name = "injection_error"
+    order = 0
+    kinds = ("accelerometer",)
+    needs = ("injection",)
+    reference = "definition: relative to the nominal current_mA_per_g"
+
+    gain: Scalar = parameter("ppm", "normal(0, 1000 ppm)", (10, 1000), "the relative error of the injected current")
+    offset: Scalar = parameter("ug", "normal(0, 1 mg)", (1, 1000), "the offset of the injected current")
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal * (1 + self.gain) + self.offset * sample.output_scale
+
+
+class ConverterGainDrift(Converter, LinearThermalScale):
+    """Gain linear in converter temperature: signal · (1 + γ1·(T_c − T_ref))."""
+
+    name = "converter_gain_drift"
+    order = Order.GAIN
+    needs = ("converter_temperature",)
+    confused_with = "converter offset drift, with one input; the sensor's scale temperature coefficient"
+    reference = "first-order thermal gain model of ADC, I/F and V/F converters"
+
+    slope: Scalar = parameter("ppm/degC", "normal(0, 100 ppm/degC)", (1, 100), "the relative change of gain per degree")
+    reference_degC: float = reference_temperature()
+
+
+class ConverterGainDriftQuadratic(Converter, QuadraticThermalScale):
+    """Gain quadratic in converter temperature: signal · (1 + γ2·(T_c − T_ref)²)."""
+
+    name = "converter_gain_drift_quadratic"
+    order = Order.GAIN
+    needs = ("converter_temperature",)
+    confused_with = "converter offset drift, with one input; the sensor's quadratic scale temperature coefficient"
+    reference = "second-order thermal gain model of ADC, I/F and V/F converters"
+
+    curvature: Scalar = parameter(
+        "ppm/degC^2", "normal(0, 2 ppm/degC^2)", (0.01, 5), "the relative change of gain per degree squared"
+    )
+    reference_degC: float = reference_temperature()
+
+
+class ConverterNonlinearity(Converter, SignalEffect):
+    """Gain error that depends on the input: signal · (1 + q·signal + c·signal²), signal in output units.
+
+    The priors are in `scale`, the nominal output for 1 deg/s or 1 g: 10 ppm/scale is 120 ppm at 12 g.
+    """
+
+    name = "converter_nonlinearity"
+    order = Order.GAIN
+    confused_with = "the sensor's own K2 and K3 or the gyro's nonlinearity: exactly, without injected current"
+    reference = "transfer curve of ADC, I/F and V/F converters; IEEE Std 1241, integral nonlinearity"
+
+    quadratic: Scalar = parameter(
+        "ppm/output", "normal(0, 10 ppm/scale)", (1e-06, 1000.0), "the relative change of gain per output"
+    )
+    cubic: Scalar = parameter(
+        "ppm/output^2", "normal(0, 1 ppm/scale^2)", (1e-09, 1000.0), "the relative change of gain per output squared"
+    )
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal * (1 + self.quadratic * signal + self.cubic * signal**2)
+
+
+class ConverterOffsetDrift(Converter, LinearThermalBias):
+    """Offset linear in converter temperature: signal + o1·(T_c − T_ref)."""
+
+    name = "converter_offset_drift"
+    order = Order.OFFSET
+    needs = ("converter_temperature",)
+    confused_with = "converter gain drift, with one input; the sensor's bias temperature coefficient"
+    reference = "first-order thermal offset model of ADC, I/F and V/F converters"
+
+    slope: Scalar = parameter(
+        "output/degC", "normal(0, 1e-4 scale/degC)", (1e-6, 1e-2), "the change of offset per degree"
+    )
+    reference_degC: float = reference_temperature()
+
+
+class ConverterOffsetDriftQuadratic(Converter, QuadraticThermalBias):
+    """Offset quadratic in converter temperature: signal + o2·(T_c − T_ref)²."""
+
+    name = "converter_offset_drift_quadratic"
+    order = Order.OFFSET
+    needs = ("converter_temperature",)
+    confused_with = "converter_leakage; converter gain drift, with one input"
+    reference = "second-order thermal offset model of ADC, I/F and V/F converters"
+
+    curvature: Scalar = parameter(
+        "output/degC^2", "normal(0, 1e-5 scale/degC^2)", (1e-08, 0.001), "the change of offset per degree squared"
+    )
+    reference_degC: float = reference_temperature()
+
+
+class ConverterLeakage(Converter, SignalEffect):
+    """Offset exponential in converter temperature: signal + L·(2^((T_c − T_ref)/D) − 1).
+
+    A junction in silicon has D of about 10 °C; the leakage at T_ref itself is bias.
+    """
+
+    name = "converter_leakage"
+    order = Order.OFFSET
+    needs = ("converter_temperature",)
+    confused_with = "converter_offset_drift and its quadratic, over a narrow range of temperature"
+    reference = "reverse current of a p–n junction, doubling every 10 °C"
+
+    leakage: Scalar = parameter(
+        "output", "normal(0, 1e-4 scale)", (1e-06, 0.01), "the leakage at the reference temperature"
+    )
+    doubling: Scalar = parameter(
+        "degC",
+        "lognormal(10 degC, 0.3)",
+        (5, 20),
+        "the temperature rise that doubles the leakage",
+        null=10.0,
+        shape=(6.0, 8.0, 10.0, 14.0),
+    )
+    reference_degC: float = reference_temperature()
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        warmer = (sample.ambient.converter_temperature - self.reference_degC) / self.doubling
+        return signal + self.leakage * jnp.expm1(jnp.log(2.0) * warmer)
+
+
+class ConverterWarmUp(Converter, WarmUp):
+    """Offset transient after power-on: signal + A·e^(−t_on/τ)."""
+
+    name = "converter_warm_up"
+    order = Order.OFFSET
+    confused_with = (
+        "the sensor's own warm-up, without injected current; converter_offset_drift, with self-heating of the converter"
+    )
+    reference = "turn-on transient of ADC, I/F and V/F converters"
+
+    amplitude: Scalar = parameter("output", "normal(0, 1e-3 scale)", (1e-06, 0.1), "the excess offset at power-on")
+    tau: Scalar = time_constant("the time constant")
+
+
+class ConverterDeadZone(Converter, DeadZone):
+    name = "converter_dead_zone"
+    confused_with = "the sensor's own dead zone, without injected current"
+    reference = "dead zone of bipolar I/F and V/F converters about zero"
+
+    half_width: Scalar = parameter("output", "halfnormal(1e-4 scale)", (1e-06, 0.01), "half the width of the zone")
+
+
+class ConverterSaturation(Converter, SignalEffect):
+    """Compression beyond a limit: signal − k·sign(signal)·max(|signal| − limit, 0); k = 1 is a hard stop.
+
+    The limit is in `scale`, the nominal output for 1 deg/s or 1 g.
+    """
+
+    name = "converter_saturation"
+    order = Order.LIMIT
+    confused_with = "cubic nonlinearity of sensor or converter"
+    reference = "full-scale range of ADC, I/F and V/F converters; IEEE Std 1241, clipping"
+
+    compression: Scalar = parameter("%", "normal(0, 10 %)", (0.01, 100), "the fraction lost beyond the limit")
+    limit: Scalar = parameter(
+        "scale",
+        "lognormal(30 scale, 1.5)",
+        (1, 1000),
+        "the output at which compression begins",
+        null=1.0,
+        shape=(1.0, 3.0, 10.0, 30.0, 100.0, 300.0),
+    )
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        excess = jnp.maximum(jnp.abs(signal) - self.limit, 0.0)
+        return signal - self.compression * jnp.sign(signal) * excess

@@ -1,0 +1,104 @@
+"""Effects of attitude and position: how the unit is mounted or posed, where it starts, where its sensors sit."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+
+from imubayes.effects.base import MotionEffect, PlaceEffect, Stage
+from imubayes.effects.shared_formulas import BodyRotation
+from imubayes.frames import compose, cross, exponential
+from imubayes.parameters.parameter import parameter
+from imubayes.stimulus import Ambient, Experience, Motion
+from imubayes.types import Scalar, vector3
+
+
+class TumbleHeading(MotionEffect):
+    """Heading ψ of the whole run, C_nb = Rz(ψ) · C_nb,estimated; only the Earth's rotation depends on it."""
+
+    name = "tumble_heading"
+    stage = Stage.STAND
+    per = ("run",)
+    nuisance = True
+    confused_with = "gyro biases, unless the gyros resolve the Earth rate"
+    reference = "Groves, Principles of GNSS, Inertial and Multisensor Navigation, § 5.6.2 (gyrocompassing)"
+
+    heading: Scalar = parameter("deg", "uniform(-180, 180 deg)", (1, 180), "the heading of the first pose")
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        zero = jnp.zeros_like(self.heading)
+        return replace(motion, base=compose(exponential(vector3(zero, zero, self.heading)), motion.base))
+
+
+class MountingError(BodyRotation):
+    """Small rotation of the body in its fixture: C_tb = C_tb,nominal · exp([δ]×), δ in body axes.
+
+    At the trihedral angle 1 arcsec changes cos θ, and with it the apparent scale factor, by tan θ = √2 per
+    radian, which is 6.86 ppm.
+    """
+
+    name = "mounting_error"
+    per = ("mounting",)
+    confused_with = "scale factor and table rate error, where only one mounting is tested"
+    reference = "first-order attitude error, body axes; IEEE Std 952, mounting misalignment"
+
+    x: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (1, 600), "the rotation about body x", "seat")
+    y: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (1, 600), "the rotation about body y", "seat")
+    z: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (1, 600), "the rotation about body z", "seat")
+
+
+class PoseAttitude(BodyRotation):
+    """Rotation of each pose from its first estimate, C_nb = C_nb,estimated · exp([δ]×): a mounting of unknown rotation.
+
+    The prior, 10°, is an order of magnitude wider than the error of the first estimate, which rests on nominal
+    sensors good to some percent.
+    """
+
+    name = "pose_attitude"
+    per = ("run", "pose")
+    nuisance = True
+    reference = "Tedaldi et al., ICRA 2014"
+
+    x: Scalar = parameter("arcsec", "normal(0, 10 deg)", (1, 36000), "the rotation of the pose about body x")
+    y: Scalar = parameter("arcsec", "normal(0, 10 deg)", (1, 36000), "the rotation of the pose about body y")
+    z: Scalar = parameter("arcsec", "normal(0, 10 deg)", (1, 36000), "the rotation of the pose about body z")
+
+
+class ServoStart(MotionEffect):
+    """True angle at the first row = indicated angle + δ; every servo-table run has one, listed in the model or not."""
+
+    name = "servo_start"
+    stage = Stage.STAND
+    per = ("run",)
+    needs = ("driven",)
+    nuisance = True
+    reference = "initial condition of the differential equation"
+
+    angle: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (0.1, 60), "the error of the first indicated angle")
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        return replace(motion, table_angle=motion.table_angle + self.angle)
+
+
+class LeverArm(PlaceEffect):
+    """Centripetal and tangential acceleration Ω×(Ω×r) + Ω̇×r at r, body axes, from the rotation axis.
+
+    1 cm at 100 °/s is 3.1 mg.  The component of r along the rotation axis has no effect.
+    """
+
+    name = "lever_arm"
+    stage = Stage.PLACE
+    kinds = ("accelerometer",)
+    needs = ("turning",)
+    confused_with = "accelerometer terms quadratic in rate"
+    reference = "IEEE Std 1293, centrifuge geometry; Groves § 6.3.1.3"
+
+    x: Scalar = parameter("mm", "normal(0, 20 mm)", (1, 50), "the sensor's position along body x")
+    y: Scalar = parameter("mm", "normal(0, 20 mm)", (1, 50), "the sensor's position along body y")
+    z: Scalar = parameter("mm", "normal(0, 20 mm)", (1, 50), "the sensor's position along body z")
+
+    def apply(self, experience: Experience) -> Experience:
+        place = vector3(self.x, self.y, self.z)
+        rate = experience.table_rate
+        centripetal = cross(rate, cross(rate, place))
+        tangential = cross(experience.table_acceleration, place)
+        return replace(experience, force=experience.force + centripetal + tangential)

@@ -1,0 +1,288 @@
+"""Formulas that several effects share, one class each, and the devices that they act on.
+
+An effect combines the two: `class GyroBias(Gyro, ConstantBias)` gives a formula its name, units, priors and source.
+"""
+
+from abc import abstractmethod
+from dataclasses import replace
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from imubayes.effects.base import Effect, MotionEffect, Order, RecordEffect, SignalEffect, Stage
+from imubayes.effects.memory import Decay
+from imubayes.frames import compose, exponential
+from imubayes.stimulus import Ambient, Motion, Sample
+from imubayes.types import Scalar, Vector3, vector3
+
+Parameter = eqx.AbstractVar[Scalar]
+Option = eqx.AbstractVar[float]
+
+
+class Device(Effect):
+    """The device in the signal chain that an effect belongs to."""
+
+    @staticmethod
+    @abstractmethod
+    def temperature(sample: Sample) -> Scalar:
+        """Return the device's temperature, °C."""
+
+
+class Sensor(Device):
+    """A sensor: its effects are referred to the input."""
+
+    stage = Stage.SENSOR
+
+    @staticmethod
+    def temperature(sample: Sample) -> Scalar:
+        return sample.ambient.temperature
+
+    @staticmethod
+    @abstractmethod
+    def measurand(sample: Sample) -> Vector3:
+        """Return the measurand along the sensor's nominal input axis and the two axes across it, SI."""
+
+
+class Gyro(Sensor):
+    """A gyro: angular rate along its axes I, O, S."""
+
+    kinds = ("gyro",)
+
+    @staticmethod
+    def measurand(sample: Sample) -> Vector3:
+        return sample.rate
+
+
+class Accelerometer(Sensor):
+    """An accelerometer: specific force along its axes I, O, P."""
+
+    kinds = ("accelerometer",)
+
+    @staticmethod
+    def measurand(sample: Sample) -> Vector3:
+        return sample.force
+
+
+class Converter(Device):
+    """The readout of a channel of either kind: its effects are in output units."""
+
+    stage = Stage.CONVERTER
+
+    @staticmethod
+    def temperature(sample: Sample) -> Scalar:
+        return sample.ambient.converter_temperature
+
+
+class Misalignment(Sensor, SignalEffect):
+    """Base of input-axis misalignments, which differ in the name of the third axis."""
+
+    order = Order.AXIS
+
+    def misaligned(self, signal: Scalar, sample: Sample, toward_second: Scalar, toward_third: Scalar) -> Scalar:
+        """Return the signal along the unit vector in the direction of (1, toward_second, toward_third)."""
+        norm = jnp.sqrt(1 + toward_second**2 + toward_third**2)
+        measurand = self.measurand(sample)
+        along = measurand[0]
+        projected = (along + toward_second * measurand[1] + toward_third * measurand[2]) / norm
+        # Only the projection changes: what earlier effects added stays.
+        return signal + (projected - along)
+
+
+class ConstantBias(SignalEffect):
+    """Constant bias, referred to the input: signal + b."""
+
+    order = Order.BIAS
+    bias: Parameter
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.bias
+
+
+class BiasDrift(SignalEffect):
+    """Bias linear in time: signal + c·t.
+
+    t counts from the start of the campaign's first run where the runs have a `start`, so that one drift spans all runs;
+    otherwise from the start of each run.
+    """
+
+    order = Order.BIAS
+    needs = ("campaign_time",)
+    slope: Parameter
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.slope * sample.ambient.campaign_time
+
+
+class RunBias(SignalEffect):
+    """Offset of each run: signal + b_r with b_r ~ normal(0, spread); the spread is learnt from all runs together.
+
+    `run_scatter` is the same model with the offsets integrated out: choose it where the offsets themselves are of no
+    interest.
+    """
+
+    order = Order.BIAS
+    per = ("channel", "run")
+    excludes = ("run_scatter",)
+    offset: Parameter
+    spread: Parameter
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.offset
+
+
+class WarmUp(SignalEffect):
+    """Bias transient after power-on: signal + A·e^(−t_on/τ)."""
+
+    order = Order.BIAS
+    needs = ("power_on",)
+    amplitude: Parameter
+    tau: Parameter
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.amplitude * jnp.exp(-sample.ambient.power_on / self.tau)
+
+
+class LinearThermalBias(Device, SignalEffect):
+    """Bias linear in sensor temperature: signal + c·(T − T_ref)."""
+
+    order = Order.BIAS
+    needs = ("temperature",)
+    slope: Parameter
+    reference_degC: Option
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.slope * (self.temperature(sample) - self.reference_degC)
+
+
+class QuadraticThermalBias(Device, SignalEffect):
+    """Bias quadratic in sensor temperature: signal + c·(T − T_ref)²."""
+
+    order = Order.BIAS
+    needs = ("temperature",)
+    curvature: Parameter
+    reference_degC: Option
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.curvature * (self.temperature(sample) - self.reference_degC) ** 2
+
+
+class ThermalRateBias(SignalEffect):
+    """Bias linear in the rate of sensor temperature: signal + c·dT/dt, a measure of gradients inside the sensor."""
+
+    order = Order.BIAS
+    needs = ("temperature_rate",)
+    slope: Parameter
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.slope * sample.ambient.temperature_rate
+
+
+class ThermalLag(RecordEffect):
+    """Bias linear in the thermal lag: signal + c·(T_τ − T) with dT_τ/dt = (T − T_τ)/τ, and T_τ = T where a run begins.
+
+    A sensor whose bias follows the internal temperature alone has c equal to its linear temperature coefficient of
+    bias.  T is linear between two instants, for which the lag is exact.
+    """
+
+    order = Order.BIAS
+    needs = ("temperature", "temperature_rate")
+    coefficient: Parameter
+    tau: Parameter
+
+    def carry(self, before: Ambient, now: Ambient, seconds: Scalar) -> Decay:
+        return Decay.lag(now.temperature - before.temperature, seconds / self.tau)
+
+    def apply(self, signal: Scalar, sample: Sample, memory: Scalar) -> Scalar:
+        return signal - self.coefficient * memory
+
+
+class ScaleFactor(SignalEffect):
+    """Relative deviation of the scale factor from nominal: signal · (1 + s)."""
+
+    order = Order.SCALE
+    scale: Parameter
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal * (1 + self.scale)
+
+
+class LinearThermalScale(Device, SignalEffect):
+    """Scale factor linear in sensor temperature: signal · (1 + c·(T − T_ref))."""
+
+    order = Order.SCALE
+    needs = ("temperature",)
+    slope: Parameter
+    reference_degC: Option
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal * (1 + self.slope * (self.temperature(sample) - self.reference_degC))
+
+
+class QuadraticThermalScale(Device, SignalEffect):
+    """Scale factor quadratic in sensor temperature: signal · (1 + c·(T − T_ref)²)."""
+
+    order = Order.SCALE
+    needs = ("temperature",)
+    curvature: Parameter
+    reference_degC: Option
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal * (1 + self.curvature * (self.temperature(sample) - self.reference_degC) ** 2)
+
+
+class ScaleAsymmetry(Sensor, SignalEffect):
+    """Scale factor asymmetry: signal + S_a·|x|, S_a half the difference of the scale factors for either sign of x."""
+
+    order = Order.SENSITIVITY
+    asymmetry: Parameter
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.asymmetry * jnp.abs(self.measurand(sample)[0])
+
+
+class SecondOrderNonlinearity(Sensor, SignalEffect):
+    """Second-order nonlinearity: signal + K2·x², x the input."""
+
+    order = Order.SENSITIVITY
+    quadratic: Parameter
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.quadratic * self.measurand(sample)[0] ** 2
+
+
+class ThirdOrderNonlinearity(Sensor, SignalEffect):
+    """Third-order nonlinearity: signal + K3·x³, x the input."""
+
+    order = Order.SENSITIVITY
+    cubic: Parameter
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal + self.cubic * self.measurand(sample)[0] ** 3
+
+
+class DeadZone(SignalEffect):
+    """Dead zone of half width b: signal − clip(signal, −b, b).
+
+    Inputs inside the zone give no output; outside, the output is reduced by b, as by backlash.  Lock-in of a ring-laser
+    gyro is different: its error decreases above the threshold.
+    """
+
+    order = Order.LIMIT
+    half_width: Parameter
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        clipped = jnp.where(jnp.abs(signal) < self.half_width, signal, jnp.sign(signal) * self.half_width)
+        return signal - clipped
+
+
+class BodyRotation(MotionEffect):
+    """Small rotation of the body at rest, C_tb = C_tb,nominal · exp([δ]×), δ = (x, y, z) in body axes."""
+
+    stage = Stage.STAND
+    x: Parameter
+    y: Parameter
+    z: Parameter
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        rotation = exponential(vector3(self.x, self.y, self.z))
+        return replace(motion, mounting=compose(motion.mounting, rotation))

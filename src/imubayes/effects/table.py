@@ -1,0 +1,160 @@
+"""Effects of the rotary table and the site: its axis, angle, rate and timing, and local gravity."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+
+from imubayes.effects.base import MotionEffect, Order, Stage
+from imubayes.frames import compose, exponential
+from imubayes.parameters.parameter import parameter
+from imubayes.stimulus import Ambient, Motion
+from imubayes.types import Scalar, vector3
+
+
+class TableAxisTilt(MotionEffect):
+    """Small rotation of the whole table about its own x and y: C_nt0 = C_nt0,nominal · exp([x, y, 0]×)."""
+
+    name = "table_axis_tilt"
+    stage = Stage.STAND
+    per = ("table",)
+    confused_with = "g-sensitivity of gyros; accelerometer misalignment where few mountings are tested"
+    reference = "IEEE Std 1293, axis of rotation levelling error"
+
+    x: Scalar = parameter("arcsec", "normal(0, 60 arcsec)", (1, 120), "the tilt about table x", "axis")
+    y: Scalar = parameter("arcsec", "normal(0, 60 arcsec)", (1, 120), "the tilt about table y", "axis")
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        tilt = exponential(vector3(self.x, self.y, jnp.zeros_like(self.x)))
+        return replace(motion, base=compose(motion.base, tilt))
+
+
+class GravityAnomaly(MotionEffect):
+    """True gravity = stated gravity + δg, along the vertical.
+
+    Normal gravity of WGS 84 typically errs by 10 µg, in mountains by 300 µg; a measured value needs no anomaly.
+    """
+
+    name = "gravity_anomaly"
+    stage = Stage.STAND
+    per = ()
+    confused_with = "a scale factor common to all accelerometers: exactly, where gravity is the only input"
+    reference = "Hofmann-Wellenhof and Moritz, Physical Geodesy, gravity anomalies; 1 … 300 µg"
+
+    anomaly: Scalar = parameter("ug", "normal(0, 50 ug)", (1, 300), "the excess of true over stated gravity")
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        zero = jnp.zeros_like(self.anomaly)
+        return replace(motion, gravity=motion.gravity + vector3(zero, zero, self.anomaly))
+
+
+class TimeSkew(MotionEffect):
+    """True angle = φ + Ω·δ + ½ Ω̇·δ², true rate = Ω + Ω̇·δ: the unit is sampled δ after the table.
+
+    At a constant rate over whole turns it has no effect; rotating rows of known angle or a changing rate determine it.
+    """
+
+    name = "time_skew"
+    stage, order = Stage.TABLE, Order.TIME
+    per = ("table",)
+    needs = ("turning",)
+    confused_with = "an error of the table's angle, where all runs rotate at one rate in one direction"
+    reference = "first-order clock offset between table and unit; 0.01 … 50 ms"
+
+    skew: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 100), "the delay of the unit's samples")
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        rate, acceleration = motion.table_rate, motion.table_acceleration
+        return replace(
+            motion,
+            table_angle=motion.table_angle + rate * self.skew + 0.5 * acceleration * self.skew**2,
+            table_rate=rate + acceleration * self.skew,
+            reference_rate=motion.reference_rate + motion.reference_acceleration * self.skew,
+        )
+
+
+class EncoderHarmonic(MotionEffect):
+    """True angle = φ + Σ_n (s_n sin nφ + c_n cos nφ), n = 1, 2: eccentricity and ellipticity of the graduation.
+
+    The indicated rate comes from the same encoder and has the error's slope, which averages to zero over whole turns.
+    """
+
+    name = "encoder_harmonic"
+    stage, order = Stage.TABLE, Order.ANGLE
+    per = ("table",)
+    needs = ("table_angle",)
+    confused_with = "misalignment and bias (n = 1), K2 and cross-coupling (n = 2) of accelerometers in one mounting"
+    reference = "IEEE Std 1293, dividing head angle errors; 0.1 … 10 arcsec"
+
+    sin_1: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 60), "the sine of one period per turn")
+    cos_1: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 60), "the cosine of one period per turn")
+    sin_2: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 60), "the sine of two periods per turn")
+    cos_2: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 60), "the cosine of two periods per turn")
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        one, two = motion.table_angle, 2 * motion.table_angle
+        first = self.sin_1 * jnp.sin(one) + self.cos_1 * jnp.cos(one)
+        second = self.sin_2 * jnp.sin(two) + self.cos_2 * jnp.cos(two)
+        first_slope = self.sin_1 * jnp.cos(one) - self.cos_1 * jnp.sin(one)
+        second_slope = 2 * (self.sin_2 * jnp.cos(two) - self.cos_2 * jnp.sin(two))
+        return replace(
+            motion,
+            table_angle=motion.table_angle + first + second,
+            table_rate=motion.table_rate * (1 + first_slope + second_slope),
+        )
+
+
+class TableRateError(MotionEffect):
+    """Actual rate = indicated rate · (1 + e)."""
+
+    name = "table_rate_error"
+    stage = Stage.TABLE
+    per = ("table",)
+    needs = ("commanded",)
+    confused_with = "a scale factor common to all gyros: exactly, unless a reference gyro is mounted beside the unit"
+    reference = "IEEE Std 952, rate table accuracy"
+
+    rate_error: Scalar = parameter(
+        "ppm", "normal(0, 10 ppm)", (1, 50), "the relative error of the table's rate", "rate"
+    )
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        factor = 1 + self.rate_error
+        return replace(
+            motion,
+            table_rate=motion.table_rate * factor,
+            table_acceleration=motion.table_acceleration * factor,
+        )
+
+
+class TableWobble(MotionEffect):
+    """C_nt = C_nt0 · W(φ) · Rz(φ), W = exp([x, y, 0]×), x = Σ_n (x_cos_n cos nφ + x_sin_n sin nφ), y alike, n = 1, 2.
+
+    x and y are about the table's axes at angle 0.  Wobble that rotates with the table (x_cos_1 = y_sin_1,
+    x_sin_1 = −y_cos_1) is equivalent to a mounting error.  The angular rate of the wobble itself, 1 arcsec
+    times the table's rate, is neglected.
+    """
+
+    name = "table_wobble"
+    stage, order = Stage.TABLE, Order.AXIS
+    per = ("table",)
+    needs = ("table_angle",)
+    confused_with = (
+        "mounting error, for the part that rotates with the table; table_axis_tilt where few angles are used"
+    )
+    reference = "IEEE Std 1293, axis wobble of rotary tables; 0.1 … 10 arcsec"
+
+    x_cos_1: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 30), "the tilt about x with cos φ")
+    x_sin_1: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 30), "the tilt about x with sin φ")
+    y_cos_1: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 30), "the tilt about y with cos φ")
+    y_sin_1: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 30), "the tilt about y with sin φ")
+    x_cos_2: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 30), "the tilt about x with cos 2φ")
+    x_sin_2: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 30), "the tilt about x with sin 2φ")
+    y_cos_2: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 30), "the tilt about y with cos 2φ")
+    y_sin_2: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 30), "the tilt about y with sin 2φ")
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        one, two = motion.table_angle, 2 * motion.table_angle
+        cos_1, sin_1, cos_2, sin_2 = jnp.cos(one), jnp.sin(one), jnp.cos(two), jnp.sin(two)
+        x = self.x_cos_1 * cos_1 + self.x_sin_1 * sin_1 + self.x_cos_2 * cos_2 + self.x_sin_2 * sin_2
+        y = self.y_cos_1 * cos_1 + self.y_sin_1 * sin_1 + self.y_cos_2 * cos_2 + self.y_sin_2 * sin_2
+        return replace(motion, base=compose(motion.base, exponential(vector3(x, y, jnp.zeros_like(x)))))
