@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imubayes.criticism.gauss_markov import FORGETFUL, GRID, Innovations, Memory, likelihoods
+from imubayes.criticism.gauss_markov import GRID, WHITE, InnovationsFilter, MarkovNoise, restricted_log_likelihoods
 
 SERIES = np.array([[0, 1, 2, 3, 4], [5, 6, 7, 9, 9], [8, 9, 9, 9, 9]])
 
@@ -13,10 +13,10 @@ def covariance(count, memory):
     return memory.share * memory.correlation**apart + (1 - memory.share) * np.eye(count)
 
 
-@pytest.mark.parametrize("memory", [Memory(0.5, 0.8), Memory(1.0, 0.6), Memory(0.2, 0.95)])
+@pytest.mark.parametrize("memory", [MarkovNoise(0.5, 0.8), MarkovNoise(1.0, 0.6), MarkovNoise(0.2, 0.95)])
 def test_innovations_are_the_cholesky_solution_of_each_record(memory):
     columns = np.random.default_rng(1).normal(size=(9, 4))
-    by = Innovations(SERIES, np.full(3, memory.share), np.full(3, memory.correlation))
+    by = InnovationsFilter(SERIES, np.full(3, memory.share), np.full(3, memory.correlation))
     white, log_determinant = by.filtered(columns)
     expected, total = np.empty_like(columns), 0.0
     for row in SERIES:
@@ -30,7 +30,7 @@ def test_innovations_are_the_cholesky_solution_of_each_record(memory):
 
 def test_what_does_not_remember_stays_as_it_is():
     columns = np.random.default_rng(1).normal(size=(9, 4))
-    by = Innovations(SERIES, np.zeros(3), np.zeros(3))
+    by = InnovationsFilter(SERIES, np.zeros(3), np.zeros(3))
     np.testing.assert_array_equal(by(columns), columns)
 
 
@@ -42,10 +42,10 @@ def found(memory, seed, runs=12, rows=60):
     time = np.tile(np.linspace(-1, 1, rows), runs)
     basis, _ = np.linalg.qr(np.stack([time**power for power in range(3)], axis=1))
     series = np.arange(runs * rows).reshape(-1, rows)
-    return GRID[int(np.argmax(likelihoods(noise - basis @ (basis.T @ noise), basis, series)))]
+    return GRID[int(np.argmax(restricted_log_likelihoods(noise - basis @ (basis.T @ noise), basis, series)))]
 
 
-@pytest.mark.parametrize("memory", [Memory(0.5, 0.8), Memory(1.0, 0.5)])
+@pytest.mark.parametrize("memory", [MarkovNoise(0.5, 0.8), MarkovNoise(1.0, 0.5)])
 def test_share_and_correlation_are_found_again(memory):
     """What matters of them is the noise at low frequency: 1 − c + c·(1 + φ)/(1 − φ)."""
 
@@ -56,5 +56,5 @@ def test_share_and_correlation_are_found_again(memory):
 
 
 def test_white_noise_is_found_to_forget():
-    each = [found(FORGETFUL, seed) for seed in range(6)]
+    each = [found(WHITE, seed) for seed in range(6)]
     assert np.median([one.share * one.correlation for one in each]) < 0.08

@@ -7,7 +7,7 @@ import pytest
 from null_data import fitted_to, redrawn
 from scipy import stats
 
-from imubayes.criticism.candidate_effects import respond
+from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.diagnosis import judge
 from imubayes.criticism.lack_of_fit import forms, lay, look
 from imubayes.criticism.localised_structure import STEP, details, scan
@@ -20,7 +20,7 @@ from imubayes.criticism.score_test import explain
 @pytest.fixture(scope="module")
 def projection():
     fitted = fitted_to("accel-channel", "accel-channel")
-    responses = respond(fitted)
+    responses = candidate_responses(fitted)
     return project(fitted, responses.misfit, responses.jacobian)
 
 
@@ -59,7 +59,7 @@ def test_scores_of_the_scan_are_drops_of_chi_squared(projection, scans):
                 whole = one.details.whole(detail, len(residual))
                 found = explain(projection, projection.project(whole), np.linalg.norm(whole, axis=0), 1e-6)
                 assert found.span.shape[1] == freedom
-                assert score == pytest.approx(found.drop_at_fit, rel=1e-5, abs=1e-7)
+                assert score == pytest.approx(found.delta_chi2_at_fit, rel=1e-5, abs=1e-7)
                 seen.add(detail.test)
     assert {"power", "bump", "wave", "product", STEP} <= seen
 
@@ -103,9 +103,10 @@ def test_a_step_in_one_run_is_found_with_its_place_and_height(projection, known,
     run, after, time, height = _step(projection, 8)
     broad, detail = _first(_under(projection, 1, height * after), known, scans)
     assert (detail.test, detail.channel) == (STEP, projection.fitted.model.campaign.channels[0].name)
-    assert detail.found.p < broad.found.p
+    assert detail.score.p < broad.score.p
     assert run.name in detail.text
-    value, sd = detail.size
+    assert detail.height is not None
+    value, sd = detail.height
     assert abs(value - height) < 3.5 * sd
     at = float(detail.text.split(" at ")[1].split(" s ")[0])
     assert abs(at - np.nanmedian(time)) < 0.1 * np.ptp(time[np.isfinite(time)])
@@ -133,5 +134,5 @@ def test_a_narrow_bump_is_found_where_a_smooth_curve_is_too_stiff(projection, kn
     broad, detail = _first(_under(projection, 2, change), known, scans)
     counted = look_elsewhere([], scans)
     assert "converter_temperature_degC" in [one.name for one in detail.covariates]
-    assert counted(detail.found.p) < 1e-3
-    assert detail.found.p < 1e-2 * broad.found.p
+    assert counted(detail.score.p) < 1e-3
+    assert detail.score.p < 1e-2 * broad.score.p

@@ -8,8 +8,8 @@ import pytest
 from imubayes.criticism.diagnosis import _resembles
 from imubayes.criticism.equivalent_effects import group
 from imubayes.criticism.projection import Projection, Strata
-from imubayes.criticism.score_test import Candidate, Explained
-from imubayes.criticism.stepwise_search import Found, Look
+from imubayes.criticism.score_test import Candidate, ScoreTest
+from imubayes.criticism.stepwise_search import Screening, SearchResult
 
 RATE = np.linspace(-1.0, 1.0, 201)
 
@@ -25,8 +25,8 @@ def stub(kind: type, **facts):
 def candidate(name: str, response: np.ndarray, owners: tuple[str, ...] = ("gx",)):
     """A candidate as screened, as far as the question looks at it: the mean is what the bias absorbs."""
     free = response - response.mean()
-    found = stub(Explained, fitted=3.0 * free, span=(free / np.linalg.norm(free))[:, None], variance=np.ones(1))
-    return stub(Candidate, effect=name, owners=owners, found=found)
+    found = stub(ScoreTest, fitted=3.0 * free, span=(free / np.linalg.norm(free))[:, None], variance=np.ones(1))
+    return stub(Candidate, effect=name, owners=owners, score=found)
 
 
 @pytest.mark.parametrize(
@@ -41,10 +41,10 @@ def candidate(name: str, response: np.ndarray, owners: tuple[str, ...] = ("gx",)
 def test_what_could_do_most_of_what_the_leader_does(other, owners, expected):
     leader, second = candidate("asymmetry", np.abs(RATE)), candidate("second", other, owners)
     strata = stub(Strata, at_rows=lambda variance: np.full(len(RATE), variance[0]))
-    look = stub(Look, projection=stub(Projection, strata=strata), candidates=(leader, second))
+    look = stub(Screening, projection=stub(Projection, strata=strata), candidates=(leader, second))
     # Asked only for a second group that shares a channel with the first.
     together = stub(Candidate, effect="second", owners=("gx",))
-    assert _resembles(stub(Found, first=look), together, leader) is expected
+    assert _resembles(stub(SearchResult, first=look), together, leader) is expected
 
 
 @pytest.mark.parametrize(
@@ -60,8 +60,8 @@ def test_what_could_do_most_of_what_the_leader_does(other, owners, expected):
 def test_near_odds_for_the_same_are_one_group(response, doubt, expected):
     leader, other = candidate("asymmetry", np.abs(RATE)), candidate("other", response)
     # So large that what the other leaves is beyond all doubt were the leader the truth.
-    leader.found.fitted = 20 * leader.found.fitted
-    leader.doubt, other.doubt = -50.0, doubt
+    leader.score.fitted = 20 * leader.score.fitted
+    leader.log_p, other.log_p = -50.0, doubt
     leader.dof = other.dof = 1
     strata = stub(Strata, at_rows=lambda variance: np.full(len(RATE), variance[0]))
     found = group(stub(Projection, strata=strata), leader, [leader, other], 1e-9)

@@ -8,11 +8,11 @@ import pytest
 from null_data import fitted_to, redrawn, refitted, with_values
 
 import imubayes.criticism.stepwise_search as search_module
-from imubayes.criticism.candidate_effects import respond
+from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.cross_validation import groups, predict_left_out
 from imubayes.criticism.diagnosis import judge
-from imubayes.criticism.noise_tests import entries_of, screen_noise
-from imubayes.criticism.outliers import in_a_row
+from imubayes.criticism.noise_tests import screen_noise, to_entries
+from imubayes.criticism.outliers import consecutive
 from imubayes.criticism.projection import project
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.posterior_precision import linearise
@@ -116,7 +116,7 @@ def test_a_step_would_pass_for_outliers(whole, monkeypatch):
 
 
 def test_readings_hit_at_random_seldom_follow_one_another(whole):
-    hit = [in_a_row(whole.model, hits(whole, count, 12.0, seed)) for count in (2, 6, 12, 30) for seed in range(50)]
+    hit = [consecutive(whole.model, hits(whole, count, 12.0, seed)) for count in (2, 6, 12, 30) for seed in range(50)]
     assert np.mean(hit) < 0.03
 
 
@@ -171,9 +171,9 @@ def test_runs_that_were_left_out_are_predicted_better(mended):
 
 def test_a_reading_that_the_model_leans_on_is_seen(whole):
     """The reading with the least of its variance left, yet enough, 20 standard deviations off."""
-    responses = respond(whole)
+    responses = candidate_responses(whole)
     projection = project(whole, responses.misfit, responses.jacobian)
-    left = 1 - np.sum(entries_of(projection, projection.basis) ** 2, axis=1)
+    left = 1 - np.sum(to_entries(projection, projection.basis) ** 2, axis=1)
     place = int(np.argmin(np.where(left > 0.2, left, 1.0)))
     change = np.zeros(len(left))
     change[place] = 20 * deviations(whole)[place]
@@ -185,7 +185,7 @@ def test_a_reading_that_the_model_leans_on_is_seen(whole):
 
 def test_chance_of_tails_under_white_noise(whole):
     """p-values of fresh white residuals are spread evenly; those of Student's t of 4 degrees of freedom are not."""
-    responses = respond(whole)
+    responses = candidate_responses(whole)
     projection = project(whole, responses.misfit, responses.jacobian)
     rng = np.random.default_rng(2)
 

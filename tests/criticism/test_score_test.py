@@ -9,7 +9,7 @@ from scipy import stats
 
 import imubayes.criticism.stepwise_search as search_module
 from imubayes.criticism import thresholds
-from imubayes.criticism.candidate_effects import respond
+from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.diagnosis import judge
 from imubayes.criticism.multiple_testing import look_elsewhere
 from imubayes.criticism.projection import project
@@ -28,7 +28,7 @@ def looked(fitted):
     found = []
     for seed in range(20):
         fresh = redrawn(fitted, seed)
-        responses = respond(fresh)
+        responses = candidate_responses(fresh)
         projection = project(fresh, responses.misfit, responses.jacobian)
         candidates = screen(projection, prepare(projection, responses.candidates))
         found.append((projection, candidates))
@@ -36,7 +36,7 @@ def looked(fitted):
 
 
 def test_what_the_model_absorbs_is_orthogonal_to_what_is_screened(fitted):
-    responses = respond(fitted)
+    responses = candidate_responses(fitted)
     projection = project(fitted, responses.misfit, responses.jacobian)
     assert np.abs(projection.basis.T @ projection.residual).max() < 1e-8
     for one in prepare(projection, responses.candidates):
@@ -55,21 +55,21 @@ def test_what_is_rounding_of_a_response_has_no_coefficient(fitted, monkeypatch):
             if abs(value) > 1e6 * coefficient.typical[1]
         ]
 
-    responses = respond(fitted)
+    responses = candidate_responses(fitted)
     assert not absurd()
     monkeypatch.setattr(thresholds, "RESPONSE_MIN", 0.0)
     assert any(name.startswith("table_axis_tilt") for name in absurd())
 
 
 def test_degrees_of_freedom_add_up(fitted):
-    responses = respond(fitted)
+    responses = candidate_responses(fitted)
     projection = project(fitted, responses.misfit, responses.jacobian)
     assert projection.freedom.sum() == pytest.approx(len(fitted.model.entries), abs=1e-6)
 
 
 def test_the_score_is_the_drop_of_a_linear_refit(fitted):
     """Δχ² by least squares with the columns of the candidate added, from scratch."""
-    responses = respond(fitted)
+    responses = candidate_responses(fitted)
     projection = project(fitted, responses.misfit, responses.jacobian)
     one = prepare(projection, responses.candidates)[0]
     candidate = next(c for c in screen(projection, [one]) if len(c.coefficients) == len(one.response.coefficients))
@@ -77,7 +77,7 @@ def test_the_score_is_the_drop_of_a_linear_refit(fitted):
     both = np.concatenate([projection.jacobian, whole], axis=1)
     left = projection.residual - both @ np.linalg.lstsq(both, projection.residual, rcond=1e-12)[0]
     drop = projection.residual @ projection.residual - left @ left
-    assert candidate.found.drop_at_fit == pytest.approx(drop, rel=1e-6, abs=1e-9)
+    assert candidate.score.delta_chi2_at_fit == pytest.approx(drop, rel=1e-6, abs=1e-9)
 
 
 def test_single_p_values_are_uniform_under_no_effect(looked):
@@ -91,7 +91,7 @@ def test_single_p_values_are_uniform_under_no_effect(looked):
 def test_the_best_of_many_is_judged_by_all_looks(looked):
     """Left out, the look-elsewhere correction would raise an alarm nearly every time."""
     uncorrected = np.array([min(one.p for one in candidates) for _, candidates in looked])
-    corrected = np.array([look_elsewhere([c.found for c in cs])(min(c.p for c in cs)) for _, cs in looked])
+    corrected = np.array([look_elsewhere([c.score for c in cs])(min(c.p for c in cs)) for _, cs in looked])
     assert np.mean(corrected < 0.05) <= 0.2
     assert np.mean(uncorrected < 0.05) > 0.5
 
@@ -100,12 +100,12 @@ def test_understated_noise_does_not_raise_an_alarm(looked):
     """The noise is judged after the candidate; a χ² test that believes in a noise 1.5 times too small cries wolf."""
     believed = []
     for _, candidates in looked:
-        chance = look_elsewhere([one.found for one in candidates])
-        p = min(stats.chi2.sf(1.5**2 * one.found.drop_at_fit, one.dof) for one in candidates)
+        chance = look_elsewhere([one.score for one in candidates])
+        p = min(stats.chi2.sf(1.5**2 * one.score.delta_chi2_at_fit, one.dof) for one in candidates)
         believed.append(chance(float(p)))
-        louder = candidates[0].found
-        assert louder.drop > 0
-    corrected = [look_elsewhere([c.found for c in cs])(min(c.p for c in cs)) for _, cs in looked]
+        louder = candidates[0].score
+        assert louder.delta_chi2 > 0
+    corrected = [look_elsewhere([c.score for c in cs])(min(c.p for c in cs)) for _, cs in looked]
     assert np.mean(np.array(believed) < 0.05) > 0.3
     assert np.mean(np.array(corrected) < 0.05) <= 0.2
 
@@ -122,7 +122,7 @@ def test_correlated_noise_is_named_as_noise(fitted, monkeypatch):
 
 def test_a_hidden_effect_is_found_with_its_size(fitted):
     """A planted drift of the response is found with the coefficient it was planted with."""
-    responses = respond(fitted)
+    responses = candidate_responses(fitted)
     hidden = next(one for one in responses.candidates if one.scan.effect == "accel_bias_drift")
     projection = project(fitted, responses.misfit, responses.jacobian)
     length = float(np.linalg.norm(prepare(projection, [hidden])[0].projected))
@@ -144,10 +144,10 @@ def test_an_unconverged_fit_is_not_ranked(fitted):
 
 def test_what_only_pleases_the_priors_at_an_absurd_size_is_no_candidate(fitted):
     """Its evidence all in the prior rows, its coefficient far beyond what is met in practice."""
-    responses = respond(fitted)
+    responses = candidate_responses(fitted)
     projection = project(fitted, responses.misfit, responses.jacobian)
     found = screen(projection, prepare(projection, responses.candidates))[0]
     absurd = np.array([1e4 * one.typical[1] for one in found.coefficients])
-    assert not replace(found, value=absurd, found=replace(found.found, of_priors=0.9)).plausible
-    assert replace(found, value=absurd, found=replace(found.found, of_priors=0.1)).plausible
-    assert replace(found, value=absurd / 1e4, found=replace(found.found, of_priors=0.9)).plausible
+    assert not replace(found, value=absurd, score=replace(found.score, prior_share=0.9)).plausible
+    assert replace(found, value=absurd, score=replace(found.score, prior_share=0.1)).plausible
+    assert replace(found, value=absurd / 1e4, score=replace(found.score, prior_share=0.9)).plausible

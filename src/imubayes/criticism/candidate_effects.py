@@ -93,7 +93,7 @@ class _Extended:
     places: dict[str, int]
 
 
-def respond(fitted: Fitted, only: Sequence[str] = ()) -> Responses:
+def candidate_responses(fitted: Fitted, only: Sequence[str] = ()) -> Responses:
     """Return the fit linearised in its own parameters and in those of every candidate, or of the named ones only."""
     acting, unobservable = _candidates(fitted)
     if only:

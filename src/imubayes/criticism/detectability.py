@@ -7,11 +7,11 @@ from scipy import stats
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.projection import Projection
-from imubayes.criticism.score_test import Projected
+from imubayes.criticism.score_test import ProjectedResponse
 
 
 @dataclass(frozen=True)
-class Absorbed:
+class Absorber:
     """What hides an effect: parameter family (`effect.parameter`, or `run offsets`) and its share."""
 
     parameter: str
@@ -19,7 +19,7 @@ class Absorbed:
 
 
 @dataclass(frozen=True)
-class Shift:
+class ParameterBias:
     """What an effect of the largest usual size does unseen to the parameter it shifts most.
 
     Attributes
@@ -35,14 +35,14 @@ class Shift:
 
 
 @dataclass(frozen=True)
-class Resolution:
+class Detectability:
     """How well the runs can see one effect.
 
     Attributes
     ----------
     effect, unit, name : of the coefficient that is seen best, relative to its typical size.
     retained : share of its response that the model cannot absorb.
-    smallest : size that would be found with a chance of 80 %, in its unit; infinite where none would.
+    smallest_detectable : size that would be found with a chance of 80 %, in its unit; infinite where none would.
     typical : smallest and largest magnitude met in practice.
     absorbed_by : what swallows the rest, largest first.
     bias : what it would do to the reported parameters where it is there and not modelled; None where nothing is.
@@ -52,18 +52,18 @@ class Resolution:
     name: str
     unit: str
     retained: float
-    smallest: float
+    smallest_detectable: float
     typical: tuple[float, float]
-    absorbed_by: tuple[Absorbed, ...]
-    bias: Shift | None
+    absorbed_by: tuple[Absorber, ...]
+    bias: ParameterBias | None
 
     @property
     def undetectable(self) -> bool:
         """Whether even the largest size met in practice would be missed."""
-        return self.smallest > self.typical[1]
+        return self.smallest_detectable > self.typical[1]
 
 
-def resolution(projection: Projection, one: Projected, threshold: float, looks: float) -> Resolution:
+def detectability(projection: Projection, one: ProjectedResponse, threshold: float, looks: float) -> Detectability:
     """Return how well the runs can see a candidate: by the coefficient that they see best.
 
     Parameters
@@ -80,19 +80,19 @@ def resolution(projection: Projection, one: Projected, threshold: float, looks: 
     best = int(np.argmin(smallest / typical))
     coefficient = one.response.coefficients[best]
     retained = float(length[best] ** 2 / raw[best]) if raw[best] > 0 else 0.0
-    return Resolution(
+    return Detectability(
         effect=one.response.scan.effect,
         name=coefficient.parameter.name,
         unit=coefficient.parameter.unit,
         retained=retained,
-        smallest=float(smallest[best]),
+        smallest_detectable=float(smallest[best]),
         typical=coefficient.typical,
         absorbed_by=_absorbers(projection, one.whitened[:, best], float(raw[best])),
         bias=_bias(projection, one.whitened[:, best] * coefficient.typical[1]),
     )
 
 
-def _bias(projection: Projection, whitened: np.ndarray) -> Shift | None:
+def _bias(projection: Projection, whitened: np.ndarray) -> ParameterBias | None:
     """Return the shift of the parameter that a change of the readings moves most, in its posterior sd."""
     shift = projection.absorb(whitened)
     if not len(shift):
@@ -101,10 +101,10 @@ def _bias(projection: Projection, whitened: np.ndarray) -> Shift | None:
     most = int(np.argmax(np.abs(in_sd)))
     parameter = projection.fitted.model.layout.parameters[most]
     value = float(shift[most] * projection.slopes[most] / parameter.factor)
-    return Shift(parameter.name, parameter.unit, value, float(in_sd[most]))
+    return ParameterBias(parameter.name, parameter.unit, value, float(in_sd[most]))
 
 
-def _absorbers(projection: Projection, whitened: np.ndarray, raw: float) -> tuple[Absorbed, ...]:
+def _absorbers(projection: Projection, whitened: np.ndarray, raw: float) -> tuple[Absorber, ...]:
     """Return the shares of a response that each family of parameters, and the run offsets, take up."""
     if raw <= 0:
         return ()
@@ -119,5 +119,5 @@ def _absorbers(projection: Projection, whitened: np.ndarray, raw: float) -> tupl
     absorbed = sum(taken.values())
     positive = {name: share for name, share in taken.items() if share > 0}
     whole = sum(positive.values()) or 1.0
-    found = [Absorbed(name, share / whole * min(absorbed, 1.0)) for name, share in positive.items()]
+    found = [Absorber(name, share / whole * min(absorbed, 1.0)) for name, share in positive.items()]
     return tuple(sorted((one for one in found if one.share >= thresholds.ABSORBER_SHARE), key=lambda one: -one.share))

@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.detectability import Resolution, resolution
+from imubayes.criticism.detectability import Detectability, detectability
 from imubayes.criticism.discriminating_run import separating_run
-from imubayes.criticism.equivalent_effects import Group, unreached
-from imubayes.criticism.formula_search import Shape, coefficient_unit, find_shape
-from imubayes.criticism.lack_of_fit import Structure, strongest
+from imubayes.criticism.equivalent_effects import EquivalenceGroup, unexplained_chi2
+from imubayes.criticism.formula_search import Formula, coefficient_unit, find_formula
+from imubayes.criticism.lack_of_fit import Structure, dominant_channel
 from imubayes.criticism.localised_structure import STEP
 from imubayes.criticism.residual_evidence import Telling, tell, telling_covariate
 from imubayes.criticism.score_test import Candidate
-from imubayes.criticism.stepwise_search import Found, search
+from imubayes.criticism.stepwise_search import SearchResult, search
 from imubayes.effects.base import Effect, Order
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted import Fitted
@@ -36,7 +36,7 @@ class Diagnosis:
 
     json: dict[str, Any]
     telling: tuple[Telling, ...] = ()
-    found: Found | None = field(default=None, repr=False)
+    found: SearchResult | None = field(default=None, repr=False)
 
     @property
     def verdict(self) -> str:
@@ -70,7 +70,7 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
     groups = found.groups
     ranking = [_candidate_line(one, found) for one in found.first.candidates]
     alone = [one.p for one in found.first.candidates]
-    best = found.chance(min(alone)) if alone else 1.0
+    best = found.look_elsewhere(min(alone)) if alone else 1.0
     if effect:
         return _asked(effect, found, seen, ranking, folder)
     telling = tuple(_telling(found, one) for one in groups)
@@ -97,7 +97,7 @@ def judge(fitted: Fitted, folder: str = "RESULT", effect: str = "") -> Diagnosis
         ],
         nearest=[_nearest_line(one) for one in groups] if verdict == "unexplained_structure" else [],
         structure=_structure_lines(found, unexplained),
-        looks=found.chance.looks,
+        looks=found.look_elsewhere.looks,
         far_off=_far_off_lines(found),
     )
     printable = any(line.get("python") for line in document["structure"])
@@ -141,7 +141,7 @@ def _document(verdict: str, sentence: str, p_global: float, folder: str, **parts
     }
 
 
-def _verdict(found: Found, unexplained: Sequence) -> str:
+def _verdict(found: SearchResult, unexplained: Sequence) -> str:
     if unexplained:
         return "unexplained_structure"
     if found.groups:
@@ -149,7 +149,7 @@ def _verdict(found: Found, unexplained: Sequence) -> str:
     return "noise_model" if found.adopted else "adequate"
 
 
-def _unexplained(found: Found) -> list[tuple[Structure, float]]:
+def _unexplained(found: SearchResult) -> list[tuple[Structure, float]]:
     """Return the structure that no effect of the catalogue explains; empty where they do."""
     if not found.groups:
         return list(found.structures)
@@ -159,9 +159,11 @@ def _unexplained(found: Found) -> list[tuple[Structure, float]]:
         return [(one, p) for one, p in structures if one.channel in leader.owners or not _channels(found, leader)]
 
     # The leader took a part of something larger; nor does anything in the catalogue happen once.
-    larger = [(one, p) for one, p in _of_kind(found, leader, found.left) if one.found.drop > leader.drop]
+    larger = [
+        (one, p) for one, p in _of_kind(found, leader, found.remaining) if one.score.delta_chi2 > leader.delta_chi2
+    ]
     once = [(one, p) for one, p in _of_kind(found, leader, found.structures) if one.test == STEP]
-    once = [(one, p) for one, p in once if one.found.drop > thresholds.STEP_DOMINATES * leader.drop]
+    once = [(one, p) for one, p in once if one.score.delta_chi2 > thresholds.STEP_DOMINATES * leader.delta_chi2]
     if larger or once:
         return larger or once
     member = found.first.projection.fitted.model.registry.members[leader.effect]
@@ -176,12 +178,16 @@ def _unexplained(found: Found) -> list[tuple[Structure, float]]:
             return concerned(found.structures)
         several = several or len(of_owner) > 1
     # What remains has to be worth something beside what was explained: a large effect shows its smallest imperfection.
-    worth = [(one, p) for one, p in concerned(found.left) if one.found.drop > thresholds.REMAINDER_SHARE * leader.drop]
+    worth = [
+        (one, p)
+        for one, p in concerned(found.remaining)
+        if one.score.delta_chi2 > thresholds.REMAINDER_SHARE * leader.delta_chi2
+    ]
     return worth if several else [(one, p) for one, p in worth if p < thresholds.AGAINST_SINGLE_NAME_P]
 
 
 def _of_kind(
-    found: Found, leader: Candidate, structures: Sequence[tuple[Structure, float]]
+    found: SearchResult, leader: Candidate, structures: Sequence[tuple[Structure, float]]
 ) -> list[tuple[Structure, float]]:
     """Return what is on channels of the kinds that a candidate acts on; on all where it acts on a table."""
     kinds = {one.name: one.kind for one in found.first.projection.fitted.model.campaign.channels}
@@ -189,7 +195,7 @@ def _of_kind(
     return [(one, p) for one, p in structures if kinds[one.channel] in own]
 
 
-def _resembles(found: Found, other: Candidate, leader: Candidate) -> bool:
+def _resembles(found: SearchResult, other: Candidate, leader: Candidate) -> bool:
     """Tell whether another effect on the same channels could explain most of what the leader does.
 
     Where both are needed they mend one another's shape, and neither is likely to be the cause: |Ω| and Ω² together make
@@ -197,46 +203,46 @@ def _resembles(found: Found, other: Candidate, leader: Candidate) -> bool:
     """
     shared = set(leader.owners) & set(other.owners)
     rivals = [one for one in found.first.candidates if one.effect == other.effect and set(one.owners) >= shared]
-    shares = (unreached(found.first.projection, leader, one) for one in rivals)
+    shares = (unexplained_chi2(found.first.projection, leader, one) for one in rivals)
     return any(left < (1 - thresholds.MAIN_SHARE) * whole for left, whole in shares)
 
 
-def _channels(found: Found, candidate: Candidate) -> tuple[str, ...]:
+def _channels(found: SearchResult, candidate: Candidate) -> tuple[str, ...]:
     """Return the channels among the owners of a candidate."""
     names = {channel.name for channel in found.first.projection.fitted.model.campaign.channels}
     return tuple(owner for owner in candidate.owners if owner in names)
 
 
-def _resolutions(found: Found) -> list[Resolution]:
+def _resolutions(found: SearchResult) -> list[Detectability]:
     """Return for each effect how well the runs can see it, over its coefficients and shapes."""
     projection = found.first.projection
-    best: dict[str, Resolution] = {}
+    best: dict[str, Detectability] = {}
     for one in found.first.prepared:
-        seen = resolution(projection, one, thresholds.FALSE_ALARM_EFFECT, found.chance.looks)
+        seen = detectability(projection, one, thresholds.FALSE_ALARM_EFFECT, found.look_elsewhere.looks)
         known = best.get(seen.effect)
-        if known is None or seen.smallest / seen.typical[1] < known.smallest / known.typical[1]:
+        if known is None or seen.smallest_detectable / seen.typical[1] < known.smallest_detectable / known.typical[1]:
             best[seen.effect] = seen
     return list(best.values())
 
 
-def _telling(found: Found, group: Group) -> Telling:
+def _telling(found: SearchResult, group: EquivalenceGroup) -> Telling:
     projection, leader = found.first.projection, group.leader
     response = next(one for one in found.first.prepared if one.response.scan == leader.scan)
     names = [channel.name for channel in projection.fitted.model.campaign.channels]
-    channel = strongest(projection, names, leader.found)
+    channel = dominant_channel(projection, names, leader.score)
     covariate = telling_covariate(projection, found.first.structures, leader, channel)
     return tell(projection, found.responses, response, leader, channel, covariate)
 
 
-def _candidate_line(one: Candidate, found: Found) -> dict[str, Any]:
+def _candidate_line(one: Candidate, found: SearchResult) -> dict[str, Any]:
     return {
         "effect": one.effect,
         "channels": list(one.owners),
-        "delta_chi2": one.drop,
+        "delta_chi2": one.delta_chi2,
         "dof": one.dof,
         "p": one.p,
-        "p_global": found.chance(one.p),
-        "within_runs": one.found.within,
+        "p_global": found.look_elsewhere(one.p),
+        "within_runs": one.score.within_runs,
         "shape": one.scan.shape,
         "coefficients": _coefficients(one),
     }
@@ -254,19 +260,19 @@ def _coefficients(one: Candidate) -> list[dict[str, Any]]:
     ]
 
 
-def _group_line(fitted: Fitted, group: Group, telling: Telling) -> dict[str, Any]:
+def _group_line(fitted: Fitted, group: EquivalenceGroup, telling: Telling) -> dict[str, Any]:
     leader, separation = group.leader, separating_run(fitted, group)
     return {
         "effects": list(group.effects),
         "channels": list(leader.owners),
-        "delta_chi2": leader.drop,
+        "delta_chi2": leader.delta_chi2,
         "dof": leader.dof,
         "p_global": group.p,
         "candidates": [
             {
                 "effect": one.effect,
                 "channels": list(one.owners),
-                "delta_chi2": one.drop,
+                "delta_chi2": one.delta_chi2,
                 "shape": one.scan.shape,
                 "coefficients": _coefficients(one),
                 "unexplained": left,
@@ -278,17 +284,21 @@ def _group_line(fitted: Fitted, group: Group, telling: Telling) -> dict[str, Any
     }
 
 
-def _nearest_line(group: Group) -> dict[str, Any]:
+def _nearest_line(group: EquivalenceGroup) -> dict[str, Any]:
     """Return what the catalogue has for structure that it does not explain in full."""
-    return {"effects": list(group.effects), "channels": list(group.leader.owners), "delta_chi2": group.leader.drop}
+    return {
+        "effects": list(group.effects),
+        "channels": list(group.leader.owners),
+        "delta_chi2": group.leader.delta_chi2,
+    }
 
 
-def _resolution_line(one: Resolution) -> dict[str, Any]:
+def _resolution_line(one: Detectability) -> dict[str, Any]:
     return {
         "effect": one.effect,
         "absorbed_by": [{"parameter": each.parameter, "share": each.share} for each in one.absorbed_by],
         "retained": one.retained,
-        "smallest_detectable": one.smallest if np.isfinite(one.smallest) else None,
+        "smallest_detectable": one.smallest_detectable if np.isfinite(one.smallest_detectable) else None,
         "typical": list(one.typical),
         "unit": one.unit,
         "bias": vars(one.bias) if one.bias is not None else None,
@@ -296,20 +306,21 @@ def _resolution_line(one: Resolution) -> dict[str, Any]:
     }
 
 
-def _structure_lines(found: Found, unexplained: Sequence[tuple[Structure, float]]) -> list[dict[str, Any]]:
+def _structure_lines(found: SearchResult, unexplained: Sequence[tuple[Structure, float]]) -> list[dict[str, Any]]:
     """Return the free forms that stand out, with a formula for each channel where no effect explains them."""
     listed = _simplest(unexplained or found.structures)
     # What happens once in one run has no formula in what runs share.
     channels = [name for name in dict.fromkeys(one.channel for one, _ in unexplained) if not _once(name, unexplained)]
     shapes = {
-        name: find_shape(found.first.projection, found.covariates, name) for name in channels[: thresholds.MAX_FORMULAS]
+        name: find_formula(found.first.projection, found.covariates, name)
+        for name in channels[: thresholds.MAX_FORMULAS]
     }
     return [_structure_line(found, one, p, shapes.get(one.channel)) for one, p in listed]
 
 
 def _once(channel: str, structures: Sequence[tuple[Structure, float]]) -> bool:
     """Tell whether most of what a channel shows is a step in one run."""
-    drops = [(one.test == STEP, one.found.drop) for one, _ in structures if one.channel == channel]
+    drops = [(one.test == STEP, one.score.delta_chi2) for one, _ in structures if one.channel == channel]
     return max((drop for step, drop in drops if step), default=0.0) > thresholds.MAIN_SHARE * max(
         drop for _, drop in drops
     )
@@ -328,7 +339,7 @@ def _simplest(structures: Sequence[tuple[Structure, float]]) -> list[tuple[Struc
     return kept
 
 
-def _structure_line(found: Found, one: Structure, p: float, shape: Shape | None) -> dict[str, Any]:
+def _structure_line(found: SearchResult, one: Structure, p: float, shape: Formula | None) -> dict[str, Any]:
     line: dict[str, Any] = {
         "channel": one.channel,
         "covariate": " × ".join(each.name for each in one.covariates),
@@ -339,9 +350,9 @@ def _structure_line(found: Found, one: Structure, p: float, shape: Shape | None)
     }
     if shape is None or one.test == STEP:
         return line
-    terms = zip(shape.terms, shape.value, shape.sd, shape.unit, shape.drop, shape.p, strict=True)
+    terms = zip(shape.terms, shape.value, shape.sd, shape.unit, shape.delta_chi2, shape.p, strict=True)
     return line | {
-        "shape": shape.formula,
+        "shape": shape.text,
         "coefficient": {"value": shape.value[0], "sd": shape.sd[0], "unit": shape.unit[0]},
         "terms": [
             {"shape": term.text, "value": value, "sd": sd, "unit": unit, "delta_chi2": drop, "p_global": chance}
@@ -353,17 +364,17 @@ def _structure_line(found: Found, one: Structure, p: float, shape: Shape | None)
     }
 
 
-def _height(found: Found, one: Structure) -> dict[str, Any] | None:
+def _height(found: SearchResult, one: Structure) -> dict[str, Any] | None:
     """Return the height of a step as a coefficient at the input."""
-    if one.size is None:
+    if one.height is None:
         return None
     campaign = found.first.projection.fitted.model.campaign
     channel = next(each for each in campaign.channels if each.name == one.channel)
     factor, unit = coefficient_unit(channel.kind, channel.scale_si, campaign.site.gravity)
-    return {"value": one.size[0] / factor, "sd": one.size[1] / factor, "unit": unit}
+    return {"value": one.height[0] / factor, "sd": one.height[1] / factor, "unit": unit}
 
 
-def _sentence(verdict: str, found: Found, seen: Sequence[Resolution], telling: Sequence[Telling]) -> str:
+def _sentence(verdict: str, found: SearchResult, seen: Sequence[Detectability], telling: Sequence[Telling]) -> str:
     if verdict in ("missing_effect", "equivalent_effects"):
         group = found.groups[0]
         where = ", ".join(group.leader.owners)
@@ -374,7 +385,7 @@ def _sentence(verdict: str, found: Found, seen: Sequence[Resolution], telling: S
         also = f" {' and '.join((*others, *more))} would fit as well: these runs cannot tell." if others else ""
         return f"{group.leader.effect} is missing on {where}.{changes}{also}"
     if verdict == "unexplained_structure":
-        structures = found.left or found.structures
+        structures = found.remaining or found.structures
         one = structures[0][0]
         step = next((each for each, _ in structures if each.test == STEP), None)
         if step is not None and _once(step.channel, structures):
@@ -393,9 +404,9 @@ def _sentence(verdict: str, found: Found, seen: Sequence[Resolution], telling: S
     return f"The model explains the data: nothing in the catalogue is missing as far as these runs can show.{rest}"
 
 
-def _far_off_lines(found: Found) -> list[dict[str, Any]]:
+def _far_off_lines(found: SearchResult) -> list[dict[str, Any]]:
     """Return run, channel and row of readings that are far off, with their distance, the farthest first."""
-    model, far = found.first.projection.fitted.model, found.far
+    model, far = found.first.projection.fitted.model, found.outlier_sd
     names = [channel.name for channel in model.campaign.channels]
     return [
         {
@@ -408,7 +419,7 @@ def _far_off_lines(found: Found) -> list[dict[str, Any]]:
     ]
 
 
-def _far_off_sentence(found: Found) -> str:
+def _far_off_sentence(found: SearchResult) -> str:
     lines = _far_off_lines(found)
     if not lines:
         return ""
@@ -417,7 +428,7 @@ def _far_off_sentence(found: Found) -> str:
     return f" {len(lines)} readings are far off, the farthest {where}." if len(lines) > 1 else f" Far off is {where}."
 
 
-def _next(verdict: str, found: Found, folder: str, printable: bool) -> str:
+def _next(verdict: str, found: SearchResult, folder: str, printable: bool) -> str:
     if verdict in ("missing_effect", "equivalent_effects"):
         leader = found.groups[0].leader
         channels = _channels(found, leader)
@@ -435,7 +446,7 @@ def _next(verdict: str, found: Found, folder: str, printable: bool) -> str:
 
 
 def _asked(
-    effect: str, found: Found, seen: Sequence[Resolution], ranking: Sequence[Mapping[str, Any]], folder: str
+    effect: str, found: SearchResult, seen: Sequence[Detectability], ranking: Sequence[Mapping[str, Any]], folder: str
 ) -> Diagnosis:
     """Answer for one effect: found, absent down to a size, or not to be seen."""
     lines = [line for line in ranking if line["effect"] == effect]
@@ -447,8 +458,8 @@ def _asked(
     if known and not known[0].undetectable:
         one = known[0]
         sentence = (
-            f"{effect} is absent down to {one.smallest:.3g} {one.unit}, the size that would be found with a chance "
-            "of 80 %."
+            f"{effect} is absent down to {one.smallest_detectable:.3g} {one.unit}, the size that would be "
+            "found with a chance of 80 %."
         )
         return Diagnosis(_document("adequate", sentence, best, folder, ranking=lines), (), found)
     reason = "no run supplies " + ", ".join(found.responses.unobservable.get(effect, ("what it needs",)))

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.candidate_effects import Response, respond
-from imubayes.criticism.equivalent_effects import Group
+from imubayes.criticism.candidate_effects import Response, candidate_responses
+from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.projection import project
 from imubayes.criticism.score_test import Candidate
 from imubayes.inference.experiment_design import with_planned
@@ -19,14 +19,14 @@ from imubayes.inference.fitted import Fitted
 
 
 @dataclass(frozen=True)
-class Separation:
+class SeparatingRun:
     """A run that separates a group: in words, and the χ² by which the names would then differ at least."""
 
     sentence: str
     difference: float
 
 
-def separating_run(fitted: Fitted, group: Group) -> Separation | None:
+def separating_run(fitted: Fitted, group: EquivalenceGroup) -> SeparatingRun | None:
     """Return the run that best tells the members of a group apart; None where no feasible run does."""
     if len(group.members) < 2:
         return None
@@ -34,21 +34,21 @@ def separating_run(fitted: Fitted, group: Group) -> Separation | None:
     if not planned:
         return None
     model = wide.model
-    responses = respond(wide, only=group.effects)
+    responses = candidate_responses(wide, only=group.effects)
     projection = project(wide, responses.misfit, responses.jacobian)
     prior = projection.jacobian[len(model.entries) :]
     known = len(fitted.model.campaign.runs)
     spread = _rows(projection, group, responses.candidates)
-    best: Separation | None = None
+    best: SeparatingRun | None = None
     for place, one in enumerate(planned):
         included = (model.entries.run < known) | (model.entries.run == known + place)
         difference = _least_difference(projection.jacobian[: len(model.entries)][included], prior, spread, included)
         if best is None or difference > best.difference:
-            best = Separation(one.sentence, difference)
+            best = SeparatingRun(one.sentence, difference)
     return best if best is not None and best.difference >= thresholds.DISTINGUISHABLE_CHI2 else None
 
 
-def _rows(projection, group: Group, responses: Sequence[Response]) -> list[tuple[np.ndarray, np.ndarray]]:
+def _rows(projection, group: EquivalenceGroup, responses: Sequence[Response]) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return for each member its whitened columns and the coefficients found."""
     return [_columns(projection, member, responses) for member in group.members]
 

@@ -17,7 +17,7 @@ from imubayes.criticism.score_test import Candidate
 
 
 @dataclass(frozen=True)
-class Group:
+class EquivalenceGroup:
     """Candidates that explain the same; the leader first.
 
     Attributes
@@ -44,19 +44,19 @@ class Group:
 
 def row_scales(projection: Projection, candidate: Candidate) -> np.ndarray:
     """Return the noise scale of every row after a candidate has been taken out, shape (R,)."""
-    return np.sqrt(projection.strata.at_rows(candidate.found.variance))
+    return np.sqrt(projection.strata.at_rows(candidate.score.variance))
 
 
-def unreached(projection: Projection, leader: Candidate, other: Candidate) -> tuple[float, float]:
+def unexplained_chi2(projection: Projection, leader: Candidate, other: Candidate) -> tuple[float, float]:
     """Return what another candidate instead of the leader would leave of the leader's χ², and that χ² itself."""
     scale = row_scales(projection, leader)
-    wanted = leader.found.fitted / scale
+    wanted = leader.score.fitted / scale
     # The other's response weighted alike; what it cannot reach of the leader's part stays unexplained.
-    basis, _ = np.linalg.qr(other.found.span / scale[:, None])
+    basis, _ = np.linalg.qr(other.score.span / scale[:, None])
     return float(np.sum((wanted - basis @ (basis.T @ wanted)) ** 2)), float(wanted @ wanted)
 
 
-def group(projection: Projection, leader: Candidate, ranked: Sequence[Candidate], p: float) -> Group:
+def group(projection: Projection, leader: Candidate, ranked: Sequence[Candidate], p: float) -> EquivalenceGroup:
     """Return the leader with everything that the data do not tell apart from it.
 
     Parameters
@@ -68,13 +68,13 @@ def group(projection: Projection, leader: Candidate, ranked: Sequence[Candidate]
     for one in ranked:
         if one.effect == leader.effect:
             continue
-        left, whole = unreached(projection, leader, one)
-        near = one.doubt < leader.doubt + thresholds.DECISIVE_LOG_ODDS and left < whole / 2
+        left, whole = unexplained_chi2(projection, leader, one)
+        near = one.log_p < leader.log_p + thresholds.DECISIVE_LOG_ODDS and left < whole / 2
         best = members.get(one.effect)
         if (left < thresholds.DISTINGUISHABLE_CHI2 or near) and (best is None or _simpler(one, left, *best)):
             members[one.effect] = (one, left)
-    others = sorted((pair for pair in members.values() if pair[0] is not leader), key=lambda pair: pair[0].doubt)
-    return Group((leader, *(one for one, _ in others)), p, (0.0, *(left for _, left in others)))
+    others = sorted((pair for pair in members.values() if pair[0] is not leader), key=lambda pair: pair[0].log_p)
+    return EquivalenceGroup((leader, *(one for one, _ in others)), p, (0.0, *(left for _, left in others)))
 
 
 def _simpler(one: Candidate, left: float, other: Candidate, other_left: float) -> bool:

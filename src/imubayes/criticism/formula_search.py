@@ -21,7 +21,7 @@ _ELABORATE = ("product", "wave")
 
 
 @dataclass(frozen=True)
-class Shape:
+class Formula:
     """What was found for one channel.
 
     Attributes
@@ -30,7 +30,7 @@ class Shape:
     terms : the terms, in the order in which they were taken.
     value, sd : coefficients at the input, in `unit` of each.
     unit : one per term.
-    drop : Δχ² of each term when it was taken.
+    delta_chi2 : Δχ² of each term when it was taken.
     p : chance of each, with all looks at the library counted.
     inclusion : how often the first term comes first when runs are drawn anew.
     near : texts of terms that would do almost as well as the first.
@@ -42,19 +42,19 @@ class Shape:
     value: tuple[float, ...]
     sd: tuple[float, ...]
     unit: tuple[str, ...]
-    drop: tuple[float, ...]
+    delta_chi2: tuple[float, ...]
     p: tuple[float, ...]
     inclusion: float
     near: tuple[str, ...]
     python: str
 
     @property
-    def formula(self) -> str:
+    def text(self) -> str:
         """The sum of the terms, in words."""
         return " + ".join(term.text for term in self.terms)
 
 
-def find_shape(projection: Projection, known: Sequence[ResidualCovariate], channel: str) -> Shape | None:
+def find_formula(projection: Projection, known: Sequence[ResidualCovariate], channel: str) -> Formula | None:
     """Return the simplest formula for the residual of a channel; None where no term is beyond chance."""
     model = projection.fitted.model
     place = [one.name for one in model.campaign.channels].index(channel)
@@ -75,7 +75,7 @@ def find_shape(projection: Projection, known: Sequence[ResidualCovariate], chann
             for projected, column in zip(at.project(whitened).T, whitened.T, strict=True)
         ]
         worth = [
-            one.drop - thresholds.ELABORATE_PENALTY * (term.sort in _ELABORATE) if one.span.shape[1] else -np.inf
+            one.delta_chi2 - thresholds.ELABORATE_PENALTY * (term.sort in _ELABORATE) if one.span.shape[1] else -np.inf
             for term, one in zip(terms, found, strict=True)
         ]
         best = int(np.argmax(worth))
@@ -86,10 +86,10 @@ def find_shape(projection: Projection, known: Sequence[ResidualCovariate], chann
             near = [
                 term.text
                 for term, one in zip(terms, found, strict=True)
-                if one.drop > found[best].drop - thresholds.NEAR_CHI2 and term is not terms[best]
+                if one.delta_chi2 > found[best].delta_chi2 - thresholds.NEAR_CHI2 and term is not terms[best]
             ]
             first = (_inclusion(at, at.project(whitened), best), tuple(near))
-        taken.append((best, found[best].drop, p, found[best].variance))
+        taken.append((best, found[best].delta_chi2, p, found[best].variance))
         at = at.without(found[best].span)
     if not taken:
         return None
@@ -97,13 +97,13 @@ def find_shape(projection: Projection, known: Sequence[ResidualCovariate], chann
     value, sd = _solve(projection, whitened[:, chosen], taken[-1][3])
     units = tuple(f"{base}/{terms[best].divisor}" if terms[best].divisor else base for best in chosen)
     value, sd = value / size[chosen], sd / size[chosen]
-    return Shape(
+    return Formula(
         channel=channel,
         terms=tuple(terms[best] for best in chosen),
         value=tuple(value.tolist()),
         sd=tuple(sd.tolist()),
         unit=units,
-        drop=tuple(drop for _, drop, _, _ in taken),
+        delta_chi2=tuple(drop for _, drop, _, _ in taken),
         p=tuple(p for _, _, p, _ in taken),
         inclusion=first[0],
         near=first[1],

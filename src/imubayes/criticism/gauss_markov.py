@@ -17,7 +17,7 @@ from imubayes.criticism.projection import Projection
 
 
 @dataclass(frozen=True)
-class Memory:
+class MarkovNoise:
     """Noise of variance 1 with a slow part: its share of the variance, and its correlation from row to row."""
 
     share: float
@@ -29,12 +29,12 @@ class Memory:
         return 1 - self.share + self.share * (1 + self.correlation) / (1 - self.correlation)
 
 
-FORGETFUL = Memory(0.0, 0.0)
-GRID = (FORGETFUL, *(Memory(*pair) for pair in product(thresholds.MARKOV_SHARES, thresholds.MARKOV_CORRELATIONS)))
+WHITE = MarkovNoise(0.0, 0.0)
+GRID = (WHITE, *(MarkovNoise(*pair) for pair in product(thresholds.MARKOV_SHARES, thresholds.MARKOV_CORRELATIONS)))
 
 
 @dataclass(frozen=True)
-class Innovations:
+class InnovationsFilter:
     """Takes the slow part out of whitened entries.
 
     Attributes
@@ -70,13 +70,13 @@ class Innovations:
         return result[:-1], log_determinant
 
 
-def memories(projection: Projection, channels: Sequence[int]) -> dict[int, Memory]:
+def estimate_markov_noise(projection: Projection, channels: Sequence[int]) -> dict[int, MarkovNoise]:
     """Return the memory of the noise of some channels of one kind, by place; each learns from the others.
 
     A channel's own runs are few: to its likelihood comes the mean of those of the others.  Of memories that are nearly
     as likely the one with the most slow noise is taken: too little of it passes for effects.
     """
-    tables = np.array([likelihoods(*_of_channel(projection, place)) for place in channels])
+    tables = np.array([restricted_log_likelihoods(*_of_channel(projection, place)) for place in channels])
     others = (tables.sum(axis=0) - tables) / max(len(channels) - 1, 1)
     slow = np.array([one.slow for one in GRID])
     whole = tables + others
@@ -96,7 +96,7 @@ def _of_channel(projection: Projection, channel: int) -> tuple[np.ndarray, np.nd
     return rows[:, 0], rows[:, 1:], local[groups]
 
 
-def likelihoods(residual: np.ndarray, taken: np.ndarray, series: np.ndarray) -> np.ndarray:
+def restricted_log_likelihoods(residual: np.ndarray, taken: np.ndarray, series: np.ndarray) -> np.ndarray:
     """Return the restricted log likelihood of whitened residuals at each point of the grid.
 
     Parameters
@@ -115,7 +115,7 @@ def likelihoods(residual: np.ndarray, taken: np.ndarray, series: np.ndarray) -> 
     columns = np.concatenate([residual[:, None], left[:, lengths**2 > thresholds.DIRECTION_HELD_MIN]], axis=1)
     found = []
     for one in GRID:
-        by = Innovations(series, np.full(len(series), one.share), np.full(len(series), one.correlation))
+        by = InnovationsFilter(series, np.full(len(series), one.share), np.full(len(series), one.correlation))
         white, determinant = by.filtered(columns)
         basis, upper = np.linalg.qr(white[:, 1:])
         misfit = white[:, 0] - basis @ (basis.T @ white[:, 0])

@@ -15,10 +15,10 @@ from scipy import stats
 from scipy.interpolate import BSpline
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.localised_structure import STEP, Detail, Details, FeatureScan, in_time, time_within
+from imubayes.criticism.localised_structure import STEP, Feature, FeatureScan, FeatureSet, in_time, time_in_run
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.score_test import Explained, explain, sizes
+from imubayes.criticism.score_test import ScoreTest, explain, sizes
 from imubayes.criticism.term_library import levels
 
 
@@ -31,17 +31,17 @@ class Structure:
     channel : name; of several that were looked at together the one with most of it.
     covariates : one or two.
     test : what form was allowed.
-    found : what it explains.
+    score : what it explains.
     text : of a detail: what it is in brief.
-    size : of a step: its height in the channel and the standard deviation of that, in output units.
+    height : of a step: its height in the channel and the standard deviation of that, in output units.
     """
 
     channel: str
     covariates: tuple[ResidualCovariate, ...]
     test: str
-    found: Explained
+    score: ScoreTest
     text: str = ""
-    size: tuple[float, float] | None = None
+    height: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def _courses(projection: Projection, channel: str, here: np.ndarray) -> list[For
         place = np.zeros(len(rows), dtype=int)
         place[rows] = in_time(projection, rows)
         segment = place[rows] * min(thresholds.MAX_SEGMENTS, count // thresholds.SEGMENT_ROWS) // count
-        covariate = time_within(projection, index, rows, place)
+        covariate = time_in_run(projection, index, rows, place)
         steps = np.eye(segment.max() + 1)[segment]
         found.append(Form((channel,), covariate, "course of one run", _spread(steps, rows)))
     return found
@@ -146,7 +146,7 @@ def _spread(basis: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Laid:
+class ProjectedForm:
     """A form as projected rows (R, C), with the lengths of its columns before."""
 
     form: Form
@@ -154,7 +154,7 @@ class Laid:
     length: np.ndarray
 
 
-def lay(projection: Projection, found: Sequence[Form]) -> list[Laid]:
+def lay(projection: Projection, found: Sequence[Form]) -> list[ProjectedForm]:
     """Return forms as rows of the projection."""
     if not found:
         return []
@@ -163,26 +163,26 @@ def lay(projection: Projection, found: Sequence[Form]) -> list[Laid]:
     length = np.linalg.norm(whitened, axis=0)
     ends = np.cumsum([one.columns.shape[1] for one in found])
     parts = [slice(end - one.columns.shape[1], end) for one, end in zip(found, ends, strict=True)]
-    return [Laid(one, projected[:, part], length[part]) for one, part in zip(found, parts, strict=True)]
+    return [ProjectedForm(one, projected[:, part], length[part]) for one, part in zip(found, parts, strict=True)]
 
 
-def look(projection: Projection, laid: Sequence[Laid], scans: Sequence[FeatureScan]) -> list[Structure]:
+def look(projection: Projection, laid: Sequence[ProjectedForm], scans: Sequence[FeatureScan]) -> list[Structure]:
     """Return what each form, and the best detail against each covariate, explains; the least likely by chance first."""
     found = []
     for one in laid:
         explained = explain(projection, one.columns, one.length, thresholds.FORM_RETAINED_MIN)
-        channel = strongest(projection, one.form.channels, explained)
+        channel = dominant_channel(projection, one.form.channels, explained)
         found.append(Structure(channel, (one.form.covariate,), one.form.test, explained))
     found += [_detailed(projection, one.details, detail) for one in scans for detail in _best(projection, one)]
-    return sorted((one for one in found if one.found.span.shape[1]), key=lambda one: one.found.p)
+    return sorted((one for one in found if one.score.span.shape[1]), key=lambda one: one.score.p)
 
 
-def _detailed(projection: Projection, of: Details, detail: Detail) -> Structure:
+def _detailed(projection: Projection, of: FeatureSet, detail: Feature) -> Structure:
     """Return what one detail explains."""
     whole = of.whole(detail, len(projection.residual))
     columns = projection.project(whole)
     explained = explain(projection, columns, np.linalg.norm(whole, axis=0), thresholds.FORM_RETAINED_MIN)
-    channel = strongest(projection, of.channels, explained)
+    channel = dominant_channel(projection, of.channels, explained)
     if detail.test != STEP:
         return Structure(channel, detail.covariates, detail.test, explained, detail.text)
     value, sd = sizes(projection, columns, explained.fitted, explained.variance)
@@ -192,20 +192,20 @@ def _detailed(projection: Projection, of: Details, detail: Detail) -> Structure:
     )
 
 
-def _best(projection: Projection, one: FeatureScan) -> list[Detail]:
+def _best(projection: Projection, one: FeatureScan) -> list[Feature]:
     """Return the detail with the strongest evidence against each covariate."""
-    best: dict[str, tuple[float, Detail]] = {}
+    best: dict[str, tuple[float, Feature]] = {}
     for batch, scores in one.scores(projection.residual[None, :]):
-        doubts = stats.chi2.logsf(scores[0], np.maximum(batch.freedom, 1))
-        for place, doubt, freedom in zip(batch.members.tolist(), doubts.tolist(), batch.freedom.tolist(), strict=True):
+        log_p = stats.chi2.logsf(scores[0], np.maximum(batch.freedom, 1))
+        for place, value, freedom in zip(batch.members.tolist(), log_p.tolist(), batch.freedom.tolist(), strict=True):
             detail = one.details.found[place]
             key = " × ".join(each.phrase for each in detail.covariates)
-            if freedom and (key not in best or doubt < best[key][0]):
-                best[key] = (doubt, detail)
+            if freedom and (key not in best or value < best[key][0]):
+                best[key] = (value, detail)
     return [detail for _, detail in best.values()]
 
 
-def strongest(projection: Projection, channels: Sequence[str], found: Explained) -> str:
+def dominant_channel(projection: Projection, channels: Sequence[str], found: ScoreTest) -> str:
     """Return the channel in which most is explained."""
     if len(channels) == 1:
         return channels[0]

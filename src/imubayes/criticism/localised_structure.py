@@ -20,7 +20,7 @@ STEP = "step"
 
 
 @dataclass(frozen=True)
-class Detail:
+class Feature:
     """One family of terms: one or two covariates, sort of test, where its columns stand, and what it is in brief."""
 
     covariates: tuple[ResidualCovariate, ...]
@@ -30,7 +30,7 @@ class Detail:
 
 
 @dataclass(frozen=True)
-class Details:
+class FeatureSet:
     """The details of one kind of channel, whitened.
 
     Attributes
@@ -44,9 +44,9 @@ class Details:
     channels: tuple[str, ...]
     rows: tuple[np.ndarray, ...]
     columns: tuple[np.ndarray, ...]
-    found: tuple[Detail, ...]
+    found: tuple[Feature, ...]
 
-    def whole(self, one: Detail, height: int) -> np.ndarray:
+    def whole(self, one: Feature, height: int) -> np.ndarray:
         """Return the whitened columns of a detail over all rows, (height, C · its columns): each channel its own."""
         chosen = list(one.columns)
         result = np.zeros((height, len(self.channels) * len(chosen)))
@@ -77,7 +77,7 @@ class FeatureBatch:
 class FeatureScan:
     """Details with the model's part taken out."""
 
-    details: Details
+    details: FeatureSet
     basis: np.ndarray
     batches: tuple[FeatureBatch, ...]
 
@@ -92,7 +92,7 @@ class FeatureScan:
         return found
 
 
-def details(projection: Projection, known: Sequence[ResidualCovariate]) -> list[Details]:
+def details(projection: Projection, known: Sequence[ResidualCovariate]) -> list[FeatureSet]:
     """Return the details of each kind of channel; none where the readings are too many."""
     model = projection.fitted.model
     entries, gravity = model.entries, model.campaign.site.gravity
@@ -110,25 +110,25 @@ def details(projection: Projection, known: Sequence[ResidualCovariate]) -> list[
         rows = [np.flatnonzero(here & (entries.channel == place)) for place in places]
         whitened = _whitened(projection, np.stack(columns, axis=1), here)
         names = tuple(model.campaign.channels[place].name for place in places)
-        result.append(Details(names, tuple(rows), tuple(whitened[each] for each in rows), found))
+        result.append(FeatureSet(names, tuple(rows), tuple(whitened[each] for each in rows), found))
     return result
 
 
 def _of_terms(
     known: Sequence[ResidualCovariate], here: np.ndarray, gravity: float
-) -> tuple[list[np.ndarray], list[Detail]]:
+) -> tuple[list[np.ndarray], list[Feature]]:
     columns, families = [], {}
     for term in library(known, here, gravity):
         families.setdefault((term.sort, term.family), []).append((len(columns), term))
         columns.append(np.where(here, term.values, 0.0))
     found = [
-        Detail(terms[0][1].covariates, terms[0][1].sort, tuple(place for place, _ in terms), terms[0][1].family)
+        Feature(terms[0][1].covariates, terms[0][1].sort, tuple(place for place, _ in terms), terms[0][1].family)
         for terms in families.values()
     ]
     return columns, found
 
 
-def _steps(projection: Projection, here: np.ndarray, first: int) -> tuple[list[np.ndarray], list[Detail]]:
+def _steps(projection: Projection, here: np.ndarray, first: int) -> tuple[list[np.ndarray], list[Feature]]:
     """Return a step at each of some instants of each run: what happens once belongs to no covariate that runs share."""
     model = projection.fitted.model
     columns, found = [], []
@@ -142,14 +142,14 @@ def _steps(projection: Projection, here: np.ndarray, first: int) -> tuple[list[n
             count = max(count, int(rows.sum()))
         if count < thresholds.FEATURE_MIN_ROWS:
             continue
-        covariate = time_within(projection, index, within, place)
+        covariate = time_in_run(projection, index, within, place)
         parts = min(thresholds.MAX_STEP_PARTS, count // thresholds.STEP_PART_ROWS)
         for part in range(1, parts):
             after = within & (place * parts >= part * count)
             at = float(np.nanmin(covariate.values[after]))
             where = f"at {at:.4g} s" if covariate.name == "time_s" else f"from row {at:.0f}"
             text = f"step {where} of run {model.campaign.runs[index].name}"
-            found.append(Detail((covariate,), STEP, (first + len(columns),), text))
+            found.append(Feature((covariate,), STEP, (first + len(columns),), text))
             columns.append(after.astype(float))
     return columns, found
 
@@ -160,7 +160,7 @@ def in_time(projection: Projection, rows: np.ndarray) -> np.ndarray:
     return np.argsort(np.argsort(rank, kind="stable"))
 
 
-def time_within(projection: Projection, index: int, rows: np.ndarray, place: np.ndarray) -> ResidualCovariate:
+def time_in_run(projection: Projection, index: int, rows: np.ndarray, place: np.ndarray) -> ResidualCovariate:
     """Return time within one run, or the row where it has no time.
 
     Parameters
@@ -188,7 +188,7 @@ def _whitened(projection: Projection, columns: np.ndarray, here: np.ndarray) -> 
     return np.concatenate(blocks, axis=1)
 
 
-def scan(projection: Projection, of: Details) -> FeatureScan:
+def scan(projection: Projection, of: FeatureSet) -> FeatureScan:
     """Return details with everything taken out that the projection takes out."""
     basis = projection.basis
     taken = [basis[rows].T @ columns for rows, columns in zip(of.rows, of.columns, strict=True)]
@@ -201,7 +201,7 @@ def scan(projection: Projection, of: Details) -> FeatureScan:
     return FeatureScan(of, basis, tuple(batches))
 
 
-def _batch(of: Details, taken: Sequence[np.ndarray], members: np.ndarray, index: np.ndarray) -> FeatureBatch:
+def _batch(of: FeatureSet, taken: Sequence[np.ndarray], members: np.ndarray, index: np.ndarray) -> FeatureBatch:
     absorbed = np.concatenate([one[:, index] for one in taken], axis=2)
     count, width = index.shape
     size = len(of.channels) * width

@@ -13,7 +13,7 @@ from scipy import stats
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.localised_structure import FeatureScan
-from imubayes.criticism.score_test import Explained
+from imubayes.criticism.score_test import ScoreTest
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class LookElsewhere:
         return float(np.searchsorted(self.smallest, p, side="right") / len(self.smallest))
 
 
-def look_elsewhere(looked: Sequence[Explained], scans: Sequence[FeatureScan] = (), seed: int = 0) -> LookElsewhere:
+def look_elsewhere(looked: Sequence[ScoreTest], scans: Sequence[FeatureScan] = (), seed: int = 0) -> LookElsewhere:
     """Return the distribution of the smallest p-value of everything that was looked at, under no effect.
 
     Parameters

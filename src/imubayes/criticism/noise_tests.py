@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.gauss_markov import FORGETFUL, Innovations, Memory, memories
+from imubayes.criticism.gauss_markov import WHITE, InnovationsFilter, MarkovNoise, estimate_markov_noise
 from imubayes.criticism.projection import Projection
 from imubayes.noise.outliers import Outliers
 
@@ -39,7 +39,7 @@ class NoiseCandidate:
     drop: float
 
 
-def entries_of(projection: Projection, rows: np.ndarray) -> np.ndarray:
+def to_entries(projection: Projection, rows: np.ndarray) -> np.ndarray:
     """Return rows of the projection as whitened entries, (E, …), the run offsets taken out where they are noise."""
     count = len(projection.fitted.model.entries)
     kept = rows.copy()
@@ -72,7 +72,7 @@ def growth(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> n
     return weight @ square / np.sum(square, axis=0) * len(here) / max(float(weight @ weight), 1e-300)
 
 
-def tailedness(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+def log_kurtosis(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """Return the logarithm of the kurtosis of the entries, each channel on its own scale, per column."""
     channel = projection.fitted.model.entries.channel
     here = np.unique(projection.turn.members[chosen])
@@ -88,7 +88,7 @@ _KINDS: tuple[tuple[str, Callable], ...] = (
     ("correlated_noise", correlation),
     ("run_scatter", run_offsets),
     ("rate_proportional_noise", growth),
-    (OUTLIERS, tailedness),
+    (OUTLIERS, log_kurtosis),
 )
 
 
@@ -100,7 +100,7 @@ def screen_noise(projection: Projection, seed: int = 1) -> list[NoiseCandidate]:
         size=(rows, max(20, min(thresholds.NOISE_DRAWS, thresholds.NOISE_DRAWS_AT_ONCE // rows)))
     )
     both = np.concatenate([projection.residual[:, None], projection.project(draws)], axis=1)
-    entries = entries_of(projection, both)
+    entries = to_entries(projection, both)
     found = []
     for kind in dict.fromkeys(channel.kind for channel in model.campaign.channels):
         names = tuple(channel.name for channel in model.campaign.channels if channel.kind == kind)
@@ -143,7 +143,7 @@ class Prewhitening:
     """
 
     weight: np.ndarray
-    innovations: Innovations
+    innovations: InnovationsFilter
 
     def __call__(self, white: np.ndarray) -> np.ndarray:
         return self.innovations(self.weight[:, None] * white)
@@ -158,20 +158,20 @@ def prewhitening(projection: Projection, candidates: Sequence[NoiseCandidate]) -
     """
     model, series = projection.fitted.model, projection.turn.series
     names = [channel.name for channel in model.campaign.channels] + [""] * 3
-    known: dict[int, Memory] = {}
+    known: dict[int, MarkovNoise] = {}
     weight = np.ones(len(model.entries))
     for one in candidates:
         here = np.isin(np.array(names)[model.entries.channel], one.channels)
         if one.effect == "correlated_noise":
-            known |= memories(projection, [names.index(name) for name in one.channels])
+            known |= estimate_markov_noise(projection, [names.index(name) for name in one.channels])
         if one.effect == "rate_proportional_noise":
             relative = _relative_square(projection.input[here])
             # e² follows 1 + k w about its mean: k from the slope over the mean.
             slope = np.clip(one.value * (1 - one.value * relative.mean()) ** -1, 0, 1e6)
             weight[here] = 1 / np.sqrt(1 + slope * relative)
-    each = [known.get(place, FORGETFUL) for place in model.entries.channel[series[:, 0]].tolist()]
+    each = [known.get(place, WHITE) for place in model.entries.channel[series[:, 0]].tolist()]
     share, correlation = (np.array([getattr(one, field) for one in each]) for field in ("share", "correlation"))
-    return Prewhitening(weight, Innovations(series, share, correlation))
+    return Prewhitening(weight, InnovationsFilter(series, share, correlation))
 
 
 def _relative_square(values: np.ndarray) -> np.ndarray:

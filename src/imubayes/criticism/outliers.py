@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.noise_tests import entries_of
+from imubayes.criticism.noise_tests import to_entries
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.inference.nested_laplace import posterior_precision
@@ -17,11 +17,11 @@ from imubayes.model.noise_covariance import noise_law
 from imubayes.model.problem import Problem
 
 
-def far_off(projection: Projection) -> np.ndarray:
+def find_outliers(projection: Projection) -> np.ndarray:
     """Return which readings are so far off that a normal law does not bring them about, (E,) bool."""
-    left = np.abs(entries_of(projection, projection.residual[:, None])[:, 0])
+    left = np.abs(to_entries(projection, projection.residual[:, None])[:, 0])
     # A reading that the model leans on hides most of what it is off by (studentised residuals, Cook & Weisberg 1982).
-    leant_on = np.sum(entries_of(projection, projection.basis) ** 2, axis=1)
+    leant_on = np.sum(to_entries(projection, projection.basis) ** 2, axis=1)
     left /= np.sqrt(np.maximum(1 - leant_on, thresholds.UNLEVERAGED_MIN))
     model, found = projection.fitted.model, np.zeros(len(left), dtype=bool)
     seen = (np.asarray(model.problem.observations.weight) > 0) & ~model.entries.closing
@@ -31,7 +31,7 @@ def far_off(projection: Projection) -> np.ndarray:
     return found
 
 
-def distances(problem: Problem, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
+def deletion_residuals(problem: Problem, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
     """Return by how much readings differ from what the rest predicts, each (E,).
 
     First in standard deviations of a reading, then in those of its difference from the others of its run and channel:
@@ -58,7 +58,7 @@ def distances(problem: Problem, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
     return misfit / np.sqrt(own), misfit / np.sqrt(variance)
 
 
-def gathered(projection: Projection, far: np.ndarray, known: Sequence[ResidualCovariate]) -> bool:
+def clustered(projection: Projection, far: np.ndarray, known: Sequence[ResidualCovariate]) -> bool:
     """Tell whether readings that are far off, (E,) bool, gather at one value of a covariate, in more than one run.
 
     A row counts once, however many of its channels are far off: what happens once happens to all of them.
@@ -85,7 +85,7 @@ def gathered(projection: Projection, far: np.ndarray, known: Sequence[ResidualCo
     return best * looks < thresholds.CLUSTER_P
 
 
-def in_a_row(model: Model, sizes: np.ndarray) -> bool:
+def consecutive(model: Model, sizes: np.ndarray) -> bool:
     """Tell whether readings that are far off follow one another, off to the same side: a step, or a narrow peak.
 
     Parameters

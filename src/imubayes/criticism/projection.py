@@ -71,7 +71,7 @@ class Projection:
     """
 
     fitted: Fitted
-    turn: "Turn"
+    turn: "RowTransform"
     basis: np.ndarray
     residual: np.ndarray
     strata: Strata
@@ -117,7 +117,7 @@ class Projection:
 
 
 @dataclass(frozen=True)
-class Turn:
+class RowTransform:
     """From entries to rows: whiten, then turn each group's common direction into its first row.
 
     `members` are the groups' entries, `series` the same in the order of time, both (G, M) and padded with E; `extra`
@@ -165,7 +165,7 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
 
     Parameters
     ----------
-    misfit, jacobian : shapes (E,) and (E, P), as of `imubayes.criticism.candidate_effects.respond`.
+    misfit, jacobian : shapes (E,) and (E, P), as of `imubayes.criticism.candidate_effects.candidate_responses`.
     extra : a further whitening of the entries.
     offsets : whether run offsets count as noise of their own although the model does not say so.
     """
@@ -189,7 +189,9 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
     able = separate & (length > 0) & (size > 1e-12)
     reflectors[able] = first[able] / size[able, None]
     widths = np.asarray(prior_widths(problem, fitted.h))
-    turn = Turn(problem, fitted.h, members, np.asarray(observations.in_time), sizes, reflectors, len(widths), extra)
+    turn = RowTransform(
+        problem, fitted.h, members, np.asarray(observations.in_time), sizes, reflectors, len(widths), extra
+    )
     rows = turn(jacobian)
     rows[len(misfit) :] = np.diag(1 / widths)
     basis, upper = np.linalg.qr(rows)

@@ -10,7 +10,7 @@ from imubayes.criticism.candidate_effects import Responses
 from imubayes.criticism.lack_of_fit import Structure
 from imubayes.criticism.projection import PRIOR, Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.score_test import Candidate, Projected
+from imubayes.criticism.score_test import Candidate, ProjectedResponse
 
 
 @dataclass(frozen=True)
@@ -52,10 +52,10 @@ def telling_covariate(
     names = [one.name for one in projection.fitted.model.campaign.channels]
     of_row, strata = projection.strata.of_row, projection.strata
     here = (of_row != PRIOR) & (strata.channel[np.maximum(of_row, 0)] == names.index(channel))
-    target = np.where(here, candidate.found.fitted, 0.0)
+    target = np.where(here, candidate.score.fitted, 0.0)
     whole = float(target @ target)
     shares = [
-        (float(np.sum((one.found.span.T @ target) ** 2)) / whole, one.covariates[0])
+        (float(np.sum((one.score.span.T @ target) ** 2)) / whole, one.covariates[0])
         for one in structures
         if one.channel == channel and len(one.covariates) == 1 and whole > 0
     ]
@@ -66,7 +66,7 @@ def telling_covariate(
 def tell(
     projection: Projection,
     responses: Responses,
-    one: Projected,
+    one: ProjectedResponse,
     candidate: Candidate,
     channel: str,
     covariate: ResidualCovariate | None,

@@ -33,7 +33,7 @@ class Candidate:
     owners : the channels, mountings or tables of the coefficients.
     value, sd : shape (C,), in the coefficients' units, the sd with the noise scale after the candidate.
     retained : share of the response that the model cannot absorb, shape (C,).
-    found : what it explains.
+    score : its score test, what it explains.
     """
 
     scan: ShapeScan
@@ -42,7 +42,7 @@ class Candidate:
     value: np.ndarray
     sd: np.ndarray
     retained: np.ndarray
-    found: "Explained" = field(repr=False)
+    score: "ScoreTest" = field(repr=False)
 
     @property
     def effect(self) -> str:
@@ -52,7 +52,7 @@ class Candidate:
     @property
     def dof(self) -> int:
         """Number of directions that could be resolved."""
-        return self.found.span.shape[1]
+        return self.score.span.shape[1]
 
     @property
     def plausible(self) -> bool:
@@ -62,30 +62,30 @@ class Candidate:
         could be zero, as their priors like it.
         """
         typical = np.array([one.typical[1] for one in self.coefficients])
-        return self.found.of_priors < 0.5 or bool(np.any(np.abs(self.value) <= thresholds.IMPLAUSIBLE_SIZE * typical))
+        return self.score.prior_share < 0.5 or bool(np.any(np.abs(self.value) <= thresholds.IMPLAUSIBLE_SIZE * typical))
 
     @property
     def p(self) -> float:
         """Chance of such a drop of χ² where there is no effect, of this candidate alone."""
-        return self.found.p
+        return self.score.p
 
     @cached_property
-    def doubt(self) -> float:
+    def log_p(self) -> float:
         """Logarithm of the chance of such a gain of likelihood: what candidates are ranked by.
 
         The F test of `p` loses power where evidence comes from between few runs as well; which of two causes explains
         more must not depend on that.
         """
-        return float(stats.chi2.logsf(2 * self.found.gain, max(self.dof, 1)))
+        return float(stats.chi2.logsf(2 * self.score.log_likelihood_gain, max(self.dof, 1)))
 
     @property
-    def drop(self) -> float:
+    def delta_chi2(self) -> float:
         """The drop of χ² that a refit brings, in units of the noise after it."""
-        return self.found.drop
+        return self.score.delta_chi2
 
 
 @dataclass(frozen=True)
-class Projected:
+class ProjectedResponse:
     """A response as rows, before and after projection: whitened (R, C) and projected (R, C)."""
 
     response: Response
@@ -93,7 +93,7 @@ class Projected:
     projected: np.ndarray
 
 
-def prepare(projection: Projection, responses: Sequence[Response]) -> list[Projected]:
+def prepare(projection: Projection, responses: Sequence[Response]) -> list[ProjectedResponse]:
     """Return the responses as rows of the projection."""
     if not responses:
         return []
@@ -103,40 +103,42 @@ def prepare(projection: Projection, responses: Sequence[Response]) -> list[Proje
     projected = projection.project(whitened)
     ends = np.cumsum([len(one.coefficients) for one in responses])
     return [
-        Projected(one, whitened[:, end - len(one.coefficients) : end], projected[:, end - len(one.coefficients) : end])
+        ProjectedResponse(
+            one, whitened[:, end - len(one.coefficients) : end], projected[:, end - len(one.coefficients) : end]
+        )
         for one, end in zip(responses, ends, strict=True)
     ]
 
 
 @dataclass(frozen=True)
-class Explained:
+class ScoreTest:
     """The part of the residual that lies in the span of some projected columns.
 
     Attributes
     ----------
     span : shape (R, d), orthonormal.
     fitted : shape (R,).
-    drop, drop_at_fit : S with the noise scales after it, and with those of the fit.
+    delta_chi2, delta_chi2_at_fit : S with the noise scales after it, and with those of the fit.
     p : chance of such a drop under no effect.
-    gain : of the log likelihood, the noise scale of every stratum free: what is explained counts wherever it is.
-    within, of_priors : shares of S that come from within runs, and from the priors.
+    log_likelihood_gain : with the noise scale of every stratum free, so that evidence counts in whichever it lies.
+    within_runs, prior_share : shares of S that come from within runs, and from the priors.
     variance : shape (strata + 1,), noise variance of each stratum after it, relative to the fit's.
     """
 
     span: np.ndarray
     fitted: np.ndarray
-    drop: float
-    drop_at_fit: float
+    delta_chi2: float
+    delta_chi2_at_fit: float
     p: float
-    gain: float
-    within: float
-    of_priors: float
+    log_likelihood_gain: float
+    within_runs: float
+    prior_share: float
     variance: np.ndarray
 
 
 def explain(
     projection: Projection, columns: np.ndarray, length: np.ndarray, least: float = thresholds.RETAINED_MIN
-) -> Explained:
+) -> ScoreTest:
     """Return what projected columns explain of the residual.
 
     Parameters
@@ -165,11 +167,11 @@ def explain(
     shrank = np.log1p(drop / np.where(judged, freedom * variance, 1.0))
     gain = float(np.sum(np.where(judged, freedom * shrank, drop))) / 2
     within = float(weighted[:-1][~strata.between].sum()) / total if total > 0 else 1.0
-    of_priors = float(weighted[-1]) / total if total > 0 else 0.0
-    return Explained(span, fitted, total, float(along @ along), max(p, _SMALLEST), gain, within, of_priors, variance)
+    prior_share = float(weighted[-1]) / total if total > 0 else 0.0
+    return ScoreTest(span, fitted, total, float(along @ along), max(p, _SMALLEST), gain, within, prior_share, variance)
 
 
-def assess(projection: Projection, one: Projected, chosen: np.ndarray | None = None) -> Candidate:
+def assess(projection: Projection, one: ProjectedResponse, chosen: np.ndarray | None = None) -> Candidate:
     """Return a candidate with the chosen coefficients; all of them where None."""
     chosen = np.arange(len(one.response.coefficients)) if chosen is None else chosen
     columns, length = one.projected[:, chosen], np.linalg.norm(one.whitened[:, chosen], axis=0)
@@ -183,7 +185,7 @@ def assess(projection: Projection, one: Projected, chosen: np.ndarray | None = N
         value=value,
         sd=sd,
         retained=np.sum(columns**2, axis=0) / np.where(length > 0, length**2, 1.0),
-        found=found,
+        score=found,
     )
 
 
@@ -218,8 +220,10 @@ def variants(response: Response, kinds: Mapping[str, str]) -> list[np.ndarray]:
     return [np.array(one) for one in chosen]
 
 
-def screen(projection: Projection, responses: Sequence[Projected]) -> list[Candidate]:
+def screen(projection: Projection, responses: Sequence[ProjectedResponse]) -> list[Candidate]:
     """Return every candidate on all its channels together, on each kind and on each alone, the best founded first."""
     kinds = {channel.name: channel.kind for channel in projection.fitted.model.campaign.channels}
     found = [assess(projection, one, chosen) for one in responses for chosen in variants(one.response, kinds)]
-    return sorted((one for one in found if one.dof and one.plausible), key=lambda one: (one.doubt, -one.drop / one.dof))
+    return sorted(
+        (one for one in found if one.dof and one.plausible), key=lambda one: (one.log_p, -one.delta_chi2 / one.dof)
+    )

@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.candidate_effects import Responses, respond
-from imubayes.criticism.equivalent_effects import Group, group
-from imubayes.criticism.lack_of_fit import Laid, Structure, forms, lay, look
-from imubayes.criticism.localised_structure import Details, FeatureScan, details, scan
+from imubayes.criticism.candidate_effects import Responses, candidate_responses
+from imubayes.criticism.equivalent_effects import EquivalenceGroup, group
+from imubayes.criticism.lack_of_fit import ProjectedForm, Structure, forms, lay, look
+from imubayes.criticism.localised_structure import FeatureScan, FeatureSet, details, scan
 from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
 from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, Prewhitening, prewhitening, screen_noise
-from imubayes.criticism.outliers import distances, far_off, gathered, in_a_row
+from imubayes.criticism.outliers import clustered, consecutive, deletion_residuals, find_outliers
 from imubayes.criticism.projection import Projection, orthonormal, project
 from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
-from imubayes.criticism.score_test import Candidate, Projected, prepare, screen
+from imubayes.criticism.score_test import Candidate, ProjectedResponse, prepare, screen
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.problem import without
@@ -26,7 +26,7 @@ _CONFOUNDED_NOISE = ("correlated_noise", "run_scatter")
 
 
 @dataclass(frozen=True)
-class Look:
+class Screening:
     """One pass over candidates and free forms.
 
     Attributes
@@ -35,28 +35,28 @@ class Look:
     """
 
     projection: Projection
-    prepared: tuple[Projected, ...]
-    laid: tuple[Laid, ...]
+    prepared: tuple[ProjectedResponse, ...]
+    laid: tuple[ProjectedForm, ...]
     scans: tuple[FeatureScan, ...]
     candidates: tuple[Candidate, ...]
     structures: tuple[Structure, ...]
 
 
 @dataclass(frozen=True)
-class Chances:
+class Corrections:
     """Chance of so small a p-value among all that was looked at: effects, and structure."""
 
     of_effect: LookElsewhere
     of_structure: LookElsewhere
 
-    def alarming(self, structures: Sequence[Structure], strict: float = 1.0) -> tuple[tuple[Structure, float], ...]:
+    def significant(self, structures: Sequence[Structure], strict: float = 1.0) -> tuple[tuple[Structure, float], ...]:
         """Return the structures beyond chance, with their chance."""
-        judged = [(one, self.of_structure(one.found.p)) for one in structures]
+        judged = [(one, self.of_structure(one.score.p)) for one in structures]
         return tuple(pair for pair in judged if pair[1] < strict * thresholds.FALSE_ALARM_STRUCTURE)
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """The outcome of a search.
 
     Attributes
@@ -65,27 +65,27 @@ class Found:
     responses, covariates : what was looked at.
     groups : one per effect found, in the order of evidence.
     structures : those beyond chance at the first look, with their chance.
-    left : those that remain so after the groups were taken out.
+    remaining : those that remain so after the groups were taken out.
     noise : noise candidates as screened first.
     adopted : those that are beyond chance once effects and patterns are taken out.
-    far : shape (E,), by how many standard deviations of the others a reading is far off; 0 for those that are not.
-    chance : of the smallest p-value of all candidates.
+    outlier_sd : shape (E,), deletion residual of each outlier in standard deviations; 0 for other samples.
+    look_elsewhere : correction for the smallest p-value of all candidates.
     """
 
-    first: Look
+    first: Screening
     responses: Responses
     covariates: tuple[ResidualCovariate, ...]
-    groups: tuple[Group, ...]
+    groups: tuple[EquivalenceGroup, ...]
     structures: tuple[tuple[Structure, float], ...]
-    left: tuple[tuple[Structure, float], ...]
+    remaining: tuple[tuple[Structure, float], ...]
     noise: tuple[NoiseCandidate, ...]
     adopted: tuple[NoiseCandidate, ...]
-    far: np.ndarray
-    chance: LookElsewhere
+    outlier_sd: np.ndarray
+    look_elsewhere: LookElsewhere
 
 
 @dataclass(frozen=True)
-class Ground:
+class SearchInput:
     """A fit and what is looked at in it."""
 
     fitted: Fitted
@@ -96,14 +96,14 @@ class Ground:
         """Return residuals and responses without what the model absorbs."""
         return project(self.fitted, self.responses.misfit, self.responses.jacobian, extra, offsets)
 
-    def look(self, at: Projection) -> Look:
+    def look(self, at: Projection) -> Screening:
         """Return one pass over candidates and free forms."""
         laid = lay(at, forms(at, self.covariates))
         return _look(at, prepare(at, self.responses.candidates), laid, details(at, self.covariates))
 
 
 @dataclass(frozen=True)
-class Sight:
+class FirstPass:
     """What the first look shows, the noise being what the model says.
 
     Attributes
@@ -113,18 +113,18 @@ class Sight:
     cleared : the projection without groups and without patterns that are no noise.
     """
 
-    first: Look
-    chances: Chances
+    first: Screening
+    chances: Corrections
     noise: tuple[NoiseCandidate, ...]
-    groups: tuple[Group, ...]
-    last: Look
+    groups: tuple[EquivalenceGroup, ...]
+    last: Screening
     alarm: bool
     cleared: Projection
 
 
-def search(fitted: Fitted) -> Found:
+def search(fitted: Fitted) -> SearchResult:
     """Return what is missing in a converged fit; without a refit, but where readings are far off."""
-    whole = Ground(fitted, respond(fitted), tuple(covariates(fitted)))
+    whole = SearchInput(fitted, candidate_responses(fitted), tuple(covariates(fitted)))
     at_first = _sight(whole)
     outliers, far = _outliers(whole, at_first)
     if not outliers:
@@ -133,33 +133,33 @@ def search(fitted: Fitted) -> Found:
     for _ in range(thresholds.MAX_OUTLIER_ROUNDS):
         # What an effect that is missing moves far off has a cause: only what remains so without it is left out.
         rest, apart = _without(fitted, far, 1 if sight.groups else thresholds.MAX_OUTLIER_ROUNDS)
-        ground = Ground(rest, respond(rest), ground.covariates)
+        ground = SearchInput(rest, candidate_responses(rest), ground.covariates)
         sight = _sight(ground)
-        more = far_off(sight.last.projection)
+        more = find_outliers(sight.last.projection)
         if not more.any():
             break
         far = (apart != 0) | more
-    if in_a_row(fitted.model, apart):
+    if consecutive(fitted.model, apart):
         return _settled(whole, at_first)
     found = _settled(ground, sight)
-    return replace(found, noise=at_first.noise, adopted=(*outliers, *found.adopted), far=apart)
+    return replace(found, noise=at_first.noise, adopted=(*outliers, *found.adopted), outlier_sd=apart)
 
 
-def _sight(ground: Ground) -> Sight:
+def _sight(ground: SearchInput) -> FirstPass:
     first = ground.look(ground.projection())
-    chances = Chances(
-        look_elsewhere([one.found for one in first.candidates]),
-        look_elsewhere([one.found for one in first.structures], first.scans),
+    chances = Corrections(
+        look_elsewhere([one.score for one in first.candidates]),
+        look_elsewhere([one.score for one in first.structures], first.scans),
     )
     noise = screen_noise(first.projection)
     groups, last = _steps(first, chances.of_effect)
-    alarm, cleared = bool(groups or chances.alarming(first.structures)), last.projection
+    alarm, cleared = bool(groups or chances.significant(first.structures)), last.projection
     if alarm or _within(noise, thresholds.FALSE_ALARM_NOISE):
         cleared = _without_patterns(last, chances.of_structure, at_least=int(alarm and not groups)).projection
-    return Sight(first, chances, tuple(noise), groups, last, alarm, cleared)
+    return FirstPass(first, chances, tuple(noise), groups, last, alarm, cleared)
 
 
-def _outliers(ground: Ground, sight: Sight) -> tuple[list[NoiseCandidate], np.ndarray]:
+def _outliers(ground: SearchInput, sight: FirstPass) -> tuple[list[NoiseCandidate], np.ndarray]:
     """Return the outliers among the noise beyond chance, and which readings these are, (E,) bool.
 
     A few readings that are far off pass for a pattern, and a pattern in a few rows for readings that are far off.  A
@@ -167,10 +167,10 @@ def _outliers(ground: Ground, sight: Sight) -> tuple[list[NoiseCandidate], np.nd
     """
     before = sight.first.projection
     beyond = [one for one in _within(sight.noise, thresholds.FALSE_ALARM_NOISE) if one.effect == OUTLIERS]
-    far = far_off(sight.last.projection)
+    far = find_outliers(sight.last.projection)
     directions = sight.cleared.basis.shape[1] - before.basis.shape[1]
-    explained = np.sum(far_off(before) & ~far_off(sight.cleared))
-    if not beyond or explained > directions or gathered(sight.last.projection, far, ground.covariates):
+    explained = np.sum(find_outliers(before) & ~find_outliers(sight.cleared))
+    if not beyond or explained > directions or clustered(sight.last.projection, far, ground.covariates):
         return [], far
     return (beyond if far.any() or not sight.alarm else []), far
 
@@ -190,9 +190,9 @@ def _without(fitted: Fitted, far: np.ndarray, rounds: int) -> tuple[Fitted, np.n
             break
         z, h = mode.z, mode.h
         rest = replace(fitted, model=replace(fitted.model, problem=problem), z=np.asarray(z), h=np.asarray(h))
-        sizes, surprise = distances(problem, mode)
+        sizes, surprise = deletion_residuals(problem, mode)
         apart = np.where(far, sizes, 0.0)
-        more = far_off(project(rest, np.asarray(mode.about.misfit), np.asarray(mode.about.jacobian)))
+        more = find_outliers(project(rest, np.asarray(mode.about.misfit), np.asarray(mode.about.jacobian)))
         now = more | (far & (np.abs(surprise) > thresholds.READMIT_SD))
         if np.array_equal(now, far):
             break
@@ -200,7 +200,7 @@ def _without(fitted: Fitted, far: np.ndarray, rounds: int) -> tuple[Fitted, np.n
     return rest, apart
 
 
-def _settled(ground: Ground, sight: Sight) -> Found:
+def _settled(ground: SearchInput, sight: FirstPass) -> SearchResult:
     """Return what is missing once the noise is what the readings say."""
     first, chances, groups, last = sight.first, sight.chances, sight.groups, sight.last
     adopted, doubted, strict = [], [], 1.0
@@ -217,17 +217,17 @@ def _settled(ground: Ground, sight: Sight) -> Found:
             thresholds.ESTIMATED_CORRELATION_FACTOR if any(one.effect == "correlated_noise" for one in doubted) else 1.0
         )
         groups, last = _steps(first, chances.of_effect, strict)
-    return Found(
+    return SearchResult(
         first=first,
         responses=ground.responses,
         covariates=ground.covariates,
         groups=groups,
-        structures=chances.alarming(first.structures, strict),
-        left=chances.alarming(last.structures, strict),
+        structures=chances.significant(first.structures, strict),
+        remaining=chances.significant(last.structures, strict),
         noise=sight.noise,
         adopted=tuple(adopted),
-        far=np.zeros(len(ground.responses.misfit)),
-        chance=chances.of_effect,
+        outlier_sd=np.zeros(len(ground.responses.misfit)),
+        look_elsewhere=chances.of_effect,
     )
 
 
@@ -236,13 +236,20 @@ def _within(noise: Sequence[NoiseCandidate], threshold: float) -> list[NoiseCand
     return [one for one in noise if one.p * len(noise) < threshold]
 
 
-def _look(projection: Projection, prepared: Sequence[Projected], laid: Sequence[Laid], fine: Sequence[Details]) -> Look:
+def _look(
+    projection: Projection,
+    prepared: Sequence[ProjectedResponse],
+    laid: Sequence[ProjectedForm],
+    fine: Sequence[FeatureSet],
+) -> Screening:
     scans = [scan(projection, one) for one in fine]
     candidates, structures = screen(projection, prepared), look(projection, laid, scans)
-    return Look(projection, tuple(prepared), tuple(laid), tuple(scans), tuple(candidates), tuple(structures))
+    return Screening(projection, tuple(prepared), tuple(laid), tuple(scans), tuple(candidates), tuple(structures))
 
 
-def _steps(first: Look, chance: LookElsewhere, strict: float = 1.0) -> tuple[tuple[Group, ...], Look]:
+def _steps(
+    first: Screening, chance: LookElsewhere, strict: float = 1.0
+) -> tuple[tuple[EquivalenceGroup, ...], Screening]:
     """Take out the best candidate and look again, as long as one is beyond chance."""
     at, groups = first, []
     while at.candidates and len(groups) < thresholds.MAX_EFFECTS:
@@ -251,22 +258,22 @@ def _steps(first: Look, chance: LookElsewhere, strict: float = 1.0) -> tuple[tup
             break
         leader = next(one for one in at.candidates if chance(one.p) < strict * thresholds.FALSE_ALARM_EFFECT)
         groups.append(group(at.projection, leader, at.candidates, p))
-        at = take_out(at, whole_span(at, leader))
+        at = deflate(at, span_over_shapes(at, leader))
     return tuple(groups), at
 
 
-def _without_patterns(at: Look, chance: LookElsewhere, at_least: int) -> Look:
+def _without_patterns(at: Screening, chance: LookElsewhere, at_least: int) -> Screening:
     """Take out the strongest patterns that are no noise; the weaker ones would take the noise along."""
     for place in range(thresholds.MAX_PATTERNS):
         if not at.structures or (
-            place >= at_least and chance(at.structures[0].found.p) >= thresholds.PATTERN_NOT_NOISE_P
+            place >= at_least and chance(at.structures[0].score.p) >= thresholds.PATTERN_NOT_NOISE_P
         ):
             break
-        at = take_out(at, at.structures[0].found.span)
+        at = deflate(at, at.structures[0].score.span)
     return at
 
 
-def whole_span(at: Look, leader: Candidate) -> np.ndarray:
+def span_over_shapes(at: Screening, leader: Candidate) -> np.ndarray:
     """Return the directions of a candidate at every shape that was tried, (R, d): the true one lies between them."""
     names = {coefficient.parameter.name for coefficient in leader.coefficients}
     columns, lengths = [], []
@@ -278,7 +285,7 @@ def whole_span(at: Look, leader: Candidate) -> np.ndarray:
     return orthonormal(np.concatenate(columns, axis=1), np.concatenate(lengths), thresholds.SHAPE_RETAINED_MIN)
 
 
-def take_out(at: Look, span: np.ndarray) -> Look:
+def deflate(at: Screening, span: np.ndarray) -> Screening:
     """Return the look after some directions, (R, d), have been taken out."""
 
     def less(columns: np.ndarray) -> np.ndarray:
