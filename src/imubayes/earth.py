@@ -1,4 +1,4 @@
-"""The Earth and how a table stands on it: gravity, its rotation, the direction of a rotation axis (NumPy only)."""
+"""Normal gravity, Earth rotation and the orientation of a table axis in the local level frame (NumPy only)."""
 
 import math
 
@@ -28,12 +28,12 @@ def normal_gravity(latitude: float, height: float) -> float:
 
 
 def earth_rate(latitude: float) -> np.ndarray:
-    """Return the Earth's rotation in n, rad/s, shape (3,), at a latitude in rad."""
+    """Return the Earth rotation vector in the local level frame n, shape (3,), rad/s; latitude in rad."""
     return EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)])
 
 
 def table_to_local(azimuth: float, elevation: float) -> np.ndarray:
-    """Return C_nt at table angle 0, shape (3, 3): Rz(−A)·Rx(−(90° − E)), angles in rad."""
+    """Return C_nt at table angle 0, shape (3, 3): Rz(−A)·Rx(−(90° − E)); azimuth A and elevation E in rad."""
     tilt = -(math.pi / 2 - elevation)
     ca, sa, ct, st = math.cos(-azimuth), math.sin(-azimuth), math.cos(tilt), math.sin(tilt)
     about_z = np.array([[ca, -sa, 0.0], [sa, ca, 0.0], [0.0, 0.0, 1.0]])

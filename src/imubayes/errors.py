@@ -1,9 +1,7 @@
-"""Named errors whose text an engineer can act on.
+"""Input errors in four parts: what is wrong, where, what is allowed, what to do.
 
-Every complaint about an input is a `Issue` in four parts: what is wrong, where, what is allowed
-(closest first) and what to do.  Problems are collected and raised together as one `InputError`, so
-that a campaign with five mistakes is mended in one go.  Numerical failure is not an exception but a
-value with a sentence (see `imubayes.inference`).
+Issues are collected and raised together as one `InputError`, so that all mistakes of a campaign can be corrected at
+once.  Numerical failure is not an exception but a value with a message (see `imubayes.inference`).
 """
 
 import difflib
@@ -13,13 +11,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Issue:
-    """One thing that is wrong with an input.
+    """One fault of an input.
 
     Attributes
     ----------
     what : the fault, in one sentence.
     where : file with line, key or column.
-    allowed : what would be accepted, closest first; empty where nothing can be listed.
+    allowed : accepted values, closest match first; empty where they cannot be listed.
     remedy : what to do.
     """
 
@@ -37,15 +35,20 @@ class Issue:
 
 
 class InputError(Exception):
-    """An input that cannot be used; carries every problem found in it."""
+    """An input that cannot be used; `issues` holds every fault found in it."""
 
     def __init__(self, issues: Issue | Iterable[Issue]):
         self.issues = (issues,) if isinstance(issues, Issue) else tuple(issues)
-        super().__init__("\n".join(str(problem) for problem in self.issues))
+        super().__init__("\n".join(str(issue) for issue in self.issues))
+
+
+def input_error(what: str, where: str, allowed: str, remedy: str) -> InputError:
+    """Return the error of a single issue; see `Issue` for the four parts."""
+    return InputError(Issue(what, where, allowed, remedy))
 
 
 def closest_first(word: str, options: Iterable[str], most: int = 8) -> str:
-    """List the allowed words, the ones nearest to `word` in front."""
+    """Return the allowed words as a list in text, close matches to `word` first, at most `most` of them."""
     options = list(dict.fromkeys(options))
     near = difflib.get_close_matches(word, options, n=3, cutoff=0.5)
     listed = near + [option for option in options if option not in near]

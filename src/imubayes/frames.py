@@ -1,8 +1,8 @@
-"""Rotations, differentiable to second order at zero angle.
+"""Rotations in JAX, twice differentiable at zero angle.
 
-Frames: n local level (x East, y North, z Up), t table (z along the rotation axis), b body.  `C_nb` turns a
-vector given in b into n.  Products are written as sums over components, so that a compiler can fuse them into
-the elementwise work around; a batched 3 × 3 matrix product would break the loop into library calls.
+Frames: n local level (x East, y North, z Up), t table (z along the rotation axis), b body.  `C_nb` transforms a
+vector from b to n.  Products are written out by component, so that XLA fuses them with the surrounding elementwise
+operations; a batched 3 × 3 matrix product would become a library call.
 """
 
 import jax.numpy as jnp
@@ -38,8 +38,8 @@ def cross(a: Vector3, b: Vector3) -> Vector3:
 def exponential(rotation: Vector3) -> Matrix3:
     """Return exp([rotation]×), the matrix of a rotation vector in rad.
 
-    Below a small angle the coefficients come from their series, and the branch not taken is fed a harmless
-    angle, so that first and second derivatives are finite and right at zero as well.
+    At small angles the coefficients are series, and the unused branch is evaluated at a safe angle, so that first
+    and second derivatives are finite and correct at zero.
     """
     x, y, z = rotation[0], rotation[1], rotation[2]
     square = x * x + y * y + z * z
@@ -58,11 +58,11 @@ def exponential(rotation: Vector3) -> Matrix3:
 
 
 def turn_back_about_z(vector: Vector3, angle: Scalar) -> Vector3:
-    """Return Rz(angle)ᵀ · vector, angle in rad."""
+    """Return Rz(angle)ᵀ · vector; angle in rad."""
     c, s = jnp.cos(angle), jnp.sin(angle)
     return jnp.stack([c * vector[0] + s * vector[1], c * vector[1] - s * vector[0], vector[2]])
 
 
 def small_rotation(matrix: Matrix3) -> Vector3:
-    """Return sin(θ)·axis of a rotation matrix: the rotation vector to third order, smooth everywhere."""
+    """Return sin(θ)·axis of a rotation matrix, which is smooth and equals the rotation vector up to O(θ³)."""
     return 0.5 * jnp.stack([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])

@@ -1,4 +1,4 @@
-"""Indexing for compiled code: only what is asked for, no guards."""
+"""Unchecked indexing, transfer to the device and fixed-size batches for compiled functions."""
 
 import math
 from collections.abc import Callable
@@ -12,31 +12,31 @@ from imubayes.types import Array, Int
 
 
 def take(values: Array, places: Int[Array, "..."]) -> Array:
-    """Return values[places]; every place must lie within the first axis, and none is counted from its end.
+    """Return values[places]; all indices must be non-negative and within the first axis.
 
-    Square brackets make a compiled program look at every place for one that lies outside or is negative, which costs
-    it more than the values themselves.
+    Plain indexing compiles to bounds and sign checks that cost more than the gather itself.
     """
     return jnp.asarray(values).at[places].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 def on_device(tree: Any) -> Any:
-    """Return a pytree with JAX arrays in place of NumPy's, so that a compiled call does not copy them each time.
+    """Return a pytree with its arrays on the device, so that calls of a compiled function do not copy them again.
 
-    Places are made as short as the compiled gather wants them.
+    Indices become int32, as the compiled gather uses them.
     """
-    return jax.device_put(jax.tree.map(lambda one: one.astype(np.int32) if _is_long(one) else one, tree))
+    return jax.device_put(jax.tree.map(_shorten, tree))
 
 
-def _is_long(leaf: Any) -> bool:
-    return isinstance(leaf, np.ndarray | jax.Array) and leaf.dtype == np.int64
+def _shorten(leaf: Any) -> Any:
+    is_long = isinstance(leaf, np.ndarray | jax.Array) and leaf.dtype == np.int64
+    return leaf.astype(np.int32) if is_long else leaf
 
 
 def in_batches(function: Callable[[np.ndarray], Array], points: np.ndarray, size: int) -> np.ndarray:
-    """Return what a function of `size` points makes of any number of them, (n, P) → (n, …).
+    """Apply a function of `size` points to any number of points, (n, P) → (n, …).
 
-    In batches of one size, the last filled up with zeros: the function is compiled once for all who ask.
+    All batches have one size, the last padded with zeros, so that the function is compiled only once.
     """
     count = max(1, math.ceil(len(points) / size))
-    whole = np.concatenate([points, np.zeros((count * size - len(points), points.shape[1]))])
-    return np.concatenate([np.asarray(function(one)) for one in np.split(whole, count)])[: len(points)]
+    padded = np.concatenate([points, np.zeros((count * size - len(points), points.shape[1]))])
+    return np.concatenate([np.asarray(function(batch)) for batch in np.split(padded, count)])[: len(points)]

@@ -1,20 +1,20 @@
-"""The unit table: which units there are, and what each is in SI.
+"""The unit table: accepted units and their conversion to SI.
 
-The table is closed on purpose: `mg` is milli-g here, never milligram.  A compound is written with
-slashes and powers (`deg/h/g`, `ug/g^2`, `ppm/degC`).  `g` is the gravity of the site, so factors that
-contain it depend on where the test was made.  What stands below a slash may be a unit in brackets, as datasheets write
-it: `ppm/(deg/s)^2`, `deg/h/(degC/min)`.  A temperature difference is in degC; `output` stands for
-the channel's own output unit, which is free text and has factor 1.  Two more units of that dimension serve priors:
-`noise`, the standard deviation of one raw sample, and `scale`, the nominal output for 1 deg/s or 1 g.
+The table is closed: `mg` is always milli-g, never milligram.  Compound units are written with slashes and powers
+(`deg/h/g`, `ug/g^2`, `ppm/degC`); a denominator may be in brackets, as in datasheets: `ppm/(deg/s)^2`,
+`deg/h/(degC/min)`.  `g` is the local gravity of the site, so conversion factors that contain it depend on the site.
+Temperature differences are in degC.  `output` is the channel's own output unit, free text with factor 1.  Two more
+units of that dimension are for priors: `noise`, the standard deviation of one raw sample, and `scale`, the nominal
+output for 1 deg/s or 1 g.
 """
 
 import math
 import re
 from collections.abc import Mapping
 
-from imubayes.errors import InputError, Issue, closest_first
+from imubayes.errors import closest_first, input_error
 
-STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901; used only where no site is known
+STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901; used only where the site is unknown
 
 # name → (factor to SI, power of the site's gravity, dimension as exponents of (rad, s, m, K, A, output, T))
 _RATIO = (0, 0, 0, 0, 0, 0, 0)
@@ -56,14 +56,8 @@ def _parse(unit: str, where: str, own: Mapping[str, float]) -> tuple[float, int,
         elif name in _UNITS:
             scale, gravity, exponents = _UNITS[name]
         else:
-            raise InputError(
-                Issue(
-                    f"'{part}' is not a unit",
-                    where or f"unit '{unit}'",
-                    closest_first(part, _UNITS),
-                    "write the unit with names from the table, joined by '/' and '^', such as deg/h/g",
-                )
-            )
+            remedy = "write the unit with names from the table, joined by '/' and '^', such as deg/h/g"
+            raise input_error(f"'{part}' is not a unit", where or f"unit '{unit}'", closest_first(part, _UNITS), remedy)
         power = int((match and match["power"]) or {"²": 2, "³": 3}.get((match and match["sup"]) or "", 1))
         power = power if position == 0 else -power
         factor *= (scale * own.get(name, 1.0)) ** power
@@ -75,29 +69,35 @@ def _parse(unit: str, where: str, own: Mapping[str, float]) -> tuple[float, int,
 def to_si(
     unit: str, gravity: float = STANDARD_GRAVITY, where: str = "", own: Mapping[str, float] | None = None
 ) -> float:
-    """Return the factor that turns a number in `unit` into SI (rad, s, m, K, A, T; output units stay).
+    """Return the conversion factor from `unit` to SI (rad, s, m, K, A, T; output units are kept).
 
     Parameters
     ----------
     unit : compound of table names, such as ``ug/g^2``.
-    gravity : gravity of the site, m/s².
-    where : key or column named in the error.
-    own : values of `noise` and `scale` for the channel at hand, output units.
+    gravity : local gravity, m/s².
+    where : key or column to name in the error.
+    own : values of `noise` and `scale` for the channel, output units.
 
     Raises
     ------
     InputError
-        if a name is not in the table.
+        if a unit name is not in the table.
     """
     factor, gravity_power, _ = _parse(unit, where, own or {})
     return factor * gravity**gravity_power
 
 
 def dimension(unit: str, where: str = "") -> tuple[int, ...]:
-    """Return the exponents of (rad, s, m, K, A, output, T) of `unit`."""
+    """Return the dimension of `unit` as exponents of (rad, s, m, K, A, output, T).
+
+    Raises
+    ------
+    InputError
+        if a unit name is not in the table.
+    """
     return _parse(unit, where, {})[2]
 
 
 def same_dimension(first: str, second: str, where: str = "") -> bool:
-    """Tell whether a number in one unit may be given in the other; `where` is named where a unit is unknown."""
+    """Return whether two units have the same dimension; `where` is the place to name in an error."""
     return dimension(first, where) == dimension(second, where)

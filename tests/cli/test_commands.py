@@ -135,10 +135,13 @@ def test_check_says_what_is_there(capsys):
     assert [run_["procedure"] for run_ in found["runs"]].count("current_injection") == 1
 
 
-def test_schema_is_json(capsys):
-    status, out, _ = said(capsys, "schema", "model")
+@pytest.mark.parametrize("kind", ["campaign", "model", "plan", "summary"])
+def test_schema_is_json(capsys, kind):
+    status, out, _ = said(capsys, "schema", kind)
     assert status == 0
-    assert json.loads(out)["$schema"].startswith("https://json-schema.org")
+    schema = json.loads(out)
+    assert schema["$schema"].startswith("https://json-schema.org")
+    assert schema["additionalProperties"] is False
 
 
 def test_effects_explains(capsys):

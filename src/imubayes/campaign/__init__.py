@@ -16,8 +16,6 @@ from imubayes.campaign.file_schemas import (
     CampaignFile,
     EffectEntry,
     ModelFile,
-    campaign_schema,
-    model_schema,
 )
 from imubayes.campaign.findings import FINDINGS, Finding
 
@@ -29,10 +27,8 @@ __all__ = [
     "Finding",
     "Inspection",
     "ModelFile",
-    "campaign_schema",
     "check_campaign",
     "inspect_campaign",
     "load_campaign",
-    "model_schema",
     "read_model_file",
 ]

@@ -10,7 +10,7 @@ import math
 from datetime import date, datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
 PROCEDURE_NAMES = (
     "rate_table",
@@ -135,7 +135,13 @@ Option = Annotated[Any, AfterValidator(_scalar)]
 class EffectEntry(BaseModel):
     """One effect of a model; keys beyond the listed ones are options of that effect and must be scalars."""
 
-    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False, frozen=True)
+    model_config = ConfigDict(
+        extra="allow",
+        strict=True,
+        allow_inf_nan=False,
+        frozen=True,
+        json_schema_extra={"additionalProperties": {"type": ["number", "string", "boolean"]}},
+    )
     __pydantic_extra__: dict[str, Option] = Field(init=False)  # pyright: ignore[reportIncompatibleVariableOverride]
 
     name: Name
@@ -187,32 +193,3 @@ FORMS = {
     "optional": "true or false, without quotes",
 }
 """What the value of a key looks like, where its type alone does not say it."""
-
-SECTIONS: dict[type[BaseModel], dict[str, type[BaseModel]]] = {
-    CampaignFile: {
-        "site": SiteEntry,
-        "unit": UnitEntry,
-        "channel": ChannelEntry,
-        "table": TableEntry,
-        "mounting": MountingEntry,
-        "run": RunEntry,
-    },
-    ModelFile: {"effect": EffectEntry},
-}
-"""The schema of each section of a file, by its key."""
-
-
-def campaign_schema() -> dict[str, JsonValue]:
-    """Return the JSON Schema of `campaign.toml`, for editors."""
-    return _with_dialect(CampaignFile.model_json_schema())
-
-
-def model_schema() -> dict[str, JsonValue]:
-    """Return the JSON Schema of a model file, for editors."""
-    schema = ModelFile.model_json_schema()
-    schema["$defs"]["EffectEntry"]["additionalProperties"] = {"type": ["number", "string", "boolean"]}
-    return _with_dialect(schema)
-
-
-def _with_dialect(schema: dict[str, Any]) -> dict[str, JsonValue]:
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -1,8 +1,7 @@
-"""Which line of a TOML file a key stands on.
+"""Line numbers of the keys of a TOML file, which the standard parser does not give.
 
-The standard parser gives values without places, and a complaint without a line sends the reader searching.
-This scanner reads headers and keys only; it follows brackets and quotes just far enough not to mistake the
-inside of a multi-line value for a key.
+The scanner reads headers and keys only; it follows brackets and quotes just far enough not to take the inside of a
+multi-line value for a key.
 """
 
 import re
@@ -16,7 +15,7 @@ _QUOTED_OR_COMMENT = re.compile(r'"(?:\\.|[^"\\])*"|\'[^\']*\'|#.*$')
 
 
 def key_lines(text: str) -> dict[Path, int]:
-    """Return the line (from 1) of every table header and key, by path such as ``("channel", 2, "scale")``."""
+    """Return the line (from 1) of every table header and key, by key path such as ``("channel", 2, "scale")``."""
     lines: dict[Path, int] = {}
     counts: dict[Path, int] = {}
     table: Path = ()
@@ -38,7 +37,7 @@ def key_lines(text: str) -> dict[Path, int]:
 
 
 def line_of(path: Path, lines: dict[Path, int]) -> int | None:
-    """Return the line of a path, of the first thing inside it, or of what encloses it."""
+    """Return the line of a key path, else of its first child, else of its nearest parent; None if there is none."""
     while path:
         inside = [line for key, line in lines.items() if key[: len(path)] == path]
         if inside:

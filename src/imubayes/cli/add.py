@@ -1,13 +1,12 @@
 """`imubayes add`: a step forward, with what it brought."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import cyclopts
 
-from imubayes.cli.options import Json, Names, split
+from imubayes.cli.options import Json, Names, print_json, split
 
 
 def add(
@@ -53,8 +52,7 @@ def add(
     with progress() as tell:
         addition = add_effects(to, effects, out, split(channels), sample, seed, tell)
     if as_json:
-        json.dump(addition.json, sys.stdout, ensure_ascii=False)
-        print()
+        print_json(addition.json)
     else:
         print_addition(addition.json)
     if not addition.taken:

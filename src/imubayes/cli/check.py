@@ -1,11 +1,11 @@
 """`imubayes check`: what is there, and what is wrong."""
 
-import json
-import sys
 from pathlib import Path
 
+from imubayes.cli.options import Json, print_json
 
-def check(campaign: Path, *, model: Path | None = None, json_output: bool = False) -> int:
+
+def check(campaign: Path, *, model: Path | None = None, as_json: Json = False) -> int:
     """Read everything, say what is there and what is wrong.
 
     Example: imubayes check data/trihedral-imu --model models/trihedral-imu.toml
@@ -16,7 +16,7 @@ def check(campaign: Path, *, model: Path | None = None, json_output: bool = Fals
         Folder with campaign.toml.
     model
         Model file to check against the campaign.
-    json_output
+    as_json
         Print one JSON object on standard output.
     """
     from imubayes.campaign import inspect_campaign
@@ -32,9 +32,8 @@ def check(campaign: Path, *, model: Path | None = None, json_output: bool = Fals
         from imubayes.model.model_file import read_model
 
         declared = declare(read_model(model), inspection.campaign)
-    if json_output:
-        json.dump(inspection_json(inspection, declared), sys.stdout, ensure_ascii=False)
-        print()
+    if as_json:
+        print_json(inspection_json(inspection, declared))
     else:
         print_inspection(inspection, declared)
     return 0

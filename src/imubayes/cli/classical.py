@@ -1,10 +1,8 @@
 """`imubayes classical`: what the textbook makes of each run."""
 
-import json
-import sys
 from pathlib import Path
 
-from imubayes.cli.options import Json
+from imubayes.cli.options import Json, print_json
 
 
 def classical(campaign: Path, *, result: Path | None = None, as_json: Json = False) -> int:
@@ -42,8 +40,7 @@ def classical(campaign: Path, *, result: Path | None = None, as_json: Json = Fal
         )
     facts = textbook_json(evaluate(loaded), None if result is None else read_summary(result))
     if as_json:
-        json.dump(facts, sys.stdout, ensure_ascii=False)
-        print()
+        print_json(facts)
     else:
         print_textbook(facts)
     return 0 if facts["estimates"] else 1

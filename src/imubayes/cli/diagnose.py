@@ -1,10 +1,8 @@
 """`imubayes diagnose`: what is missing."""
 
-import json
-import sys
 from pathlib import Path
 
-from imubayes.cli.options import Flag, Json
+from imubayes.cli.options import Flag, Json, print_json
 
 
 def diagnose(
@@ -50,8 +48,7 @@ def diagnose(
     if python:
         print(found_class(found.json))
     elif as_json:
-        json.dump(found.json, sys.stdout, ensure_ascii=False)
-        print()
+        print_json(found.json)
     else:
         print_diagnosis(found.json, picture, effect)
     return 1 if found.verdict == "not_converged" else 0

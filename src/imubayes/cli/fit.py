@@ -1,8 +1,8 @@
 """`imubayes fit`: the main job."""
 
-import json
-import sys
 from pathlib import Path
+
+from imubayes.cli.options import Json, print_json
 
 
 def fit(
@@ -13,7 +13,7 @@ def fit(
     sample: bool = True,
     seed: int = 0,
     resume: bool = False,
-    json_output: bool = False,
+    as_json: Json = False,
     verbose: bool = False,
 ) -> int:
     """Fit all runs of a campaign jointly, sample the posterior, and write the result folder.
@@ -34,7 +34,7 @@ def fit(
         Seed of the sampler.
     resume
         Continue the sampling that was interrupted.
-    json_output
+    as_json
         Print summary.json on standard output.
     verbose
         List every parameter, also those of single poses.
@@ -47,9 +47,8 @@ def fit(
 
     with progress() as tell:
         result = fit_campaign(campaign, model, out, sample=sample, seed=seed, resume=resume, progress=tell)
-    if json_output:
-        json.dump(result.summary, sys.stdout, ensure_ascii=False)
-        print()
+    if as_json:
+        print_json(result.summary)
     else:
         print_summary(result.summary, verbose=verbose)
         print(f"\nresult in {out}; next: imubayes compare {out}")

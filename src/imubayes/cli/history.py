@@ -1,10 +1,8 @@
 """`imubayes history`: the models tried."""
 
-import json
-import sys
 from pathlib import Path
 
-from imubayes.cli.options import Json
+from imubayes.cli.options import Json, print_json
 
 
 def history(
@@ -59,8 +57,7 @@ def history(
 
         write_beside(html, history_page(tree))
     if as_json:
-        json.dump(history_json(tree), sys.stdout, ensure_ascii=False)
-        print()
+        print_json(history_json(tree))
     else:
         print_history(tree)
         for file in (one for one in (export, html) if one is not None):

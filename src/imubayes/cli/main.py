@@ -1,4 +1,4 @@
-"""The command `imubayes`: the table of commands, and the way from an error to four lines and an exit status."""
+"""The command `imubayes`: its subcommands, error messages and exit status."""
 
 import gc
 import os
@@ -13,7 +13,6 @@ from imubayes.cli.carrier import carrier
 from imubayes.cli.check import check
 from imubayes.cli.classical import classical
 from imubayes.cli.compare import compare
-from imubayes.cli.convert import convert
 from imubayes.cli.diagnose import diagnose
 from imubayes.cli.effects import effects
 from imubayes.cli.fit import fit
@@ -24,10 +23,8 @@ from imubayes.cli.simulate import simulate
 from imubayes.errors import InputError, Issue, closest_first
 
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
-_RARELY = 100_000
-_COMMANDS = (
-    check, fit, compare, classical, carrier, diagnose, add, history, plant, effects, simulate, convert, schema
-)  # fmt: skip
+_COLLECTION_THRESHOLD = 100_000
+_COMMANDS = (check, fit, compare, classical, carrier, diagnose, add, history, plant, effects, simulate, schema)
 
 app = cyclopts.App(
     name="imubayes",
@@ -39,13 +36,14 @@ app = cyclopts.App(
 )
 for _command in _COMMANDS:
     app.command(_command)
+# Its options are a dataclass of the campaign package: imported only when the command runs.
+app.command("imubayes.cli.convert:convert", name="convert")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run a command and leave with its exit status: 0 done, 1 the answer is no, 2 unusable input."""
-    # A command imports and traces a million objects that live to its end: looking through them again and again for
-    # what could be freed takes half a second of every start.
-    gc.set_threshold(_RARELY)
+    """Run a command and exit with its status: 0 success, 1 negative result, 2 unusable input."""
+    # Imports and tracing create a million long-lived objects: garbage collection among them costs half a second.
+    gc.set_threshold(_COLLECTION_THRESHOLD)
     sys.exit(run(arguments))
 
 
@@ -58,7 +56,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except cyclopts.CycloptsError as error:
         return _refuse(_of_command_line(error))
     except KeyboardInterrupt:
-        print("interrupted; what `imubayes fit` has sampled so far is kept, and --resume goes on", file=sys.stderr)
+        print("interrupted; the samples of `imubayes fit` so far are kept, --resume continues", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         return DONE
@@ -70,14 +68,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _refuse(*issues: Issue) -> int:
-    print("\n\n".join(str(problem) for problem in issues), file=sys.stderr)
+    print("\n\n".join(str(issue) for issue in issues), file=sys.stderr)
     if len(issues) > 1:
         print(f"\n{len(issues)} problems found; nothing was written", file=sys.stderr)
     return UNUSABLE
 
 
 def _of_command_line(error: cyclopts.CycloptsError) -> Issue:
-    names = [command.__name__ for command in _COMMANDS]
+    names = [name for name in app if not name.startswith("-")]
     words = [word for word in (getattr(error, "unused_tokens", None) or []) if isinstance(word, str)]
     known = words[0] if words else ""
     allowed = closest_first(known, names) if isinstance(error, cyclopts.UnknownCommandError) else "see --help"
@@ -88,19 +86,19 @@ def _of_command_line(error: cyclopts.CycloptsError) -> Issue:
 
 def _of_file(error: OSError) -> Issue:
     return Issue(
-        f"the file system refuses: {error.strerror or error}",
+        f"file system error: {error.strerror or error}",
         str(error.filename2 or error.filename),
-        "a place that can be read, or written where something is to be written there",
-        "choose another place, or mend its permissions",
+        "an existing file to read, or a writable folder",
+        "choose another path, or correct its permissions",
     )
 
 
 def _unforeseen(error: Exception) -> Issue:
     return Issue(
-        f"an unforeseen fault: {type(error).__name__}: {error}",
+        f"internal error: {type(error).__name__}: {error}",
         "inside imubayes",
         "",
-        "set IMUBAYES_TRACEBACK=1, run the command again and report what it prints",
+        "set IMUBAYES_TRACEBACK=1, run the command again and report its output",
     )
 
 

@@ -1,6 +1,8 @@
-"""Options that several commands have."""
+"""Options shared by several commands, and the JSON output of all."""
 
-from typing import Annotated
+import json
+import sys
+from typing import Annotated, Any
 
 import cyclopts
 
@@ -8,14 +10,20 @@ Json = Annotated[bool, cyclopts.Parameter(name=("--json", "--json-output"), nega
 """Print one JSON object on standard output."""
 
 Flag = Annotated[bool, cyclopts.Parameter(negative="")]
-"""Something that is asked for or not."""
+"""A switch without a negative form."""
 
 Names = Annotated[list[str] | None, cyclopts.Parameter(consume_multiple=True, negative="")]
-"""Several words after one option; commas separate too."""
+"""Several names after one option, separated by blanks or commas."""
 
 
 def split(names: list[str] | None) -> list[str] | None:
-    """Return names that were given as several words or with commas."""
+    """Return the names of a `Names` option, split at commas."""
     if names is None:
         return None
     return [part for word in names for part in word.split(",") if part]
+
+
+def print_json(value: Any) -> None:
+    """Print a JSON value as one line on standard output."""
+    json.dump(value, sys.stdout, ensure_ascii=False)
+    print()

@@ -1,13 +1,11 @@
 """`imubayes plant`: whether an effect would have been found."""
 
-import json
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import cyclopts
 
-from imubayes.cli.options import Json, Names, split
+from imubayes.cli.options import Json, Names, print_json, split
 
 
 def plant(
@@ -60,8 +58,7 @@ def plant(
             size=Size(delta_chi2, size), draws=draws, seed=seed, progress=tell,
         )  # fmt: skip
     if as_json:
-        json.dump(trials.json, sys.stdout, ensure_ascii=False)
-        print()
+        print_json(trials.json)
     else:
         print_trials(trials.json)
     return 0

@@ -1,22 +1,33 @@
-"""`imubayes schema`: JSON Schema of the files, for editors."""
+"""`imubayes schema`: JSON Schema of the files, for editors and readers of results."""
 
 import json
-import sys
-from typing import Literal
+from importlib import import_module
+
+from imubayes.errors import closest_first, input_error
+
+_RECORDS = {
+    "campaign": ("imubayes.campaign.file_schemas", "CampaignFile"),
+    "model": ("imubayes.campaign.file_schemas", "ModelFile"),
+    "plan": ("imubayes.simulation.test_plan", "PlanFile"),
+    "summary": ("imubayes.results.summary", "Summary"),
+}
+"""Kind of file → module and name of its pydantic record."""
 
 
-def schema(kind: Literal["campaign", "model"]) -> int:
-    """Print the JSON Schema of campaign.toml or of a model file, for completion and checks in an editor.
+def schema(kind: str) -> int:
+    """Print the JSON Schema of a file, for completion and validation in an editor.
 
     Example: imubayes schema campaign > campaign.schema.json
 
     Parameters
     ----------
     kind
-        Which file.
+        campaign (campaign.toml), model, plan, or summary (summary.json of a result).
     """
-    from imubayes.campaign.file_schemas import campaign_schema, model_schema
-
-    json.dump(campaign_schema() if kind == "campaign" else model_schema(), sys.stdout, indent=1)
-    print()
+    if kind not in _RECORDS:
+        allowed = closest_first(kind, _RECORDS)
+        raise input_error(f"there is no schema '{kind}'", "argument KIND", allowed, "use one of the allowed kinds")
+    module, record = _RECORDS[kind]
+    dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    print(json.dumps(dialect | getattr(import_module(module), record).model_json_schema(), indent=1))
     return 0

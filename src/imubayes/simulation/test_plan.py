@@ -24,7 +24,6 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, Field
 
 from imubayes.campaign.file_schemas import (
-    SECTIONS,
     CampaignFile,
     ChannelEntry,
     MountingEntry,
@@ -77,7 +76,3 @@ class PlanFile(BaseModel):
     table: list[TableEntry] = []
     mounting: list[MountingEntry] = []
     run: list[PlannedRun] = Field(min_length=1)
-
-
-# The reader of documents looks here for the keys it proposes in place of a misspelt one.
-SECTIONS[PlanFile] = SECTIONS[CampaignFile] | {"run": PlannedRun}

@@ -1,4 +1,4 @@
-"""What a converter must be told about a foreign recording, because the recording does not say it."""
+"""Options of a conversion: what the recording itself does not state."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -15,50 +15,55 @@ DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": None}
 
 @dataclass(frozen=True)
 class ConvertOptions:
-    """Options of a conversion.
-
-    Attributes
-    ----------
-    name : of the campaign; by default the name of the folder.
-    serial : of the unit.
-    accel_unit : ``m/s^2``, ``g`` or ``count``.
-    gyro_unit : ``rad/s``, ``deg/s`` or ``count``.
-    accel_scale, gyro_scale : nominal counts per m/s² and per rad/s, one number or one per axis; estimated from
-        the recording where they are not given.
-    accel_offset, gyro_offset : counts at zero input, one number or one per axis.
-    sample_rate_hz : for recordings without a time column.
-    time_unit : of the time column: ``s``, ``ms``, ``us`` or ``ns``.
-    columns : column of the run table → column of the recording, by name or by number from 1.
-    delimiter : ``comma``, ``semicolon``, ``tab`` or ``space``; recognised where it is not given.
-    gravity_m_s2, latitude_deg, height_m : of the site.
-    temperature_degC : during the recording.
-    initial_rest_s : length of the rest at the beginning.
-    procedure : what was done; ``free_tumble`` for a recording by hand.
-    """
+    """Options of a conversion."""
 
     name: str = ""
+    """Name of the campaign; by default the name of its folder."""
     serial: str = ""
+    """Serial number of the unit."""
     accel_unit: str = "m/s^2"
+    """Unit of the accelerometers: m/s^2, g or count."""
     gyro_unit: str = "rad/s"
+    """Unit of the gyros: rad/s, deg/s or count."""
     accel_scale: Sequence[float] | None = None
+    """Nominal counts per m/s², one number or one per axis; by default estimated from the recording."""
     accel_offset: Sequence[float] | None = None
+    """Counts at zero input, one number or one per axis."""
     gyro_scale: Sequence[float] | None = None
+    """Nominal counts per rad/s, one number or one per axis; by default estimated from the recording."""
     gyro_offset: Sequence[float] | None = None
+    """Counts at zero rate, one number or one per axis."""
     sample_rate_hz: float | None = None
+    """Sampling rate of a recording without a time column."""
     time_unit: str = "s"
+    """Unit of the time column: s, ms, us or ns."""
     columns: Mapping[str, str | int] = field(default_factory=dict)
+    """Column of the run table → column of the recording, by name or by number from 1."""
     delimiter: str | None = None
+    """comma, semicolon, tab or space; by default detected."""
     gravity_m_s2: float | None = None
+    """Measured gravity of the site."""
     latitude_deg: float | None = None
+    """Latitude of the site."""
     height_m: float = 0.0
+    """Height of the site."""
     temperature_degC: float | None = None
+    """Temperature during the recording."""
     initial_rest_s: float | None = None
+    """Length of the initial rest."""
     procedure: str = "free_tumble"
+    """Procedure of the run; free_tumble for a unit moved by hand."""
 
 
 def read_options(given: Mapping[str, Any]) -> ConvertOptions:
-    """Return checked options; unknown names and values are refused together."""
-    names = [one.name for one in fields(ConvertOptions)]
+    """Return the validated options.
+
+    Raises
+    ------
+    InputError
+        with every unknown option and every invalid value.
+    """
+    names = [option.name for option in fields(ConvertOptions)]
     issues = [
         Issue(f"'{key}' is no option of a conversion", f"option {key}", closest_first(key, names), "correct the option")
         for key in given
@@ -88,10 +93,10 @@ def read_options(given: Mapping[str, Any]) -> ConvertOptions:
 
 
 def _three(key: str, value: Any, issues: list[Issue]) -> Any:
-    """Spread one number over three axes."""
+    """Return one number repeated for three axes."""
     if not key.endswith(("_scale", "_offset")) or value is None:
         return value
-    values = [float(value)] * 3 if isinstance(value, int | float) else [float(one) for one in value]
+    values = [float(value)] * 3 if isinstance(value, int | float) else [float(number) for number in value]
     values = values * 3 if len(values) == 1 else values
     if len(values) != 3 or (key.endswith("_scale") and 0.0 in values):
         issues.append(
