@@ -7,7 +7,7 @@ import pytest
 
 SOURCE = Path(__file__).parents[1] / "src"
 FLOORS = (
-    ("errors", "units", "types", "gather", "frames", "earth"),
+    ("errors", "units", "types", "gather", "frames", "earth", "records", "atomic_files"),
     ("parameters",),
     ("covariates", "run", "stimulus"),
     ("procedures", "classical"),

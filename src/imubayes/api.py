@@ -9,17 +9,16 @@ import imubayes.display.presentation  # noqa: F401  (records learn how to show t
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnosis import Diagnosis, judge
 from imubayes.inference.ensemble_sampling import Settings
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.inference.joint_fit import joint_fit
 from imubayes.loop import Addition, add, history, plant
 from imubayes.model.bind import declare
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import ModelSpec
 from imubayes.procedures import PROCEDURES
-from imubayes.results.fit_file import read_fit
+from imubayes.results.folder_state import CHECKPOINT, claim
 from imubayes.results.history_file import first_node, write_node
-from imubayes.results.result import Result, result_of
-from imubayes.results.result_folder import CHECKPOINT, claim
+from imubayes.results.result import Result, read_result, result_of
 from imubayes.run import Campaign
 
 
@@ -69,7 +68,7 @@ def fit(
     return result
 
 
-def diagnose(result: Result | Fitted | str | Path, effect: str = "") -> Diagnosis:
+def diagnose(result: Result | Fit | str | Path, effect: str = "") -> Diagnosis:
     """Return which physical effect is missing in a fit, or that none is, from one pass and without a refit.
 
     Parameters
@@ -82,11 +81,10 @@ def diagnose(result: Result | Fitted | str | Path, effect: str = "") -> Diagnosi
     InputError
         for a folder that holds no result, or one whose campaign is gone or has changed.
     """
-    if isinstance(result, Fitted):
+    if isinstance(result, Fit):
         return judge(result, effect=effect)
-    if isinstance(result, Result):
-        return judge(result.fit.fitted, str(result.folder or "RESULT"), effect)
-    return judge(read_fit(Path(result)), str(result), effect)
+    found = result if isinstance(result, Result) else read_result(result)
+    return judge(found.fit, str(found.folder or "RESULT"), effect)
 
 
-__all__ = ["Addition", "Result", "add", "diagnose", "fit", "history", "plant"]
+__all__ = ["Addition", "Result", "add", "diagnose", "fit", "history", "plant", "read_result"]

@@ -21,16 +21,17 @@ from imubayes.display.html import sheet_html
 from imubayes.errors import InputError, Issue
 from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.ensemble_sampling import Settings
-from imubayes.inference.fitted import Fitted
-from imubayes.inference.joint_fit import JointFit, joint_fit, model_hash
+from imubayes.inference.fit import Fit
+from imubayes.inference.joint_fit import joint_fit, model_hash
 from imubayes.model.bind import declare
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import ModelSpec
 from imubayes.procedures import PROCEDURES
-from imubayes.results.fit_file import FIT, campaign_hash, read_fit
+from imubayes.results.fit_file import campaign_hash
+from imubayes.results.folder_state import CHECKPOINT, FIT, claim
 from imubayes.results.history_file import first_node, join, read_node, read_tree, write_node
-from imubayes.results.result import Result, result_of
-from imubayes.results.result_folder import CHECKPOINT, claim, read_summary, refuse_taken
+from imubayes.results.result import Result, read_result, result_of
+from imubayes.results.result_folder import refuse_taken
 from imubayes.run import Campaign
 
 Progress = Callable[[str], None]
@@ -89,9 +90,8 @@ def add(
         for an effect that does not fit, a result that cannot be gone on from, an `out` that is taken.
     """
     tell = progress or (lambda text: None)
-    parent = result.folder if isinstance(result, Result) else Path(result)
-    before = result.fit.fitted if isinstance(result, Result) else read_fit(Path(result))
-    summary = result.summary if isinstance(result, Result) else read_summary(Path(result))
+    known = result if isinstance(result, Result) else read_result(result)
+    parent, before, summary = known.folder, known.fit, known.summary
     folder = _free(Path(out), parent) if out is not None else None
     diagnosis = read_diagnosis(parent) if parent is not None else {}
     screened = {name: screened_candidate(diagnosis, name) for name in effects}
@@ -99,12 +99,12 @@ def add(
     tell("fitting")
     start = (extension.z, extension.h)
     fit = joint_fit(extension.model, None, start=start, progress=tell)
-    drop = found_delta_chi2(before, extension, fit.fitted) if bool(fit.mode.converged) else float("nan")
-    against = objection(fit.fitted, drop)
-    unseen = held_out(before, fit.fitted, tell) if not against else None
+    drop = found_delta_chi2(before, extension, fit) if fit.converged else float("nan")
+    against = objection(fit, drop)
+    unseen = held_out(before, fit, tell) if not against else None
     if sample and not against:
         fit = _sampled(fit, folder, seed, tell)
-        against = objection(fit.fitted, drop)
+        against = objection(fit, drop)
     made = result_of(fit, folder, seed)
     facts = _facts(summary, made.summary, extension, effects, screened, drop, unseen, against)
     facts["from"] = str(parent) if parent is not None else None
@@ -135,7 +135,7 @@ def _free(out: Path, parent: Path | None) -> Path:
 
 
 def _extension(
-    before: Fitted, effects: Sequence[str], channels: Sequence[str] | None, screened: Mapping[str, Mapping[str, Any]]
+    before: Fit, effects: Sequence[str], channels: Sequence[str] | None, screened: Mapping[str, Mapping[str, Any]]
 ) -> Extension:
     if not all(map(bool, (abs(before.z) < float("inf")).tolist())):
         raise InputError(
@@ -153,12 +153,12 @@ def _extension(
     return extend(before, effects, channels, shape, hints)
 
 
-def _sampled(fit: JointFit, folder: Path | None, seed: int, tell: Progress) -> JointFit:
+def _sampled(fit: Fit, folder: Path | None, seed: int, tell: Progress) -> Fit:
     """Return the fit with its posterior sampled, from where it ended."""
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
     checkpoint = folder / CHECKPOINT if folder is not None else None
-    start = (fit.fitted.z, fit.fitted.h)
+    start = (fit.z, fit.h)
     # Where an earlier call was interrupted its sampling goes on.
     resume = checkpoint is not None and bool(steps_in(checkpoint))
     return joint_fit(fit.model, Settings(seed=seed), checkpoint, resume, tell, start)
@@ -168,7 +168,7 @@ def _facts(before, after, extension, effects, screened, drop, unseen, against) -
     layout, hyper = extension.model.layout, extension.model.hyper_layout
     count = len(effects)
     fresh = [name for name, new in zip(layout.names, extension.new.tolist(), strict=True) if new]
-    known = {one["name"] for one in before["parameters"]}
+    known = {parameter.name for parameter in before.parameters}
     fresh += [name for name in hyper.names if name not in known]
     runs, channels = shown.errors_before_after(before, after) if not against else ([], [])
     added = [
@@ -186,9 +186,9 @@ def _facts(before, after, extension, effects, screened, drop, unseen, against) -
         "held_out": shown.held_out_line(unseen),
         "runs": runs,
         "channels": channels,
-        "chi2": {"before": before["chi2"], "after": after["chi2"] if not against else None},
-        "dof": {"before": before["dof"], "after": after["dof"] if not against else None},
-        "log_evidence": {"before": before["log_evidence"], "after": after["log_evidence"]},
+        "chi2": {"before": before.chi2, "after": after.chi2 if not against else None},
+        "dof": {"before": before.dof, "after": after.dof if not against else None},
+        "log_evidence": {"before": before.log_evidence, "after": after.log_evidence},
     }
 
 
@@ -257,10 +257,8 @@ def plant(
         for anything that cannot be used, and for free tumbles, which cannot be simulated.
     """
     tell = progress or (lambda text: None)
-    if isinstance(result, Result):
-        fitted = result.fit.fitted
-    elif result is not None:
-        fitted = read_fit(Path(result))
+    if result is not None:
+        fitted = (result if isinstance(result, Result) else read_result(result)).fit
     elif campaign is None or model is None:
         raise InputError(
             Issue("nothing to plant into", "plant", "a campaign with a model, or a result", "give one of the two")
@@ -269,7 +267,7 @@ def plant(
         tell("fitting")
         loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign, tuple(PROCEDURES))
         spec = model if isinstance(model, ModelSpec) else read_model(model)
-        fitted = joint_fit(declare(spec, loaded), None, progress=tell).fitted
+        fitted = joint_fit(declare(spec, loaded), None, progress=tell)
     return plant_effects(fitted, effects, size or Size(), draws, seed, tell)
 
 

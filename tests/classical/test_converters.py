@@ -21,7 +21,7 @@ def test_drift_of_gain_and_offset_is_found_behind_any_converter(converter, tmp_p
     truth = accel_channel.generate(tmp_path, 11, converter)
     result = fit(tmp_path, ROOT / "models" / "accel-channel.toml", sample=False)
     assert result.converged
-    summary = result.summary
+    summary = result.summary.model_dump()
     known = {one["name"]: one for one in (*summary["parameters"], *summary["derived"])}
     drift = [name for name in known if name.startswith(("converter_", "delta_k", "accel_scale"))]
     assert any(name.startswith("delta_k") for name in drift)

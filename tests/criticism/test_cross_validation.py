@@ -24,7 +24,7 @@ from imubayes.loop import Addition, add
 from imubayes.model.noise_covariance import noise_law
 from imubayes.model.problem import without
 from imubayes.results.history_file import read_node, read_tree, select
-from imubayes.results.result_folder import read_fit
+from imubayes.results.result import read_result
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def dense_density(fitted: Fitted, left_out: np.ndarray, parameters_known: bool =
 
 def test_the_predictive_density_is_that_of_whole_matrices(first):
     """Red without the uncertainty of the parameters: then the numbers differ by more than rounding."""
-    fitted = first.fit.fitted
+    fitted = first.fit
     _, names, masks = groups(fitted.model)
     assert names == tuple(run.name for run in fitted.model.campaign.runs)
     about = linearise(fitted.model.problem, jnp.asarray(fitted.z))
@@ -124,18 +124,18 @@ def test_one_run_alone_has_no_standard_error():
 
 def test_what_stands_in_the_model_is_not_added_again(first):
     with pytest.raises(InputError, match="stands twice"):
-        extend(first.fit.fitted, ["white_noise"])
+        extend(first.fit, ["white_noise"])
 
 
 def test_a_prior_gives_way_to_what_was_measured_beyond_doubt(first):
     """A thousand times the usual drift in the readings: held back by its prior it would not be found."""
-    assert extend(first.fit.fitted, [LACKING]).widened == {}
+    assert extend(first.fit, [LACKING]).widened == {}
     campaign, drift = first.fit.model.campaign, 1000.0
     runs = [
         replace(run, observed=run.observed + drift * (run.covariates["converter_temperature"][:, None] - 25.0))
         for run in campaign.runs
     ]
-    fitted = fit(replace(campaign, runs=tuple(runs)), lacking_model(), sample=False).fit.fitted
+    fitted = fit(replace(campaign, runs=tuple(runs)), lacking_model(), sample=False).fit
     found = extend(fitted, [LACKING])
     (one,) = found.coefficients
     assert one.value == pytest.approx(drift, rel=0.01)
@@ -157,7 +157,7 @@ def test_a_scanned_shape_begins_at_its_value(first):
     name = "converter_leakage.doubling[ax]"
     found = {}
     for value in (6.0, 14.0):
-        extension = extend(first.fit.fitted, ["converter_leakage"], shape={"converter_leakage.doubling": value})
+        extension = extend(first.fit, ["converter_leakage"], shape={"converter_leakage.doubling": value})
         at = extension.model.layout.index(name)
         parameter = extension.model.layout.parameters[at]
         assert float(parameter.prior.value(jnp.asarray(extension.z[at]))) / parameter.factor == pytest.approx(value)
@@ -212,6 +212,6 @@ def test_the_history_is_a_tree_with_one_selected(place, third, tmp_path):
 
 
 def test_the_old_result_stays(place, second):
-    fitted = read_fit(place / "first")
+    fitted = read_result(place / "first").fit
     assert LACKING not in {one.name for one in fitted.model.spec.effects}
     assert json.loads((place / "second" / "addition.json").read_text())["taken"]

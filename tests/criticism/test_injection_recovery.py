@@ -20,7 +20,7 @@ from imubayes.procedures import PROCEDURES
 @pytest.fixture(scope="module")
 def fitted() -> Fitted:
     model = declare(lacking_model(), load_campaign(CAMPAIGN, tuple(PROCEDURES)))
-    return joint_fit(model, None).fitted
+    return joint_fit(model, None)
 
 
 def answer(verdict: str, *effects: str) -> Diagnosis:

@@ -63,7 +63,7 @@ name = "white_noise"
 
 def errors(result: Result) -> dict[str, float]:
     """Residual of each channel in the unit of its input."""
-    return {one["channel"]: one["rms"] for one in result.summary["runs"]}
+    return {run.channel: run.rms for run in result.summary.runs}
 
 
 def test_a_hand_turned_unit_shows_its_g_sensitivity(tmp_path):

@@ -62,10 +62,10 @@ def test_it_is_screened_and_proposed(added):
 def test_it_is_added_and_the_error_falls(added):
     before, _, addition = added
     after = addition.result
-    found = next(one for one in after.summary["parameters"] if one["name"] == "house_regulator.size[ax]")
-    assert abs(found["mean"] - PLANTED) < 4 * found["sd"]
+    found = next(line for line in after.summary.parameters if line.name == "house_regulator.size[ax]")
+    assert abs(found.mean - PLANTED) < 4 * found.sd
 
     def error(result) -> float:
-        return float(np.sqrt(np.mean([one["rms"] ** 2 for one in result.summary["runs"]])))
+        return float(np.sqrt(np.mean([run.rms**2 for run in result.summary.runs])))
 
     assert error(after) < 0.8 * error(before)

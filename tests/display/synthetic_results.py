@@ -225,7 +225,9 @@ def summary_of(residuals: pl.DataFrame, parameters=None, derived=None, **more) -
     runs = run_entries(residuals)
     summary = {
         "format": 1, "campaign": "trihedral-imu", "model": "trihedral-imu", "converged": True, "message": "",
-        "sampled": True, "interval": "95 % equal-tailed", "parameters": parameters, "derived": derived, "runs": runs,
+        "sampled": True, "interval": "95 % equal-tailed",
+        "uncertainty": "standard deviation", "acceptance": 0.9, "contributions": [],
+        "parameters": parameters, "derived": derived, "runs": runs,
         "chi2": sum(run["chi2"] for run in runs), "dof": int(0.95 * residuals.height), "log_evidence": -123.0,
         "weak_directions": [{"combination": "all mounting_error.z together", "from_data": 0.02}],
         "next_runs": [{"run": "dividing head in mounting 'pyramid'", "quantity": "mounting_angle[gx,pyramid]",

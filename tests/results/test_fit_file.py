@@ -11,7 +11,7 @@ from imubayes.api import Result, fit
 from imubayes.errors import InputError
 from imubayes.inference.joint_fit import model_hash
 from imubayes.model.likelihood import residuals
-from imubayes.results.result_folder import read_fit
+from imubayes.results.result import read_result
 
 ROOT = Path(__file__).parents[2]
 
@@ -41,7 +41,7 @@ def copy(place, result, tmp_path) -> Path:
 
 
 def test_the_fit_comes_back(place, result):
-    found, was = read_fit(place / "result"), result.fit.fitted
+    found, was = read_result(place / "result").fit, result.fit
     assert found.model.layout.names == was.model.layout.names
     assert np.array_equal(found.z, was.z)
     assert np.array_equal(found.h, was.h)
@@ -53,12 +53,12 @@ def test_the_fit_comes_back(place, result):
 
 
 def test_a_result_that_moved_with_its_campaign_is_found(copy):
-    assert Path(read_fit(copy / "result").model.campaign.folder).resolve() == copy / "campaign"
+    assert Path(read_result(copy / "result").fit.model.campaign.folder).resolve() == copy / "campaign"
 
 
 def refused(folder: Path) -> str:
     with pytest.raises(InputError) as error:
-        read_fit(folder)
+        _ = read_result(folder).fit
     assert all(part in str(error.value) for part in ("error: ", "  where:   ", "  allowed: ", "  do:      "))
     return str(error.value)
 

@@ -149,7 +149,7 @@ def first_step(
     result = imubayes.api.fit(place, model, sample=False)
     addition = imubayes.api.add(result, [found["effect"]], channels=found["channels"])
     facts = addition.json
-    fitted = {one["name"]: one["mean"] for one in addition.result.summary["parameters"]}
+    fitted = {line.name: line.mean for line in addition.result.summary.parameters}
     sigma = [name for name in fitted if name.startswith("white_noise.") and addition.taken]
     return {
         "effect": found["effect"],
@@ -194,9 +194,9 @@ def start_worker() -> None:
     import jax
 
     import imubayes.criticism.diagnosis
-    import imubayes.results.result
+    import imubayes.results.summarise
 
-    imubayes.results.result.next_runs = lambda *_: []
+    imubayes.results.summarise.next_runs = lambda *_: ()
     imubayes.criticism.diagnosis.separating_run = lambda *_: None
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax-study"))

@@ -64,13 +64,13 @@ def study(generator, name: str, seeds, understate: float = 1.0, only: str = "") 
     for seed in seeds:
         truth, result = replicate(generator, name, seed)
         converged.append(result.converged)
-        for line in (*result.summary["parameters"], *result.summary["derived"]):
-            if line["name"] not in truth or not line["name"].startswith(only):
+        for line in (*result.summary.parameters, *result.summary.derived):
+            if line.name not in truth or not line.name.startswith(only):
                 continue
-            true, middle = truth[line["name"]], line["mean"]
-            low, high = (middle + understate * (line[key] - middle) for key in ("q025", "q975"))
-            names.append(line["name"])
-            z.append((middle - true) / (understate * line["sd"]))
+            true, middle = truth[line.name], line.mean
+            low, high = (middle + understate * (bound - middle) for bound in (line.q025, line.q975))
+            names.append(line.name)
+            z.append((middle - true) / (understate * line.sd))
             inside.append(low <= true <= high)
-            sds.append(line["sd"])
+            sds.append(line.sd)
     return Scores(names, np.array(z), np.array(inside), np.array(sds), converged)

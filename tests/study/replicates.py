@@ -92,7 +92,7 @@ def scores(procedure: str, replicates: int = REPLICATES, first_seed: int = 1) ->
         true = truth["parameters"] | truth["nuisance"]
         for place, parameter in enumerate(model.layout.parameters):
             if parameter.name in true:
-                draws, at = fit.points[:, place], parameter.z_at(true[parameter.name])
+                draws, at = fit.posterior.points[:, place], parameter.z_at(true[parameter.name])
                 low, high = np.quantile(draws, (0.025, 0.975))
                 found.append(((draws.mean() - at) / draws.std(), low <= at <= high))
     z, inside = np.array(found).T

@@ -26,7 +26,7 @@ def classical(campaign: Path, *, result: Path | None = None, as_json: Json = Fal
     from imubayes.errors import InputError, Issue
     from imubayes.procedures import PROCEDURES
     from imubayes.results.fit_file import read_record
-    from imubayes.results.result_folder import read_summary
+    from imubayes.results.result import read_result
 
     loaded = load_campaign(campaign, tuple(PROCEDURES))
     if result is not None and read_record(result)["data_hash"] != loaded.digest:
@@ -38,7 +38,7 @@ def classical(campaign: Path, *, result: Path | None = None, as_json: Json = Fal
                 "name the result that belongs to it, or fit the campaign as it is now",
             )
         )
-    facts = textbook_json(evaluate(loaded), None if result is None else read_summary(result))
+    facts = textbook_json(evaluate(loaded), None if result is None else read_result(result).summary.model_dump())
     if as_json:
         print_json(facts)
     else:

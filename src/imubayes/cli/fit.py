@@ -48,8 +48,8 @@ def fit(
     with progress() as tell:
         result = fit_campaign(campaign, model, out, sample=sample, seed=seed, resume=resume, progress=tell)
     if as_json:
-        print_json(result.summary)
+        print_json(result.summary.model_dump(mode="json"))
     else:
-        print_summary(result.summary, verbose=verbose)
+        print_summary(result.summary.model_dump(), verbose=verbose)
         print(f"\nresult in {out}; next: imubayes compare {out}")
     return 0 if result.converged else 1

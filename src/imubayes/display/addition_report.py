@@ -14,9 +14,10 @@ from imubayes.criticism.warm_start import Extension
 from imubayes.display.fit_tables import Cell, Sheet
 from imubayes.display.labels import pretty, readable
 from imubayes.display.rounding import significant, value_and_sd
+from imubayes.records import finite
 from imubayes.results.history_file import channel_errors
 from imubayes.results.result_folder import write_beside
-from imubayes.results.summary import finite
+from imubayes.results.summary import Summary
 from imubayes.units import to_si
 
 ADDITION, ADDED_VARIABLE = "addition.json", "added_variable.parquet"
@@ -38,10 +39,13 @@ def expected_line(extension: Extension, screened: Facts | None) -> dict[str, Any
     return {"delta_chi2": drop, "coefficients": coefficients, "screened": (screened or {}).get("delta_chi2")}
 
 
-def found_line(summary: Facts, names: Sequence[str], delta_chi2: float) -> dict[str, Any]:
+def found_line(summary: Summary, names: Sequence[str], delta_chi2: float) -> dict[str, Any]:
     """Return what the refit found: drop of chi² and the new parameters."""
-    lines = [one for one in summary["parameters"] if one["name"] in names]
-    coefficients = [{"name": o["name"], "value": o["mean"], "sd": o["sd"], "unit": o["unit"]} for o in lines]
+    coefficients = [
+        {"name": parameter.name, "value": parameter.mean, "sd": parameter.sd, "unit": parameter.unit}
+        for parameter in summary.parameters
+        if parameter.name in names
+    ]
     return {"delta_chi2": finite(delta_chi2), "coefficients": coefficients}
 
 
@@ -65,13 +69,13 @@ def held_out_line(found: HeldOut | None) -> dict[str, Any]:
     }
 
 
-def errors_before_after(before: Facts, after: Facts) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def errors_before_after(before: Summary, after: Summary) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the residual error before and after: per run and channel, and per channel, in input units."""
-    was = {(one["name"], one["channel"]): one for one in before["runs"]}
+    was = {(run.name, run.channel): run.rms for run in before.runs}
     runs = [
-        {"name": now["name"], "channel": now["channel"], "n": now["n"], "unit": now["unit"],
-         "before": was.get((now["name"], now["channel"]), {}).get("rms"), "after": now["rms"]}
-        for now in after["runs"]
+        {"name": now.name, "channel": now.channel, "n": now.n, "unit": now.unit,
+         "before": was.get((now.name, now.channel)), "after": now.rms}
+        for now in after.runs
     ]  # fmt: skip
     old, new = channel_errors(before), channel_errors(after)
     channels = [

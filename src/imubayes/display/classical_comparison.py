@@ -12,7 +12,7 @@ from imubayes.classical import Estimate, Finding, Undetermined
 from imubayes.display.fit_tables import Cell, Sheet
 from imubayes.display.labels import pretty
 from imubayes.display.rounding import significant, value_and_sd
-from imubayes.results.summary import finite
+from imubayes.records import finite
 
 Facts = Mapping[str, Any]
 # A difference beyond this many of the textbook's own standard deviations is one that it does not own up to.

@@ -25,8 +25,9 @@ from imubayes.display.labels import ordered
 from imubayes.display.terminal_tables import derived_table, fit_table, parameter_table, run_table, weak_table
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.results.fit_file import campaign_of
+from imubayes.results.folder_state import damaged
 from imubayes.results.posterior_draws import read_draws
-from imubayes.results.stored_result import StoredResult, damaged, read_stored
+from imubayes.results.result import Result, read_result
 
 _MOST_COLUMNS = 9
 _INDEX = "captions.json"
@@ -97,12 +98,14 @@ def compare(folder: str | Path, parameters: Sequence[str] | None = None) -> Comp
     InputError
         if the folder is missing or damaged, a parameter is not in it, or no prediction is a finite number.
     """
-    stored = read_stored(folder)
+    folder = Path(folder)
+    stored = read_result(folder)
+    summary = stored.summary.model_dump()
     _refuse_no_numbers(stored)
-    names = _checked(stored, parameters) if parameters else corner_choice(stored.summary)
+    names = _checked(stored, parameters) if parameters else corner_choice(summary)
     draws = _draws(stored, names, asked=bool(parameters))
     notes = list(_notes(stored, draws))
-    target = stored.folder / "figures"
+    target = folder / "figures"
     _make_folder(target)
     made: list[Path] = []
     captions: dict[str, str] = {}
@@ -112,20 +115,20 @@ def compare(folder: str | Path, parameters: Sequence[str] | None = None) -> Comp
             made.append(figure.save(target / f"{name}.png"))
             captions[f"{name}.png"] = figure.caption
     _replace_index(target, captions)
-    campaign = campaign_of(stored.folder)
-    textbook = None if campaign is None else textbook_json(classical(campaign), stored.summary)
-    return Comparison(stored.folder, tuple(made), captions, stored.summary, tuple(notes), textbook)
+    campaign = campaign_of(folder)
+    textbook = None if campaign is None else textbook_json(classical(campaign), summary)
+    return Comparison(folder, tuple(made), captions, summary, tuple(notes), textbook)
 
 
-def _refuse_no_numbers(stored: StoredResult) -> None:
+def _refuse_no_numbers(stored: Result) -> None:
     """Raise where the model could not be evaluated for some readings: such a fit has nothing to draw."""
-    bad = stored.residuals.filter(~stored.residuals["predicted"].is_finite())
+    bad = stored.residuals.table.filter(~stored.residuals.table["predicted"].is_finite())
     if bad.is_empty():
         return
     first = bad.row(0, named=True)
     raise InputError(
         Issue(
-            f"the model gave no finite number for {len(bad)} of {len(stored.residuals)} readings: "
+            f"the model gave no finite number for {len(bad)} of {len(stored.residuals.table)} readings: "
             f"the first is {first['channel']} in row {first['row']} of {first['run']}",
             str(stored.folder),
             "a model that can be evaluated everywhere",
@@ -134,8 +137,8 @@ def _refuse_no_numbers(stored: StoredResult) -> None:
     )
 
 
-def _checked(stored: StoredResult, parameters: Sequence[str]) -> list[str]:
-    known = [one["name"] for one in (*stored.summary["parameters"], *stored.summary["derived"])]
+def _checked(stored: Result, parameters: Sequence[str]) -> list[str]:
+    known = [quantity.name for quantity in (*stored.summary.parameters, *stored.summary.derived)]
     members: list[str] = []
     issues = []
     for name in dict.fromkeys(parameters):
@@ -143,10 +146,10 @@ def _checked(stored: StoredResult, parameters: Sequence[str]) -> list[str]:
         own = [name] if name in known else [one for one in known if one.partition("[")[0] == name]
         members += own
         if not own:
-            where = f"{stored.folder / 'summary.json'}, option --parameters"
+            where = f"{stored.folder}/summary.json, option --parameters"
             remedy = "take a name from the tables of the result; a name without its brackets stands for all its members"
             issues.append(Issue(f"'{name}' is not in the result", where, closest_first(name, known), remedy))
-    if stored.posterior is None:
+    if stored.posterior_file is None:
         remedy = "mend what kept the fit from converging, fit again, then compare"
         allowed = "a result with posterior.nc, which every fit that converged writes"
         issues.append(Issue("there are no draws to show", str(stored.folder), allowed, remedy))
@@ -155,21 +158,21 @@ def _checked(stored: StoredResult, parameters: Sequence[str]) -> list[str]:
     return members
 
 
-def _draws(stored: StoredResult, names: Sequence[str], asked: bool) -> Mapping[str, Any]:
-    if stored.posterior is None or not names:
+def _draws(stored: Result, names: Sequence[str], asked: bool) -> Mapping[str, Any]:
+    if stored.posterior_file is None or not names:
         return {}
     try:
-        draws = read_draws(stored.posterior, names)
+        draws = read_draws(stored.posterior_file, names)
     except (OSError, KeyError, ValueError, RuntimeError) as error:
-        raise InputError(damaged(stored.posterior, error)) from error
+        raise InputError(damaged(stored.posterior_file, error)) from error
     absent = [name for name in names if name not in draws]
     if absent and asked:
-        raise InputError(damaged(stored.posterior, f"it has no draws of {', '.join(absent[:5])}"))
+        raise InputError(damaged(stored.posterior_file, f"it has no draws of {', '.join(absent[:5])}"))
     return draws
 
 
-def _notes(stored: StoredResult, draws: Mapping[str, Any]) -> Iterator[str]:
-    runs = ordered(stored.residuals, "run")
+def _notes(stored: Result, draws: Mapping[str, Any]) -> Iterator[str]:
+    runs = ordered(stored.residuals.table, "run")
     shown = runs_shown(stored)
     if len(shown) < len(runs):
         yield f"Of {len(runs)} runs the {len(shown)} that fit worst have a picture of their own."

@@ -17,15 +17,15 @@ from imubayes.display.figures.prior_posterior import mounting_quantities
 from imubayes.display.goodness_of_fit import worst_first
 from imubayes.display.labels import Covariate, covariates_of, numbers, ordered, varies
 from imubayes.display.theme import MOST_PANELS, Picture
-from imubayes.results.stored_result import StoredResult
+from imubayes.results.result import Result
 
 MOST_RUNS, MOST_CORNER = 24, 6
 Plan = Iterator[tuple[str, Callable[[], Picture]]]
 
 
-def plan(stored: StoredResult, names: Sequence[str], draws: Mapping[str, Any]) -> Plan:
+def plan(stored: Result, names: Sequence[str], draws: Mapping[str, Any]) -> Plan:
     """Yield a name and a way to draw for every picture, the overview first."""
-    summary, residuals = stored.summary, stored.residuals
+    summary, residuals = stored.summary.model_dump(), stored.residuals.table
     runs = ordered(residuals, "run")
     if summary["runs"]:
         yield "fit-of-runs", lambda: run_chi2_figure(summary)
@@ -62,12 +62,12 @@ def _pages(channels: Sequence[str]) -> list[tuple[str, list[str]]]:
     return [(f"-{number}" if len(pages) > 1 else "", page) for number, page in enumerate(pages, 1)]
 
 
-def runs_shown(stored: StoredResult) -> list[str]:
+def runs_shown(stored: Result) -> list[str]:
     """Return the runs that get a picture of their own: all, or those that fit worst where there are many."""
-    runs = ordered(stored.residuals, "run")
+    runs = ordered(stored.residuals.table, "run")
     if len(runs) <= MOST_RUNS:
         return runs
-    ranked = [name for name in worst_first(stored.summary) if name in runs]
+    ranked = [name for name in worst_first(stored.summary.model_dump()) if name in runs]
     kept = set((ranked + [name for name in runs if name not in ranked])[:MOST_RUNS])
     return [name for name in runs if name in kept]
 

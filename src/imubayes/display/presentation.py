@@ -8,9 +8,9 @@ from imubayes.results.result import Result
 
 @text_of.register
 def _(record: Result) -> str:
-    return summary_text(record.summary)
+    return summary_text(record.summary.model_dump())
 
 
 @html_of.register
 def _(record: Result) -> str:
-    return summary_html(record.summary)
+    return summary_html(record.summary.model_dump())

@@ -9,9 +9,11 @@ same measure.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+
+from imubayes.records import Record
 
 # A direction is reported where the data contributed less than this share of the knowledge.
 WEAK_SHARE = 0.5
@@ -22,11 +24,20 @@ _NAMED_SHARE, _MOST_NAMED, _MOST_DIRECTIONS = 0.15, 5, 12
 _CONFUSED_SHARE, _CONFUSED_CORRELATION = 0.1, 0.95
 
 
-@dataclass(frozen=True)
-class WeakDirection:
-    """A combination that the data leave to the prior, and the share that did come from the data."""
+class WeakDirection(Record):
+    """A combination of parameters or derived quantities that the data did not determine.
+
+    Attributes
+    ----------
+    combination : for display.
+    quantities : names of the members that the combination shows.
+    kind : ``confusion`` for two derived quantities of which the data determine a combination only.
+    from_data : share of the information along the combination that came from the data.
+    """
 
     combination: str
+    quantities: tuple[str, ...] = ()
+    kind: Literal["confusion", "combination"] = "combination"
     from_data: float
 
 
@@ -60,8 +71,10 @@ def weak_directions(precision: np.ndarray, names: Sequence[str], hidden: np.ndar
     found = []
     for direction in basis.T:
         share = 1 - direction @ covariance @ direction / (direction @ direction)
-        found.append(WeakDirection(_named(direction, names), float(np.clip(share, 0.0, 1.0))))
-    return sorted(found, key=lambda one: one.from_data)[:_MOST_DIRECTIONS]
+        text, members = _named(direction, names)
+        share = float(np.clip(share, 0.0, 1.0))
+        found.append(WeakDirection(combination=text, quantities=members, from_data=share))
+    return sorted(found, key=lambda weak: weak.from_data)[:_MOST_DIRECTIONS]
 
 
 def _echelon(space: np.ndarray, hidden: np.ndarray) -> np.ndarray:
@@ -77,7 +90,8 @@ def _echelon(space: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     return space @ np.linalg.inv(space[leads])
 
 
-def _named(direction: np.ndarray, names: Sequence[str]) -> str:
+def _named(direction: np.ndarray, names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+    """Return a combination as a formula, largest coefficient first, and the names in it."""
     order = np.argsort(-np.abs(direction))
     direction = direction / direction[order[0]]
     members = [i for i in order if abs(direction[i]) >= _NAMED_SHARE]
@@ -87,7 +101,7 @@ def _named(direction: np.ndarray, names: Sequence[str]) -> str:
         text += f" {sign} {abs(direction[member]):.2g}·{names[member]}"
     if len(members) > _MOST_NAMED:
         text += f" and {len(members) - _MOST_NAMED} more"
-    return text
+    return text, tuple(str(names[member]) for member in members[:_MOST_NAMED])
 
 
 def confusions(
@@ -121,5 +135,7 @@ def confusions(
         if abs(correlation) > _CONFUSED_CORRELATION:
             share = min(share, float(np.clip(along[i], 0.0, 1.0)))
         if share < _CONFUSED_SHARE and np.diag(after).max() > 1e-3:
-            found.append(WeakDirection(f"{names[i]} against {names[j]}", share))
-    return sorted(found, key=lambda one: one.from_data)
+            both = (names[i], names[j])
+            weak = WeakDirection(combination=" against ".join(both), quantities=both, kind="confusion", from_data=share)
+            found.append(weak)
+    return sorted(found, key=lambda weak: weak.from_data)

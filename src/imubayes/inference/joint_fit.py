@@ -1,10 +1,10 @@
-"""The whole way: from a declared model to a posterior and everything that is derived from it."""
+"""The joint fit: from a bound model to its mode, posterior draws and derived quantities."""
 
 import hashlib
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -14,12 +14,12 @@ import numpy as np
 from imubayes.errors import InputError, Issue
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.ensemble_sampling import Chains, Settings, sample, walkers_for
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit, Posterior, evenly_spaced
 from imubayes.inference.laplace_move import LaplaceProposal, LogDensity
-from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
+from imubayes.inference.nested_laplace import nested_laplace
 from imubayes.inference.posterior_mode import Mode, find_mode, fit_at, heights, message
 from imubayes.model.bind import Model
-from imubayes.model.derived_quantities import Derived, derive, derive_many
+from imubayes.model.derived_quantities import Derived, derive_many
 from imubayes.model.problem import Problem
 
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
@@ -31,54 +31,6 @@ _PRIOR_DRAWS, _LAPLACE_DRAWS, _DERIVED_DRAWS = 2000, 4000, 4000
 Progress = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class JointFit:
-    """A joint fit with its posterior.
-
-    Attributes
-    ----------
-    model, derived : what was fitted.
-    mode : where the fit ended.
-    approximation : the nested Laplace approximation; None where the fit did not converge.
-    chains : the sampled posterior; None where it was not sampled.
-    points : shape (S, P + H), draws in z: sampled, or of the Laplace approximation.
-    derived_draws, prior_derived : shapes (S′, D) and (S″, D), in the units of their names.
-    seconds : time spent, by step.
-    """
-
-    model: Model
-    derived: Derived
-    mode: Mode
-    approximation: NestedLaplace | None
-    chains: Chains | None
-    points: np.ndarray
-    derived_draws: np.ndarray
-    prior_derived: np.ndarray
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def converged(self) -> bool:
-        """Whether the fit, and the sampling where there was any, converged."""
-        return bool(self.mode.converged) and (self.chains is None or self.chains.diagnosis.converged)
-
-    @property
-    def message(self) -> str:
-        """What did not converge, in a sentence; empty where all did."""
-        if not bool(self.mode.converged):
-            return message(self.mode)
-        return self.chains.diagnosis.message if self.chains is not None else ""
-
-    @property
-    def derived_from(self) -> np.ndarray:
-        """Which of the points the derived draws were made of, (S′,)."""
-        return _spread_over(self.points, len(self.derived_draws))
-
-    @property
-    def fitted(self) -> Fitted:
-        """The model with its mode, without what was derived from it."""
-        return Fitted(self.model, np.asarray(self.mode.z), np.asarray(self.mode.h), self.converged, self.message)
-
-
 def joint_fit(
     model: Model,
     sampling: Settings | None,
@@ -86,7 +38,7 @@ def joint_fit(
     resume: bool = False,
     progress: Progress | None = None,
     start: tuple[np.ndarray, np.ndarray] | None = None,
-) -> JointFit:
+) -> Fit:
     """Fit a model and sample its posterior.
 
     Parameters
@@ -97,7 +49,7 @@ def joint_fit(
     resume : continue the checkpoint.
     progress : called with a short text as the work goes on.
     start : z and h to begin the fit at, where a fit of nearly the same model is known; the middle of the prior where
-        None.  Other places are tried only where the posterior is to be sampled, or no start is known.
+        None.  Other starts are tried only where the posterior is to be sampled, or none is known.
 
     Raises
     ------
@@ -107,41 +59,49 @@ def joint_fit(
     tell = progress or (lambda text: None)
     _require_double_precision()
     clock = time.perf_counter()
-    seconds = {}
     problem = model.problem
     with tempfile.TemporaryDirectory() as folder:
         file = _checkpoint(model, sampling, checkpoint or Path(folder) / "checkpoint.h5") if sampling else None
         if file is not None and resume:
             file.check()
         tell("fitting")
-        settings = sampling or Settings()
         dispersed = _DISPERSED if sampling is not None or start is None else 0
-        mode, others = _best_start(problem, settings.seed, start, dispersed)
-        derived = derive(model.assembly)
-        if not bool(mode.converged):
-            return _unconverged(model, derived, mode, {"fit": time.perf_counter() - clock})
+        mode, others = _best_start(problem, sampling.seed if sampling else 0, start, dispersed)
+        fit = Fit(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged), message(mode), mode)
+        if not fit.converged:
+            return replace(fit, seconds={"fit": time.perf_counter() - clock})
         approximation = nested_laplace(problem, mode)
         proposal = LaplaceProposal(approximation, problem)
-        seconds["fit"], clock = time.perf_counter() - clock, time.perf_counter()
-        chains = None
+        seconds = {"fit": time.perf_counter() - clock}
+        clock = time.perf_counter()
         if sampling is not None and file is not None:
             if not resume:
                 file.create()
-            starts = _starts(proposal, mode, others, file, sampling)
-            names = model.layout.names + model.hyper_layout.names
-
-            def report(steps: int, word: str) -> None:
-                tell(f"sampling: {steps} steps" + (f" ({word})" if word else ""))
-
-            density = LogDensity(problem, walkers_for(sum(problem.size), settings) // 2)
-            chains = sample(density, starts, names, sampling, file, proposal, report)
+            chains = _sampled(model, proposal, _starts(proposal, mode, others, file, sampling), sampling, file, tell)
             points = chains.points.reshape(-1, chains.points.shape[-1])
+            fit = replace(fit, converged=chains.diagnosis.converged, message=chains.diagnosis.message)
         else:
-            points = proposal.draw(np.random.RandomState(0), _LAPLACE_DRAWS)
+            chains, points = None, proposal.draw(np.random.RandomState(0), _LAPLACE_DRAWS)
         seconds["sample"] = time.perf_counter() - clock
     tell("deriving")
-    draws, prior = _derived_draws(derived, problem, points)
-    return JointFit(model, derived, mode, approximation, chains, points, draws, prior, seconds)
+    draws, prior = _derived_draws(fit.derived, problem, points)
+    return replace(fit, posterior=Posterior(points, draws, prior, approximation, chains), seconds=seconds)
+
+
+def _sampled(
+    model: Model,
+    proposal: LaplaceProposal,
+    starts: list[np.ndarray],
+    sampling: Settings,
+    file: Checkpoint,
+    tell: Progress,
+) -> Chains:
+    def report(steps: int, word: str) -> None:
+        tell(f"sampling: {steps} steps" + (f" ({word})" if word else ""))
+
+    names = model.layout.names + model.hyper_layout.names
+    density = LogDensity(model.problem, walkers_for(sum(model.problem.size), sampling) // 2)
+    return sample(density, starts, names, sampling, file, proposal, report)
 
 
 def _require_double_precision() -> None:
@@ -181,7 +141,7 @@ def data_hash(model: Model) -> str:
 
 def model_hash(model: Model) -> str:
     """Return the SHA-256 of the model: its effects with channels, priors and settings, in order."""
-    listed = sorted(repr(replace(one, where="")) for one in model.spec.effects)
+    listed = sorted(repr(replace(effect, where="")) for effect in model.spec.effects)
     sources = [Path(file).read_text() for file in model.spec.files]
     return _digest(*(text.encode() for text in (*listed, *sources)))
 
@@ -226,20 +186,8 @@ def _starts(
 
 def _derived_draws(derived: Derived, problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size = problem.size[0]
-    chosen = _spread_over(points, _DERIVED_DRAWS)
+    chosen = evenly_spaced(len(points), _DERIVED_DRAWS)
     prior = np.random.default_rng(0).normal(size=(_PRIOR_DRAWS, size))
     both = np.concatenate([points[chosen, :size], prior])
     values = derive_many(derived.derivation, problem, both)
     return values[:_DERIVED_DRAWS], values[_DERIVED_DRAWS:]
-
-
-def _spread_over(points: np.ndarray, count: int) -> np.ndarray:
-    """Return places of so many points, evenly over all."""
-    return np.linspace(0, len(points) - 1, count).astype(int)
-
-
-def _unconverged(model: Model, derived: Derived, mode: Mode, seconds: dict[str, float]) -> JointFit:
-    parameters, hyperparameters = model.problem.size
-    nothing = np.full((1, parameters + hyperparameters), np.nan)
-    missing = np.full((1, len(derived.names)), np.nan)
-    return JointFit(model, derived, mode, None, None, nothing, missing, missing, seconds)

@@ -10,7 +10,9 @@ import xarray
 from arviz_base import from_dict
 
 from imubayes.inference.ensemble_sampling import burn_in
-from imubayes.inference.joint_fit import JointFit, data_hash, model_hash
+from imubayes.inference.fit import Fit, evenly_spaced
+from imubayes.inference.joint_fit import data_hash, model_hash
+from imubayes.model.bind import Model
 from imubayes.model.likelihood import entry_log_likelihood
 from imubayes.model.noise_covariance import noise_law
 from imubayes.model.problem import Problem, predict_many
@@ -43,35 +45,37 @@ def _values(problem: Problem, points):
     )(points)
 
 
-def in_units(fit: JointFit, points: np.ndarray) -> np.ndarray:
+def in_units(model: Model, points: np.ndarray) -> np.ndarray:
     """Return points (…, P + H) in z as values in datasheet units."""
-    factors = np.concatenate([fit.model.layout.factors(), fit.model.hyper_layout.factors()])
+    factors = np.concatenate([model.layout.factors(), model.hyper_layout.factors()])
     flat = points.reshape(-1, points.shape[-1])
-    return np.asarray(_values(fit.model.problem, flat)).reshape(points.shape) / factors
+    return np.asarray(_values(model.problem, flat)).reshape(points.shape) / factors
 
 
-def posterior_tree(fit: JointFit) -> xarray.DataTree:
+def posterior_tree(fit: Fit) -> xarray.DataTree:
     """Return prior, posterior, predictive, likelihood and data groups of a fit.
 
     A chain is a walker; the walkers of one ensemble form a superchain, given in `sample_stats`.  An unsampled fit has
     one chain, of draws from the Laplace approximation.
     """
     model, problem = fit.model, fit.model.problem
-    if fit.chains is not None:
-        ensembles, steps, walkers, _ = fit.chains.points.shape
-        points = fit.chains.points.transpose(0, 2, 1, 3).reshape(ensembles * walkers, steps, -1)
-        log_density = fit.chains.log_density.transpose(0, 2, 1).reshape(ensembles * walkers, steps)
+    assert fit.posterior is not None, "a fit without posterior draws"
+    draws, chains = fit.posterior.points, fit.posterior.chains
+    if chains is not None:
+        ensembles, steps, walkers, _ = chains.points.shape
+        points = chains.points.transpose(0, 2, 1, 3).reshape(ensembles * walkers, steps, -1)
+        log_density = chains.log_density.transpose(0, 2, 1).reshape(ensembles * walkers, steps)
         superchain = np.repeat(np.arange(ensembles), walkers)
     else:
-        points, log_density, superchain = fit.points[None], None, np.zeros(1, dtype=int)
-    kept = np.linspace(0, len(fit.points) - 1, min(_KEPT, len(fit.points))).astype(int)
+        points, log_density, superchain = draws[None], None, np.zeros(1, dtype=int)
+    kept = evenly_spaced(len(draws), min(_KEPT, len(draws)))
     random = np.random.default_rng(1)
-    prior_points = random.normal(size=(_KEPT, fit.points.shape[1]))
-    predicted, entry_likelihood, group_likelihood = _predicted(problem, fit.points[kept], random)
+    prior_points = random.normal(size=(_KEPT, draws.shape[1]))
+    predicted, entry_likelihood, group_likelihood = _predicted(problem, draws[kept], random)
     prior_predicted, _, _ = _predicted(problem, prior_points, random)
     coordinates, dimensions = {}, {}
-    posterior = _by_effect(model.layout, model.hyper_layout, in_units(fit, points), coordinates, dimensions)
-    prior = _by_effect(model.layout, model.hyper_layout, in_units(fit, prior_points)[None], coordinates, dimensions)
+    posterior = _by_effect(model.layout, model.hyper_layout, in_units(model, points), coordinates, dimensions)
+    prior = _by_effect(model.layout, model.hyper_layout, in_units(model, prior_points)[None], coordinates, dimensions)
     posterior |= _derived(fit, coordinates, dimensions)
     entries, names = model.entries, [channel.name for channel in model.campaign.channels]
     labels = [*names, "closure_x", "closure_y", "closure_z"]
@@ -138,18 +142,18 @@ def _label(name: str, labels: Sequence[tuple[str, ...]], coordinates: dict, dime
     dimensions[name] = [axis]
 
 
-def _derived(fit: JointFit, coordinates: dict, dimensions: dict) -> dict[str, np.ndarray]:
+def _derived(fit: Fit, coordinates: dict, dimensions: dict) -> dict[str, np.ndarray]:
     """Return derived quantities by family; they were computed for every so manieth draw, the rest is left empty."""
-    shape = fit.chains.points.shape if fit.chains is not None else (1, len(fit.points), 1, 0)
-    ensembles, steps, walkers, _ = shape
-    chosen = np.linspace(0, len(fit.points) - 1, len(fit.derived_draws)).astype(int)
+    assert fit.posterior is not None
+    points, chains, draws = fit.posterior.points, fit.posterior.chains, fit.posterior.derived
+    ensembles, steps, walkers, _ = chains.points.shape if chains is not None else (1, len(points), 1, 0)
     families: dict[str, list[int]] = {}
     for place, name in enumerate(fit.derived.names):
         families.setdefault(name.name.split("[")[0], []).append(place)
     found = {}
     for family, places in families.items():
-        whole = np.full((len(fit.points), len(places)), np.nan)
-        whole[chosen] = fit.derived_draws[:, places]
+        whole = np.full((len(points), len(places)), np.nan)
+        whole[fit.posterior.derived_rows] = draws[:, places]
         whole = whole.reshape(ensembles, steps, walkers, len(places)).transpose(0, 2, 1, 3)
         labels = [(fit.derived.names[place].name.split("[")[1].rstrip("]"),) for place in places]
         _label(family, labels, coordinates, dimensions)
@@ -157,8 +161,8 @@ def _derived(fit: JointFit, coordinates: dict, dimensions: dict) -> dict[str, np
     return found
 
 
-def _attributes(fit: JointFit) -> dict[str, str | int]:
-    chains = fit.chains
+def _attributes(fit: Fit) -> dict[str, str | int]:
+    chains = fit.posterior.chains if fit.posterior is not None else None
     return {
         "inference_library": "imubayes",
         "campaign": fit.model.campaign.name,

@@ -14,31 +14,29 @@ import numpy as np
 
 from imubayes.campaign import load_campaign
 from imubayes.errors import InputError, Issue
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.inference.joint_fit import data_hash, model_hash
 from imubayes.model.bind import Model, declare
 from imubayes.model.model_file import read_model
 from imubayes.parameters.vector import Layout
 from imubayes.procedures import PROCEDURES
-from imubayes.results.stored_result import way_back
-from imubayes.results.summary import finite
+from imubayes.records import finite
+from imubayes.results.folder_state import FIT, MODEL, way_back
 from imubayes.run import Campaign
 
-FIT, MODEL = "fit.json", "model.toml"
 
-
-def fit_record(fitted: Fitted, folder: Path, seed: int) -> dict[str, Any]:
+def fit_record(fit: Fit, folder: Path, seed: int) -> dict[str, Any]:
     """Return the contents of `fit.json` of a result in `folder`."""
-    model = fitted.model
+    model = fit.model
     return {
         "format": 1,
         "campaign": _places(model.campaign, folder),
         "data_hash": campaign_hash(model),
         "model_hash": model_hash(model),
-        "z": _by_name(model.layout, fitted.z),
-        "h": _by_name(model.hyper_layout, fitted.h),
-        "converged": fitted.converged,
-        "message": fitted.message,
+        "z": _by_name(model.layout, fit.z),
+        "h": _by_name(model.hyper_layout, fit.h),
+        "converged": fit.converged,
+        "message": fit.message,
         "seed": seed,
     }
 
@@ -85,22 +83,21 @@ def read_record(folder: str | Path) -> dict[str, Any]:
     return record
 
 
-def read_fit(folder: str | Path, campaign: Campaign | None = None) -> Fitted:
-    """Return the fit of a result folder, its campaign read again and its model declared; nothing is refitted.
+def read_fit(folder: str | Path) -> Fit:
+    """Return the fit of a result folder, its campaign read again and its model declared; nothing is refit.
 
     Parameters
     ----------
     folder : as written by a fit.
-    campaign : the campaign, where it is at hand; without it, it is looked for where the result says.
 
     Raises
     ------
     InputError
-        where the folder holds no fit, the campaign is gone, or campaign or model are not those that were fitted.
+        where the folder holds no fit, the campaign is gone, or campaign or model are not those that were fit.
     """
     folder = Path(folder)
     record = read_record(folder)
-    found = campaign if campaign is not None else load_campaign(_folder(record, folder), tuple(PROCEDURES))
+    found = load_campaign(_folder(record, folder), tuple(PROCEDURES))
     model = declare(read_model(folder / MODEL), found)
     if campaign_hash(model) != record["data_hash"]:
         raise InputError(
@@ -123,11 +120,11 @@ def read_fit(folder: str | Path, campaign: Campaign | None = None) -> Fitted:
                 f"`imubayes fit CAMPAIGN --model {folder / MODEL} --out ANOTHER`",
             )
         )
-    return Fitted(model, z, h, bool(record["converged"]), str(record["message"]))
+    return Fit(model, z, h, bool(record["converged"]), str(record["message"]))
 
 
 def campaign_of(folder: str | Path) -> Campaign | None:
-    """Return the campaign of a result folder, read again; None where it is gone or no longer what was fitted."""
+    """Return the campaign of a result folder, read again; None where it is gone or no longer what was fit."""
     try:
         record = read_record(folder)
         found = load_campaign(_folder(record, Path(folder)), tuple(PROCEDURES))

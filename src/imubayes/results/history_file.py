@@ -2,10 +2,9 @@
 
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,27 +15,27 @@ from imubayes.model.bind import Model
 from imubayes.results.fit_file import campaign_hash
 from imubayes.results.residuals import INPUT_UNIT
 from imubayes.results.result_folder import write_beside
+from imubayes.results.summary import Summary
 from imubayes.units import to_si
 
 HISTORY = "history.json"
-Summary = Mapping[str, Any]
 
 
 def channel_errors(summary: Summary) -> dict[str, tuple[float, str]]:
     """Return the residual error of each channel over all runs, and its unit."""
     found: dict[str, tuple[float, str]] = {}
-    for channel in dict.fromkeys(run["channel"] for run in summary["runs"]):
-        runs = [run for run in summary["runs"] if run["channel"] == channel and run["n"] and run["rms"] is not None]
-        if runs:
-            values = [run["rms"] for run in runs for _ in range(int(run["n"]))]
-            found[channel] = (mean_square(values), runs[0]["unit"])
+    for channel in dict.fromkeys(run.channel for run in summary.runs):
+        runs = [run for run in summary.runs if run.channel == channel]
+        values = [run.rms for run in runs if run.rms is not None for _ in range(run.n)]
+        if values:
+            found[channel] = (mean_square(values), runs[0].unit)
     return found
 
 
 def first_node(model: Model, summary: Summary, seed: int) -> Node:
     """Return the node of a fit that was made from no other."""
     data, made = campaign_hash(model), model_hash(model)
-    converged = bool(summary["converged"])
+    converged = summary.converged
     return Node(
         id=node_id(data, made, seed, ""),
         model=model.spec.name,
@@ -44,8 +43,8 @@ def first_node(model: Model, summary: Summary, seed: int) -> Node:
         children=(),
         added=(),
         verdict="",
-        chi2=summary["chi2"] if converged else None,
-        dof=summary["dof"] if converged else None,
+        chi2=summary.chi2 if converged else None,
+        dof=summary.dof if converged else None,
         rms=channel_errors(summary) if converged else {},
         delta_chi2={},
         held_out={},
@@ -53,7 +52,7 @@ def first_node(model: Model, summary: Summary, seed: int) -> Node:
         model_hash=made,
         seed=seed,
         taken=converged,
-        message=str(summary["message"]),
+        message=summary.message,
         selected=True,
         floor=noise_floor(model),
     )

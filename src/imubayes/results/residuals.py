@@ -2,19 +2,19 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
 
-from imubayes.inference.joint_fit import JointFit
+from imubayes.inference.fit import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.model.noise_covariance import group_sum, whiten, whitener
 from imubayes.model.problem import Problem
 from imubayes.model.robust_likelihood import pseudo_values
-from imubayes.results.summary import finite
+from imubayes.records import finite
+from imubayes.results.summary import RunSummary
 from imubayes.units import to_si
 
 _COVARIATES = {
@@ -26,6 +26,11 @@ _COVARIATES = {
     "converter_temperature_degC": ("converter_temperature", 1.0),
     "current_mA": ("current", 1e-3),
 }
+# Columns that every residuals table has, besides the covariates.
+COLUMNS = (
+    "run", "procedure", "row", "channel", "kind", "observed", "predicted", "sd", "model_sd", "residual",
+    "output_unit", "input_residual", "input_sd", "input_unit", "whitened",
+)  # fmt: skip
 INPUT_UNIT = {"gyro": "deg/s", "accelerometer": "g", "angle": "deg"}
 
 
@@ -40,23 +45,25 @@ class Residuals:
         """Sum of squares of the whitened residuals."""
         return float((self.table["whitened"] ** 2).sum())
 
-    def by_run_and_channel(self) -> list[dict[str, Any]]:
-        """Return n, chi² and rms in input units for each run and channel; null where they are no numbers."""
+    def by_run_and_channel(self) -> tuple[RunSummary, ...]:
+        """Return n, χ² and rms in input units for each run and channel; None where they are not finite."""
         grouped = self.table.group_by("run", "channel", maintain_order=True).agg(
             pl.len().alias("n"),
             (pl.col("whitened") ** 2).sum().alias("chi2"),
             (pl.col("input_residual") ** 2).mean().sqrt().alias("rms"),
             pl.col("input_unit").first().alias("unit"),
         )
-        return [
-            {
-                "name": line["run"],
-                **{key: line[key] for key in ("channel", "n")},
-                **{key: finite(line[key]) for key in ("chi2", "rms")},
-                "unit": line["unit"],
-            }
+        return tuple(
+            RunSummary(
+                name=line["run"],
+                channel=line["channel"],
+                n=line["n"],
+                chi2=finite(line["chi2"]),
+                rms=finite(line["rms"]),
+                unit=line["unit"],
+            )
             for line in grouped.iter_rows(named=True)
-        ]
+        )
 
 
 @eqx.filter_jit
@@ -79,8 +86,9 @@ def noise_deviation(problem: Problem, by) -> jnp.ndarray:
     return jnp.sqrt(1 / jnp.where(weight > 0, weight, jnp.inf) + shared[problem.observations.group])
 
 
-def residuals_of(fit: JointFit) -> Residuals:
-    """Return the residuals of a fit at its mode."""
+def residuals_of(fit: Fit) -> Residuals:
+    """Return the residuals of a fit made in this process, at its mode."""
+    assert fit.mode is not None, "a fit read from a folder has its residuals there"
     model, campaign, entries = fit.model, fit.model.campaign, fit.model.entries
     predicted, model_sd, sd, whitened = (np.asarray(part) for part in _at_mode(model.problem, fit.mode))
     channels = campaign.channels
@@ -119,7 +127,7 @@ def residuals_of(fit: JointFit) -> Residuals:
     return Residuals(pl.DataFrame(table))
 
 
-def _covariates(fit: JointFit) -> dict[str, pl.Series]:
+def _covariates(fit: Fit) -> dict[str, pl.Series]:
     """Return each covariate per entry, null where the run lacks it or the entry is a closing rotation."""
     campaign, entries = fit.model.campaign, fit.model.entries
     found = {}

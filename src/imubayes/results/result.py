@@ -1,19 +1,21 @@
-"""A fit with everything that is reported of it."""
+"""A fit with everything that is reported of it, in memory or in a result folder."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import xarray
 
-from imubayes.inference.experiment_design import next_runs
-from imubayes.inference.joint_fit import JointFit
+from imubayes.errors import InputError, Issue
+from imubayes.inference.fit import Fit
 from imubayes.inference.posterior_tree import posterior_tree
-from imubayes.inference.procedure_contributions import contributions
+from imubayes.results.fit_file import read_fit
+from imubayes.results.folder_state import POSTERIOR, damaged
 from imubayes.results.presentation import html_of, text_of
 from imubayes.results.residuals import Residuals, residuals_of
-from imubayes.results.result_folder import write_result
+from imubayes.results.result_folder import read_summary_and_residuals, write_result
 from imubayes.results.summarise import summarise
+from imubayes.results.summary import Summary
 
 
 @dataclass(frozen=True)
@@ -22,25 +24,61 @@ class Result:
 
     Attributes
     ----------
-    fit : the joint fit.
-    summary : contents of `summary.json`.
-    residuals : one line per run, row and channel.
-    folder : the result folder, None where none was written.
+    summary : every number that is reported, as in `summary.json`.
+    residuals : one row per run, row and channel.
+    folder : the result folder; None where none was written.
     """
 
-    fit: JointFit
-    summary: dict[str, Any]
+    summary: Summary
     residuals: Residuals
     folder: Path | None = None
+    _fit: Fit | None = field(default=None, repr=False)
 
     @property
     def converged(self) -> bool:
         """Whether fit and sampling converged."""
-        return self.fit.converged
+        return self.summary.converged
 
+    @cached_property
+    def fit(self) -> Fit:
+        """The fit; of a result folder, its campaign is read and its model bound again, nothing is refitted.
+
+        Raises
+        ------
+        InputError
+            where the folder holds no fit, the campaign is gone, or campaign or model are not those that were fitted.
+        """
+        if self._fit is not None:
+            return self._fit
+        assert self.folder is not None
+        return read_fit(self.folder)
+
+    @property
+    def posterior_file(self) -> Path | None:
+        """The file with the posterior draws; None where there is none."""
+        file = self.folder / POSTERIOR if self.folder is not None else None
+        return file if file is not None and file.is_file() else None
+
+    @cached_property
     def posterior(self) -> xarray.DataTree:
-        """Return the posterior as an ArviZ tree."""
-        return posterior_tree(self.fit)
+        """The posterior as an ArviZ tree.
+
+        Raises
+        ------
+        InputError
+            where the fit did not converge, or the file with the draws cannot be read.
+        """
+        if self._fit is not None and self._fit.posterior is not None:
+            return posterior_tree(self._fit)
+        file = self.posterior_file
+        if file is None:
+            where = str(self.folder) if self.folder is not None else "this fit"
+            issue = Issue("there are no posterior draws", where, "a fit that converged", self.summary.message)
+            raise InputError(issue)
+        try:
+            return xarray.open_datatree(file, engine="h5netcdf")
+        except (OSError, ValueError, KeyError) as error:
+            raise InputError(damaged(file, error)) from error
 
     def __repr__(self) -> str:
         return text_of(self)
@@ -49,13 +87,22 @@ class Result:
         return html_of(self)
 
 
-def result_of(fitted: JointFit, folder: Path | None = None, seed: int = 0, load_seconds: float = 0.0) -> Result:
+def result_of(fit: Fit, folder: Path | None = None, seed: int = 0, load_seconds: float = 0.0) -> Result:
     """Return everything that is reported of a fit, and write the result folder where one is given."""
-    residuals = residuals_of(fitted)
-    summary = summarise(fitted, residuals)
-    summary["seconds"]["load"] = load_seconds
-    summary["next_runs"] = next_runs(fitted, summary)
-    summary["contributions"] = contributions(fitted)
+    residuals = residuals_of(fit)
+    summary = summarise(fit, residuals, load_seconds)
     if folder is not None:
-        write_result(folder, fitted, summary, residuals, seed)
-    return Result(fitted, summary, residuals, folder)
+        write_result(folder, fit, summary, residuals, seed)
+    return Result(summary, residuals, folder, fit)
+
+
+def read_result(folder: str | Path) -> Result:
+    """Read a result folder: summary and residuals at once, fit and posterior when they are asked for.
+
+    Raises
+    ------
+    InputError
+        if it is missing, incomplete or damaged; every issue is in it.
+    """
+    folder = Path(folder)
+    return Result(*read_summary_and_residuals(folder), folder)

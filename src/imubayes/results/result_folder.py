@@ -1,65 +1,32 @@
-"""The result folder: written beside and put in place as a whole, so that there is never half a result."""
+"""The result folder: its one writer and its one reader.
+
+A result is written to a scratch folder and put in place as a whole, so that there is never half a result.
+"""
 
 import json
 import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
+import polars as pl
 import tomlkit
+from pydantic import ValidationError
 
 from imubayes.errors import InputError, Issue
-from imubayes.inference.checkpoint import steps_in
-from imubayes.inference.joint_fit import JointFit
+from imubayes.inference.fit import Fit
 from imubayes.inference.posterior_tree import posterior_tree
 from imubayes.model.model_spec import ModelSpec
-from imubayes.results.fit_file import FIT, MODEL, fit_record, read_fit
-from imubayes.results.residuals import Residuals
-from imubayes.results.stored_result import CHECKPOINT, SUMMARY, way_back
+from imubayes.results.fit_file import fit_record
+from imubayes.results.folder_state import AGAIN, FIT, MODEL, POSTERIOR, RESIDUALS, SUMMARY, damaged, missing
+from imubayes.results.residuals import COLUMNS, Residuals
+from imubayes.results.summary import Summary
+
+# Faults of a damaged summary that are listed.
+_MOST_FAULTS = 3
 
 
-def claim(folder: Path, resume: bool = False) -> None:
-    """Make sure that a folder can take a result, before anything is computed.
-
-    Raises
-    ------
-    InputError
-        where it holds files but no result, or a sampling that was interrupted and is not to be resumed.
-    """
-    if folder.is_dir():
-        held = [one for one in folder.iterdir() if not one.name.startswith(".")]
-        if held and not any((folder / name).is_file() for name in (FIT, CHECKPOINT)):
-            raise InputError(
-                Issue(
-                    f"the folder holds '{min(one.name for one in held)}' and no result",
-                    str(folder),
-                    "a folder that does not exist yet, an empty one, or one with a result, which is replaced",
-                    "choose another --out",
-                )
-            )
-        if not resume and _interrupted(folder):
-            raise InputError(
-                Issue(
-                    "the folder holds a sampling that was interrupted",
-                    str(folder / CHECKPOINT),
-                    "the same fit with --resume, which goes on with it",
-                    f"add --resume; to begin anew choose another --out, or remove {folder / CHECKPOINT}",
-                )
-            )
-    if not resume:
-        folder.mkdir(parents=True, exist_ok=True)
-
-
-def _interrupted(folder: Path) -> bool:
-    """Tell whether a folder holds a sampling that no result has come of."""
-    checkpoint, summary = folder / CHECKPOINT, folder / SUMMARY
-    if not steps_in(checkpoint):
-        return False
-    return not summary.is_file() or summary.stat().st_mtime_ns < checkpoint.stat().st_mtime_ns
-
-
-def write_result(folder: Path, fit: JointFit, summary: dict[str, Any], residuals: Residuals, seed: int = 0) -> None:
+def write_result(folder: Path, fit: Fit, summary: Summary, residuals: Residuals, seed: int = 0) -> None:
     """Write `summary.json`, `fit.json`, `posterior.nc`, `residuals.parquet`, `model.toml` and the user's effect files.
 
     What an earlier fit wrote is replaced; other files of the folder stay.
@@ -69,19 +36,20 @@ def write_result(folder: Path, fit: JointFit, summary: dict[str, Any], residuals
     shutil.rmtree(beside, ignore_errors=True)
     beside.mkdir()
     try:
-        (beside / SUMMARY).write_text(json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-        record = fit_record(fit.fitted, folder, seed)
+        text = json.dumps(summary.model_dump(mode="json"), indent=1, ensure_ascii=False, allow_nan=False)
+        (beside / SUMMARY).write_text(text + "\n")
+        record = fit_record(fit, folder, seed)
         (beside / FIT).write_text(json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-        residuals.table.write_parquet(beside / "residuals.parquet")
+        residuals.table.write_parquet(beside / RESIDUALS)
         (beside / MODEL).write_text(model_text(fit.model.spec))
         for file in fit.model.spec.files:
             shutil.copyfile(file, beside / Path(file).name)
-        if bool(fit.mode.converged):
-            posterior_tree(fit).to_netcdf(str(beside / "posterior.nc"), engine="h5netcdf")
+        if fit.posterior is not None:
+            posterior_tree(fit).to_netcdf(str(beside / POSTERIOR), engine="h5netcdf")
         else:
-            (folder / "posterior.nc").unlink(missing_ok=True)
+            (folder / POSTERIOR).unlink(missing_ok=True)
         # The summary comes last: where it stands, the rest stands too.
-        for file in sorted(beside.iterdir(), key=lambda one: one.name == SUMMARY):
+        for file in sorted(beside.iterdir(), key=lambda file: file.name == SUMMARY):
             os.replace(file, folder / file.name)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
@@ -117,50 +85,74 @@ def model_text(spec: ModelSpec) -> str:
     if spec.files:
         document["files"] = [Path(file).name for file in spec.files]
     effects = tomlkit.aot()
-    for one in spec.effects:
+    for effect in spec.effects:
         entry = tomlkit.table()
-        entry["name"] = one.name
-        if one.channels is not None:
-            entry["channels"] = list(one.channels)
-        if one.per is not None:
-            entry["per"] = one.per
-        if one.optional:
+        entry["name"] = effect.name
+        if effect.channels is not None:
+            entry["channels"] = list(effect.channels)
+        if effect.per is not None:
+            entry["per"] = effect.per
+        if effect.optional:
             entry["optional"] = True
-        if one.prior:
+        if effect.prior:
             prior = tomlkit.inline_table()
-            prior.update(one.prior)
+            prior.update(effect.prior)
             entry["prior"] = prior
-        for key, value in one.options.items():
+        for key, value in effect.options.items():
             entry[key] = value
         effects.append(entry)
     document["effect"] = effects
     return tomlkit.dumps(document)
 
 
-def read_summary(folder: Path) -> dict[str, Any]:
-    """Return the summary of a result folder; raises InputError where there is none or it is damaged."""
-    file = folder / SUMMARY
+def read_summary_and_residuals(folder: Path) -> tuple[Summary, Residuals]:
+    """Read what every result folder has.
+
+    Raises
+    ------
+    InputError
+        if it is missing, incomplete or damaged; every issue is in it.
+    """
+    issues = missing(folder)
+    if issues:
+        raise InputError(issues)
+    summary = _read_summary(folder / SUMMARY, issues)
+    residuals = _read_residuals(folder / RESIDUALS, issues)
+    if summary is not None and summary.sampled and not (folder / POSTERIOR).is_file():
+        where = str(folder / POSTERIOR)
+        issues.append(Issue("the posterior is missing", where, f"{POSTERIOR}, as written by the fit", AGAIN))
+    if issues or summary is None or residuals is None:
+        raise InputError(issues)
+    return summary, residuals
+
+
+def _read_summary(file: Path, issues: list[Issue]) -> Summary | None:
+    """Return the summary; None where it cannot be used, with the reasons added to the issues."""
     try:
-        return json.loads(file.read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(
-            Issue(
-                "this is not a result folder" if not file.is_file() else f"the summary is damaged ({error})",
-                str(file),
-                "a folder written by `imubayes fit … --out FOLDER`",
-                way_back(folder),
-            )
-        ) from None
+        return Summary.model_validate_json(file.read_bytes())
+    except OSError as error:
+        issues.append(damaged(file, error))
+    except ValidationError as error:
+        for fault in error.errors()[:_MOST_FAULTS]:
+            key = ".".join(map(str, fault["loc"]))
+            where = f"{file}, key {key}" if key else str(file)
+            issues.append(Issue(f"the summary cannot be read: {fault['msg']}", where, "a summary of format 1", AGAIN))
+    return None
 
 
-__all__ = [
-    "CHECKPOINT",
-    "SUMMARY",
-    "claim",
-    "model_text",
-    "read_fit",
-    "read_summary",
-    "refuse_taken",
-    "write_beside",
-    "write_result",
-]
+def _read_residuals(file: Path, issues: list[Issue]) -> Residuals | None:
+    try:
+        frame = pl.read_parquet(file)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        issues.append(damaged(file, error))
+        return None
+    absent = [name for name in COLUMNS if name not in frame.columns]
+    if absent:
+        issues.append(
+            Issue(f"the residuals lack the columns {', '.join(absent)}", str(file), ", ".join(COLUMNS), AGAIN)
+        )
+        return None
+    if frame.is_empty():
+        issues.append(Issue("the residuals have no rows", str(file), "one row per run, row and channel", AGAIN))
+        return None
+    return Residuals(frame)

@@ -3,21 +3,12 @@
 Numbers are in datasheet units.  A number that a fit without convergence, or without sampling, does not have is None.
 """
 
-import math
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
-
-
-def finite(value: float) -> float | None:
-    """Return a number for JSON; None for a non-finite value."""
-    return float(value) if math.isfinite(value) else None
-
-
-class Record(BaseModel):
-    """Base of everything that the result folder keeps as JSON."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+from imubayes.inference.experiment_design import NextRun
+from imubayes.inference.identifiability import WeakDirection
+from imubayes.inference.procedure_contributions import Contribution
+from imubayes.records import Record
 
 
 class Quantity(Record):
@@ -34,22 +25,22 @@ class Quantity(Record):
 
     name: str
     unit: str
-    mean: float | None
-    sd: float | None
-    q025: float | None
-    q975: float | None
-    prior_sd: float | None
-    from_data: float | None
+    mean: float | None = None
+    sd: float | None = None
+    q025: float | None = None
+    q975: float | None = None
+    prior_sd: float | None = None
+    from_data: float | None = None
 
 
 class ParameterSummary(Quantity):
     """A parameter: `map` is the posterior mode, the others are sampling diagnostics (None without sampling)."""
 
-    nuisance: bool
-    map: float | None
-    r_hat: float | None
-    ess_bulk: float | None
-    ess_tail: float | None
+    nuisance: bool = False
+    map: float | None = None
+    r_hat: float | None = None
+    ess_bulk: float | None = None
+    ess_tail: float | None = None
 
 
 class Conformance(Record):
@@ -75,50 +66,6 @@ class RunSummary(Record):
     chi2: float | None
     rms: float | None
     unit: str
-
-
-class WeakDirection(Record):
-    """A combination of parameters or derived quantities that the data did not determine.
-
-    Attributes
-    ----------
-    combination : for display.
-    quantities : names of the members.
-    kind : ``confusion`` for two derived quantities of which the data determine a combination only.
-    from_data : share of the information along the combination that came from the data.
-    """
-
-    combination: str
-    quantities: tuple[str, ...] = ()
-    kind: Literal["confusion", "combination"] = "combination"
-    from_data: float
-
-
-class NextRun(Record):
-    """A run that would narrow a quantity: expected standard deviation before and after it."""
-
-    run: str
-    quantity: str
-    sd_before: float
-    sd_after: float
-    unit: str
-
-
-class ProcedureShare(Record):
-    """Standard deviation of a quantity from the runs of one procedure alone, and without them."""
-
-    procedure: str
-    alone: float
-    without: float
-
-
-class Contribution(Record):
-    """Standard deviation of a quantity at the mode, by test procedure."""
-
-    quantity: str
-    unit: str
-    sd: float
-    by: tuple[ProcedureShare, ...]
 
 
 class Seconds(Record):

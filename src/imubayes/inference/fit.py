@@ -1,0 +1,72 @@
+"""A fit in memory: the model with its posterior mode and, where it was made in this process, its posterior."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from imubayes.inference.ensemble_sampling import Chains
+from imubayes.inference.nested_laplace import NestedLaplace
+from imubayes.inference.posterior_mode import Mode
+from imubayes.model.bind import Model
+from imubayes.model.derived_quantities import Derived, derive
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Posterior draws of a fit.
+
+    Attributes
+    ----------
+    points : shape (S, P + H), draws in z, sampled or of the Laplace approximation.
+    derived, prior_derived : shapes (S′, D) and (S″, D), draws of the derived quantities in their units.
+    approximation : the nested Laplace approximation.
+    chains : the sampled chains; None where the draws are of the Laplace approximation.
+    """
+
+    points: np.ndarray
+    derived: np.ndarray
+    prior_derived: np.ndarray
+    approximation: NestedLaplace
+    chains: Chains | None = None
+
+    @property
+    def derived_rows(self) -> np.ndarray:
+        """Rows of `points` from which the derived draws were computed, shape (S′,)."""
+        return evenly_spaced(len(self.points), len(self.derived))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model.
+
+    Attributes
+    ----------
+    model : as declared.
+    z, h : shapes (P,) and (H,), the posterior mode of parameters and noise scales, in z.
+    converged : whether the fit, and the sampling where there was any, converged.
+    message : what did not converge, in a sentence; empty where all did.
+    mode : outcome of the optimiser; None for a fit read from a result folder.
+    posterior : draws; None where the fit did not converge, or was read from a result folder.
+    seconds : time spent, by step.
+    """
+
+    model: Model
+    z: np.ndarray
+    h: np.ndarray
+    converged: bool
+    message: str = ""
+    mode: Mode | None = None
+    posterior: Posterior | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def derived(self) -> Derived:
+        """Names, units and function of the derived quantities."""
+        return derive(self.model.assembly)
+
+
+def evenly_spaced(length: int, count: int) -> np.ndarray:
+    """Return `count` indices spread evenly over a sequence, first and last included."""
+    return np.linspace(0, length - 1, count).astype(int)

@@ -1,0 +1,84 @@
+"""What a result folder holds: names of its files, whether it can take a result, and what is wrong with one."""
+
+from pathlib import Path
+
+from imubayes.errors import InputError, Issue, closest_first
+from imubayes.inference.checkpoint import steps_in
+
+SUMMARY, FIT, MODEL = "summary.json", "fit.json", "model.toml"
+RESIDUALS, POSTERIOR, CHECKPOINT = "residuals.parquet", "posterior.nc", "checkpoint.h5"
+AGAIN = "run `imubayes fit` again with this folder as --out"
+_NEEDED = (SUMMARY, RESIDUALS)
+
+
+def claim(folder: Path, resume: bool = False) -> None:
+    """Make sure that a folder can take a result, before anything is computed.
+
+    Raises
+    ------
+    InputError
+        where it holds files but no result, or a sampling that was interrupted and is not to be resumed.
+    """
+    if folder.is_dir():
+        held = [file.name for file in folder.iterdir() if not file.name.startswith(".")]
+        if held and not any((folder / name).is_file() for name in (FIT, CHECKPOINT)):
+            raise InputError(
+                Issue(
+                    f"the folder holds '{min(held)}' and no result",
+                    str(folder),
+                    "a folder that does not exist yet, an empty one, or one with a result, which is replaced",
+                    "choose another --out",
+                )
+            )
+        if not resume and _interrupted(folder):
+            raise InputError(
+                Issue(
+                    "the folder holds a sampling that was interrupted",
+                    str(folder / CHECKPOINT),
+                    "the same fit with --resume, which continues it",
+                    f"add --resume; to begin anew choose another --out, or remove {folder / CHECKPOINT}",
+                )
+            )
+    if not resume:
+        folder.mkdir(parents=True, exist_ok=True)
+
+
+def _interrupted(folder: Path) -> bool:
+    """Tell whether a folder holds a sampling of which there is no result."""
+    checkpoint, summary = folder / CHECKPOINT, folder / SUMMARY
+    if not steps_in(checkpoint):
+        return False
+    return not summary.is_file() or summary.stat().st_mtime_ns < checkpoint.stat().st_mtime_ns
+
+
+def missing(folder: Path) -> list[Issue]:
+    """Return what keeps a folder from being a result, before any of its files is read."""
+    allowed = "a result folder with " + ", ".join(_NEEDED)
+    if not folder.exists():
+        parent = folder.parent if folder.parent.is_dir() else Path()
+        near = sorted(path.parent.name for path in parent.glob(f"*/{SUMMARY}"))
+        listed = f"{allowed}; in the same place: {closest_first(folder.name, near)}" if near else allowed
+        return [Issue("there is no such result folder", str(folder), listed, "name the folder given to --out")]
+    if not folder.is_dir():
+        return [Issue("this is a file, not a result folder", str(folder), allowed, "name the folder it lies in")]
+    if _only_begun(folder):
+        return [Issue("there is no result yet", str(folder / SUMMARY), allowed, way_back(folder))]
+    absent = [name for name in _NEEDED if not (folder / name).is_file()]
+    return [Issue(f"the result folder has no {name}", str(folder / name), allowed, AGAIN) for name in absent]
+
+
+def way_back(folder: Path) -> str:
+    """Return what to do where a folder holds no result."""
+    if _only_begun(folder):
+        return "its sampling was interrupted: run the same `imubayes fit` again with --resume"
+    return "correct the path, or run the fit again"
+
+
+def _only_begun(folder: Path) -> bool:
+    return (folder / CHECKPOINT).is_file() and not (folder / SUMMARY).is_file()
+
+
+def damaged(file: Path, reason: object) -> Issue:
+    """Return the issue of a file that is there but cannot be read."""
+    detail = " ".join(str(reason).split())[:200]
+    return Issue(f"{file.name} cannot be read: {detail}", str(file), "a whole file, as the fit wrote it", AGAIN)
