@@ -59,9 +59,7 @@ def with_own_effect(folder: Path, returned: str) -> Path:
     """The model with an effect of the user's own beside it."""
     (folder / "mine.py").write_text(
         "import jax.numpy as jnp\n"
-        "from imubayes.effects import Order, SignalEffect, Stage\n"
-        "from imubayes.parameters.parameter import parameter\n"
-        "from imubayes.types import Scalar\n\n\n"
+        "from imubayes import Order, Scalar, SignalEffect, Stage, parameter\n\n\n"
         "class Mine(SignalEffect):\n"
         '    """A scale factor of one\'s own."""\n\n'
         '    name = "mine"\n'

@@ -291,7 +291,7 @@ def variance_is_positive(member: type) -> None:
     for seed in range(20):
         values = drawn_values(member, seed)
         if issubclass(member, SeriesNoise):
-            correlation = float(instance(member, values).of_neighbours())
+            correlation = float(instance(member, values).lag_one_correlation())
             assert -1 < correlation < 1, f"{member.name}: correlation {correlation}"
             continue
         if issubclass(member, TailNoise):
@@ -311,7 +311,7 @@ def in_series(correlation: float, independent: np.ndarray) -> np.ndarray:
 
 
 def series_likelihood(member: type, values: dict, drawn: np.ndarray) -> float:
-    correlation = float(instance(member, values).of_neighbours())
+    correlation = float(instance(member, values).lag_one_correlation())
     renewed = (drawn[1:] - correlation * drawn[:-1]) / np.sqrt(1 - correlation**2)
     return float(-0.5 * np.sum(renewed**2) - 0.5 * len(renewed) * np.log(1 - correlation**2))
 
@@ -321,7 +321,7 @@ def misstated_noise_is_less_likely(member: type) -> None:
     rng = np.random.default_rng(8)
     if issubclass(member, SeriesNoise):
         values = {name: float(prior.value(jnp.asarray(0.5))) for name, prior in priors(member).items()}
-        drawn = in_series(float(instance(member, values).of_neighbours()), rng.normal(size=400))
+        drawn = in_series(float(instance(member, values).lag_one_correlation()), rng.normal(size=400))
         right, wrong = (series_likelihood(member, one, drawn) for one in (values, null_values(member)))
         assert right > wrong + 10, f"{member.name} says nothing of neighbours"
         return

@@ -272,7 +272,7 @@ class WildSeries(SeriesNoise):
     reference = "for these tests"
     correlation: Scalar = parameter("1", "uniform(0, 0.99)", (0.1, 0.9), "the correlation")
 
-    def of_neighbours(self) -> Scalar:
+    def lag_one_correlation(self) -> Scalar:
         return self.correlation + 0.5
 
 
@@ -281,7 +281,7 @@ class DeafSeries(WildSeries):
 
     name = "deaf_series"
 
-    def of_neighbours(self) -> Scalar:
+    def lag_one_correlation(self) -> Scalar:
         return 0.0 * self.correlation
 
 

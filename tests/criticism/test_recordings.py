@@ -19,10 +19,7 @@ THERMAL = {
     name: f"imu.{'acc' if name[0] == 'a' else 'gyro'}.{name[1]}" for name in ("ax", "ay", "az", "gx", "gy", "gz")
 }
 CUBIC = '''
-from imubayes.effects import Order, SignalEffect, Stage
-from imubayes.parameters.parameter import parameter
-from imubayes.stimulus import Sample
-from imubayes.types import Scalar
+from imubayes import Order, Sample, Scalar, SignalEffect, Stage, parameter
 
 
 class AccelBiasTemperatureCubic(SignalEffect):

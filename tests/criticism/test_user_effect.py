@@ -15,9 +15,7 @@ SOURCE = '''
 
 import jax.numpy as jnp
 
-from imubayes.effects.base import Order, SignalEffect, Stage
-from imubayes.parameters.parameter import parameter
-from imubayes.types import Scalar
+from imubayes import Order, Scalar, SignalEffect, Stage, parameter
 
 
 class HouseRegulator(SignalEffect):

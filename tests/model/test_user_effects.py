@@ -15,9 +15,7 @@ SOURCE = '''
 
 import jax.numpy as jnp
 
-from imubayes.effects.base import Order, SignalEffect, Stage
-from imubayes.parameters.parameter import parameter
-from imubayes.types import Scalar
+from imubayes import Order, Scalar, SignalEffect, Stage, parameter
 
 
 class HouseAsymmetry(SignalEffect):
@@ -100,7 +98,7 @@ def test_a_class_that_fails_is_named_before_anything_is_fitted(tmp_path, returne
     (problem,) = caught.value.issues
     assert what in problem.what
     assert str(file) in problem.where
-    assert "HouseAsymmetry" in problem.where or ":20, in apply" in problem.where
+    assert "HouseAsymmetry" in problem.where or ":18, in apply" in problem.where
     assert "jnp.where" in problem.remedy
 
 

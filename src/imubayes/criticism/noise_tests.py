@@ -13,7 +13,7 @@ from scipy import stats
 from imubayes.criticism import thresholds
 from imubayes.criticism.gauss_markov import WHITE, InnovationsFilter, MarkovNoise, estimate_markov_noise
 from imubayes.criticism.projection import Projection
-from imubayes.noise.outliers import Outliers
+from imubayes.noise.components import Outliers
 
 OUTLIERS = "outliers"
 

@@ -22,7 +22,6 @@ A new effect is one class:
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from enum import IntEnum
-from types import ModuleType
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -231,9 +230,3 @@ def _over_channels(function: Callable, values: Mapping[str, Array]) -> Callable:
         return jax.vmap(jax.vmap(function, in_axes=channel_axes), in_axes=node_axes)(squeezed, *state)
 
     return batched
-
-
-def named_in[Member](module: ModuleType, base: type[Member]) -> list[type[Member]]:
-    """Return the subclasses of a base that a module defines under a `name`, in the order of definition."""
-    members = [value for value in vars(module).values() if isinstance(value, type) and issubclass(value, base)]
-    return [member for member in members if member.__module__ == module.__name__ and "name" in vars(member)]

@@ -35,7 +35,7 @@ class NoiseLayer(eqx.Module):
     def correlations(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
         """Return the correlation of neighbouring rows of every run and channel."""
         chosen = {field: take(h, place) for field, place in self.places.items()}
-        return self.acts * jax.vmap(lambda one: self.noise(**one).of_neighbours())(chosen)  # pyright: ignore
+        return self.acts * jax.vmap(lambda one: self.noise(**one).lag_one_correlation())(chosen)  # pyright: ignore
 
     def variances(self, h: Float[Array, " H"], entries: Entry | None) -> Float[Array, " M"]:
         """Return the variance of every entry, or of every run and channel."""

@@ -1,24 +1,12 @@
-"""The noise: what scatters without a cause that the model names."""
+"""The noise: the covariance and the distribution of what the model does not predict.
 
+A new component is one class with a `name` in `imubayes.noise.components`.
+"""
+
+from imubayes.noise import components
 from imubayes.noise.base import EntryNoise, Noise, SeriesNoise, SharedNoise, TailNoise
-from imubayes.noise.correlated_noise import CorrelatedNoise
-from imubayes.noise.outliers import Outliers
-from imubayes.noise.quantisation import Quantisation
-from imubayes.noise.rate_proportional_noise import RateProportionalNoise
-from imubayes.noise.reference_noise import ReferenceNoise
-from imubayes.noise.rotation_closure import RotationClosure
-from imubayes.noise.run_scatter import RunScatter
-from imubayes.noise.white_noise import WhiteNoise
+from imubayes.parameters.parameter import named_in
 
-NOISES: tuple[type[Noise], ...] = (
-    WhiteNoise,
-    RateProportionalNoise,
-    ReferenceNoise,
-    Quantisation,
-    CorrelatedNoise,
-    Outliers,
-    RunScatter,
-    RotationClosure,
-)
+NOISES: tuple[type[Noise], ...] = tuple(named_in(components, Noise))
 
 __all__ = ["NOISES", "EntryNoise", "Noise", "SeriesNoise", "SharedNoise", "TailNoise"]

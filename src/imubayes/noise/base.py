@@ -1,9 +1,9 @@
-"""What a noise member is: a variance, of one entry alone or of a whole run and channel; a correlation; a heavy tail.
+"""What a component of the noise is: a variance, per entry or per run and channel, a correlation or a heavy tail.
 
-The covariance of the data is Σ = D^½ R D^½ + Σ_g T_g 1 1ᵀ: D is diagonal, the sum of the members' variances, R is the
-correlation along the rows of each run and channel g (I where no member correlates), and T_g is the variance of what all
-entries of g have in common.  Under a heavy tail what an entry has alone follows Student's t of the scale D^½ instead of
-a normal law.  The parameters of noise are hyperparameters: they change the width of the posterior, not the predicted
+The covariance of the data is Σ = D^½ R D^½ + Σ_g T_g 1 1ᵀ: D is diagonal, the sum of the components' variances, R is
+the correlation along the rows of each run and channel g (I without autocorrelation), and T_g is the variance that all
+entries of g share.  With heavy tails the independent part of an entry follows Student's t of scale D^½ instead of a
+normal law.  The parameters of noise are hyperparameters: they change the width of the posterior, not the predicted
 output.
 """
 
@@ -16,13 +16,14 @@ from imubayes.types import Scalar, Scalars
 
 
 class Entry(eqx.Module):
-    """What is known of one measured value besides the value.
+    """Facts about one measured value that its variance depends on.
 
     Attributes
     ----------
     samples : number of raw samples in the mean.
-    rate : size of the nominal table rate along a gyro's input axis in output units, 0 for all else.
-    reference : size of a gyro's nominal scale in a run beside a reference gyro, output units per rad/s, 0 for all else.
+    rate : magnitude of the nominal table rate along a gyro's input axis in output units, 0 for all else.
+    reference : magnitude of a gyro's nominal scale in a run beside a reference gyro, output units per rad/s, 0 for all
+        else.
     """
 
     samples: Scalars
@@ -31,7 +32,7 @@ class Entry(eqx.Module):
 
 
 class Noise(eqx.Module):
-    """Base of all noise members; `kinds` says what it applies to (gyro, accelerometer, angle, closure)."""
+    """Base of all noise components; `kinds` says what it applies to (gyro, accelerometer, angle, closure)."""
 
     name: ClassVar[str]
     per: ClassVar[tuple[str, ...]] = ("channel",)
@@ -56,21 +57,21 @@ class SharedNoise(Noise):
 
     @abstractmethod
     def shared_variance(self) -> Scalar:
-        """Return the variance of what the entries have in common, output units squared."""
+        """Return the variance of the common offset, output units squared."""
 
 
 class SeriesNoise(Noise):
-    """Correlated from row to row within one run and channel: what is independent otherwise becomes AR(1)."""
+    """Autocorrelated within one run and channel: the independent noise becomes AR(1)."""
 
     @abstractmethod
-    def of_neighbours(self) -> Scalar:
+    def lag_one_correlation(self) -> Scalar:
         """Return the correlation of an entry with that of the row before, in (−1, 1)."""
 
 
 class TailNoise(Noise):
-    """Heavy tails: what each reading of a run and channel has alone follows Student's t instead of a normal law.
+    """Heavy tails: the independent noise of a run and channel follows Student's t instead of a normal law.
 
-    The variances of the other members are then the square of its scale.
+    The variances of the other components are then the square of its scale.
     """
 
     @abstractmethod

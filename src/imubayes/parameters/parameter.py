@@ -1,6 +1,7 @@
-"""What an effect says about each of its parameters, beside the field that holds it."""
+"""Declarations of an effect's parameters and options, kept in the metadata of its fields."""
 
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import equinox as eqx
@@ -18,11 +19,11 @@ class Declared:
     meaning : a phrase that completes "this is …".
     equipment : name of the equipment fact (see `imubayes.model.bind`) that replaces the default prior's
         width where the campaign states it, or empty.
-    null : the value, in SI, at which the effect does nothing.
+    null : the value, in SI, at which the effect is the identity.
     per : what a value belongs to, where that differs from the effect's own `per`.
     spread : name of the effect's parameter that is this one's standard deviation, learnt from the data.
-    shape : for a parameter that is not linear and means nothing while the effect's coefficient is zero (a time
-        constant, a limit): the values, in `unit`, that a scan tries.
+    shape : for a nonlinear parameter that is not identified while the effect's coefficient is zero (a time constant,
+        a limit): the grid, in `unit`, of the profile scan.
     """
 
     unit: str
@@ -53,7 +54,7 @@ def parameter(
 
 
 def time_constant(meaning: str) -> Any:
-    """Declare a field as the time constant of something that settles, minutes to hours; a scan tries half-decades."""
+    """Declare a field as the time constant of a transient, minutes to hours, with a scan grid of half-decades."""
     shape = (1.0, 3.0, 10.0, 30.0, 100.0)
     return parameter("min", "lognormal(10 min, 1.0)", (0.5, 120), meaning, null=600.0, shape=shape)
 
@@ -78,3 +79,9 @@ def declared_options(effect: type) -> dict[str, float]:
     """Return the fixed settings an effect class has, with their defaults."""
     fields = effect.__dataclass_fields__.values()
     return {field.name: field.default for field in fields if "option" in field.metadata}
+
+
+def named_in[Member](module: ModuleType, base: type[Member]) -> list[type[Member]]:
+    """Return the subclasses of a base that a module defines under a `name`, in the order of definition."""
+    members = [value for value in vars(module).values() if isinstance(value, type) and issubclass(value, base)]
+    return [member for member in members if member.__module__ == module.__name__ and "name" in vars(member)]

@@ -2,7 +2,7 @@
 
 Inference runs in z, where every prior is the same standard normal: `value(z)` is the prior's inverse
 distribution function at Φ(z).  Positivity is then free, walkers start sensibly, and a posterior standard
-deviation near 1 in z means that the data said nothing.
+deviation near 1 in z means that the data are uninformative.
 
 A prior is written ``normal(0, 2000 ppm)``; the unit may be any of the parameter's dimension.
 """
@@ -10,7 +10,7 @@ A prior is written ``normal(0, 2000 ppm)``; the unit may be any of the parameter
 import math
 import re
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 
 import equinox as eqx
@@ -40,6 +40,7 @@ class Prior(eqx.Module):
 
 
 Number = float | Float[Array, "..."]
+Refuse = Callable[[str, str], InputError]  # what is wrong, what is allowed → the error
 
 
 class Normal(Prior):
@@ -48,13 +49,13 @@ class Normal(Prior):
     mean: Number
     deviation: Number
 
-    def value(self, z):
+    def value(self, z: Scalar) -> Scalar:
         return self.mean + self.deviation * z
 
-    def z(self, value):
+    def z(self, value: float) -> float:
         return float((value - self.mean) / self.deviation)
 
-    def sd(self):
+    def sd(self) -> float:
         return float(self.deviation)
 
 
@@ -64,13 +65,13 @@ class Uniform(Prior):
     low: Number
     high: Number
 
-    def value(self, z):
+    def value(self, z: Scalar) -> Scalar:
         return self.low + (self.high - self.low) * ndtr(z)
 
-    def z(self, value):
+    def z(self, value: float) -> float:
         return float(special.ndtri((value - self.low) / (self.high - self.low)))
 
-    def sd(self):
+    def sd(self) -> float:
         return float((self.high - self.low) / math.sqrt(12))
 
 
@@ -80,13 +81,13 @@ class LogNormal(Prior):
     median: Number
     log_deviation: Number
 
-    def value(self, z):
+    def value(self, z: Scalar) -> Scalar:
         return self.median * jnp.exp(self.log_deviation * z)
 
-    def z(self, value):
+    def z(self, value: float) -> float:
         return float(math.log(value / self.median) / self.log_deviation)
 
-    def sd(self):
+    def sd(self) -> float:
         s2 = float(self.log_deviation) ** 2
         return float(self.median) * math.sqrt((math.exp(s2) - 1) * math.exp(s2))
 
@@ -96,14 +97,14 @@ class HalfNormal(Prior):
 
     scale: Number
 
-    def value(self, z):
+    def value(self, z: Scalar) -> Scalar:
         # ½(1 + Φ(z)) written through its complement keeps the digits of the upper tail.
         return -self.scale * ndtri(0.5 * ndtr(-z))
 
-    def z(self, value):
+    def z(self, value: float) -> float:
         return -float(special.ndtri(2 * special.ndtr(-value / self.scale)))
 
-    def sd(self):
+    def sd(self) -> float:
         return float(self.scale) * math.sqrt(1 - 2 / math.pi)
 
 
@@ -112,13 +113,13 @@ class HalfCauchy(Prior):
 
     scale: Number
 
-    def value(self, z):
+    def value(self, z: Scalar) -> Scalar:
         return self.scale / jnp.tan(0.5 * jnp.pi * ndtr(-z))
 
-    def z(self, value):
+    def z(self, value: float) -> float:
         return -float(special.ndtri(2 / math.pi * math.atan(self.scale / value)))
 
-    def sd(self):
+    def sd(self) -> float:
         return math.inf
 
 
@@ -128,13 +129,13 @@ class LogUniform(Prior):
     low: Number
     high: Number
 
-    def value(self, z):
+    def value(self, z: Scalar) -> Scalar:
         return self.low * (self.high / self.low) ** ndtr(z)
 
-    def z(self, value):
+    def z(self, value: float) -> float:
         return float(special.ndtri(math.log(value / self.low) / math.log(self.high / self.low)))
 
-    def sd(self):
+    def sd(self) -> float:
         low, high = float(self.low), float(self.high)
         log_ratio = math.log(high / low)
         mean = (high - low) / log_ratio
@@ -150,7 +151,7 @@ FAMILIES: dict[str, tuple[type[Prior], tuple[bool, ...]]] = {
     "loguniform": (LogUniform, (True, True)),
     "halfcauchy": (HalfCauchy, (True,)),
 }
-# Units whose size is the channel's own.
+# Units whose size depends on the channel.
 _OF_CHANNEL = re.compile(r"\b(noise|scale)\b")
 _FORM = re.compile(r"^\s*(?P<family>[A-Za-z_]+)\s*\((?P<arguments>(?:[^()]|\([^()]*\))*)\)\s*$")
 _ARGUMENT = re.compile(r"^\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>\S.*?)?\s*$")
@@ -172,51 +173,55 @@ def parse_prior(text: str, unit: str, gravity: float, where: str, own: Mapping[s
     InputError
         if the form, the family, a number or a unit cannot be used.
     """
-    # The catalogue is read anew for every channel of every model looked at: most of it is the same text again.
+    # The catalogue is parsed for every channel of every candidate model, mostly the same text: hence the cache.
     known = tuple(sorted((own or {}).items())) if _OF_CHANNEL.search(text + " " + unit) else ()
     return _parse_prior(text, unit, gravity, where, known)
 
 
 @lru_cache(maxsize=4096)
 def _parse_prior(text: str, unit: str, gravity: float, where: str, known: tuple[tuple[str, float], ...]) -> Prior:
-    own = dict(known)
-
     def refuse(what: str, allowed: str) -> InputError:
         example = f"normal(0, 1 {unit})" if unit != "1" else "normal(0, 1)"
         return InputError(Issue(what, where, allowed, f"write the prior like {example}"))
 
-    form = _FORM.match(text)
-    if form is None:
-        raise refuse(f"'{text}' is not a prior", ", ".join(f"{name}(…)" for name in FAMILIES))
-    if form["family"] not in FAMILIES:
-        raise refuse(f"'{form['family']}' is not a prior", closest_first(form["family"], FAMILIES))
-    family, with_unit = FAMILIES[form["family"]]
-    arguments = [_ARGUMENT.match(part) for part in form["arguments"].split(",")]
-    if len(arguments) != len(with_unit) or any(argument is None for argument in arguments):
-        fields = ", ".join(family.__dataclass_fields__)
-        raise refuse(f"'{text}' does not have the arguments of {form['family']}", f"{form['family']}({fields})")
-    found = [
-        argument["unit"]
-        for argument, carries in zip(arguments, with_unit, strict=True)
-        if carries and argument is not None and argument["unit"]
-    ]
-    given = found[-1] if found else unit
-    numbers: list[float] = []
-    for argument, carries in zip(arguments, with_unit, strict=True):
-        assert argument is not None
-        written = argument["unit"] or (given if carries else "1")
+    def in_si(number: str, written: str, carries: bool) -> float:
         if not carries and written != "1":
             raise refuse(
                 f"'{written}' is not a unit here: a standard deviation of a logarithm has none", "a plain number"
             )
         if not same_dimension(written, unit if carries else "1", where):
             raise refuse(f"'{written}' is not a unit of this parameter", unit if carries else "a plain number")
-        numbers.append(float(argument["number"]) * (to_si(written, gravity, where, own) if carries else 1.0))
+        return float(number) * (to_si(written, gravity, where, dict(known)) if carries else 1.0)
+
+    family, with_unit, arguments = _split(text, refuse)
+    # The last unit that is given holds for the arguments without one: normal(0, 2000 ppm).
+    stated = [argument["unit"] for argument, carries in zip(arguments, with_unit, strict=True) if carries]
+    common = next((each for each in reversed(stated) if each), unit)
+    numbers = [
+        in_si(argument["number"], argument["unit"] or (common if carries else "1"), carries)
+        for argument, carries in zip(arguments, with_unit, strict=True)
+    ]
     _refuse_impossible(family, numbers, text, refuse)
     return family(*numbers)
 
 
-def _refuse_impossible(family: type[Prior], numbers: list[float], text: str, refuse) -> None:
+def _split(text: str, refuse: Refuse) -> tuple[type[Prior], tuple[bool, ...], list[re.Match[str]]]:
+    """Return the family of a prior, whether each argument carries a unit, and the arguments as written."""
+    form = _FORM.match(text)
+    if form is None:
+        raise refuse(f"'{text}' is not a prior", ", ".join(f"{name}(…)" for name in FAMILIES))
+    if form["family"] not in FAMILIES:
+        raise refuse(f"'{form['family']}' is not a prior", closest_first(form["family"], FAMILIES))
+    family, with_unit = FAMILIES[form["family"]]
+    written = form["arguments"].split(",")
+    arguments = [argument for argument in map(_ARGUMENT.match, written) if argument is not None]
+    if not len(arguments) == len(written) == len(with_unit):
+        fields = ", ".join(family.__dataclass_fields__)
+        raise refuse(f"'{text}' does not have the arguments of {form['family']}", f"{form['family']}({fields})")
+    return family, with_unit, arguments
+
+
+def _refuse_impossible(family: type[Prior], numbers: list[float], text: str, refuse: Refuse) -> None:
     if not all(math.isfinite(number) for number in numbers):
         raise refuse(f"'{text}' has a number that is not finite", "finite numbers")
     if family in (Uniform, LogUniform):

@@ -1,8 +1,7 @@
-"""Names against places in a flat vector, and the way from z to values.
+"""The flat parameter vector: names and places on the host, and the transform from z to values on the device.
 
-A `Layout` is the host-side list of scalar parameters.  `Priors` is the array side: the scalars sorted by family
-of prior, stacked, so that a whole vector goes from z to SI values in a handful of array operations and a stack
-of units in one vmap.
+A `Layout` is the list of scalar parameters.  `Priors` holds their priors stacked by family, so that a whole vector is
+transformed from z to SI values in a few array operations, and a stack of units in one vmap.
 """
 
 from collections.abc import Sequence
@@ -121,7 +120,7 @@ class Priors(eqx.Module):
         sorted_z, parts, start = take(z, self.sorted_by_family), [], 0
         for family, count in zip(self.families, self.counts, strict=True):
             chosen = sorted_z[start : start + count]
-            parts.append(jax.vmap(lambda prior, one: prior.value(one))(family, chosen))
+            parts.append(jax.vmap(lambda prior, z_of: prior.value(z_of))(family, chosen))
             start += count
         return take(jnp.concatenate(parts), self.order)
 
