@@ -34,3 +34,6 @@ def specification(file: ModelFile, path: Path) -> ModelSpec:
         for place, entry in enumerate(file.effect)
     )
     return ModelSpec(file.name, effects, tuple(str(path.parent / name) for name in file.files), str(path))
+
+
+load_model = read_model  # the public name

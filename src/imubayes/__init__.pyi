@@ -1,0 +1,64 @@
+from .api import Result, add, diagnose, fit, history, plant
+from .campaign import check_campaign, load_campaign
+from .display.comparison import compare
+from .effects.base import Effect, MotionEffect, Order, PlaceEffect, RecordEffect, SignalEffect, Stage
+from .effects.memory import Decay, Play
+from .errors import InputError
+from .frames import compose, cross, exponential, rotate
+from .inference.ensemble_sampling import Settings
+from .model.model_file import load_model
+from .noise.base import Entry, EntryNoise, Noise, SeriesNoise, SharedNoise, TailNoise
+from .parameters.parameter import option, parameter, reference_temperature, time_constant
+from .run import Campaign
+from .stimulus import Ambient, Experience, Motion, Sample
+from .types import Scalar, vector3
+from .units import dimension, to_si
+
+__version__: str
+
+__all__ = [
+    "Ambient",
+    "Campaign",
+    "Decay",
+    "Effect",
+    "Entry",
+    "EntryNoise",
+    "Experience",
+    "InputError",
+    "Motion",
+    "MotionEffect",
+    "Noise",
+    "Order",
+    "PlaceEffect",
+    "Play",
+    "RecordEffect",
+    "Result",
+    "Sample",
+    "Scalar",
+    "SeriesNoise",
+    "Settings",
+    "SharedNoise",
+    "SignalEffect",
+    "Stage",
+    "TailNoise",
+    "add",
+    "check_campaign",
+    "compare",
+    "compose",
+    "cross",
+    "diagnose",
+    "dimension",
+    "exponential",
+    "fit",
+    "history",
+    "load_campaign",
+    "load_model",
+    "option",
+    "parameter",
+    "plant",
+    "reference_temperature",
+    "rotate",
+    "time_constant",
+    "to_si",
+    "vector3",
+]
