@@ -13,23 +13,6 @@ import numpy as np
 
 Kind = Literal["gyro", "accelerometer", "angle"]
 
-COVARIATES: dict[str, str] = {
-    "time": "s",
-    "power_on": "s",
-    "table_rate": "rad/s",
-    "table_angle": "rad",
-    "table_angle_span": "rad",
-    "table_acceleration": "rad/s^2",
-    "temperature": "degC",
-    "converter_temperature": "degC",
-    "current": "A",
-    "vibration": "m/s^2",
-    "reference_x": "rad/s",
-    "reference_y": "rad/s",
-    "reference_z": "rad/s",
-}
-"""Covariates a run may carry, and the SI unit of each (temperatures stay in °C)."""
-
 
 @dataclass(frozen=True)
 class Site:
@@ -127,8 +110,8 @@ class Run:
     ----------
     name, procedure : as in the campaign file.
     table, mounting : names in the campaign, or None where the procedure has none.
-    covariates : name (a key of `COVARIATES`) → shape (R,) in SI.  `table_angle` is NaN where a row is a mean
-        over whole turns.  `table_angle_span` is the angle swept during a row, 0 at rest.
+    covariates : name in `imubayes.covariates.COVARIATES` → shape (R,) in SI.  `table_angle` is NaN where a row is a
+        mean over whole turns.  `table_angle_span` is the angle swept during a row, 0 at rest.
     observed : shape (R, C) over the campaign's channels, output units, NaN where missing.
     samples : shape (R,) number of raw samples in each row's mean.
     sample_sd : shape (R, C) standard deviation of the raw samples of each row, NaN where unknown.
@@ -179,7 +162,3 @@ class Campaign:
     def only(self, *names: str) -> "Campaign":
         """Return the campaign with the named runs alone, in their own order."""
         return replace(self, runs=tuple(run for run in self.runs if run.name in names))
-
-    def with_run(self, run: Run) -> "Campaign":
-        """Return the campaign with one run more."""
-        return replace(self, runs=(*self.runs, run))

@@ -6,33 +6,35 @@ A procedure turns a run into a `Stimulus` (NumPy); the classes below it are what
 each written for one node, and batched by vmap.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
 import numpy as np
 
+from imubayes.covariates import ambient_names
 from imubayes.types import Array, Bool, Float, Int, Matrices, Scalars, Vectors
 
 
 class Ambient(eqx.Module):
-    """The circumstances of one instant, as recorded or worked out from it: s, rad/s, rad, °C, °C/s, A, m/s².
+    """The covariates of one instant that effects see, in SI: `ambient.temperature` and so on.
 
-    A covariate that the run does not carry is 0 here, and effects that need it do not act on that run.  `time` counts
-    from the run's own beginning, `campaign_time` from that of the campaign's first run; `vibration` is an rms.
+    A covariate that the run does not carry is 0 here, and effects that need it do not act on that run.
     """
 
-    time: Scalars
-    campaign_time: Scalars
-    power_on: Scalars
-    table_rate: Scalars
-    table_angle: Scalars
-    temperature: Scalars
-    temperature_rate: Scalars
-    converter_temperature: Scalars
-    converter_temperature_rate: Scalars
-    current: Scalars
-    vibration: Scalars
+    values: dict[str, Scalars]
+
+    def __init__(self, **values: Scalars):
+        self.values = values
+
+    def __getattr__(self, name: str) -> Scalars:
+        if name == "values" or name not in self.values:
+            raise AttributeError(f"no covariate '{name}' that effects see: {', '.join(ambient_names())}")
+        return self.values[name]
+
+    def updated(self, **values: Scalars) -> "Ambient":
+        """Return these circumstances with some values replaced."""
+        return Ambient(**self.values | values)
 
 
 class Motion(eqx.Module):
@@ -234,6 +236,3 @@ class Stimulus:
         if self.driven:
             seen.add("driven")
         return frozenset(seen)
-
-
-AMBIENT_NAMES = tuple(field.name for field in fields(Ambient))

@@ -9,11 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
+from imubayes.covariates import ambient_names
 from imubayes.effects.base import MotionEffect, PlaceEffect, RecordEffect, Stage
 from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, SharedNoise, TailNoise
 from imubayes.parameters.parameter import declared_options, declared_parameters
 from imubayes.parameters.priors import Prior, parse_prior
-from imubayes.stimulus import AMBIENT_NAMES, Ambient, Experience, Motion, Records, Sample
+from imubayes.stimulus import Ambient, Experience, Motion, Records, Sample
 from imubayes.units import dimension, to_si
 
 GRAVITY = 9.7966
@@ -53,7 +54,7 @@ def random_rotation(rng: np.random.Generator) -> jax.Array:
 
 def ambient(seed: int, **fixed: float) -> Ambient:
     rng = np.random.default_rng(seed)
-    drawn = {name: rng.uniform(1.0, 60.0) for name in AMBIENT_NAMES} | fixed
+    drawn = {name: rng.uniform(1.0, 60.0) for name in ambient_names()} | fixed
     return Ambient(**{name: jnp.asarray(float(value)) for name, value in drawn.items()})
 
 
@@ -93,7 +94,7 @@ def record(seed: int, **fixed: float) -> Records:
     count = np.arange(INSTANTS)
     begins = (count == 0) | (count == 9)
     seconds = np.where(begins, 0.0, rng.uniform(10, 900, INSTANTS))
-    values = {name: np.asarray(getattr(ambient(seed, **fixed), name)) + np.zeros(INSTANTS) for name in AMBIENT_NAMES}
+    values = {name: np.asarray(getattr(ambient(seed, **fixed), name)) + np.zeros(INSTANTS) for name in ambient_names()}
     for name in TEMPERATURES:
         if name not in fixed and f"{name}_rate" not in fixed:
             values[name] = values[name] + np.cumsum(rng.normal(size=INSTANTS) * 5)
@@ -162,7 +163,7 @@ def stage_and_covariates_are_known(member: type) -> None:
     stages = {MotionEffect: (Stage.STAND, Stage.TABLE), PlaceEffect: (Stage.PLACE,)}
     allowed = next((s for base, s in stages.items() if issubclass(member, base)), (Stage.SENSOR, Stage.CONVERTER))
     assert member.stage in allowed, f"{member.name} stands at {member.stage!r}"
-    assert set(member.needs) <= {*AMBIENT_NAMES, *GATES}, f"{member.name} needs {member.needs}"
+    assert set(member.needs) <= {*ambient_names(), *GATES}, f"{member.name} needs {member.needs}"
     assert set(member.kinds) <= {"gyro", "accelerometer"}
     for one in declared_parameters(member).values():
         assert not one.spread or one.spread in declared_parameters(member)

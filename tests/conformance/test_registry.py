@@ -9,6 +9,7 @@ import pytest
 import recover
 import tomlkit
 
+from imubayes.covariates import ambient_names
 from imubayes.effects.base import Effect
 from imubayes.model.bind import declare
 from imubayes.model.effect_registry import Registry
@@ -17,7 +18,6 @@ from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
 from imubayes.noise.base import Noise
 from imubayes.parameters.parameter import declared_options, declared_parameters
-from imubayes.stimulus import AMBIENT_NAMES
 
 MEMBERS = Registry().members
 EFFECTS = {name: member for name, member in MEMBERS.items() if issubclass(member, Effect)}
@@ -64,7 +64,7 @@ def test_the_recovered_exist():
     assert set(EFFECTS) >= RECOVERED
 
 
-GATED = [n for n, m in EFFECTS.items() if {*AMBIENT_NAMES, "injection", "reference", "driven"} & set(m.needs)]
+GATED = [n for n, m in EFFECTS.items() if {*ambient_names(), "injection", "reference", "driven"} & set(m.needs)]
 
 
 @pytest.mark.parametrize("name", GATED)
@@ -73,7 +73,7 @@ def test_nothing_reaches_a_run_that_lacks_what_is_needed(name):
     size = model.problem.size[0]
     here, there = (np.asarray(predict(model.problem, jnp.full(size, z))) for z in (0.3, -0.5))
     change = there - here
-    needed = set(EFFECTS[name].needs) & {*AMBIENT_NAMES, "injection", "reference", "driven"}
+    needed = set(EFFECTS[name].needs) & {*ambient_names(), "injection", "reference", "driven"}
     lacking = [i for i, supplied in enumerate(model.nodes.supplies) if not needed <= supplied]
     assert np.any(change != 0)
     assert not np.any(change[np.isin(model.entries.run, lacking)])

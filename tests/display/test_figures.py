@@ -89,9 +89,9 @@ def test_rows_without_the_covariate_are_counted(residuals):
 
 
 def test_covariates_that_are_missing_or_constant_are_skipped(residuals):
-    keys = [one.key for one in covariates_of(residuals)]
+    keys = [one.name for one in covariates_of(residuals)]
     assert keys == ["row", "time", "power_on", "table_rate", "table_angle", "temperature"]
-    assert [one.key for one in covariates_of(made.tumble_residuals())] == ["row", "time"]
+    assert [one.name for one in covariates_of(made.tumble_residuals())] == ["row", "time"]
     with pytest.raises(ValueError, match="no injected current that varies"):
         residual_figure(residuals, "current")
     with pytest.raises(KeyError, match="is not a covariate"):
@@ -101,10 +101,10 @@ def test_covariates_that_are_missing_or_constant_are_skipped(residuals):
 def test_what_drives_a_run():
     frame = made.trihedral_residuals(temperatures=(25,))
     runs = {"rate-x-up-25C": "table_rate", "head-x-up-25C": "table_angle"}
-    assert {run: driver(frame.filter(pl.col("run") == run)).key for run in runs} == runs
+    assert {run: driver(frame.filter(pl.col("run") == run)).name for run in runs} == runs
     thermal = made.thermal_residuals()
-    assert driver(thermal.filter(pl.col("run") == "ramp-1g")).key == "converter_temperature"
-    assert driver(made.tumble_residuals()).key == "row"
+    assert driver(thermal.filter(pl.col("run") == "ramp-1g")).name == "converter_temperature"
+    assert driver(made.tumble_residuals()).name == "row"
 
 
 def test_thirty_five_runs(residuals):

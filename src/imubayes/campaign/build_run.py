@@ -7,26 +7,9 @@ import numpy as np
 from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.geographic_directions import DIRECTION_COLUMNS
-from imubayes.campaign.run_columns import COVARIATE_COLUMNS, NEEDS_TABLE, TEXT_COLUMNS, ColumnLayout
+from imubayes.campaign.run_columns import NEEDS_TABLE, TEXT_COLUMNS, ColumnLayout
+from imubayes.covariates import recorded
 from imubayes.run import Channel, Run, Tumble
-from imubayes.units import to_si
-
-FACTORS = {
-    "time_s": 1.0,
-    "power_on_s": 1.0,
-    "table_rate_deg_s": to_si("deg/s"),
-    "table_angle_deg": to_si("deg"),
-    "table_angle_span_deg": to_si("deg"),
-    "table_acceleration_deg_s2": to_si("deg/s^2"),
-    "temperature_degC": 1.0,
-    "converter_temperature_degC": 1.0,
-    "current_mA": to_si("mA"),
-    "vibration_g_rms": to_si("g"),
-    "reference_x_deg_s": to_si("deg/s"),
-    "reference_y_deg_s": to_si("deg/s"),
-    "reference_z_deg_s": to_si("deg/s"),
-}
-"""Column → factor to the SI unit of its covariate."""
 
 TURN = 2 * np.pi
 
@@ -35,6 +18,7 @@ def build_run(
     entry: RunEntry,
     numbers: Mapping[str, np.ndarray],
     channels: Sequence[Channel],
+    gravity: float,
     notes: Sequence[str] = (),
     tumble: Tumble | None = None,
     attitude: np.ndarray | None = None,
@@ -46,13 +30,14 @@ def build_run(
     entry : the run's entry in the campaign file.
     numbers : column → shape (R,), in the units of the file; `samples` and `<channel>_sd` where known.
     channels : all channels of the campaign.
+    gravity : of the site, m/s².
     notes : what the reduction did.
     tumble : the moving part of a free tumble.
     attitude : shape (R, 3, 3), where the rows name directions.
     """
     rows = len(next(iter(numbers.values())))
     unknown = np.full(rows, np.nan)
-    covariates, said = _covariates(entry, numbers, rows)
+    covariates, said = _covariates(entry, numbers, rows, gravity)
     return Run(
         entry.name,
         entry.procedure,
@@ -82,12 +67,12 @@ def unused_columns(layout: ColumnLayout, procedure: str, run: str, where: str) -
 
 
 def _covariates(
-    entry: RunEntry, numbers: Mapping[str, np.ndarray], rows: int
+    entry: RunEntry, numbers: Mapping[str, np.ndarray], rows: int, gravity: float
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     covariates = {
-        covariate: numbers[column] * FACTORS[column]
-        for column, covariate in COVARIATE_COLUMNS.items()
-        if column in numbers
+        covariate.name: numbers[covariate.column] * covariate.factor(gravity)
+        for covariate in recorded()
+        if covariate.column in numbers
     }
     notes: list[str] = []
     rate = covariates.setdefault("table_rate", np.zeros(rows))

@@ -16,7 +16,7 @@ from imubayes.campaign.equipment import build_channels, build_mountings, build_s
 from imubayes.campaign.file_schemas import PROCEDURE_NAMES, CampaignFile, ModelFile, RunEntry
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.load_run import Equipment, Loaded, load_run
-from imubayes.campaign.run_columns import KNOWN_COLUMNS, NEEDS_GYRO, NEEDS_TABLE
+from imubayes.campaign.run_columns import NEEDS_GYRO, NEEDS_TABLE, known_columns
 from imubayes.campaign.servo_angle import with_angles
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.campaign.valid_entries import Draft, draft_of
@@ -160,7 +160,7 @@ def _load(file: Path, entry: RunEntry, names: Sequence[str], equipment: Equipmen
 
 
 def _check_channel_names(draft: Draft, ledger: Ledger) -> None:
-    taken = {*KNOWN_COLUMNS, *(f"{name}_sd" for name in draft.names["channel"])}
+    taken = {*known_columns(), *(f"{name}_sd" for name in draft.names["channel"])}
     for index, channel in draft.channels.items():
         if channel.name in taken:
             ledger.add(

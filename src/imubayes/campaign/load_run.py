@@ -92,7 +92,11 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
         numbers = _whole(source)
         loaded.findings += _check_counts(numbers, source, entry)
         run = build_run(
-            entry, numbers, equipment.channels, attitude=_named(source, entry, equipment, range(survey.rows))
+            entry,
+            numbers,
+            equipment.channels,
+            equipment.site.gravity,
+            attitude=_named(source, entry, equipment, range(survey.rows)),
         )
     else:
         assert survey.blocks is not None
@@ -100,7 +104,7 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
         rows = reduce_log(source, entry.procedure, survey.rows, survey.blocks, survey.labelled)
         named = _named(source, entry, equipment, rows.first)
         loaded.findings += [_unsteady(entry, where, rows.unsteady)] if rows.unsteady else []
-        run = build_run(entry, rows.numbers, equipment.channels, rows.notes, attitude=named)
+        run = build_run(entry, rows.numbers, equipment.channels, equipment.site.gravity, rows.notes, attitude=named)
     if run.rows == 0:
         loaded.findings.append(_empty(entry, where, "no stretch of constant stimulus was found in the log"))
     elif entry.procedure != "servo_table" and not np.isfinite(run.observed).any():
@@ -158,7 +162,7 @@ def _load_tumble(source: TableSource, entry: RunEntry, equipment: Equipment) -> 
     reduced = reduce_tumble(
         _whole(source), equipment.channels, equipment.site.gravity, entry.initial_rest_s, source.file
     )
-    run = build_run(entry, reduced.numbers, equipment.channels, reduced.notes, reduced.tumble)
+    run = build_run(entry, reduced.numbers, equipment.channels, equipment.site.gravity, reduced.notes, reduced.tumble)
     findings = [replace(finding, run=entry.name) for finding in reduced.findings]
     return run, findings
 

@@ -8,29 +8,16 @@ matter are listed under `ignore` in the run's entry.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from imubayes.covariates import recorded_columns
 from imubayes.errors import Issue, closest_first
 
-COVARIATE_COLUMNS = {
-    "time_s": "time",
-    "power_on_s": "power_on",
-    "table_rate_deg_s": "table_rate",
-    "table_angle_deg": "table_angle",
-    "table_angle_span_deg": "table_angle_span",
-    "table_acceleration_deg_s2": "table_acceleration",
-    "temperature_degC": "temperature",
-    "converter_temperature_degC": "converter_temperature",
-    "current_mA": "current",
-    "vibration_g_rms": "vibration",
-    "reference_x_deg_s": "reference_x",
-    "reference_y_deg_s": "reference_y",
-    "reference_z_deg_s": "reference_z",
-}
-"""Column → covariate of a run."""
-
-REFERENCE_COLUMNS = ("reference_x_deg_s", "reference_y_deg_s", "reference_z_deg_s")
-"""Rates of a reference gyro that rides along, about the axes of the body."""
 TEXT_COLUMNS = ("segment", "i_axis", "o_axis")
-KNOWN_COLUMNS = (*COVARIATE_COLUMNS, *TEXT_COLUMNS, "samples")
+
+
+def known_columns() -> tuple[str, ...]:
+    """Return the columns that mean something by their name."""
+    return (*recorded_columns(), *TEXT_COLUMNS, "samples")
+
 
 REQUIRED_COLUMNS: dict[str, tuple[tuple[str, ...], ...]] = {
     "rate_table": (("table_rate_deg_s",),),
@@ -41,7 +28,7 @@ REQUIRED_COLUMNS: dict[str, tuple[tuple[str, ...], ...]] = {
     "geographic_tumble": (("i_axis",), ("o_axis",)),
     "thermal_ramp": (("converter_temperature_degC", "temperature_degC"),),
     "current_injection": (("current_mA",),),
-    "reference_gyro": (("time_s",), *((column,) for column in REFERENCE_COLUMNS)),
+    "reference_gyro": (("time_s",), *((f"reference_{axis}_deg_s",) for axis in "xyz")),
     "free_tumble": (("time_s",),),
 }
 """For each procedure the columns it cannot do without; of each inner group one is enough."""
@@ -95,7 +82,7 @@ def lay_out(
 ) -> tuple[ColumnLayout, list[Issue]]:
     """Sort the columns of a table, and say what is wrong with them."""
     deviation_names = {f"{channel}_sd": channel for channel in channels}
-    known = (*KNOWN_COLUMNS, *channels, *deviation_names)
+    known = (*known_columns(), *channels, *deviation_names)
     issues = _repeated(header, where)
     numbers, texts = [], []
     for column in dict.fromkeys(header):

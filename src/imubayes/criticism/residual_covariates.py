@@ -1,16 +1,15 @@
 """What was going on when an entry was measured: the covariates that residuals are looked at against."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.covariates import Covariate, regressors
 from imubayes.inference.fitted import Fitted
 from imubayes.model.problem import Problem, row_means, signal_path, values_of
-
-_STANDARD_GRAVITY = 9.80665
-_AXES = ("i", "o", "s")
 
 
 @dataclass(frozen=True)
@@ -31,20 +30,15 @@ class ResidualCovariate:
     phrase: str
 
 
-_RECORDED = {
-    "temperature": ("temperature_degC", "degC", 1.0, "temperature"),
-    "converter_temperature": ("converter_temperature_degC", "degC", 1.0, "converter temperature"),
-    "table_angle": ("table_angle_deg", "deg", 180 / np.pi, "table angle"),
-    "time": ("time_s", "s", 1.0, "time within the run"),
-    "power_on": ("power_on_s", "s", 1.0, "time since power-on"),
-    "current": ("current_mA", "mA", 1e3, "injected current"),
-}
-
-
 def covariates(fitted: Fitted) -> list[ResidualCovariate]:
     """Return every covariate that some run has and that takes more than one value."""
-    found = [*_experienced(fitted), *_recorded(fitted), *_worked_out(fitted)]
-    return [one for one in found if _varies(one.values)]
+    values = {"sample": _at_samples(fitted), "recorded": _recorded(fitted), "derived": _derived(fitted)}
+    gravity = fitted.model.campaign.site.gravity
+    found = [
+        ResidualCovariate(each.column, each.unit, values[each.origin](each) / each.factor(gravity), each.phrase)
+        for each in regressors()
+    ]
+    return [each for each in found if _varies(each.values)]
 
 
 def _varies(values: np.ndarray) -> bool:
@@ -52,86 +46,64 @@ def _varies(values: np.ndarray) -> bool:
     return known.size > 2 and float(np.ptp(known)) > 1e-9 * (1 + float(np.abs(known).max()))
 
 
-def _experienced(fitted: Fitted) -> list[ResidualCovariate]:
-    """Return rate and specific force along each channel's own axes, as the fitted model has them."""
-    problem = fitted.model.problem
-    means = _row_means(problem, fitted.z)
-    readout = np.asarray(problem.observations.readout)
-    count = len(fitted.model.entries)
-    found = []
-    for kind, unit, size in (("rate", "deg/s", np.pi / 180), ("force", "g", _STANDARD_GRAVITY)):
-        for axis, letter in enumerate(_AXES):
-            values = np.full(count, np.nan)
-            values[: len(readout)] = np.asarray(means[kind][axis])[readout] / size
-            what = "rate" if kind == "rate" else "specific force"
-            found.append(
-                ResidualCovariate(f"{kind}_{letter}", unit, values, f"{what} along the {_axis_word(axis)} axis")
-            )
-    return found
+def _at_samples(fitted: Fitted) -> Callable[[Covariate], np.ndarray]:
+    """Return rate or specific force along each channel's own axes, as the fitted model has them, (E,) in SI."""
+    means = _row_means(fitted.model.problem, fitted.z)
+    readout = np.asarray(fitted.model.problem.observations.readout)
+
+    def values(covariate: Covariate) -> np.ndarray:
+        found = np.full(len(fitted.model.entries), np.nan)
+        found[: len(readout)] = np.asarray(means[covariate.name])[readout]
+        return found
+
+    return values
 
 
 @eqx.filter_jit
 def _row_means(problem: Problem, z):
-    """Return rate and specific force, kind → axis → flattened outputs, as `readout` counts them."""
+    """Return rate and specific force along each axis, covariate → flattened outputs, as `readout` counts them."""
     path = signal_path(problem, values_of(problem, z))
     return {
-        kind: [
-            jnp.concatenate(
-                [
-                    row_means(problem, getattr(path.sample[name], kind)[..., axis]).reshape(-1)
-                    for name in sorted(problem.channels)
-                ]
-            )
-            for axis in range(len(_AXES))
-        ]
+        f"{kind}_{letter}": jnp.concatenate(
+            [
+                row_means(problem, getattr(path.sample[name], kind)[..., axis]).reshape(-1)
+                for name in sorted(problem.channels)
+            ]
+        )
         for kind in ("rate", "force")
+        for axis, letter in enumerate("ios")
     }
 
 
-def _axis_word(axis: int) -> str:
-    return ("input", "output", "third")[axis]
-
-
-def _recorded(fitted: Fitted) -> list[ResidualCovariate]:
+def _recorded(fitted: Fitted) -> Callable[[Covariate], np.ndarray]:
+    """Return what the runs recorded, (E,) in SI."""
     entries, runs = fitted.model.entries, fitted.model.campaign.runs
-    found = []
-    for key, (name, unit, factor, phrase) in _RECORDED.items():
-        values = np.full(len(entries), np.nan)
+
+    def values(covariate: Covariate) -> np.ndarray:
+        found = np.full(len(entries), np.nan)
         for index, run in enumerate(runs):
             here = (entries.run == index) & ~entries.closing
-            if key in run.covariates:
-                values[here] = factor * run.covariates[key][entries.row[here]]
-        found.append(ResidualCovariate(name, unit, values, phrase))
-    return found
+            if covariate.name in run.covariates:
+                found[here] = run.covariates[covariate.name][entries.row[here]]
+        return found
+
+    return values
 
 
-_WORKED_OUT = {
-    "temperature_rate": ("temperature_rate_degC_min", "degC/min", 60.0, "the rate of change of temperature"),
-    "converter_temperature_rate": (
-        "converter_temperature_rate_degC_min",
-        "degC/min",
-        60.0,
-        "the rate of change of the converter's temperature",
-    ),
-    "campaign_time": ("campaign_time_h", "h", 1 / 3600, "time since the first run"),
-}
-
-
-def _worked_out(fitted: Fitted) -> list[ResidualCovariate]:
-    """Return what procedures work out from the recorded columns."""
+def _derived(fitted: Fitted) -> Callable[[Covariate], np.ndarray]:
+    """Return what the procedures derive from recorded columns, (E,) in SI."""
     nodes, entries = fitted.model.nodes, fitted.model.entries
-    rows = [run.rows for run in fitted.model.campaign.runs]
-    first_row = np.cumsum([0, *rows])
+    first_row = np.cumsum([0, *(run.rows for run in fitted.model.campaign.runs)])
     row_of_entry = first_row[entries.run] + np.where(entries.closing, 0, entries.row)
-    supplied = [set(one) for one in nodes.supplies]
-    found = []
     node_row = _node_rows(fitted)
-    for key, (name, unit, factor, phrase) in _WORKED_OUT.items():
+
+    def values(covariate: Covariate) -> np.ndarray:
         per_row = np.full(first_row[-1], np.nan)
-        per_row[node_row] = getattr(fitted.model.problem.instants.ambient, key)
-        known = np.array([key in one for one in supplied])[entries.run] & ~entries.closing
-        found.append(ResidualCovariate(name, unit, np.where(known, factor * per_row[row_of_entry], np.nan), phrase))
-    return found
+        per_row[node_row] = getattr(fitted.model.problem.instants.ambient, covariate.name)
+        known = np.array([covariate.name in supplied for supplied in nodes.supplies])[entries.run] & ~entries.closing
+        return np.where(known, per_row[row_of_entry], np.nan)
+
+    return values
 
 
 def _node_rows(fitted: Fitted) -> np.ndarray:

@@ -6,6 +6,7 @@ from rich.console import Console
 from rich.table import Column
 from rich.table import Table as Grid
 
+from imubayes.covariates import COVARIATES
 from imubayes.effects.base import Effect, MotionEffect
 from imubayes.model.effect_registry import Member, Registry
 from imubayes.model.observability import observable
@@ -26,31 +27,26 @@ def print_catalogue() -> None:
     print("\nimubayes effects NAME explains one; imubayes effects --for CAMPAIGN says which a campaign could show")
 
 
-# What brings a covariate into a run: the words after "needs".
-_REMEDIES = {
+# What brings a condition other than a covariate into a run: the words after "needs".
+_CONDITIONS = {
     "acceleration": "table_acceleration_deg_s2 that is not 0",
-    "campaign_time": "time_s, and 'start' of the run where other runs have it",
-    "converter_temperature": "converter_temperature_degC",
-    "converter_temperature_rate": "time_s and a converter_temperature_degC that changes",
-    "current": "current_mA",
     "injection": "a run of procedure current_injection",
     "mounting": "a run in a mounting",
-    "power_on": "power_on_s",
     "table": "a run on a table",
-    "table_angle": "a run on a table",
-    "temperature": "temperature_degC, as a column or for the whole run",
-    "temperature_rate": "time_s and a temperature_degC that changes",
-    "time": "time_s",
     "turning": "a run that turns",
     "commanded": "a table that turns at a commanded rate",
     "reference": "a reference gyro that rides along",
     "driven": "a table that the gyro drives",
-    "vibration": "vibration_g_rms",
     "pose": "a free tumble",
     "free tumble": "a free tumble",
     "gyro": "a gyro",
     "accelerometer": "an accelerometer",
 }
+
+
+def _remedy(need: str) -> str:
+    """Return what brings a covariate or condition into a run, in words."""
+    return COVARIATES[need].remedy if need in COVARIATES else _CONDITIONS.get(need, need)
 
 
 def print_observable(campaign: Campaign) -> None:
@@ -70,7 +66,7 @@ def print_observable(campaign: Campaign) -> None:
     by_need: dict[str, list[str]] = {}
     for one in found:
         if one.missing:
-            needed = "; ".join(dict.fromkeys(_REMEDIES.get(name, name) for name in one.missing))
+            needed = "; ".join(dict.fromkeys(_remedy(name) for name in one.missing))
             by_need.setdefault(needed, []).append(one.member.name)
     for needed, names in by_need.items():
         lacking.add_row("\n".join(names), needed)

@@ -5,6 +5,7 @@ from typing import Any
 
 import polars as pl
 
+from imubayes.covariates import Covariate
 from imubayes.display.figures import (
     corner_figure,
     identifiability_figure,
@@ -15,7 +16,7 @@ from imubayes.display.figures import (
 )
 from imubayes.display.figures.prior_posterior import mounting_quantities
 from imubayes.display.goodness_of_fit import worst_first
-from imubayes.display.labels import Covariate, covariates_of, numbers, ordered, varies
+from imubayes.display.labels import covariates_of, numbers, ordered, varies
 from imubayes.display.theme import MOST_PANELS, Picture
 from imubayes.results.result import Result
 
@@ -32,7 +33,7 @@ def plan(stored: Result, names: Sequence[str], draws: Mapping[str, Any]) -> Plan
     for one in covariates_of(residuals):
         for page, channels in _pages(_channels_with(residuals, one)):
             yield (
-                f"residuals-{one.key.replace('_', '-')}{page}",
+                f"residuals-{one.name.replace('_', '-')}{page}",
                 lambda one=one, channels=channels: residual_figure(residuals, one, channels, runs),
             )
     if any(one.get("from_data") is not None for one in (*summary["parameters"], *summary["derived"])):

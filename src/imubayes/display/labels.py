@@ -5,10 +5,11 @@ pictures and run tables choose the size of the same unit that gives plain number
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
+
+from imubayes.covariates import Covariate, shown
 
 # unit → (largest typical size for which the finer unit is chosen, its factor, its name), the finest first
 _FINER: dict[str, tuple[tuple[float, float, str], ...]] = {
@@ -43,39 +44,21 @@ def readable(unit: str, typical: float) -> tuple[float, str]:
     return 1.0, unit
 
 
-@dataclass(frozen=True)
-class Covariate:
-    """What residuals are drawn against: its column, what it is called, and its unit."""
-
-    column: str
-    phrase: str
-    unit: str
-
-    @property
-    def key(self) -> str:
-        """Name for files and choices: the column without its unit."""
-        suffixes = ("_deg_s", "_degC", "_deg", "_mA", "_s")
-        return next((self.column.removesuffix(s) for s in suffixes if self.column.endswith(s)), self.column)
+ROW = Covariate("row", "row", "", "", "row", origin="derived")
+"""What residuals are drawn against where nothing better is recorded."""
 
 
-COVARIATES: tuple[Covariate, ...] = (
-    Covariate("row", "row", ""),
-    Covariate("time_s", "time since the start of the run", "s"),
-    Covariate("power_on_s", "time since power-on", "s"),
-    Covariate("table_rate_deg_s", "table rate", "deg/s"),
-    Covariate("table_angle_deg", "table angle", "deg"),
-    Covariate("temperature_degC", "temperature", "degC"),
-    Covariate("converter_temperature_degC", "converter temperature", "degC"),
-    Covariate("current_mA", "injected current", "mA"),
-)
+def covariates() -> tuple[Covariate, ...]:
+    """Return what residuals can be drawn against."""
+    return (ROW, *shown())
 
 
 def covariate(name: str) -> Covariate:
     """Return a covariate by its column (`table_rate_deg_s`) or its name (`table_rate`)."""
-    for one in COVARIATES:
-        if name in (one.column, one.key):
-            return one
-    raise KeyError(f"'{name}' is not a covariate: {', '.join(one.key for one in COVARIATES)}")
+    for known in covariates():
+        if name in (known.column, known.name):
+            return known
+    raise KeyError(f"'{name}' is not a covariate: {', '.join(known.name for known in covariates())}")
 
 
 def numbers(frame: pl.DataFrame, column: str) -> np.ndarray:
@@ -93,7 +76,7 @@ def varies(values: np.ndarray) -> bool:
 
 def covariates_of(residuals: pl.DataFrame) -> list[Covariate]:
     """Return the covariates that the data have, those that vary."""
-    return [one for one in COVARIATES if varies(numbers(residuals, one.column))]
+    return [known for known in covariates() if varies(numbers(residuals, known.column))]
 
 
 def ordered(residuals: pl.DataFrame, column: str) -> list[str]:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.covariates import ambient_names
 from imubayes.effects.base import Effect, MotionEffect
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.model.effect_registry import Member, Registry
@@ -14,7 +15,6 @@ from imubayes.parameters.parameter import Declared, declared_options, declared_p
 from imubayes.parameters.priors import LogNormal, Normal, Prior, parse_prior
 from imubayes.parameters.vector import Parameter
 from imubayes.run import Campaign, Channel
-from imubayes.stimulus import AMBIENT_NAMES
 from imubayes.units import to_si
 
 # Where neither the campaign nor the spread of raw samples says how noisy a channel is: a thousandth of what was
@@ -108,7 +108,7 @@ def act(spec: EffectSpec, belonging: Belonging, registry: Registry) -> BoundEffe
             )
         )
     kinds = tuple(dict.fromkeys(channel.kind for channel in campaign.channels if channel.name in channels))
-    gating = [need for need in member.needs if need in AMBIENT_NAMES or need in _GATES]
+    gating = [need for need in member.needs if need in ambient_names() or need in _GATES]
     gated = {i for i, s in enumerate(belonging.nodes.supplies) if not set(gating) <= s}
     made: dict[bool, list[Parameter]] = {False: [], True: []}
     for field, one in declared.items():

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.covariates import ambient_names
 from imubayes.procedures import PROCEDURES
 from imubayes.procedures.servo_table import ServoTable
 from imubayes.run import Campaign, Kind
-from imubayes.stimulus import AMBIENT_NAMES, Ambient, Records, Stimulus
+from imubayes.stimulus import Ambient, Records, Stimulus
 
 # Sorted, because that is the order in which JAX walks through a dictionary.
 KINDS: tuple[Kind, ...] = ("accelerometer", "gyro")
@@ -96,7 +97,7 @@ def _join(parts: Sequence[Stimulus], order: np.ndarray) -> Stimulus:
 
     ambient = {
         name: np.concatenate([part.ambient.get(name, np.zeros(len(part.row))) for part in parts])[order]
-        for name in AMBIENT_NAMES
+        for name in ambient_names()
     }
     return Stimulus(
         row=joined("row"),

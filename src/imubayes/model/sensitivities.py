@@ -7,14 +7,15 @@ effect added tomorrow takes part in all of them.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from imubayes.covariates import ambient_names
 from imubayes.model.signal_path import Channels, Layer, start, travel
-from imubayes.stimulus import AMBIENT_NAMES, Ambient, Experience, Nodes, SignalPath
+from imubayes.stimulus import Ambient, Experience, Nodes, SignalPath
 from imubayes.types import Array, Float
 
 REFERENCE_TEMPERATURE = 25.0  # °C, the catalogue's own
@@ -71,7 +72,7 @@ def _respond(probe: Probe, values, stimulus: Float[Array, " 6"]) -> dict[str, Fl
     }
     warm, long = jnp.full(1, REFERENCE_TEMPERATURE), jnp.full(1, WARMED_UP)
     known = {"temperature": warm, "converter_temperature": warm, "power_on": long}
-    ambient = Ambient(**{name: known.get(name, zero) for name in AMBIENT_NAMES})
+    ambient = Ambient(**{name: known.get(name, zero) for name in ambient_names()})
     path = SignalPath(probe.mountings.stands, ambient, experience, {}, {})
     signal = travel(probe.sensor_layers, path, values).signal
     return {kind: signal[kind][0] for kind in probe.channels}
@@ -88,7 +89,7 @@ def thermal_slopes(probe: Probe, values: Float[Array, " V"]) -> dict[str, Float[
     instants = probe.thermal
 
     def output(temperature):
-        warmed = eqx.tree_at(lambda i: i.ambient.converter_temperature, instants, temperature)
+        warmed = replace(instants, ambient=instants.ambient.updated(converter_temperature=temperature))
         return travel(probe.thermal_layers, start(warmed), values).signal
 
     at = instants.ambient.converter_temperature

@@ -125,7 +125,7 @@ def servo_angles(
         ambient = jax.tree.map(
             lambda one: jax.vmap(lambda x, y: jnp.interp(share, x, y))(servos.place, one), servos.ambient
         )
-        ambient = replace(ambient, table_angle=angle)
+        ambient = ambient.updated(table_angle=angle)
 
         def nearer(_: Array, rate: Float[Array, " S"]) -> Float[Array, " S"]:
             moving = replace(stands, table_angle=angle, table_rate=rate)

@@ -11,9 +11,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from imubayes.covariates import ambient_names
 from imubayes.earth import table_to_local
 from imubayes.run import Campaign, Run
-from imubayes.stimulus import AMBIENT_NAMES, Stimulus
+from imubayes.stimulus import Stimulus
 
 # A mean over a turn is the mean over equally spaced angles, exact for harmonics below their number.  About a
 # vertical axis gravity along an input axis varies by the tilt alone, so products up to the third are covered by 4;
@@ -91,7 +92,7 @@ def ambient_of(run: Run, row: np.ndarray, campaign: Campaign | None = None) -> d
     Rates of temperature are there where a temperature changes in known time, `campaign_time` where it is known when
     the run was made: since the campaign's first run with a date, or since its own beginning where no run has one.
     """
-    known = {name: run.covariates[name] for name in AMBIENT_NAMES if name in run.covariates}
+    known = {name: run.covariates[name] for name in ambient_names() if name in run.covariates}
     time = known.get("time")
     if time is not None:
         for name in ("temperature", "converter_temperature"):

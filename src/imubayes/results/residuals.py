@@ -1,6 +1,5 @@
 """Residuals of a fit in output and input units, with every covariate: what compare and criticism look at."""
 
-import math
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -8,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import polars as pl
 
+from imubayes.covariates import shown
 from imubayes.inference.fit import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.model.noise_covariance import group_sum, whiten, whitener
@@ -17,15 +17,6 @@ from imubayes.records import finite
 from imubayes.results.summary import RunSummary
 from imubayes.units import to_si
 
-_COVARIATES = {
-    "time_s": ("time", 1.0),
-    "power_on_s": ("power_on", 1.0),
-    "table_rate_deg_s": ("table_rate", math.radians(1)),
-    "table_angle_deg": ("table_angle", math.radians(1)),
-    "temperature_degC": ("temperature", 1.0),
-    "converter_temperature_degC": ("converter_temperature", 1.0),
-    "current_mA": ("current", 1e-3),
-}
 # Columns that every residuals table has, besides the covariates.
 COLUMNS = (
     "run", "procedure", "row", "channel", "kind", "observed", "predicted", "sd", "model_sd", "residual",
@@ -131,12 +122,13 @@ def _covariates(fit: Fit) -> dict[str, pl.Series]:
     """Return each covariate per entry, null where the run lacks it or the entry is a closing rotation."""
     campaign, entries = fit.model.campaign, fit.model.entries
     found = {}
-    for column, (name, factor) in _COVARIATES.items():
+    for covariate in shown():
+        name, column = covariate.name, covariate.column
         values, known = np.zeros(len(entries)), np.zeros(len(entries), dtype=bool)
         for index, run in enumerate(campaign.runs):
             chosen = (entries.run == index) & ~entries.closing
             if name in run.covariates and (run.table is not None or not name.startswith("table_")):
-                values[chosen] = run.covariates[name][entries.row[chosen]] / factor
+                values[chosen] = run.covariates[name][entries.row[chosen]] / covariate.factor(campaign.site.gravity)
                 known[chosen] = True
         found[column] = pl.Series(column, [v if k else None for v, k in zip(values, known, strict=True)], pl.Float64)
     return found

@@ -8,7 +8,7 @@ import numpy as np
 from imubayes.campaign.build_run import build_run
 from imubayes.campaign.equipment import build_channels, build_mountings, build_site, build_tables, refuse_repeats
 from imubayes.campaign.file_schemas import RunEntry
-from imubayes.campaign.run_columns import KNOWN_COLUMNS, NEEDS_TABLE
+from imubayes.campaign.run_columns import NEEDS_TABLE, known_columns
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.errors import InputError, closest_first
 from imubayes.run import Campaign, Channel
@@ -60,7 +60,7 @@ def read_plan(path: str | Path) -> Plan:
     entries = tuple(_entry(run, place) for place, run in enumerate(file.run))
     columns = tuple(columns_of(run) for run in file.run)
     runs = tuple(
-        build_run(entry, one | _nothing_yet(run, one, channels), channels)
+        build_run(entry, one | _nothing_yet(run, one, channels), channels, site.gravity)
         for entry, one, run in zip(entries, columns, file.run, strict=True)
     )
     campaign = Campaign(file.name, site, channels, tables, mountings, runs, file.unit.serial)
@@ -93,7 +93,7 @@ def _entry(run: PlannedRun, place: int) -> RunEntry:
 
 def _check_channels(file: PlanFile, ledger: Ledger) -> None:
     for place, channel in enumerate(file.channel):
-        if channel.name in KNOWN_COLUMNS:
+        if channel.name in known_columns():
             ledger.add(
                 f"the channel name '{channel.name}' already means something else in a run table",
                 ("channel", place, "name"),

@@ -7,7 +7,7 @@ import numpy as np
 
 from imubayes.campaign.convert.recording_options import TIME_UNITS, ConvertOptions
 from imubayes.campaign.convert.text_table import look_at, pick_columns, read_numbers
-from imubayes.campaign.run_columns import COVARIATE_COLUMNS
+from imubayes.covariates import recorded_columns
 from imubayes.errors import InputError, Issue, closest_first
 
 ACCELEROMETERS, GYROS = ("ax", "ay", "az"), ("gx", "gy", "gz")
@@ -55,7 +55,7 @@ def read_six_column(files: Sequence[Path], options: ConvertOptions) -> Columns:
         )
     _check_targets(options)
     table = look_at(files[0], options.delimiter)
-    default = {name: name for name in (*SIX, *COVARIATE_COLUMNS) if name in table.names}
+    default = {name: name for name in (*SIX, *recorded_columns()) if name in table.names}
     if not table.has_header:
         default = {name: position for position, name in enumerate(SIX, start=1)}
     wanted = dict(options.columns) or default
@@ -78,7 +78,7 @@ def read_six_column(files: Sequence[Path], options: ConvertOptions) -> Columns:
 
 
 def _check_targets(options: ConvertOptions) -> None:
-    allowed = (*SIX, *COVARIATE_COLUMNS)
+    allowed = (*SIX, *recorded_columns())
     issues = [
         Issue(
             f"'{target}' is no column of a run table",

@@ -14,7 +14,7 @@ from imubayes.campaign.free_tumble.magnitude_calibration import MagnitudeFit, fi
 from imubayes.campaign.free_tumble.pose_transitions import mean_readings, padded, step_edges
 from imubayes.campaign.free_tumble.rotation import shortest
 from imubayes.campaign.free_tumble.static_detection import Pose, find_rests, join_rests, unrest
-from imubayes.campaign.run_columns import COVARIATE_COLUMNS
+from imubayes.covariates import recorded_columns
 from imubayes.errors import InputError, Issue
 from imubayes.run import Channel, Tumble
 
@@ -142,7 +142,7 @@ def _rows(
     present = np.stack([np.isfinite(numbers[c.name]) for c in channels if c.name in numbers]).all(axis=0)
     complete = {name: values[present] for name, values in numbers.items()}
     rows = {"samples": np.array([float(len(pose.indices())) for pose in poses])}
-    for name in COVARIATE_COLUMNS:
+    for name in recorded_columns():
         if name in complete and not name.startswith("table_"):
             rows[name] = np.array([np.nanmean(complete[name][pose.indices()]) for pose in poses])
     for channel in channels:

@@ -16,8 +16,9 @@ from imubayes.campaign.reduction.constant_spans import (
     followed_spans,
 )
 from imubayes.campaign.reduction.span_means import Row, accumulate
-from imubayes.campaign.run_columns import COVARIATE_COLUMNS, ColumnLayout
+from imubayes.campaign.run_columns import ColumnLayout
 from imubayes.campaign.run_tables import TableSource
+from imubayes.covariates import recorded_columns
 
 BINNED = {"thermal_ramp", "current_injection"}
 """Procedures in which the temperature is the stimulus, or runs beside it."""
@@ -72,7 +73,7 @@ def reduce_log(
     else:
         spans = constant_spans(blocks, layout.channels, by_temperature, procedure in AT_REST)
         how = f"in bins of at most {BIN_KELVIN:g} degC and {BIN_SECONDS:g} s" if by_temperature else CONSTANT
-    columns = [name for name in (*COVARIATE_COLUMNS, *layout.channels) if layout.has(name)]
+    columns = [name for name in (*recorded_columns(), *layout.channels) if layout.has(name)]
     reduced = accumulate(source, spans, columns, blocks.interval) if spans else []
     numbers = _columns(columns, layout, reduced)
     first = tuple(span.start for span in spans)

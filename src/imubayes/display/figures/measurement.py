@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from imubayes.covariates import Covariate, shown
 from imubayes.display.figures.panels import abscissa, chosen_channels, limit_of, set_abscissa, thinned
-from imubayes.display.labels import COVARIATES, Covariate, covariate, numbers, ordered, pretty, readable, varies
+from imubayes.display.labels import covariate, numbers, ordered, pretty, readable, varies
 from imubayes.display.marks import band, level, line, points
 from imubayes.display.theme import (
     BAND_WIDE,
@@ -94,7 +95,7 @@ def measurement_figure(residuals: pl.DataFrame, run: str, channels: Sequence[str
 def driver(recorded: pl.DataFrame) -> Covariate:
     """Return what drives a run: the covariate its procedure varies, as far as it is there and varies."""
     procedure = str(recorded.get_column("procedure")[0])
-    keys = (*_DRIVERS.get(procedure, ()), *(one.key for one in COVARIATES if one.key != "row"))
+    keys = (*_DRIVERS.get(procedure, ()), *(known.name for known in shown()))
     for key in dict.fromkeys(keys):
         one = covariate(key)
         values = numbers(recorded, one.column)

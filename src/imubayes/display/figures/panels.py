@@ -6,7 +6,8 @@ import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
 
-from imubayes.display.labels import Covariate, numbers, ordered, pretty, readable
+from imubayes.covariates import Covariate
+from imubayes.display.labels import numbers, ordered, pretty, readable
 from imubayes.display.marks import line, uprights
 from imubayes.display.theme import INK, MOST_PANELS
 

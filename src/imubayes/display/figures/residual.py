@@ -6,6 +6,7 @@ import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
 
+from imubayes.covariates import Covariate
 from imubayes.display.figures.panels import (
     abscissa,
     chosen_channels,
@@ -16,8 +17,8 @@ from imubayes.display.figures.panels import (
     spread,
     thinned,
 )
-from imubayes.display.labels import Covariate, numbers, ordered, pretty, readable, varies
 from imubayes.display.labels import covariate as covariate_of
+from imubayes.display.labels import numbers, ordered, pretty, readable, varies
 from imubayes.display.marks import band, level, points, strip, uprights
 from imubayes.display.rounding import significant
 from imubayes.display.theme import BAND, BAND_WIDE, FAINT, QUIET, Picture, RunSigns, axes_at, picture, themed
@@ -173,5 +174,5 @@ def _borders(axes: Axes, against: Covariate, counted: pl.DataFrame) -> None:
 def _absent(against: Covariate, without: int, count: int) -> str:
     if not without:
         return ""
-    reason = "are means over whole turns or have no angle" if against.key == "table_angle" else "do not have it"
+    reason = "are means over whole turns or have no angle" if against.name == "table_angle" else "do not have it"
     return f"{without} of {count} values {reason} and are left out."

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from imubayes.covariates import shown
 from imubayes.criticism.residual_evidence import Telling
 from imubayes.display.figures.residual_evidence import added_variable_figure, before_after_figure, telling_figure
-from imubayes.display.labels import COVARIATES, pretty
+from imubayes.display.labels import pretty
 from imubayes.display.theme import Picture
 
 _LEVELS, _TIME_LAST = 24, 0.1
@@ -73,8 +74,8 @@ def telling_abscissa(own: pl.DataFrame, change: np.ndarray, named: str | None = 
     One that is named goes first where the table has it; time, along which everything changes, goes last.
     """
     best, found = 0.15, None
-    for covariate in COVARIATES:
-        if covariate.column == "row" or covariate.column not in own.columns:
+    for covariate in shown():
+        if covariate.column not in own.columns:
             continue
         x = own[covariate.column].cast(pl.Float64).fill_null(float("nan")).to_numpy()
         share = _share(x, change) + (2.0 if covariate.column == named else 0.0)

@@ -1,0 +1,72 @@
+"""Adding a covariate is adding one entry to the registry: every part of the program then knows it."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from imubayes.campaign import load_campaign
+from imubayes.covariates import COVARIATES, Covariate
+from imubayes.criticism.residual_covariates import covariates
+from imubayes.criticism.term_library import library
+from imubayes.display.figures.panels import abscissa
+from imubayes.display.labels import covariates_of, numbers
+from imubayes.inference.fitted import Fitted
+from imubayes.inference.joint_fit import joint_fit
+from imubayes.model.bind import declare
+from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.procedures import PROCEDURES
+from imubayes.results.residuals import residuals_of
+from imubayes.stimulus import Ambient
+from imubayes.units import same_dimension
+
+HUMIDITY = Covariate("humidity", "humidity_pct", "%", "1", "relative humidity", symbol="H")
+
+
+@pytest.fixture
+def moist(small, monkeypatch):
+    """The small campaign with a column that a toy entry of the registry explains."""
+    monkeypatch.setitem(COVARIATES, HUMIDITY.name, HUMIDITY)
+    file = small / "runs" / "positions.csv"
+    table = pl.read_csv(file)
+    percent = pl.Series("humidity_pct", np.linspace(30.0, 60.0, table.height))
+    table.with_columns(percent).write_csv(file)
+    return load_campaign(small)
+
+
+def test_a_new_covariate_is_read_shown_and_regressed_on(moist):
+    run = next(run for run in moist.runs if run.name == "positions")
+    np.testing.assert_allclose(run.covariates["humidity"], np.linspace(0.3, 0.6, run.rows))
+    assert "humidity" in PROCEDURES[run.procedure].stimulus(run, moist).supplies
+
+    spec = ModelSpec("small", tuple(EffectSpec(name) for name in ("gyro_bias", "accel_bias", "white_noise")))
+    fit = joint_fit(declare(spec, moist), None)
+    np.testing.assert_array_equal(np.unique(np.asarray(fit.model.problem.instants.ambient.humidity))[[0, -1]], [0, 0.6])
+    table = residuals_of(fit).table
+    assert np.nanmax(numbers(table, "humidity_pct")) == pytest.approx(60.0)
+    assert HUMIDITY in covariates_of(table)
+    assert abscissa(numbers(table, "humidity_pct"), HUMIDITY)[1] == "relative humidity / %"
+
+    found = covariates(Fitted(fit.model, np.asarray(fit.mode.z), np.asarray(fit.mode.h), True))
+    regressor = next(each for each in found if each.name == "humidity_pct")
+    assert np.nanmax(regressor.values) == pytest.approx(60.0)
+    terms = library([regressor], np.isfinite(regressor.values), moist.site.gravity)
+    assert terms[0].expression == "sample.ambient.humidity ** 1"
+    assert terms[0].needs == ("humidity",)
+
+
+def test_an_unknown_covariate_names_the_known_ones():
+    with pytest.raises(AttributeError, match=r"no covariate 'humidity'.*temperature"):
+        _ = Ambient().humidity
+
+
+@pytest.mark.parametrize("covariate", COVARIATES.values(), ids=lambda covariate: covariate.name)
+def test_units_of_an_entry_agree(covariate):
+    assert same_dimension(covariate.unit, covariate.si)
+    assert covariate.factor() > 0
+
+
+def test_columns_and_symbols_are_distinct():
+    columns = [covariate.column for covariate in COVARIATES.values()]
+    symbols = [covariate.symbol for covariate in COVARIATES.values() if covariate.symbol]
+    assert len(set(columns)) == len(columns)
+    assert len(set(symbols)) == len(symbols)
