@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from imubayes.atomic_files import refuse_existing
 from imubayes.campaign import load_campaign
 from imubayes.criticism.cross_validation import found_delta_chi2, held_out, objection
 from imubayes.criticism.injection_recovery import Size, Trials, plant_effects
@@ -31,7 +32,6 @@ from imubayes.results.fit_file import campaign_hash
 from imubayes.results.folder_state import CHECKPOINT, FIT, claim
 from imubayes.results.history_file import first_node, join, read_node, read_tree, write_node
 from imubayes.results.result import Result, read_result, result_of
-from imubayes.results.result_folder import refuse_taken
 from imubayes.run import Campaign
 
 Progress = Callable[[str], None]
@@ -283,7 +283,7 @@ def export(folder: str | Path, file: str | Path) -> str:
     file.parent.mkdir(parents=True, exist_ok=True)
     own = {Path(source): file.parent / Path(source).name for source in read_model(Path(chosen) / "model.toml").files}
     for source, target in own.items():
-        refuse_taken(target, but=source.read_bytes().__eq__)
+        refuse_existing(target, but=source.read_bytes().__eq__)
     for source, target in own.items():
         shutil.copyfile(source, target)
     shutil.copyfile(Path(chosen) / "model.toml", file)

@@ -36,26 +36,26 @@ def history(
     if not folders:
         raise InputError(Issue("no result is named", "command line", "result folders", "name at least one"))
     start_jax()
+    from imubayes.atomic_files import refuse_existing
     from imubayes.display.history_table import history_json, print_history
     from imubayes.loop import export as export_model
     from imubayes.loop import history as read
     from imubayes.results.history_file import select as select_node
-    from imubayes.results.result_folder import refuse_taken
 
     if export is not None:
-        refuse_taken(export)
+        refuse_existing(export)
     if html is not None:
-        refuse_taken(html, but=lambda content: content.startswith(b"<!doctype html>"))
+        refuse_existing(html, but=lambda content: content.startswith(b"<!doctype html>"))
     if select is not None:
         select_node(select)
     tree = read(*folders)
     if export is not None:
         export_model(folders[0], export)
     if html is not None:
+        from imubayes.atomic_files import write_text
         from imubayes.display.history_page import history_page
-        from imubayes.results.result_folder import write_beside
 
-        write_beside(html, history_page(tree))
+        write_text(html, history_page(tree))
     if as_json:
         print_json(history_json(tree))
     else:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from imubayes.atomic_files import write_json
 from imubayes.criticism.cross_validation import HeldOut
 from imubayes.criticism.model_history import mean_square
 from imubayes.criticism.warm_start import Extension
@@ -16,7 +17,6 @@ from imubayes.display.labels import pretty, readable
 from imubayes.display.rounding import significant, value_and_sd
 from imubayes.records import finite
 from imubayes.results.history_file import channel_errors
-from imubayes.results.result_folder import write_beside
 from imubayes.results.summary import Summary
 from imubayes.units import to_si
 
@@ -106,7 +106,7 @@ def added_variable(extension: Extension) -> pl.DataFrame:
 def write_addition(folder: Path, facts: Facts, table: pl.DataFrame) -> None:
     """Write `addition.json` and `added_variable.parquet` of a result folder."""
     table.write_parquet(folder / ADDED_VARIABLE)
-    write_beside(folder / ADDITION, json.dumps(facts, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    write_json(folder / ADDITION, facts)
 
 
 def read_addition(folder: Path) -> dict[str, Any]:

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from imubayes.atomic_files import write_text
 from imubayes.classical.rotation_modulation import Carrier, attenuation, carrier
 from imubayes.display.figures.modulation import modulation_figure
 from imubayes.display.theme import Picture
 from imubayes.earth import earth_rate, table_to_local
 from imubayes.errors import InputError, Issue, closest_first
-from imubayes.results.result_folder import write_beside
 from imubayes.run import Campaign, Run
 from imubayes.units import to_si
 
@@ -74,6 +74,6 @@ def modulation_picture(campaign: Campaign, run: Run) -> Picture | None:
 
 def write_carrier(file: Path, campaign: Campaign, run: Run, biases: Mapping[str, float] | None) -> list[Path]:
     """Write the table of a carrier's motion, and the picture beside it; return the files."""
-    write_beside(file, carrier_table(carrier(campaign, run, biases), campaign.site.gravity).write_csv())
+    write_text(file, carrier_table(carrier(campaign, run, biases), campaign.site.gravity).write_csv())
     drawn = modulation_picture(campaign, run)
     return [file, *([] if drawn is None else [drawn.save(file.with_suffix(".png"))])]

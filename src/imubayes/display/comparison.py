@@ -6,7 +6,6 @@ picture.  `figures/captions.json` lists what was drawn; what an earlier comparis
 
 import gc
 import json
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from typing import Any
 from rich.console import Console, ConsoleOptions
 from rich.table import Table
 
+from imubayes.atomic_files import write_json
 from imubayes.classical import classical
 from imubayes.display.classical_comparison import textbook_json
 from imubayes.display.figure_selection import corner_choice, plan, runs_shown
@@ -209,9 +209,7 @@ def _replace_index(target: Path, captions: Mapping[str, str]) -> None:
         earlier = json.loads(index.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         earlier = {}
-    beside = target / f".{_INDEX}.{os.getpid()}.part"
-    beside.write_text(json.dumps(captions, indent=1, ensure_ascii=False), encoding="utf-8")
-    beside.replace(index)
+    write_json(index, dict(captions))
     for name in earlier if isinstance(earlier, dict) else ():
         if name not in captions and Path(name).name == name and name.endswith(".png"):
             (target / name).unlink(missing_ok=True)

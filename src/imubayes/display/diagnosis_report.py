@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from imubayes.atomic_files import write_json
 from imubayes.display.fit_tables import Cell, Sheet
 from imubayes.display.labels import listed, pretty
 from imubayes.display.rounding import percent, significant, value_and_sd
 from imubayes.errors import InputError, Issue
-from imubayes.results.result_folder import write_beside
 
 DIAGNOSIS = "diagnosis.json"
 Facts = Mapping[str, Any]
@@ -24,7 +24,7 @@ _SMALL_SHIFT = 0.1
 def write_diagnosis(folder: Path, facts: Facts, channel: str = "", covariate: str = "") -> None:
     """Keep a diagnosis in its result folder, with the channel and covariate of its telling residual."""
     kept = {**facts, "telling": {"channel": channel, "covariate": covariate}}
-    write_beside(folder / DIAGNOSIS, json.dumps(kept, indent=1, ensure_ascii=False) + "\n")
+    write_json(folder / DIAGNOSIS, kept)
 
 
 def read_diagnosis(folder: Path) -> dict[str, Any]:

@@ -5,7 +5,6 @@ marker tells them apart as well, so that a run keeps its sign in every picture. 
 layout engine that draws everything twice would take longer than the pictures themselves.
 """
 
-import os
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import wraps
@@ -18,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from imubayes.atomic_files import replacing
 from imubayes.display.labels import shortened
 
 INK, QUIET, FAINT, PAPER, RED = "#222222", "#666666", "#dddddd", "#ffffff", "#b91c1c"
@@ -65,14 +65,10 @@ class Picture(Figure):
         return buffer.getvalue()
 
     def save(self, file: str | Path) -> Path:
-        """Write the picture as PNG: beside the file first, then in its place."""
+        """Write the picture as PNG."""
         file = Path(file)
-        beside = file.with_name(f".{file.name}.{os.getpid()}.part")
-        try:
-            beside.write_bytes(self.png())
-            beside.replace(file)
-        finally:
-            beside.unlink(missing_ok=True)
+        with replacing(file) as scratch:
+            scratch.write_bytes(self.png())
         return file
 
 

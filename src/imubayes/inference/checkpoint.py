@@ -1,13 +1,12 @@
-"""Checkpoints of the ensembles: emcee's HDF backend, written beside and renamed.
+"""Checkpoints of the ensembles: emcee's HDF backend, replaced as a whole.
 
-A kill at any instant leaves the last whole one.  A checkpoint carries fingerprints of the data, the model, the order
+A kill at any instant leaves the last complete one.  A checkpoint carries fingerprints of the data, the model, the order
 of the parameters and the settings of the sampler.  One that differs in any of them is refused: a chain continued on
 other data would look like an answer.
 """
 
-import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import h5py
 import numpy as np
 from emcee.backends import HDFBackend
 
+from imubayes.atomic_files import replacing
 from imubayes.errors import InputError, Issue
 
 _WORDS = {
@@ -45,13 +45,11 @@ class Checkpoint:
 
     def create(self) -> None:
         """Begin anew."""
-        beside = self._beside()
-        beside.unlink(missing_ok=True)
-        for name in self._names():
-            HDFBackend(str(beside), name=name).reset(self.walkers, self.dimensions)
-        with h5py.File(beside, "a") as file:
-            file.attrs.update(self.fingerprints)
-        self._put_in_place(beside)
+        with replacing(self.path, durable=True) as scratch:
+            for name in self._names():
+                HDFBackend(str(scratch), name=name).reset(self.walkers, self.dimensions)
+            with h5py.File(scratch, "a") as file:
+                file.attrs.update(self.fingerprints)
 
     def check(self) -> None:
         """Raise InputError unless the file belongs to this fit."""
@@ -81,12 +79,11 @@ class Checkpoint:
             )
 
     @contextmanager
-    def block(self):
-        """Give backends to sample a block into; what they hold becomes the checkpoint when the block is whole."""
-        beside = self._beside()
-        shutil.copyfile(self.path, beside)
-        yield [HDFBackend(str(beside), name=name) for name in self._names()]
-        self._put_in_place(beside)
+    def block(self) -> Iterator[list[HDFBackend]]:
+        """Give backends to sample a block into; their content becomes the checkpoint when the block is complete."""
+        with replacing(self.path, durable=True) as scratch:
+            shutil.copyfile(self.path, scratch)
+            yield [HDFBackend(str(scratch), name=name) for name in self._names()]
 
     def read(self) -> list[HDFBackend]:
         """Return read-only backends on what is there."""
@@ -108,24 +105,11 @@ class Checkpoint:
         """Number of whole steps of all ensembles."""
         return steps_in(self.path)
 
-    def _beside(self) -> Path:
-        return self.path.with_name(f"{self.path.name}.{os.getpid()}.tmp")
-
-    def _put_in_place(self, beside: Path) -> None:
-        with open(beside, "rb") as file:
-            os.fsync(file.fileno())
-        os.replace(beside, self.path)
-        folder = os.open(self.path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-
 
 def steps_in(path: Path) -> int:
     """Return how many whole steps a checkpoint holds; 0 where there is none or it cannot be read."""
     try:
         with h5py.File(path, "r") as file:
-            return min((int(one.attrs["iteration"]) for one in file.values()), default=0)  # pyright: ignore
+            return min((int(ensemble.attrs["iteration"]) for ensemble in file.values()), default=0)  # pyright: ignore
     except (OSError, KeyError):
         return 0

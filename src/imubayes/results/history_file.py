@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from imubayes.atomic_files import write_json
 from imubayes.criticism.model_history import Node, Tree, mean_square, node_id
 from imubayes.errors import InputError, Issue
 from imubayes.inference.joint_fit import model_hash
 from imubayes.model.bind import Model
 from imubayes.results.fit_file import campaign_hash
 from imubayes.results.residuals import INPUT_UNIT
-from imubayes.results.result_folder import write_beside
 from imubayes.results.summary import Summary
 from imubayes.units import to_si
 
@@ -72,8 +72,8 @@ def noise_floor(model: Model) -> dict[str, tuple[float, str]]:
 
 
 def write_node(folder: Path, node: Node) -> None:
-    """Write `history.json` of a result folder: beside first, then in its place."""
-    write_beside(folder / HISTORY, json.dumps({"format": 1, **asdict(node)}, indent=1, ensure_ascii=False) + "\n")
+    """Write `history.json` of a result folder."""
+    write_json(folder / HISTORY, {"format": 1, **asdict(node)})
 
 
 def read_node(folder: Path) -> Node:

@@ -3,16 +3,14 @@
 A result is written to a scratch folder and put in place as a whole, so that there is never half a result.
 """
 
-import json
-import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import polars as pl
 import tomlkit
 from pydantic import ValidationError
 
+from imubayes.atomic_files import json_text, replacing_files
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fit import Fit
 from imubayes.inference.posterior_tree import posterior_tree
@@ -31,50 +29,17 @@ def write_result(folder: Path, fit: Fit, summary: Summary, residuals: Residuals,
 
     What an earlier fit wrote is replaced; other files of the folder stay.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    beside = folder / f".writing-{os.getpid()}"
-    shutil.rmtree(beside, ignore_errors=True)
-    beside.mkdir()
-    try:
-        text = json.dumps(summary.model_dump(mode="json"), indent=1, ensure_ascii=False, allow_nan=False)
-        (beside / SUMMARY).write_text(text + "\n")
-        record = fit_record(fit, folder, seed)
-        (beside / FIT).write_text(json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-        residuals.table.write_parquet(beside / RESIDUALS)
-        (beside / MODEL).write_text(model_text(fit.model.spec))
+    with replacing_files(folder, last=SUMMARY) as scratch:
+        (scratch / SUMMARY).write_text(json_text(summary.model_dump(mode="json")), encoding="utf-8")
+        (scratch / FIT).write_text(json_text(fit_record(fit, folder, seed)), encoding="utf-8")
+        residuals.table.write_parquet(scratch / RESIDUALS)
+        (scratch / MODEL).write_text(model_text(fit.model.spec), encoding="utf-8")
         for file in fit.model.spec.files:
-            shutil.copyfile(file, beside / Path(file).name)
+            shutil.copyfile(file, scratch / Path(file).name)
         if fit.posterior is not None:
-            posterior_tree(fit).to_netcdf(str(beside / POSTERIOR), engine="h5netcdf")
+            posterior_tree(fit).to_netcdf(str(scratch / POSTERIOR), engine="h5netcdf")
         else:
             (folder / POSTERIOR).unlink(missing_ok=True)
-        # The summary comes last: where it stands, the rest stands too.
-        for file in sorted(beside.iterdir(), key=lambda file: file.name == SUMMARY):
-            os.replace(file, folder / file.name)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
-
-
-def refuse_taken(file: Path, but: Callable[[bytes], bool] = lambda content: False) -> None:
-    """Raise InputError where a file or folder is there already, but for a file whose content may be replaced."""
-    if not file.exists() or (file.is_file() and but(file.read_bytes())):
-        return
-    raise InputError(
-        Issue(
-            f"'{file.name}' is there already",
-            str(file),
-            "a file that does not exist yet",
-            "choose another name, or remove it first",
-        )
-    )
-
-
-def write_beside(file: Path, text: str) -> None:
-    """Write a text file beside its place first, so that there is never half of it."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    beside = file.with_name(f".{file.name}.{os.getpid()}.part")
-    beside.write_text(text, encoding="utf-8")
-    beside.replace(file)
 
 
 def model_text(spec: ModelSpec) -> str:

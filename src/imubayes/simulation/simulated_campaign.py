@@ -5,9 +5,6 @@ with all their digits, so that what is fitted is what was simulated.
 """
 
 import math
-import os
-import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +12,7 @@ from typing import Any
 import numpy as np
 import tomlkit
 
+from imubayes.atomic_files import new_folder
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign
 from imubayes.campaign.convert.campaign_writer import refuse_occupied
 from imubayes.errors import InputError, Issue
@@ -50,9 +48,7 @@ def simulate_plan(plan: Path, out: Path, seed: int | None = None) -> Path:
 
 
 def _write(out: Path, plan: Plan, model: Model, done: Simulated, seed: int) -> None:
-    out.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    try:
+    with new_folder(out) as draft:
         (draft / "runs").mkdir()
         (draft / CAMPAIGN_FILE).write_text(tomlkit.dumps(_campaign_document(plan, seed)), encoding="utf-8")
         (draft / TRUTH_FILE).write_text(tomlkit.dumps(_truth_document(plan, model, done, seed)), encoding="utf-8")
@@ -61,12 +57,6 @@ def _write(out: Path, plan: Plan, model: Model, done: Simulated, seed: int) -> N
         issues = inspect_campaign(draft).issues
         if issues:
             raise InputError(Issue(p.what, p.where.replace(str(draft), str(out)), p.allowed, p.remedy) for p in issues)
-        mask = os.umask(0)
-        os.umask(mask)
-        draft.chmod(0o777 & ~mask)
-        os.rename(draft, out)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
 
 
 def _campaign_document(plan: Plan, seed: int) -> dict[str, Any]:

@@ -1,8 +1,5 @@
 """Write a campaign folder whole or not at all: beside its place first, renamed into place at the end."""
 
-import os
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +9,7 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import tomlkit
 
+from imubayes.atomic_files import new_folder
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign
 from imubayes.errors import InputError, Issue
 
@@ -39,9 +37,7 @@ def write_campaign(
         where the folder has something in it, or what was written would not load.
     """
     refuse_occupied(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    try:
+    with new_folder(out) as draft:
         for name, columns in tables.items():
             (draft / name).parent.mkdir(parents=True, exist_ok=True)
             _write_csv(draft / name, columns)
@@ -51,10 +47,6 @@ def write_campaign(
             raise InputError(
                 Issue(p.what, came_from(p.where.replace(str(draft), str(out))), p.allowed, p.remedy) for p in issues
             )
-        draft.chmod(0o777 & ~_umask())
-        os.rename(draft, out)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
 
 
 def refuse_occupied(out: Path) -> None:
@@ -74,9 +66,3 @@ def _write_csv(file: Path, columns: Mapping[str, np.ndarray]) -> None:
     with file.open("wb") as stream:
         stream.write((",".join(columns) + "\n").encode())
         pacsv.write_csv(pa.table(dict(columns)), stream, pacsv.WriteOptions(include_header=False))
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
