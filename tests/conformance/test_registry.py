@@ -1,6 +1,7 @@
 """All laws over all registered members."""
 
 import tomllib
+from types import ModuleType
 
 import jax.numpy as jnp
 import laws
@@ -17,7 +18,7 @@ from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
 from imubayes.noise.base import Noise
-from imubayes.parameters.parameter import declared_options, declared_parameters
+from imubayes.parameters.parameter import declared_options, declared_parameters, named_in
 
 MEMBERS = Registry().members
 EFFECTS = {name: member for name, member in MEMBERS.items() if issubclass(member, Effect)}
@@ -104,3 +105,23 @@ def test_an_entry_of_a_model_file_survives_the_round_trip(name, tmp_path):
     plain = declare(ModelSpec("plain", tuple(EffectSpec(one.name) for one in spec.effects)), among)
     assert read.layout.names == plain.layout.names
     assert read.hyper_layout.names == plain.hyper_layout.names
+
+
+def test_a_class_with_a_name_is_all_that_a_new_effect_takes():
+    family = ModuleType("imubayes.effects.toy")
+    source = """
+from imubayes import Scalar, parameter
+from imubayes.effects.shared_formulas import ConstantBias, Gyro
+
+class SharedByNone(ConstantBias):
+    pass
+
+class GyroToyBias(Gyro, ConstantBias):
+    name, reference = "gyro_toy_bias", "for this test"
+    bias: Scalar = parameter("deg/h", "normal(0, 1 deg/h)", (0.1, 2), "the bias")
+"""
+    exec(source, vars(family))
+    (member,) = named_in(family, Effect)
+    assert member.name == "gyro_toy_bias"
+    for law in (*laws.OF_ALL, *laws.OF_EFFECTS):
+        law(member)

@@ -22,7 +22,7 @@ from imubayes.effects.shared_formulas import (
     ThirdOrderNonlinearity,
     WarmUp,
 )
-from imubayes.parameters.parameter import parameter, reference_temperature, time_constant
+from imubayes.parameters.parameter import parameter, time_constant
 from imubayes.stimulus import Sample
 from imubayes.types import Scalar
 
@@ -33,7 +33,6 @@ class AccelMisalignment(Accelerometer, Misalignment):
     name = "accel_misalignment"
     confused_with = "mounting error common to all axes"
     reference = "IEEE Std 1293, δ_o and δ_p"
-
     toward_o: Scalar = parameter("arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward O")
     toward_p: Scalar = parameter("arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward P")
 
@@ -45,16 +44,14 @@ class AccelQuadratic(Accelerometer, SecondOrderNonlinearity):
     name = "accel_quadratic"
     confused_with = "K_oo and K_pp, and a second harmonic of the dividing head"
     reference = "IEEE Std 1293, K2"
-
-    quadratic: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the second-order coefficient K2")
+    quadratic: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K2")
 
 
 class AccelCubic(Accelerometer, ThirdOrderNonlinearity):
     name = "accel_cubic"
     confused_with = "K1, in a 1 g field of few positions; a third harmonic of the dividing head"
     reference = "IEEE Std 1293, K3"
-
-    cubic: Scalar = parameter("ug/g^3", "normal(0, 20 ug/g^3)", (0.1, 20), "the third-order coefficient K3")
+    cubic: Scalar = parameter("ug/g^3", "normal(0, 20 ug/g^3)", (0.1, 20), "the coefficient K3")
 
 
 class AccelOddQuadratic(Accelerometer, SignalEffect):
@@ -64,7 +61,6 @@ class AccelOddQuadratic(Accelerometer, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "K1 and K3, in a 1 g field"
     reference = "IEEE Std 1293, K_oq"
-
     odd_quadratic: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the odd quadratic coefficient K_oq")
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
@@ -78,7 +74,6 @@ class AccelCrossCoupling(Accelerometer, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "a second harmonic of the dividing head; mounting error, to second order"
     reference = "IEEE Std 1293, K_ip and K_io"
-
     k_ip: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K_ip")
     k_io: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K_io")
 
@@ -97,7 +92,6 @@ class AccelCrossAxisQuadratic(Accelerometer, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "bias and K2, in a 1 g field; a second harmonic of the dividing head"
     reference = "IEEE Std 1293, K_oo and K_pp"
-
     k_oo: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K_oo")
     k_pp: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K_pp")
 
@@ -109,77 +103,53 @@ class AccelScaleAsymmetry(Accelerometer, ScaleAsymmetry):
     name = "accel_scale_asymmetry"
     confused_with = "bias and K2, in a 1 g field of few positions"
     reference = "IEEE Std 1293, scale factor asymmetry K1'"
-
-    asymmetry: Scalar = parameter("ppm", "normal(0, 100 ppm)", (1, 300), "half the difference of the two scale factors")
+    asymmetry: Scalar = parameter("ppm", "normal(0, 100 ppm)", (1, 300), "half the scale factor difference")
 
 
 class AccelBias(Accelerometer, ConstantBias):
     name = "accel_bias"
     confused_with = "K2 and K_oo, K_pp in a 1 g tumble"
     reference = "IEEE Std 1293, K0"
-
     bias: Scalar = parameter("ug", "normal(0, 20 mg)", (50, 2000), "the constant offset K0")
 
 
 class AccelBiasTemperature(Accelerometer, LinearThermalBias):
     name = "accel_bias_temperature"
-    confused_with = "run offsets, when each run has one temperature"
     reference = "IEEE Std 1293, bias temperature sensitivity"
-
-    slope: Scalar = parameter("ug/degC", "normal(0, 100 ug/degC)", (1, 100), "the change of bias per degree")
-    reference_degC: float = reference_temperature()
+    slope: Scalar = parameter("ug/degC", "normal(0, 100 ug/degC)", (1, 100), "the bias per degree")
 
 
 class AccelBiasTemperatureQuadratic(Accelerometer, QuadraticThermalBias):
     name = "accel_bias_temperature_quadratic"
-    confused_with = "run offsets, when each run has one temperature; the linear coefficient, on one side of T_ref"
     reference = "IEEE Std 1293, bias temperature sensitivity"
-
-    curvature: Scalar = parameter(
-        "ug/degC^2", "normal(0, 5 ug/degC^2)", (0.01, 20), "the change of bias per degree squared"
-    )
-    reference_degC: float = reference_temperature()
+    curvature: Scalar = parameter("ug/degC^2", "normal(0, 5 ug/degC^2)", (0.01, 20), "the bias per degree squared")
 
 
 class AccelBiasTemperatureRate(Accelerometer, ThermalRateBias):
     name = "accel_bias_temperature_rate"
-    confused_with = (
-        "accel_thermal_lag and accel_bias_drift, in a single monotonic ramp: two ramp rates or a cycle separate them"
-    )
     reference = "IEEE Std 1293, bias thermal-transient sensitivity"
-
     slope: Scalar = parameter(
-        "ug/(degC/min)", "normal(0, 100 ug/(degC/min))", (1, 500), "the bias per rate of temperature"
+        "ug/(degC/min)", "normal(0, 100 ug/(degC/min))", (1, 500), "the bias per temperature rate"
     )
 
 
 class AccelThermalLag(Accelerometer, ThermalLag):
     name = "accel_thermal_lag"
-    confused_with = (
-        "accel_bias_temperature_rate, where changes are slow against τ; accel_bias_drift in a single monotonic ramp"
-    )
     reference = "first-order lag, IEEE Std 1293 thermal model; time constants of minutes"
-
     coefficient: Scalar = parameter("ug/degC", "normal(0, 50 ug/degC)", (1, 300), "the bias per degree of lag")
     tau: Scalar = time_constant("the time constant of the lag")
 
 
 class AccelWarmUp(Accelerometer, WarmUp):
     name = "accel_warm_up"
-    confused_with = (
-        "accel_bias_temperature, with self-heating of the unit; run offsets, where runs are short compared with τ"
-    )
     reference = "IEEE Std 1293, turn-on transient and warm-up"
-
     amplitude: Scalar = parameter("ug", "normal(0, 500 ug)", (5, 2000), "the excess bias at power-on")
     tau: Scalar = time_constant("the time constant")
 
 
 class AccelBiasDrift(Accelerometer, BiasDrift):
     name = "accel_bias_drift"
-    confused_with = "run offsets; accel_bias_temperature_rate and accel_thermal_lag in a single monotonic ramp"
     reference = "IEEE Std 1293, bias trend"
-
     slope: Scalar = parameter("ug/h", "normal(0, 10 ug/h)", (0.01, 50), "the change of bias per hour")
 
 
@@ -191,10 +161,7 @@ class AccelVibrationRectification(Accelerometer, SignalEffect):
     needs = ("vibration",)
     confused_with = "the bias, where vibration is the same in all runs"
     reference = "IEEE Std 1293, vibration rectification coefficient; 1 … 100 µg/g²"
-
-    rectification: Scalar = parameter(
-        "ug/g^2", "normal(0, 50 ug/g^2)", (1, 500), "the bias per mean square of vibration"
-    )
+    rectification: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 500), "the bias per mean-square vibration")
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return signal + self.rectification * sample.ambient.vibration**2
@@ -202,9 +169,7 @@ class AccelVibrationRectification(Accelerometer, SignalEffect):
 
 class AccelRunBias(Accelerometer, RunBias):
     name = "accel_run_bias"
-    confused_with = "temperature terms, when each run has one temperature"
     reference = "IEEE Std 1293, bias repeatability"
-
     offset: Scalar = parameter("ug", "normal(0, 50 ug)", (1, 200), "the run's own offset", spread="spread")
     spread: Scalar = parameter(
         "ug", "lognormal(50 ug, 1.0)", (1, 200), "the run-to-run standard deviation", per=("channel",)
@@ -215,35 +180,25 @@ class AccelScaleFactor(Accelerometer, ScaleFactor):
     name = "accel_scale_factor"
     confused_with = "K3 in a 1 g field"
     reference = "IEEE Std 1293, K1"
-
     scale: Scalar = parameter("ppm", "normal(0, 2000 ppm)", (10, 300), "the relative scale factor error")
 
 
 class AccelScaleTemperature(Accelerometer, LinearThermalScale):
     name = "accel_scale_temperature"
-    confused_with = "the converter's gain drift, without injected current"
     reference = "IEEE Std 1293, scale factor temperature sensitivity"
-
-    slope: Scalar = parameter(
-        "ppm/degC", "normal(0, 100 ppm/degC)", (10, 100), "the relative change of scale per degree"
-    )
-    reference_degC: float = reference_temperature()
+    slope: Scalar = parameter("ppm/degC", "normal(0, 100 ppm/degC)", (10, 100), "the scale change per degree")
 
 
 class AccelScaleTemperatureQuadratic(Accelerometer, QuadraticThermalScale):
     name = "accel_scale_temperature_quadratic"
-    confused_with = "the converter's quadratic gain drift, without injected current"
     reference = "IEEE Std 1293, scale factor temperature sensitivity"
-
     curvature: Scalar = parameter(
-        "ppm/degC^2", "normal(0, 1 ppm/degC^2)", (0.01, 2), "the relative change of scale per degree squared"
+        "ppm/degC^2", "normal(0, 1 ppm/degC^2)", (0.01, 2), "the scale change per degree squared"
     )
-    reference_degC: float = reference_temperature()
 
 
 class AccelDeadZone(Accelerometer, DeadZone):
     name = "accel_dead_zone"
     confused_with = "the bias, where the input axis points up in all runs"
     reference = "IEEE Std 1293, dead band and threshold"
-
     half_width: Scalar = parameter("ug", "halfnormal(20 ug)", (0.1, 100), "half the width of the zone")

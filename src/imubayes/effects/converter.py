@@ -25,7 +25,6 @@ class InjectionError(Converter, SignalEffect):
     kinds = ("accelerometer",)
     needs = ("injection",)
     reference = "definition: relative to the nominal current_mA_per_g"
-
     gain: Scalar = parameter("ppm", "normal(0, 1000 ppm)", (10, 1000), "the relative error of the injected current")
     offset: Scalar = parameter("ug", "normal(0, 1 mg)", (1, 1000), "the offset of the injected current")
 
@@ -41,9 +40,7 @@ class ConverterGainDrift(Converter, LinearThermalScale):
     needs = ("converter_temperature",)
     confused_with = "converter offset drift, with one input; the sensor's scale temperature coefficient"
     reference = "first-order thermal gain model of ADC, I/F and V/F converters"
-
-    slope: Scalar = parameter("ppm/degC", "normal(0, 100 ppm/degC)", (1, 100), "the relative change of gain per degree")
-    reference_degC: float = reference_temperature()
+    slope: Scalar = parameter("ppm/degC", "normal(0, 100 ppm/degC)", (1, 100), "the gain change per degree")
 
 
 class ConverterGainDriftQuadratic(Converter, QuadraticThermalScale):
@@ -54,11 +51,9 @@ class ConverterGainDriftQuadratic(Converter, QuadraticThermalScale):
     needs = ("converter_temperature",)
     confused_with = "converter offset drift, with one input; the sensor's quadratic scale temperature coefficient"
     reference = "second-order thermal gain model of ADC, I/F and V/F converters"
-
     curvature: Scalar = parameter(
-        "ppm/degC^2", "normal(0, 2 ppm/degC^2)", (0.01, 5), "the relative change of gain per degree squared"
+        "ppm/degC^2", "normal(0, 2 ppm/degC^2)", (0.01, 5), "the gain change per degree squared"
     )
-    reference_degC: float = reference_temperature()
 
 
 class ConverterNonlinearity(Converter, SignalEffect):
@@ -71,12 +66,9 @@ class ConverterNonlinearity(Converter, SignalEffect):
     order = Order.GAIN
     confused_with = "the sensor's own K2 and K3 or the gyro's nonlinearity: exactly, without injected current"
     reference = "transfer curve of ADC, I/F and V/F converters; IEEE Std 1241, integral nonlinearity"
-
-    quadratic: Scalar = parameter(
-        "ppm/output", "normal(0, 10 ppm/scale)", (1e-06, 1000.0), "the relative change of gain per output"
-    )
+    quadratic: Scalar = parameter("ppm/output", "normal(0, 10 ppm/scale)", (1e-6, 1e3), "the gain change per output")
     cubic: Scalar = parameter(
-        "ppm/output^2", "normal(0, 1 ppm/scale^2)", (1e-09, 1000.0), "the relative change of gain per output squared"
+        "ppm/output^2", "normal(0, 1 ppm/scale^2)", (1e-9, 1e3), "the gain change per output squared"
     )
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
@@ -91,11 +83,7 @@ class ConverterOffsetDrift(Converter, LinearThermalBias):
     needs = ("converter_temperature",)
     confused_with = "converter gain drift, with one input; the sensor's bias temperature coefficient"
     reference = "first-order thermal offset model of ADC, I/F and V/F converters"
-
-    slope: Scalar = parameter(
-        "output/degC", "normal(0, 1e-4 scale/degC)", (1e-6, 1e-2), "the change of offset per degree"
-    )
-    reference_degC: float = reference_temperature()
+    slope: Scalar = parameter("output/degC", "normal(0, 1e-4 scale/degC)", (1e-6, 1e-2), "the offset per degree")
 
 
 class ConverterOffsetDriftQuadratic(Converter, QuadraticThermalBias):
@@ -106,11 +94,9 @@ class ConverterOffsetDriftQuadratic(Converter, QuadraticThermalBias):
     needs = ("converter_temperature",)
     confused_with = "converter_leakage; converter gain drift, with one input"
     reference = "second-order thermal offset model of ADC, I/F and V/F converters"
-
     curvature: Scalar = parameter(
-        "output/degC^2", "normal(0, 1e-5 scale/degC^2)", (1e-08, 0.001), "the change of offset per degree squared"
+        "output/degC^2", "normal(0, 1e-5 scale/degC^2)", (1e-8, 1e-3), "the offset per degree squared"
     )
-    reference_degC: float = reference_temperature()
 
 
 class ConverterLeakage(Converter, SignalEffect):
@@ -124,10 +110,7 @@ class ConverterLeakage(Converter, SignalEffect):
     needs = ("converter_temperature",)
     confused_with = "converter_offset_drift and its quadratic, over a narrow range of temperature"
     reference = "reverse current of a p–n junction, doubling every 10 °C"
-
-    leakage: Scalar = parameter(
-        "output", "normal(0, 1e-4 scale)", (1e-06, 0.01), "the leakage at the reference temperature"
-    )
+    leakage: Scalar = parameter("output", "normal(0, 1e-4 scale)", (1e-6, 1e-2), "the leakage at T_ref")
     doubling: Scalar = parameter(
         "degC",
         "lognormal(10 degC, 0.3)",
@@ -148,12 +131,9 @@ class ConverterWarmUp(Converter, WarmUp):
 
     name = "converter_warm_up"
     order = Order.OFFSET
-    confused_with = (
-        "the sensor's own warm-up, without injected current; converter_offset_drift, with self-heating of the converter"
-    )
+    confused_with = "the sensor's warm-up, without injected current; converter_offset_drift, with self-heating"
     reference = "turn-on transient of ADC, I/F and V/F converters"
-
-    amplitude: Scalar = parameter("output", "normal(0, 1e-3 scale)", (1e-06, 0.1), "the excess offset at power-on")
+    amplitude: Scalar = parameter("output", "normal(0, 1e-3 scale)", (1e-6, 0.1), "the excess offset at power-on")
     tau: Scalar = time_constant("the time constant")
 
 
@@ -161,8 +141,7 @@ class ConverterDeadZone(Converter, DeadZone):
     name = "converter_dead_zone"
     confused_with = "the sensor's own dead zone, without injected current"
     reference = "dead zone of bipolar I/F and V/F converters about zero"
-
-    half_width: Scalar = parameter("output", "halfnormal(1e-4 scale)", (1e-06, 0.01), "half the width of the zone")
+    half_width: Scalar = parameter("output", "halfnormal(1e-4 scale)", (1e-6, 1e-2), "half the width of the zone")
 
 
 class ConverterSaturation(Converter, SignalEffect):
@@ -175,7 +154,6 @@ class ConverterSaturation(Converter, SignalEffect):
     order = Order.LIMIT
     confused_with = "cubic nonlinearity of sensor or converter"
     reference = "full-scale range of ADC, I/F and V/F converters; IEEE Std 1241, clipping"
-
     compression: Scalar = parameter("%", "normal(0, 10 %)", (0.01, 100), "the fraction lost beyond the limit")
     limit: Scalar = parameter(
         "scale",

@@ -17,7 +17,7 @@ from imubayes.effects.shared_formulas import (
     ThermalRateBias,
     WarmUp,
 )
-from imubayes.parameters.parameter import parameter, reference_temperature, time_constant
+from imubayes.parameters.parameter import parameter, time_constant
 from imubayes.stimulus import Ambient, Sample
 from imubayes.types import Scalar
 
@@ -26,51 +26,36 @@ class GyroBias(Gyro, ConstantBias):
     name = "gyro_bias"
     confused_with = "run offsets, where every run has its own"
     reference = "IEEE Std 952, bias (D_F)"
-
     bias: Scalar = parameter("deg/h", "normal(0, 3600 deg/h)", (0.01, 1800), "the constant rate offset")
 
 
 class GyroBiasTemperature(Gyro, LinearThermalBias):
     name = "gyro_bias_temperature"
-    confused_with = "run offsets, when each run has one temperature"
     reference = "IEEE Std 952, bias temperature sensitivity"
-
-    slope: Scalar = parameter("deg/h/degC", "normal(0, 20 deg/h/degC)", (0.001, 60), "the change of bias per degree")
-    reference_degC: float = reference_temperature()
+    slope: Scalar = parameter("deg/h/degC", "normal(0, 20 deg/h/degC)", (0.001, 60), "the bias per degree")
 
 
 class GyroBiasTemperatureQuadratic(Gyro, QuadraticThermalBias):
     name = "gyro_bias_temperature_quadratic"
-    confused_with = "run offsets, when each run has one temperature; the linear coefficient, on one side of T_ref"
     reference = "IEEE Std 952, bias temperature sensitivity"
-
     curvature: Scalar = parameter(
-        "deg/h/degC^2", "normal(0, 0.5 deg/h/degC^2)", (0.0001, 2), "the change of bias per degree squared"
+        "deg/h/degC^2", "normal(0, 0.5 deg/h/degC^2)", (0.0001, 2), "the bias per degree squared"
     )
-    reference_degC: float = reference_temperature()
 
 
 class GyroBiasTemperatureRate(Gyro, ThermalRateBias):
     """Bias linear in the rate of sensor temperature: signal + c·dT/dt, the Shupe term of a fibre-optic gyro."""
 
     name = "gyro_bias_temperature_rate"
-    confused_with = (
-        "gyro_thermal_lag and gyro_bias_drift, in a single monotonic ramp: two ramp rates or a cycle separate them"
-    )
     reference = "Shupe, Applied Optics 1980; IEEE Std 952, bias temperature gradient; 10 deg/h at 1 degC/min"
-
     slope: Scalar = parameter(
-        "deg/h/(degC/min)", "normal(0, 20 deg/h/(degC/min))", (0.1, 60), "the bias per rate of temperature"
+        "deg/h/(degC/min)", "normal(0, 20 deg/h/(degC/min))", (0.1, 60), "the bias per temperature rate"
     )
 
 
 class GyroThermalLag(Gyro, ThermalLag):
     name = "gyro_thermal_lag"
-    confused_with = (
-        "gyro_bias_temperature_rate, where changes are slow against τ; gyro_bias_drift in a single monotonic ramp"
-    )
     reference = "first-order lag, IEEE Std 952 thermal model; time constants of minutes"
-
     coefficient: Scalar = parameter("deg/h/degC", "normal(0, 20 deg/h/degC)", (0.001, 60), "the bias per degree of lag")
     tau: Scalar = time_constant("the time constant of the lag")
 
@@ -87,7 +72,6 @@ class GyroThermalHysteresis(Gyro, RecordEffect):
     needs = ("temperature", "temperature_rate")
     confused_with = "gyro_thermal_lag, at one ramp rate; gyro_bias_temperature, where all ramps are monotonic"
     reference = "play operator, Visintin, Differential Models of Hysteresis, ch. III; IEEE Std 952, thermal hysteresis"
-
     half_width: Scalar = parameter("deg/h", "normal(0, 10 deg/h)", (0.01, 50), "half the height of the loop")
     play: Scalar = parameter(
         "degC",
@@ -107,35 +91,23 @@ class GyroThermalHysteresis(Gyro, RecordEffect):
 
 class GyroWarmUp(Gyro, WarmUp):
     name = "gyro_warm_up"
-    confused_with = (
-        "gyro_bias_temperature, with self-heating of the unit; run offsets, where runs are short compared with τ"
-    )
     reference = "IEEE Std 952, turn-on transient and warm-up"
-
     amplitude: Scalar = parameter("deg/h", "normal(0, 20 deg/h)", (0.01, 100), "the excess bias at power-on")
     tau: Scalar = time_constant("the time constant")
 
 
 class GyroBiasDrift(Gyro, BiasDrift):
     name = "gyro_bias_drift"
-    confused_with = "run offsets; gyro_bias_temperature_rate and gyro_thermal_lag in a single monotonic ramp"
     reference = "IEEE Std 952, bias trend"
-
     slope: Scalar = parameter("deg/h/h", "normal(0, 1 deg/h/h)", (0.0001, 10), "the change of bias per hour")
 
 
 class GyroRunBias(Gyro, RunBias):
     name = "gyro_run_bias"
-    confused_with = "temperature terms, when each run has one temperature"
     reference = "IEEE Std 952, bias run-to-run repeatability"
-
     offset: Scalar = parameter("deg/h", "normal(0, 10 deg/h)", (0.01, 100), "the run's own offset", spread="spread")
     spread: Scalar = parameter(
-        "deg/h",
-        "lognormal(10 deg/h, 1.0)",
-        (0.01, 100),
-        "the run-to-run standard deviation",
-        per=("channel",),
+        "deg/h", "lognormal(10 deg/h, 1.0)", (0.01, 100), "the standard deviation over runs", per=("channel",)
     )
 
 
@@ -144,37 +116,27 @@ class GyroScaleFactor(Gyro, ScaleFactor):
     needs = ("turning",)
     confused_with = "mounting angle and table rate error, in one mounting"
     reference = "IEEE Std 952, scale factor S"
-
     scale: Scalar = parameter("ppm", "normal(0, 2000 ppm)", (10, 500), "the relative scale factor error")
 
 
 class GyroScaleTemperature(Gyro, LinearThermalScale):
     name = "gyro_scale_temperature"
     needs = ("temperature", "turning")
-    confused_with = "the converter's gain drift, without injected current"
     reference = "IEEE Std 952, scale factor temperature sensitivity"
-
-    slope: Scalar = parameter(
-        "ppm/degC", "normal(0, 100 ppm/degC)", (10, 100), "the relative change of scale per degree"
-    )
-    reference_degC: float = reference_temperature()
+    slope: Scalar = parameter("ppm/degC", "normal(0, 100 ppm/degC)", (10, 100), "the scale change per degree")
 
 
 class GyroScaleTemperatureQuadratic(Gyro, QuadraticThermalScale):
     name = "gyro_scale_temperature_quadratic"
     needs = ("temperature", "turning")
-    confused_with = "the converter's quadratic gain drift, without injected current"
     reference = "IEEE Std 952, scale factor temperature sensitivity"
-
     curvature: Scalar = parameter(
-        "ppm/degC^2", "normal(0, 1 ppm/degC^2)", (0.01, 2), "the relative change of scale per degree squared"
+        "ppm/degC^2", "normal(0, 1 ppm/degC^2)", (0.01, 2), "the scale change per degree squared"
     )
-    reference_degC: float = reference_temperature()
 
 
 class GyroDeadZone(Gyro, DeadZone):
     name = "gyro_dead_zone"
     confused_with = "gyro_scale_asymmetry and the bias, where all runs rotate in one direction"
     reference = "IEEE Std 952, dead zone"
-
     half_width: Scalar = parameter("deg/h", "halfnormal(5 deg/h)", (0.01, 50), "half the width of the zone")

@@ -22,7 +22,6 @@ class GyroMisalignment(Gyro, Misalignment):
     name = "gyro_misalignment"
     confused_with = "mounting error common to all axes"
     reference = "IEEE Std 952, input axis misalignment"
-
     toward_o: Scalar = parameter("arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward O")
     toward_s: Scalar = parameter("arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward S")
 
@@ -37,7 +36,6 @@ class GyroGSensitivity(Gyro, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "levelling error and Earth rate components"
     reference = "IEEE Std 517, D_I, D_O, D_S"
-
     d_i: Scalar = parameter("deg/h/g", "normal(0, 100 deg/h/g)", (1, 576), "the drift per g along the input axis")
     d_o: Scalar = parameter("deg/h/g", "normal(0, 100 deg/h/g)", (1, 576), "the drift per g along the output axis")
     d_s: Scalar = parameter("deg/h/g", "normal(0, 100 deg/h/g)", (1, 576), "the drift per g along the spin axis")
@@ -57,7 +55,6 @@ class GyroG2Sensitivity(Gyro, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "the bias: D_II, D_OO and D_SS together, in a 1 g field; table_axis_tilt"
     reference = "IEEE Std 517, D_II … D_SI; 0.01 … 20 deg/h/g²"
-
     d_ii: Scalar = parameter("deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along I")
     d_oo: Scalar = parameter("deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along O")
     d_ss: Scalar = parameter("deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along S")
@@ -76,10 +73,7 @@ class GyroScaleAsymmetry(Gyro, ScaleAsymmetry):
     needs = ("turning",)
     confused_with = "gyro_scale_quadratic, where few rates are tested; a bias, at one rate"
     reference = "IEEE Std 952, asymmetry error; 10 … 300 ppm"
-
-    asymmetry: Scalar = parameter(
-        "ppm", "normal(0, 100 ppm)", (10, 300), "half the difference of the two scale factors"
-    )
+    asymmetry: Scalar = parameter("ppm", "normal(0, 100 ppm)", (10, 300), "half the scale factor difference")
 
 
 class GyroScaleQuadratic(Gyro, SecondOrderNonlinearity):
@@ -90,14 +84,9 @@ class GyroScaleQuadratic(Gyro, SecondOrderNonlinearity):
 
     name = "gyro_scale_quadratic"
     needs = ("turning",)
-    confused_with = (
-        "gyro_scale_asymmetry, where few rates are tested; the centripetal g-sensitivity of a unit off the axis"
-    )
+    confused_with = "gyro_scale_asymmetry, where few rates are tested; g-sensitivity to centripetal acceleration"
     reference = "IEEE Std 952, scale factor nonlinearity; 25 … 50 ppm at 200 … 400 °/s"
-
-    quadratic: Scalar = parameter(
-        "ppm/(deg/s)", "normal(0, 1 ppm/(deg/s))", (0.01, 1), "the second-order coefficient K2"
-    )
+    quadratic: Scalar = parameter("ppm/(deg/s)", "normal(0, 1 ppm/(deg/s))", (0.01, 1), "the coefficient K2")
 
 
 class GyroScaleCubic(Gyro, ThirdOrderNonlinearity):
@@ -110,10 +99,7 @@ class GyroScaleCubic(Gyro, ThirdOrderNonlinearity):
     needs = ("turning",)
     confused_with = "the scale factor, over a narrow range of rates; saturation near full scale"
     reference = "IEEE Std 952, scale factor nonlinearity; 25 … 50 ppm at 200 … 400 °/s"
-
-    cubic: Scalar = parameter(
-        "ppm/(deg/s)^2", "normal(0, 0.005 ppm/(deg/s)^2)", (1e-05, 0.01), "the third-order coefficient K3"
-    )
+    cubic: Scalar = parameter("ppm/(deg/s)^2", "normal(0, 0.005 ppm/(deg/s)^2)", (1e-5, 1e-2), "the coefficient K3")
 
 
 class GyroScaleGDependence(Gyro, SignalEffect):
@@ -124,7 +110,6 @@ class GyroScaleGDependence(Gyro, SignalEffect):
     needs = ("turning",)
     confused_with = "the scale factor, where the angle between input axis and gravity is constant"
     reference = "IEEE Std 952, scale factor acceleration sensitivity; 1 … 100 ppm/g"
-
     dependence: Scalar = parameter("ppm/g", "normal(0, 50 ppm/g)", (1, 100), "the relative change of scale per g")
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
@@ -140,20 +125,11 @@ class GyroMagneticSensitivity(Gyro, SignalEffect):
 
     name = "gyro_magnetic_sensitivity"
     order = Order.SENSITIVITY
-    confused_with = (
-        "g-sensitivity, and misalignment against the Earth's rotation: field, gravity and Earth rate lie near one plane"
-    )
+    confused_with = "g-sensitivity and misalignment: field, gravity and Earth rate are nearly coplanar"
     reference = "IEEE Std 952, magnetic sensitivity; 1 … 50 deg/h/gauss without a shield"
-
-    m_i: Scalar = parameter(
-        "deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along the input axis"
-    )
-    m_o: Scalar = parameter(
-        "deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along the output axis"
-    )
-    m_s: Scalar = parameter(
-        "deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along the spin axis"
-    )
+    m_i: Scalar = parameter("deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along I")
+    m_o: Scalar = parameter("deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along O")
+    m_s: Scalar = parameter("deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along S")
     north_uT: float = option(25.0, "the field towards true North, µT")
     east_uT: float = option(0.0, "the field towards East, µT")
     up_uT: float = option(-40.0, "the field upwards, µT; negative in the northern hemisphere")
@@ -176,7 +152,6 @@ class GyroOutputAxisAcceleration(Gyro, SignalEffect):
     needs = ("acceleration",)
     confused_with = "time_skew, between table and unit"
     reference = "IEEE Std 517, output-axis angular acceleration; 0.1 … 10 ms"
-
     coefficient: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 50), "the rate per angular acceleration")
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:

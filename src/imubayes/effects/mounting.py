@@ -21,7 +21,6 @@ class TumbleHeading(MotionEffect):
     nuisance = True
     confused_with = "gyro biases, unless the gyros resolve the Earth rate"
     reference = "Groves, Principles of GNSS, Inertial and Multisensor Navigation, § 5.6.2 (gyrocompassing)"
-
     heading: Scalar = parameter("deg", "uniform(-180, 180 deg)", (1, 180), "the heading of the first pose")
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
@@ -40,7 +39,6 @@ class MountingError(BodyRotation):
     per = ("mounting",)
     confused_with = "scale factor and table rate error, where only one mounting is tested"
     reference = "first-order attitude error, body axes; IEEE Std 952, mounting misalignment"
-
     x: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (1, 600), "the rotation about body x", "seat")
     y: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (1, 600), "the rotation about body y", "seat")
     z: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (1, 600), "the rotation about body z", "seat")
@@ -57,7 +55,6 @@ class PoseAttitude(BodyRotation):
     per = ("run", "pose")
     nuisance = True
     reference = "Tedaldi et al., ICRA 2014"
-
     x: Scalar = parameter("arcsec", "normal(0, 10 deg)", (1, 36000), "the rotation of the pose about body x")
     y: Scalar = parameter("arcsec", "normal(0, 10 deg)", (1, 36000), "the rotation of the pose about body y")
     z: Scalar = parameter("arcsec", "normal(0, 10 deg)", (1, 36000), "the rotation of the pose about body z")
@@ -72,7 +69,6 @@ class ServoStart(MotionEffect):
     needs = ("driven",)
     nuisance = True
     reference = "initial condition of the differential equation"
-
     angle: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (0.1, 60), "the error of the first indicated angle")
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
@@ -91,7 +87,6 @@ class LeverArm(PlaceEffect):
     needs = ("turning",)
     confused_with = "accelerometer terms quadratic in rate"
     reference = "IEEE Std 1293, centrifuge geometry; Groves § 6.3.1.3"
-
     x: Scalar = parameter("mm", "normal(0, 20 mm)", (1, 50), "the sensor's position along body x")
     y: Scalar = parameter("mm", "normal(0, 20 mm)", (1, 50), "the sensor's position along body y")
     z: Scalar = parameter("mm", "normal(0, 20 mm)", (1, 50), "the sensor's position along body z")

@@ -21,7 +21,6 @@ class ReferenceBias(MotionEffect):
     needs = ("reference",)
     confused_with = "the bias of the gyro along the same axis: exactly, unless other runs determine the latter"
     reference = "IEEE Std 952, bias; of the reference, its certificate"
-
     x: Scalar = parameter("deg/h", "normal(0, 0.1 deg/h)", (0.001, 10), "the bias of the reference about body x")
     y: Scalar = parameter("deg/h", "normal(0, 0.1 deg/h)", (0.001, 10), "the bias of the reference about body y")
     z: Scalar = parameter("deg/h", "normal(0, 0.1 deg/h)", (0.001, 10), "the bias of the reference about body z")
@@ -39,7 +38,6 @@ class ReferenceScaleFactor(MotionEffect):
     needs = ("reference",)
     confused_with = "a scale factor of the gyro along the same axis: exactly, except through the priors"
     reference = "IEEE Std 952, scale factor error; of the reference, its certificate"
-
     x: Scalar = parameter("ppm", "normal(0, 10 ppm)", (1, 100), "the relative error of the reference about body x")
     y: Scalar = parameter("ppm", "normal(0, 10 ppm)", (1, 100), "the relative error of the reference about body y")
     z: Scalar = parameter("ppm", "normal(0, 10 ppm)", (1, 100), "the relative error of the reference about body z")
@@ -62,7 +60,6 @@ class ReferenceAlignment(MotionEffect):
     needs = ("reference",)
     confused_with = "misalignments of all gyros together, unless runs without the reference determine them"
     reference = "physics of a rigid fixture; Titterton and Weston § 3.6"
-
     x: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (10, 1000), "the rotation of the reference about body x")
     y: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (10, 1000), "the rotation of the reference about body y")
     z: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (10, 1000), "the rotation of the reference about body z")

@@ -12,11 +12,11 @@ import jax.numpy as jnp
 from imubayes.effects.base import Effect, MotionEffect, Order, RecordEffect, SignalEffect, Stage
 from imubayes.effects.memory import Decay
 from imubayes.frames import compose, exponential
+from imubayes.parameters.parameter import reference_temperature
 from imubayes.stimulus import Ambient, Motion, Sample
 from imubayes.types import Scalar, Vector3, vector3
 
 Parameter = eqx.AbstractVar[Scalar]
-Option = eqx.AbstractVar[float]
 
 
 class Device(Effect):
@@ -107,6 +107,7 @@ class BiasDrift(SignalEffect):
 
     order = Order.BIAS
     needs = ("campaign_time",)
+    confused_with = "run offsets; bias_temperature_rate and thermal_lag, in a single monotonic ramp"
     slope: Parameter
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
@@ -123,6 +124,7 @@ class RunBias(SignalEffect):
     order = Order.BIAS
     per = ("channel", "run")
     excludes = ("run_scatter",)
+    confused_with = "temperature terms, when each run has one temperature"
     offset: Parameter
     spread: Parameter
 
@@ -135,6 +137,7 @@ class WarmUp(SignalEffect):
 
     order = Order.BIAS
     needs = ("power_on",)
+    confused_with = "bias_temperature, with self-heating of the unit; run offsets, where runs are short against τ"
     amplitude: Parameter
     tau: Parameter
 
@@ -147,8 +150,9 @@ class LinearThermalBias(Device, SignalEffect):
 
     order = Order.BIAS
     needs = ("temperature",)
+    confused_with = "run offsets, when each run has one temperature"
     slope: Parameter
-    reference_degC: Option
+    reference_degC: float = reference_temperature()
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return signal + self.slope * (self.temperature(sample) - self.reference_degC)
@@ -159,8 +163,9 @@ class QuadraticThermalBias(Device, SignalEffect):
 
     order = Order.BIAS
     needs = ("temperature",)
+    confused_with = "run offsets, when each run has one temperature; the linear coefficient, on one side of T_ref"
     curvature: Parameter
-    reference_degC: Option
+    reference_degC: float = reference_temperature()
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return signal + self.curvature * (self.temperature(sample) - self.reference_degC) ** 2
@@ -171,6 +176,7 @@ class ThermalRateBias(SignalEffect):
 
     order = Order.BIAS
     needs = ("temperature_rate",)
+    confused_with = "thermal_lag and bias_drift, in a single monotonic ramp: two ramp rates or a cycle separate them"
     slope: Parameter
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
@@ -186,6 +192,7 @@ class ThermalLag(RecordEffect):
 
     order = Order.BIAS
     needs = ("temperature", "temperature_rate")
+    confused_with = "bias_temperature_rate, where changes are slow against τ; bias_drift, in a single monotonic ramp"
     coefficient: Parameter
     tau: Parameter
 
@@ -211,8 +218,9 @@ class LinearThermalScale(Device, SignalEffect):
 
     order = Order.SCALE
     needs = ("temperature",)
+    confused_with = "the converter's gain drift, without injected current"
     slope: Parameter
-    reference_degC: Option
+    reference_degC: float = reference_temperature()
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return signal * (1 + self.slope * (self.temperature(sample) - self.reference_degC))
@@ -223,8 +231,9 @@ class QuadraticThermalScale(Device, SignalEffect):
 
     order = Order.SCALE
     needs = ("temperature",)
+    confused_with = "the converter's quadratic gain drift, without injected current"
     curvature: Parameter
-    reference_degC: Option
+    reference_degC: float = reference_temperature()
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return signal * (1 + self.curvature * (self.temperature(sample) - self.reference_degC) ** 2)

@@ -19,7 +19,6 @@ class TableAxisTilt(MotionEffect):
     per = ("table",)
     confused_with = "g-sensitivity of gyros; accelerometer misalignment where few mountings are tested"
     reference = "IEEE Std 1293, axis of rotation levelling error"
-
     x: Scalar = parameter("arcsec", "normal(0, 60 arcsec)", (1, 120), "the tilt about table x", "axis")
     y: Scalar = parameter("arcsec", "normal(0, 60 arcsec)", (1, 120), "the tilt about table y", "axis")
 
@@ -39,7 +38,6 @@ class GravityAnomaly(MotionEffect):
     per = ()
     confused_with = "a scale factor common to all accelerometers: exactly, where gravity is the only input"
     reference = "Hofmann-Wellenhof and Moritz, Physical Geodesy, gravity anomalies; 1 … 300 µg"
-
     anomaly: Scalar = parameter("ug", "normal(0, 50 ug)", (1, 300), "the excess of true over stated gravity")
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
@@ -59,7 +57,6 @@ class TimeSkew(MotionEffect):
     needs = ("turning",)
     confused_with = "an error of the table's angle, where all runs rotate at one rate in one direction"
     reference = "first-order clock offset between table and unit; 0.01 … 50 ms"
-
     skew: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 100), "the delay of the unit's samples")
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
@@ -84,7 +81,6 @@ class EncoderHarmonic(MotionEffect):
     needs = ("table_angle",)
     confused_with = "misalignment and bias (n = 1), K2 and cross-coupling (n = 2) of accelerometers in one mounting"
     reference = "IEEE Std 1293, dividing head angle errors; 0.1 … 10 arcsec"
-
     sin_1: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 60), "the sine of one period per turn")
     cos_1: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 60), "the cosine of one period per turn")
     sin_2: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 60), "the sine of two periods per turn")
@@ -112,10 +108,7 @@ class TableRateError(MotionEffect):
     needs = ("commanded",)
     confused_with = "a scale factor common to all gyros: exactly, unless a reference gyro is mounted beside the unit"
     reference = "IEEE Std 952, rate table accuracy"
-
-    rate_error: Scalar = parameter(
-        "ppm", "normal(0, 10 ppm)", (1, 50), "the relative error of the table's rate", "rate"
-    )
+    rate_error: Scalar = parameter("ppm", "normal(0, 10 ppm)", (1, 50), "the relative error of the rate", "rate")
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
         factor = 1 + self.rate_error
@@ -138,11 +131,8 @@ class TableWobble(MotionEffect):
     stage, order = Stage.TABLE, Order.AXIS
     per = ("table",)
     needs = ("table_angle",)
-    confused_with = (
-        "mounting error, for the part that rotates with the table; table_axis_tilt where few angles are used"
-    )
+    confused_with = "mounting error, where it rotates with the table; table_axis_tilt, where few angles are used"
     reference = "IEEE Std 1293, axis wobble of rotary tables; 0.1 … 10 arcsec"
-
     x_cos_1: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 30), "the tilt about x with cos φ")
     x_sin_1: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 30), "the tilt about x with sin φ")
     y_cos_1: Scalar = parameter("arcsec", "normal(0, 5 arcsec)", (0.1, 30), "the tilt about y with cos φ")

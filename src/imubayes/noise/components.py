@@ -59,7 +59,7 @@ class ReferenceNoise(EntryNoise):
     reference = "Fuller, Measurement Error Models (1987)"
 
     sigma: Scalar = parameter(
-        "deg/s", "lognormal(2e-4 deg/s, 1)", (1e-6, 1e-2), "the standard deviation of one raw sample of the reference"
+        "deg/s", "lognormal(2e-4 deg/s, 1)", (1e-6, 1e-2), "the reference's standard deviation of one raw sample"
     )
 
     def variance(self, entry: Entry) -> Scalar:
@@ -113,9 +113,7 @@ class Outliers(TailNoise):
     confused_with = "rate_proportional_noise; an effect that shows in a few rows only"
     reference = "Lange, Little and Taylor (1989), t distribution; GUM § G.3"
 
-    degrees_of_freedom: Scalar = parameter(
-        "1", "lognormal(8, 0.8)", (3, 30), "the degrees of freedom ν of one observation"
-    )
+    degrees_of_freedom: Scalar = parameter("1", "lognormal(8, 0.8)", (3, 30), "the degrees of freedom ν")
 
     def degrees(self) -> Scalar:
         return self.degrees_of_freedom

@@ -61,7 +61,8 @@ def time_constant(meaning: str) -> Any:
 
 def option(default: float, meaning: str) -> Any:
     """Declare a field of an effect as a fixed setting that a model file may change, such as a reference."""
-    return eqx.field(default=default, metadata={"option": meaning})
+    # By keyword, so that a shared formula can declare it before the parameters of the effects.
+    return eqx.field(default=default, kw_only=True, metadata={"option": meaning})
 
 
 def reference_temperature() -> Any:
