@@ -16,7 +16,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 from imubayes.campaign import load_campaign  # noqa: E402
-from imubayes.model.bind import Model, declare  # noqa: E402
+from imubayes.model.bind import Model, bind  # noqa: E402
 from imubayes.model.model_file import read_model  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
@@ -79,7 +79,7 @@ def _version(name: str) -> str:
 
 def trihedral() -> Model:
     """Return the full baseline model declared on the shipped campaign."""
-    return declare(read_model(ROOT / "models/trihedral-imu.toml"), load_campaign(ROOT / "data/trihedral-imu"))
+    return bind(read_model(ROOT / "models/trihedral-imu.toml"), load_campaign(ROOT / "data/trihedral-imu"))
 
 
 def seconds(call: Callable[[], Any], least: int = 5, budget: float = 3.0) -> float:

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from imubayes.earth import normal_gravity
-from imubayes.model.bind import Model, declare
+from imubayes.model.bind import Model, bind
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
 from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table, Tumble
@@ -256,4 +256,4 @@ def simulated(model: Model, z: np.ndarray, seed: int) -> Campaign:
 def full_model() -> Model:
     """Return the usual effects of a campaign on tables in one model."""
     chosen = tuple(name for name in TABLE_EFFECTS if not name.endswith("_run_bias"))
-    return declare(spec(*chosen, noise=("white_noise", "run_scatter")), campaign())
+    return bind(spec(*chosen, noise=("white_noise", "run_scatter")), campaign())

@@ -12,7 +12,7 @@ from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fit import Fit
 from imubayes.inference.joint_fit import joint_fit
 from imubayes.loop import Addition, add, history, plant
-from imubayes.model.bind import declare
+from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import ModelSpec
 from imubayes.procedures import PROCEDURES
@@ -54,7 +54,7 @@ def fit(
     clock = time.perf_counter()
     campaign = campaign if isinstance(campaign, Campaign) else load_campaign(campaign, tuple(PROCEDURES))
     model = model if isinstance(model, ModelSpec) else read_model(model)
-    declared = declare(model, campaign)
+    declared = bind(model, campaign)
     load_seconds = time.perf_counter() - clock
     folder = Path(out) if out is not None else None
     checkpoint = folder / CHECKPOINT if folder is not None else None

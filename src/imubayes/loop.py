@@ -24,7 +24,7 @@ from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fit import Fit
 from imubayes.inference.joint_fit import joint_fit, model_hash
-from imubayes.model.bind import declare
+from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import ModelSpec
 from imubayes.procedures import PROCEDURES
@@ -267,7 +267,7 @@ def plant(
         tell("fitting")
         loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign, tuple(PROCEDURES))
         spec = model if isinstance(model, ModelSpec) else read_model(model)
-        fitted = joint_fit(declare(spec, loaded), None, progress=tell)
+        fitted = joint_fit(bind(spec, loaded), None, progress=tell)
     return plant_effects(fitted, effects, size or Size(), draws, seed, tell)
 
 

@@ -169,7 +169,7 @@ class SignalPath(eqx.Module):
 
     Leading axes are stands, then nodes for `motion` and `ambient`, nodes × channels for the others, which are kept
     per kind of channel.  `signal` is input-referred in SI up to the converter, and in output units from there on.
-    `instants` are the nodes that the stands are spread over, `records` what effects with memory look back on: None
+    `nodes` are those that the stands are spread over, `records` what effects with memory look back on: None
     where the unit has been as it is for ever.
     """
 
@@ -178,7 +178,7 @@ class SignalPath(eqx.Module):
     experience: dict[str, Experience]
     sample: dict[str, Sample]
     signal: dict[str, Float[Array, "N C"]]
-    instants: Nodes | None = None
+    nodes: Nodes | None = None
     records: Records | None = None
 
 

@@ -12,7 +12,7 @@ from imubayes.display.figures.panels import abscissa
 from imubayes.display.labels import covariates_of, numbers
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.joint_fit import joint_fit
-from imubayes.model.bind import declare
+from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.procedures import PROCEDURES
 from imubayes.results.residuals import residuals_of
@@ -39,8 +39,8 @@ def test_a_new_covariate_is_read_shown_and_regressed_on(moist):
     assert "humidity" in PROCEDURES[run.procedure].stimulus(run, moist).supplies
 
     spec = ModelSpec("small", tuple(EffectSpec(name) for name in ("gyro_bias", "accel_bias", "white_noise")))
-    fit = joint_fit(declare(spec, moist), None)
-    np.testing.assert_array_equal(np.unique(np.asarray(fit.model.problem.instants.ambient.humidity))[[0, -1]], [0, 0.6])
+    fit = joint_fit(bind(spec, moist), None)
+    np.testing.assert_array_equal(np.unique(np.asarray(fit.model.problem.nodes.ambient.humidity))[[0, -1]], [0, 0.6])
     table = residuals_of(fit).table
     assert np.nanmax(numbers(table, "humidity_pct")) == pytest.approx(60.0)
     assert HUMIDITY in covariates_of(table)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.inference.posterior_mode import find_mode
-from imubayes.model.bind import Model, declare
+from imubayes.model.bind import Model, bind
 from imubayes.model.effect_registry import Registry
 from imubayes.model.nodes import join_nodes
 from imubayes.model.problem import predict
@@ -39,7 +39,7 @@ def declared_alone(member: type, registry: Registry | None = None) -> Model:
     """Return a model of one effect and white noise on the campaign that can show it."""
     model = spec(member.name)
     held = replace(model.effects[0], prior=HELD.get(member.name, {}))
-    return declare(replace(model, effects=(held, *model.effects[1:])), shown_by(member), registry)
+    return bind(replace(model, effects=(held, *model.effects[1:])), shown_by(member), registry)
 
 
 def shown_by(member: type) -> Campaign:
@@ -59,7 +59,7 @@ def recover(member: type, registry: Registry | None = None, seed: int = 5) -> Re
     model = declared_alone(member, registry)
     size, hypers = model.problem.size
     truth = np.clip(np.random.default_rng(seed).normal(size=size), -2, 2)
-    again = declare(model.spec, simulated(model, truth, seed), registry)
+    again = bind(model.spec, simulated(model, truth, seed), registry)
     mode = find_mode(again.problem, jnp.zeros(size), jnp.zeros(hypers))
     deviations = standard_deviations(again, mode)
     return Recovered(bool(mode.converged), (np.asarray(mode.z) - truth) / deviations, deviations)

@@ -351,7 +351,7 @@ def test_a_sound_effect_keeps_them_all(law, sound):
 
 
 def registry(member: type) -> Registry:
-    return Registry(Registry().members | {member.name: member})
+    return Registry(Registry().effects | {member.name: member})
 
 
 def test_a_sound_effect_is_recovered():

@@ -12,7 +12,7 @@ import tomlkit
 
 from imubayes.covariates import ambient_names
 from imubayes.effects.base import Effect
-from imubayes.model.bind import declare
+from imubayes.model.bind import bind
 from imubayes.model.effect_registry import Registry
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import EffectSpec, ModelSpec
@@ -20,7 +20,7 @@ from imubayes.model.problem import predict
 from imubayes.noise.base import Noise
 from imubayes.parameters.parameter import declared_options, declared_parameters, named_in
 
-MEMBERS = Registry().members
+MEMBERS = Registry().effects
 EFFECTS = {name: member for name, member in MEMBERS.items() if issubclass(member, Effect)}
 NOISES = {name: member for name, member in MEMBERS.items() if issubclass(member, Noise)}
 
@@ -101,8 +101,8 @@ def test_an_entry_of_a_model_file_survives_the_round_trip(name, tmp_path):
     assert dict(spec.effects[0].prior) == {field: one.prior for field, one in declared_parameters(member).items()}
     assert dict(spec.effects[0].options) == declared_options(member)
     among = recover.shown_by(member)
-    read = declare(spec, among)
-    plain = declare(ModelSpec("plain", tuple(EffectSpec(one.name) for one in spec.effects)), among)
+    read = bind(spec, among)
+    plain = bind(ModelSpec("plain", tuple(EffectSpec(one.name) for one in spec.effects)), among)
     assert read.layout.names == plain.layout.names
     assert read.hyper_layout.names == plain.hyper_layout.names
 

@@ -12,7 +12,7 @@ import numpy as np
 from imubayes.campaign import load_campaign
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.posterior_mode import find_mode
-from imubayes.model.bind import Model, declare
+from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.model.problem import predict
 from imubayes.noise.base import EntryNoise
@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[2]
 @cache
 def fitted_to(campaign: str, model: str = "hidden-effects") -> Fitted:
     """Return the fit of a shipped campaign, without what else is reported of one."""
-    declared = declare(
+    declared = bind(
         read_model(ROOT / "models" / f"{model}.toml"), load_campaign(ROOT / "data" / campaign, tuple(PROCEDURES))
     )
     found = refitted(declared, *(np.zeros(size) for size in declared.problem.size))
@@ -64,7 +64,7 @@ def with_values(fitted: Fitted, value: np.ndarray) -> Fitted:
     runs = [replace(run, observed=run.observed.copy()) for run in fitted.model.campaign.runs]
     for k, one in enumerate(value):
         runs[entries.run[k]].observed[entries.row[k], entries.channel[k]] = one
-    model = declare(fitted.model.spec, replace(fitted.model.campaign, runs=tuple(runs)))
+    model = bind(fitted.model.spec, replace(fitted.model.campaign, runs=tuple(runs)))
     return refitted(model, np.zeros(len(fitted.z)), np.zeros(len(fitted.h)))
 
 

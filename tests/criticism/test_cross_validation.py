@@ -21,8 +21,8 @@ from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.inference.posterior_precision import linearise
 from imubayes.loop import Addition, add
-from imubayes.model.noise_covariance import noise_law
-from imubayes.model.problem import without
+from imubayes.model.noise_covariance import noise_distribution
+from imubayes.model.problem import masked
 from imubayes.results.history_file import read_node, read_tree, select
 from imubayes.results.result import read_result
 
@@ -84,10 +84,10 @@ def test_the_error_falls_to_the_noise(second, place):
 def dense_density(fitted: Fitted, left_out: np.ndarray, parameters_known: bool = False) -> float:
     """Return log p(left out | rest) from whole covariance matrices, linear about the mode without."""
     problem = fitted.model.problem
-    rest = without(problem, left_out)
+    rest = masked(problem, left_out)
     mode = find_mode(rest, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
-    law = noise_law(problem, mode.h)
-    own, shared = np.asarray(law.own), np.asarray(law.shared)
+    law = noise_distribution(problem, mode.h)
+    own, shared = np.asarray(law.squared_scale), np.asarray(law.shared_variance)
     group = np.asarray(problem.observations.group)[left_out]
     covariance = np.diag(own[left_out]) + np.where(group[:, None] == group, shared[group][:, None], 0.0)
     jacobian = np.asarray(mode.about.jacobian)[left_out]

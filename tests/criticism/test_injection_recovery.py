@@ -13,13 +13,13 @@ from imubayes.criticism.warm_start import extend
 from imubayes.errors import InputError
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.joint_fit import joint_fit
-from imubayes.model.bind import declare
+from imubayes.model.bind import bind
 from imubayes.procedures import PROCEDURES
 
 
 @pytest.fixture(scope="module")
 def fitted() -> Fitted:
-    model = declare(lacking_model(), load_campaign(CAMPAIGN, tuple(PROCEDURES)))
+    model = bind(lacking_model(), load_campaign(CAMPAIGN, tuple(PROCEDURES)))
     return joint_fit(model, None)
 
 

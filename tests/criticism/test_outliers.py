@@ -16,9 +16,9 @@ from imubayes.criticism.outliers import consecutive
 from imubayes.criticism.projection import project
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.posterior_precision import linearise
-from imubayes.model.bind import declare
+from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec
-from imubayes.model.noise_covariance import noise_law
+from imubayes.model.noise_covariance import noise_distribution
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def whole():
 
 
 def deviations(fitted: Fitted) -> np.ndarray:
-    return np.sqrt(np.asarray(noise_law(fitted.model.problem, jnp.asarray(fitted.h)).own))
+    return np.sqrt(np.asarray(noise_distribution(fitted.model.problem, jnp.asarray(fitted.h)).squared_scale))
 
 
 def hits(fitted: Fitted, count: int, size: float, seed: int) -> np.ndarray:
@@ -137,7 +137,7 @@ def mended(whole):
     change = hits(whole, 12, 12.0, seed=3)
     spoilt = with_values(whole, np.asarray(whole.model.problem.observations.value) + change)
     spec = replace(spoilt.model.spec, effects=(*spoilt.model.spec.effects, EffectSpec("outliers")))
-    model = declare(spec, spoilt.model.campaign)
+    model = bind(spec, spoilt.model.campaign)
     robust = refitted(model, np.zeros(model.problem.size[0]), np.zeros(model.problem.size[1]))
     assert robust.converged
     return spoilt, robust

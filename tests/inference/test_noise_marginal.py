@@ -11,16 +11,16 @@ from scipy.optimize import minimize
 from imubayes.inference import noise_marginal as marginal
 from imubayes.inference.posterior_mode import fit_parameters, linear_residual
 from imubayes.inference.posterior_precision import Linearised, linearise, log_marginal
-from imubayes.model.bind import Model, declare
+from imubayes.model.bind import Model, bind
 from imubayes.model.likelihood import residuals
 from small_campaign import campaign, simulated, spec
 
 
 @cache
 def made() -> Model:
-    plain = declare(spec("gyro_bias", noise=("white_noise", "run_scatter")), campaign())
+    plain = bind(spec("gyro_bias", noise=("white_noise", "run_scatter")), campaign())
     rng = np.random.default_rng(3)
-    return declare(plain.spec, simulated(plain, rng.normal(size=plain.problem.size[0]), 4))
+    return bind(plain.spec, simulated(plain, rng.normal(size=plain.problem.size[0]), 4))
 
 
 @cache

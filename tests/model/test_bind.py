@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imubayes.errors import InputError, Issue
-from imubayes.model.bind import declare
+from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from small_campaign import ARCSEC, campaign, spec, tumble_campaign
 
@@ -15,7 +15,7 @@ NOISE = EffectSpec("white_noise", where="model: white_noise")
 
 def refused(*effects: EffectSpec, among=None) -> tuple[Issue, ...]:
     with pytest.raises(InputError) as caught:
-        declare(ModelSpec("m", (*effects, NOISE), where="model.toml"), among or campaign())
+        bind(ModelSpec("m", (*effects, NOISE), where="model.toml"), among or campaign())
     for problem in caught.value.issues:
         assert problem.what
         assert problem.where
@@ -89,7 +89,7 @@ def test_an_effect_may_not_stand_twice_on_a_channel():
 
 
 def test_it_may_stand_twice_on_different_channels():
-    model = declare(
+    model = bind(
         ModelSpec("m", (effect("gyro_bias", channels=("gx",)), effect("gyro_bias", channels=("gy", "gz")), NOISE)),
         campaign(),
     )
@@ -104,12 +104,12 @@ def test_effects_that_say_the_same_exclude_each_other(pair):
 
 def test_a_model_without_noise_is_refused():
     with pytest.raises(InputError, match="no noise"):
-        declare(ModelSpec("m", (effect("gyro_bias"),), where="model.toml"), campaign())
+        bind(ModelSpec("m", (effect("gyro_bias"),), where="model.toml"), campaign())
 
 
 def test_a_model_of_noise_alone_is_refused():
     with pytest.raises(InputError, match="no parameter to fit"):
-        declare(ModelSpec("m", (NOISE,), where="model.toml"), campaign())
+        bind(ModelSpec("m", (NOISE,), where="model.toml"), campaign())
 
 
 def test_all_problems_come_together():
@@ -126,17 +126,17 @@ def test_all_problems_come_together():
     ],
 )
 def test_who_shares_a_value(per, names):
-    model = declare(ModelSpec("m", (effect("gyro_bias", per=per), NOISE)), campaign())
+    model = bind(ModelSpec("m", (effect("gyro_bias", per=per), NOISE)), campaign())
     assert list(model.layout.names) == names
 
 
 def test_the_equipment_says_how_wide_its_priors_are():
-    model = declare(spec("mounting_error", "table_axis_tilt", "table_rate_error"), campaign())
+    model = bind(spec("mounting_error", "table_axis_tilt", "table_rate_error"), campaign())
     widths = {p.name: p.prior_sd for p in model.layout.parameters}
     assert widths["mounting_error.x[pyramid]"] == pytest.approx(300.0)
     assert widths["table_axis_tilt.y[head]"] == pytest.approx(20.0)
     assert widths["table_rate_error.rate_error[rate]"] == pytest.approx(5.0)
-    own = declare(
+    own = bind(
         ModelSpec("m", (effect("mounting_error", prior={"x": "normal(0, 7 arcsec)"}), NOISE)), campaign()
     ).layout.parameters
     assert own[0].prior.sd() == pytest.approx(7 * ARCSEC)
@@ -144,7 +144,7 @@ def test_the_equipment_says_how_wide_its_priors_are():
 
 
 def test_names_and_units_are_those_of_the_interface():
-    model = declare(spec("accel_misalignment", "gyro_misalignment", "converter_offset_drift"), campaign())
+    model = bind(spec("accel_misalignment", "gyro_misalignment", "converter_offset_drift"), campaign())
     units = {p.name: p.unit for p in model.layout.parameters}
     assert units["accel_misalignment.toward_p[ax]"] == "arcsec"
     assert units["gyro_misalignment.toward_s[gz]"] == "arcsec"
@@ -153,7 +153,7 @@ def test_names_and_units_are_those_of_the_interface():
 
 
 def test_a_free_tumble_brings_its_own_unknowns():
-    model = declare(spec("gyro_bias"), tumble_campaign())
+    model = bind(spec("gyro_bias"), tumble_campaign())
     fields = {(p.effect, p.nuisance) for p in (*model.layout.parameters, *model.hyper_layout.parameters)}
     assert {("pose_attitude", True), ("tumble_heading", True), ("rotation_closure", True)} <= fields
     assert ("gyro_bias", False) in fields
@@ -162,7 +162,7 @@ def test_a_free_tumble_brings_its_own_unknowns():
 @pytest.mark.parametrize("name", ["gyro_scale_factor", "gyro_misalignment"])
 def test_a_free_tumble_shows_what_turning_shows(name):
     """Carrying gravity from pose to pose determines the gyro's scale and axes."""
-    model = declare(spec(name), tumble_campaign())
+    model = bind(spec(name), tumble_campaign())
     reach = np.asarray(model.problem.sparsity.reach)
     closing = model.entries.closing
     places = [i for i, p in enumerate(model.layout.parameters) if p.effect == name]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imubayes.model.bind import Model, declare
+from imubayes.model.bind import Model, bind
 from imubayes.model.problem import predict
 from small_campaign import ACCEL_SCALE, ARCSEC, DEGREE, GRAVITY, GYRO_SCALE, LATITUDE, spec, wide_campaign
 
@@ -20,7 +20,7 @@ UG = 1e-6 * GRAVITY
 
 @cache
 def model(name: str) -> Model:
-    return declare(spec(name), wide_campaign())
+    return bind(spec(name), wide_campaign())
 
 
 def outputs(name: str, run: str, channel: str, **values: float) -> np.ndarray:
@@ -30,7 +30,7 @@ def outputs(name: str, run: str, channel: str, **values: float) -> np.ndarray:
     for place, parameter in enumerate(one.layout.parameters):
         if parameter.label in ((channel,), ("head",), ("rate",), ("all",)):
             truth[place] = values.get(parameter.field, truth[place])
-        elif not one.assembly.acting[0].declared[parameter.field].shape:
+        elif not one.assembly.effects[0].declared[parameter.field].shape:
             truth[place] = 1e-12 if truth[place] else 0.0
     predicted = np.asarray(predict(one.problem, jnp.asarray(one.layout.z_of(truth))))
     runs, channels = [r.name for r in one.campaign.runs], [c.name for c in one.campaign.channels]

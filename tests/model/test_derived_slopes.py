@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.model.bind import declare
-from imubayes.model.derived_quantities import derive, derive_many, derived_slopes
+from imubayes.model.bind import bind
+from imubayes.model.derived_quantities import derived_jacobian, derived_quantities, evaluate_derived
 from imubayes.model.problem import values_of
 from small_campaign import campaign, spec
 
@@ -13,8 +13,8 @@ EFFECTS = ("mounting_error", "table_axis_tilt", "gyro_misalignment", "gyro_scale
 
 
 def test_slopes_and_batches_are_those_of_one_quantity_at_a_time():
-    model = declare(spec(*EFFECTS), campaign())
-    derived, problem = derive(model.assembly).derivation, model.problem
+    model = bind(spec(*EFFECTS), campaign())
+    derived, problem = derived_quantities(model.assembly).derivation, model.problem
     points = np.random.default_rng(1).normal(size=(3, problem.size[0]))
 
     @jax.jit
@@ -22,9 +22,9 @@ def test_slopes_and_batches_are_those_of_one_quantity_at_a_time():
         return derived(values_of(problem, z)), jax.jacfwd(lambda one: derived(values_of(problem, one)))(z)
 
     values, slopes = of_one(jnp.asarray(points[1]))
-    np.testing.assert_allclose(derive_many(derived, problem, points)[1], values, rtol=1e-13)
-    found = derived_slopes(derived, problem, points[1])
+    np.testing.assert_allclose(evaluate_derived(derived, problem, points)[1], values, rtol=1e-13)
+    found = derived_jacobian(derived, problem, points[1])
     assert np.any(found != 0)
     largest = np.maximum(np.abs(slopes).max(axis=1, keepdims=True), 1e-30)
     np.testing.assert_allclose(found / largest, slopes / largest, rtol=1e-6, atol=1e-7)
-    assert derive_many(derived, problem, np.zeros((0, points.shape[1]))).shape == (0, len(values))
+    assert evaluate_derived(derived, problem, np.zeros((0, points.shape[1]))).shape == (0, len(values))

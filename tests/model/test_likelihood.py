@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from imubayes.inference.posterior_precision import knowledge, linearise
-from imubayes.model.bind import Model, declare
+from imubayes.model.bind import Model, bind
 from imubayes.model.likelihood import entry_log_likelihood, log_density, residuals
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import predict, predict_with_jacobian, prior_widths
@@ -71,11 +71,11 @@ def in_series() -> Model:
     one = replace(one, covariates={name: column[mixed] for name, column in one.covariates.items()})
     noise = ("white_noise", "run_scatter", "correlated_noise")
     runs = (base.runs[0], base.runs[3], one)
-    plain = declare(spec("gyro_bias", "accel_bias", noise=noise), replace(base, runs=runs))
+    plain = bind(spec("gyro_bias", "accel_bias", noise=noise), replace(base, runs=runs))
     among = simulated(plain, np.asarray(point(plain, 1)[0]), 2)
     observed = among.runs[1].observed.copy()
     observed[2:4, 1], observed[5, 4] = np.nan, np.nan
-    return declare(
+    return bind(
         plain.spec, replace(among, runs=(among.runs[0], replace(among.runs[1], observed=observed), among.runs[2]))
     )
 
@@ -125,9 +125,9 @@ def test_each_of_correlated_entries_has_its_conditional_density():
 def test_simulated_rows_are_correlated_as_the_likelihood_assumes():
     found = []
     for noise in (("white_noise",), ("white_noise", "correlated_noise")):
-        model = declare(spec("gyro_bias", noise=noise), in_series().campaign)
+        model = bind(spec("gyro_bias", noise=noise), in_series().campaign)
         made = simulate(model, 4)
-        again = declare(model.spec, made.campaign)
+        again = bind(model.spec, made.campaign)
         misfit = again.problem.observations.value - predict(again.problem, jnp.asarray(made.z))
         found.append(whiten(again.problem, whitener(again.problem, jnp.asarray(made.h)), misfit))
     np.testing.assert_allclose(found[1], found[0], rtol=1e-6, atol=1e-7)
@@ -159,7 +159,7 @@ def measured() -> Model:
     among = simulated(plain, np.asarray(point(plain, 1)[0]), 2)
     observed = among.runs[0].observed.copy()
     observed[2, 1] = np.nan
-    return declare(plain.spec, replace(among, runs=(replace(among.runs[0], observed=observed), *among.runs[1:])))
+    return bind(plain.spec, replace(among, runs=(replace(among.runs[0], observed=observed), *among.runs[1:])))
 
 
 def test_the_sparse_derivative_is_the_dense_one():
@@ -173,7 +173,7 @@ def test_the_sparse_derivative_is_the_dense_one():
 
 
 def test_the_sparse_derivative_of_a_tumble_is_the_dense_one():
-    model = declare(spec("gyro_bias", "accel_bias", "accel_scale_factor", "accel_misalignment"), tumble_campaign())
+    model = bind(spec("gyro_bias", "accel_bias", "accel_scale_factor", "accel_misalignment"), tumble_campaign())
     z, _ = point(model, 3)
     dense = jax.jit(jax.jacfwd(lambda one: predict(model.problem, one)))(z)
     sparse = eqx.filter_jit(predict_with_jacobian)(model.problem, z)[1]
@@ -196,7 +196,7 @@ def test_the_whitener_is_a_root_of_the_inverse_covariance():
 
 @pytest.mark.parametrize("kind", ["tables", "tumble"])
 def test_the_log_density_is_that_of_scipy(kind):
-    model = measured() if kind == "tables" else declare(spec("gyro_bias"), tumble_campaign())
+    model = measured() if kind == "tables" else bind(spec("gyro_bias"), tumble_campaign())
     z, h = point(model, 6)
     misfit = np.asarray(model.problem.observations.value - predict(model.problem, z))
     data = stats.multivariate_normal(np.zeros(len(misfit)), covariance(model, np.asarray(h))).logpdf(misfit)
@@ -205,7 +205,7 @@ def test_the_log_density_is_that_of_scipy(kind):
 
 
 def test_a_learnt_spread_is_the_width_of_its_parameters():
-    model = declare(spec("gyro_run_bias"), campaign())
+    model = bind(spec("gyro_run_bias"), campaign())
     z, h = point(model, 7)
     spreads = dict(zip(model.hyper_layout.names, model.problem.hyper_priors.values(h), strict=True))
     parameters = model.layout.parameters

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imubayes.effects.memory import Decay, Play, inclusive_scan
-from imubayes.model.bind import Model, declare
+from imubayes.model.bind import Model, bind
 from imubayes.model.problem import predict
 from imubayes.procedures.base import rate_of_change
 from small_campaign import DEGREE, GYRO_SCALE, spec, tumble_campaign, wide_campaign
@@ -18,7 +18,7 @@ HOUR_DEGREE = DEGREE / 3600
 
 @cache
 def model(name: str) -> Model:
-    return declare(spec(name), wide_campaign())
+    return bind(spec(name), wide_campaign())
 
 
 def change(name: str, run: str, channel: str, one: Model | None = None, **values: float) -> np.ndarray:
@@ -76,14 +76,14 @@ def test_memory_does_not_hang_on_the_order_of_rows():
     place = [run.name for run in among.runs].index("cycle-fast")
     run, mixed = among.runs[place], np.random.default_rng(1).permutation(16)
     other = replace(run, covariates={name: values[mixed] for name, values in run.covariates.items()})
-    shuffled = declare(spec("gyro_thermal_lag"), replace(among, runs=(*among.runs[:place], other)))
+    shuffled = bind(spec("gyro_thermal_lag"), replace(among, runs=(*among.runs[:place], other)))
     found = change("", "cycle-fast", "gy", shuffled, coefficient=3.0, tau=12.0)
     plain = change("gyro_thermal_lag", "cycle-fast", "gy", coefficient=3.0, tau=12.0)
     np.testing.assert_allclose(found, plain[mixed], atol=1e-9)
 
 
 def test_a_run_does_not_remember_the_one_before():
-    alone = declare(spec("gyro_thermal_lag"), wide_campaign().only("cycle-slow"))
+    alone = bind(spec("gyro_thermal_lag"), wide_campaign().only("cycle-slow"))
     found = change("", "cycle-slow", "gy", alone, coefficient=3.0, tau=12.0)
     np.testing.assert_allclose(
         found, change("gyro_thermal_lag", "cycle-slow", "gy", coefficient=3.0, tau=12.0), atol=1e-9
@@ -94,7 +94,7 @@ def test_a_tumble_carries_the_memory_of_its_poses():
     among = tumble_campaign()
     (run,) = among.runs
     warmed = replace(run, covariates=dict(run.covariates) | {"temperature": np.array([20.0, 30, 41, 38, 50])})
-    one = declare(spec("gyro_thermal_lag"), replace(among, runs=(warmed,)))
+    one = bind(spec("gyro_thermal_lag"), replace(among, runs=(warmed,)))
     at = {"coefficient": 100.0, "tau": 1.0}
     z = jnp.asarray(one.layout.z_of(np.array([at.get(p.field, 0.0) for p in one.layout.parameters])))
     closing = np.asarray(one.entries.closing)

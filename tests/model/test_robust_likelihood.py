@@ -12,12 +12,12 @@ from scipy import stats
 from imubayes.errors import InputError
 from imubayes.inference.posterior_mode import Mode, find_mode
 from imubayes.inference.posterior_precision import knowledge, linearise, log_marginal
-from imubayes.model import robust_likelihood as tails
-from imubayes.model.bind import Model, declare
+from imubayes.model.bind import Model, bind
 from imubayes.model.likelihood import entry_log_likelihood, log_density, residuals
 from imubayes.model.model_spec import EffectSpec
-from imubayes.model.noise_covariance import noise_law, whiten, whitener
+from imubayes.model.noise_covariance import noise_distribution, whiten, whitener
 from imubayes.model.problem import predict
+from imubayes.model.robust_likelihood import pseudo_values, run_offsets, with_normal_noise
 from imubayes.simulation.simulate import simulate
 from small_campaign import campaign, simulated, spec
 
@@ -30,7 +30,7 @@ WITH_OFFSETS = ("white_noise", "run_scatter", "outliers")
 @cache
 def spoilt(noise: tuple[str, ...] = ("white_noise", "outliers")) -> Model:
     """Return a model of readings of which every tenth is 15 noises off."""
-    model = declare(spec(*EFFECTS, noise=("white_noise",)), campaign())
+    model = bind(spec(*EFFECTS, noise=("white_noise",)), campaign())
     among = simulated(model, 0.3 * np.random.default_rng(1).normal(size=model.problem.size[0]), 2)
     rng = np.random.default_rng(3)
     noises = np.array([channel.noise for channel in among.channels]) / 10
@@ -40,7 +40,7 @@ def spoilt(noise: tuple[str, ...] = ("white_noise", "outliers")) -> Model:
         return observed + hit * 15 * noises * rng.choice([-1, 1], size=observed.shape)
 
     runs = tuple(replace(run, observed=spoil(run.observed)) for run in among.runs)
-    return declare(spec(*EFFECTS, noise=noise), replace(among, runs=runs))
+    return bind(spec(*EFFECTS, noise=noise), replace(among, runs=runs))
 
 
 @cache
@@ -52,7 +52,7 @@ def fitted() -> Mode:
 
 @cache
 def fitted_by_a_normal_law() -> Mode:
-    return find_mode(tails.without_tails(spoilt(WITH_OFFSETS).problem), fitted().z, fitted().h)
+    return find_mode(with_normal_noise(spoilt(WITH_OFFSETS).problem), fitted().z, fitted().h)
 
 
 def point(model: Model, seed: int) -> tuple[jax.Array, jax.Array]:
@@ -132,10 +132,10 @@ def test_what_is_whitened_scatters_by_one_under_its_own_law():
     squares = []
     for seed in range(6):
         made = simulate(plain, seed)
-        model = declare(plain.spec, made.campaign)
+        model = bind(plain.spec, made.campaign)
         misfit = model.problem.observations.value - predict(model.problem, jnp.asarray(made.z))
         h = jnp.asarray(made.h)
-        pseudo = tails.pseudo_values(model.problem, h, misfit)
+        pseudo = pseudo_values(model.problem, h, misfit)
         squares.append(np.asarray(whiten(model.problem, whitener(model.problem, h), pseudo)) ** 2)
     assert np.mean(squares) == pytest.approx(1.0, abs=0.06)
 
@@ -144,7 +144,7 @@ def test_many_degrees_of_freedom_are_a_normal_law():
     model, plain = spoilt(WITH_OFFSETS), spoilt(("white_noise", "run_scatter"))
     at = fitted_by_a_normal_law()
     z, h = at.z, at.h[:-6]
-    normal = tails.without_tails(model.problem)
+    normal = with_normal_noise(model.problem)
     whole = jnp.concatenate([h, jnp.zeros(6)])
     constant = stats.norm.logpdf(np.zeros(6)).sum()
     expected = float(log_density(plain.problem, z, h))
@@ -168,21 +168,19 @@ def test_readings_that_are_far_off_pull_on_nothing():
     sd = deviations(model.problem, heavy)
     assert np.sqrt(np.mean(((np.asarray(heavy.z) - truth) / sd) ** 2)) < 1.4
     # The normal law takes them for noise, and knows far less for it.
-    assert np.median(deviations(tails.without_tails(model.problem), normal) / sd) > 1.8
+    assert np.median(deviations(with_normal_noise(model.problem), normal) / sd) > 1.8
 
 
 def test_an_offset_is_not_dragged_along_by_one_reading():
     model = spoilt(WITH_OFFSETS)
     _, h = point(model, 5)
-    law = noise_law(model.problem, h)
+    law = noise_distribution(model.problem, h)
     misfit = np.zeros(len(model.entries))
     offsets = []
     for far in (0.0, 30.0, 3000.0):
-        misfit[0] = far * float(jnp.sqrt(law.own[0]))
-        offsets.append(
-            float(tails.run_offsets(model.problem, law, jnp.asarray(misfit))[model.problem.observations.group[0]])
-        )
-    scale = float(jnp.sqrt(law.own[0]))
+        misfit[0] = far * float(jnp.sqrt(law.squared_scale[0]))
+        offsets.append(float(run_offsets(model.problem, law, jnp.asarray(misfit))[model.problem.observations.group[0]]))
+    scale = float(jnp.sqrt(law.squared_scale[0]))
     assert offsets[0] == pytest.approx(0.0, abs=1e-12)
     assert abs(offsets[1]) < 0.3 * scale
     assert abs(offsets[2]) < abs(offsets[1])
@@ -190,7 +188,7 @@ def test_an_offset_is_not_dragged_along_by_one_reading():
 
 def test_it_does_not_stand_beside_correlated_noise():
     with pytest.raises(InputError, match=r"outliers.*correlated_noise"):
-        declare(spec("gyro_bias", noise=("white_noise", "correlated_noise", "outliers")), campaign())
+        bind(spec("gyro_bias", noise=("white_noise", "correlated_noise", "outliers")), campaign())
     one = spec("gyro_bias", noise=("white_noise",))
     apart = (EffectSpec("correlated_noise", ("gx",)), EffectSpec("outliers", ("gy", "gz")))
-    declare(replace(one, effects=(*one.effects, *apart)), campaign())
+    bind(replace(one, effects=(*one.effects, *apart)), campaign())

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from imubayes.model.bind import Model, declare
+from imubayes.model.bind import Model, bind
 from imubayes.model.problem import predict
 from small_campaign import ACCEL_SCALE, ARCSEC, DEGREE, GRAVITY, GYRO_SCALE, LATITUDE, campaign, spec
 
@@ -18,7 +18,7 @@ OFFSET = {"gx": 0.0, "gy": 3.0, "gz": 6.0, "ax": 0.0, "ay": 0.0, "az": 0.0}
 
 @cache
 def model(*names: str) -> Model:
-    return declare(spec(*names), campaign())
+    return bind(spec(*names), campaign())
 
 
 def outputs(names: tuple[str, ...], run: str, channel: str, **values: float) -> np.ndarray:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from imubayes.errors import InputError
-from imubayes.model.bind import declare
+from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
 from small_campaign import campaign
@@ -39,7 +39,7 @@ def model_of(*names: str, files: tuple = ()) -> ModelSpec:
 def test_it_takes_part_like_any_other(tmp_path):
     file = tmp_path / "house.py"
     file.write_text(SOURCE, encoding="utf-8")
-    model = declare(model_of("house_asymmetry", files=(file,)), campaign())
+    model = bind(model_of("house_asymmetry", files=(file,)), campaign())
     assert model.layout.names == tuple(f"house_asymmetry.asymmetry[g{axis}]" for axis in "xyz")
     rest, at = (predict(model.problem, jnp.asarray(z)) for z in ([0.0, 0, 0], [0.0, 0, 1]))
     change = np.asarray(at - rest)
@@ -65,7 +65,7 @@ def test_a_file_that_cannot_be_used_is_refused(tmp_path, text, what):
     if text is not None:
         file.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        declare(model_of("gyro_bias", files=(file,)), campaign())
+        bind(model_of("gyro_bias", files=(file,)), campaign())
     (problem,) = caught.value.issues
     assert what in problem.what
     assert str(file) in problem.where
@@ -74,7 +74,7 @@ def test_a_file_that_cannot_be_used_is_refused(tmp_path, text, what):
 
 def test_a_name_without_its_file_is_unknown():
     with pytest.raises(InputError, match="no effect 'house_asymmetry'"):
-        declare(model_of("house_asymmetry"), campaign())
+        bind(model_of("house_asymmetry"), campaign())
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_a_class_that_fails_is_named_before_anything_is_fitted(tmp_path, returne
     file = tmp_path / "house.py"
     file.write_text(SOURCE.replace("signal + self.asymmetry * jnp.abs(sample.rate[0])", returned), encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        declare(model_of("gyro_bias", "house_asymmetry", files=(file,)), campaign())
+        bind(model_of("gyro_bias", "house_asymmetry", files=(file,)), campaign())
     (problem,) = caught.value.issues
     assert what in problem.what
     assert str(file) in problem.where
@@ -105,4 +105,4 @@ def test_a_class_that_fails_is_named_before_anything_is_fitted(tmp_path, returne
 def test_a_file_that_leaves_is_refused(tmp_path):
     (tmp_path / "house.py").write_text("raise SystemExit(3)")
     with pytest.raises(InputError, match="SystemExit"):
-        declare(model_of("gyro_bias", files=(tmp_path / "house.py",)), campaign())
+        bind(model_of("gyro_bias", files=(tmp_path / "house.py",)), campaign())

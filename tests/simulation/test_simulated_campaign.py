@@ -14,7 +14,7 @@ from imubayes.campaign import load_campaign
 from imubayes.errors import InputError
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
-from imubayes.model.bind import declare
+from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.simulation.planned_campaign import read_plan
 from imubayes.simulation.simulate import simulate
@@ -146,7 +146,7 @@ def test_what_is_simulated_is_loaded_and_recovered(plan: Path):
     folder = simulate_plan(plan, plan.parent / "out")
     campaign = load_campaign(folder)
     truth = tomllib.loads((folder / "truth.toml").read_text())
-    model = declare(read_model(plan.parent / "model.toml"), campaign)
+    model = bind(read_model(plan.parent / "model.toml"), campaign)
     mode = find_mode(model.problem, jnp.zeros(len(model.layout)), jnp.zeros(len(model.hyper_layout)))
     assert bool(mode.converged)
     true_z = model.layout.z_of([truth["parameters"][name] for name in model.layout.names])
@@ -162,7 +162,7 @@ def test_what_is_simulated_is_loaded_and_recovered(plan: Path):
 def test_outputs_are_written_with_all_digits(plan: Path):
     folder = simulate_plan(plan, plan.parent / "out")
     planned = read_plan(plan)
-    done = simulate(declare(read_model(planned.model), planned.campaign), 5, planned.file.truth)
+    done = simulate(bind(read_model(planned.model), planned.campaign), 5, planned.file.truth)
     for simulated, loaded in zip(done.campaign.runs, load_campaign(folder).runs, strict=True):
         np.testing.assert_array_equal(simulated.observed, loaded.observed)
         for name, values in loaded.covariates.items():
@@ -192,7 +192,7 @@ def test_noise_is_what_the_likelihood_assumes(plan: Path, edit):
     edit("positions = 8", "positions = 4000")
     edit('scale[gx]" = 250.0', 'scale[gx]" = 0.0\n"white_noise.sigma[ax]" = 2.0\n"run_scatter.tau[ax]" = 50.0')
     planned = read_plan(plan)
-    model = declare(read_model(planned.model), planned.campaign)
+    model = bind(read_model(planned.model), planned.campaign)
     done = simulate(model, 1, planned.file.truth)
     place = [run.name for run in planned.campaign.runs].index("standing")
     # About a vertical axis an accelerometer along it reads the same at every angle.
@@ -271,7 +271,7 @@ def test_an_occupied_folder_is_left_alone(plan: Path):
 
 def test_the_shipped_plan_is_sound():
     plan = read_plan(ROOT / "data/plans/trihedral-example.toml")
-    assert declare(read_model(plan.model), plan.campaign).layout.names
+    assert bind(read_model(plan.model), plan.campaign).layout.names
 
 
 def test_reading_campaigns_needs_no_jax():

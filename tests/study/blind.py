@@ -87,11 +87,11 @@ def draw_and_judge(kind: str, seed: int, folder: Path | None = None) -> Line:
 def mode_of(campaign: Path, model: Path) -> Any:
     """Return the fit alone, without what else is reported of one: that is compiled anew for many plans."""
     from imubayes.campaign import load_campaign
-    from imubayes.model.bind import declare
+    from imubayes.model.bind import bind
     from imubayes.model.model_file import read_model
     from imubayes.procedures import PROCEDURES
 
-    declared = declare(read_model(model), load_campaign(campaign, tuple(PROCEDURES)))
+    declared = bind(read_model(model), load_campaign(campaign, tuple(PROCEDURES)))
     return mode_from(declared, *(np.zeros(size) for size in declared.problem.size))
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from imubayes.campaign import load_campaign
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.joint_fit import joint_fit
-from imubayes.model.bind import declare
+from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.procedures import PROCEDURES
 
@@ -84,7 +84,7 @@ def scores(procedure: str, replicates: int = REPLICATES, first_seed: int = 1) ->
             truth = tomllib.loads((Path(folder) / name / "truth.toml").read_text())
             campaign = load_campaign(Path(folder) / name, tuple(PROCEDURES))
         own = [run.name for run in campaign.runs if run.procedure in procedure.split(", ")]
-        model = declare(spec, campaign.only(*own))
+        model = bind(spec, campaign.only(*own))
         fit = joint_fit(model, Settings(seed=seed) if procedure in SAMPLED else None)
         if not fit.converged:
             failed += 1

@@ -28,10 +28,10 @@ def check(campaign: Path, *, model: Path | None = None, as_json: Json = False) -
         from imubayes.cli.session import start_jax
 
         start_jax()
-        from imubayes.model.bind import declare
+        from imubayes.model.bind import bind
         from imubayes.model.model_file import read_model
 
-        declared = declare(read_model(model), inspection.campaign)
+        declared = bind(read_model(model), inspection.campaign)
     if as_json:
         print_json(inspection_json(inspection, declared))
     else:

@@ -16,9 +16,9 @@ from imubayes.effects.base import Effect, MotionEffect
 from imubayes.gather import on_device
 from imubayes.inference.fitted import Fitted
 from imubayes.model.assembly import assemble
-from imubayes.model.bind import problem_of
-from imubayes.model.bound_effects import BoundEffect, NoChannelError, NotShownError, act
-from imubayes.model.effect_registry import Member, Registry
+from imubayes.model.bind import build_problem
+from imubayes.model.bound_effects import BoundEffect, NoChannelError, NotObservableError, bind_effect
+from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.model_spec import EffectSpec
 from imubayes.model.problem import Problem, predict_from
 from imubayes.parameters.parameter import declared_parameters
@@ -88,7 +88,7 @@ class Responses:
 class _Extended:
     problem: Problem
     known: int
-    acting: tuple[BoundEffect, ...]
+    effects: tuple[BoundEffect, ...]
     parameters: tuple[Parameter, ...]
     places: dict[str, int]
 
@@ -97,7 +97,7 @@ def candidate_responses(fitted: Fitted, only: Sequence[str] = ()) -> Responses:
     """Return the fit linearised in its own parameters and in those of every candidate, or of the named ones only."""
     acting, unobservable = _candidates(fitted)
     if only:
-        acting = tuple(one for one in acting if one.member.name in only)
+        acting = tuple(one for one in acting if one.name in only)
     extended = _extend(fitted, acting)
     z = np.concatenate([fitted.z, np.zeros(len(extended.parameters) - extended.known)])
     slopes = np.asarray(_slopes(extended.problem, jnp.asarray(z)))
@@ -117,13 +117,13 @@ def candidate_responses(fitted: Fitted, only: Sequence[str] = ()) -> Responses:
 
 def searchable(registry: Registry) -> Iterator[type[Effect]]:
     """Return the effects that can be missing: causes, not what stands for unknowns of the runs themselves."""
-    for member in registry.members.values():
+    for member in registry.effects.values():
         learns_spread = any(one.spread for one in declared_parameters(member).values())
         if issubclass(member, Effect) and not member.nuisance and not learns_spread:
             yield member
 
 
-def fitting_channels(member: Member, campaign: Campaign) -> list[str]:
+def fitting_channels(member: EffectClass, campaign: Campaign) -> list[str]:
     """Return the names of the channels that a member can act on."""
     return [channel.name for channel in campaign.channels if channel.kind in member.kinds]
 
@@ -138,19 +138,19 @@ def _candidates(fitted: Fitted) -> tuple[tuple[BoundEffect, ...], dict[str, tupl
         if spec is None:
             continue
         try:
-            one = act(spec, model.assembly.belonging, model.registry)
+            one = bind_effect(spec, model.assembly.grouping, model.registry)
             # Without a label, a table where there is none, there is nothing to find.
             acting.extend([one] if one.parameters else [])
         except NoChannelError:
             continue
-        except NotShownError:
+        except NotObservableError:
             unobservable[member.name] = member.needs
     return tuple(acting), unobservable
 
 
 def _spec(member: type[Effect], fitted: Fitted) -> EffectSpec | None:
     """Return the candidate for what the model does not have yet; None where it has all of it."""
-    rivals = [one for one in fitted.model.assembly.acting if _rival(one.member, member)]
+    rivals = [one for one in fitted.model.assembly.effects if _rival(one.effect_class, member)]
     spec = EffectSpec(member.name, where=f"candidate {member.name}")
     if not rivals:
         return spec
@@ -161,16 +161,16 @@ def _spec(member: type[Effect], fitted: Fitted) -> EffectSpec | None:
     return replace(spec, channels=free) if free else None
 
 
-def _rival(one: Member, other: Member) -> bool:
+def _rival(one: EffectClass, other: EffectClass) -> bool:
     return one.name == other.name or one.name in other.excludes or other.name in one.excludes
 
 
 def _extend(fitted: Fitted, acting: tuple[BoundEffect, ...]) -> _Extended:
     assembly = fitted.model.assembly
-    extended = assemble(assembly.acting + acting, assembly.belonging)
+    extended = assemble(assembly.effects + acting, assembly.grouping)
     parameters = extended.layout.parameters
     places = {parameter.name: place for place, parameter in enumerate(parameters)}
-    return _Extended(on_device(problem_of(extended)), len(assembly.layout), acting, parameters, places)
+    return _Extended(on_device(build_problem(extended)), len(assembly.layout), acting, parameters, places)
 
 
 def _grid(one: BoundEffect) -> list[dict[str, float]]:
@@ -184,7 +184,7 @@ def _linearised(extended: _Extended, own: np.ndarray, scan_place: int) -> tuple[
     """Return prediction (E,) and its derivative by all parameters in SI (E, P + C), candidates at their nulls."""
     values = np.concatenate([own, np.zeros(len(extended.parameters) - extended.known)])
     place = extended.known
-    for one in extended.acting:
+    for one in extended.effects:
         grid = _grid(one)
         shape = grid[min(scan_place, len(grid) - 1)] if grid else {}
         for parameter in one.parameters:
@@ -218,4 +218,4 @@ def _response(one: BoundEffect, extended: _Extended, jacobian: np.ndarray, scan_
         Coefficient(parameter, ",".join(parameter.label), one.declared[parameter.field].typical) for parameter in linear
     )
     factors = np.array([parameter.factor for parameter in linear])
-    return Response(ShapeScan(one.member.name, shape), coefficients, jacobian[:, places] * factors)
+    return Response(ShapeScan(one.name, shape), coefficients, jacobian[:, places] * factors)

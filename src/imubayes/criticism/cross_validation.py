@@ -20,8 +20,8 @@ from imubayes.inference.posterior_mode import find_mode, fit_at, mode_near
 from imubayes.inference.posterior_precision import Linearised, linearise
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import residuals
-from imubayes.model.problem import without
-from imubayes.model.robust_likelihood import has_tails
+from imubayes.model.problem import masked
+from imubayes.model.robust_likelihood import has_heavy_tails
 from imubayes.parameters.vector import Layout
 
 _residuals = eqx.filter_jit(residuals)
@@ -142,12 +142,14 @@ def predict_left_out(fitted: Fitted, about: Linearised, left_out: np.ndarray) ->
     left_out : shape (E,), True for the entries to predict.
     """
     problem = fitted.model.problem
-    rest, h = without(problem, left_out), jnp.asarray(fitted.h)
+    rest, h = masked(problem, left_out), jnp.asarray(fitted.h)
     mode = mode_near(rest, about, h)
     if not bool(mode.converged):
         mode = find_mode(rest, jnp.asarray(fitted.z), h)
     # Under a normal law the density of all may be taken about the fit to the rest; a heavy tail is no parabola.
-    whole = linearise(problem, fit_at(problem, jnp.asarray(fitted.z), mode.h)) if has_tails(problem) else mode.about
+    whole = (
+        linearise(problem, fit_at(problem, jnp.asarray(fitted.z), mode.h)) if has_heavy_tails(problem) else mode.about
+    )
     density = float(slope(problem, whole, mode.h).value - slope(rest, mode.about, mode.h).value)
     return LeftOut(density, np.asarray(mode.about.misfit)[left_out])
 

@@ -166,7 +166,7 @@ def _unexplained(found: SearchResult) -> list[tuple[Structure, float]]:
     once = [(one, p) for one, p in once if one.score.delta_chi2 > thresholds.STEP_DOMINATES * leader.delta_chi2]
     if larger or once:
         return larger or once
-    member = found.first.projection.fitted.model.registry.members[leader.effect]
+    member = found.first.projection.fitted.model.registry.effects[leader.effect]
     if issubclass(member, Effect) and member.order >= Order.LIMIT:
         return []  # it bends the signal at its own size: looked at linearly it always leaves something
     several = False

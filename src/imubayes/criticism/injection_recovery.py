@@ -21,7 +21,7 @@ from imubayes.criticism.warm_start import extended, whitened
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.posterior_mode import find_mode, message
-from imubayes.model.bind import Model, declare
+from imubayes.model.bind import Model, bind
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict
 from imubayes.parameters.parameter import Declared
@@ -210,7 +210,7 @@ def plant_effects(
 
 def refitted(fitted: Fitted, campaign: Campaign) -> Fitted:
     """Return the model fitted to other outputs of the same campaign, from where it stood."""
-    model = declare(fitted.model.spec, campaign, fitted.model.registry.without_files())
+    model = bind(fitted.model.spec, campaign, fitted.model.registry.without_files())
     mode = find_mode(model.problem, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
     return Fitted(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged), message(mode))
 
@@ -220,7 +220,7 @@ def _seed(seed: int, name: str) -> int:
 
 
 def _lacking(fitted: Fitted) -> Iterator[str]:
-    there = {one.member.name for one in fitted.model.assembly.acting}
+    there = {one.name for one in fitted.model.assembly.effects}
     for member in searchable(fitted.model.registry):
         if member.name not in there:
             yield member.name
@@ -255,7 +255,7 @@ def _trial(fitted: Fitted, clear: _Clear, name: str, size: Size, seed: int, scre
     old = fitted.model
     spec = extended(old.spec, [name], None, old.campaign, old.registry.without_files())
     try:
-        model = declare(spec, old.campaign, old.registry.without_files())
+        model = bind(spec, old.campaign, old.registry.without_files())
     except InputError as error:
         if asked:
             raise
@@ -307,7 +307,7 @@ def _scaled(strength: Callable[[float], float], target: float) -> float | None:
 
 def _direction(model: Model, old: Model, name: str, seed: int) -> tuple[dict[int, float], dict[int, float]]:
     """Return shape parameters (place → value in its unit) and coefficients (place → largest typical size, signed)."""
-    declared = next(one.declared for one in model.assembly.acting if one.member.name == name)
+    declared = next(one.declared for one in model.assembly.effects if one.name == name)
     known, shape, unit = set(old.layout.names), {}, {}
     for place, parameter in enumerate(model.layout.parameters):
         if parameter.effect != name or parameter.name in known:
@@ -323,7 +323,7 @@ def _direction(model: Model, old: Model, name: str, seed: int) -> tuple[dict[int
 
 def _carried(model: Model, fitted: Fitted, shape: dict[int, float]) -> np.ndarray:
     """Return the fit in the layout of the larger model, what is new at its null or shape."""
-    declared = {one.member.name: one.declared for one in model.assembly.acting}
+    declared = {one.name: one.declared for one in model.assembly.effects}
     new = np.zeros(len(model.layout))
     for place, one in enumerate(model.layout.parameters):
         null = declared[one.effect][one.field].null / one.factor

@@ -125,7 +125,7 @@ def _groups(projection: Projection, names: tuple[str, ...], effect: str) -> np.n
     index = [place for place, channel in enumerate(model.campaign.channels) if channel.name in names]
     first = projection.turn.members[:, 0]
     chosen = np.isin(model.entries.channel[first], index) & (projection.turn.sizes > 2)
-    present = {one.member.name for one in model.assembly.acting if set(one.channels) & set(names)}
+    present = {one.name for one in model.assembly.effects if set(one.channels) & set(names)}
     allowed = present.isdisjoint(Outliers.excludes) if effect == OUTLIERS else True
     if effect in present or not allowed or (effect == "run_scatter" and {"gyro_run_bias", "accel_run_bias"} & present):
         return np.zeros_like(chosen)

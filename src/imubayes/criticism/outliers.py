@@ -13,7 +13,7 @@ from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import deviations
 from imubayes.model.bind import Model
-from imubayes.model.noise_covariance import noise_law
+from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import Problem
 
 
@@ -52,7 +52,7 @@ def deletion_residuals(problem: Problem, mode: Mode) -> tuple[np.ndarray, np.nda
         np.add.at(mean, group, seen[:, None] * values)
         return values - (mean / count[:, None])[group]
 
-    own, jacobian = np.asarray(noise_law(problem, mode.h).own), apart(np.asarray(about.jacobian))
+    own, jacobian = np.asarray(noise_distribution(problem, mode.h).squared_scale), apart(np.asarray(about.jacobian))
     misfit = apart(np.asarray(about.misfit)[:, None])[:, 0]
     variance = own * (1 + 1 / count[group]) + deviations(jacobian, np.asarray(known)) ** 2
     return misfit / np.sqrt(own), misfit / np.sqrt(variance)

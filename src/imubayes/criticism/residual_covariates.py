@@ -99,7 +99,7 @@ def _derived(fitted: Fitted) -> Callable[[Covariate], np.ndarray]:
 
     def values(covariate: Covariate) -> np.ndarray:
         per_row = np.full(first_row[-1], np.nan)
-        per_row[node_row] = getattr(fitted.model.problem.instants.ambient, covariate.name)
+        per_row[node_row] = getattr(fitted.model.problem.nodes.ambient, covariate.name)
         known = np.array([covariate.name in supplied for supplied in nodes.supplies])[entries.run] & ~entries.closing
         return np.where(known, per_row[row_of_entry], np.nan)
 

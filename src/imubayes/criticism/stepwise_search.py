@@ -19,7 +19,7 @@ from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
 from imubayes.criticism.score_test import Candidate, ProjectedResponse, prepare, screen
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.posterior_mode import find_mode
-from imubayes.model.problem import without
+from imubayes.model.problem import masked
 
 # Noise that passes for effects where the model lacks it.
 _CONFOUNDED_NOISE = ("correlated_noise", "run_scatter")
@@ -184,7 +184,7 @@ def _without(fitted: Fitted, far: np.ndarray, rounds: int) -> tuple[Fitted, np.n
     z, h, rest = jnp.asarray(fitted.z), jnp.asarray(fitted.h), fitted
     apart = np.zeros(len(far))
     for _ in range(rounds):
-        problem = without(fitted.model.problem, far)
+        problem = masked(fitted.model.problem, far)
         mode = find_mode(problem, z, h)
         if not bool(mode.converged):
             break

@@ -17,9 +17,9 @@ from imubayes.criticism.candidate_effects import fitting_channels
 from imubayes.effects.base import MotionEffect
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.posterior_precision import Linearised, linearise
-from imubayes.model.bind import Model, declare
-from imubayes.model.dry_run import try_out
-from imubayes.model.effect_registry import Member, Registry
+from imubayes.model.bind import Model, bind
+from imubayes.model.dry_run import dry_run
+from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, prior_widths
@@ -99,7 +99,7 @@ def extended(
 
 
 def _channels(
-    spec: ModelSpec, member: Member, channels: Sequence[str] | None, campaign: Campaign
+    spec: ModelSpec, member: EffectClass, channels: Sequence[str] | None, campaign: Campaign
 ) -> tuple[str, ...] | None:
     if issubclass(member, MotionEffect) or "closure" in member.kinds:
         return None
@@ -154,8 +154,8 @@ def extend(
 def _extension(
     before: Fitted, spec: ModelSpec, registry: Registry, shape: Mapping[str, float], hints: Mapping[str, float]
 ) -> Extension:
-    old, model = before.model, declare(spec, before.model.campaign, registry)
-    try_out(model.problem, model.assembly.acting, spec.files)
+    old, model = before.model, bind(spec, before.model.campaign, registry)
+    dry_run(model.problem, model.assembly.effects, spec.files)
     null, new = model.layout.carried(old.layout, before.z, _nulls(model)), _new(old.layout, model.layout)
     h = model.hyper_layout.carried(old.hyper_layout, before.h)
     for place in np.flatnonzero(new).tolist():
@@ -207,7 +207,7 @@ def _rounded_up(value: float) -> float:
 
 
 def _declared(model: Model, parameter: Parameter) -> Declared:
-    return next(one.declared for one in model.assembly.acting if one.member.name == parameter.effect)[parameter.field]
+    return next(one.declared for one in model.assembly.effects if one.name == parameter.effect)[parameter.field]
 
 
 def _given(parameter: Parameter, values: Mapping[str, float]) -> float | None:

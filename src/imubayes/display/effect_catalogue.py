@@ -8,8 +8,8 @@ from rich.table import Table as Grid
 
 from imubayes.covariates import COVARIATES
 from imubayes.effects.base import Effect, MotionEffect
-from imubayes.model.effect_registry import Member, Registry
-from imubayes.model.observability import observable
+from imubayes.model.effect_registry import EffectClass, Registry
+from imubayes.model.observability import observability
 from imubayes.parameters.parameter import declared_options, declared_parameters
 from imubayes.run import Campaign
 
@@ -17,7 +17,7 @@ from imubayes.run import Campaign
 def print_catalogue() -> None:
     """Print every effect and noise member with what it needs and what its parameters are."""
     grid = Grid(Column("effect", no_wrap=True), "acts on", "needs", "parameters", box=None)
-    for member in Registry().members.values():
+    for member in Registry().effects.values():
         by_unit: dict[str, list[str]] = {}
         for name, one in declared_parameters(member).items():
             by_unit.setdefault(one.unit, []).append(name)
@@ -51,11 +51,11 @@ def _remedy(need: str) -> str:
 
 def print_observable(campaign: Campaign) -> None:
     """Print which effects a campaign could show, in how many of its runs, and what the others lack."""
-    found = observable(campaign)
+    found = observability(campaign)
     shown = [one for one in found if not one.missing]
     grid = Grid(Column("effect", no_wrap=True), "acts on", "runs", box=None)
     for one in shown:
-        grid.add_row(one.member.name, _acts_on(one.member), f"{len(one.runs)} of {len(campaign.runs)}")
+        grid.add_row(one.effect_class.name, _acts_on(one.effect_class), f"{len(one.runs)} of {len(campaign.runs)}")
     console = Console()
     console.print(f"[bold]{campaign.name}[/bold] could show {len(shown)} of {len(found)} effects:\n", highlight=False)
     console.print(grid)
@@ -67,7 +67,7 @@ def print_observable(campaign: Campaign) -> None:
     for one in found:
         if one.missing:
             needed = "; ".join(dict.fromkeys(_remedy(name) for name in one.missing))
-            by_need.setdefault(needed, []).append(one.member.name)
+            by_need.setdefault(needed, []).append(one.effect_class.name)
     for needed, names in by_need.items():
         lacking.add_row("\n".join(names), needed)
     console.print(lacking)
@@ -101,7 +101,7 @@ def print_effect(name: str) -> None:
     console.print(f"source: {member.reference}", highlight=False)
 
 
-def _acts_on(member: Member) -> str:
+def _acts_on(member: EffectClass) -> str:
     if not issubclass(member, Effect):
         return "noise"
     stage = member.stage.name.lower()

@@ -17,8 +17,8 @@ from imubayes.inference.candidate_runs import CandidateRun, candidate_runs
 from imubayes.inference.fit import Fit
 from imubayes.inference.identifiability import WeakDirection
 from imubayes.inference.posterior_precision import deviations, linearise, precision_of
-from imubayes.model.bind import Model, declare
-from imubayes.model.derived_quantities import derived_slopes
+from imubayes.model.bind import Model, bind
+from imubayes.model.derived_quantities import derived_jacobian
 from imubayes.records import Record
 
 # A further run is proposed for quantities with less than this share from the data.
@@ -47,7 +47,7 @@ def with_planned(fit: Fit, elsewhere: bool = False) -> tuple[Fit, list[Candidate
     """
     extended, candidates = candidate_runs(fit.model.campaign, elsewhere)
     campaign = replace(extended, runs=(*extended.runs, *(candidate.run for candidate in candidates)))
-    model = declare(fit.model.spec, campaign, fit.model.registry.without_files())
+    model = bind(fit.model.spec, campaign, fit.model.registry.without_files())
     z = model.layout.carried(fit.model.layout, fit.z)
     h = model.hyper_layout.carried(fit.model.hyper_layout, fit.h)
     return Fit(model, z, h, fit.converged, fit.message), candidates
@@ -78,8 +78,10 @@ def _sensor_parameters(model: Model) -> set[str]:
     """Return the names of the parameters of sensor and converter effects."""
     return {
         parameter.name
-        for effect in model.assembly.acting
-        if issubclass(effect.member, Effect) and effect.member.stage >= Stage.SENSOR and not effect.member.nuisance
+        for effect in model.assembly.effects
+        if issubclass(effect.effect_class, Effect)
+        and effect.effect_class.stage >= Stage.SENSOR
+        and not effect.effect_class.nuisance
         for parameter in effect.parameters
     }
 
@@ -130,7 +132,7 @@ def _gradients(fit: Fit, wide: Model, quantities: Sequence[str]) -> np.ndarray:
     """
     layout, problem = fit.model.layout, fit.model.problem
     names = [name.name for name in fit.derived.names]
-    of_derived = derived_slopes(fit.derived.derivation, problem, fit.z)
+    of_derived = derived_jacobian(fit.derived.derivation, problem, fit.z)
     slopes = np.asarray(_slopes(problem, jnp.asarray(fit.z))) / layout.factors()
     rows = []
     for quantity in quantities:

@@ -10,7 +10,7 @@ from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.nested_laplace import NestedLaplace
 from imubayes.inference.posterior_mode import Mode
 from imubayes.model.bind import Model
-from imubayes.model.derived_quantities import Derived, derive
+from imubayes.model.derived_quantities import DerivedQuantities, derived_quantities
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,9 @@ class Fit:
     seconds: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
-    def derived(self) -> Derived:
+    def derived(self) -> DerivedQuantities:
         """Names, units and function of the derived quantities."""
-        return derive(self.model.assembly)
+        return derived_quantities(self.model.assembly)
 
 
 def evenly_spaced(length: int, count: int) -> np.ndarray:

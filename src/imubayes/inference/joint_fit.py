@@ -19,7 +19,7 @@ from imubayes.inference.laplace_move import LaplaceProposal, LogDensity
 from imubayes.inference.nested_laplace import nested_laplace
 from imubayes.inference.posterior_mode import Mode, find_mode, fit_at, heights, message
 from imubayes.model.bind import Model
-from imubayes.model.derived_quantities import Derived, derive_many
+from imubayes.model.derived_quantities import DerivedQuantities, evaluate_derived
 from imubayes.model.problem import Problem
 
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
@@ -135,7 +135,7 @@ def _digest(*parts: bytes) -> str:
 def data_hash(model: Model) -> str:
     """Return the SHA-256 of everything measured and of the nominal stimulus."""
     problem = model.problem
-    arrays = jax.tree.leaves((problem.instants, problem.observations, problem.channels, problem.transitions))
+    arrays = jax.tree.leaves((problem.nodes, problem.observations, problem.channels, problem.transitions))
     return _digest(*(np.ascontiguousarray(array).tobytes() for array in arrays))
 
 
@@ -184,10 +184,10 @@ def _starts(
     return starts
 
 
-def _derived_draws(derived: Derived, problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _derived_draws(derived: DerivedQuantities, problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     size = problem.size[0]
     chosen = evenly_spaced(len(points), _DERIVED_DRAWS)
     prior = np.random.default_rng(0).normal(size=(_PRIOR_DRAWS, size))
     both = np.concatenate([points[chosen, :size], prior])
-    values = derive_many(derived.derivation, problem, both)
+    values = evaluate_derived(derived.derivation, problem, both)
     return values[:_DERIVED_DRAWS], values[_DERIVED_DRAWS:]

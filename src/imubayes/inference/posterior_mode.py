@@ -18,7 +18,7 @@ from imubayes.inference.posterior_precision import Linearised, knowledge, linear
 from imubayes.model.likelihood import log_normaliser, residuals_of
 from imubayes.model.noise_covariance import whiten
 from imubayes.model.problem import Problem, predict_many, prior_widths
-from imubayes.model.robust_likelihood import has_tails, straightened, without_tails
+from imubayes.model.robust_likelihood import has_heavy_tails, least_squares_form, with_normal_noise
 from imubayes.types import Array, Bool, Float, Int, Scalar
 
 # A Newton decrement of 0.01 moves no estimate by more than a hundredth of its standard deviation.
@@ -67,7 +67,7 @@ def linear_residual(problem: Problem, h: Float[Array, " H"]):
     def residual(z):
         here = jax.lax.stop_gradient(z)
         about = linearise(problem, here)
-        by, straight = straightened(problem, h, about.misfit)
+        by, straight = least_squares_form(problem, h, about.misfit)
         value = jnp.concatenate([whiten(problem, by, straight), here / widths])
         slope = jnp.concatenate([-whiten(problem, by, about.jacobian), jnp.diag(1 / widths)])
         return value + slope @ (z - here), about
@@ -135,9 +135,9 @@ def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) ->
     called.
     """
     steps, settled, about, at = 0, False, None, None
-    if has_tails(problem):
+    if has_heavy_tails(problem):
         # Far from the fit every reading would pass for an outlier, and pull on nothing.
-        z = _fit_parameters(without_tails(problem), z, h).value
+        z = _fit_parameters(with_normal_noise(problem), z, h).value
     for _ in range(_ROUNDS):
         fitted = _fit_parameters(problem, z, h)
         steps += int(fitted.steps)

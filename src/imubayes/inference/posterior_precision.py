@@ -13,7 +13,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 from imubayes.model.likelihood import log_normaliser, whitened
 from imubayes.model.noise_covariance import group_sum, whitener
 from imubayes.model.problem import Problem, predict_with_jacobian, prior_widths
-from imubayes.model.robust_likelihood import has_tails, pseudo_values
+from imubayes.model.robust_likelihood import has_heavy_tails, pseudo_values
 from imubayes.types import Array, Float, Scalar
 
 
@@ -59,7 +59,7 @@ def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Kno
     along, misfit_along = group_sum(weighted, observations), group_sum(weight * pseudo, observations)
     precision = about.jacobian.T @ weighted - along.T @ (rank_one[:, None] * along)
     gradient = weighted.T @ pseudo - along.T @ (rank_one * misfit_along)
-    if has_tails(problem):
+    if has_heavy_tails(problem):
         return Knowledge(precision, gradient, jnp.sum(whitened(problem, h, about.misfit) ** 2))
     square = jnp.sum(weight * pseudo**2) - jnp.sum(rank_one * misfit_along**2)
     return Knowledge(precision, gradient, square)

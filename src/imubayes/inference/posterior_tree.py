@@ -14,7 +14,7 @@ from imubayes.inference.fit import Fit, evenly_spaced
 from imubayes.inference.joint_fit import data_hash, model_hash
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import entry_log_likelihood
-from imubayes.model.noise_covariance import noise_law
+from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import Problem, predict_many
 from imubayes.parameters.vector import Layout
 from imubayes.simulation.simulate import heavy_tailed
@@ -28,8 +28,8 @@ def _likelihoods(problem: Problem, predicted, h):
     def one(at):
         predicted, h = at
         pieces = entry_log_likelihood(problem, problem.observations.value - predicted, h)
-        law = noise_law(problem, h)
-        own = jnp.where(problem.observations.weight > 0, law.own, 0.0)
+        law = noise_distribution(problem, h)
+        own = jnp.where(problem.observations.weight > 0, law.squared_scale, 0.0)
         tail = jnp.zeros_like(own) if law.tail is None else law.tail
         return jnp.sqrt(own), tail, pieces.entry, pieces.group
 

@@ -7,7 +7,7 @@ import numpy as np
 from imubayes.earth import earth_rate
 from imubayes.effects.base import Effect, MotionEffect, RecordEffect, Stage
 from imubayes.model.bound_effects import BoundEffect
-from imubayes.model.grouping import Belonging
+from imubayes.model.grouping import Grouping
 from imubayes.model.nodes import KINDS, NodeTable, records_of
 from imubayes.model.signal_path import Channels, EffectLayer
 from imubayes.parameters.vector import Layout
@@ -22,48 +22,48 @@ class Assembly:
 
     Attributes
     ----------
-    acting : the effects and noise members.
-    belonging : what nodes and entries belong to.
+    effects : the effects and noise members.
+    grouping : what nodes and entries belong to.
     layout, hyper_layout : the scalars.
     nulls : values at which effects do nothing, behind the parameters in the vector of values.
     channels : constants of the channels, per kind.
-    instants : all nodes.
+    nodes : all nodes.
     """
 
-    acting: tuple[BoundEffect, ...]
-    belonging: Belonging
+    effects: tuple[BoundEffect, ...]
+    grouping: Grouping
     layout: Layout
     hyper_layout: Layout
     nulls: np.ndarray
     channels: dict[str, Channels]
-    instants: Nodes
+    nodes: Nodes
 
     def effect_layers(self, one: BoundEffect, chosen: np.ndarray | None) -> list[EffectLayer]:
         """Return the layers of an effect at chosen nodes; None stands for one node that belongs to no run.
 
         What acts on stands is laid out over all stands, what has a memory over all nodes, whatever the nodes.
         """
-        member = one.member
+        member = one.effect_class
         assert issubclass(member, Effect)
         if member.stage == Stage.STAND:
-            chosen = self.belonging.nodes.stand_node
+            chosen = self.grouping.nodes.stand_node
         if issubclass(member, RecordEffect):
-            chosen = np.arange(len(self.belonging.nodes.run))
-        nodes = _nowhere(self.belonging.nodes) if chosen is None else _at(self.belonging.nodes, chosen)
-        belonging = replace(self.belonging, nodes=nodes)
+            chosen = np.arange(len(self.grouping.nodes.run))
+        nodes = _nowhere(self.grouping.nodes) if chosen is None else _at(self.grouping.nodes, chosen)
+        grouping = replace(self.grouping, nodes=nodes)
         places = {p.name: place for place, p in enumerate(self.layout.parameters)}
         kinds = ("",) if issubclass(member, MotionEffect) else tuple(kind for kind in KINDS if kind in one.kinds)
         layers = []
         for kind in kinds:
-            names = [channel.name for channel in belonging.campaign.channels if channel.kind == kind]
+            names = [channel.name for channel in grouping.campaign.channels if channel.kind == kind]
             by_field: dict[str, Array] = {
-                field: self._places(one, field, belonging, names, places) for field in one.declared
+                field: self._places(one, field, grouping, names, places) for field in one.declared
             }
             layers.append(EffectLayer(member, tuple(sorted(one.spec.options.items())), by_field, kind))
         return layers
 
     def _places(
-        self, one: BoundEffect, field: str, belonging: Belonging, names: list[str], places: dict[str, int]
+        self, one: BoundEffect, field: str, grouping: Grouping, names: list[str], places: dict[str, int]
     ) -> np.ndarray:
         """Return the places of one field's values: (1 or N, 1 or C), or (1 or N,) for effects on the motion."""
         null = len(self.layout) + int(np.searchsorted(self.nulls, one.declared[field].null))
@@ -74,23 +74,23 @@ class Assembly:
             if p.field == field and field not in one.hyper_fields
         }
         per = one.per_of(field)
-        place = belonging.node_places(per, labelled, null, names, one.gated)
+        place = grouping.node_places(per, labelled, null, names, one.gated)
         if names and "channel" not in per:
             place = np.where(np.isin(names, one.channels), place, null)
         return place if names else place[:, 0]
 
 
-def assemble(acting: tuple[BoundEffect, ...], belonging: Belonging) -> Assembly:
+def assemble(effects: tuple[BoundEffect, ...], grouping: Grouping) -> Assembly:
     """Return the assembly of effects on a campaign."""
-    campaign = belonging.campaign
+    campaign = grouping.campaign
     return Assembly(
-        acting=acting,
-        belonging=belonging,
-        layout=Layout(tuple(p for one in acting for p in one.parameters)),
-        hyper_layout=Layout(tuple(p for one in acting for p in one.hyperparameters)),
-        nulls=np.array(sorted({d.null for one in acting for d in one.declared.values()} | {0.0})),
+        effects=effects,
+        grouping=grouping,
+        layout=Layout(tuple(p for one in effects for p in one.parameters)),
+        hyper_layout=Layout(tuple(p for one in effects for p in one.hyperparameters)),
+        nulls=np.array(sorted({d.null for one in effects for d in one.declared.values()} | {0.0})),
         channels={k: _channels(campaign, k) for k in KINDS if any(c.kind == k for c in campaign.channels)},
-        instants=_instants(campaign, belonging.nodes),
+        nodes=_nodes(campaign, grouping.nodes),
     )
 
 
@@ -104,7 +104,7 @@ def _channels(campaign: Campaign, kind: str) -> Channels:
     )
 
 
-def _instants(campaign: Campaign, nodes: NodeTable) -> Nodes:
+def _nodes(campaign: Campaign, nodes: NodeTable) -> Nodes:
     stimulus, first = nodes.stimulus, nodes.stand_node
     count, still = len(first), np.zeros(len(first))
     referenced = np.any(stimulus.reference_rate[first] != 0, axis=1)

@@ -14,7 +14,7 @@ import numpy as np
 
 from imubayes.frames import compose, exponential, small_rotation
 from imubayes.gather import take
-from imubayes.model.signal_path import Channels, Layer, travel
+from imubayes.model.signal_path import Channels, Layer, propagate
 from imubayes.stimulus import Ambient, Experience, Motion, Records, SignalPath
 from imubayes.types import Array, Float
 
@@ -101,7 +101,7 @@ def _readout(transitions: Transitions, channels: dict[str, Channels], found: dic
         for kind, one in channels.items()
     }
     path = SignalPath(_no_motion(len(zero)), transitions.ambient, experience, {}, {}, records=transitions.records)
-    return travel(transitions.layers, path, values).signal
+    return propagate(transitions.layers, path, values).signal
 
 
 def _no_motion(count: int) -> Motion:

@@ -13,11 +13,11 @@ from imubayes.errors import InputError, Issue, closest_first
 from imubayes.gather import on_device
 from imubayes.model.assembly import Assembly, assemble
 from imubayes.model.attitude_closure import Transitions, nominal_inverse
-from imubayes.model.bound_effects import BoundEffect, NotShownError, act
-from imubayes.model.dry_run import try_out
-from imubayes.model.effect_registry import Member, Registry
-from imubayes.model.grouping import Belonging, colours
-from imubayes.model.jit_cache import make_room
+from imubayes.model.bound_effects import BoundEffect, NotObservableError, bind_effect
+from imubayes.model.dry_run import dry_run
+from imubayes.model.effect_registry import EffectClass, Registry
+from imubayes.model.grouping import Grouping, colour_columns
+from imubayes.model.jit_cache import clear_if_crowded
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.nodes import (
     Entries,
@@ -25,14 +25,14 @@ from imubayes.model.nodes import (
     join_entries,
     join_nodes,
     nominal_rates,
-    ranks_in_time,
-    readout_places,
-    referenced_scales,
+    output_indices,
+    reference_scales,
     servo_runs,
+    time_ranks,
 )
 from imubayes.model.problem import NoiseLayer, Observations, Problem, Sparsity
-from imubayes.model.servo_ode import servos_of
-from imubayes.model.signal_path import Convert, Emit, Layer, Project, Resolve, Spread, in_order
+from imubayes.model.servo_ode import bind_servos
+from imubayes.model.signal_path import AddOffset, Broadcast, Convert, Layer, Project, Resolve, sorted_layers
 from imubayes.noise.base import Entry, EntryNoise, Noise
 from imubayes.parameters.vector import Layout, Priors
 from imubayes.procedures import PROCEDURES
@@ -67,7 +67,7 @@ class Model:
     assembly: Assembly
 
 
-def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None) -> Model:
+def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None) -> Model:
     """Return a model declared on a campaign.
 
     Raises
@@ -80,18 +80,18 @@ def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = Non
     registry = (registry or Registry()).with_files(spec.files)
     spec = _with_implied(spec, campaign)
     nodes, entries = join_nodes(campaign), join_entries(campaign)
-    belonging = Belonging(campaign, nodes, entries)
+    belonging = Grouping(campaign, nodes, entries)
     acting: list[BoundEffect] = []
     issues: list[Issue] = []
     for one in spec.effects:
         try:
-            acting.append(act(one, belonging, registry))
-        except NotShownError as error:
+            acting.append(bind_effect(one, belonging, registry))
+        except NotObservableError as error:
             issues.extend(() if one.optional else error.issues)
         except InputError as error:
             issues.extend(error.issues)
     issues.extend(_conflicts(acting))
-    if not any(_is_everywhere(one.member) for one in acting):
+    if not any(_is_everywhere(one.effect_class) for one in acting):
         issues.append(
             Issue(
                 "the model has no noise",
@@ -111,11 +111,11 @@ def declare(spec: ModelSpec, campaign: Campaign, registry: Registry | None = Non
                 "add an [[effect]]; `imubayes effects --for CAMPAIGN` lists those that the runs could show",
             )
         )
-    make_room()  # what is compiled belongs to one structure, and each model declared may be another
+    clear_if_crowded()  # what is compiled belongs to one structure, and each model declared may be another
     assembly = assemble(tuple(acting), belonging)
-    problem = on_device(problem_of(assembly))
+    problem = on_device(build_problem(assembly))
     if first:  # what is declared again, on simulated data say, has been tried
-        try_out(problem, acting, spec.files)
+        dry_run(problem, acting, spec.files)
     return Model(
         spec,
         registry,
@@ -159,65 +159,67 @@ def _conflicts(acting: list[BoundEffect]) -> list[Issue]:
     for place, one in enumerate(acting):
         for other in acting[:place]:
             shared = set(one.channels) & set(other.channels) or (not one.channels and not other.channels)
-            same = one.member.name == other.member.name
-            excluded = other.member.name in one.member.excludes or one.member.name in other.member.excludes
+            same = one.name == other.name
+            excluded = other.name in one.effect_class.excludes or one.name in other.effect_class.excludes
             if shared and (same or excluded):
                 on = f" on {', '.join(sorted(shared))}" if isinstance(shared, set) else ""
                 what = (
-                    f"the effect '{one.member.name}' stands twice{on}"
+                    f"the effect '{one.name}' stands twice{on}"
                     if same
-                    else f"'{one.member.name}' and '{other.member.name}' do not go together{on}"
+                    else f"'{one.name}' and '{other.name}' do not go together{on}"
                 )
                 remedy = f"keep one of them, or give each its own 'channels' ({other.spec.where} is the other)"
                 found.append(Issue(what, one.spec.where, "one effect for each cause and channel", remedy))
     return found
 
 
-def _is_everywhere(member: Member) -> bool:
+def _is_everywhere(member: EffectClass) -> bool:
     """Tell whether a member gives every reading a variance of its own."""
     return issubclass(member, EntryNoise) and "closure" not in member.kinds and not member.needs
 
 
-def problem_of(assembly: Assembly) -> Problem:
+def build_problem(assembly: Assembly) -> Problem:
     """Return the arrays of an assembly: layers, sparsity, observations, noise and priors."""
-    acting, belonging = assembly.acting, assembly.belonging
+    acting, belonging = assembly.effects, assembly.grouping
     layout, hyper_layout, channels = assembly.layout, assembly.hyper_layout, assembly.channels
     campaign, nodes, entries = belonging.campaign, belonging.nodes, belonging.entries
     places = {p.name: i for i, p in enumerate(layout.parameters)}
     hyper_places = {p.name: i for i, p in enumerate(hyper_layout.parameters)}
-    effects = [one for one in acting if issubclass(one.member, Effect)]
+    effects = [one for one in acting if issubclass(one.effect_class, Effect)]
     everywhere = np.arange(len(nodes.run))
     layers: list[Layer] = [
-        Spread(),
+        Broadcast(),
         Resolve(tuple((kind, len(channels[kind].scale)) for kind in channels)),
         Project(channels),
         Convert(channels, nodes.injected),
-        Emit(channels),
+        AddOffset(channels),
         *(layer for one in effects for layer in assembly.effect_layers(one, everywhere)),
     ]
     reach = np.zeros((len(layout), len(entries)), dtype=bool)
     for one in effects:
         for parameter in one.parameters:
-            spread_channels = None if issubclass(one.member, MotionEffect) else one.channels
+            spread_channels = None if issubclass(one.effect_class, MotionEffect) else one.channels
             per = one.per_of(parameter.field)
             label = () if parameter.label == ("all",) else parameter.label
             felt = set(range(len(campaign.runs))) - one.gated
             reach[places[parameter.name]] = belonging.reach(per, label, spread_channels, felt)
-    colour = colours(reach)
+    colour = colour_columns(reach)
     seeds = (colour[None, :] == np.arange(colour.max(initial=-1) + 1)[:, None]).astype(float)
     spread_of, spread_unit = _spreads(acting, layout, hyper_places)
     return Problem(
-        instants=assembly.instants,
+        nodes=assembly.nodes,
         channels=channels,
-        layers=in_order(layers),
+        layers=sorted_layers(layers),
         transitions=_transitions(assembly, effects),
-        servos=servos_of(assembly, effects),
+        servos=bind_servos(assembly, effects),
         turns=nodes.turns,
         node_weight=nodes.stimulus.weight,
         nulls=assembly.nulls,
         priors=Priors.stack([p.prior for p in layout.parameters]),
         hyper_priors=Priors.stack([p.prior for p in hyper_layout.parameters]),
-        noise=tuple(_noise_layer(one, belonging, hyper_places) for one in acting if issubclass(one.member, Noise)),
+        noise=tuple(
+            _noise_layer(one, belonging, hyper_places) for one in acting if issubclass(one.effect_class, Noise)
+        ),
         observations=_observations(belonging),
         sparsity=Sparsity(colour, reach.T, seeds),
         spread_of=spread_of,
@@ -241,7 +243,7 @@ def _spreads(acting, layout: Layout, hyper_places: dict[str, int]) -> tuple[np.n
     return spread_of, unit
 
 
-def _observations(belonging: Belonging) -> Observations:
+def _observations(belonging: Grouping) -> Observations:
     entries = belonging.entries
     key = entries.run * (len(belonging.campaign.channels) + 3) + entries.channel
     _, group = np.unique(key, return_inverse=True)
@@ -251,7 +253,7 @@ def _observations(belonging: Belonging) -> Observations:
     for entry, one in enumerate(group.tolist()):
         members[one, place[one]] = entry
         place[one] += 1
-    rank = ranks_in_time(belonging.campaign, entries)
+    rank = time_ranks(belonging.campaign, entries)
     padded = np.append(rank, np.iinfo(rank.dtype).max)
     return Observations(
         value=entries.value.astype(float),
@@ -259,9 +261,9 @@ def _observations(belonging: Belonging) -> Observations:
         entry=Entry(
             samples=entries.samples.astype(float),
             rate=nominal_rates(belonging.campaign, belonging.nodes, entries),
-            reference=referenced_scales(belonging.campaign, belonging.nodes, entries),
+            reference=reference_scales(belonging.campaign, belonging.nodes, entries),
         ),
-        readout=readout_places(belonging.campaign, belonging.nodes, entries),
+        readout=output_indices(belonging.campaign, belonging.nodes, entries),
         group=group,
         members=members,
         in_time=np.take_along_axis(members, np.argsort(padded[members], axis=1, kind="stable"), axis=1),
@@ -269,20 +271,20 @@ def _observations(belonging: Belonging) -> Observations:
     )
 
 
-def _noise_layer(one: BoundEffect, belonging: Belonging, hyper_places: dict[str, int]) -> NoiseLayer:
+def _noise_layer(one: BoundEffect, belonging: Grouping, hyper_places: dict[str, int]) -> NoiseLayer:
     """Return a noise member with places per entry, or per group for what is shared."""
-    member = one.member
+    member = one.effect_class
     assert issubclass(member, Noise)
     entries, campaign = belonging.entries, belonging.campaign
     names = [channel.name for channel in campaign.channels] + [""] * 3
-    shared = not issubclass(one.member, EntryNoise)
+    shared = not issubclass(one.effect_class, EntryNoise)
     if shared:
         key = entries.run * len(names) + entries.channel
         _, first = np.unique(key, return_index=True)
     else:
         first = np.arange(len(entries))
     run, channel, closing = entries.run[first], entries.channel[first], entries.closing[first]
-    acts = closing if "closure" in one.member.kinds else np.isin(channel, [names.index(c) for c in one.channels])
+    acts = closing if "closure" in one.effect_class.kinds else np.isin(channel, [names.index(c) for c in one.channels])
     acts = acts & np.isin(run, list(one.runs))
     labels = {(p.field, p.label): hyper_places[p.name] for p in one.hyperparameters}
     places = {}
@@ -291,7 +293,7 @@ def _noise_layer(one: BoundEffect, belonging: Belonging, hyper_places: dict[str,
         lookup = {}
         for key_pair in set(zip(run.tolist(), channel.tolist(), strict=True)):
             r, c = key_pair
-            label = tuple(names[c] if axis == "channel" else belonging.of_run(axis, r) or "" for axis in per)
+            label = tuple(names[c] if axis == "channel" else belonging.label_of_run(axis, r) or "" for axis in per)
             lookup[key_pair] = labels.get((field, label if per else ("all",)), 0)
         places[field] = np.array([lookup[pair] for pair in zip(run.tolist(), channel.tolist(), strict=True)])
     return NoiseLayer(member, places, acts.astype(float))
@@ -299,7 +301,7 @@ def _noise_layer(one: BoundEffect, belonging: Belonging, hyper_places: dict[str,
 
 def _transitions(assembly: Assembly, effects: list[BoundEffect]) -> Transitions | None:
     """Return the moving parts of all free tumbles, padded to the longest transition."""
-    campaign, nodes, channels = assembly.belonging.campaign, assembly.belonging.nodes, assembly.channels
+    campaign, nodes, channels = assembly.grouping.campaign, assembly.grouping.nodes, assembly.channels
     tumbles = [(index, run.tumble) for index, run in enumerate(campaign.runs) if run.tumble is not None]
     if not tumbles:
         return None
@@ -321,11 +323,11 @@ def _transitions(assembly: Assembly, effects: list[BoundEffect]) -> Transitions 
     layers: list[Layer] = [
         Project(channels),
         Convert(channels, np.zeros(len(node))),
-        Emit(channels),
+        AddOffset(channels),
         *(
             layer
             for one in effects
-            if issubclass(one.member, Effect) and one.member.stage >= Stage.SENSOR
+            if issubclass(one.effect_class, Effect) and one.effect_class.stage >= Stage.SENSOR
             for layer in assembly.effect_layers(one, node)
         ),
     ]
@@ -336,7 +338,7 @@ def _transitions(assembly: Assembly, effects: list[BoundEffect]) -> Transitions 
         readings=by_kind,
         coning=np.concatenate([padded(tumble.coning) for _, tumble in tumbles]),
         ambient=Ambient(**{name: values[node] for name, values in nodes.stimulus.ambient.items()}),
-        records=assembly.instants.records.at(node),
+        records=assembly.nodes.records.at(node),
         inverse={kind: nominal_inverse(one.axes) for kind, one in channels.items()},
-        layers=in_order(layers),
+        layers=sorted_layers(layers),
     )

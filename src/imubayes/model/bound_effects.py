@@ -7,8 +7,8 @@ import numpy as np
 from imubayes.covariates import ambient_names
 from imubayes.effects.base import Effect, MotionEffect
 from imubayes.errors import InputError, Issue, closest_first
-from imubayes.model.effect_registry import Member, Registry
-from imubayes.model.grouping import Belonging
+from imubayes.model.effect_registry import EffectClass, Registry
+from imubayes.model.grouping import Grouping
 from imubayes.model.model_spec import EffectSpec
 from imubayes.noise.base import Noise
 from imubayes.parameters.parameter import Declared, declared_options, declared_parameters
@@ -26,11 +26,11 @@ _SHARING = {"channel": ("channel",), "all": (), "run": ("channel", "run"), "moun
 _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
 
 
-class NotShownError(InputError):
+class NotObservableError(InputError):
     """No run of the campaign supplies what the effect needs."""
 
 
-class NoChannelError(NotShownError):
+class NoChannelError(NotObservableError):
     """The unit has no channel that the effect acts on."""
 
 
@@ -40,7 +40,7 @@ class BoundEffect:
 
     Attributes
     ----------
-    spec, member : what the model file says, and the class.
+    spec, effect_class : what the model file says, and the class.
     declared : field → declaration.
     sharing : what its values belong to.
     channels, kinds : names and kinds of the channels it acts on; no names for effects on the motion.
@@ -50,7 +50,7 @@ class BoundEffect:
     """
 
     spec: EffectSpec
-    member: Member
+    effect_class: EffectClass
     declared: dict[str, Declared]
     sharing: tuple[str, ...]
     channels: tuple[str, ...]
@@ -61,6 +61,11 @@ class BoundEffect:
     hyperparameters: tuple[Parameter, ...]
 
     @property
+    def name(self) -> str:
+        """Name of the effect or noise member."""
+        return self.effect_class.name
+
+    @property
     def fields(self) -> dict[str, Declared]:
         """Field → declaration, all of them."""
         return self.declared
@@ -68,7 +73,7 @@ class BoundEffect:
     @property
     def hyper_fields(self) -> set[str]:
         """Fields that are hyperparameters."""
-        return hyper_fields(self.member)
+        return hyper_fields(self.effect_class)
 
     def per_of(self, field: str) -> tuple[str, ...]:
         """Return what the values of a field belong to."""
@@ -76,7 +81,7 @@ class BoundEffect:
         return self.sharing if own is None else own
 
 
-def hyper_fields(member: Member) -> set[str]:
+def hyper_fields(member: EffectClass) -> set[str]:
     """Return the fields of a class that are hyperparameters: all of a noise member, the spreads of an effect."""
     declared = declared_parameters(member)
     if issubclass(member, Noise):
@@ -84,52 +89,52 @@ def hyper_fields(member: Member) -> set[str]:
     return {one.spread for one in declared.values() if one.spread}
 
 
-def act(spec: EffectSpec, belonging: Belonging, registry: Registry) -> BoundEffect:
+def bind_effect(spec: EffectSpec, belonging: Grouping, registry: Registry) -> BoundEffect:
     """Return an effect of a model as it acts in a campaign; raises InputError with what does not fit."""
     campaign = belonging.campaign
-    member = registry.find(spec.name, spec.where)
-    declared = declared_parameters(member)
+    effect_class = registry.find(spec.name, spec.where)
+    declared = declared_parameters(effect_class)
     issues: list[Issue] = []
-    sharing = _sharing(spec, member, issues)
-    channels = _channels(spec, member, campaign, issues)
-    options = declared_options(member)
+    sharing = _sharing(spec, effect_class, issues)
+    channels = _channels(spec, effect_class, campaign, issues)
+    options = declared_options(effect_class)
     _refuse_unknown(spec, declared, options, issues)
     if issues:
         raise InputError(issues)
-    runs = {i for i, supplied in enumerate(belonging.nodes.supplies) if set(member.needs) <= supplied}
+    runs = {i for i, supplied in enumerate(belonging.nodes.supplies) if set(effect_class.needs) <= supplied}
     if not runs:
-        missing = [need for need in member.needs if not any(need in s for s in belonging.nodes.supplies)]
-        raise NotShownError(
+        missing = [need for need in effect_class.needs if not any(need in s for s in belonging.nodes.supplies)]
+        raise NotObservableError(
             Issue(
-                f"no run can show '{spec.name}': it needs {' and '.join(missing or member.needs)}",
+                f"no run can show '{spec.name}': it needs {' and '.join(missing or effect_class.needs)}",
                 spec.where,
                 "effects that need what the runs supply: " + ", ".join(sorted(set().union(*belonging.nodes.supplies))),
                 "leave the effect out or mark it 'optional = true', or add a run that supplies it",
             )
         )
     kinds = tuple(dict.fromkeys(channel.kind for channel in campaign.channels if channel.name in channels))
-    gating = [need for need in member.needs if need in ambient_names() or need in _GATES]
+    gating = [need for need in effect_class.needs if need in ambient_names() or need in _GATES]
     gated = {i for i, s in enumerate(belonging.nodes.supplies) if not set(gating) <= s}
     made: dict[bool, list[Parameter]] = {False: [], True: []}
     for field, one in declared.items():
         per = sharing if one.per is None else one.per
-        hyper = field in hyper_fields(member)
+        hyper = field in hyper_fields(effect_class)
         for label in belonging.labels(per, channels or tuple(c.name for c in campaign.channels), sorted(runs)):
             try:
-                made[hyper].append(_parameter(spec, member, field, one, per, label, campaign))
+                made[hyper].append(_parameter(spec, effect_class, field, one, per, label, campaign))
             except InputError as error:
                 issues.extend(p for p in error.issues if p not in issues)
     if issues:
         raise InputError(issues)
     return BoundEffect(
-        spec, member, declared, sharing, channels, kinds, runs, gated, tuple(made[False]), tuple(made[True])
+        spec, effect_class, declared, sharing, channels, kinds, runs, gated, tuple(made[False]), tuple(made[True])
     )
 
 
-def _sharing(spec: EffectSpec, member: Member, issues: list[Issue]) -> tuple[str, ...]:
+def _sharing(spec: EffectSpec, effect_class: EffectClass, issues: list[Issue]) -> tuple[str, ...]:
     if spec.per is None:
-        return member.per
-    allowed = _MOTION_SHARING if issubclass(member, MotionEffect) else _SHARING
+        return effect_class.per
+    allowed = _MOTION_SHARING if issubclass(effect_class, MotionEffect) else _SHARING
     if spec.per not in allowed:
         issues.append(
             Issue(
@@ -139,12 +144,12 @@ def _sharing(spec: EffectSpec, member: Member, issues: list[Issue]) -> tuple[str
                 "correct 'per', or leave it out",
             )
         )
-        return member.per
+        return effect_class.per
     return allowed[spec.per]
 
 
-def _channels(spec: EffectSpec, member: Member, campaign: Campaign, issues: list[Issue]) -> tuple[str, ...]:
-    if issubclass(member, MotionEffect) or "closure" in member.kinds:
+def _channels(spec: EffectSpec, effect_class: EffectClass, campaign: Campaign, issues: list[Issue]) -> tuple[str, ...]:
+    if issubclass(effect_class, MotionEffect) or "closure" in effect_class.kinds:
         if spec.channels is not None:
             issues.append(
                 Issue(
@@ -155,12 +160,12 @@ def _channels(spec: EffectSpec, member: Member, campaign: Campaign, issues: list
                 )
             )
         return ()
-    fitting = [channel.name for channel in campaign.channels if channel.kind in member.kinds]
+    fitting = [channel.name for channel in campaign.channels if channel.kind in effect_class.kinds]
     if spec.channels is None:
         if not fitting:
             raise NoChannelError(
                 Issue(
-                    f"'{spec.name}' acts on {' and '.join(member.kinds)} channels and the unit has none",
+                    f"'{spec.name}' acts on {' and '.join(effect_class.kinds)} channels and the unit has none",
                     spec.where,
                     "effects for " + ", ".join(sorted({channel.kind for channel in campaign.channels})),
                     "leave the effect out, or mark it 'optional = true'",
@@ -170,7 +175,7 @@ def _channels(spec: EffectSpec, member: Member, campaign: Campaign, issues: list
     for name in spec.channels:
         if name not in fitting:
             known = any(channel.name == name for channel in campaign.channels)
-            fault = "is not a " + " or ".join(member.kinds) if known else "does not exist"
+            fault = "is not a " + " or ".join(effect_class.kinds) if known else "does not exist"
             issues.append(
                 Issue(f"channel '{name}' {fault}", spec.where, closest_first(name, fitting), "correct 'channels'")
             )
@@ -199,7 +204,7 @@ def _refuse_unknown(spec: EffectSpec, declared: dict, options: dict, issues: lis
 
 def _parameter(
     spec: EffectSpec,
-    member: Member,
+    effect_class: EffectClass,
     field: str,
     declared: Declared,
     per: tuple[str, ...],
@@ -208,7 +213,7 @@ def _parameter(
 ) -> Parameter:
     gravity = campaign.site.gravity
     channel = next((c for c in campaign.channels if "channel" in per and c.name == label[per.index("channel")]), None)
-    shared = channel or next((c for c in campaign.channels if c.kind in member.kinds), None)
+    shared = channel or next((c for c in campaign.channels if c.kind in effect_class.kinds), None)
     own, known = _own_units(shared, campaign)
     where = f"{spec.where}, prior of {field}"
     if field in spec.prior:
@@ -222,7 +227,7 @@ def _parameter(
                     "write a normal prior, or leave it out",
                 )
             )
-        if field in hyper_fields(member) and isinstance(prior, Normal):
+        if field in hyper_fields(effect_class) and isinstance(prior, Normal):
             raise InputError(
                 Issue(
                     f"'{field}' is a standard deviation and may not be negative",
@@ -237,7 +242,7 @@ def _parameter(
         if not known and isinstance(prior, LogNormal) and "noise" in declared.prior:
             prior = LogNormal(prior.median, _UNKNOWN_NOISE_LOG_SD)
     factor = to_si(declared.unit, gravity, where, own)
-    return Parameter(member.name, field, label or ("all",), declared.unit, factor, prior, member.nuisance)
+    return Parameter(effect_class.name, field, label or ("all",), declared.unit, factor, prior, effect_class.nuisance)
 
 
 def _own_units(channel: Channel | None, campaign: Campaign) -> tuple[dict[str, float], bool]:
@@ -267,6 +272,6 @@ def _from_equipment(fact: str, label: dict[str, str], campaign: Campaign, defaul
     return default if stated is None else Normal(0.0, stated)
 
 
-def is_effect(member: Member) -> bool:
-    """Tell an effect from a noise member."""
-    return issubclass(member, Effect)
+def is_effect(effect_class: EffectClass) -> bool:
+    """Tell an effect from a noise effect_class."""
+    return issubclass(effect_class, Effect)

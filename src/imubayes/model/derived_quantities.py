@@ -14,14 +14,14 @@ from imubayes.model.grouping import RUN_AXES
 from imubayes.model.nodes import KINDS
 from imubayes.model.problem import Problem, values_of
 from imubayes.model.sensitivities import (
-    DerivedName,
-    Probe,
+    DerivedQuantity,
+    SensitivityInputs,
     angle_between,
     axes_of_rotation,
     sensitivities,
     thermal_slopes,
 )
-from imubayes.model.signal_path import Convert, Emit, Layer, Project, Resolve, Spread, in_order
+from imubayes.model.signal_path import AddOffset, Broadcast, Convert, Layer, Project, Resolve, sorted_layers
 from imubayes.types import Array, Float, Int
 from imubayes.units import to_si
 
@@ -33,7 +33,7 @@ _AT_ONCE = 500
 _APART = 1e-3
 
 
-class Derivation(eqx.Module):
+class DerivedFunction(eqx.Module):
     """Derived quantities as a pure function of the values.
 
     Attributes
@@ -44,7 +44,7 @@ class Derivation(eqx.Module):
     factors : shape (D,), divides the numbers found.
     """
 
-    probe: Probe
+    probe: SensitivityInputs
     pairs: dict[str, Int[Array, "_ 2"]]
     thermal_pairs: dict[str, Int[Array, "_ 3"]]
     factors: Float[Array, " D"]
@@ -73,11 +73,11 @@ class Derivation(eqx.Module):
 
 
 @eqx.filter_jit
-def _derive_batch(derivation: Derivation, problem: Problem, points: Float[Array, "n P"]) -> Float[Array, "n D"]:
+def _derive_batch(derivation: DerivedFunction, problem: Problem, points: Float[Array, "n P"]) -> Float[Array, "n D"]:
     return jax.vmap(lambda z: derivation(values_of(problem, z)))(points)
 
 
-def derive_many(derivation: Derivation, problem: Problem, points: np.ndarray) -> np.ndarray:
+def evaluate_derived(derivation: DerivedFunction, problem: Problem, points: np.ndarray) -> np.ndarray:
     """Return the derived quantities, in their units, of many points in z (n, P); shape (n, D).
 
     What is compiled for the draws serves the slopes.
@@ -85,47 +85,48 @@ def derive_many(derivation: Derivation, problem: Problem, points: np.ndarray) ->
     return in_batches(lambda batch: _derive_batch(derivation, problem, batch), points, _AT_ONCE)
 
 
-def derived_slopes(derivation: Derivation, problem: Problem, z: np.ndarray) -> np.ndarray:
+def derived_jacobian(derivation: DerivedFunction, problem: Problem, z: np.ndarray) -> np.ndarray:
     """Return the derivative of every derived quantity, in its unit, by every parameter in z (P,); shape (D, P).
 
     By central differences: over a thousandth of a prior a derived quantity is a straight line to seven digits, and the
     derivative as a program of its own takes longer to compile than everything else of them.
     """
     steps = _APART * np.eye(len(z))
-    above, below = np.split(derive_many(derivation, problem, np.concatenate([z + steps, z - steps])), 2)
+    above, below = np.split(evaluate_derived(derivation, problem, np.concatenate([z + steps, z - steps])), 2)
     return (above - below).T / (2 * _APART)
 
 
 @dataclass(frozen=True)
-class Derived:
+class DerivedQuantities:
     """Derived quantities: names with units, and the function."""
 
-    names: tuple[DerivedName, ...]
-    derivation: Derivation
+    names: tuple[DerivedQuantity, ...]
+    derivation: DerivedFunction
 
 
-def derive(assembly: Assembly) -> Derived:
+def derived_quantities(assembly: Assembly) -> DerivedQuantities:
     """Return the derived quantities of an assembled model."""
-    campaign = assembly.belonging.campaign
+    campaign = assembly.grouping.campaign
     mountings, probe_nodes = _mounting_nodes(assembly)
     thermal_runs, thermal_nodes = _thermal_nodes(assembly)
     gravity = campaign.site.gravity
-    names: list[DerivedName] = []
+    names: list[DerivedQuantity] = []
     pairs, thermal_pairs, thermal_input = {}, {}, {}
-    thermal_names: list[DerivedName] = []
+    thermal_names: list[DerivedQuantity] = []
     for kind in KINDS:
         channels = [channel for channel in campaign.channels if channel.kind == kind]
         if not channels:
             continue
         for channel in channels:
             unit = f"{channel.output_unit} per {channel.per}"
-            names.append(DerivedName(f"scale_factor[{channel.name}]", unit, 1 / to_si(channel.per, gravity)))
+            names.append(DerivedQuantity(f"scale_factor[{channel.name}]", unit, 1 / to_si(channel.per, gravity)))
         for channel in channels:
-            names += [DerivedName(f"mounting_angle[{channel.name},{m}]", "deg", to_si("deg")) for m in mountings]
+            names += [DerivedQuantity(f"mounting_angle[{channel.name},{m}]", "deg", to_si("deg")) for m in mountings]
         # Two axes and their angle; of a redundant unit every pair, since none is special.
         couples = [(i, j) for i in range(len(channels)) for j in range(i + 1, len(channels))]
         names += [
-            DerivedName(f"axis_angle[{channels[i].name},{channels[j].name}]", "deg", to_si("deg")) for i, j in couples
+            DerivedQuantity(f"axis_angle[{channels[i].name},{channels[j].name}]", "deg", to_si("deg"))
+            for i, j in couples
         ]
         pairs[kind] = np.array(couples, dtype=int).reshape(-1, 2)
         inputs = _nominal_inputs(assembly, kind, thermal_nodes)
@@ -141,49 +142,49 @@ def derive(assembly: Assembly) -> Derived:
                 if place != base and in_g[place] > _LEAST_INPUT_G and measured:
                     rows.append((column, place, base))
                     name = f"delta_k[{channel.name},{campaign.runs[run].name}]"
-                    thermal_names.append(DerivedName(name, "%", to_si("%")))
+                    thermal_names.append(DerivedQuantity(name, "%", to_si("%")))
         thermal_pairs[kind] = np.array(rows, dtype=int).reshape(-1, 3)
     names += thermal_names
-    probe = Probe(
+    probe = SensitivityInputs(
         channels=assembly.channels,
         sensor_layers=_sensor_layers(assembly),
-        mountings=assembly.instants.at(probe_nodes),
-        mounting_layers=in_order([Spread(), *_layers(assembly, probe_nodes, {Stage.STAND, Stage.TABLE})]),
-        thermal=assembly.instants.at(thermal_nodes) if len(thermal_nodes) else None,
+        mountings=assembly.nodes.at(probe_nodes),
+        mounting_layers=sorted_layers([Broadcast(), *_layers(assembly, probe_nodes, {Stage.STAND, Stage.TABLE})]),
+        thermal=assembly.nodes.at(thermal_nodes) if len(thermal_nodes) else None,
         thermal_layers=_whole_path(assembly, thermal_nodes) if len(thermal_nodes) else (),
         thermal_input=thermal_input,
     )
     factors = np.array([name.factor for name in names])
-    derivation = Derivation(probe, pairs, thermal_pairs, factors)
-    return Derived(tuple(names), on_device(derivation))
+    derivation = DerivedFunction(probe, pairs, thermal_pairs, factors)
+    return DerivedQuantities(tuple(names), on_device(derivation))
 
 
 def _mounting_nodes(assembly: Assembly) -> tuple[list[str], np.ndarray]:
     """Return the mountings in use and a node of each; where there is none, the first node stands in."""
-    runs = assembly.belonging.campaign.runs
+    runs = assembly.grouping.campaign.runs
     of_run = {}
     for index, run in enumerate(runs):
         if run.mounting is not None and run.tumble is None:
             of_run.setdefault(run.mounting, index)
-    first = [int(np.argmax(assembly.belonging.nodes.run == index)) for index in of_run.values()]
+    first = [int(np.argmax(assembly.grouping.nodes.run == index)) for index in of_run.values()]
     return list(of_run), np.array(first, dtype=int)
 
 
 def _thermal_nodes(assembly: Assembly) -> tuple[list[int], np.ndarray]:
-    nodes = assembly.belonging.nodes
+    nodes = assembly.grouping.nodes
     runs = [i for i, supplied in enumerate(nodes.supplies) if "converter_temperature" in supplied]
     return runs, np.array([int(np.argmax(nodes.run == run)) for run in runs], dtype=int)
 
 
 def _nominal_inputs(assembly: Assembly, kind: str, nodes: np.ndarray) -> np.ndarray:
     """Return the nominal input in SI of each node and channel of a kind, shape (n, C)."""
-    channels, gravity = assembly.channels[kind], assembly.belonging.campaign.site.gravity
+    channels, gravity = assembly.channels[kind], assembly.grouping.campaign.site.gravity
     inputs = np.zeros((len(nodes), len(channels.scale)))
     for place, node in enumerate(nodes):
-        stimulus = assembly.belonging.nodes.stimulus
+        stimulus = assembly.grouping.nodes.stimulus
         body_to_local = stimulus.base[node] @ stimulus.mounting[node]
-        if assembly.instants.injected[node] > 0:
-            inputs[place] = assembly.instants.ambient.current[node] / channels.current_per_acceleration
+        if assembly.nodes.injected[node] > 0:
+            inputs[place] = assembly.nodes.ambient.current[node] / channels.current_per_acceleration
         elif kind == "accelerometer":
             inputs[place] = channels.axes[:, 0] @ (body_to_local.T @ [0.0, 0.0, gravity])
     return inputs
@@ -192,8 +193,8 @@ def _nominal_inputs(assembly: Assembly, kind: str, nodes: np.ndarray) -> np.ndar
 def _layers(assembly: Assembly, chosen: np.ndarray, stages: set[Stage]) -> list[Layer]:
     return [
         layer
-        for one in assembly.acting
-        if issubclass(one.member, Effect) and one.member.stage in stages
+        for one in assembly.effects
+        if issubclass(one.effect_class, Effect) and one.effect_class.stage in stages
         for layer in assembly.effect_layers(one, chosen)
     ]
 
@@ -201,9 +202,9 @@ def _layers(assembly: Assembly, chosen: np.ndarray, stages: set[Stage]) -> list[
 def _whole_path(assembly: Assembly, chosen: np.ndarray) -> tuple[Layer, ...]:
     channels = assembly.channels
     counts = tuple((kind, len(one.scale)) for kind, one in channels.items())
-    injected = assembly.instants.injected[chosen]
-    junctions = [Spread(), Resolve(counts), Project(channels), Convert(channels, injected), Emit(channels)]
-    return in_order(junctions + _layers(assembly, chosen, set(Stage)))
+    injected = assembly.nodes.injected[chosen]
+    junctions = [Broadcast(), Resolve(counts), Project(channels), Convert(channels, injected), AddOffset(channels)]
+    return sorted_layers(junctions + _layers(assembly, chosen, set(Stage)))
 
 
 def _sensor_layers(assembly: Assembly) -> tuple[Layer, ...]:
@@ -212,16 +213,16 @@ def _sensor_layers(assembly: Assembly) -> tuple[Layer, ...]:
     Dead zones and limits are left out as well: a scale factor is the slope between them.
     """
     channels = assembly.channels
-    junctions = [Project(channels), Convert(channels, np.zeros(1)), Emit(channels)]
+    junctions = [Project(channels), Convert(channels, np.zeros(1)), AddOffset(channels)]
     lasting = [
         one
-        for one in assembly.acting
-        if issubclass(one.member, Effect)
-        and not issubclass(one.member, MotionEffect | RecordEffect)
-        and one.member.stage >= Stage.SENSOR
-        and one.member.order < Order.LIMIT
-        and "injection" not in one.member.needs
+        for one in assembly.effects
+        if issubclass(one.effect_class, Effect)
+        and not issubclass(one.effect_class, MotionEffect | RecordEffect)
+        and one.effect_class.stage >= Stage.SENSOR
+        and one.effect_class.order < Order.LIMIT
+        and "injection" not in one.effect_class.needs
         and not set(one.sharing) & {*RUN_AXES, "pose"}
     ]
     layers = [layer for one in lasting for layer in assembly.effect_layers(one, None)]
-    return in_order(junctions + layers)
+    return sorted_layers(junctions + layers)

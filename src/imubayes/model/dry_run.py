@@ -14,7 +14,7 @@ from imubayes.model.likelihood import log_density
 from imubayes.model.problem import Problem, signal_path, values_of
 
 
-def try_out(problem: Problem, acting: Sequence[BoundEffect], files: Sequence[str]) -> None:
+def dry_run(problem: Problem, acting: Sequence[BoundEffect], files: Sequence[str]) -> None:
     """Follow the signal path by shapes and types alone.
 
     Parameters
@@ -27,12 +27,12 @@ def try_out(problem: Problem, acting: Sequence[BoundEffect], files: Sequence[str
     InputError
         where a class of the user fails, or returns what is not one real number; it names file, line and fault.
     """
-    own = [one.member for one in acting if _is_own(one, files)]
+    own = [one.effect_class for one in acting if _is_own(one, files)]
     if not own:
         return
     try:
         path = jax.eval_shape(lambda z: signal_path(problem, values_of(problem, z)), _like(problem.size[0]))
-        nodes = len(problem.instants.stand)
+        nodes = len(problem.nodes.stand)
         for kind, channels in problem.channels.items():
             found, wanted = path.signal[kind], (nodes, len(channels.scale))
             if found.shape != wanted or not jnp.issubdtype(found.dtype, jnp.floating):
@@ -57,7 +57,7 @@ def _like(size: int) -> jax.ShapeDtypeStruct:
 
 
 def _is_own(one: BoundEffect, files: Sequence[str]) -> bool:
-    module = getattr(sys.modules.get(one.member.__module__), "__file__", None)
+    module = getattr(sys.modules.get(one.effect_class.__module__), "__file__", None)
     return module is not None and any(Path(module) == Path(file) for file in files)
 
 

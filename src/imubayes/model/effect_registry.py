@@ -12,7 +12,7 @@ from imubayes.errors import InputError, Issue, closest_first
 from imubayes.noise import NOISES, Noise
 from imubayes.parameters.parameter import declared_parameters
 
-Member = type[Effect] | type[Noise]
+EffectClass = type[Effect] | type[Noise]
 _USER = "imubayes_user_"
 
 
@@ -20,27 +20,27 @@ _USER = "imubayes_user_"
 class Registry:
     """Effects and noise members by name."""
 
-    members: dict[str, Member] = field(default_factory=lambda: {m.name: m for m in (*EFFECTS, *NOISES)})
+    effects: dict[str, EffectClass] = field(default_factory=lambda: {m.name: m for m in (*EFFECTS, *NOISES)})
 
-    def find(self, name: str, where: str) -> Member:
+    def find(self, name: str, where: str) -> EffectClass:
         """Return the member of a name; raises InputError with the closest names."""
-        if name not in self.members:
+        if name not in self.effects:
             raise InputError(
                 Issue(
                     f"there is no effect '{name}'",
                     where,
-                    closest_first(name, self.members),
+                    closest_first(name, self.effects),
                     "correct the name; `imubayes effects` lists all",
                 )
             )
-        return self.members[name]
+        return self.effects[name]
 
     def with_files(self, files: Iterable[str | Path]) -> "Registry":
         """Return the registry with the effects that Python files define."""
-        members = dict(self.members)
+        effects = dict(self.effects)
         for file in files:
             for member in _members_of(Path(file)):
-                if member.name in self.members:
+                if member.name in self.effects:
                     raise InputError(
                         Issue(
                             f"the effect '{member.name}' exists already",
@@ -49,15 +49,15 @@ class Registry:
                             "give the new effect a name of its own",
                         )
                     )
-                members[member.name] = member
-        return Registry(members)
+                effects[member.name] = member
+        return Registry(effects)
 
     def without_files(self) -> "Registry":
         """Return the registry without what files define: for a model that names its files itself."""
-        return Registry({name: one for name, one in self.members.items() if not one.__module__.startswith(_USER)})
+        return Registry({name: one for name, one in self.effects.items() if not one.__module__.startswith(_USER)})
 
 
-def _members_of(file: Path) -> list[Member]:
+def _members_of(file: Path) -> list[EffectClass]:
     def refuse(what: str) -> InputError:
         return InputError(
             Issue(

@@ -18,14 +18,14 @@ RUN_AXES = ("run", "mounting", "table")
 
 
 @dataclass(frozen=True)
-class Belonging:
+class Grouping:
     """What nodes and entries of a campaign belong to."""
 
     campaign: Campaign
     nodes: NodeTable
     entries: Entries
 
-    def of_run(self, axis: str, run: int) -> str | None:
+    def label_of_run(self, axis: str, run: int) -> str | None:
         """Return the run's own name, or its mounting or table; None where it has none."""
         one = self.campaign.runs[run]
         return {"run": one.name, "mounting": one.mounting, "table": one.table}[axis]
@@ -41,7 +41,7 @@ class Belonging:
                 elif axis == "pose":
                     choices.append(self._poses(run))
                 else:
-                    name = self.of_run(axis, run)
+                    name = self.label_of_run(axis, run)
                     choices.append([] if name is None else [name])
             found.update(dict.fromkeys(product(*choices)))
         by_channel = list(per).index("channel") if "channel" in per else None
@@ -87,7 +87,7 @@ class Belonging:
                 parts.append(str(pose))
             else:
                 assert run is not None
-                parts.append(self.of_run(axis, run) or "")
+                parts.append(self.label_of_run(axis, run) or "")
         return tuple(parts)
 
     def reach(self, per: Sequence[str], label: Label, channels: Sequence[str] | None, runs: set[int]) -> np.ndarray:
@@ -114,12 +114,12 @@ class Belonging:
             if axis == "pose":
                 reached &= (entries.pose == int(part)) | (entries.pose_stop == int(part))
             elif axis in RUN_AXES:
-                members = [run for run in runs if self.of_run(axis, run) == part]
+                members = [run for run in runs if self.label_of_run(axis, run) == part]
                 reached &= np.isin(entries.run, members)
         return reached
 
 
-def colours(reach: np.ndarray) -> np.ndarray:
+def colour_columns(reach: np.ndarray) -> np.ndarray:
     """Return a colour for each parameter so that no two of one colour reach a common entry; reach is (P, E).
 
     Greedy, widest reach first, which for block structure finds as many colours as the fullest entry has parameters.

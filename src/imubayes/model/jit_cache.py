@@ -14,7 +14,7 @@ _MOST, _HELD = Path("/proc/sys/vm/max_map_count"), Path("/proc/self/maps")
 _FULL = 0.5
 
 
-def make_room() -> bool:
+def clear_if_crowded() -> bool:
     """Give up all compiled code where half of the memory maps of the process are in use; return whether it was."""
     try:
         most = int(_MOST.read_text())

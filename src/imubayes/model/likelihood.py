@@ -8,16 +8,16 @@ width is itself learnt.  Under heavy tails r is that of the straightened problem
 import equinox as eqx
 import jax.numpy as jnp
 
-from imubayes.model.noise_covariance import group_sum, inverse_covariance, noise_law, whiten, whitener
+from imubayes.model.noise_covariance import group_sum, inverse_covariance, noise_distribution, whiten, whitener
 from imubayes.model.problem import Problem, predict, prior_widths
-from imubayes.model.robust_likelihood import pseudo_values, straightened
-from imubayes.model.student_t import normaliser, of_tail, square
+from imubayes.model.robust_likelihood import least_squares_form, pseudo_values
+from imubayes.model.student_t import deviance, log_determinant_correction, normaliser
 from imubayes.types import Array, Float, Scalar
 
 
 def whitened(problem: Problem, h: Float[Array, " H"], misfit: Float[Array, " E"]) -> Float[Array, " E"]:
     """Return L⁻¹(y − f): its squared norm is what the readings take off twice the log density."""
-    by, straight = straightened(problem, h, misfit)
+    by, straight = least_squares_form(problem, h, misfit)
     return whiten(problem, by, straight)
 
 
@@ -68,7 +68,7 @@ def entry_log_likelihood(problem: Problem, residual: Float[Array, " E"], h: Floa
     variance is 1/Q_ii and its residual (Q r)_i/Q_ii (Bürkner, Gabry, Vehtari, Computational Statistics 2021).  A law
     with heavy tails keeps its shape about that, its scale widened by what the offset is uncertain.
     """
-    by, observations, law = whitener(problem, h), problem.observations, noise_law(problem, h)
+    by, observations, law = whitener(problem, h), problem.observations, noise_distribution(problem, h)
     pseudo = pseudo_values(problem, h, residual)
     pulled, precision = inverse_covariance(problem, by, pseudo)
     seen = observations.weight > 0
@@ -78,16 +78,18 @@ def entry_log_likelihood(problem: Problem, residual: Float[Array, " E"], h: Floa
         entry = jnp.log(safe) - pulled**2 / safe
     else:
         own = jnp.where(seen, by.precision_root, 1.0) ** -2
-        variance = law.own + jnp.maximum(1 / safe - own, 0.0)
+        variance = law.squared_scale + jnp.maximum(1 / safe - own, 0.0)
         left = (residual - pseudo + pulled / safe) / jnp.sqrt(variance)
-        entry = -jnp.log(variance) - square(left, law.tail) - normaliser(law.tail)
+        entry = -jnp.log(variance) - deviance(left, law.tail) - normaliser(law.tail)
     root = jnp.where(seen, by.precision_root, 1.0)
     shrunk = 1 - by.shrink * group_sum(by.direction**2, observations)
     log_determinant = -2 * group_sum(jnp.log(root), observations) - 2 * jnp.log(shrunk)
     if by.series is not None:
         log_determinant = log_determinant + group_sum(jnp.log1p(-(by.series.correlation**2)), observations)
     if law.tail is not None:
-        log_determinant = log_determinant + group_sum(observations.weight * of_tail(law.tail), observations)
+        log_determinant = log_determinant + group_sum(
+            observations.weight * log_determinant_correction(law.tail), observations
+        )
     count = group_sum(observations.weight, observations)
     gone = group_sum(whitened(problem, h, residual) ** 2, observations)
     group = -0.5 * (gone + log_determinant + count * two_pi)

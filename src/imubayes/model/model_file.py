@@ -16,10 +16,10 @@ def read_model(path: str | Path) -> ModelSpec:
         with everything that is wrong with the file.
     """
     path = Path(path)
-    return specification(read_model_file(path), path)
+    return spec_of_file(read_model_file(path), path)
 
 
-def specification(file: ModelFile, path: Path) -> ModelSpec:
+def spec_of_file(file: ModelFile, path: Path) -> ModelSpec:
     """Return what a model file says, free of the file."""
     effects = tuple(
         EffectSpec(

@@ -156,7 +156,7 @@ def _append(columns, run, row, channel, value, samples, pose, pose_stop, closing
         columns[name].append(np.asarray(part))
 
 
-def readout_places(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.ndarray:
+def output_indices(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.ndarray:
     """Return for each readout entry its place in the outputs: kind after kind as rows × channels, then table angles."""
     kinds = [channel.kind for channel in campaign.channels]
     counts = {kind: kinds.count(kind) for kind in (*KINDS, "angle")}
@@ -197,14 +197,14 @@ def nominal_rates(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.
     return np.where(gyro, np.abs(np.sum(axes[entries.channel] * rate[row], axis=1)), 0.0)
 
 
-def referenced_scales(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.ndarray:
+def reference_scales(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.ndarray:
     """Return for each entry of a gyro beside a reference the size of its nominal scale, SI; 0 for others."""
     referenced = np.array(["reference" in supplies for supplies in nodes.supplies])[entries.run]
     scale = np.array([c.scale_si if c.kind == "gyro" else 0.0 for c in campaign.channels] + [0.0] * 3)[entries.channel]
     return np.where(referenced & ~entries.closing, np.abs(scale), 0.0)
 
 
-def ranks_in_time(campaign: Campaign, entries: Entries) -> np.ndarray:
+def time_ranks(campaign: Campaign, entries: Entries) -> np.ndarray:
     """Return for each entry the place of its row in the order of time of its run; without a time, that of the rows."""
     rank = entries.row.copy()
     for index, run in enumerate(campaign.runs):

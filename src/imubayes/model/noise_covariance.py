@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from imubayes.gather import take
 from imubayes.model.problem import Observations, Problem
-from imubayes.model.student_t import information, of_tail
+from imubayes.model.student_t import fisher_information, log_determinant_correction
 from imubayes.noise.base import EntryNoise, SeriesNoise, SharedNoise, TailNoise
 from imubayes.types import Array, Float, Int, Scalar
 
@@ -81,22 +81,22 @@ def group_sum(values: Float[Array, "E *columns"], observations: Observations) ->
     return take(padded, observations.members).sum(axis=1)
 
 
-class Law(eqx.Module):
+class NoiseDistribution(eqx.Module):
     """How the readings scatter about the prediction at given hyperparameters.
 
     Attributes
     ----------
-    own : shape (E,), square of the scale of what each entry has alone: its variance under a normal law.
-    shared : shape (G,), variance of what all entries of a group have in common.
+    squared_scale : shape (E,), square of the scale of what each entry has alone: its variance under a normal law.
+    shared_variance : shape (G,), variance of what all entries of a group have in common.
     tail : shape (E,), one over the degrees of freedom, 0 for a normal law; None in a model without heavy tails.
     """
 
-    own: Float[Array, " E"]
-    shared: Float[Array, " G"]
+    squared_scale: Float[Array, " E"]
+    shared_variance: Float[Array, " G"]
     tail: Float[Array, " E"] | None
 
 
-def noise_law(problem: Problem, h: Float[Array, " H"]) -> Law:
+def noise_distribution(problem: Problem, h: Float[Array, " H"]) -> NoiseDistribution:
     """Return how the readings scatter at hyperparameters h (in z)."""
     values, observations = problem.hyper_priors.values(h), problem.observations
     own, tail = jnp.zeros_like(observations.value), None
@@ -109,7 +109,7 @@ def noise_law(problem: Problem, h: Float[Array, " H"]) -> Law:
         elif issubclass(layer.noise, TailNoise):
             here = take(layer.tails(values), observations.group)
             tail = here if tail is None else tail + here
-    return Law(own, shared, tail)
+    return NoiseDistribution(own, shared, tail)
 
 
 @jax.jit
@@ -119,11 +119,11 @@ def whitener(problem: Problem, h: Float[Array, " H"]) -> Whitener:
     Under heavy tails an entry counts with the Fisher information of its law, and what the logarithm of that law has
     beyond its square is in the log determinant.
     """
-    law = noise_law(problem, h)
+    law = noise_distribution(problem, h)
     if law.tail is None:
-        return whitener_of(problem, h, law.own, law.shared)
-    by = whitener_of(problem, h, law.own / information(law.tail), law.shared)
-    beyond = jnp.sum(problem.observations.weight * of_tail(law.tail))
+        return whitener_of(problem, h, law.squared_scale, law.shared_variance)
+    by = whitener_of(problem, h, law.squared_scale / fisher_information(law.tail), law.shared_variance)
+    beyond = jnp.sum(problem.observations.weight * log_determinant_correction(law.tail))
     return eqx.tree_at(lambda one: one.log_determinant, by, by.log_determinant + beyond)
 
 

@@ -3,36 +3,36 @@
 from dataclasses import dataclass
 
 from imubayes.effects.base import Effect, MotionEffect, Stage
-from imubayes.model.effect_registry import Member, Registry
+from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.nodes import join_nodes
 from imubayes.run import Campaign, Run
 
 
 @dataclass(frozen=True)
-class Observable:
+class Observability:
     """What a campaign has for one effect or noise member.
 
     Attributes
     ----------
-    member : the class.
+    effect_class : the class.
     runs : names of the runs that supply all it needs.
     channels : names of the channels it can act on; none for effects on the motion.
     missing : what no run supplies, or what no run has together; empty where the campaign could show it.
     """
 
-    member: Member
+    effect_class: EffectClass
     runs: tuple[str, ...]
     channels: tuple[str, ...]
     missing: tuple[str, ...]
 
 
-def observable(campaign: Campaign, registry: Registry | None = None) -> tuple[Observable, ...]:
+def observability(campaign: Campaign, registry: Registry | None = None) -> tuple[Observability, ...]:
     """Return for every effect and noise member what the campaign has for it; nothing is fitted."""
     supplies = [
         frozenset({*supplied, *_belongings(run)})
         for run, supplied in zip(campaign.runs, join_nodes(campaign).supplies, strict=True)
     ]
-    return tuple(_judged(member, campaign, supplies) for member in (registry or Registry()).members.values())
+    return tuple(_judged(member, campaign, supplies) for member in (registry or Registry()).effects.values())
 
 
 def _belongings(run: Run) -> set[str]:
@@ -41,7 +41,7 @@ def _belongings(run: Run) -> set[str]:
     return {"run", *({"table"} if run.table else ()), *({"mounting"} if run.mounting else ()), *tumble}
 
 
-def _judged(member: Member, campaign: Campaign, supplies: list[frozenset[str]]) -> Observable:
+def _judged(member: EffectClass, campaign: Campaign, supplies: list[frozenset[str]]) -> Observability:
     needs = {*member.needs, *member.per, *(("free tumble",) if member.nuisance else ())} - {"channel"}
     # A current stands for the sensor: of what comes before the converter nothing is seen then.
     blind = {"injection"} - needs if issubclass(member, Effect) and member.stage < Stage.CONVERTER else set()
@@ -53,8 +53,8 @@ def _judged(member: Member, campaign: Campaign, supplies: list[frozenset[str]]) 
     by_channel = not issubclass(member, MotionEffect) and "closure" not in member.kinds
     channels = tuple(one.name for one in campaign.channels if by_channel and one.kind in member.kinds)
     if by_channel and not channels:
-        return Observable(member, (), (), tuple(member.kinds))
+        return Observability(member, (), (), tuple(member.kinds))
     if runs:
-        return Observable(member, runs, channels, ())
+        return Observability(member, runs, channels, ())
     nowhere = sorted(need for need in needs if not any(need in supplied for supplied in supplies))
-    return Observable(member, (), channels, tuple(nowhere or sorted(needs)))
+    return Observability(member, (), channels, tuple(nowhere or sorted(needs)))

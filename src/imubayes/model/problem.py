@@ -12,7 +12,7 @@ import numpy as np
 from imubayes.gather import in_batches, take
 from imubayes.model.attitude_closure import Transitions, closing_rotations
 from imubayes.model.servo_ode import Servos, servo_angles
-from imubayes.model.signal_path import Channels, Layer, start, travel
+from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
 from imubayes.noise.base import Entry, Noise
 from imubayes.parameters.vector import Priors
 from imubayes.stimulus import Nodes, SignalPath
@@ -97,7 +97,7 @@ class Problem(eqx.Module):
 
     Attributes
     ----------
-    instants, channels, layers, transitions, servos : the forward model.
+    nodes, channels, layers, transitions, servos : the forward model.
     turns : rows as (number of rows, nodes per row), in the order of the nodes; static.
     node_weight : shape (N,).
     nulls : shape (V − P,), the values behind the parameters at which effects do nothing.
@@ -106,7 +106,7 @@ class Problem(eqx.Module):
     spread_unit : shape (P,), width of the parameter's own prior, SI.
     """
 
-    instants: Nodes
+    nodes: Nodes
     channels: dict[str, Channels]
     layers: tuple[Layer, ...]
     transitions: Transitions | None
@@ -135,7 +135,7 @@ def values_of(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " V"]:
 
 def signal_path(problem: Problem, values: Float[Array, " V"]) -> SignalPath:
     """Return the signal path at every node, for parameters in SI and nulls."""
-    return travel(problem.layers, start(problem.instants), values)
+    return propagate(problem.layers, initial_path(problem.nodes), values)
 
 
 def predict(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " E"]:
@@ -150,7 +150,7 @@ def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, "
     path = signal_path(problem, values)
     outputs = [row_means(problem, path.signal[kind]).reshape(-1) for kind in sorted(problem.channels)]
     if problem.servos is not None:
-        angles = servo_angles(problem.servos, problem.layers, problem.instants, problem.channels, values)
+        angles = servo_angles(problem.servos, problem.layers, problem.nodes, problem.channels, values)
         outputs.append(jnp.degrees(angles).reshape(-1))
     predicted = take(jnp.concatenate(outputs), problem.observations.readout)
     if problem.transitions is None:
@@ -203,7 +203,7 @@ def prior_widths(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " P"]:
     return jnp.where(problem.spread_of < values.shape[0], widths / problem.spread_unit, 1.0)
 
 
-def without(problem: Problem, left_out: np.ndarray) -> Problem:
+def masked(problem: Problem, left_out: np.ndarray) -> Problem:
     """Return the problem with entries, (E,) bool, masked out; its shapes stay, so that nothing is compiled again."""
     weight = problem.observations.weight * jnp.asarray(~left_out, dtype=float)
     return eqx.tree_at(lambda one: one.observations.weight, problem, weight)

@@ -11,9 +11,22 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from imubayes.model.noise_covariance import Law, Whitener, group_sum, noise_law, whitener, whitener_of
+from imubayes.model.noise_covariance import (
+    NoiseDistribution,
+    Whitener,
+    group_sum,
+    noise_distribution,
+    whitener,
+    whitener_of,
+)
 from imubayes.model.problem import Problem
-from imubayes.model.student_t import bend, information, root_over_slope, root_slope, weight
+from imubayes.model.student_t import (
+    curvature,
+    deviance_root_over_slope,
+    deviance_root_slope,
+    fisher_information,
+    irls_weight,
+)
 from imubayes.noise.base import TailNoise
 from imubayes.types import Array, Float
 
@@ -23,12 +36,12 @@ _REWEIGHTED, _NEWTON = 60, 2
 _LEAST_CURVATURE = 0.1
 
 
-def has_tails(problem: Problem) -> bool:
+def has_heavy_tails(problem: Problem) -> bool:
     """Tell whether any reading of the problem has a heavy tail."""
     return any(issubclass(layer.noise, TailNoise) for layer in problem.noise)
 
 
-def without_tails(problem: Problem) -> Problem:
+def with_normal_noise(problem: Problem) -> Problem:
     """Return the problem with normal laws; its shapes stay, so that nothing is compiled again."""
     layers = tuple(
         eqx.tree_at(lambda one: one.acts, layer, jnp.zeros_like(layer.acts))
@@ -41,32 +54,34 @@ def without_tails(problem: Problem) -> Problem:
 
 def pseudo_values(problem: Problem, h: Float[Array, " H"], misfit: Float[Array, " E"]) -> Float[Array, " E"]:
     """Return the misfit, (E,), that under the whitener of the problem has the slope of the log density."""
-    law = noise_law(problem, h)
+    law = noise_distribution(problem, h)
     if law.tail is None:
         return misfit
     offset, x = _standing(problem, law, misfit)
-    return jnp.sqrt(law.own) * x * weight(x, law.tail) / information(law.tail) + offset
+    return jnp.sqrt(law.squared_scale) * x * irls_weight(x, law.tail) / fisher_information(law.tail) + offset
 
 
-def straightened(
+def least_squares_form(
     problem: Problem, h: Float[Array, " H"], misfit: Float[Array, " E"]
 ) -> tuple[Whitener, Float[Array, " E"]]:
     """Return a whitener and the misfit to be whitened by it: the squared norm is twice the fall of the log density."""
-    law = noise_law(problem, h)
+    law = noise_distribution(problem, h)
     if law.tail is None:
         return whitener(problem, h), misfit
     offset, x = _standing(problem, law, misfit)
-    by = whitener_of(problem, h, law.own / root_slope(x, law.tail) ** 2, law.shared)
-    return by, jnp.sqrt(law.own) * root_over_slope(x, law.tail) + offset
+    by = whitener_of(problem, h, law.squared_scale / deviance_root_slope(x, law.tail) ** 2, law.shared_variance)
+    return by, jnp.sqrt(law.squared_scale) * deviance_root_over_slope(x, law.tail) + offset
 
 
-def _standing(problem: Problem, law: Law, misfit: Float[Array, " E"]) -> tuple[Float[Array, " E"], Float[Array, " E"]]:
+def _standing(
+    problem: Problem, law: NoiseDistribution, misfit: Float[Array, " E"]
+) -> tuple[Float[Array, " E"], Float[Array, " E"]]:
     """Return the offset of each entry's run and channel, and what is left of its misfit in units of its scale."""
     offset = run_offsets(problem, law, misfit)[problem.observations.group]
-    return offset, (misfit - offset) / jnp.sqrt(law.own)
+    return offset, (misfit - offset) / jnp.sqrt(law.squared_scale)
 
 
-def run_offsets(problem: Problem, law: Law, misfit: Float[Array, " E"]) -> Float[Array, " G"]:
+def run_offsets(problem: Problem, law: NoiseDistribution, misfit: Float[Array, " E"]) -> Float[Array, " G"]:
     """Return the most likely offset of every run and channel, (G,), output units; 0 where the model has none.
 
     Found by reweighting from the median, which a few readings that are far off do not move.
@@ -74,13 +89,13 @@ def run_offsets(problem: Problem, law: Law, misfit: Float[Array, " E"]) -> Float
     observations, tail = problem.observations, law.tail
     assert tail is not None
 
-    def moved(offset, law, misfit, curvature):
-        x = (misfit - offset[observations.group]) / jnp.sqrt(law.own)
-        precision = observations.weight / law.own
-        pull = group_sum(precision * weight(x, law.tail) * (misfit - offset[observations.group]), observations)
-        stiff = group_sum(precision * weight(x, law.tail), observations)
-        known = curvature(group_sum(precision * bend(x, law.tail), observations), stiff)
-        return offset + (law.shared * pull - offset) / (1 + law.shared * known)
+    def moved(offset, law, misfit, choose):
+        x = (misfit - offset[observations.group]) / jnp.sqrt(law.squared_scale)
+        precision = observations.weight / law.squared_scale
+        pull = group_sum(precision * irls_weight(x, law.tail) * (misfit - offset[observations.group]), observations)
+        stiff = group_sum(precision * irls_weight(x, law.tail), observations)
+        known = choose(group_sum(precision * curvature(x, law.tail), observations), stiff)
+        return offset + (law.shared_variance * pull - offset) / (1 + law.shared_variance * known)
 
     def newton(true, reweighted):
         return jnp.where(true > _LEAST_CURVATURE * reweighted, true, reweighted)
@@ -94,12 +109,12 @@ def run_offsets(problem: Problem, law: Law, misfit: Float[Array, " E"]) -> Float
     return offset
 
 
-def _from_median(problem: Problem, law: Law, misfit: Float[Array, " E"]) -> Float[Array, " G"]:
+def _from_median(problem: Problem, law: NoiseDistribution, misfit: Float[Array, " E"]) -> Float[Array, " G"]:
     observations = problem.observations
     seen = jnp.concatenate([observations.weight > 0, jnp.zeros(1, dtype=bool)])[observations.members]
     values = jnp.concatenate([misfit, jnp.zeros(1)])[observations.members]
     count = seen.sum(axis=1)
     ordered = jnp.sort(jnp.where(seen, values, jnp.inf), axis=1)
     middle = jnp.take_along_axis(ordered, jnp.maximum(count - 1, 0)[:, None] // 2, axis=1)[:, 0]
-    known = law.shared * group_sum(observations.weight / law.own, observations)
+    known = law.shared_variance * group_sum(observations.weight / law.squared_scale, observations)
     return jnp.where(count > 0, middle, 0.0) * known / (1 + known)

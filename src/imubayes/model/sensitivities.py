@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from imubayes.covariates import ambient_names
-from imubayes.model.signal_path import Channels, Layer, start, travel
+from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
 from imubayes.stimulus import Ambient, Experience, Nodes, SignalPath
 from imubayes.types import Array, Float
 
@@ -22,7 +22,7 @@ REFERENCE_TEMPERATURE = 25.0  # °C, the catalogue's own
 WARMED_UP = 1e9  # s since power-on: longer than any warm-up
 
 
-class Probe(eqx.Module):
+class SensitivityInputs(eqx.Module):
     """Where the signal path is probed.
 
     Attributes
@@ -46,7 +46,7 @@ class Probe(eqx.Module):
 
 
 @dataclass(frozen=True)
-class DerivedName:
+class DerivedQuantity:
     """Name, unit and the factor from the probe's number to that unit."""
 
     name: str
@@ -54,14 +54,14 @@ class DerivedName:
     factor: float
 
 
-def sensitivities(probe: Probe, values: Float[Array, " V"]) -> dict[str, Float[Array, "C 3"]]:
+def sensitivities(probe: SensitivityInputs, values: Float[Array, " V"]) -> dict[str, Float[Array, "C 3"]]:
     """Return the gradient of every channel's output, kind → (C, 3), output units per rad/s or m/s² in body axes."""
     slopes = jax.jacfwd(lambda stimulus: _respond(probe, values, stimulus))(jnp.zeros(6))
     own = {"gyro": slice(0, 3), "accelerometer": slice(3, 6)}
     return {kind: slopes[kind][:, own[kind]] for kind in probe.channels}
 
 
-def _respond(probe: Probe, values, stimulus: Float[Array, " 6"]) -> dict[str, Float[Array, " C"]]:
+def _respond(probe: SensitivityInputs, values, stimulus: Float[Array, " 6"]) -> dict[str, Float[Array, " C"]]:
     """Return the outputs at a rate and a specific force, kind → (C,)."""
     zero = jnp.zeros(1)
     nothing = jnp.zeros(3)
@@ -74,23 +74,23 @@ def _respond(probe: Probe, values, stimulus: Float[Array, " 6"]) -> dict[str, Fl
     known = {"temperature": warm, "converter_temperature": warm, "power_on": long}
     ambient = Ambient(**{name: known.get(name, zero) for name in ambient_names()})
     path = SignalPath(probe.mountings.stands, ambient, experience, {}, {})
-    signal = travel(probe.sensor_layers, path, values).signal
+    signal = propagate(probe.sensor_layers, path, values).signal
     return {kind: signal[kind][0] for kind in probe.channels}
 
 
-def axes_of_rotation(probe: Probe, values: Float[Array, " V"]) -> Float[Array, "M 3"]:
+def axes_of_rotation(probe: SensitivityInputs, values: Float[Array, " V"]) -> Float[Array, "M 3"]:
     """Return the table's axis in body axes, for each mounting."""
-    return travel(probe.mounting_layers, start(probe.mountings), values).motion.mounting[:, 2, :]
+    return propagate(probe.mounting_layers, initial_path(probe.mountings), values).motion.mounting[:, 2, :]
 
 
-def thermal_slopes(probe: Probe, values: Float[Array, " V"]) -> dict[str, Float[Array, "T C"]]:
+def thermal_slopes(probe: SensitivityInputs, values: Float[Array, " V"]) -> dict[str, Float[Array, "T C"]]:
     """Return d(output)/d(converter temperature) over the nominal output of the input, kind → (T, C), per °C."""
     assert probe.thermal is not None
     instants = probe.thermal
 
     def output(temperature):
         warmed = replace(instants, ambient=instants.ambient.updated(converter_temperature=temperature))
-        return travel(probe.thermal_layers, start(warmed), values).signal
+        return propagate(probe.thermal_layers, initial_path(warmed), values).signal
 
     at = instants.ambient.converter_temperature
     _, slope = jax.jvp(output, (at,), (jnp.ones_like(at),))
@@ -99,7 +99,7 @@ def thermal_slopes(probe: Probe, values: Float[Array, " V"]) -> dict[str, Float[
     }
 
 
-Derive = Callable[[Probe, Float[Array, " V"]], Float[Array, " D"]]
+Derive = Callable[[SensitivityInputs, Float[Array, " V"]], Float[Array, " D"]]
 
 
 def unit_vectors(vectors: Float[Array, "... 3"]) -> Float[Array, "... 3"]:

@@ -20,7 +20,18 @@ from imubayes.effects.base import Effect, RecordEffect, Stage
 from imubayes.model.assembly import Assembly
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.nodes import servo_runs
-from imubayes.model.signal_path import Channels, Convert, Emit, Layer, Project, Resolve, Spread, in_order, start, travel
+from imubayes.model.signal_path import (
+    AddOffset,
+    Broadcast,
+    Channels,
+    Convert,
+    Layer,
+    Project,
+    Resolve,
+    initial_path,
+    propagate,
+    sorted_layers,
+)
 from imubayes.procedures.servo_table import driving_channel, turns_of
 from imubayes.stimulus import Ambient, Motion, Nodes, SignalPath
 from imubayes.types import Array, Float
@@ -57,9 +68,9 @@ class Servos(eqx.Module):
     layers: tuple[Layer, ...]
 
 
-def servos_of(assembly: Assembly, acting: Sequence[BoundEffect]) -> Servos | None:
+def bind_servos(assembly: Assembly, acting: Sequence[BoundEffect]) -> Servos | None:
     """Return the runs in which a gyro drives the table; None where there are none."""
-    campaign, nodes = assembly.belonging.campaign, assembly.belonging.nodes
+    campaign, nodes = assembly.grouping.campaign, assembly.grouping.nodes
     driven = servo_runs(campaign)
     if not driven:
         return None
@@ -79,12 +90,12 @@ def servos_of(assembly: Assembly, acting: Sequence[BoundEffect]) -> Servos | Non
         Resolve(tuple((kind, len(one.scale)) for kind, one in assembly.channels.items())),
         Project(assembly.channels),
         Convert(assembly.channels, np.zeros(len(driven))),
-        Emit(assembly.channels),
+        AddOffset(assembly.channels),
         *(
             layer
             for one in acting
-            if issubclass(one.member, Effect) and one.member.stage >= Stage.TABLE
-            if not issubclass(one.member, RecordEffect)
+            if issubclass(one.effect_class, Effect) and one.effect_class.stage >= Stage.TABLE
+            if not issubclass(one.effect_class, RecordEffect)
             for layer in assembly.effect_layers(one, first)
         ),
     ]
@@ -98,7 +109,7 @@ def servos_of(assembly: Assembly, acting: Sequence[BoundEffect]) -> Servos | Non
         ambient=Ambient(**{name: values[padded] for name, values in nodes.stimulus.ambient.items()}),
         # A power of two, so that records of about the same length are one compiled program.
         steps=2 ** math.ceil(math.log2(STEPS_PER_TURN * max(1.0, *map(turns_of, runs)))),
-        layers=in_order(layers),
+        layers=sorted_layers(layers),
     )
 
 
@@ -118,8 +129,8 @@ def servo_angles(
     channels : constants of the channels, per kind.
     values : all parameters in SI, then the null values.
     """
-    before = [one for one in layers if one.place()[0] == Stage.STAND and not isinstance(one, Spread)]
-    stands = jax.tree.map(lambda leaf: leaf[servos.stand], travel(before, start(instants), values).motion)
+    before = [one for one in layers if one.place()[0] == Stage.STAND and not isinstance(one, Broadcast)]
+    stands = jax.tree.map(lambda leaf: leaf[servos.stand], propagate(before, initial_path(instants), values).motion)
 
     def turning(share: Any, angle: Float[Array, " S"], _: None) -> Float[Array, " S"]:
         ambient = jax.tree.map(
@@ -158,5 +169,5 @@ def _output(
     servos: Servos, channels: dict[str, Channels], motion: Motion, ambient: Ambient, values
 ) -> Float[Array, " S"]:
     """Return what the driving gyro reads beyond its nominal offset, output units."""
-    path = travel(servos.layers, SignalPath(motion, ambient, {}, {}, {}), values)
+    path = propagate(servos.layers, SignalPath(motion, ambient, {}, {}, {}), values)
     return jnp.sum(servos.driver * (path.signal["gyro"] - channels["gyro"].offset[None, :]), axis=1)

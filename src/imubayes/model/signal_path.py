@@ -86,13 +86,13 @@ class EffectLayer(Layer):
         return self.effect.advance(lambda one: self.effect(**one, **options), chosen, path, self.kind)
 
 
-class Spread(Layer):
+class Broadcast(Layer):
     """From stands to nodes: each node gets the table and mounting of its stand, and its own angle and rate."""
 
     closes: ClassVar[Stage] = Stage.STAND
 
     def __call__(self, path, chosen):
-        at, stand = path.instants, path.motion
+        at, stand = path.nodes, path.motion
         assert at is not None
         motion = Motion(
             base=take(stand.base, at.stand),
@@ -165,7 +165,7 @@ class Convert(Layer):
         return eqx.tree_at(lambda p: p.signal, path, signal)
 
 
-class Emit(Layer):
+class AddOffset(Layer):
     """The nominal offset."""
 
     channels: dict[str, Channels]
@@ -208,12 +208,12 @@ def project(axes, experience: Experience, ambient: Ambient) -> Sample:
     )
 
 
-def start(instants: Nodes) -> SignalPath:
+def initial_path(instants: Nodes) -> SignalPath:
     """Return a path on which nothing has happened yet."""
     return SignalPath(instants.stands, instants.stand_ambient, {}, {}, {}, instants, instants.records)
 
 
-def travel(layers: Sequence[Layer], path: SignalPath, values: Float[Array, " V"]) -> SignalPath:
+def propagate(layers: Sequence[Layer], path: SignalPath, values: Float[Array, " V"]) -> SignalPath:
     """Pass every layer in turn; `values` are all parameters in SI, then the null values."""
     for layer, chosen in zip(layers, _chosen(layers, values), strict=True):
         path = layer(path, chosen)
@@ -230,6 +230,6 @@ def _chosen(layers: Sequence[Layer], values: Float[Array, " V"]) -> list[dict[st
     return jax.tree.unflatten(tree, [one.reshape(place.shape) for one, place in zip(found, places, strict=True)])
 
 
-def in_order(layers: Sequence[Layer]) -> tuple[Layer, ...]:
+def sorted_layers(layers: Sequence[Layer]) -> tuple[Layer, ...]:
     """Sort layers by stage and order; a junction closes its stage."""
     return tuple(sorted(layers, key=lambda layer: layer.place()))

@@ -13,32 +13,32 @@ from imubayes.types import Array, Float
 _SMALL = 1e-5
 
 
-def square(x: Float[Array, "..."], tail: Float[Array, "..."]) -> Float[Array, "..."]:
+def deviance(x: Float[Array, "..."], tail: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return what stands in the place of x² in twice the negative logarithm: (ν + 1) log(1 + x²/ν)."""
     return x**2 * _flattened(x, tail)
 
 
-def weight(x: Float[Array, "..."], tail: Float[Array, "..."]) -> Float[Array, "..."]:
+def irls_weight(x: Float[Array, "..."], tail: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return (ν + 1)/(ν + x²): half the slope of the square over x, the weight of a reading."""
     return (1 + tail) / (1 + tail * x**2)
 
 
-def bend(x: Float[Array, "..."], tail: Float[Array, "..."]) -> Float[Array, "..."]:
+def curvature(x: Float[Array, "..."], tail: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return half the second derivative of the square: 1 for a normal law, negative far out."""
     return (1 + tail) * (1 - tail * x**2) / (1 + tail * x**2) ** 2
 
 
-def root_slope(x: Float[Array, "..."], tail: Float[Array, "..."]) -> Float[Array, "..."]:
+def deviance_root_slope(x: Float[Array, "..."], tail: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return the derivative of the root of the square by x."""
-    return weight(x, tail) / jnp.sqrt(_flattened(x, tail))
+    return irls_weight(x, tail) / jnp.sqrt(_flattened(x, tail))
 
 
-def root_over_slope(x: Float[Array, "..."], tail: Float[Array, "..."]) -> Float[Array, "..."]:
+def deviance_root_over_slope(x: Float[Array, "..."], tail: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return the root of the square over its derivative: where a straight line of that slope would cross zero."""
-    return x * _flattened(x, tail) / weight(x, tail)
+    return x * _flattened(x, tail) / irls_weight(x, tail)
 
 
-def information(tail: Float[Array, "..."]) -> Float[Array, "..."]:
+def fisher_information(tail: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return the Fisher information of one reading about its prediction: (ν + 1)/(ν + 3), for a scale of 1."""
     return (1 + tail) / (1 + 3 * tail)
 
@@ -51,9 +51,9 @@ def normaliser(tail: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.where(heavy, -2 * at_zero, 0.0)
 
 
-def of_tail(tail: Float[Array, "..."]) -> Float[Array, "..."]:
+def log_determinant_correction(tail: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return what the log determinant of the normal law of the same information lacks for one reading."""
-    return jnp.log(information(tail)) + normaliser(tail)
+    return jnp.log(fisher_information(tail)) + normaliser(tail)
 
 
 def _flattened(x: Float[Array, "..."], tail: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -16,7 +16,7 @@ from imubayes.campaign import load_campaign
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fit import Fit
 from imubayes.inference.joint_fit import data_hash, model_hash
-from imubayes.model.bind import Model, declare
+from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.parameters.vector import Layout
 from imubayes.procedures import PROCEDURES
@@ -98,7 +98,7 @@ def read_fit(folder: str | Path) -> Fit:
     folder = Path(folder)
     record = read_record(folder)
     found = load_campaign(_folder(record, folder), tuple(PROCEDURES))
-    model = declare(read_model(folder / MODEL), found)
+    model = bind(read_model(folder / MODEL), found)
     if campaign_hash(model) != record["data_hash"]:
         raise InputError(
             Issue(

@@ -18,7 +18,7 @@ from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_tree import in_units
 from imubayes.inference.procedure_contributions import contributions
-from imubayes.model.derived_quantities import derived_slopes
+from imubayes.model.derived_quantities import derived_jacobian
 from imubayes.records import finite
 from imubayes.results.residuals import Residuals
 from imubayes.results.summary import Conformance, DerivedSummary, ParameterSummary, Seconds, Summary
@@ -123,7 +123,7 @@ def _derived(fit: Fit) -> tuple[DerivedSummary, ...]:
 def _weak(fit: Fit, precision: np.ndarray) -> list[WeakDirection]:
     """Return what the data did not determine: pairs of derived quantities first, then combinations of parameters."""
     model = fit.model
-    gradient = derived_slopes(fit.derived.derivation, model.problem, fit.z)
+    gradient = derived_jacobian(fit.derived.derivation, model.problem, fit.z)
     directions = np.linalg.solve(precision, gradient.T)
     prior, posterior = gradient @ gradient.T, gradient @ directions
     spread = np.sum(directions * np.linalg.solve(precision, directions), axis=0)

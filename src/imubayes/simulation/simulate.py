@@ -19,8 +19,8 @@ import numpy as np
 
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.model.bind import Model
-from imubayes.model.derived_quantities import derive
-from imubayes.model.noise_covariance import Law, Series, noise_law, whitener
+from imubayes.model.derived_quantities import derived_quantities
+from imubayes.model.noise_covariance import NoiseDistribution, Series, noise_distribution, whitener
 from imubayes.model.problem import Problem, predict, prior_widths, values_of
 from imubayes.parameters.vector import Layout, Parameter
 from imubayes.run import Campaign
@@ -73,7 +73,7 @@ def simulate(model: Model, seed: int, truth: Mapping[str, float] | None = None, 
     observed, offsets = _with_noise(model, np.asarray(clean), law, series, seed)
     runs = tuple(replace(run, observed=one) for run, one in zip(model.campaign.runs, observed, strict=True))
     values, hyper_values = _in_si(problem, jnp.asarray(z), jnp.asarray(h))
-    derived = derive(model.assembly)
+    derived = derived_quantities(model.assembly)
     return Simulated(
         campaign=replace(model.campaign, runs=runs),
         z=z,
@@ -98,7 +98,7 @@ def random_stream(seed: int, name: str) -> np.random.Generator:
 
 @eqx.filter_jit
 def _expected(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
-    return predict(problem, z), noise_law(problem, h), whitener(problem, h).series
+    return predict(problem, z), noise_distribution(problem, h), whitener(problem, h).series
 
 
 @eqx.filter_jit
@@ -143,13 +143,13 @@ def _impossible(parameter: Parameter, value: float, where: str) -> Issue:
 
 
 def _with_noise(
-    model: Model, clean: np.ndarray, law: Law, series: Series | None, seed: int
+    model: Model, clean: np.ndarray, law: NoiseDistribution, series: Series | None, seed: int
 ) -> tuple[list[np.ndarray], dict[tuple[str, str], float]]:
     """Return the outputs of every run, shape (R, C) each, and the offset of every run and channel."""
     entries, campaign = model.entries, model.campaign
     observed = [np.full(run.observed.shape, np.nan) for run in campaign.runs]
     offsets = {}
-    deviation, common = np.sqrt(np.asarray(law.own)), np.sqrt(np.asarray(law.shared))
+    deviation, common = np.sqrt(np.asarray(law.squared_scale)), np.sqrt(np.asarray(law.shared_variance))
     tail = np.zeros(len(clean)) if law.tail is None else np.asarray(law.tail)
     group = np.asarray(model.problem.observations.group)
     for one in range(len(common)):

@@ -16,7 +16,7 @@ from imubayes.atomic_files import new_folder
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign
 from imubayes.campaign.convert.campaign_writer import refuse_occupied
 from imubayes.errors import InputError, Issue
-from imubayes.model.bind import Model, declare
+from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.simulation.planned_campaign import Plan, read_plan, recorded
 from imubayes.simulation.simulate import Simulated, simulate
@@ -40,7 +40,7 @@ def simulate_plan(plan: Path, out: Path, seed: int | None = None) -> Path:
     """
     refuse_occupied(out)
     read = read_plan(plan)
-    model = declare(read_model(read.model), read.campaign)
+    model = bind(read_model(read.model), read.campaign)
     chosen = read.file.seed if seed is None else seed
     done = simulate(model, chosen, read.file.truth, f"{read.path}, [truth]")
     _write(out, read, model, done, chosen)
