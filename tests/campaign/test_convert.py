@@ -106,14 +106,14 @@ def test_static_log_for_a_thermal_ramp(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"kind": "six-columns"}, "no kind of recording"),
+        ({"kind": "six-columns"}, "not a kind of recording"),
         ({"accel_unit": "m/s2"}, "accel_unit"),
-        ({"acel_unit": "g"}, "no option"),
+        ({"acel_unit": "g"}, "not an option"),
         ({"gyro_scale": [1.0, 2.0]}, "gyro_scale has 2 numbers"),
         ({"sample_rate_hz": -1.0}, "not positive"),
         ({"sample_rate_hz": None}, "no sampling rate was given"),
         ({"columns": {"ax": 9}}, "there is no column '9'"),
-        ({"columns": {"acc_x": 1}}, "no column of a run table"),
+        ({"columns": {"acc_x": 1}}, "not a column of a run table"),
         ({"files": ["nothing.log"]}, "there is no file"),
         ({"files": ["bad.log"]}, r"bad\.log:2"),
         ({"files": ["empty.log"]}, "is empty"),
@@ -153,7 +153,7 @@ def test_problems_are_placed_in_the_recording_and_its_options(tmp_path: Path) ->
     columns["gy"][41] = np.inf
     with pytest.raises(InputError) as caught:
         convert("six-column", [write_log(log, columns)], tmp_path / "c", sample_rate_hz=100)
-    assert [problem.where for problem in caught.value.issues] == [f"{log}, reading 42, column 'gy'"]
+    assert [problem.where for problem in caught.value.issues] == [f"{log}, sample 42, column 'gy'"]
     assert not (tmp_path / "c").exists()
 
 

@@ -1,10 +1,10 @@
 """A free tumble whose motion is known exactly."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from small_files import GRAVITY
 
 from imubayes.campaign.equipment import complete_axes
-from imubayes.campaign.free_tumble.rotation import exponential, shortest
 from imubayes.run import Channel
 
 NAMES = ("ax", "ay", "az", "gx", "gy", "gz")
@@ -21,21 +21,21 @@ def channels() -> tuple[Channel, ...]:
 
 
 def integrate(rate: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Body → level at every sample, the rate a straight line between samples."""
+    """Return C_nb at every sample, the rate interpolated linearly."""
     small = 0.5 * (rate[1:] + rate[:-1]) / HZ + np.cross(rate[:-1], rate[1:]) / HZ**2 / 12
     attitude = [start]
-    for turn in exponential(small):
+    for turn in Rotation.from_rotvec(small).as_matrix():
         attitude.append(attitude[-1] @ turn)
     return np.array(attitude)
 
 
 def tumble_log(poses: int = 16, seed: int = 0, noise: bool = True, twist_in: int | None = None):
-    """Rests of 4 s, turns of 1.5 s about random axes; columns, and body → level at every sample.
+    """Return rests of 4 s and rotations of 1.5 s about random axes: columns, and C_nb at every sample.
 
-    In pose `twist_in` the unit is turned about the vertical by a quarter of a radian, which no accelerometer feels.
+    In pose `twist_in` the unit rotates about the vertical by a quarter of a radian, invisible to the accelerometers.
     """
     rng = np.random.default_rng(seed)
-    attitude = [shortest(np.array([0.3, -0.2, 0.9]), UP)[None]]
+    attitude = [Rotation.align_vectors(UP, np.array([0.3, -0.2, 0.9]))[0].as_matrix()[None]]
     rates = [np.zeros((1, 3))]
     shaking = [np.zeros(1)]
     for pose in range(poses):

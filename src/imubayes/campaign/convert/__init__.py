@@ -1,7 +1,7 @@
-"""Foreign recordings become campaigns.
+"""Conversion of recordings of other tools into campaigns.
 
-A recording does not say its units, its site or what was done; the options say it.  What they leave open and
-the recording can tell (the nominal scale of raw counts) is estimated, and the campaign carries a note of it.
+A recording does not state its units, its site or the procedure; the options do.  The nominal scale of raw counts is
+estimated from the recording where the options do not give it, and noted in the campaign.
 """
 
 import re
@@ -18,36 +18,35 @@ from imubayes.campaign.convert.recording_formats import GYROS, KINDS, SIX, Colum
 from imubayes.campaign.convert.recording_options import ACCEL_UNITS, GYRO_UNITS, ConvertOptions, read_options
 from imubayes.campaign.run_columns import NEEDS_TABLE
 from imubayes.earth import normal_gravity
-from imubayes.errors import InputError, Issue, closest_first
+from imubayes.errors import closest_first, input_error
 
 RECORDING = "runs/recording.csv"
 DEFAULT_LATITUDE = 45.0
-# Without a site: the rounded value that desk calibration tools and their published results assume.
+# Without a site: the rounded value assumed by bench calibration tools and their published results.
 DEFAULT_GRAVITY = 9.81  # m/s²
 
 __all__ = ["KINDS", "ConvertOptions", "convert", "write_campaign"]
 
 
 def convert(kind: str, files: Sequence[str | Path], out: str | Path, **options: Any) -> Path:
-    """Make a campaign folder of a foreign recording.
+    """Convert a recording of another tool into a campaign folder.
 
     Parameters
     ----------
     kind : ``imu-tk`` (two text files, accelerometers and gyros, each time x y z) or ``six-column``
         (ax ay az gx gy gz, or the columns that are named).
     files : the recording.
-    out : the campaign folder to make; must not exist or be empty.
+    out : the campaign folder to write; must not exist, or be empty.
     options : see `ConvertOptions`.
 
     Raises
     ------
     InputError
-        with everything that keeps the recording from becoming a campaign.
+        with everything that prevents the conversion.
     """
     if kind not in KINDS:
-        raise InputError(
-            Issue(f"'{kind}' is no kind of recording", "KIND", closest_first(kind, KINDS), "use one of these kinds")
-        )
+        what = f"'{kind}' is not a kind of recording"
+        raise input_error(what, "KIND", closest_first(kind, KINDS), "use one of these kinds")
     chosen = read_options(options)
     folder = Path(out)
     refuse_occupied(folder)
@@ -59,13 +58,13 @@ def convert(kind: str, files: Sequence[str | Path], out: str | Path, **options: 
 
 
 def _came_from(where: str, recording: str) -> str:
-    """Return the place in the recording, or the option, that a place in the campaign was made of."""
+    """Return the place in the recording, or the option, that a place in the campaign was written from."""
     if found := re.search(rf"{re.escape(RECORDING)}(?::(\d+))?(.*)", where):
         # The first line of the table is its header.
-        reading = f", reading {int(found[1]) - 1}" if found[1] else ""
+        reading = f", sample {int(found[1]) - 1}" if found[1] else ""
         return f"{recording}{reading}{found[2]}"
     key = where.rpartition(".")[2].rpartition(" ")[2]
-    return f"option {key}" if key in {one.name for one in fields(ConvertOptions)} else where
+    return f"option {key}" if key in {option.name for option in fields(ConvertOptions)} else where
 
 
 def _campaign(
@@ -75,12 +74,12 @@ def _campaign(
     latitude, gravity = options.latitude_deg, options.gravity_m_s2
     if latitude is None:
         latitude = DEFAULT_LATITUDE
-        notes.append(f"the latitude was not given: {latitude:g} deg is taken for the Earth rate")
+        notes.append(f"the latitude was not given: {latitude:g} deg is assumed for the Earth rate")
         if gravity is None:
             gravity = DEFAULT_GRAVITY
             notes.append(
-                f"neither gravity nor latitude was given: {gravity:g} m/s² is taken; on Earth it is 9.78 to 9.83, and "
-                "accelerometer scale factors are wrong by the same share"
+                f"neither gravity nor latitude was given: {gravity:g} m/s² is assumed; on Earth it is 9.78 to 9.83, and "
+                "the relative error carries over to the accelerometer scale factors"
             )
     known = gravity is not None
     gravity = gravity if gravity is not None else normal_gravity(float(np.deg2rad(latitude)), options.height_m)

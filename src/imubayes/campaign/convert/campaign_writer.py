@@ -1,6 +1,7 @@
-"""Write a campaign folder whole or not at all: beside its place first, renamed into place at the end."""
+"""Atomic writing of a campaign folder: to a temporary folder, renamed at the end."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import tomlkit
 
 from imubayes.atomic_files import new_folder
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign
-from imubayes.errors import InputError, Issue
+from imubayes.errors import InputError, input_error
 
 
 def write_campaign(
@@ -25,16 +26,16 @@ def write_campaign(
 
     Parameters
     ----------
-    out : the folder; must not exist or be empty.
+    out : the folder; must not exist, or be empty.
     document : content of `campaign.toml`.
     tables : path of a run table within the folder → its columns.
-    check : read the campaign back before it is put in place.
-    came_from : says where that came from which a problem finds at a place of the campaign.
+    check : read the campaign back before it is moved into place.
+    came_from : place in the campaign → the place in its source, for errors.
 
     Raises
     ------
     InputError
-        where the folder has something in it, or what was written would not load.
+        if the folder is not empty, or the campaign would not load.
     """
     refuse_occupied(out)
     with new_folder(out) as draft:
@@ -45,20 +46,18 @@ def write_campaign(
         issues = inspect_campaign(draft).issues if check else ()
         if issues:
             raise InputError(
-                Issue(p.what, came_from(p.where.replace(str(draft), str(out))), p.allowed, p.remedy) for p in issues
+                replace(issue, where=came_from(issue.where.replace(str(draft), str(out)))) for issue in issues
             )
 
 
 def refuse_occupied(out: Path) -> None:
-    """Raise where a folder has something in it, or a file is in its place."""
+    """Raise an `InputError` if the folder is not empty, or is a file."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(
-            Issue(
-                f"'{out}' is there already and not an empty folder",
-                str(out),
-                "a folder that does not exist yet, or an empty one",
-                "choose another name, or remove the folder first",
-            )
+        raise input_error(
+            f"'{out}' exists and is not an empty folder",
+            str(out),
+            "a folder that does not exist yet, or an empty one",
+            "choose another name, or remove the folder first",
         )
 
 

@@ -1,4 +1,4 @@
-"""Scale and offset of channels in raw counts: as given, or estimated where the recording can tell."""
+"""Scale and offset of channels in raw counts: as given, or estimated from the recording."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ import numpy as np
 from imubayes.campaign.convert.nominal_calibration import Nominal, estimate_accelerometers, estimate_gyros, find_poses
 from imubayes.campaign.convert.recording_formats import ACCELEROMETERS, GYROS, SIX, Columns
 from imubayes.campaign.convert.recording_options import ConvertOptions
-from imubayes.errors import InputError, Issue
+from imubayes.errors import input_error
 
 SIGNIFICANT = 5  # digits of an estimated scale
 
@@ -15,7 +15,13 @@ SIGNIFICANT = 5  # digits of an estimated scale
 def nominal_of_counts(
     columns: Columns, options: ConvertOptions, gravity: float, notes: list[str], source: str
 ) -> dict[str, tuple[float, float]]:
-    """Return scale and offset of the channels in counts: given, or estimated from poses and turns."""
+    """Return channel → (scale, offset) of the channels in counts: given, or estimated from poses and rotations.
+
+    Raises
+    ------
+    InputError
+        if an estimate is needed and columns, poses or rotations are missing.
+    """
     accel = _given(options.accel_unit, options.accel_scale, options.accel_offset)
     gyro = _given(options.gyro_unit, options.gyro_scale, options.gyro_offset)
     if accel is None or gyro is None:
@@ -29,7 +35,7 @@ def nominal_of_counts(
 
 
 def _given(unit: str, scale: Sequence[float] | None, offset: Sequence[float] | None) -> Nominal | None:
-    """Return what the options say; a channel not in counts has scale 1."""
+    """Return the nominal calibration of the options, None where incomplete; a channel not in counts has scale 1."""
     if unit != "count":
         return Nominal(np.ones(3), np.zeros(3))
     if scale is None or offset is None:
@@ -48,13 +54,11 @@ def _estimated(
 ) -> tuple[Nominal, Nominal]:
     missing = [name for name in SIX if name not in columns]
     if missing:
-        raise InputError(
-            Issue(
-                f"the scale of counts cannot be estimated without {', '.join(missing)}",
-                source,
-                "all six columns, or accel_scale, accel_offset, gyro_scale, gyro_offset",
-                "give the nominal scales and offsets",
-            )
+        raise input_error(
+            f"the scale of counts cannot be estimated without {', '.join(missing)}",
+            source,
+            "all six columns, or accel_scale, accel_offset, gyro_scale, gyro_offset",
+            "give the nominal scales and offsets",
         )
     force, rate = (np.stack([columns[name] for name in names], axis=1) for names in (ACCELEROMETERS, GYROS))
     time = columns["time_s"]
@@ -63,7 +67,7 @@ def _estimated(
         accel = _combine(
             estimate_accelerometers(force, rests, gravity, source), options.accel_scale, options.accel_offset
         )
-        notes.append(_say("accelerometers", "the static poses, |f| = g", accel, "m/s^2"))
+        notes.append(_note("accelerometers", "the static poses, |f| = g", accel, "m/s^2"))
     if gyro is None:
         means = np.array([force[rest.start : rest.stop].mean(0) for rest in rests])
         level = (means - accel.offset) / accel.scale
@@ -71,18 +75,18 @@ def _estimated(
         gyro = _combine(
             estimate_gyros(rate, down, time, rests, initial, source), options.gyro_scale, options.gyro_offset
         )
-        notes.append(_say("gyros", "the first rest and the turns between poses", gyro, "rad/s"))
+        notes.append(_note("gyros", "the initial rest and the rotations between poses", gyro, "rad/s"))
     return accel, gyro
 
 
 def _combine(found: Nominal, scale: Sequence[float] | None, offset: Sequence[float] | None) -> Nominal:
-    """Return the estimate, rounded, with what was given in its place."""
+    """Return the rounded estimate, replaced by what was given."""
     return Nominal(
         np.array([float(f"{value:.{SIGNIFICANT}g}") for value in (found.scale if scale is None else scale)]),
         np.round(found.offset if offset is None else np.asarray(offset, dtype=float), 1),
     )
 
 
-def _say(what: str, how: str, nominal: Nominal, unit: str) -> str:
+def _note(what: str, how: str, nominal: Nominal, unit: str) -> str:
     scales, offsets = (", ".join(f"{value:g}" for value in values) for values in (nominal.scale, nominal.offset))
     return f"nominal scale of the {what} estimated from {how}: {scales} count per {unit}; offset {offsets} count"

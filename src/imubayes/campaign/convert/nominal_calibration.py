@@ -1,43 +1,51 @@
-"""Nominal scale and offset from the recording itself, where counts come without a datasheet.
+"""Nominal scale and offset of raw counts, estimated from the recording itself.
 
-The accelerometers' static means lie on an ellipsoid whose half axes are g times the scales and whose centre is
-the offset.  The gyros' offset is their mean at rest, and their scale is the one with which the turns between
-poses carry gravity from each pose to the next.  The result serves as nominal: a few per cent are good enough,
-the fit of the campaign does the rest.
+The static means of the accelerometers lie on an ellipsoid whose semi-axes are g times the scales and whose centre is
+the offset.  The gyro offset is the mean at rest, and the gyro scales are those with which the rotations between poses
+propagate gravity from each pose to the next.  An accuracy of a few per cent suffices for a nominal value; the fit of
+the campaign estimates the rest.
 """
 
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from imubayes.campaign.free_tumble.rotation import exponential
-from imubayes.campaign.free_tumble.static_detection import Rest, find_rests, initial_rest, unrest
-from imubayes.errors import InputError, Issue
+from imubayes.campaign.free_tumble.body_vectors import angle_between
+from imubayes.campaign.free_tumble.static_detection import Rest, find_rests, initial_rest, variance_ratio
+from imubayes.errors import input_error
 
-QUIET = 6.0  # times the variance at rest
+QUIET = 6.0  # multiple of the variance at rest
 LEAST_POSES = 9
-LEAST_TURN = 0.3  # rad between the gravity directions of two poses for a transition to tell about the scale
+LEAST_TURNS = 4
+LEAST_ANGLE = 0.3  # rad between the directions of gravity in two poses, for a transition that determines the scale
 SEARCH = np.geomspace(0.2, 2.0, 60)
 REFINEMENTS = 12
 
 
 @dataclass(frozen=True)
 class Nominal:
-    """Nominal output = scale · input + offset, per axis, shape (3,) each."""
+    """Nominal calibration, output = scale · input + offset; per axis, shape (3,) each."""
 
     scale: np.ndarray
     offset: np.ndarray
 
 
 def find_poses(force: np.ndarray, interval: float, seconds: float | None) -> tuple[list[Rest], Rest]:
-    """Return the rests of a recording and the rest at its beginning, from accelerometer readings of any unit."""
+    """Return the rests of a recording and its initial rest; `force` is (N, 3) in any unit."""
     initial = initial_rest(force, interval, seconds)
-    return find_rests(unrest(force, interval, initial) < QUIET, interval), initial
+    return find_rests(variance_ratio(force, interval, initial) < QUIET, interval), initial
 
 
 def estimate_accelerometers(force: np.ndarray, rests: list[Rest], gravity: float, where: str) -> Nominal:
-    """Return scale (counts per m/s²) and offset by an ellipsoid through the static means."""
+    """Return scale (counts per m/s²) and offset by an ellipsoid fitted to the static means.
+
+    Raises
+    ------
+    InputError
+        if there are too few poses, or they do not determine an ellipsoid.
+    """
     means = np.array([force[rest.start : rest.stop].mean(0) for rest in rests]).reshape(-1, 3)
     if len(means) >= LEAST_POSES:
         centre, size = means.mean(0), np.ptp(means, axis=0).max()
@@ -48,13 +56,11 @@ def estimate_accelerometers(force: np.ndarray, rests: list[Rest], gravity: float
             middle = -linear / (2 * square)
             half = np.sqrt((1 + np.sum(square * middle**2)) / square)
             return Nominal(half * size / gravity, centre + size * middle)
-    raise InputError(
-        Issue(
-            f"the accelerometers' scale cannot be estimated from {len(means)} static poses",
-            where,
-            f"{LEAST_POSES} or more poses all around, or accel_scale and accel_offset",
-            "give the nominal scale and offset of the datasheet",
-        )
+    raise input_error(
+        f"the accelerometer scale cannot be estimated from {len(means)} static poses",
+        where,
+        f"{LEAST_POSES} or more poses in all directions, or accel_scale and accel_offset",
+        "give the nominal scale and offset of the datasheet",
     )
 
 
@@ -65,30 +71,34 @@ def estimate_gyros(
 
     Parameters
     ----------
-    rate : raw readings, shape (N, 3).
+    rate : raw samples, shape (N, 3), counts.
     down : unit direction of the specific force in each rest, shape (rests, 3).
+    time : shape (N,), s.
+    where : named in errors.
+
+    Raises
+    ------
+    InputError
+        if fewer than four transitions change the direction of gravity.
     """
     offset = rate[initial.start : initial.stop].mean(0)
     pairs = [
         (index, rest.stop - 1, after.start)
         for index, (rest, after) in enumerate(pairwise(rests))
-        if np.arccos(np.clip(down[index] @ down[index + 1], -1, 1)) > LEAST_TURN
+        if angle_between(down[index], down[index + 1]) > LEAST_ANGLE
     ]
-    if len(pairs) < 4:
-        raise InputError(
-            Issue(
-                f"the gyros' scale cannot be estimated from {len(pairs)} turns between poses",
-                where,
-                "four or more turns about all axes, or gyro_scale and gyro_offset",
-                "give the nominal scale and offset of the datasheet",
-            )
+    if len(pairs) < LEAST_TURNS:
+        raise input_error(
+            f"the gyro scale cannot be estimated from {len(pairs)} rotations between poses",
+            where,
+            f"{LEAST_TURNS} or more rotations about all axes, or gyro_scale and gyro_offset",
+            "give the nominal scale and offset of the datasheet",
         )
     before = down[[index for index, _, _ in pairs]]
     after = down[[index + 1 for index, _, _ in pairs]]
     turns = _increments(rate - offset, time, pairs)
-    # No turn is shorter than the angle between the two directions of gravity.
-    angle = np.arccos(np.clip(np.sum(before * after, axis=1), -1, 1))
-    most = float(np.median(np.linalg.norm(turns, axis=2).sum(1) / angle))
+    # The integral of |rate| is at least the angle between the two directions of gravity.
+    most = float(np.median(np.linalg.norm(turns, axis=2).sum(1) / angle_between(before, after)))
     trial = [float(np.sum(_mismatch(np.full(3, 1 / (most * s)), turns, before, after) ** 2)) for s in SEARCH]
     inverse = np.full(3, 1 / (most * SEARCH[int(np.argmin(trial))]))
     for _ in range(REFINEMENTS):
@@ -97,7 +107,7 @@ def estimate_gyros(
 
 
 def _increments(rate: np.ndarray, time: np.ndarray, pairs: list[tuple[int, int, int]]) -> np.ndarray:
-    """Return reading × time per sample interval of every turn, shape (turns, longest, 3), padded with zeros."""
+    """Return rate × time per sample interval of every rotation, shape (turns, longest, 3), padded with zeros."""
     longest = max(stop - start for _, start, stop in pairs)
     steps = np.zeros((len(pairs), longest, 3))
     for row, (_, start, stop) in enumerate(pairs):
@@ -107,16 +117,16 @@ def _increments(rate: np.ndarray, time: np.ndarray, pairs: list[tuple[int, int, 
 
 
 def _mismatch(inverse: np.ndarray, turns: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return carried less seen direction of gravity for every turn, flat."""
-    carried = before[:, :, None]
-    rotations = np.swapaxes(exponential(turns * inverse), -1, -2)
+    """Return propagated less observed direction of gravity for every rotation, shape (3·turns,)."""
+    propagated = before[:, :, None]
+    rotations = Rotation.from_rotvec(-(turns * inverse).reshape(-1, 3)).as_matrix().reshape(*turns.shape, 3)
     for step in range(turns.shape[1]):
-        carried = rotations[:, step] @ carried
-    return (carried[:, :, 0] - after).ravel()
+        propagated = rotations[:, step] @ propagated
+    return (propagated[:, :, 0] - after).ravel()
 
 
 def _refine(inverse: np.ndarray, turns: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """One Gauss–Newton step with weights that spare disturbed turns."""
+    """Return the scales after one Gauss–Newton step, with Huber weights against disturbed rotations."""
     base = _mismatch(inverse, turns, before, after)
     change = 1e-4 * np.abs(inverse)
     slopes = [

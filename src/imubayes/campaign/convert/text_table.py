@@ -1,4 +1,4 @@
-"""Plain text tables of any make: with or without a header, separated by commas, tabs, semicolons or spaces."""
+"""Plain text tables with or without a header, delimited by commas, tabs, semicolons or spaces."""
 
 import re
 from collections.abc import Mapping
@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from imubayes.campaign.convert.recording_options import DELIMITERS
-from imubayes.errors import InputError, Issue, closest_first
+from imubayes.errors import InputError, Issue, closest_first, input_error
 
 _PLACE = re.compile(r"at row (\d+)")
 
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table as found: names (empty without a header), delimiter, and whether the first line is a header."""
+    """Layout of a text table: column names (empty without a header), number of columns, delimiter (None: spaces)."""
 
     file: Path
     names: tuple[str, ...]
@@ -24,39 +24,44 @@ class TextTable:
 
     @property
     def has_header(self) -> bool:
-        """Whether the first line holds names."""
+        """Whether the first line is a header."""
         return bool(self.names)
 
 
-def look_at(file: Path, delimiter: str | None) -> TextTable:
-    """Return how a text table is written, judged by its first line."""
+def inspect_table(file: Path, delimiter: str | None) -> TextTable:
+    """Return the layout of a text table, by its first line.
+
+    Raises
+    ------
+    InputError
+        if the file does not exist, is not text or is empty.
+    """
     try:
         with file.open(encoding="utf-8-sig") as stream:
             line = stream.readline().strip()
     except FileNotFoundError:
         near = [path.name for path in file.parent.iterdir()] if file.parent.is_dir() else []
-        raise InputError(
-            Issue(
-                f"there is no file '{file}'",
-                str(file),
-                closest_first(file.name, near),
-                "give the path of the recording",
-            )
-        ) from None
+        allowed = closest_first(file.name, near)
+        raise input_error(f"there is no file '{file}'", str(file), allowed, "give the path of the recording") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            Issue(f"the file cannot be read as text: {error}", str(file), "UTF-8 text", "convert it")
-        ) from None
+        what = f"the file cannot be read as text: {error}"
+        raise input_error(what, str(file), "UTF-8 text", "convert it") from None
     if not line:
-        raise InputError(Issue("the file is empty", str(file), "a table of numbers", "export the recording again"))
+        raise input_error("the file is empty", str(file), "a table of numbers", "export the recording again")
     separator = DELIMITERS[delimiter] if delimiter else next((d for d in ("\t", ",", ";") if d in line), None)
     cells = [cell.strip().strip('"') for cell in line.split(separator)]
     header = any(not _is_number(cell) for cell in cells)
     return TextTable(file, tuple(cells) if header else (), len(cells), separator)
 
 
-def pick_columns(table: TextTable, wanted: Mapping[str, str | int], file_option: str = "columns") -> dict[str, int]:
-    """Return the position (from 0) of each wanted column, given by name or by number from 1."""
+def pick_columns(table: TextTable, wanted: Mapping[str, str | int]) -> dict[str, int]:
+    """Return the position (from 0) of each wanted column, given by name or by number from 1.
+
+    Raises
+    ------
+    InputError
+        with every column that the table does not have.
+    """
     positions, issues = {}, []
     for target, source in wanted.items():
         if str(source) in table.names:
@@ -68,9 +73,9 @@ def pick_columns(table: TextTable, wanted: Mapping[str, str | int], file_option:
             issues.append(
                 Issue(
                     f"there is no column '{source}' for '{target}'",
-                    f"{table.file}:1 (option {file_option})",
+                    f"{table.file}:1 (option columns)",
                     there,
-                    f"say which column holds {target}: {target}=NAME or {target}=NUMBER",
+                    f"state the column of {target}: {target}=NAME or {target}=NUMBER",
                 )
             )
     if issues:
@@ -79,7 +84,13 @@ def pick_columns(table: TextTable, wanted: Mapping[str, str | int], file_option:
 
 
 def read_numbers(table: TextTable, positions: Mapping[str, int]) -> dict[str, np.ndarray]:
-    """Return the wanted columns as numbers."""
+    """Return the columns at some positions as numbers, (N,) each.
+
+    Raises
+    ------
+    InputError
+        at the first line with too few cells or a cell that is not a number.
+    """
     skip = int(table.has_header)
     try:
         values = np.loadtxt(
@@ -88,16 +99,14 @@ def read_numbers(table: TextTable, positions: Mapping[str, int]) -> dict[str, np
         )  # fmt: skip
     except ValueError as error:
         place = _PLACE.search(str(error))
-        # NumPy counts the rows of numbers it cannot read from 0, those that are too short from 1.
+        # NumPy counts rows from 0 where a cell is not a number, from 1 where the row is too short.
         first = 0 if "could not convert" in str(error) else 1
         line = f":{int(place[1]) + 1 - first + skip}" if place else ""
-        raise InputError(
-            Issue(
-                f"the table cannot be read: {str(error).splitlines()[0]}",
-                f"{table.file}{line}",
-                f"{table.width} numbers per line",
-                "correct the line, or choose other columns",
-            )
+        raise input_error(
+            f"the table cannot be read: {str(error).splitlines()[0]}",
+            f"{table.file}{line}",
+            f"{table.width} numbers per line",
+            "correct the line, or choose other columns",
         ) from None
     return dict(zip(positions, values.T, strict=True))
 

@@ -1,7 +1,7 @@
-"""Free tumble: a unit moved by hand through static poses, with no table at all.
+"""Free tumble: a unit moved by hand through static poses, without a table.
 
-`static` finds the rests, `magnitude` judges them by |f| = g, `motion` condenses what lies between them, and
-`reduce` puts the run together.
+`static_detection` finds the rests, `magnitude_calibration` checks them by |f| = g, `pose_transitions` condenses the
+motion between them, and `tumble_reduction` builds the rows of the run.
 """
 
 from imubayes.campaign.free_tumble.body_vectors import pose_means, record

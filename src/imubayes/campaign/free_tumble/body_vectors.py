@@ -1,4 +1,4 @@
-"""The raw log of a hand-held unit with nominal calibration, as vectors in body axes."""
+"""The raw log of a hand-held unit as vectors in body axes, by the nominal calibration."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,15 +6,26 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.campaign.free_tumble.pose_transitions import coning, mean_readings, rotation_over
+from imubayes.campaign.free_tumble.pose_transitions import coning, rotation_over, step_means
 from imubayes.campaign.free_tumble.static_detection import Pose, Rest, initial_rest
-from imubayes.errors import InputError, Issue
+from imubayes.errors import input_error
 from imubayes.run import Channel
+
+LEAST_ROWS = 100
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A raw log with nominal calibration: time (N,), readings (N, C), force and rate in body axes (N, 3)."""
+    """A raw log with nominal calibration.
+
+    Attributes
+    ----------
+    time : shape (N,), s.
+    readings : raw samples of all channels, shape (N, C), output units.
+    force, rate : in body axes, shape (N, 3), m/s² and rad/s; the rate less its initial mean.
+    initial : the initial rest.
+    interval : sampling interval, s.
+    """
 
     time: np.ndarray
     readings: np.ndarray
@@ -27,13 +38,24 @@ class Recording:
 def record(
     numbers: Mapping[str, np.ndarray], channels: Sequence[Channel], initial_seconds: float | None, file: Path
 ) -> Recording:
-    """Return the log with nominal calibration; gyro bias from the rest at the beginning."""
+    """Return the log with nominal calibration, gyro bias removed.
+
+    Parameters
+    ----------
+    numbers : column → shape (N,), in the units of the file.
+    initial_seconds : length of the initial rest, where stated.
+    file : named in errors.
+
+    Raises
+    ------
+    InputError
+        if the log is too short, or accelerometers or gyros do not span three dimensions.
+    """
     time = numbers["time_s"]
     readings = np.stack([numbers.get(c.name, np.full(len(time), np.nan)) for c in channels], axis=1)
-    if len(time) < 100 or (used := np.isfinite(readings).all(axis=1)).sum() < 100:
-        raise InputError(
-            Issue("the recording has fewer than 100 complete rows", str(file), "a raw log", "record for longer")
-        )
+    if len(time) < LEAST_ROWS or (used := np.isfinite(readings).all(axis=1)).sum() < LEAST_ROWS:
+        what = f"the recording has fewer than {LEAST_ROWS} complete rows"
+        raise input_error(what, str(file), "a raw log", "record for longer")
     time, readings = time[used], readings[used]
     force, rate = body_vectors(readings, channels, file)
     interval = float(np.median(np.diff(time)))
@@ -47,36 +69,40 @@ def pose_means(values: np.ndarray, poses: Sequence[Pose]) -> np.ndarray:
 
 
 def initial_mean(rate: np.ndarray, initial: Rest) -> np.ndarray:
-    """Return the mean rate in the rest at the beginning: the gyros' bias, shape (3,)."""
+    """Return the mean rate in the initial rest, shape (3,): the gyro bias."""
     return rate[initial.start : initial.stop].mean(0)
 
 
-def turned_over(recording: Recording, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rotation over the steps between edges, body after → body before, and its coning correction."""
-    length, rate = mean_readings(recording.time, recording.rate, edges)
+def rotation_between(recording: Recording, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rotation from the first to the last edge, body after → body before, (3, 3), and its coning (K, 3)."""
+    length, rate = step_means(recording.time, recording.rate, edges)
     correction = coning(recording.time, recording.rate, edges)
     return rotation_over(rate, length, correction), correction
+
+
+def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the angle between vectors, shape (…, 3) → (…), rad."""
+    cosine = np.sum(a * b, axis=-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
+    return np.arccos(np.clip(cosine, -1.0, 1.0))
 
 
 def body_vectors(
     readings: np.ndarray, channels: Sequence[Channel], file: Path, sign: np.ndarray | float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return force and rate in body axes by nominal numbers, (N, 3) each; `sign` is −1 for reversed channels, (C,)."""
+    """Return nominal force and rate in body axes, (N, 3) each; `sign`, shape (C,), is −1 for a reversed channel."""
     signal = sign * (readings - [c.offset for c in channels]) / [c.scale_si for c in channels]
     return _body(signal, channels, "accelerometer", file), _body(signal, channels, "gyro", file)
 
 
 def _body(signal: np.ndarray, channels: Sequence[Channel], kind: str, file: Path) -> np.ndarray:
-    """Return the body vector that channels of one kind measure together, shape (N, 3)."""
+    """Return the least-squares body vector of the channels of one kind, shape (N, 3)."""
     index = [i for i, channel in enumerate(channels) if channel.kind == kind]
     axes = np.array([channels[i].axes[0] for i in index]).reshape(len(index), 3)
     if np.linalg.matrix_rank(axes, tol=1e-3) < 3:
-        raise InputError(
-            Issue(
-                f"a free tumble needs three {kind}s in different directions",
-                f"{file}, [[channel]] of campaign.toml",
-                f"three or more {kind} channels whose input axes are not in one plane",
-                "complete the channels, or choose another procedure",
-            )
+        raise input_error(
+            f"a free tumble needs three {kind}s in different directions",
+            f"{file}, [[channel]] of campaign.toml",
+            f"three or more {kind} channels whose input axes are not coplanar",
+            "add the missing channels, or choose another procedure",
         )
     return signal[:, index] @ np.linalg.pinv(axes).T

@@ -1,8 +1,8 @@
-"""A quick calibration of the accelerometers from |f| = g alone, to judge poses and to level them.
+"""Accelerometer calibration from |f| = g alone, to detect disturbed poses and to level the others.
 
-In every static pose the calibrated force has the length g whatever the attitude.  Nine numbers (a triangular
-matrix and an offset) are found by Gauss–Newton steps with Huber weights, so that a disturbed pose does not
-bend the others.  With few poses the matrix is diagonal, with very few there is nothing to fit.
+In every static pose the calibrated force has magnitude g, whatever the attitude.  Nine parameters (a triangular matrix
+and an offset) are estimated by Gauss–Newton iteration with Huber weights, which bound the influence of a disturbed
+pose.  With fewer than 12 poses the matrix is diagonal, with fewer than 8 nothing is fitted.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ class MagnitudeFit:
     matrix, offset : shape (3, 3) and (3,).
     residual : |calibrated force| − g per pose, m/s².
     spread : robust standard deviation of the residual.
-    parameters : how many numbers were fitted.
+    parameters : number of fitted parameters.
     """
 
     matrix: np.ndarray
@@ -38,12 +38,12 @@ class MagnitudeFit:
 
     @property
     def outliers(self) -> np.ndarray:
-        """Poses whose force has the wrong length, shape (poses,)."""
+        """Mask of the poses whose force is not of magnitude g, shape (poses,)."""
         return np.abs(self.residual) > OUTLIER * self.spread
 
 
 def fit_magnitude(force: np.ndarray, gravity: float) -> MagnitudeFit:
-    """Fit the pose means of the force, shape (poses, 3) in m/s² by the nominal scale."""
+    """Fit the pose means of the force, shape (poses, 3), m/s² by the nominal scale."""
     free = _free_parameters(len(force))
     values = np.zeros(9)
     spread = _spread(_residual(values, force, gravity), 0)
@@ -71,7 +71,7 @@ def _free_parameters(poses: int) -> np.ndarray:
 
 
 def _unpack(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Three diagonal elements (less 1), three above the diagonal, three offsets."""
+    """Return matrix and offset: three diagonal elements (less 1), three above the diagonal, three offsets."""
     matrix = np.diag(1.0 + values[:3])
     matrix[0, 1], matrix[0, 2], matrix[1, 2] = values[3:6]
     return matrix, values[6:]
@@ -93,6 +93,6 @@ def _jacobian(values: np.ndarray, force: np.ndarray) -> np.ndarray:
 
 
 def _spread(residual: np.ndarray, parameters: int) -> float:
-    """Robust standard deviation, enlarged for the freedom that the fit has used up."""
+    """Return the robust (MAD-based) standard deviation, corrected for the fitted parameters."""
     freedom = max(1, len(residual) - parameters)
     return max(1.4826 * float(np.median(np.abs(residual))) * np.sqrt(len(residual) / freedom), 1e-9)

@@ -1,22 +1,22 @@
-"""The motion between poses, cut into steps over which the mean rate and a small correction say everything.
+"""The motion between poses, condensed to steps of mean rate and coning correction.
 
-A rotation is not the integral of its rate: what averaging over a step leaves out (coning) is computed from all
-samples with the nominal calibration, and is so small that the error of that calibration does not matter in it.
-The fit then needs a step of a tenth of a second instead of every sample.
+A rotation is not the integral of its rate.  The part that averaging over a step neglects (coning) is computed from all
+samples with the nominal calibration; it is so small that the error of that calibration is negligible.  The fit then
+needs a step of a tenth of a second instead of every sample.
 """
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
-
-from imubayes.campaign.free_tumble.rotation import exponential, logarithm
+from scipy.spatial.transform import Rotation
 
 STEP_SECONDS = 0.1
 STEP_ANGLE = 0.15  # rad; faster motion gets shorter steps
 
 
 def step_edges(time: np.ndarray, rate: np.ndarray, start: int, stop: int) -> np.ndarray:
-    """Return the sample indices at which the steps from sample `start` to sample `stop` begin and end."""
+    """Return the sample indices that bound the steps from sample `start` to sample `stop`, shape (K + 1,)."""
     duration = np.diff(time[start : stop + 1])
     speed = np.linalg.norm(rate[start : stop + 1], axis=1)
     angle = 0.5 * (speed[1:] + speed[:-1]) * duration
@@ -27,8 +27,8 @@ def step_edges(time: np.ndarray, rate: np.ndarray, start: int, stop: int) -> np.
     return start + np.concatenate([[0], inner, [len(due)]])
 
 
-def mean_readings(time: np.ndarray, readings: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the length of every step in s, and the trapezoidal mean of the readings over it, shape (K, C)."""
+def step_means(time: np.ndarray, readings: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the duration of every step, shape (K,), s, and the trapezoidal means over it, shape (K, C)."""
     time, readings, edges = _only(time, readings, edges)
     duration = np.diff(time)[:, None]
     area = 0.5 * (readings[1:] + readings[:-1]) * duration
@@ -38,40 +38,38 @@ def mean_readings(time: np.ndarray, readings: np.ndarray, edges: np.ndarray) -> 
 
 
 def coning(time: np.ndarray, rate: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Return each step's rotation vector less its mean rate times its length, shape (K, 3), rad.
+    """Return each step's rotation vector less its mean rate times its duration, shape (K, 3), rad.
 
-    Between two samples the rate is taken as a straight line, whose rotation vector is
+    The rate is interpolated linearly between samples; the rotation vector of such an interval is
     ½(ω₀ + ω₁) dt + (ω₀ × ω₁) dt² / 12.
     """
     time, rate, edges = _only(time, rate, edges)
     duration = np.diff(time)[:, None]
     small = 0.5 * (rate[1:] + rate[:-1]) * duration + np.cross(rate[:-1], rate[1:]) * duration**2 / 12
     counts = np.diff(edges)
-    rotation = np.broadcast_to(np.eye(3), (len(counts), 3, 3))
+    rotation = Rotation.identity(len(counts))
     for offset in range(int(counts.max())):
         active = offset < counts
         index = np.minimum(edges[:-1] + offset, len(small) - 1)
-        rotation = rotation @ exponential(np.where(active[:, None], small[index], 0.0))
-    _, mean = mean_readings(time, rate, edges)
-    return logarithm(rotation) - mean * (time[edges[1:]] - time[edges[:-1]])[:, None]
+        rotation = rotation * Rotation.from_rotvec(np.where(active[:, None], small[index], 0.0))
+    _, mean = step_means(time, rate, edges)
+    return rotation.as_rotvec() - mean * (time[edges[1:]] - time[edges[:-1]])[:, None]
 
 
 def rotation_over(mean_rate: np.ndarray, length: np.ndarray, correction: np.ndarray) -> np.ndarray:
     """Return the body rotation over all steps together, C_before⁻¹ C_after, shape (3, 3)."""
-    total = np.eye(3)
-    for turn in exponential(mean_rate * length[:, None] + correction):
-        total = total @ turn
-    return total
+    steps = Rotation.from_rotvec(mean_rate * length[:, None] + correction).as_matrix()
+    return functools.reduce(np.matmul, steps, np.eye(3))
 
 
 def _only(time: np.ndarray, values: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the samples from the first edge to the last, and the edges counted from there."""
+    """Return the samples from the first to the last edge, and the edges relative to the first."""
     inside = slice(edges[0], edges[-1] + 1)
     return time[inside], values[inside], edges - edges[0]
 
 
 def padded(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Stack arrays of different length along a new first axis, zeros behind the shorter ones."""
+    """Return arrays of different length stacked along a new first axis, padded with zeros."""
     longest = max((len(part) for part in parts), default=0)
     shape = (len(parts), longest, *(parts[0].shape[1:] if parts else ()))
     stacked = np.zeros(shape)

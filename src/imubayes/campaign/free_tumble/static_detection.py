@@ -1,10 +1,9 @@
-"""When a hand-held unit was at rest: intervals in which the accelerometers scatter no more than at rest.
+"""Static detection: intervals in which a hand-held unit was at rest, by the variance of its accelerometers.
 
-In every window of about a second the variance of each accelerometer is compared with its own variance during
-the rest at the beginning of the recording.  The largest ratio over the channels, the *unrest*, is near 1 at
-rest and orders of magnitude more while the unit is moved, and it has no unit.  Which multiple separates the
-two is decided later, by how well |f| = g comes out (Tedaldi, Pretto, Menegatti, ICRA 2014).  The gyros take no
-part here: they tell afterwards whether the unit was turned during an interval in which nothing shook.
+In a sliding window of about a second the variance of each accelerometer is compared with its variance during the
+initial rest.  The largest ratio over the channels is near 1 at rest and orders of magnitude larger in motion.  The
+threshold is chosen later, by how well |f| = g holds in the poses found (Tedaldi, Pretto, Menegatti, ICRA 2014).  The
+gyros are not used here: they reveal afterwards whether the unit rotated slowly during such an interval.
 """
 
 from dataclasses import dataclass
@@ -13,8 +12,8 @@ import numpy as np
 
 WINDOW_SECONDS = 1.0
 LEAST_POSE_SECONDS = 0.8
-QUIET_SHARE = 0.05  # the quietest twentieth of a recording is at rest
-INITIAL_UNREST = 20.0  # the rest at the beginning ends where the variance is this many times that of the quietest
+QUIET_SHARE = 0.05  # this share of the windows, those of least variance, is assumed to be at rest
+INITIAL_RATIO = 20.0  # variance ratio to the quietest windows at which the initial rest ends
 SAME_POSE = np.deg2rad(0.5)
 SAME_POSE_GAP_SECONDS = 5.0
 
@@ -29,7 +28,7 @@ class Rest:
 
 @dataclass(frozen=True)
 class Pose:
-    """One static pose: a rest, or several in the same attitude with a knock between them."""
+    """A static pose: one rest, or several in the same attitude interrupted by a shock."""
 
     rests: tuple[Rest, ...]
 
@@ -44,18 +43,18 @@ class Pose:
         return self.rests[-1].stop
 
     def indices(self) -> np.ndarray:
-        """Return the samples that count."""
+        """Return the indices of the samples at rest."""
         return np.concatenate([np.arange(rest.start, rest.stop) for rest in self.rests])
 
 
-def unrest(force: np.ndarray, interval: float, initial: Rest | None) -> np.ndarray:
-    """Return the unrest of every sample.
+def variance_ratio(force: np.ndarray, interval: float, initial: Rest | None) -> np.ndarray:
+    """Return the variance about every sample relative to that at rest, shape (N,), the largest over the channels.
 
     Parameters
     ----------
-    force : accelerometer readings, shape (N, C), any units.
-    interval : sampling interval in s.
-    initial : a stretch known to be at rest; without it the quietest windows of the recording count as rest.
+    force : accelerometer samples, shape (N, C), any units.
+    interval : sampling interval, s.
+    initial : an interval known to be at rest; None to take the quietest windows of the recording.
     """
     half = window_half(interval)
     variance = windowed_variance(force, half)
@@ -70,7 +69,7 @@ def unrest(force: np.ndarray, interval: float, initial: Rest | None) -> np.ndarr
 
 
 def windowed_variance(readings: np.ndarray, half: int) -> np.ndarray:
-    """Return the variance in the window of `2·half + 1` samples about every sample (ends repeated)."""
+    """Return the variance in a window of 2·half + 1 samples about every sample, (N, C) → (N, C) (edges repeated)."""
     width = 2 * half + 1
     padded = np.pad(readings - readings.mean(0), ((half, half), (0, 0)), mode="edge")
     zero = np.zeros((1, readings.shape[1]))
@@ -80,9 +79,9 @@ def windowed_variance(readings: np.ndarray, half: int) -> np.ndarray:
 
 
 def find_rests(quiet: np.ndarray, interval: float) -> list[Rest]:
-    """Return the stretches where `quiet` holds and that are long enough to count.
+    """Return the intervals where `quiet` holds for at least `LEAST_POSE_SECONDS`.
 
-    A window that touches motion is unquiet from half a window before it, so the stretches keep their distance.
+    The sliding window keeps every rest half a window away from motion.
     """
     padded = np.concatenate([[False], quiet, [False]]).astype(np.int8)
     starts, stops = np.flatnonzero(np.diff(padded) == 1), np.flatnonzero(np.diff(padded) == -1)
@@ -91,7 +90,7 @@ def find_rests(quiet: np.ndarray, interval: float) -> list[Rest]:
 
 
 def join_rests(rests: list[Rest], force: np.ndarray, interval: float) -> list[Pose]:
-    """Return the poses: neighbouring rests in the same attitude, soon after one another, are one pose."""
+    """Return the poses; consecutive rests in the same attitude, separated by a short interval, are one pose."""
     poses: list[Pose] = []
     for rest in rests:
         if poses and _same_attitude(poses[-1].rests[-1], rest, force, interval):
@@ -102,17 +101,17 @@ def join_rests(rests: list[Rest], force: np.ndarray, interval: float) -> list[Po
 
 
 def initial_rest(force: np.ndarray, interval: float, seconds: float | None) -> Rest:
-    """Return the rest at the beginning of the recording: as stated, or for as long as it stays quiet."""
+    """Return the initial rest: of the stated length, or until the variance rises."""
     if seconds is not None:
         return Rest(0, max(2, min(len(force), round(seconds / interval))))
-    loud = unrest(force, interval, None) > INITIAL_UNREST
+    loud = variance_ratio(force, interval, None) > INITIAL_RATIO
     begin = int(np.argmin(loud))
     after = np.flatnonzero(loud[begin:])
     return Rest(begin, begin + int(after[0]) if len(after) else len(force))
 
 
 def window_half(interval: float) -> int:
-    """Return half the window in samples."""
+    """Return half the width of the window, samples."""
     return max(2, round(WINDOW_SECONDS / interval / 2))
 
 

@@ -1,4 +1,4 @@
-"""A free tumble: from the raw log of a hand-held unit to static poses and the motion between them."""
+"""Reduction of a free tumble: raw log of a hand-held unit → static poses and the transitions between them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,27 +6,27 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.free_tumble.axis_signs import check_axes
-from imubayes.campaign.free_tumble.body_vectors import Recording, pose_means, record, turned_over
+from imubayes.campaign.free_tumble.body_vectors import Recording, angle_between, pose_means, record, rotation_between
 from imubayes.campaign.free_tumble.magnitude_calibration import MagnitudeFit, fit_magnitude
-from imubayes.campaign.free_tumble.pose_transitions import mean_readings, padded, step_edges
-from imubayes.campaign.free_tumble.rotation import shortest
-from imubayes.campaign.free_tumble.static_detection import Pose, find_rests, join_rests, unrest
+from imubayes.campaign.free_tumble.pose_transitions import padded, step_edges, step_means
+from imubayes.campaign.free_tumble.static_detection import Pose, find_rests, join_rests, variance_ratio
 from imubayes.covariates import recorded_columns
-from imubayes.errors import InputError, Issue
+from imubayes.errors import input_error
 from imubayes.run import Channel, Tumble
 
-MULTIPLES = (2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0)  # of the variance at rest, tried in turn
-TURNED = np.deg2rad(2.0)  # a static pose in which the gyros turn further was disturbed
+MULTIPLES = (2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0)  # candidate thresholds, in variances at rest
+MOST_ROTATION = np.deg2rad(2.0)  # a static pose with a larger rotation by the gyros was disturbed
 LEAST_POSES = 4
 UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
 class ReducedTumble:
-    """Rows of the good poses by column, the moving part, what was done, and what is odd."""
+    """A reduced free tumble: rows of the undisturbed poses by column, the transitions, notes and findings."""
 
     numbers: dict[str, np.ndarray]
     tumble: Tumble
@@ -36,7 +36,7 @@ class ReducedTumble:
 
 @dataclass(frozen=True)
 class Detection:
-    """The poses found, the multiple of the variance at rest that found them, and how well |f| = g holds."""
+    """Detected poses, the threshold as a multiple of the variance at rest, and the fit of |f| = g to them."""
 
     poses: tuple[Pose, ...]
     multiple: float
@@ -50,90 +50,83 @@ def reduce_tumble(
     initial_seconds: float | None,
     file: Path,
 ) -> ReducedTumble:
-    """Reduce a raw log.
+    """Reduce the raw log of a free tumble.
 
     Parameters
     ----------
     numbers : column → shape (N,), in the units of the file.
-    channels : all channels of the campaign; three accelerometers in different directions at least.
-    gravity : of the site, m/s².
-    initial_seconds : length of the rest at the beginning, where it is known.
+    channels : all channels of the campaign, with at least three accelerometers and three gyros.
+    gravity : local gravity, m/s².
+    initial_seconds : length of the initial rest, where stated.
     file : named in errors.
 
     Raises
     ------
     InputError
-        where accelerometers are missing, or fewer than four static poses are found.
+        if channels are missing, or fewer than four static poses are found.
     """
     recording = record(numbers, channels, initial_seconds, file)
     detection = detect_poses(recording, gravity)
     if len(detection.poses) < LEAST_POSES:
-        raise InputError(
-            Issue(
-                f"{len(detection.poses)} static poses were found in the recording",
-                str(file),
-                f"{LEAST_POSES} or more poses, each held still for two seconds; 20 serve well",
-                "record more poses, or state the length of the first rest as initial_rest_s",
-            )
+        raise input_error(
+            f"{len(detection.poses)} static poses were found in the recording",
+            str(file),
+            f"{LEAST_POSES} or more poses, each held still for two seconds; 20 are recommended",
+            "record more poses, or state the length of the initial rest as initial_rest_s",
         )
-    turned = np.array([turned_within(recording, pose) for pose in detection.poses])
-    flagged = (turned > TURNED) | detection.fit.outliers
+    rotated = np.array([rotation_within(recording, pose) for pose in detection.poses])
+    flagged = (rotated > MOST_ROTATION) | detection.fit.outliers
+    good = [pose for pose, bad in zip(detection.poses, flagged, strict=True) if not bad]
     tumble = _tumble(recording, detection, flagged)
-    rows = _rows(numbers, channels, [p for p, bad in zip(detection.poses, flagged, strict=True) if not bad])
-    notes = _notes(recording, detection, flagged, turned, tumble)
-    found = _findings(recording, detection, gravity, file)
-    if not found:
-        good = [pose for pose, bad in zip(detection.poses, flagged, strict=True) if not bad]
-        found = check_axes(recording, good, channels, file)
-    return ReducedTumble(rows, tumble, notes, tuple(found))
+    notes = _notes(recording, detection, flagged, rotated, tumble)
+    findings = _findings(recording, detection, gravity, file) or check_axes(recording, good, channels, file)
+    return ReducedTumble(_rows(numbers, channels, good), tumble, notes, tuple(findings))
 
 
 def detect_poses(recording: Recording, gravity: float) -> Detection:
-    """Try every multiple of the variance at rest, and keep the poses whose force has length g best."""
-    ratio = unrest(recording.force, recording.interval, recording.initial)
-    best: Detection | None = None
+    """Return the detection, over all candidate thresholds, whose poses satisfy |f| = g best."""
+    ratio = variance_ratio(recording.force, recording.interval, recording.initial)
+    candidates = []
     for multiple in MULTIPLES:
         poses = tuple(join_rests(find_rests(ratio < multiple, recording.interval), recording.force, recording.interval))
         fit = fit_magnitude(pose_means(recording.force, poses), gravity)
-        found = Detection(poses, multiple, fit)
-        if best is None or _rank(found) > _rank(best):
-            best = found
-    assert best is not None
-    return best
+        candidates.append(Detection(poses, multiple, fit))
+    # Enough poses for the full fit come first, then the smallest scatter of |f|.
+    return max(candidates, key=lambda detection: (detection.fit.parameters, -detection.fit.spread))
 
 
-def turned_within(recording: Recording, pose: Pose) -> float:
-    """Return how far the gyros say that the unit turned during a pose, rad, the constant part taken off."""
+def rotation_within(recording: Recording, pose: Pose) -> float:
+    """Return the largest rotation by the gyros during a pose, rad, their median rate removed."""
     worst = 0.0
     for rest in pose.rests:
         rate = recording.rate[rest.start : rest.stop]
-        turned = np.cumsum(rate - np.median(rate, axis=0), axis=0) * recording.interval
-        worst = max(worst, float(np.max(np.abs(turned))))
+        angle = np.cumsum(rate - np.median(rate, axis=0), axis=0) * recording.interval
+        worst = max(worst, float(np.max(np.abs(angle))))
     return worst
-
-
-def _rank(found: Detection) -> tuple[int, float]:
-    """Enough poses for the full fit first, then the smallest scatter of |f|."""
-    return found.fit.parameters, -found.fit.spread
 
 
 def _tumble(recording: Recording, detection: Detection, flagged: np.ndarray) -> Tumble:
     good = np.flatnonzero(~flagged)
     level = detection.fit.apply(pose_means(recording.force, detection.poses))
-    attitude = np.array([shortest(force, UP) for force in level])
+    attitude = np.array([_levelling(force) for force in level])
     lengths, readings, corrections = [], [], []
     for before, after in pairwise(good):
         edges = step_edges(
             recording.time, recording.rate, detection.poses[before].stop - 1, detection.poses[after].start
         )
-        length, mean = mean_readings(recording.time, recording.readings, edges)
-        rotation, correction = turned_over(recording, edges)
-        carried = attitude[before] @ rotation
-        attitude[after] = shortest(carried @ level[after], UP) @ carried
+        length, mean = step_means(recording.time, recording.readings, edges)
+        rotation, correction = rotation_between(recording, edges)
+        propagated = attitude[before] @ rotation
+        attitude[after] = _levelling(propagated @ level[after]) @ propagated
         lengths.append(length)
         readings.append(mean)
         corrections.append(correction)
     return Tumble(good, attitude, good[:-1], good[1:], padded(lengths), padded(readings), padded(corrections), flagged)
+
+
+def _levelling(force: np.ndarray) -> np.ndarray:
+    """Return the smallest rotation that makes a force point up, shape (3, 3)."""
+    return Rotation.align_vectors(UP, force)[0].as_matrix()
 
 
 def _rows(
@@ -152,32 +145,28 @@ def _rows(
 
 
 def _notes(
-    recording: Recording,
-    detection: Detection,
-    flagged: np.ndarray,
-    turned: np.ndarray,
-    tumble: Tumble,
+    recording: Recording, detection: Detection, flagged: np.ndarray, rotated: np.ndarray, tumble: Tumble
 ) -> tuple[str, ...]:
     seconds = recording.time[recording.initial.stop - 1] - recording.time[recording.initial.start]
     fit = detection.fit
     notes = [
-        f"{len(flagged)} static poses found ({detection.multiple:g} times the accelerometers' variance during the "
-        f"first {seconds:.3g} s), {len(tumble.start)} transitions between the {int((~flagged).sum())} good ones",
-        f"quick fit of {fit.parameters} numbers to |f| = g: scatter {fit.spread:.2g} m/s²",
+        f"{len(flagged)} static poses found (threshold {detection.multiple:g} times the accelerometer variance of the "
+        f"first {seconds:.3g} s), {len(tumble.start)} transitions between the {int((~flagged).sum())} undisturbed ones",
+        f"calibration of {fit.parameters} parameters by |f| = g: scatter {fit.spread:.2g} m/s²",
     ]
     for pose in np.flatnonzero(flagged):
         begin = recording.time[detection.poses[pose].start]
         why = (
-            f"the gyros turn by {np.rad2deg(turned[pose]):.2g} deg in it"
-            if turned[pose] > TURNED
-            else f"|f| is off by {fit.residual[pose]:.2g} m/s²"
+            f"the gyros show a rotation by {np.rad2deg(rotated[pose]):.2g} deg"
+            if rotated[pose] > MOST_ROTATION
+            else f"|f| − g is {fit.residual[pose]:.2g} m/s²"
         )
-        notes.append(f"pose {pose} (from {begin:.4g} s) was disturbed and is left out: {why}")
+        notes.append(f"pose {pose} (from {begin:.4g} s) excluded as disturbed: {why}")
     return tuple(notes)
 
 
 def _findings(recording: Recording, detection: Detection, gravity: float, file: Path) -> list[Finding]:
-    """Name a wrong unit: forces that are not g long, rotations that do not carry gravity from pose to pose."""
+    """Return findings of a wrong unit: |f| far from g, or gyro angles far from the changes of attitude."""
     means = pose_means(recording.force, detection.poses)
     slope = float(np.median(np.linalg.norm(means, axis=1))) / gravity
     found = []
@@ -185,13 +174,13 @@ def _findings(recording: Recording, detection: Detection, gravity: float, file: 
         found.append(
             Finding(
                 "acceleration_unit", "error", "",
-                f"in the static poses the accelerometers read {slope:.4g} g by their nominal scale",
+                f"in the static poses the accelerometers indicate {slope:.4g} g by their nominal scale",
                 f"{file}, accelerometer columns", "about 1 g", "correct scale, per or offset of the accelerometers",
             )
         )  # fmt: skip
     shares = []
     for (before, f), (after, h) in pairwise(zip(detection.poses, means, strict=True)):
-        angle = np.arccos(np.clip(f @ h / np.linalg.norm(f) / np.linalg.norm(h), -1, 1))
+        angle = angle_between(f, h)
         if angle > 0.3:
             shares.append(_path(recording, before, after) / angle)
     share = float(np.median(shares)) if shares else 1.0
@@ -199,16 +188,16 @@ def _findings(recording: Recording, detection: Detection, gravity: float, file: 
         found.append(
             Finding(
                 "rate_unit", "error", "",
-                f"between poses the gyros turn by {share:.3g} times the change of the direction of gravity",
-                f"{file}, gyro columns", "at least as far, and a few times as far at most",
-                "correct scale or per of the gyros: rad/s for deg/s makes a factor of 57.3",
+                f"between poses the gyros rotate by {share:.3g} times the change in the direction of gravity",
+                f"{file}, gyro columns", "a ratio between 1 and a few",
+                "correct scale or per of the gyros: rad/s in place of deg/s is a factor of 57.3",
             )
         )  # fmt: skip
     return found
 
 
 def _path(recording: Recording, before: Pose, after: Pose) -> float:
-    """Return by how much the gyros turn between two poses, rad, without regard to direction."""
+    """Return the integral of |rate| between two poses, rad."""
     moving = slice(before.stop - 1, after.start + 1)
     speed = np.linalg.norm(recording.rate[moving], axis=1)
     return float(np.sum(0.5 * (speed[1:] + speed[:-1]) * np.diff(recording.time[moving])))
