@@ -170,7 +170,7 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "infinity": (cells(RATES, 5, 6, "-inf"), "nan_values", r"rates\.csv:5, column 'gz'", "empty cell"),
     "nan in parquet": (nan_in_parquet, "nan_values", r"ramp\.parquet, row 7", "empty cell"),
     "text in parquet": (text_in_parquet, "not numbers", r"ramp\.parquet, column", "floating-point"),
-    "truncated parquet": (cut("runs/ramp.parquet", 0.6), "damaged or cut short", r"ramp\.parquet", "Parquet"),
+    "truncated parquet": (cut("runs/ramp.parquet", 0.6), "damaged or truncated", r"ramp\.parquet", "Parquet"),
     "parquet that is text": (lambda f: (f / "runs/ramp.parquet").write_text("a,b\n1,2\n"), "damaged", r"ramp\.parquet", "Parquet"),
     "empty rate": (cells(RATES, 4, 1, ""), "missing_values", r"rates\.csv:4, column 'table_rate_deg_s'", "every row"),
     "no samples": (cells(RATES, 4, 3, "0"), "bad_count", r"rates\.csv:4, column 'samples'", "1 or more"),

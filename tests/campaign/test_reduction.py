@@ -84,7 +84,7 @@ def test_what_has_no_whole_turn_between_holes_is_left_out(tmp_path: Path) -> Non
     rows = reduce_columns(tmp_path, {name: values[~holes] for name, values in log.items()})
     assert np.isnan(rows.numbers["g"][1])
     assert np.isfinite(np.delete(rows.numbers["g"], 1)).all()
-    assert any("1 left out because no turn is whole" in note for note in rows.notes)
+    assert any("1 left out for lack of a whole turn" in note for note in rows.notes)
 
 
 def test_a_lost_sample_here_and_there_costs_nothing(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The careful second look at a CSV table that the fast parser refused: which line, which cell, and why."""
+"""Faults of a CSV table that the fast parser refused: line, cell and reason."""
 
 import csv
 from pathlib import Path
@@ -6,13 +6,13 @@ from pathlib import Path
 from imubayes.campaign.run_columns import ColumnLayout
 from imubayes.errors import Issue
 
-MOST = 10  # faults of one file that are listed before the rest is counted
+MOST = 10  # faults of one file that are listed; the rest is counted
 
 
 def csv_faults(file: Path, layout: ColumnLayout) -> list[Issue]:
-    """Return one problem per ragged line and per cell that is not a number, the first `MOST` of them."""
+    """Return an issue per line of wrong length and per cell that is not a number, at most `MOST` and their count."""
     issues: list[Issue] = []
-    more = 0
+    more = 0  # faults beyond the first MOST
     wanted = [(index, name) for index, name in enumerate(layout.header) if name in layout.numbers]
     with file.open(encoding="utf-8-sig", newline="", errors="replace") as stream:
         reader = csv.reader(stream)
@@ -28,7 +28,7 @@ def csv_faults(file: Path, layout: ColumnLayout) -> list[Issue]:
                 f"{more} more cells or lines cannot be read",
                 str(file),
                 "numbers with a decimal point, empty where missing",
-                "mend the ones above first",
+                "correct the ones above first",
             )
         )
     return issues

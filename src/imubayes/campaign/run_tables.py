@@ -1,8 +1,8 @@
 """Run tables as streams of batches: CSV and Parquet of any length in bounded memory.
 
-A `TableSource` can be read as often as needed.  Small tables are kept after the first reading; large ones are
-read again from the file, batch by batch.  The fast parser says only that something is wrong; the search for
-the line and the cell (`faults.py`) runs only then.
+A `TableSource` can be read repeatedly.  Small tables are kept in memory after the first pass; large ones are read again
+from the file, batch by batch.  The fast parser reports only that something is wrong; the line and the cell are then
+located by `csv_errors`.
 """
 
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from imubayes.campaign.csv_errors import csv_faults
 from imubayes.campaign.run_columns import ColumnLayout
-from imubayes.errors import InputError, Issue
+from imubayes.errors import InputError, Issue, input_error
 
 BATCH_ROWS = 65536
 BLOCK_BYTES = 1 << 20
@@ -44,7 +44,7 @@ class RowBatch:
 
 
 class TableSource:
-    """One run table, to be streamed as often as needed."""
+    """A run table that can be streamed repeatedly."""
 
     def __init__(self, file: Path, layout: ColumnLayout):
         self.file = file
@@ -52,7 +52,7 @@ class TableSource:
         self._kept: list[RowBatch] | None = None
 
     def place(self, row: int) -> str:
-        """Return where a row stands: file and line (CSV) or row number (Parquet)."""
+        """Return the place of a row for messages: file and line (CSV) or row number (Parquet)."""
         return f"{self.file}:{row + 2}" if is_csv(self.file) else f"{self.file}, row {row + 1}"
 
     def __iter__(self) -> Iterator[RowBatch]:
@@ -71,7 +71,7 @@ class TableSource:
 
 
 def is_csv(file: Path) -> bool:
-    """Tell whether a table is text; everything that is not named .parquet is."""
+    """Return whether a table is text, as all files but .parquet and .pq are."""
     return file.suffix.lower() not in (".parquet", ".pq")
 
 
@@ -81,7 +81,7 @@ def read_header(file: Path) -> tuple[str, ...]:
     Raises
     ------
     InputError
-        where the file is empty, truncated or not a table.
+        if the file is empty, truncated or not a table.
     """
     if not is_csv(file):
         return tuple(_parquet(file).schema_arrow.names)
@@ -89,28 +89,20 @@ def read_header(file: Path) -> tuple[str, ...]:
         with file.open(encoding="utf-8-sig", newline="") as stream:
             line = stream.readline().rstrip("\r\n")
     except UnicodeDecodeError:
-        raise InputError(_unreadable(file, "it is not UTF-8 text")) from None
+        raise _unreadable(file, "it is not UTF-8 text") from None
     except OSError as error:
-        raise InputError(_unreadable(file, str(error.strerror or error))) from None
+        raise _unreadable(file, str(error.strerror or error)) from None
     if not line.strip():
-        raise InputError(
-            Issue(
-                "the run table is empty",
-                f"{file}:1",
-                "a header line with column names, then one line per row",
-                "export the table again, or remove the run",
-            )
+        raise input_error(
+            "the run table is empty",
+            f"{file}:1",
+            "a header line with column names, then one line per row",
+            "export the table again, or remove the run",
         )
     for separator, word in ((";", "';'"), ("\t", "tabs"), ("|", "'|'")):
         if "," not in line and separator in line:
-            raise InputError(
-                Issue(
-                    f"the columns are separated by {word}",
-                    f"{file}:1",
-                    "commas",
-                    "export the table with commas and decimal points",
-                )
-            )
+            remedy = "export the table with commas and decimal points"
+            raise input_error(f"the columns are separated by {word}", f"{file}:1", "commas", remedy)
     return tuple(name.strip().strip('"') for name in line.split(","))
 
 
@@ -118,9 +110,7 @@ def _parquet(file: Path) -> pq.ParquetFile:
     try:
         return pq.ParquetFile(file, pre_buffer=False)  # the buffer would be kept to the end of the file
     except (pa.ArrowException, OSError) as error:
-        raise InputError(
-            _unreadable(file, f"the Parquet file is damaged or cut short ({_first_line(error)})")
-        ) from None
+        raise _damaged(file, error) from None
 
 
 def _record_batches(file: Path, layout: ColumnLayout) -> Iterator[pa.RecordBatch]:
@@ -133,9 +123,7 @@ def _record_batches(file: Path, layout: ColumnLayout) -> Iterator[pa.RecordBatch
         try:
             yield from parquet.iter_batches(batch_size=BATCH_ROWS, columns=columns)
         except (pa.ArrowException, OSError) as error:
-            raise InputError(
-                _unreadable(file, f"the Parquet file is damaged or cut short ({_first_line(error)})")
-            ) from None
+            raise _damaged(file, error) from None
 
 
 def _csv_batches(file: Path, layout: ColumnLayout, columns: list[str]) -> Iterator[pa.RecordBatch]:
@@ -153,27 +141,27 @@ def _csv_batches(file: Path, layout: ColumnLayout, columns: list[str]) -> Iterat
         with reader:
             yield from reader
     except OSError as error:
-        raise InputError(_unreadable(file, str(error.strerror or error))) from None
+        raise _unreadable(file, str(error.strerror or error)) from None
     except pa.ArrowInvalid as error:
         if "Empty CSV" in str(error):
             return
-        faults = csv_faults(file, layout)
-        raise InputError(faults or [_unreadable(file, _first_line(error))]) from None
+        if faults := csv_faults(file, layout):
+            raise InputError(faults) from None
+        raise _unreadable(file, _first_line(error)) from None
 
 
 def _refuse_wrong_types(file: Path, schema: pa.Schema, layout: ColumnLayout) -> None:
-    issues = []
-    for name in layout.numbers:
-        kind = schema.field(name).type
-        if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)):
-            issues.append(
-                Issue(
-                    f"column '{name}' holds {kind}, not numbers",
-                    f"{file}, column '{name}'",
-                    "floating-point or integer columns",
-                    "write the column as numbers",
-                )
-            )
+    types = {name: schema.field(name).type for name in layout.numbers}
+    issues = [
+        Issue(
+            f"column '{name}' holds {kind}, not numbers",
+            f"{file}, column '{name}'",
+            "floating-point or integer columns",
+            "write the column as numbers",
+        )
+        for name, kind in types.items()
+        if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind))
+    ]
     if issues:
         raise InputError(issues)
 
@@ -193,8 +181,12 @@ def _to_batch(records: pa.RecordBatch, layout: ColumnLayout, first: int) -> RowB
     return RowBatch(first, records.num_rows, numbers, texts, not_finite)
 
 
-def _unreadable(file: Path, why: str) -> Issue:
-    return Issue(
+def _damaged(file: Path, error: Exception) -> InputError:
+    return _unreadable(file, f"the Parquet file is damaged or truncated ({_first_line(error)})")
+
+
+def _unreadable(file: Path, why: str) -> InputError:
+    return input_error(
         f"the run table cannot be read: {why}",
         str(file),
         "CSV with a header line (UTF-8, commas) or Parquet",

@@ -1,6 +1,6 @@
-"""Sanity of the cells and of the time axis, watched while a table streams by.
+"""Checks of the cells, the time column and the raw channels of a run table, made while it is streamed.
 
-Counts and first places only are kept, so a fault that repeats a million times is one finding that says so.
+Only counts and first rows are kept: a fault that occurs a million times is one finding with its count.
 """
 
 from dataclasses import dataclass, field
@@ -11,10 +11,10 @@ from imubayes.campaign.findings import Finding, Severity
 from imubayes.campaign.reduction import sampling_interval
 from imubayes.campaign.run_tables import RowBatch, TableSource
 
-GAP_STEPS = 10.0  # a time step this many times the usual one is a gap
+GAP_STEPS = 10.0  # a time step of this many sampling intervals is a gap
 STUCK_RUN = 300  # raw samples of one value; coarse converters repeat tens of times at rest
-COARSE_CODES = 100  # a channel that spans fewer codes than this repeats its values for want of resolution
-PLATEAU_RUN = 5  # raw samples in a row at the very extreme
+COARSE_CODES = 100  # a channel that spans fewer codes than this repeats values for lack of resolution
+PLATEAU_RUN = 5  # consecutive raw samples at the extreme
 KELVIN_ABOVE = 150.0
 TEMPERATURES = ("temperature_degC", "converter_temperature_degC")
 MUST_BE_FILLED = ("time_s", "table_rate_deg_s", "current_mA", "samples")
@@ -22,7 +22,7 @@ MUST_BE_FILLED = ("time_s", "table_rate_deg_s", "current_mA", "samples")
 
 @dataclass
 class _Tally:
-    """How often something was seen, and where first."""
+    """Number of occurrences, and the row of the first."""
 
     count: int = 0
     first: int = -1
@@ -35,7 +35,7 @@ class _Tally:
 
 @dataclass
 class _Repeat:
-    """The longest stretch of one value in a channel, and stretches at its extremes."""
+    """Longest run of one value in a channel, and the longest runs at its extremes."""
 
     value: float = np.nan
     length: int = 0
@@ -69,7 +69,7 @@ class _Repeat:
 
     @property
     def coarse(self) -> bool:
-        """Whether the channel only flickers between a few codes of its converter."""
+        """Whether the channel only toggles between a few codes of its converter."""
         return self.high - self.low < COARSE_CODES * self.quantum
 
     def _extremes(self, heads: np.ndarray, lengths: np.ndarray) -> None:
@@ -84,9 +84,15 @@ class _Repeat:
 
 @dataclass
 class Monitor:
-    """Watches one table; `findings` tells what was seen.
+    """Checks one table batch by batch.
 
-    With `all_move` every channel must move at some time, as in a free tumble, and one that does not is an error.
+    Attributes
+    ----------
+    source : the table.
+    run : name of the run, for the findings.
+    all_move : whether every channel must vary, as in a free tumble; a constant one is then an error.
+    rows : number of rows so far.
+    interval : sampling interval, s; None without a time column.
     """
 
     source: TableSource
@@ -105,7 +111,7 @@ class Monitor:
     _longest_gap: float = 0.0
 
     def push(self, batch: RowBatch) -> None:
-        """Take in the next batch."""
+        """Check the next batch."""
         self.rows = batch.first + batch.rows
         for name, rows in batch.not_finite.items():
             self._not_finite.setdefault(name, _Tally()).note(batch.first + rows)
@@ -125,7 +131,7 @@ class Monitor:
         self._previous = {name: float(values[-1]) for name, values in batch.numbers.items() if batch.rows}
 
     def findings(self) -> list[Finding]:
-        """Return what was seen."""
+        """Return the findings of all batches so far."""
         found = [*self._cell_findings(), *self._time_findings()]
         return found if self.source.layout.reduced else [*found, *self._channel_findings()]
 
@@ -154,71 +160,43 @@ class Monitor:
     def _cell_findings(self) -> list[Finding]:
         found = []
         for name, tally in self._not_finite.items():
-            found.append(
-                self._at(
-                    "nan_values", "error", tally, name, f"{_times(tally.count, 'cell')} of '{name}' NaN or infinite",
-                    "a finite number, or an empty cell where the value is missing", "empty or correct the cell",
-                )
-            )  # fmt: skip
+            what = f"{_count(tally, 'cell')} of '{name}' NaN or infinite"
+            allowed = "a finite number, or an empty cell where the value is missing"
+            found += self._at("nan_values", tally, name, what, allowed, "empty or correct the cell")
         for name, tally in self._empty.items():
-            if tally.count:
-                found.append(
-                    self._at(
-                        "missing_values", "error", tally, name, f"{_times(tally.count, 'cell')} of '{name}' empty",
-                        f"a number in every row of '{name}'", "fill the cell, or remove the row",
-                    )
-                )  # fmt: skip
+            what = f"{_count(tally, 'cell')} of '{name}' empty"
+            allowed = f"a number in every row of '{name}'"
+            found += self._at("missing_values", tally, name, what, allowed, "fill the cell, or remove the row")
         for name, tally in self._kelvin.items():
-            if tally.count:
-                found.append(
-                    self._at(
-                        "kelvin_temperature", "error", tally, name,
-                        f"{_times(tally.count, 'value')} of '{name}' above {KELVIN_ABOVE:g}, as kelvin would be",
-                        f"degrees Celsius up to {KELVIN_ABOVE:g}", "subtract 273.15 from the column",
-                    )
-                )  # fmt: skip
+            what = f"{_count(tally, 'value')} of '{name}' above {KELVIN_ABOVE:g}, as in kelvin"
+            allowed = f"degrees Celsius up to {KELVIN_ABOVE:g}"
+            found += self._at("kelvin_temperature", tally, name, what, allowed, "subtract 273.15 from the column")
         return found
 
     def _time_findings(self) -> list[Finding]:
-        found = []
-        if self._back.count:
-            found.append(
-                self._at(
-                    "time_not_increasing", "error", self._back, "time_s",
-                    f"the time goes back or stands still {_times(self._back.count, 'time')}",
-                    "seconds that increase from row to row", "sort or split the log, or correct the clock",
-                )
-            )  # fmt: skip
-        if self._same.count:
-            found.append(
-                self._at(
-                    "duplicate_row", "error", self._same, "time_s",
-                    f"{_times(self._same.count, 'row')} repeat the row before",
-                    "each row once", "remove the repeated rows",
-                )
-            )  # fmt: skip
-        if self._gaps.count:
-            found.append(
-                self._at(
-                    "gap", "warning", self._gaps, "time_s",
-                    f"{_times(self._gaps.count, 'gap')} in time, the longest {self._longest_gap:.4g} s "
-                    f"where samples come every {self.interval:.4g} s",
-                    "a steady sampling interval", "check the logger; the means are over what is there",
-                )
-            )  # fmt: skip
-        return found
+        what = f"the time decreases or repeats {_count(self._back, 'time')}"
+        allowed, remedy = "seconds that increase from row to row", "sort or split the log, or correct the clock"
+        back = self._at("time_not_increasing", self._back, "time_s", what, allowed, remedy)
+        what = f"{_count(self._same, 'row')} identical to the row before"
+        same = self._at("duplicate_row", self._same, "time_s", what, "each row once", "remove the repeated rows")
+        what = (
+            f"{_count(self._gaps, 'gap')} in time, the longest {self._longest_gap:.4g} s "
+            f"at a sampling interval of {self.interval or 0.0:.4g} s"
+        )
+        allowed, remedy = "a constant sampling interval", "check the logger; means are over the samples present"
+        return [*back, *same, *self._at("gap", self._gaps, "time_s", what, allowed, remedy, "warning")]
 
     def _channel_findings(self) -> list[Finding]:
         found = []
         for name, seen in self._repeats.items():
             if seen.present >= 2 * STUCK_RUN and not seen.changed:
-                what = f"channel '{name}' has the one value {seen.value + 0.0:g} in all {seen.present} samples"
+                what = f"channel '{name}' has the value {seen.value + 0.0:g} in all {seen.present} samples"
                 found.append(self._about_channel("stuck_channel", "error" if self.all_move else "warning", name, what))
             if not seen.changed or seen.coarse:
                 continue
             plateaus = [(v, n) for v, n in ((seen.low, seen.at_low), (seen.high, seen.at_high)) if n >= PLATEAU_RUN]
             for value, length in plateaus:
-                what = f"channel '{name}' stays at its extreme {value:g} over {length} samples in a row"
+                what = f"channel '{name}' stays at its extreme {value:g} over {length} consecutive samples"
                 found.append(self._about_channel("saturated_channel", "warning", name, what))
             if seen.longest >= STUCK_RUN and not plateaus:
                 what = f"channel '{name}' keeps one value over {seen.longest} samples"
@@ -228,16 +206,17 @@ class Monitor:
     def _about_channel(self, finding: str, severity: Severity, channel: str, what: str) -> Finding:
         return Finding(
             finding, severity, self.run, what, f"{self.source.file}, column '{channel}'",
-            "readings that move with the input and with noise",
+            "samples that vary with the input and with noise",
             "check the cable, the range and the converter; leave the column empty where it cannot be used",
         )  # fmt: skip
 
     def _at(
-        self, finding: str, severity: Severity, tally: _Tally, column: str, what: str, allowed: str, remedy: str
-    ) -> Finding:
+        self, name: str, tally: _Tally, column: str, what: str, allowed: str, remedy: str, severity: Severity = "error"
+    ) -> list[Finding]:
+        """Return a finding at the first row of a tally; none where the tally is empty."""
         where = f"{self.source.place(tally.first)}, column '{column}'"
-        return Finding(finding, severity, self.run, what, where, allowed, remedy)
+        return [Finding(name, severity, self.run, what, where, allowed, remedy)] if tally.count else []
 
 
-def _times(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
+def _count(tally: _Tally, noun: str) -> str:
+    return f"{tally.count} {noun}{'' if tally.count == 1 else 's'}"

@@ -4,13 +4,12 @@ A recording does not state its units, its site or the procedure; the options do.
 estimated from the recording where the options do not give it, and noted in the campaign.
 """
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from imubayes.campaign.convert.campaign_writer import refuse_occupied, write_campaign
 from imubayes.campaign.convert.count_scaling import nominal_of_counts
@@ -71,26 +70,13 @@ def _campaign(
     columns: Columns, options: ConvertOptions, folder: Path, kind: str, source: str
 ) -> tuple[Columns, dict[str, Any]]:
     notes = [f"converted from {source} ({kind})"]
-    latitude, gravity = options.latitude_deg, options.gravity_m_s2
-    if latitude is None:
-        latitude = DEFAULT_LATITUDE
-        notes.append(f"the latitude was not given: {latitude:g} deg is assumed for the Earth rate")
-        if gravity is None:
-            gravity = DEFAULT_GRAVITY
-            notes.append(
-                f"neither gravity nor latitude was given: {gravity:g} m/s² is assumed; on Earth it is 9.78 to 9.83, and "
-                "the relative error carries over to the accelerometer scale factors"
-            )
-    known = gravity is not None
-    gravity = gravity if gravity is not None else normal_gravity(float(np.deg2rad(latitude)), options.height_m)
-    channels = _channels(columns, options, gravity, notes, source)
-    site = {"latitude_deg": float(latitude), "height_m": float(options.height_m)}
-    if known:
-        site["gravity_m_s2"] = float(gravity)
+    site = _site(options, notes)
+    gravity = site.get("gravity_m_s2") or normal_gravity(math.radians(site["latitude_deg"]), options.height_m)
     run: dict[str, Any] = {"name": "recording", "procedure": options.procedure, "file": RECORDING}
     for key in ("temperature_degC", "initial_rest_s"):
         if getattr(options, key) is not None:
             run[key] = float(getattr(options, key))
+    channels = _channels(columns, options, gravity, notes, source)
     document: dict[str, Any] = {"format": 1, "name": options.name or folder.name, "notes": notes, "site": site}
     if options.serial:
         document["unit"] = {"serial": options.serial}
@@ -101,6 +87,21 @@ def _campaign(
         run |= {"table": "bench", "mounting": "aligned"}
     document["run"] = [run]
     return {"time_s": columns["time_s"], **columns}, document
+
+
+def _site(options: ConvertOptions, notes: list[str]) -> dict[str, float]:
+    latitude, gravity = options.latitude_deg, options.gravity_m_s2
+    if latitude is None:
+        latitude = DEFAULT_LATITUDE
+        notes.append(f"the latitude was not given: {latitude:g} deg is assumed for the Earth rate")
+        if gravity is None:
+            gravity = DEFAULT_GRAVITY
+            notes.append(
+                f"neither gravity nor latitude was given: {gravity:g} m/s² is assumed; on Earth it is 9.78 to 9.83, "
+                "and the relative error carries over to the accelerometer scale factors"
+            )
+    site = {"latitude_deg": float(latitude), "height_m": float(options.height_m)}
+    return site if gravity is None else site | {"gravity_m_s2": float(gravity)}
 
 
 def _channels(

@@ -66,7 +66,7 @@ def read_options(given: Mapping[str, Any]) -> ConvertOptions:
     names = [option.name for option in fields(ConvertOptions)]
     issues = [
         Issue(
-            f"'{key}' is not an option of a conversion",
+            f"'{key}' is not an option of convert",
             f"option {key}",
             closest_first(key, names),
             "correct the option",

@@ -83,7 +83,7 @@ def rotation_between(recording: Recording, edges: np.ndarray) -> tuple[np.ndarra
 def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the angle between vectors, shape (…, 3) → (…), rad."""
     cosine = np.sum(a * b, axis=-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
-    return np.arccos(np.clip(cosine, -1.0, 1.0))
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def body_vectors(

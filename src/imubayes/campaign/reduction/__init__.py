@@ -1,8 +1,8 @@
-"""Raw logs become rows: means over the spans in which the stimulus was constant.
+"""Reduction of raw logs to rows: means over the spans of constant stimulus.
 
-A log is read twice as a stream.  The first pass summarises short blocks (`blocks`), from which the spans of
-constant rate, angle and rest are recognised (`detect`), or takes them from the segment column (`segments`).
-The second pass sums each span exactly (`accumulate`).  Memory does not grow with the length of the log.
+A log is streamed twice.  The first pass summarises short blocks (`block_survey`), from which the spans of constant
+rate, angle or rest are detected (`constant_spans`), or takes the spans from the segment column (`segment_labels`).  The
+second pass averages each span exactly (`span_means`).  Memory does not grow with the length of the log.
 """
 
 from imubayes.campaign.reduction.block_survey import BlockBuilder, BlockSurvey, sampling_interval

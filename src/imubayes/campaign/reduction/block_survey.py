@@ -1,7 +1,7 @@
-"""The first pass over a raw log: means, extremes and ends of short blocks, in bounded memory.
+"""First pass over a raw log: means, extremes and end values of short blocks, in bounded memory.
 
-What the table did is recognised from blocks of a tenth of a second, not from single samples.  When there are
-more than `MOST_BLOCKS` of them, neighbours are merged in pairs, so that a log of any length fits.
+The stimulus is detected from blocks of a tenth of a second, not from single samples.  Beyond `MOST_BLOCKS` blocks,
+neighbours are merged in pairs, so that a log of any length fits.
 """
 
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ class BlockSurvey:
     Attributes
     ----------
     start, count : first row and number of rows.
-    mean : column → mean over the cells that are there, NaN where none is.
-    low, high : stimulus column → extremes.
-    first, last : time and angle at the ends.
-    interval : sampling interval in s, or None where the log has no time.
+    mean : column → mean over the non-empty cells, NaN where all are empty.
+    low, high : stimulus column → minimum and maximum.
+    first, last : time and angle of the first and last row.
+    interval : sampling interval, s; None where the log has no time.
     """
 
     start: np.ndarray
@@ -46,7 +46,7 @@ class BlockSurvey:
 
 
 class BlockBuilder:
-    """Collects blocks batch by batch."""
+    """Builds a `BlockSurvey` batch by batch."""
 
     def __init__(self, columns: Sequence[str]):
         self._columns = tuple(columns)
@@ -58,7 +58,7 @@ class BlockBuilder:
         self._blocks = 0
 
     def push(self, batch: RowBatch) -> None:
-        """Take in the next batch."""
+        """Add the next batch."""
         if self._length == 0:
             self._interval = sampling_interval(batch.numbers.get("time_s"))
             seconds = self._interval or BLOCK_SECONDS
@@ -74,7 +74,7 @@ class BlockBuilder:
         self._carry = {name: values[whole:].copy() for name, values in numbers.items()}
 
     def finish(self) -> BlockSurvey:
-        """Return the blocks; a last incomplete one counts too."""
+        """Return the survey; a last incomplete block is included."""
         rows = len(next(iter(self._carry.values()))) if self._carry else 0
         if rows:
             self._append(self._carry, rows)
@@ -103,7 +103,7 @@ class BlockBuilder:
 
 
 def sampling_interval(time: np.ndarray | None) -> float | None:
-    """Return the median step of a time column in s, or None where there is no step to see."""
+    """Return the median positive step of a time column, s; None where there is none."""
     steps = np.diff(time) if time is not None else np.zeros(0)
     steps = steps[steps > 0]
     return float(np.median(steps)) if len(steps) else None

@@ -1,9 +1,9 @@
-"""Where in a raw log the stimulus stood still: spans of constant rate, constant angle or rest.
+"""Detection of the spans of constant stimulus in a raw log: constant rate, constant angle or rest.
 
-A block is steady when rate, resting angle and current hold within it; steady neighbours with the same stimulus
-make a span.  A commanded rate is there before the table is, so the ends of a span, where the block means of a
-channel have not settled yet, are cut off as transients.  Where the temperature is the stimulus, spans are cut
-into bins short enough for it to count as constant.
+A block is steady if rate, angle at rest and current are constant within it; consecutive steady blocks of the same
+stimulus form a span.  A rate command precedes the motion of the table, so the ends of a span, where the block means of
+a channel have not settled yet, are removed as transients.  Where the temperature is the stimulus, spans are divided
+into bins short enough for it to be constant.
 """
 
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ import numpy as np
 
 from imubayes.campaign.reduction.block_survey import BlockSurvey
 
-REST_RATE = 1e-6  # deg/s; a commanded rate below it is rest
-RATE_TOLERANCE = 1e-3  # of the rate: two rates closer than this are one
-NOISE_RANGE = 3.0  # times the usual range of a measured rate within a block: 9 of its standard deviations
-ANGLE_TOLERANCE = 0.01  # deg; positions of a dividing head lie further apart, encoder noise is smaller
+REST_RATE = 1e-6  # deg/s; rates below it are rest
+RATE_TOLERANCE = 1e-3  # relative; rates closer than this are equal
+NOISE_RANGE = 3.0  # times the median range of a measured rate within a block: about 9 standard deviations
+ANGLE_TOLERANCE = 0.01  # deg; larger than encoder noise, smaller than the steps of a dividing head
 CURRENT_TOLERANCE = 1e-3  # of the largest current
-LEAST_SECONDS = 1.0  # shorter spans are on the way to somewhere
+LEAST_SECONDS = 1.0  # shorter spans are transitions
 SETTLED = 8.0  # robust standard deviations of the block means
 BIN_KELVIN = 0.25
 BIN_SECONDS = 60.0
@@ -29,7 +29,7 @@ SMOOTHING_BLOCKS = 51
 
 @dataclass(frozen=True)
 class Span:
-    """Rows `start` to `stop` (exclusive) during which the stimulus was constant."""
+    """Rows `start` to `stop` (exclusive) of constant stimulus; `turning` where the table rotated."""
 
     start: int
     stop: int
@@ -44,14 +44,14 @@ class Span:
 def constant_spans(
     blocks: BlockSurvey, channels: tuple[str, ...], by_temperature: bool = False, rest_only: bool = False
 ) -> list[Span]:
-    """Return the spans of constant stimulus, transients cut off, in the order of the log.
+    """Return the spans of constant stimulus without their transients, in the order of the log.
 
     Parameters
     ----------
-    blocks : summary of the log.
-    channels : columns whose settling is watched.
-    by_temperature : cut into bins of `BIN_KELVIN` and `BIN_SECONDS` at most.
-    rest_only : turning is on the way from one position to the next, and left out.
+    blocks : survey of the log.
+    channels : columns checked for settling.
+    by_temperature : divide the spans into bins of at most `BIN_KELVIN` and `BIN_SECONDS`.
+    rest_only : return spans at rest only; motion is a change of position.
     """
     rate, within, noise = _rate(blocks)
     turning = np.abs(rate) > np.maximum(REST_RATE, noise)
@@ -71,7 +71,7 @@ def constant_spans(
     spans = []
     for first, last in _groups(steady, jump):
         if by_temperature:
-            # Short bins are those of a fast ramp: it is the whole group that has to last.
+            # A fast ramp gives short bins; the minimum duration applies to the whole group.
             bins = _settled_bins(blocks, channels, first, last) if _long_enough(blocks, first, last) else []
         else:
             whole = _settled(blocks, channels, first, last)
@@ -81,7 +81,7 @@ def constant_spans(
 
 
 def followed_spans(blocks: BlockSurvey) -> list[Span]:
-    """Return spans short enough to follow a stimulus that never stands still: `FOLLOW_SECONDS`, `FOLLOW_DEGREES`."""
+    """Return contiguous spans of at most `FOLLOW_SECONDS` and `FOLLOW_DEGREES`, for a varying stimulus."""
     rate, _, noise = _rate(blocks)
     turning = np.abs(rate) > np.maximum(REST_RATE, noise)
     seconds = np.where(np.isfinite(rate), blocks.count * (blocks.interval or 0.0), np.inf)
@@ -101,12 +101,12 @@ def _span(blocks: BlockSurvey, begin: int, end: int, turning: np.ndarray) -> Spa
 
 
 def wrap_degrees(angle: np.ndarray) -> np.ndarray:
-    """Return an angle in deg brought into [-180, 180)."""
+    """Return an angle in deg wrapped to [-180, 180)."""
     return (angle + 180.0) % 360.0 - 180.0
 
 
 def _rate(blocks: BlockSurvey) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return per block the rate and its range within the block (deg/s), and the usual such range."""
+    """Return per block the rate and its range within the block, deg/s, and the median of the ranges."""
     still = np.zeros(blocks.size)
     if "table_rate_deg_s" in blocks.mean:
         within = blocks.high["table_rate_deg_s"] - blocks.low["table_rate_deg_s"]
@@ -124,7 +124,7 @@ def _jumps(values: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
 
 
 def _groups(steady: np.ndarray, jump: np.ndarray) -> list[tuple[int, int]]:
-    """Return (first, one past the last) of every run of steady blocks without a jump inside."""
+    """Return first and one past the last block of every run of steady blocks without a jump."""
     label = np.concatenate([[0], np.cumsum(jump | (steady[1:] != steady[:-1]))])
     edges = np.flatnonzero(np.diff(label)) + 1
     starts, stops = np.concatenate([[0], edges]), np.concatenate([edges, [len(steady)]])
@@ -132,10 +132,10 @@ def _groups(steady: np.ndarray, jump: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _settled_bins(blocks: BlockSurvey, channels: tuple[str, ...], first: int, last: int) -> list[tuple[int, int]]:
-    """Return the bins of a group of blocks, with what has not settled cut off its two ends.
+    """Return the bins of a group of blocks, without the transients at its two ends.
 
-    A channel that follows the temperature is not at its median for most of a ramp: there the first and the last bin are
-    compared with themselves.
+    A channel that depends on temperature differs from its median over most of a ramp; the settling is therefore judged
+    within the first and the last bin only.
     """
     bins = _bins(blocks, first, last)
     bins[0] = (_settled(blocks, channels, *bins[0])[0], bins[0][1])
@@ -144,7 +144,7 @@ def _settled_bins(blocks: BlockSurvey, channels: tuple[str, ...], first: int, la
 
 
 def _settled(blocks: BlockSurvey, channels: tuple[str, ...], first: int, last: int) -> tuple[int, int]:
-    """Cut off leading and trailing blocks in which a channel has not settled, at most 40 % at each end."""
+    """Return the range without leading and trailing blocks in which a channel has not settled (at most 40 % each)."""
     length = last - first
     if length < 10 or blocks.interval is None or np.max(blocks.count) == 1:
         return first, last
@@ -155,7 +155,7 @@ def _settled(blocks: BlockSurvey, channels: tuple[str, ...], first: int, last: i
         core = core[np.isfinite(core)]
         if len(core):
             middle = np.median(core)
-            # The median alone is 0 for a coarse converter that mostly gives one code.
+            # The MAD alone is 0 for a coarse converter that mostly outputs one code.
             spread = max(1.4826 * float(np.median(np.abs(core - middle))), 0.5 * float(np.std(core)))
             unsettled |= np.abs(values - middle) > SETTLED * spread + 1e-9 * np.abs(middle)
     most = (2 * length) // 5
@@ -178,7 +178,7 @@ def _bins(blocks: BlockSurvey, first: int, last: int) -> list[tuple[int, int]]:
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:
-    """Return running means over up to `SMOOTHING_BLOCKS`, so that sensor noise does not end a bin."""
+    """Return moving averages over up to `SMOOTHING_BLOCKS`, so that sensor noise does not end a bin."""
     present = np.isfinite(values)
     if not present.any():
         return np.zeros_like(values)

@@ -1,5 +1,6 @@
-"""From a raw log to rows: survey, spans, sums, and a plain account of what was done and left out."""
+"""Reduction of a raw log to rows, with notes on what was averaged and what was left out."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -30,7 +31,7 @@ FOLLOWED = {"reference_gyro", "rotation_modulation", "servo_table"}
 """Procedures whose stimulus never stands still."""
 
 CONSTANT = "where the stimulus was constant"
-UNSTEADY = 0.02  # of the mean; a rate table holds its rate far better
+UNSTEADY = 0.02  # relative standard deviation; a rate table is far more stable
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,9 @@ class Rows:
     Attributes
     ----------
     numbers : column → shape (R,); the columns of covariates and channels, `samples` and `<channel>_sd`.
-    first : the raw row that each begins with.
-    unsteady : indices of labelled segments in which the stimulus changes.
-    notes : what was done and left out.
+    first : index of the first raw row of each.
+    unsteady : indices of labelled segments in which the stimulus varies.
+    notes : account of the reduction.
     """
 
     numbers: dict[str, np.ndarray]
@@ -78,30 +79,35 @@ def reduce_log(
     numbers = _columns(columns, layout, reduced)
     first = tuple(span.start for span in spans)
     if "time_s" not in numbers and blocks.interval is None and all(row.samples == 1 for row in reduced):
-        note = f"no 'samples' and no 'time_s' column: each of the {rows} rows is taken as one sample"
+        note = f"no 'samples' and no 'time_s' column: each of the {rows} rows counts as one sample"
         return Rows(numbers, first, (), (note,))
     unsteady = _unsteady(columns, reduced) if labelled is not None else ()
     return Rows(numbers, first, unsteady, _account(rows, reduced, how))
 
 
 def _columns(columns: list[str], layout: ColumnLayout, reduced: list[Row]) -> dict[str, np.ndarray]:
-    mean = np.array([row.mean for row in reduced]).reshape(len(reduced), len(columns))
-    sd = np.array([row.sd for row in reduced]).reshape(len(reduced), len(columns))
+    shape = (len(reduced), len(columns))
+    mean, sd = _values(reduced, "mean").reshape(shape), _values(reduced, "sd").reshape(shape)
+    lost, known = _values(reduced, "lost").astype(bool), _values(reduced, "angle_known").astype(bool)
+    swept = _values(reduced, "swept")
+    still = swept == 0.0
     numbers = {name: mean[:, index] for index, name in enumerate(columns)}
-    lost = np.array([row.lost for row in reduced], dtype=bool)
-    numbers |= {name: np.where(lost, np.nan, numbers[name]) for name in layout.channels}
-    numbers |= {f"{name}_sd": sd[:, columns.index(name)] for name in layout.channels}
-    numbers["samples"] = np.array([float(row.samples) for row in reduced])
-    known = np.array([row.angle_known for row in reduced], dtype=bool)
-    still = np.array([row.swept == 0.0 for row in reduced], dtype=bool)
+    for name in layout.channels:
+        numbers[name] = np.where(lost, np.nan, numbers[name])
+        numbers[f"{name}_sd"] = sd[:, columns.index(name)]
+    numbers["samples"] = _values(reduced, "samples").astype(float)
     if "table_angle_deg" in numbers:
         numbers["table_angle_deg"] = np.where(known, numbers["table_angle_deg"], np.nan)
     elif not still.all():
         numbers["table_angle_deg"] = np.where(still, 0.0, np.nan)
     if "table_rate_deg_s" not in numbers and not still.all():
-        numbers["table_rate_deg_s"] = np.array([row.rate for row in reduced])
-    numbers["table_angle_span_deg"] = np.array([row.swept for row in reduced])
+        numbers["table_rate_deg_s"] = _values(reduced, "rate")
+    numbers["table_angle_span_deg"] = swept
     return numbers
+
+
+def _values(reduced: list[Row], field: str) -> np.ndarray:
+    return np.array([getattr(row, field) for row in reduced])
 
 
 def _unsteady(columns: list[str], reduced: list[Row]) -> tuple[int, ...]:
@@ -114,28 +120,26 @@ def _unsteady(columns: list[str], reduced: list[Row]) -> tuple[int, ...]:
 
 
 def _account(rows: int, reduced: list[Row], how: str) -> tuple[str, ...]:
+    """Return notes on the rows used, the means formed and the rows left out."""
     used = sum(row.samples for row in reduced)
-    lost = sum(1 for row in reduced if row.lost)
-    rest = sum(1 for row in reduced if row.swept == 0.0 and not row.lost)
-    whole = sum(1 for row in reduced if row.turns)
-    part = len(reduced) - rest - whole - lost
-    notes = [f"{rows} raw rows reduced to {len(reduced)} means {how}: {rest} at rest, {len(reduced) - rest} turning"]
+    count = Counter(row.state for row in reduced)
+    holes = sum(row.holes for row in reduced)
+    turning = len(reduced) - count["rest"]
+    notes = [f"{rows} raw rows reduced to {len(reduced)} means {how}: {count['rest']} at rest, {turning} turning"]
     if rows > used:
-        share = 100 * (rows - used) / rows
         notes.append(
-            f"{rows - used} raw rows ({share:.2g} %) left out: transients between constant stimuli, "
-            "settling, and what exceeds whole turns"
+            f"{rows - used} raw rows ({100 * (rows - used) / rows:.2g} %) left out: transients between constant "
+            "stimuli, settling, and remainders beyond whole turns"
         )
-    if whole:
-        notes.append(f"means while turning cut to whole turns: {whole}")
-    if any(row.holes for row in reduced):
-        kept = sum(1 for row in reduced if row.holes and not row.lost)
+    if count["whole turns"]:
+        notes.append(f"means over whole turns: {count['whole turns']}")
+    if holes:
         notes.append(
-            f"samples are missing while the table turned: {kept} means are over the turns between the holes, "
-            f"{lost} left out because no turn is whole"
+            f"samples are missing while the table turned: {holes - count['lost']} means are over the turns between "
+            f"the gaps, {count['lost']} left out for lack of a whole turn"
         )
-    if part:
-        notes.append(f"means over less than one full turn, which keep their angle where it is known: {part}")
+    if count["partial turn"]:
+        notes.append(f"means over less than one turn, with their angle where known: {count['partial turn']}")
     if any(row.missing for row in reduced):
-        notes.append("empty cells inside some means: these means are over the cells that are there")
+        notes.append("some means are over incomplete rows: empty cells were ignored")
     return tuple(notes)

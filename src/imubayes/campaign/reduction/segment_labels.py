@@ -1,6 +1,6 @@
-"""Spans from the `segment` column, or from others that label what belongs together.
+"""Spans from the `segment` column, or from other label columns.
 
-Consecutive rows with the same label belong together; rows with an empty label belong to nothing and are left out.
+Consecutive rows with the same label form a span; rows with an empty label are left out.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from imubayes.campaign.run_tables import RowBatch
 
 
 class SegmentTracker:
-    """Follows the labels through the batches; of several columns the labels count together."""
+    """Collects labelled spans batch by batch; several columns form one combined label."""
 
     def __init__(self, columns: Sequence[str] = ("segment",)) -> None:
         self._columns = tuple(columns)
@@ -24,9 +24,9 @@ class SegmentTracker:
         self._rows = 0
 
     def push(self, batch: RowBatch) -> None:
-        """Take in the next batch."""
-        together = zip(*(batch.texts[name] for name in self._columns), strict=True)
-        labels = [tuple(str(one) for one in each) if all(each) else None for each in together]
+        """Add the next batch."""
+        combined = zip(*(batch.texts[name] for name in self._columns), strict=True)
+        labels = [tuple(map(str, parts)) if all(parts) else None for parts in combined]
         rate = batch.numbers.get("table_rate_deg_s")
         absolute = np.zeros(batch.rows) if rate is None else np.nan_to_num(np.abs(rate))
         edges = [i for i in range(1, batch.rows) if labels[i] != labels[i - 1]]

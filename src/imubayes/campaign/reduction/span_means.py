@@ -1,25 +1,24 @@
-"""The second pass over a raw log: one row per span, by sums, with turns cut at exactly whole ones.
+"""Second pass over a raw log: one mean per span, over whole turns while the table rotates.
 
-While the table turns, everything that depends on its angle averages out over whole turns and only then.  The
-log is sampled, and a turn ends between two samples; the mean over turns is therefore the trapezoidal integral
-over angle up to the interpolated end, which for a smooth periodic signal is good to the third power of the
-angle between two samples, a few lost samples included.  No integral leads across a hole in the log: of the stretches
-between holes the one with most turns is taken.  The standard deviation of one sample is taken about the mean at rest,
-and from successive differences while turning, where the signal itself moves.
+Angle-dependent terms average out over whole turns only, and a turn ends between two samples.  The mean over turns is
+therefore the trapezoidal integral over angle up to the interpolated end; for a smooth periodic signal its error is of
+third order in the angle between samples, also with a few lost samples.  No integral crosses a hole in the log: of the
+stretches between holes, the one with most turns is used.  The standard deviation of one sample is about the mean at
+rest, and from successive differences while turning, where the signal itself varies.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 
 from imubayes.campaign.reduction.constant_spans import Span, wrap_degrees
 from imubayes.campaign.run_tables import RowBatch
 
-# Samples further apart than this, in intervals, have others missing between them; where the table has turned by more
-# than this, in deg, meanwhile, no line between the two stands for what is missing.
-_LOST, _HOLE = 1.5, 20.0
+_LOST = 1.5  # a time step of more sampling intervals than this has lost samples
+_HOLE = 20.0  # deg; lost samples over a larger angle cannot be interpolated
 
 
 @dataclass(frozen=True)
@@ -28,16 +27,16 @@ class Row:
 
     Attributes
     ----------
-    mean : per column, NaN where every cell was empty.
+    mean : per column, NaN where all cells are empty.
     sd : per column, standard deviation of one sample, NaN where unknown.
     spread : per column, standard deviation about the mean, whatever the cause.
     samples : number of raw samples.
-    turns : whole turns the mean was taken over, 0 at rest or on a partial turn.
-    swept : angle swept in deg, 0 at rest, NaN where nothing tells.
-    rate : mean rate in deg/s from the angle column, 0 at rest, NaN where there is none.
-    angle_known : whether `mean` has the angle that belongs to it.
+    turns : number of whole turns averaged, 0 at rest or over a partial turn.
+    swept : angle swept, deg; 0 at rest, NaN where unknown.
+    rate : mean rate from the angle column, deg/s; 0 at rest, NaN without an angle column.
+    angle_known : whether the mean of the angle column is the angle of the row.
     missing : whether cells were empty.
-    holes : whether turns with samples missing were left out.
+    holes : whether turns with missing samples were left out.
     """
 
     mean: np.ndarray
@@ -53,14 +52,23 @@ class Row:
 
     @property
     def lost(self) -> bool:
-        """Whether no turn is whole between the holes: such a mean belongs to no angle."""
+        """Whether there is no whole turn between holes, so that the mean belongs to no angle."""
         return self.holes and not self.turns
+
+    @property
+    def state(self) -> Literal["lost", "rest", "whole turns", "partial turn"]:
+        """Kind of the mean, by the motion of the table."""
+        if self.lost:
+            return "lost"
+        if self.swept == 0.0:
+            return "rest"
+        return "whole turns" if self.turns else "partial turn"
 
 
 def accumulate(
     batches: Iterable[RowBatch], spans: Sequence[Span], columns: Sequence[str], interval: float | None
 ) -> list[Row]:
-    """Return one row per span; `spans` are in order and do not overlap."""
+    """Return one row per span; the spans are in order and do not overlap."""
     sums: list[_SpanSum] = []
     for batch in batches:
         table = np.stack([batch.numbers[name] for name in columns], axis=1)
@@ -75,7 +83,7 @@ def accumulate(
 
 
 class _SpanSum:
-    """Running sums of one span, shifted by its first row to keep their digits."""
+    """Running sums of one span, relative to its first row for precision."""
 
     def __init__(self, span: Span, columns: Sequence[str], interval: float | None):
         index = {name: position for position, name in enumerate(columns)}
@@ -91,7 +99,7 @@ class _SpanSum:
         self._trackable = span.turning and (interval is not None or self._angle is not None)
 
     def add(self, table: np.ndarray) -> None:
-        """Take in consecutive rows of the span, shape (n, columns)."""
+        """Add consecutive rows of the span, shape (n, columns)."""
         if not len(table):
             return
         if self._rows == 0:
@@ -103,9 +111,9 @@ class _SpanSum:
             self._add(table)
 
     def _without_holes(self, table: np.ndarray) -> Iterable[np.ndarray]:
-        """Give the rows stretch by stretch; a new stretch begins behind each hole.
+        """Yield the rows stretch by stretch; a new stretch begins after each hole.
 
-        Rows with an empty cell in a column that has readings are lost, too: their neighbours stand for them.
+        Rows with an empty cell in a column that is otherwise filled count as lost samples.
         """
         empty = np.isnan(table)
         partly = empty[:, empty.any(axis=0) & ~empty.all(axis=0)].any(axis=1)
@@ -122,7 +130,7 @@ class _SpanSum:
                 yield table[start:stop]
 
     def _lost(self, joined: np.ndarray) -> np.ndarray:
-        """Return where samples are missing before a row, shape (n,); nothing tells without a time."""
+        """Return where samples are missing before a row, shape (n,); nowhere without a time column."""
         if self._time is None or self._interval is None:
             return np.zeros(len(joined) - 1, dtype=bool)
         lost = np.diff(joined[:, self._time]) > _LOST * self._interval
@@ -130,7 +138,7 @@ class _SpanSum:
         return lost
 
     def _end_stretch(self) -> None:
-        """Keep the turns so far where no stretch before has more; what follows begins a new stretch."""
+        """Keep the turns of this stretch if they are the most so far, and begin a new stretch."""
         self._holes = True
         self._bank()
         self._turns, self._swept, self._fresh = 0, 0.0, True
@@ -165,7 +173,7 @@ class _SpanSum:
             self._angle_last = values[-1, self._angle]
 
     def row(self) -> Row:
-        """Return the finished row."""
+        """Return the reduced row."""
         total, weight, samples = self._sum, self._weight, self._rows
         swept = self._swept * samples / max(samples - 1, 1)
         self._bank()
@@ -209,7 +217,7 @@ class _SpanSum:
         self._fresh = True
 
     def _expected_step(self, joined: np.ndarray) -> np.ndarray:
-        """Return the angle in deg that the rate column predicts from each row to the next."""
+        """Return the angle from each row to the next predicted by the rate column, shape (n,), deg."""
         rows = len(joined) - 1
         if self._rate is None or self._interval is None:
             return np.zeros(rows)
@@ -217,13 +225,13 @@ class _SpanSum:
         return np.where(np.isnan(joined[1:, self._rate]), 0.0, joined[1:, self._rate]) * seconds
 
     def _unwrapped(self, joined: np.ndarray) -> np.ndarray:
-        """Return the angle since the first row of the span, without jumps at a full turn."""
+        """Return the unwrapped angle since the first row of the span, shape (n,), deg."""
         expected = self._expected_step(joined)
         step = expected + wrap_degrees(np.diff(joined[:, self._angle]) - expected)
         return self._angle_last + np.cumsum(np.where(np.isnan(step), 0.0, step))
 
     def _cut_turns(self, joined: np.ndarray, values: np.ndarray, weight: np.ndarray) -> None:
-        """Note the integrals over angle up to the last whole turn that ends within these rows."""
+        """Update the integrals over angle, up to the last whole turn that ends within these rows."""
         if self._angle is not None and weight[:, self._angle].all():
             self._begun = values[1, self._angle] if self._fresh else self._begun
             swept = np.abs(values[1:, self._angle] - self._begun)
