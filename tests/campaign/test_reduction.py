@@ -75,7 +75,7 @@ def test_no_turn_leads_across_a_hole(tmp_path: Path, form: str) -> None:
     assert rows.numbers["g"][1] == pytest.approx(361, abs=1e-4)
     assert rows.numbers["table_angle_span_deg"][1] == 360
     assert rows.numbers["g"][2] == pytest.approx(-899, abs=2e-5)
-    assert any("1 means are over the turns between the holes" in note for note in rows.notes)
+    assert any("1 means are over the turns between the gaps" in note for note in rows.notes)
 
 
 def test_what_has_no_whole_turn_between_holes_is_left_out(tmp_path: Path) -> None:
