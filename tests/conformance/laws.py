@@ -29,8 +29,8 @@ INSTANTS = 24  # of a record, two runs
 def priors(member: type) -> dict[str, Prior]:
     """Return the default prior of every parameter, in SI."""
     return {
-        field: parse_prior(one.prior, one.unit, GRAVITY, f"{member.name}.{field}", OWN)
-        for field, one in declared_parameters(member).items()
+        field: parse_prior(parameter.prior, parameter.unit, GRAVITY, f"{member.name}.{field}", OWN)
+        for field, parameter in declared_parameters(member).items()
     }
 
 
@@ -39,7 +39,7 @@ def instance(member: type, values: dict) -> object:
 
 
 def null_values(member: type) -> dict[str, float]:
-    return {field: one.null for field, one in declared_parameters(member).items()}
+    return {field: parameter.null for field, parameter in declared_parameters(member).items()}
 
 
 def drawn_values(member: type, seed: int) -> dict[str, jax.Array]:
@@ -84,8 +84,8 @@ def states(member: type, seed: int, still: bool = False, **fixed: float) -> tupl
     return signal, seen
 
 
-def _many(one: object) -> object:
-    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (INSTANTS, *leaf.shape)), one)
+def _many(tree: object) -> object:
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (INSTANTS, *leaf.shape)), tree)
 
 
 def record(seed: int, **fixed: float) -> Records:
@@ -98,20 +98,20 @@ def record(seed: int, **fixed: float) -> Records:
     for name in TEMPERATURES:
         if name not in fixed and f"{name}_rate" not in fixed:
             values[name] = values[name] + np.cumsum(rng.normal(size=INSTANTS) * 5)
-    as_arrays = {name: jnp.asarray(one) for name, one in values.items()}
+    as_arrays = {name: jnp.asarray(value) for name, value in values.items()}
     order = jnp.asarray(count)
     return Records(order, order, jnp.asarray(begins), jnp.asarray(seconds), Ambient(**as_arrays))
 
 
 def acted(member: type, values: dict, *state):
     """Return what the effect makes of its first argument."""
-    one = instance(member, values)
+    effect = instance(member, values)
     if not issubclass(member, RecordEffect):
-        return one.apply(*state)
+        return effect.apply(*state)
     signal, samples, before = state
     columns = {field: jnp.asarray(value, dtype=float).reshape(1, 1) for field, value in values.items()}
     memory = member.memories(lambda chosen: member(**chosen), columns, before)[:, 0]
-    return jax.vmap(one.apply)(signal, samples, memory)
+    return jax.vmap(effect.apply)(signal, samples, memory)
 
 
 def moved(member: type, values: dict, state: tuple) -> list[np.ndarray]:
@@ -141,20 +141,22 @@ def text_says_formula_and_source(member: type) -> None:
     assert written, f"{member.name} has no docstring"
     assert re.search(r"[·×∝=²√|⁻₀-₉]|[a-zσΩω)] [+−-] ", text), f"{member.name}: no formula in its docstring"
     assert member.reference, f"{member.name} names no source"
-    for field, one in declared_parameters(member).items():
-        assert one.meaning.split()[0] in ("the", "half", "each", "a"), f"{member.name}.{field}: '{one.meaning}'"
+    for field, parameter in declared_parameters(member).items():
+        assert parameter.meaning.split()[0] in ("the", "half", "each", "a"), (
+            f"{member.name}.{field}: '{parameter.meaning}'"
+        )
 
 
 def units_and_priors_are_known(member: type) -> None:
     """Every unit is in the table, every prior has that dimension, and what is typical is positive and ordered."""
     assert declared_parameters(member), f"{member.name} has no parameter"
-    for field, one in declared_parameters(member).items():
-        assert to_si(one.unit, GRAVITY, own=OWN) > 0
-        prior = parse_prior(one.prior, one.unit, GRAVITY, f"{member.name}.{field}", OWN)
-        low, high = one.typical
-        assert 0 < low < high, f"{member.name}.{field}: typical range {one.typical}"
-        if dimension(one.unit)[5] == 0 and np.isfinite(prior.sd()):
-            width = prior.sd() / to_si(one.unit, GRAVITY, own=OWN)
+    for field, parameter in declared_parameters(member).items():
+        assert to_si(parameter.unit, GRAVITY, own=OWN) > 0
+        prior = parse_prior(parameter.prior, parameter.unit, GRAVITY, f"{member.name}.{field}", OWN)
+        low, high = parameter.typical
+        assert 0 < low < high, f"{member.name}.{field}: typical range {parameter.typical}"
+        if dimension(parameter.unit)[5] == 0 and np.isfinite(prior.sd()):
+            width = prior.sd() / to_si(parameter.unit, GRAVITY, own=OWN)
             assert width > 0.1 * low, f"{member.name}.{field}: the prior leaves no room for what is typical"
 
 
@@ -165,8 +167,8 @@ def stage_and_covariates_are_known(member: type) -> None:
     assert member.stage in allowed, f"{member.name} stands at {member.stage!r}"
     assert set(member.needs) <= {*ambient_names(), *GATES}, f"{member.name} needs {member.needs}"
     assert set(member.kinds) <= {"gyro", "accelerometer"}
-    for one in declared_parameters(member).values():
-        assert not one.spread or one.spread in declared_parameters(member)
+    for parameter in declared_parameters(member).values():
+        assert not parameter.spread or parameter.spread in declared_parameters(member)
 
 
 def null_is_the_identity(member: type) -> None:
@@ -212,7 +214,7 @@ def changes_something(member: type) -> None:
     A shape means something where the coefficients are not null: there it has to matter.
     """
     declared = declared_parameters(member)
-    spreads = {one.spread for one in declared.values()}
+    spreads = {parameter.spread for parameter in declared.values()}
     for field in set(declared) - spreads:
         responses = []
         for seed in range(1, 6):
@@ -227,9 +229,9 @@ def changes_something(member: type) -> None:
         assert max(responses) > 0, f"{member.name}.{field} changes nothing"
 
 
-def _change(member: type, one: dict, other: dict, seed: int) -> float:
+def _change(member: type, first: dict, second: dict, seed: int) -> float:
     state = states(member, seed)
-    pairs = zip(moved(member, one, state), moved(member, other, state), strict=True)
+    pairs = zip(moved(member, first, state), moved(member, second, state), strict=True)
     return max(np.abs(a - b).max() for a, b in pairs)
 
 
@@ -239,22 +241,29 @@ def linear_coefficients_show_at_null(member: type) -> None:
     Shapes are of positive priors, tried over values inside these, their null among what is tried.
     """
     declared = declared_parameters(member)
-    factors = {field: to_si(one.unit, GRAVITY, own=OWN) for field, one in declared.items()}
-    shapes = {field: one for field, one in declared.items() if one.shape}
-    for field, one in shapes.items():
-        assert min(one.shape) > 0, f"{member.name}.{field}: shapes {one.shape}"
+    factors = {field: to_si(parameter.unit, GRAVITY, own=OWN) for field, parameter in declared.items()}
+    shapes = {field: parameter for field, parameter in declared.items() if parameter.shape}
+    for field, parameter in shapes.items():
+        assert min(parameter.shape) > 0, f"{member.name}.{field}: shapes {parameter.shape}"
         assert float(priors(member)[field].value(jnp.asarray(-8.0))) > 0, f"{member.name}.{field} may be negative"
         # What a unit of the channel's own stands for is not known to the class: any positive null will do.
-        own = dimension(one.unit)[5] != 0
-        inside = one.null > 0 if own else min(one.shape) <= one.null / factors[field] <= max(one.shape)
-        assert inside, f"{member.name}.{field}: null {one.null} is not among what is tried"
-        places = [priors(member)[field].z(value * factors[field]) for value in one.shape]
-        assert max(map(abs, places)) < 4, f"{member.name}.{field}: shapes {one.shape} outside the prior"
-    spreads = {one.spread for one in declared.values()}
-    count = max((len(one.shape) for one in shapes.values()), default=1)
+        own = dimension(parameter.unit)[5] != 0
+        inside = (
+            parameter.null > 0
+            if own
+            else min(parameter.shape) <= parameter.null / factors[field] <= max(parameter.shape)
+        )
+        assert inside, f"{member.name}.{field}: null {parameter.null} is not among what is tried"
+        places = [priors(member)[field].z(value * factors[field]) for value in parameter.shape]
+        assert max(map(abs, places)) < 4, f"{member.name}.{field}: shapes {parameter.shape} outside the prior"
+    spreads = {parameter.spread for parameter in declared.values()}
+    count = max((len(parameter.shape) for parameter in shapes.values()), default=1)
     slopes = {field: _slope_of(member, field) for field in set(declared) - set(shapes) - spreads}
     for place in range(count):
-        at = {name: one.shape[min(place, len(one.shape) - 1)] * factors[name] for name, one in shapes.items()}
+        at = {
+            name: parameter.shape[min(place, len(parameter.shape) - 1)] * factors[name]
+            for name, parameter in shapes.items()
+        }
         for field, slope in slopes.items():
             found = [slope(at, seed) for seed in range(1, 6)]
             assert np.all(np.isfinite(found)), f"{member.name}.{field}: derivative {found}"
@@ -268,23 +277,25 @@ def _slope_of(member: type, field: str) -> Callable[[dict, int], float]:
     @jax.jit
     def slope(values, state):
         _, found = jax.jvp(
-            lambda one: acted(member, values | {field: one}, *state), (values[field],), (jnp.ones_like(values[field]),)
+            lambda value: acted(member, values | {field: value}, *state),
+            (values[field],),
+            (jnp.ones_like(values[field]),),
         )
         return found
 
     def largest(shapes: dict, seed: int) -> float:
-        values = {name: jnp.asarray(float(one)) for name, one in (null_values(member) | shapes).items()}
+        values = {name: jnp.asarray(float(value)) for name, value in (null_values(member) | shapes).items()}
         return max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(slope(values, states(member, seed))))
 
     return largest
 
 
 def variance_of(member: type, values: dict, samples: float) -> float:
-    one = instance(member, values)
+    component = instance(member, values)
     if issubclass(member, EntryNoise):
-        return float(one.variance(Entry(jnp.asarray(samples), jnp.asarray(1e5), jnp.asarray(1e5))))
+        return float(component.variance(Entry(jnp.asarray(samples), jnp.asarray(1e5), jnp.asarray(1e5))))
     assert issubclass(member, SharedNoise)
-    return float(one.shared_variance())
+    return float(component.shared_variance())
 
 
 def variance_is_positive(member: type) -> None:
@@ -304,7 +315,7 @@ def variance_is_positive(member: type) -> None:
 
 
 def in_series(correlation: float, independent: np.ndarray) -> np.ndarray:
-    """Return unit noise in which each value remembers the one before it."""
+    """Return AR(1) noise of unit variance."""
     found = independent.copy()
     for k in range(1, len(found)):
         found[k] = correlation * found[k - 1] + np.sqrt(1 - correlation**2) * independent[k]
@@ -323,7 +334,7 @@ def misstated_noise_is_less_likely(member: type) -> None:
     if issubclass(member, SeriesNoise):
         values = {name: float(prior.value(jnp.asarray(0.5))) for name, prior in priors(member).items()}
         drawn = in_series(float(instance(member, values).lag_one_correlation()), rng.normal(size=400))
-        right, wrong = (series_likelihood(member, one, drawn) for one in (values, null_values(member)))
+        right, wrong = (series_likelihood(member, assumed, drawn) for assumed in (values, null_values(member)))
         assert right > wrong + 10, f"{member.name} says nothing of neighbours"
         return
     if issubclass(member, TailNoise):

@@ -51,7 +51,7 @@ def shown_by(member: type) -> Campaign:
         return tumble_campaign()
     supplied = join_nodes(campaign()).supplies
     # A skew shows in rows of known angle that turn, and there are none but in the wide campaign.
-    plain = member.name != "time_skew" and any(set(member.needs) <= one for one in supplied)
+    plain = member.name != "time_skew" and any(set(member.needs) <= names for names in supplied)
     return campaign() if plain else wide_campaign()
 
 

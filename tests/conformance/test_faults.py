@@ -345,7 +345,7 @@ def test_a_broken_member_breaks_its_law(law, broken, says):
 
 
 @pytest.mark.parametrize("law", [*laws.OF_ALL, *laws.OF_EFFECTS], ids=lambda law: law.__name__)
-@pytest.mark.parametrize("sound", [GyroTrend, GyroDrag], ids=lambda one: one.name)
+@pytest.mark.parametrize("sound", [GyroTrend, GyroDrag], ids=lambda member: member.name)
 def test_a_sound_effect_keeps_them_all(law, sound):
     law(sound)
 

@@ -86,8 +86,8 @@ def test_an_entry_of_a_model_file_survives_the_round_trip(name, tmp_path):
     entry = tomlkit.table()
     entry["name"] = name
     entry["prior"] = tomlkit.inline_table()
-    for field, one in declared_parameters(member).items():
-        entry["prior"][field] = one.prior
+    for field, parameter in declared_parameters(member).items():
+        entry["prior"][field] = parameter.prior
     for option, value in declared_options(member).items():
         entry[option] = value
     # A model needs a parameter and a noise; a second effect would stand in the way of one that acts on the same.
@@ -98,11 +98,13 @@ def test_an_entry_of_a_model_file_survives_the_round_trip(name, tmp_path):
     assert tomllib.loads(file.read_text(encoding="utf-8"))["effect"][0]["name"] == name
     spec = read_model(file)
     assert spec.effects[0].name == name
-    assert dict(spec.effects[0].prior) == {field: one.prior for field, one in declared_parameters(member).items()}
+    assert dict(spec.effects[0].prior) == {
+        field: parameter.prior for field, parameter in declared_parameters(member).items()
+    }
     assert dict(spec.effects[0].options) == declared_options(member)
     among = recover.shown_by(member)
     read = bind(spec, among)
-    plain = bind(ModelSpec("plain", tuple(EffectSpec(one.name) for one in spec.effects)), among)
+    plain = bind(ModelSpec("plain", tuple(EffectSpec(effect.name) for effect in spec.effects)), among)
     assert read.layout.names == plain.layout.names
     assert read.hyper_layout.names == plain.hyper_layout.names
 
