@@ -1,7 +1,7 @@
-"""From the entries of `campaign.toml` to SI records: site, channels, tables, mountings.
+"""Site, channels, tables and mountings of `campaign.toml` as SI records.
 
-Here the numbers leave their datasheet units, and here geometry is judged: an input axis must have a length,
-a mounting must be a rotation, a name must be given once.
+Datasheet units are converted and the geometry is validated: input axes must not be zero, mountings must be rotations,
+names must be unique.
 """
 
 import math
@@ -16,20 +16,20 @@ from imubayes.run import Channel, Mounting, Site, Table
 from imubayes.units import to_si
 
 DEGREE, ARCMIN, ARCSEC, PPM, MILLIAMPERE = (to_si(unit) for unit in ("deg", "arcmin", "arcsec", "ppm", "mA"))
-ROTATION_TOLERANCE = 1e-6  # a matrix written with seven decimals is a rotation to this
-SQUARENESS = math.sin(1 * DEGREE)  # an output axis given to within a degree of square is made square
+ROTATION_TOLERANCE = 1e-6  # of the orthonormality of a matrix with seven decimals
+SQUARENESS = math.sin(1 * DEGREE)  # output axes are orthogonalised if within 1 degree of orthogonal
 _ALLOWED_PER = {"gyro": ("deg/s", "deg/h", "rad/s"), "accelerometer": ("g", "m/s^2")}
 
 
 def build_site(entry: SiteEntry) -> Site:
-    """Return the site in SI; the gravity formula fills in where none was measured."""
+    """Return the site in SI; without measured gravity, normal gravity by WGS 84."""
     latitude = entry.latitude_deg * DEGREE
     gravity = entry.gravity_m_s2
     return Site(latitude, entry.height_m, normal_gravity(latitude, entry.height_m) if gravity is None else gravity)
 
 
 def build_channels(entries: Mapping[int, ChannelEntry], gravity: float, ledger: Ledger) -> tuple[Channel, ...]:
-    """Return the channels in SI with complete axes; faults go to the ledger."""
+    """Return the valid channels in SI with complete axes; faults go to the ledger."""
     refuse_repeats({index: entry.name for index, entry in entries.items()}, "channel", ledger)
     channels = [_channel(entry, ("channel", index), gravity, ledger) for index, entry in entries.items()]
     return tuple(channel for channel in channels if channel is not None)
@@ -52,7 +52,7 @@ def build_tables(entries: Mapping[int, TableEntry], ledger: Ledger) -> dict[str,
 
 
 def build_mountings(entries: Mapping[int, MountingEntry], ledger: Ledger) -> dict[str, Mounting]:
-    """Return the mountings in SI, by name; a matrix that is no rotation goes to the ledger."""
+    """Return the mountings in SI, by name; a matrix that is not a rotation goes to the ledger."""
     refuse_repeats({index: entry.name for index, entry in entries.items()}, "mounting", ledger)
     mountings = {}
     for index, entry in entries.items():
@@ -73,7 +73,7 @@ def build_mountings(entries: Mapping[int, MountingEntry], ledger: Ledger) -> dic
 
 
 def refuse_repeats(names: Mapping[int, str], section: str, ledger: Ledger) -> None:
-    """Note every name of a section that was given before."""
+    """Add an issue to the ledger for every repeated name of a section."""
     first: dict[str, int] = {}
     for index, name in names.items():
         if name in first:
@@ -87,9 +87,9 @@ def refuse_repeats(names: Mapping[int, str], section: str, ledger: Ledger) -> No
 
 
 def complete_axes(input_axis: np.ndarray, output_axis: np.ndarray | None) -> np.ndarray:
-    """Return the rows I, O, S: unit vectors, O made square to I, S = I × O.
+    """Return the unit vectors I, O, S as rows, shape (3, 3): O orthogonalised to I, S = I × O.
 
-    Where no output axis is given, it starts from the body axis least aligned with I (x before y before z).
+    Without an output axis, O is derived from the body axis least aligned with I (x before y before z).
     """
     first = input_axis / np.linalg.norm(input_axis)
     start = np.eye(3)[np.argmin(np.round(np.abs(first), 12))] if output_axis is None else output_axis
@@ -104,7 +104,7 @@ def _channel(entry: ChannelEntry, path: tuple[str, int], gravity: float, ledger:
     output_axis = None if entry.output_axis is None else np.array(entry.output_axis, dtype=float)
     if np.linalg.norm(input_axis) < 1e-9:
         ledger.add(
-            f"the input axis of channel '{entry.name}' has no length",
+            f"the input axis of channel '{entry.name}' is a zero vector",
             (*path, "input_axis"),
             "a direction in the body frame, such as [1, 0, 0]",
             "give the nominal direction of the sensitive axis",
@@ -115,7 +115,7 @@ def _channel(entry: ChannelEntry, path: tuple[str, int], gravity: float, ledger:
         ledger.add(
             f"the nominal scale of channel '{entry.name}' is zero",
             (*path, "scale"),
-            "output units per input unit, negative where the output is reversed",
+            "output units per input unit, negative for a reversed output",
             "give the nominal scale of the datasheet",
         )
     if entry.per not in _ALLOWED_PER[entry.kind]:
@@ -152,11 +152,11 @@ def _check_output_axis(
     length = float(np.linalg.norm(output_axis))
     cosine = abs(input_axis @ output_axis) / (np.linalg.norm(input_axis) * length) if length > 1e-9 else 1.0
     if cosine > SQUARENESS:
-        fault = "has no length" if length <= 1e-9 else "is not square to its input axis"
+        fault = "is a zero vector" if length <= 1e-9 else "is not orthogonal to its input axis"
         ledger.add(
             f"the output axis of channel '{entry.name}' {fault}",
             (*path, "output_axis"),
-            "a direction at a right angle to input_axis, to within 1 degree",
+            "a direction orthogonal to input_axis, to within 1 degree",
             "correct output_axis, or leave it out",
         )
 
@@ -167,7 +167,7 @@ def _not_a_rotation(matrix: np.ndarray) -> str:
     if abs(determinant) < 1e-9:
         return "it is singular"
     if worst > ROTATION_TOLERANCE:
-        return f"its columns are off square or unit length by up to {worst:.2g}"
+        return f"its columns deviate from orthonormality by up to {worst:.2g}"
     return "its determinant is -1 (a mirror image)" if determinant < 0 else ""
 
 
@@ -183,7 +183,7 @@ def _trihedral() -> np.ndarray:
 
 
 PRESETS = {"trihedral": _trihedral(), "aligned": np.eye(3)}
-"""Mountings with a name: the tri-rectangular pyramid, and body axes along the table's."""
+"""Preset mountings: the trihedral (corner-cube) mounting, and body axes along the table axes."""
 
 
 def _times(value: float | None, factor: float) -> float | None:

@@ -1,9 +1,8 @@
-"""The two files an engineer writes, as schemas: `campaign.toml` (what was measured) and the model file.
+"""Schemas of the two input files: `campaign.toml` (the measurements) and the model file.
 
-The schemas hold structure alone: which keys there are, of which type and in which range.  What needs more
-than one place to judge (a reference to a table, a matrix that must be a rotation) is looked at when the
-records are built, and whether an effect of the model exists is the business of the registry of effects.
-Every unknown key is refused, so a misspelt key never becomes a silently ignored setting.
+A schema covers structure only: keys, types and ranges.  Cross-references and geometry are checked when the records are
+built; whether an effect of the model exists is checked by the registry of effects.  Unknown keys are refused, so that
+a misspelt key is never ignored silently.
 """
 
 import math
@@ -38,7 +37,7 @@ class _Entry(BaseModel):
 
 
 class SiteEntry(_Entry):
-    """Where the test was made; a measured gravity wins over the WGS 84 formula."""
+    """The test site; measured gravity takes precedence over the WGS 84 formula."""
 
     latitude_deg: float = Field(ge=-90, le=90)
     height_m: float = Field(default=0.0, ge=-1000, le=20000)
@@ -81,7 +80,7 @@ class TableEntry(_Entry):
 
 
 class MountingEntry(_Entry):
-    """How the unit sits on a table: a named preset or the rows of `body_to_table`."""
+    """Mounting of the unit on a table: a preset, or the rows of `body_to_table`."""
 
     name: Name
     preset: Literal["trihedral", "aligned"] | None = None
@@ -91,12 +90,12 @@ class MountingEntry(_Entry):
     @model_validator(mode="after")
     def _one_of_two(self) -> "MountingEntry":
         if (self.preset is None) == (self.body_to_table is None):
-            raise ValueError("a mounting has either 'preset' or 'body_to_table', one of the two")
+            raise ValueError("a mounting has either 'preset' or 'body_to_table'")
         return self
 
 
 class RunEntry(_Entry):
-    """One run: what was done, on which equipment, and the table of its readings."""
+    """One run: procedure, equipment and the file of its run table."""
 
     name: Name
     procedure: str
@@ -133,7 +132,7 @@ Option = Annotated[Any, AfterValidator(_scalar)]
 
 
 class EffectEntry(BaseModel):
-    """One effect of a model; keys beyond the listed ones are options of that effect and must be scalars."""
+    """One effect of a model; further keys are options of that effect and must be scalars."""
 
     model_config = ConfigDict(
         extra="allow",
@@ -164,7 +163,7 @@ class EffectEntry(BaseModel):
 
 
 class ModelFile(_Entry):
-    """A model: the list of effects that are taken to act; `files` are Python sources of the user's own effects."""
+    """A model: a list of effects; `files` are Python sources of user-defined effects."""
 
     format: Literal[1]
     name: Name
@@ -173,10 +172,10 @@ class ModelFile(_Entry):
 
 
 PATTERNS = {
-    _NAME: "a text without brackets and commas that does not begin with a blank",
+    _NAME: "text without brackets and commas that does not begin with a blank",
     _COLUMN_NAME: "letters, digits, '_', '.' and '-', a letter or '_' first",
 }
-"""The patterns of names, in words."""
+"""Pattern of a name → its description."""
 
 FORMS = {
     "start": "a date, or a date and time, without quotes: 2026-03-10T08:00:00Z",
@@ -184,12 +183,12 @@ FORMS = {
     "output_axis": "three numbers: [0, 1, 0]",
     "body_to_table": "three rows of three numbers",
     "channels": 'a list of names: ["gx", "gy"]',
-    "ignore": "a list of names of columns",
+    "ignore": "a list of column names",
     "notes": "a list of texts",
-    "files": "a list of names of Python files",
+    "files": "a list of Python files",
     "prior": 'texts by parameter: { bias = "normal(0, 10 deg/h)" }',
     "site": "a table [site]",
     "unit": "a table [unit]",
     "optional": "true or false, without quotes",
 }
-"""What the value of a key looks like, where its type alone does not say it."""
+"""Key → form of its value, where the type alone does not describe it."""

@@ -28,6 +28,7 @@ class _Tally:
     first: int = -1
 
     def note(self, rows: np.ndarray) -> None:
+        """Count occurrences at row numbers in increasing order, shape (n,)."""
         if len(rows):
             self.first = int(rows[0]) if self.count == 0 else self.first
             self.count += len(rows)
@@ -49,6 +50,7 @@ class _Repeat:
     quantum: float = np.inf
 
     def add(self, values: np.ndarray) -> None:
+        """Add the next samples of the channel, shape (n,); NaN where empty."""
         values = values[~np.isnan(values)]
         if not len(values):
             return

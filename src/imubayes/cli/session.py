@@ -1,4 +1,4 @@
-"""What every command that computes needs first: double precision, a compile cache of the user's own, progress."""
+"""Start-up of the computing commands: double precision, persistent compilation cache, progress display."""
 
 import os
 import sys
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def start_jax() -> None:
-    """Switch on double precision and keep compiled code between commands (folder of mode 0700)."""
+    """Enable double precision and the persistent compilation cache (a folder of mode 0700)."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -18,7 +18,7 @@ def start_jax() -> None:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         folder.chmod(0o700)
     except OSError:
-        return  # without a writable home everything works, only not as fast
+        return  # no writable home: compile every time
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
@@ -26,7 +26,7 @@ def start_jax() -> None:
 
 @contextmanager
 def progress(quiet: bool = False) -> Iterator[Callable[[str], None]]:
-    """Give a function that shows a short text on a terminal's standard error; silent elsewhere."""
+    """Yield a function that shows a status text on a terminal (standard error); silent elsewhere."""
     if quiet or not sys.stderr.isatty():
         yield lambda text: None
         return

@@ -1,21 +1,21 @@
-"""`imubayes simulate`: a synthetic campaign with a truth file."""
+"""`imubayes simulate`: a synthetic campaign from a plan, with a truth file."""
 
 from pathlib import Path
 
 
 def simulate(plan: Path, *, out: Path, seed: int | None = None) -> int:
-    """Simulate the runs of a plan: a campaign folder with a truth file.
+    """Simulate a test plan: a campaign folder with a truth file.
 
     Example: imubayes simulate data/plans/trihedral-example.toml --out campaigns/simulated
 
     Parameters
     ----------
     plan
-        Plan file: site, channels, tables, mountings, the model, and what each run does.
+        Plan file: site, channels, tables, mountings, model and runs.
     out
-        Campaign folder to make.
+        Campaign folder to write.
     seed
-        Of the random numbers, in the place of the plan's own.
+        Random seed; by default that of the plan.
     """
     from imubayes.cli.session import start_jax
 
