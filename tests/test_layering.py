@@ -7,7 +7,7 @@ import pytest
 
 SOURCE = Path(__file__).parents[1] / "src"
 FLOORS = (
-    ("errors", "units", "types", "gather", "frames", "earth", "records", "atomic_files"),
+    ("errors", "units", "types", "gather", "frames", "earth", "records", "presentation", "atomic_files"),
     ("parameters",),
     ("covariates", "run", "stimulus"),
     ("procedures", "classical"),
@@ -18,7 +18,7 @@ FLOORS = (
     ("criticism", "archive"),
     ("results",),
     ("display",),
-    ("api", "loop", ""),
+    ("api", ""),
     ("cli",),
 )
 PLUGINS = ("procedures", "effects", "noise")

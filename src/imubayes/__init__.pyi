@@ -1,5 +1,6 @@
-from .api import Result, add, diagnose, fit, history, plant
+from .api import Addition, Result, add, diagnose, export, fit, history, plant, read_result
 from .campaign import check_campaign, load_campaign
+from .criticism.diagnosis import Diagnosis
 from .display.comparison import compare
 from .effects.base import Effect, MotionEffect, Order, PlaceEffect, RecordEffect, SignalEffect, Stage
 from .effects.memory import Decay, Play
@@ -17,9 +18,11 @@ from .units import dimension, to_si
 __version__: str
 
 __all__ = [
+    "Addition",
     "Ambient",
     "Campaign",
     "Decay",
+    "Diagnosis",
     "Effect",
     "Entry",
     "EntryNoise",
@@ -49,6 +52,7 @@ __all__ = [
     "diagnose",
     "dimension",
     "exponential",
+    "export",
     "fit",
     "history",
     "load_campaign",
@@ -56,6 +60,7 @@ __all__ = [
     "option",
     "parameter",
     "plant",
+    "read_result",
     "reference_temperature",
     "rotate",
     "time_constant",

@@ -1,23 +1,33 @@
 """The Python interface: the same words as on the command line."""
 
+import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import imubayes.display.presentation  # noqa: F401  (records learn how to show themselves)
+from imubayes.atomic_files import refuse_existing
 from imubayes.campaign import load_campaign
-from imubayes.criticism.diagnosis import Diagnosis, judge
+from imubayes.criticism.addition import Refit, refit_with
+from imubayes.criticism.cross_validation import objection
+from imubayes.criticism.diagnosis import Diagnosis
+from imubayes.criticism.injection_recovery import Size, Trials, plant_effects
+from imubayes.criticism.judge import judge
+from imubayes.criticism.model_history import Tree
+from imubayes.errors import InputError, Issue, input_error
+from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fit import Fit
 from imubayes.inference.joint_fit import joint_fit
-from imubayes.loop import Addition, add, history, plant
-from imubayes.model.bind import bind
+from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import ModelSpec
 from imubayes.procedures import PROCEDURES
-from imubayes.results.folder_state import CHECKPOINT, claim
-from imubayes.results.history_file import first_node, write_node
+from imubayes.results.addition import Addition, added_variable, addition_of
+from imubayes.results.folder_state import CHECKPOINT, claim, claim_new
+from imubayes.results.history_file import first_node, read_tree, remember, write_node
+from imubayes.results.loop_files import read_diagnosis, write_addition
 from imubayes.results.result import Result, read_result, result_of
 from imubayes.run import Campaign
 
@@ -52,9 +62,7 @@ def fit(
         for anything that cannot be used; nothing is written then.
     """
     clock = time.perf_counter()
-    campaign = campaign if isinstance(campaign, Campaign) else load_campaign(campaign, tuple(PROCEDURES))
-    model = model if isinstance(model, ModelSpec) else read_model(model)
-    declared = bind(model, campaign)
+    declared = _bound(campaign, model)
     load_seconds = time.perf_counter() - clock
     folder = Path(out) if out is not None else None
     checkpoint = folder / CHECKPOINT if folder is not None else None
@@ -66,6 +74,11 @@ def fit(
     if folder is not None:
         write_node(folder, first_node(fitted.model, result.summary, seed))
     return result
+
+
+def _bound(campaign: Campaign | str | Path, model: ModelSpec | str | Path) -> Model:
+    loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign, tuple(PROCEDURES))
+    return bind(model if isinstance(model, ModelSpec) else read_model(model), loaded)
 
 
 def diagnose(result: Result | Fit | str | Path, effect: str = "") -> Diagnosis:
@@ -87,4 +100,136 @@ def diagnose(result: Result | Fit | str | Path, effect: str = "") -> Diagnosis:
     return judge(found.fit, str(found.folder or "RESULT"), effect)
 
 
-__all__ = ["Addition", "Result", "add", "diagnose", "fit", "history", "plant", "read_result"]
+def add(
+    result: Result | str | Path,
+    effects: Sequence[str] = (),
+    out: str | Path | None = None,
+    channels: Sequence[str] | None = None,
+    *,
+    diagnosis: Diagnosis | None = None,
+    sample: bool = False,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Addition:
+    """Add effects to the model of a result, refit from where it stood, and report what that brought.
+
+    A refit is taken only where it converged and is no worse; no result is overwritten.
+
+    Parameters
+    ----------
+    result : a result, or its folder.
+    effects : names of effects or noise members; what the diagnosis suggests where there are none.
+    out : result folder to write; None for none.  It becomes the selected model where the refit is taken.
+    channels : for the new effects; all that they can act on where None.
+    diagnosis : of the result; its estimates are where the refit starts.  Where None, the one that the result folder
+        holds, if any.
+    sample : whether to sample the posterior of a refit that is taken.
+    seed : of the sampler.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for an effect that does not fit, a result that cannot be extended, an `out` that is taken.
+    """
+    tell = progress or (lambda text: None)
+    before = result if isinstance(result, Result) else read_result(result)
+    parent = before.folder
+    if diagnosis is None and parent is not None:
+        diagnosis = read_diagnosis(parent)
+    suggested = diagnosis.suggested if diagnosis is not None else None
+    if not effects and suggested is not None:
+        effects, channels = [suggested.effect], channels or suggested.channels
+    if not effects:
+        raise input_error("no effect is named", "add", "imubayes effects lists them", "name one")
+    folder = claim_new(Path(out), parent) if out is not None else None
+    refit = refit_with(before.fit, effects, channels, diagnosis, tell)
+    if sample and not refit.objection:
+        refit = _sampled(refit, folder, seed, tell)
+    after = result_of(refit.fit, folder, seed)
+    places = [str(place) if place is not None else None for place in (parent, folder)]
+    addition = addition_of(refit, before.summary, after.summary, *places).with_result(after)
+    if folder is not None:
+        write_addition(folder, addition, added_variable(refit.extension))
+        if parent is not None:
+            remember(parent, folder, addition, diagnosis, seed)
+    return addition
+
+
+def _sampled(refit: Refit, folder: Path | None, seed: int, tell: Callable[[str], None]) -> Refit:
+    """Return the refit with its posterior sampled; where an earlier call was interrupted, its sampling is resumed."""
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    checkpoint = folder / CHECKPOINT if folder is not None else None
+    resume = checkpoint is not None and bool(steps_in(checkpoint))
+    start = (refit.fit.z, refit.fit.h)
+    fit = joint_fit(refit.fit.model, Settings(seed=seed), checkpoint, resume, tell, start)
+    return replace(refit, fit=fit, objection=objection(fit, refit.delta_chi2))
+
+
+def history(*folders: str | Path) -> Tree:
+    """Return the tree of models tried that result folders stand in."""
+    return read_tree(folders)
+
+
+def plant(
+    campaign: Campaign | str | Path | None = None,
+    model: ModelSpec | str | Path | None = None,
+    *,
+    result: Result | str | Path | None = None,
+    effects: Sequence[str] | None = None,
+    size: Size | None = None,
+    draws: int = 20,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Trials:
+    """Inject each effect that the model lacks into data simulated from the fit, and report which are found.
+
+    Parameters
+    ----------
+    campaign, model : what is fitted first; not needed with a result.
+    result : a fit to take instead.
+    effects : which to inject; all of the catalogue that the model lacks where None.
+    size : how large they are; by default the size with Δχ² = 50.
+    draws : simulations without any effect, for the false-alarm rate.
+    seed : of the simulations.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for anything that cannot be used, and for free tumbles, which cannot be simulated.
+    """
+    tell = progress or (lambda text: None)
+    if result is not None:
+        fitted = (result if isinstance(result, Result) else read_result(result)).fit
+    elif campaign is None or model is None:
+        raise InputError(
+            Issue("nothing to inject into", "plant", "a campaign with a model, or a result", "give one of the two")
+        )
+    else:
+        tell("fitting")
+        fitted = joint_fit(_bound(campaign, model), None, progress=tell)
+    return plant_effects(fitted, effects, size or Size(), draws, seed, tell)
+
+
+def export(folder: str | Path, file: str | Path) -> str:
+    """Write the selected model of the tree that a result stands in to a model file; return its place.
+
+    The user's own effect files go beside it.
+    """
+    tree, place = read_tree([folder]), str(Path(folder).resolve())
+    together = tree.together_with(place)
+    chosen = next(other for other in (*tree.selected, place) if other in together)
+    file = Path(file)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    own = {Path(source): file.parent / Path(source).name for source in read_model(Path(chosen) / "model.toml").files}
+    for source, target in own.items():
+        refuse_existing(target, but=source.read_bytes().__eq__)
+    for source, target in own.items():
+        shutil.copyfile(source, target)
+    shutil.copyfile(Path(chosen) / "model.toml", file)
+    return chosen
+
+
+__all__ = ["Addition", "Result", "add", "diagnose", "export", "fit", "history", "plant", "read_result"]

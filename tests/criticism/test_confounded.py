@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from imubayes.api import diagnose, fit
+from imubayes.display.diagnosis_report import diagnosis_json
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
 import hidden  # pyright: ignore[reportMissingImports]
@@ -40,7 +41,7 @@ def diagnosed(folder, runs, without, values):
     drawn = made.draw(7)
     quiet = {name: value * 0.01 for name, value in drawn.items() if name.startswith("run_scatter")}
     write_simulated(folder, made, 7, values={**drawn, **quiet, **values})
-    return diagnose(fit(folder, model, sample=False)).json
+    return diagnosis_json(diagnose(fit(folder, model, sample=False)))
 
 
 def test_table_rate_against_a_common_scale_factor(tmp_path):

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from loop_results import CAMPAIGN, LACKING, lacking_model
 
-import imubayes.loop
-from imubayes.api import Result, fit
-from imubayes.criticism.cross_validation import HeldOut, groups, objection, predict_left_out
+import imubayes.criticism.addition as addition_module
+from imubayes.api import Addition, Result, add, export, fit
+from imubayes.criticism.cross_validation import groups, objection, predict_left_out, summarise_gains
+from imubayes.criticism.diagnosis import EffectChoice
 from imubayes.criticism.warm_start import extend
 from imubayes.errors import InputError
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.inference.posterior_precision import linearise
-from imubayes.loop import Addition, add
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import masked
 from imubayes.results.history_file import read_node, read_tree, select
@@ -49,36 +49,36 @@ def third(place, second) -> Addition:
 
 def test_expected_is_found(second):
     assert second.taken
-    expected, found = second.json["predicted"], second.json["found"]
+    expected, found = second.predicted, second.observed
     # The effect is linear in its coefficient, so the prediction is exact but for the curvature of the others.
-    assert found["delta_chi2"] == pytest.approx(expected["delta_chi2"], rel=1e-2)
-    assert expected["delta_chi2"] > 36
-    (guess,), (value,) = expected["coefficients"], found["coefficients"]
-    truth = tomllib.loads((CAMPAIGN / "truth.toml").read_text())["parameters"][value["name"]]
-    assert abs(guess["value"] - truth) < 4 * guess["sd"]
-    assert abs(value["value"] - truth) < 4 * value["sd"]
+    assert found.delta_chi2 == pytest.approx(expected.delta_chi2, rel=1e-2)
+    assert expected.delta_chi2 > 36
+    (guess,), (value,) = expected.coefficients, found.coefficients
+    truth = tomllib.loads((CAMPAIGN / "truth.toml").read_text())["parameters"][value.name]
+    assert abs(guess.value - truth) < 4 * guess.sd
+    assert abs(value.value - truth) < 4 * value.sd
 
 
 def test_what_is_missing_helps_unseen_runs(second):
-    unseen = second.json["held_out"]
-    assert (unseen["verdict"], unseen["by"]) == ("helps", "run")
-    assert unseen["helped"] == unseen["of"] == 3
-    assert unseen["delta"] == pytest.approx(sum(one["delta"] for one in unseen["each"]))
+    unseen = second.held_out
+    assert (unseen.verdict, unseen.by) == ("helps", "run")
+    assert unseen.helped == unseen.of == 3
+    assert unseen.delta == pytest.approx(sum(run.delta for run in unseen.each))
 
 
 def test_what_is_not_missing_is_marked_so(third):
     """The planted fault: an effect that is not in the data does not pass for one that helps."""
     assert third.taken
-    assert third.json["held_out"]["verdict"] == "not"
-    assert "DOES NOT HELP" in repr(third)
+    assert third.held_out.verdict == "not"
+    assert "DOES NOT IMPROVE" in repr(third)
 
 
 def test_the_error_falls_to_the_noise(second, place):
-    (channel,) = second.json["channels"]
-    assert channel["after"] < 0.7 * channel["before"]
-    floor, unit = read_node(place / "second").floor["ax"]
-    assert unit == channel["unit"] == "g"
-    assert channel["after"] == pytest.approx(floor, rel=0.1)
+    (channel,) = second.channels
+    assert channel.after < 0.7 * channel.before
+    (floor,) = read_node(place / "second").floor
+    assert (floor.channel, floor.unit) == ("ax", "g") == (channel.channel, channel.unit)
+    assert channel.after == pytest.approx(floor.rms, rel=0.1)
 
 
 def dense_density(fitted: Fitted, left_out: np.ndarray, parameters_known: bool = False) -> float:
@@ -115,11 +115,11 @@ def test_the_predictive_density_is_that_of_whole_matrices(first):
     [([3.0, 2.0, 4.0], "helps"), ([9.0, -8.0, 4.0], "unclear"), ([-1.0, 0.2, -3.0], "not"), ([0.1, 0.1, 0.2], "not")],
 )
 def test_the_verdict_of_gains(gains, verdict):
-    assert HeldOut("run", ("a", "b", "c"), np.array(gains)).verdict == verdict
+    assert summarise_gains("run", ("a", "b", "c"), np.array(gains)).verdict == verdict
 
 
 def test_one_run_alone_has_no_standard_error():
-    assert np.isinf(HeldOut("run", ("a",), np.array([3.0])).se)
+    assert summarise_gains("run", ("a",), np.array([3.0])).se is None
 
 
 def test_what_stands_in_the_model_is_not_added_again(first):
@@ -176,16 +176,16 @@ def test_a_bad_refit_is_not_taken(place, first, tmp_path, monkeypatch, fault):
     (result,) = copied(place, tmp_path, "first")
     select(result)
     if fault == "worse":
-        monkeypatch.setattr(imubayes.loop, "found_delta_chi2", lambda *_: -3.0)
+        monkeypatch.setattr(addition_module, "observed_delta_chi2", lambda *_: -3.0)
     else:
         monkeypatch.setattr(
-            imubayes.loop,
+            addition_module,
             "objection",
             lambda after, drop: objection(Fitted(after.model, after.z, after.h, False, "No."), drop),
         )
     found = add(result, [LACKING], tmp_path / "next")
     assert not found.taken
-    assert "not taken" in found.json["message"]
+    assert "not taken" in found.message
     node = read_node(tmp_path / "next")
     assert (node.taken, node.selected) == (False, False)
     assert read_node(result).selected
@@ -202,11 +202,11 @@ def test_the_history_is_a_tree_with_one_selected(place, third, tmp_path):
     # Undo: the parent is selected again, and exported.
     tree = select(folders[1])
     assert tree.selected == (str(folders[1].resolve()),)
-    imubayes.loop.export(folders[2], tmp_path / "selected.toml")
+    export(folders[2], tmp_path / "selected.toml")
     assert (tmp_path / "selected.toml").read_text() == (folders[1] / "model.toml").read_text()
     node = read_node(folders[1])
-    assert node.added == ({"effect": LACKING, "channels": ["ax"]},)
-    assert node.held_out["verdict"] == "helps"
+    assert node.added == (EffectChoice(effect=LACKING, channels=("ax",)),)
+    assert node.held_out.verdict == "helps"
     assert node.data_hash == read_node(folders[0]).data_hash
     assert node.model_hash != read_node(folders[0]).model_hash
 

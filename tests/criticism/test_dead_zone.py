@@ -6,7 +6,7 @@ import pytest
 from null_data import fitted_to, refitted, with_values
 
 import imubayes.criticism.warm_start as extend_module
-from imubayes.criticism.cross_validation import found_delta_chi2
+from imubayes.criticism.cross_validation import observed_delta_chi2
 from imubayes.criticism.warm_start import extend
 from imubayes.model.problem import predict
 
@@ -35,7 +35,7 @@ def falls(lacking) -> tuple[float, float, float]:
     after = refitted(extension.model, extension.z, extension.h)
     (coefficient,) = extension.coefficients
     assert extension.delta_chi2 is not None
-    return extension.delta_chi2, found_delta_chi2(lacking, extension, after), coefficient.value
+    return extension.delta_chi2, observed_delta_chi2(lacking, extension, after), coefficient.value
 
 
 def test_what_is_expected_is_found(lacking):

@@ -7,9 +7,10 @@ import pytest
 from loop_results import CAMPAIGN, lacking_model
 
 from imubayes.campaign import load_campaign
-from imubayes.criticism.diagnosis import Diagnosis
+from imubayes.criticism.diagnosis import Diagnosis, EffectGroup, RmsChange, Verdict
 from imubayes.criticism.injection_recovery import Size, plant_effects, refitted
 from imubayes.criticism.warm_start import extend
+from imubayes.display.injection_report import injection_json
 from imubayes.errors import InputError
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.joint_fit import joint_fit
@@ -23,9 +24,13 @@ def fitted() -> Fitted:
     return joint_fit(model, None)
 
 
-def answer(verdict: str, *effects: str) -> Diagnosis:
-    groups = [{"effects": list(effects)}] if effects else []
-    return Diagnosis({"verdict": verdict, "sentence": "", "p_global": 0.01, "threshold": 0.05, "groups": groups})
+def answer(verdict: Verdict, *effects: str) -> Diagnosis:
+    rms = RmsChange(channel="ax", before=2.0, after=1.0, unit="ug")
+    group = EffectGroup(
+        effects=effects, channels=("ax",), delta_chi2=50.0, dof=1, p_global=0.01, candidates=(), residual=rms,
+        covariate=None, separating_run="",
+    )  # fmt: skip
+    return Diagnosis(verdict=verdict, p_global=0.01, groups=(group,) if effects else ())
 
 
 def test_the_planted_size_is_the_size_asked_for(fitted):
@@ -41,7 +46,7 @@ def test_the_planted_size_is_the_size_asked_for(fitted):
     (trial,) = found.trials
     assert trial.delta_chi2 == pytest.approx(400, rel=0.03)
     null, planted = drops
-    truth = trial.planted[0]["value"]
+    truth = trial.planted[0].value
     assert truth != 0
     assert null < 30
     assert abs(planted - 400) < 5 * np.sqrt(2 + 4 * 400)
@@ -49,8 +54,8 @@ def test_the_planted_size_is_the_size_asked_for(fitted):
 
 def test_the_typical_size(fitted):
     found = plant_effects(fitted, ["accel_quadratic"], Size(typical=2.0), 0, 0, screen=lambda _: answer("adequate"))
-    assert abs(found.trials[0].planted[0]["value"]) == pytest.approx(100)
-    assert found.json["size"] == {"typical": 2.0}
+    assert abs(found.trials[0].planted[0].value) == pytest.approx(100)
+    assert injection_json(found)["size"] == {"typical": 2.0}
 
 
 @pytest.mark.parametrize(
@@ -63,7 +68,7 @@ def test_the_typical_size(fitted):
     ],
 )
 def test_the_tally(fitted, said, detected, first):
-    found = plant_effects(fitted, ["accel_quadratic"], Size(), 2, 0, screen=lambda _: said).json
+    found = injection_json(plant_effects(fitted, ["accel_quadratic"], Size(), 2, 0, screen=lambda _: said))
     assert (found["effects"][0]["detected"], found["effects"][0]["group_first"]) == (detected, first)
     assert found["null"]["false_alarms"] == (0 if said.verdict == "adequate" else 2)
     low, high = found["null"]["interval_95"]

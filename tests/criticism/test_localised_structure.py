@@ -8,13 +8,14 @@ from null_data import fitted_to, redrawn
 from scipy import stats
 
 from imubayes.criticism.candidate_effects import candidate_responses
-from imubayes.criticism.diagnosis import judge
+from imubayes.criticism.judge import judge
 from imubayes.criticism.lack_of_fit import forms, lay, look
 from imubayes.criticism.localised_structure import STEP, details, scan
 from imubayes.criticism.multiple_testing import look_elsewhere
 from imubayes.criticism.projection import project
 from imubayes.criticism.residual_covariates import covariates
 from imubayes.criticism.score_test import explain
+from imubayes.display.diagnosis_report import diagnosis_json
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +115,7 @@ def test_a_step_in_one_run_is_found_with_its_place_and_height(projection, known,
 
 def test_a_step_is_told_with_place_and_height_and_gets_no_name(projection):
     run, after, _, height = _step(projection, 12)
-    document = judge(redrawn(projection.fitted, 4, change=height * after)).json
+    document = diagnosis_json(judge(redrawn(projection.fitted, 4, change=height * after)))
     assert document["verdict"] == "unexplained_structure", document["sentence"]
     best = next(one for one in document["structure"] if one["test"] == STEP)
     assert best["shape"].startswith("step at ")

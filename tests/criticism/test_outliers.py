@@ -10,10 +10,11 @@ from null_data import fitted_to, redrawn, refitted, with_values
 import imubayes.criticism.stepwise_search as search_module
 from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.cross_validation import groups, predict_left_out
-from imubayes.criticism.diagnosis import judge
+from imubayes.criticism.judge import judge
 from imubayes.criticism.noise_tests import screen_noise, to_entries
 from imubayes.criticism.outliers import consecutive
 from imubayes.criticism.projection import project
+from imubayes.display.diagnosis_report import diagnosis_json
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.posterior_precision import linearise
 from imubayes.model.bind import bind
@@ -39,7 +40,7 @@ def hits(fitted: Fitted, count: int, size: float, seed: int) -> np.ndarray:
 
 
 def named(document: dict) -> set[tuple[str, str, int]]:
-    return {(one["run"], one["channel"], one["row"]) for one in document["far_off"]}
+    return {(one["run"], one["channel"], one["row"]) for one in document["outliers"]}
 
 
 def places(fitted: Fitted, change: np.ndarray) -> set[tuple[str, str, int]]:
@@ -53,20 +54,20 @@ def places(fitted: Fitted, change: np.ndarray) -> set[tuple[str, str, int]]:
 @pytest.mark.parametrize("count", [1, 12])
 def test_readings_that_are_far_off_are_named(whole, count):
     change = hits(whole, count, 12.0, seed=3)
-    found = judge(redrawn(whole, 5, change=change)).json
+    found = diagnosis_json(judge(redrawn(whole, 5, change=change)))
     assert found["verdict"] == "noise_model", found["sentence"]
     assert {one["effect"] for one in found["noise"] if one["adopted"]} == {"outliers"}
     assert named(found) == places(whole, change)
-    assert "far off" in found["sentence"].lower()
-    assert all(8 < abs(one["distance"]) < 16 for one in found["far_off"])
+    assert "outlier" in found["sentence"]
+    assert all(8 < abs(one["distance"]) < 16 for one in found["outliers"])
 
 
 def test_without_the_look_for_outliers_they_pass_for_something_else(whole, monkeypatch):
     """The planted fault: the check goes red where readings that are far off are not looked for."""
     monkeypatch.setattr(search_module, "_outliers", lambda ground, sight: ([], np.zeros(0, dtype=bool)))
-    found = judge(redrawn(whole, 5, change=hits(whole, 12, 12.0, seed=3))).json
+    found = diagnosis_json(judge(redrawn(whole, 5, change=hits(whole, 12, 12.0, seed=3))))
     assert found["verdict"] not in ("noise_model", "adequate")
-    assert not found["far_off"]
+    assert not found["outliers"]
 
 
 def test_a_pattern_in_a_few_rows_is_no_matter_of_outliers(whole):
@@ -83,9 +84,9 @@ def test_a_pattern_in_a_few_rows_is_no_matter_of_outliers(whole):
     one = rates[len(rates) // 2]
     here = np.isin(model.entries.channel, gyros) & (rate == one)
     assert 0 < here.mean() < 0.2
-    found = judge(redrawn(whole, 6, change=9.0 * here * deviations(whole))).json
+    found = diagnosis_json(judge(redrawn(whole, 6, change=9.0 * here * deviations(whole))))
     assert found["verdict"] not in ("noise_model", "adequate"), found["sentence"]
-    assert not found["far_off"]
+    assert not found["outliers"]
 
 
 def step(whole: Fitted) -> np.ndarray:
@@ -98,9 +99,9 @@ def step(whole: Fitted) -> np.ndarray:
 
 
 def test_a_step_is_no_matter_of_outliers(whole):
-    found = judge(redrawn(whole, 8, change=step(whole))).json
+    found = diagnosis_json(judge(redrawn(whole, 8, change=step(whole))))
     assert found["verdict"] == "unexplained_structure", found["sentence"]
-    assert not found["far_off"]
+    assert not found["outliers"]
     assert "time" in found["structure"][0]["covariate"]
     # What happens once has no formula: none is offered, and what comes next can be done.
     assert "has a step" in found["sentence"]
@@ -111,7 +112,7 @@ def test_a_step_is_no_matter_of_outliers(whole):
 def test_a_step_would_pass_for_outliers(whole, monkeypatch):
     """The planted fault: the check goes red where nobody asks whether they follow one another."""
     monkeypatch.setattr(search_module, "in_a_row", lambda model, sizes: False)
-    found = judge(redrawn(whole, 8, change=step(whole))).json
+    found = diagnosis_json(judge(redrawn(whole, 8, change=step(whole))))
     assert found["verdict"] == "noise_model", found["sentence"]
 
 
@@ -125,7 +126,7 @@ def test_an_effect_is_found_behind_them():
     change = hits(hidden, 12, 12.0, seed=4)
     value = np.asarray(hidden.model.problem.observations.value) + change
     spoilt = with_values(hidden, value)
-    found = judge(spoilt).json
+    found = diagnosis_json(judge(spoilt))
     assert "gyro_scale_asymmetry" in found["groups"][0]["effects"], found["sentence"]
     assert places(hidden, change) <= named(found)
     assert "outliers" in {one["effect"] for one in found["noise"] if one["adopted"]}
@@ -145,9 +146,9 @@ def mended(whole):
 
 def test_with_outliers_in_the_model_nothing_is_missing(whole, mended):
     _, robust = mended
-    found = judge(robust).json
+    found = diagnosis_json(judge(robust))
     assert found["verdict"] == "adequate", found["sentence"]
-    assert not found["far_off"]
+    assert not found["outliers"]
     # The scale is that of the good readings again.
     names = robust.model.hyper_layout.names
     sigma = np.asarray(robust.model.problem.hyper_priors.values(jnp.asarray(robust.h)))
@@ -178,7 +179,7 @@ def test_a_reading_that_the_model_leans_on_is_seen(whole):
     change = np.zeros(len(left))
     change[place] = 20 * deviations(whole)[place]
     assert left[place] < 0.7
-    found = judge(redrawn(whole, 7, change=change)).json
+    found = diagnosis_json(judge(redrawn(whole, 7, change=change)))
     assert found["verdict"] == "noise_model", found["sentence"]
     assert named(found) == places(whole, change)
 

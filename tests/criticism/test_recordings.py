@@ -7,6 +7,7 @@ import pytest
 
 from imubayes.api import Result, add, diagnose, fit
 from imubayes.campaign.convert import convert
+from imubayes.display.diagnosis_report import diagnosis_json
 from imubayes.model.model_file import read_model
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "data"
@@ -70,15 +71,16 @@ def test_a_hand_turned_unit_shows_its_g_sensitivity(tmp_path):
     lacking = replace(whole, effects=tuple(one for one in whole.effects if one.name != "gyro_g_sensitivity"))
     first = fit(campaign, lacking, tmp_path / "first", sample=False)
     found = diagnose(tmp_path / "first")
-    assert found.json["groups"][0]["effects"][0] == "gyro_g_sensitivity"
+    assert found.groups[0].effects[0] == "gyro_g_sensitivity"
     addition = add(tmp_path / "first", ["gyro_g_sensitivity"], tmp_path / "second")
     before, after = errors(first), errors(addition.result)
     assert [before[name] for name in ("gx", "gy", "gz")] == pytest.approx([0.053, 0.088, 0.071], rel=0.1)
     assert [after[name] for name in ("gx", "gy", "gz")] == pytest.approx([0.017, 0.015, 0.014], rel=0.12)
-    held_out = addition.json["held_out"]
-    assert (held_out["by"], held_out["verdict"]) == ("pose", "helps")
-    assert [one["before"] for one in held_out["rates"]] == pytest.approx([0.054, 0.091, 0.073], rel=0.1)
-    assert [one["after"] for one in held_out["rates"]] == pytest.approx([0.020, 0.017, 0.016], rel=0.12)
+    held_out = addition.held_out
+    assert held_out is not None
+    assert (held_out.by, held_out.verdict) == ("pose", "helps")
+    assert [rate.before for rate in held_out.rates] == pytest.approx([0.054, 0.091, 0.073], rel=0.1)
+    assert [rate.after for rate in held_out.rates] == pytest.approx([0.020, 0.017, 0.016], rel=0.12)
 
 
 def test_a_temperature_cycle_shows_lag_and_drift(tmp_path):
@@ -89,7 +91,7 @@ def test_a_temperature_cycle_shows_lag_and_drift(tmp_path):
     (tmp_path / "cubic.py").write_text(CUBIC)
     (tmp_path / "model.toml").write_text(POLYNOMIALS)
     first = fit(campaign, tmp_path / "model.toml", tmp_path / "first", sample=False)
-    document = diagnose(tmp_path / "first").json
+    document = diagnosis_json(diagnose(tmp_path / "first"))
     of = {kind: [one for one in document["ranking"] if one["effect"].startswith(kind)] for kind in ("accel", "gyro")}
     assert of["accel"][0]["effect"] == "accel_thermal_lag"
     assert of["gyro"][0]["effect"] == "gyro_bias_drift"
@@ -99,6 +101,7 @@ def test_a_temperature_cycle_shows_lag_and_drift(tmp_path):
     gravity = 9.81
     assert errors(first)["az"] * gravity == pytest.approx(0.047, abs=0.004)
     assert errors(addition.result)["az"] * gravity < 0.0135
-    assert addition.json["held_out"]["by"] == "block"
+    assert addition.held_out is not None
+    assert addition.held_out.by == "block"
     drift = add(tmp_path / "second", ["gyro_bias_drift"], tmp_path / "third")
     assert errors(drift.result)["gz"] < 0.5 * errors(first)["gz"]

@@ -10,11 +10,12 @@ from scipy import stats
 import imubayes.criticism.stepwise_search as search_module
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import candidate_responses
-from imubayes.criticism.diagnosis import judge
+from imubayes.criticism.judge import judge
 from imubayes.criticism.multiple_testing import look_elsewhere
 from imubayes.criticism.projection import project
 from imubayes.criticism.score_test import prepare, screen
 from imubayes.criticism.stepwise_search import search
+from imubayes.display.diagnosis_report import diagnosis_json
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +137,7 @@ def test_a_hidden_effect_is_found_with_its_size(fitted):
 
 def test_an_unconverged_fit_is_not_ranked(fitted):
 
-    document = judge(replace(fitted, converged=False, message="It did not settle.")).json
+    document = diagnosis_json(judge(replace(fitted, converged=False, message="It did not settle.")))
     assert document["verdict"] == "not_converged"
     assert document["ranking"] == []
     assert document["sentence"] == "It did not settle."

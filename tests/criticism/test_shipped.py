@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from null_data import fitted_to
 
-from imubayes.criticism.diagnosis import judge
+from imubayes.criticism.judge import judge
+from imubayes.display.diagnosis_report import diagnosis_json
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS = sorted(folder.name for folder in (ROOT / "data").glob("hidden-*"))
@@ -14,7 +15,7 @@ CAMPAIGNS = sorted(folder.name for folder in (ROOT / "data").glob("hidden-*"))
 
 def _diagnosed(name: str) -> tuple[dict, dict]:
     truth = tomllib.loads((ROOT / "data" / name / "truth.toml").read_text())
-    return judge(fitted_to(name, Path(truth["hidden"]["model"]).stem)).json, truth["hidden"]
+    return diagnosis_json(judge(fitted_to(name, Path(truth["hidden"]["model"]).stem))), truth["hidden"]
 
 
 # Two at every run of the tests; each of the others compiles models of its own, and `make study` has the time.

@@ -8,6 +8,7 @@ import polars
 import pytest
 
 from imubayes.api import add, diagnose, fit
+from imubayes.display.diagnosis_report import diagnosis_json
 
 ROOT = Path(__file__).parents[2]
 SOURCE = '''
@@ -47,7 +48,7 @@ def added(tmp_path_factory):
     first = model.index("[[effect]]")
     (folder / "model.toml").write_text(model[:first] + 'files = ["house.py"]\n\n' + model[first:])
     before = fit(campaign, folder / "model.toml", folder / "before", sample=False)
-    document = diagnose(folder / "before").json
+    document = diagnosis_json(diagnose(folder / "before"))
     return before, document, add(folder / "before", ["house_regulator"], folder / "after", channels=["ax"])
 
 

@@ -1,4 +1,4 @@
-"""A diagnosis as it is read: the answer first, the evidence after, out of the JSON contract alone."""
+"""A diagnosis as it is displayed: the answer first, then the evidence."""
 
 import json
 
@@ -6,53 +6,85 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.criticism.model_history import Node, Tree, node_id
+from imubayes.criticism.cross_validation import CrossValidation
+from imubayes.criticism.detectability import Absorber
+from imubayes.criticism.diagnosis import (
+    Amplitude,
+    AskedEffect,
+    CoefficientEstimate,
+    CovariateLabel,
+    Diagnosis,
+    EffectChoice,
+    EffectGroup,
+    GroupMember,
+    RankedEffect,
+    ResidualStructure,
+    RmsChange,
+    StrongestStructure,
+    UndetectableEffect,
+    Verdict,
+)
+from imubayes.criticism.injection_recovery import Size, Trial, Trials
+from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, Tree, node_id
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.residual_evidence import Telling
+from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.display import diagnosis_report as shown
 from imubayes.display.figures.history_steps import error_per_step_figure, history_figure
 from imubayes.display.figures.residual_evidence import added_variable_figure
-from imubayes.display.figures.save import before_after, save_telling, telling_abscissa
+from imubayes.display.figures.save import before_after, followed_covariate, save_evidence
 from imubayes.display.history_table import history_json, history_sheet
-from imubayes.display.injection_report import planting_lines, planting_sheet
-from imubayes.display.terminal import print_diagnosis, print_trials
+from imubayes.display.injection_report import injection_json, injection_report, injection_sheet
+from imubayes.display.report import print_report
 from imubayes.errors import InputError
+from imubayes.results.loop_files import read_diagnosis, write_diagnosis
 
 PNG = b"\x89PNG"
 
 
-def line(effect: str, drop: float, p: float, value: float = 120.0) -> dict:
-    coefficient = {"name": f"{effect}.size[gx]", "value": value, "sd": 12.0, "unit": "ppm"}
-    found = {"effect": effect, "channels": ["gx"], "delta_chi2": drop, "dof": 1, "p_global": p, "shape": {}}
-    return {**found, "coefficients": [coefficient]}
+def line(effect: str, drop: float, p: float, value: float = 120.0) -> RankedEffect:
+    coefficient = CoefficientEstimate(name=f"{effect}.size[gx]", value=value, sd=12.0, unit="ppm")
+    return RankedEffect(
+        effect=effect, channels=("gx",), delta_chi2=drop, dof=1, p=p, p_global=p, within_runs=drop, shape={},
+        coefficients=(coefficient,),
+    )  # fmt: skip
 
 
-def diagnosis(verdict: str = "equivalent_effects") -> dict:
-    first, second = line("gyro_scale_asymmetry", 98.4, 1e-18), line("gyro_scale_quadratic", 95.1, 3e-18)
-    group = {"effects": [first["effect"], second["effect"]], "channels": ["gx"], "delta_chi2": 98.4, "dof": 1}
-    group |= {"p_global": 1e-18, "candidates": [first, second], "separating_run": "one run at −300 deg/s"}
-    hidden = {"effect": "accel_quadratic", "absorbed_by": [{"parameter": "run offsets", "share": 0.93}]}
-    lacking = {"effect": "lever_arm", "absorbed_by": [], "needs": ["turning"], "reason": "no run supplies turning"}
-    pattern = {"channel": "gx", "covariate": "table_rate", "test": "spline", "p": 1e-9, "shape": "Ω²"}
-    pattern["coefficient"] = {"value": 0.3, "unit": "ppm"}
-    return {
-        "format": 1, "verdict": verdict, "sentence": "gx changes with |rate|.", "p_global": 1e-18, "threshold": 0.05,
-        "groups": [group] if verdict == "equivalent_effects" else [],
-        "ranking": [first, second, line("gyro_g_sensitivity", 2.0, 0.9)],
-        "undetectable": [hidden, lacking], "structure": [pattern], "looks": 40.0,
-        "next": "imubayes add gyro_scale_asymmetry --to R",
-    }  # fmt: skip
+def diagnosis(verdict: Verdict = "equivalent_effects", python: str = "") -> Diagnosis:
+    ranked = (line("gyro_scale_asymmetry", 98.4, 1e-18), line("gyro_scale_quadratic", 95.1, 3e-18))
+    members = tuple(GroupMember(unexplained=0.0, **vars(each)) for each in ranked)
+    group = EffectGroup(
+        effects=tuple(each.effect for each in ranked), channels=("gx",), delta_chi2=98.4, dof=1, p_global=1e-18,
+        candidates=members, residual=RmsChange(channel="gx", before=2.8, after=1.5, unit="deg/h"),
+        covariate=CovariateLabel(name="rate_i", unit="deg/s", phrase="rate along the input axis"),
+        separating_run="one run at −300 deg/s",
+    )  # fmt: skip
+    hidden = UndetectableEffect(
+        effect="accel_quadratic", absorbed_by=(Absorber("run offsets", 0.93),), reason="absorbed", unit="ug/g^2"
+    )
+    lacking = UndetectableEffect(effect="lever_arm", reason="not_supplied", needs=("turning",))
+    pattern = ResidualStructure(
+        channel="gx", covariate="table_rate", test="spline", p=1e-9, shape="Ω²", python=python,
+        coefficient=Amplitude(value=0.3, sd=None, unit="ppm"),
+    )  # fmt: skip
+    return Diagnosis(
+        verdict=verdict, message="It did not settle.", p_global=1e-18, result="R",
+        groups=(group,) if verdict == "equivalent_effects" else (),
+        ranking=(*ranked, line("gyro_g_sensitivity", 2.0, 0.9)), undetectable=(hidden, lacking),
+        structure=(pattern,), looks=40.0, strongest=StrongestStructure(channel="gx", covariates=(), step="step at 3 s"),
+        suggested=EffectChoice(effect="gyro_scale_asymmetry", channels=None)
+        if verdict == "equivalent_effects" else None,
+    )  # fmt: skip
 
 
 def test_the_answer_comes_first(capsys):
-    print_diagnosis(diagnosis(), None)
+    print_report(shown.diagnosis_report(diagnosis()))
     out = capsys.readouterr().out
     lines = out.splitlines()
-    assert lines[0] == "gx changes with |rate|."
-    assert "98.4" in lines[1]
-    assert "1e-18 after 40 looks" in lines[1]
+    assert lines[0].startswith("gyro_scale_asymmetry is missing on gx. The residual of gx depends on rate along")
+    assert "Δχ² 98.4" in lines[1]
+    assert "p = 1e-18 corrected for 40 looks" in lines[1]
     assert "one run at −300 deg/s" in lines[2]
-    assert lines[3] == "next: imubayes add gyro_scale_asymmetry --to R"
+    assert lines[3] == "next: imubayes add gyro_scale_asymmetry --to R --out R-gyro_scale_asymmetry"
     assert "93 % run offsets" in out
     assert "lever_arm (turning)" in " ".join(out.split())
 
@@ -64,42 +96,67 @@ def test_the_ranking_marks_groups_and_chances():
     assert [row[-2].mood for row in sheet.rows] == ["bad", "bad", "dim"]
     assert "size[gx] 120 ± 12 ppm" in texts[0][2]
     assert sheet.narrow is not None
-    assert len(shown.ranking_sheet(diagnosis(), "gyro_g_sensitivity").rows) == 1
+
+
+@pytest.mark.parametrize(
+    ("verdict", "said"),
+    [
+        ("missing_effect", "is missing"),
+        ("adequate", "absent down to 3.00 ppm"),
+        ("undetectable", "93 % in run offsets"),
+    ],
+)
+def test_one_effect_is_answered_in_a_sentence(verdict, said):
+    asked = AskedEffect(effect="accel_quadratic", smallest_detectable=3.0, unit="ppm")
+    found = diagnosis("adequate").model_copy(update={"verdict": verdict, "asked": asked})
+    (answer,) = shown.diagnosis_report(found).lines
+    assert answer.startswith("These runs cannot show" if verdict == "undetectable" else "accel_quadratic is")
+    assert said in answer
+    assert shown.next_command(found) == ""
 
 
 def test_not_converged_is_not_ranked():
-    facts = diagnosis("not_converged") | {"ranking": []}
-    assert "not ranked" in " ".join(shown.diagnosis_lines(facts))
+    lines = shown.diagnosis_lines(diagnosis("not_converged"))
+    assert lines[0] == "It did not settle."
+    assert "not ranked" in " ".join(lines)
 
 
 def test_the_class_of_the_strongest_pattern_is_given_and_none_is_refused():
-    facts = diagnosis("unexplained_structure")
     with pytest.raises(InputError, match="no effect class"):
-        shown.found_class(facts)
-    facts["structure"] = [*facts["structure"], {"python": "class FoundShape: …"}]
-    assert shown.found_class(facts) == "class FoundShape: …"
+        shown.effect_source(diagnosis("unexplained_structure"))
+    assert shown.effect_source(diagnosis("unexplained_structure", "class FoundShape: …")) == "class FoundShape: …"
 
 
 def test_a_kept_diagnosis_comes_back(tmp_path):
-    shown.write_diagnosis(tmp_path, diagnosis(), "gx", "table_rate_deg_s")
-    kept = shown.read_diagnosis(tmp_path)
-    assert kept["telling"] == {"channel": "gx", "covariate": "table_rate_deg_s"}
-    assert shown.screened_candidate(kept, "gyro_scale_quadratic")["delta_chi2"] == 95.1
-    assert shown.screened_candidate(kept, "unknown") == {}
+    write_diagnosis(tmp_path, diagnosis())
+    kept = read_diagnosis(tmp_path)
+    assert kept is not None
+    assert kept.model_dump() == diagnosis().model_dump()
+    best = kept.estimate("gyro_scale_quadratic")
+    assert best is not None
+    assert best.delta_chi2 == 95.1
+    assert kept.estimate("unknown") is None
     (tmp_path / "diagnosis.json").write_text("{")
-    assert shown.read_diagnosis(tmp_path) == {}
+    assert read_diagnosis(tmp_path) is None
+
+
+def test_the_json_has_the_sentence_and_the_next_command():
+    facts = shown.diagnosis_json(diagnosis())
+    assert facts["sentence"].startswith("gyro_scale_asymmetry is missing")
+    assert facts["next"].startswith("imubayes add gyro_scale_asymmetry")
+    assert json.dumps(facts)
 
 
 @pytest.mark.parametrize("with_covariate", [True, False])
-def test_the_telling_picture(tmp_path, with_covariate):
+def test_the_picture_of_the_evidence(tmp_path, with_covariate):
     random = np.random.default_rng(0)
     rate = np.tile([-300.0, -100, 0, 100, 300], 12)
     explained = 1e-5 * np.abs(rate)
     residual = explained + 3e-4 * random.normal(size=60)
     covariate = ResidualCovariate("rate_i", "deg/s", rate, "rate") if with_covariate else None
-    runs = np.repeat(["a", "b", "c"], 20)
-    telling = Telling("gx", covariate, rate if with_covariate else explained, runs, residual, explained, "deg/s")
-    assert save_telling(tmp_path, telling, diagnosis()).read_bytes()[:4] == PNG
+    runs, at = np.repeat(["a", "b", "c"], 20), rate if with_covariate else explained
+    evidence = ResidualEvidence("gx", "gyro_scale_asymmetry", covariate, at, runs, residual, explained, "deg/s")
+    assert save_evidence(tmp_path, evidence).read_bytes()[:4] == PNG
 
 
 def residual_table(size: float) -> pl.DataFrame:
@@ -115,36 +172,40 @@ def residual_table(size: float) -> pl.DataFrame:
     )  # fmt: skip
 
 
-def test_before_and_after_are_shown_against_what_tells():
+def test_before_and_after_are_shown_against_the_covariate():
     before, after = residual_table(1e-5), residual_table(0.0)
     drawn = before_after(before, after, "gyro_bias_temperature", {"gx": 1e-4})
     assert drawn is not None
     assert drawn.png()[:4] == PNG
     change = before["input_residual"].to_numpy() - after["input_residual"].to_numpy()
-    assert telling_abscissa(before, change)[1] == "temperature / °C"
-    assert telling_abscissa(before, change, "time_s")[1].startswith("time")
+    assert followed_covariate(before, change)[1] == "temperature / °C"
+    assert followed_covariate(before, change, "time_s")[1].startswith("time")
     # Planted fault: what follows nothing is shown by row.
-    assert telling_abscissa(before, np.random.default_rng(2).normal(size=60))[1].startswith("row")
+    assert followed_covariate(before, np.random.default_rng(2).normal(size=60))[1].startswith("row")
     assert before_after(before, after.with_columns(pl.lit("other").alias("run")), "x") is None
 
 
-def node(title: str, parent: str | None, held_out: dict, selected: bool, taken: bool = True) -> Node:
-    added = ({"effect": title, "channels": ["gx"]},) if parent else ()
+def node(title: str, parent: str | None, held_out: CrossValidation | None, selected: bool, taken: bool = True) -> Node:
     return Node(
-        node_id("d", title, 0, parent or ""), title, parent, (), added, "", 300.0, 290.0,
-        {"gx": (2e-4 if parent else 5e-4, "deg/s"), "ax": (1e-5, "g")}, {"expected": 90.0, "found": 88.0}, held_out,
-        "d", title, 0, taken, "" if taken else "It did not converge.", selected,
+        id=node_id("d", title, 0, parent or ""), model=title, parent=parent, chi2=300.0, dof=290.0,
+        added=(EffectChoice(effect=title, channels=("gx",)),) if parent else (),
+        rms=(
+            ChannelRms(channel="gx", rms=2e-4 if parent else 5e-4, unit="deg/s"),
+            ChannelRms(channel="ax", rms=1e-5, unit="g"),
+        ),
+        delta_chi2=ChiSquareDrop(predicted=90.0, observed=88.0), held_out=held_out, data_hash="d", model_hash=title,
+        seed=0, taken=taken, message="" if taken else "It did not converge.", selected=selected,
     )  # fmt: skip
 
 
 def tree() -> Tree:
-    gain = {"delta": 40.2, "se": 6.1, "helped": 11, "of": 12, "by": "run", "verdict": "helps"}
-    useless = gain | {"delta": -0.4, "se": 0.3, "helped": 5, "verdict": "not"}
+    gain = CrossValidation(by="run", delta=40.2, se=6.1, helped=11, of=12, verdict="helps")
+    useless = CrossValidation(by="run", delta=-0.4, se=0.3, helped=5, of=12, verdict="not")
     nodes = {
-        "/r/a": node("first", None, {}, False),
+        "/r/a": node("first", None, None, False),
         "/r/b": node("gyro_g_sensitivity", "../a", gain, True),
         "/r/c": node("gyro_scale_quadratic", "../b", useless, False),
-        "/r/d": node("gyro_warm_up", "../a", {}, False, taken=False),
+        "/r/d": node("gyro_warm_up", "../a", None, False, taken=False),
     }
     return Tree(nodes, {"/r/a": None, "/r/b": "/r/a", "/r/c": "/r/b", "/r/d": "/r/a"})
 
@@ -152,15 +213,15 @@ def tree() -> Tree:
 def test_the_tree_is_told():
     made = tree()
     assert [place for _, place in made.in_order()] == ["/r/a", "/r/b", "/r/c", "/r/d"]
-    assert made.way_to("/r/c") == ("/r/a", "/r/b", "/r/c")
-    assert made.selecting("/r/a") == {"/r/a": True, "/r/b": False, "/r/c": False, "/r/d": False}
+    assert made.path_to("/r/c") == ("/r/a", "/r/b", "/r/c")
+    assert made.together_with("/r/c") == ("/r/a", "/r/b", "/r/c", "/r/d")
     rows = [" ".join(cell.text for cell in row) for row in history_sheet(made).rows]
     assert rows[1].startswith("● └─ + gyro_g_sensitivity")
     assert rows[2].startswith("○    └─ + gyro_scale_quadratic")
-    assert "no help" in rows[2]
+    assert "no gain" in rows[2]
     assert rows[3].startswith("✕")
     assert json.dumps(history_json(made))
-    assert history_figure(history_json(made)["nodes"]).png()[:4] == PNG
+    assert history_figure(made).png()[:4] == PNG
 
 
 def test_small_pictures():
@@ -171,15 +232,14 @@ def test_small_pictures():
     assert "slope 1.00" in added_variable_figure(x, x, ["a", "b"] * 20, "effect").axes[0].get_title(loc="left")
 
 
-def test_planting_says_what_was_missed(capsys):
-    missed = {"effect": "gyro_warm_up", "planted": [], "delta_chi2": 50.0, "verdict": "adequate", "detected": False}
-    missed |= {"group_first": False, "first_group": [], "p_global": 0.3, "sentence": ""}
-    null = {"draws": 20, "false_alarms": 1, "rate": 0.05, "interval_95": [0.001, 0.25], "allowed": 0.05}
-    facts = {"campaign": "c", "model": "m", "size": {"delta_chi2": 50.0}, "effects": [missed], "detected": 0}
-    facts |= {"group_first": 0, "skipped": [{"effect": "lever_arm", "reason": "no run"}], "null": null}
-    print_trials(facts)
+def test_injection_names_what_was_missed(capsys):
+    trial = Trial("gyro_warm_up", (), 50.0, Diagnosis(verdict="adequate", p_global=0.3))
+    nulls: tuple[Verdict, ...] = ("missing_effect", *["adequate"] * 19)
+    trials = Trials("c", "m", Size(), 0, (trial,), {"lever_arm": "no run"}, nulls, 0.05)
+    print_report(injection_report(trials))
     out = " ".join(capsys.readouterr().out.split())
-    assert "You would have missed: gyro_warm_up." in out
+    assert "Missed: gyro_warm_up." in out
     assert "1 false alarms in 20 draws" in out
-    assert planting_sheet(facts).rows[0][3].mood == "bad"
-    assert any("lever_arm" in one for one in planting_lines(facts))
+    assert "lever_arm" in out
+    assert injection_sheet(trials).rows[0][3].mood == "bad"
+    assert injection_json(trials)["null"]["rate"] == 0.05

@@ -108,9 +108,10 @@ def mode_from(declared: Any, z: np.ndarray, h: np.ndarray) -> Any:
 
 def diagnosed(fitted: Any, effect: str = "") -> Document:
     """Return what the diagnosis says, of all or of one effect, without the tail of the ranking."""
-    from imubayes.criticism.diagnosis import judge
+    from imubayes.criticism.judge import judge
+    from imubayes.display.diagnosis_report import diagnosis_json
 
-    document = json.loads(json.dumps(judge(fitted, effect=effect).json))
+    document = diagnosis_json(judge(fitted, effect=effect))
     document["ranking"] = document.get("ranking", [])[: None if effect else 12]
     return document
 
@@ -148,20 +149,19 @@ def first_step(
         return None
     result = imubayes.api.fit(place, model, sample=False)
     addition = imubayes.api.add(result, [found["effect"]], channels=found["channels"])
-    facts = addition.json
     fitted = {line.name: line.mean for line in addition.result.summary.parameters}
     sigma = [name for name in fitted if name.startswith("white_noise.") and addition.taken]
     return {
         "effect": found["effect"],
         "taken": addition.taken,
-        "predicted": facts["predicted"]["delta_chi2"],
-        "found": facts["found"]["delta_chi2"],
+        "predicted": addition.predicted.delta_chi2,
+        "found": addition.observed.delta_chi2,
         "coefficients": [
-            {"name": one["name"], "value": one["value"], "sd": one["sd"], "truth": truth[one["name"]]}
-            for one in facts["found"]["coefficients"]
-            if one["name"] in truth and addition.taken
+            {"name": each.name, "value": each.value, "sd": each.sd, "truth": truth[each.name]}
+            for each in addition.observed.coefficients
+            if each.name in truth and addition.taken
         ],
-        "held_out": facts["held_out"].get("verdict", ""),
+        "held_out": addition.held_out.verdict if addition.held_out is not None else "",
         "noise": float(np.exp(np.mean([np.log(fitted[name] / truth[name]) for name in sigma]))) if sigma else None,
     }
 

@@ -46,15 +46,16 @@ def add(
 
     if not effects:
         raise InputError(Issue("no effect is named", "command line", "imubayes effects lists them", "name one"))
-    from imubayes.display.terminal import print_addition
-    from imubayes.loop import add as add_effects
+    from imubayes.api import add as add_effects
+    from imubayes.display.addition_report import addition_report, next_command
+    from imubayes.display.report import print_report
 
     with progress() as tell:
-        addition = add_effects(to, effects, out, split(channels), sample, seed, tell)
+        addition = add_effects(to, effects, out, split(channels), sample=sample, seed=seed, progress=tell)
     if as_json:
-        print_json(addition.json)
+        print_json(addition.model_dump(mode="json") | {"next": next_command(addition)})
     else:
-        print_addition(addition.json)
+        print_report(addition_report(addition))
     if not addition.taken:
-        print(addition.json["message"], file=sys.stderr)
+        print(addition.message, file=sys.stderr)
     return 0 if addition.taken else 1

@@ -32,23 +32,21 @@ def diagnose(
 
     start_jax()
     from imubayes.api import diagnose as find_missing
-    from imubayes.display.diagnosis_report import found_class, write_diagnosis
-    from imubayes.display.figures.save import save_telling
-    from imubayes.display.terminal import print_diagnosis
+    from imubayes.display.diagnosis_report import diagnosis_json, diagnosis_report, effect_source
+    from imubayes.display.figures.save import save_evidence
+    from imubayes.display.report import print_report
+    from imubayes.results.loop_files import write_diagnosis
 
     with progress() as tell:
         tell("looking for what is missing")
         found = find_missing(result, effect)
-    picture = None
+    picture = save_evidence(result, found.evidence) if found.evidence is not None else None
     if not effect:
-        telling = found.telling[0] if found.telling else None
-        picture = save_telling(result, telling, found.json) if telling else None
-        named = (telling.channel, telling.covariate.name if telling.covariate else "") if telling else ()
-        write_diagnosis(result, found.json, *named)
+        write_diagnosis(result, found)
     if python:
-        print(found_class(found.json))
+        print(effect_source(found))
     elif as_json:
-        print_json(found.json)
+        print_json(diagnosis_json(found))
     else:
-        print_diagnosis(found.json, picture, effect)
+        print_report(diagnosis_report(found, picture))
     return 1 if found.verdict == "not_converged" else 0

@@ -25,7 +25,7 @@ def history(
     export
         Write the selected model to this model file.
     html
-        Write the whole story as one HTML page.
+        Write the models tried, with their evidence, as one HTML page.
     as_json
         Print one JSON object on standard output.
     """
@@ -36,10 +36,11 @@ def history(
     if not folders:
         raise InputError(Issue("no result is named", "command line", "result folders", "name at least one"))
     start_jax()
+    from imubayes.api import export as export_model
+    from imubayes.api import history as read
     from imubayes.atomic_files import refuse_existing
-    from imubayes.display.history_table import history_json, print_history
-    from imubayes.loop import export as export_model
-    from imubayes.loop import history as read
+    from imubayes.display.history_table import history_json, history_report
+    from imubayes.display.report import print_report
     from imubayes.results.history_file import select as select_node
 
     if export is not None:
@@ -54,12 +55,13 @@ def history(
     if html is not None:
         from imubayes.atomic_files import write_text
         from imubayes.display.history_page import history_page
+        from imubayes.results.loop_files import read_steps
 
-        write_text(html, history_page(tree))
+        write_text(html, history_page(tree, {place: read_steps(tree, place) for place in tree.selected}))
     if as_json:
         print_json(history_json(tree))
     else:
-        print_history(tree)
-        for file in (one for one in (export, html) if one is not None):
+        print_report(history_report(tree))
+        for file in (file for file in (export, html) if file is not None):
             print(f"written: {file}")
     return 0

@@ -48,9 +48,10 @@ def plant(
     from imubayes.cli.session import progress, start_jax
 
     start_jax()
+    from imubayes.api import plant as plant_effects
     from imubayes.criticism.injection_recovery import Size
-    from imubayes.display.terminal import print_trials
-    from imubayes.loop import plant as plant_effects
+    from imubayes.display.injection_report import injection_json, injection_report
+    from imubayes.display.report import print_report
 
     with progress() as tell:
         trials = plant_effects(
@@ -58,7 +59,7 @@ def plant(
             size=Size(delta_chi2, size), draws=draws, seed=seed, progress=tell,
         )  # fmt: skip
     if as_json:
-        print_json(trials.json)
+        print_json(injection_json(trials))
     else:
-        print_trials(trials.json)
+        print_report(injection_report(trials))
     return 0

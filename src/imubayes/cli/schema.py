@@ -9,6 +9,9 @@ _RECORDS = {
     "campaign": ("imubayes.campaign.file_schemas", "CampaignFile"),
     "model": ("imubayes.campaign.file_schemas", "ModelFile"),
     "plan": ("imubayes.simulation.test_plan", "PlanFile"),
+    "diagnosis": ("imubayes.criticism.diagnosis", "Diagnosis"),
+    "addition": ("imubayes.results.addition", "Addition"),
+    "history": ("imubayes.criticism.model_history", "Node"),
     "summary": ("imubayes.results.summary", "Summary"),
 }
 """Kind of file → module and name of its pydantic record."""
@@ -22,7 +25,7 @@ def schema(kind: str) -> int:
     Parameters
     ----------
     kind
-        campaign (campaign.toml), model, plan, or summary (summary.json of a result).
+        campaign (campaign.toml), model, plan; summary, diagnosis, addition, or history (JSON files of a result).
     """
     if kind not in _RECORDS:
         allowed = closest_first(kind, _RECORDS)

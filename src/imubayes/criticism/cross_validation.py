@@ -7,14 +7,16 @@ integrated out (leave-one-group-out predictive density; Vehtari, Gelman & Gabry,
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from imubayes.criticism import thresholds
+from imubayes.criticism.diagnosis import RmsChange
 from imubayes.criticism.warm_start import Extension
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.inference.noise_marginal import slope
 from imubayes.inference.posterior_mode import find_mode, fit_at, mode_near
 from imubayes.inference.posterior_precision import Linearised, linearise
@@ -23,50 +25,62 @@ from imubayes.model.likelihood import residuals
 from imubayes.model.problem import masked
 from imubayes.model.robust_likelihood import has_heavy_tails
 from imubayes.parameters.vector import Layout
+from imubayes.records import Record, finite
+from imubayes.units import to_si
 
 _residuals = eqx.filter_jit(residuals)
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """What an addition does to the prediction of data that were left out.
+class GroupGain(Record):
+    """Rise of the log predictive density of one group of rows that was left out."""
+
+    name: str
+    delta: float
+
+
+class CrossValidation(Record):
+    """What an addition does to the prediction of rows that were left out.
 
     Attributes
     ----------
-    by : what was left out at a time, ``run``, ``pose`` or ``block``.
-    names : of what was left out.
-    gains : shape (K,), rise of the log predictive density of each.
-    rate_errors : of poses, for each gyro: its name and the rms of what it read at rest about its prediction, before and
-        after, rad/s.
+    by : what is left out at a time.
+    delta, se : rise of the expected log predictive density (Δ elpd) and its standard error, from the scatter among the
+        groups; None for a single group.
+    helped, of : number of groups that are predicted better, and of all groups.
+    verdict : whether the addition ``helps``, that it is ``unclear``, or does ``not`` help.
+    each : Δ elpd of each group.
+    rates : of poses: rms of each gyro at rest about its prediction, before and after.
     """
 
-    by: str
-    names: tuple[str, ...]
-    gains: np.ndarray
-    rate_errors: tuple[tuple[str, float, float], ...] = ()
+    by: Literal["run", "pose", "block"]
+    delta: float
+    se: float | None
+    helped: int
+    of: int
+    verdict: Literal["helps", "unclear", "not"]
+    each: tuple[GroupGain, ...] = ()
+    rates: tuple[RmsChange, ...] = ()
 
-    @property
-    def gain(self) -> float:
-        """Rise of the log predictive density, all together."""
-        return float(self.gains.sum())
 
-    @property
-    def se(self) -> float:
-        """Standard error of the rise, from its scatter among what was left out; infinite for one alone."""
-        count = len(self.gains)
-        return float(np.sqrt(count) * self.gains.std(ddof=1)) if count > 1 else float("inf")
-
-    @property
-    def helped(self) -> int:
-        """How many are predicted better."""
-        return int(np.sum(self.gains > 0))
-
-    @property
-    def verdict(self) -> str:
-        """Say whether the addition ``helps``, that it is ``unclear``, or that it does ``not`` help."""
-        if not self.gain > thresholds.GAIN_MIN:
-            return "not"
-        return "helps" if self.gain > thresholds.GAIN_STANDARD_ERRORS * self.se else "unclear"
+def summarise_gains(
+    by: Literal["run", "pose", "block"], names: Sequence[str], gains: np.ndarray, rates: Sequence[RmsChange] = ()
+) -> CrossValidation:
+    """Return the cross-validation from the gains of all groups, shape (K,)."""
+    count, delta = len(gains), float(gains.sum())
+    se = float(np.sqrt(count) * gains.std(ddof=1)) if count > 1 else float("inf")
+    verdict = "not"
+    if delta > thresholds.GAIN_MIN:
+        verdict = "helps" if delta > thresholds.GAIN_STANDARD_ERRORS * se else "unclear"
+    return CrossValidation(
+        by=by,
+        delta=delta,
+        se=finite(se),
+        helped=int(np.sum(gains > 0)),
+        of=count,
+        verdict=verdict,
+        each=tuple(GroupGain(name=name, delta=gain) for name, gain in zip(names, gains.tolist(), strict=True)),
+        rates=tuple(rates),
+    )
 
 
 @dataclass(frozen=True)
@@ -77,41 +91,45 @@ class LeftOut:
     misfit: np.ndarray
 
 
-def held_out(before: Fitted, after: Fitted, progress: Callable[[str], None] | None = None) -> HeldOut:
-    """Return how much better what is left out is predicted by the second of two fits of one campaign.
+def cross_validate(before: Fit, after: Fit, progress: Callable[[str], None] | None = None) -> CrossValidation | None:
+    """Return how much better the second of two fits of one campaign predicts what is left out.
 
-    Runs are left out in turns; of a campaign of one run its poses, whose rotations stay, or its blocks of rows.
+    Leave-one-run-out; of a campaign of one run leave-one-pose-out, the attitudes known, or leave-one-block-out.  None
+    where no group has a finite density.
     """
     tell = progress or (lambda text: None)
     by, names, masks = groups(before.model)
-    about = [linearise(one.model.problem, jnp.asarray(one.z)) for one in (before, after)]
+    about = [linearise(fit.model.problem, jnp.asarray(fit.z)) for fit in (before, after)]
     seen = []
     for place, mask in enumerate(masks):
-        tell(f"predicting {by} {place + 1} of {len(masks)} from the others")
-        seen.append([predict_left_out(one, at, mask) for one, at in zip((before, after), about, strict=True)])
+        tell(f"leave-one-{by}-out, {place + 1} of {len(masks)}")
+        seen.append([predict_left_out(fit, at, mask) for fit, at in zip((before, after), about, strict=True)])
     gains = np.array([now.density - was.density for was, now in seen])
-    finite = np.isfinite(gains)
-    kept = tuple(name for name, good in zip(names, finite.tolist(), strict=True) if good)
-    errors = _rate_errors(before.model, masks, seen) if by == "pose" else ()
-    return HeldOut(by, kept, gains[finite], errors)
+    finite_gains = np.isfinite(gains)
+    if not finite_gains.any():
+        return None
+    kept = [name for name, good in zip(names, finite_gains.tolist(), strict=True) if good]
+    rates = _rate_errors(before.model, masks, seen) if by == "pose" else ()
+    return summarise_gains(by, kept, gains[finite_gains], rates)
 
 
-def _rate_errors(
-    model: Model, masks: Sequence[np.ndarray], seen: Sequence[Sequence[LeftOut]]
-) -> tuple[tuple[str, float, float], ...]:
-    """Return the errors of the gyros' rates in poses; the attitude, and so the force, is known through gyros alone."""
+def _rate_errors(model: Model, masks: Sequence[np.ndarray], seen: Sequence[Sequence[LeftOut]]) -> tuple[RmsChange, ...]:
+    """Return the gyros' rate errors at rest; the attitude, and so the specific force, is known through gyros alone."""
     channel = np.concatenate([model.entries.channel[mask] for mask in masks])
-    misfits = [np.concatenate([one[which].misfit for one in seen]) for which in range(2)]
-    gyros = [(place, one) for place, one in enumerate(model.campaign.channels) if one.kind == "gyro"]
+    was, now = (np.concatenate([each[which].misfit for each in seen]) for which in range(2))
 
     def rms(misfit: np.ndarray, place: int) -> float:
-        return float(np.sqrt(np.mean(misfit[channel == place] ** 2)))
+        own = misfit[channel == place]
+        return float(np.sqrt(np.mean(own**2)) / model.campaign.channels[place].scale_si / to_si("deg"))
 
-    was, now = misfits
-    return tuple((one.name, rms(was, place) / one.scale_si, rms(now, place) / one.scale_si) for place, one in gyros)
+    return tuple(
+        RmsChange(channel=each.name, before=rms(was, place), after=rms(now, place), unit="deg/s")
+        for place, each in enumerate(model.campaign.channels)
+        if each.kind == "gyro"
+    )
 
 
-def groups(model: Model) -> tuple[str, tuple[str, ...], tuple[np.ndarray, ...]]:
+def groups(model: Model) -> tuple[Literal["run", "pose", "block"], tuple[str, ...], tuple[np.ndarray, ...]]:
     """Return what is left out at a time: run, pose or block, its names, and which entries belong to each, shape (E,).
 
     A campaign of one run is predicted pose by pose, or where it has none in blocks of neighbouring rows: a row alone
@@ -124,15 +142,15 @@ def groups(model: Model) -> tuple[str, tuple[str, ...], tuple[np.ndarray, ...]]:
     if run.tumble is not None:
         pose = run.tumble.pose[np.where(entries.closing, 0, entries.row)]
         there = np.unique(pose[~entries.closing])
-        masks = tuple((pose == one) & ~entries.closing for one in there)
-        return "pose", tuple(str(one) for one in there.tolist()), masks
+        masks = tuple((pose == number) & ~entries.closing for number in there)
+        return "pose", tuple(map(str, there.tolist())), masks
     in_time = np.argsort(run.covariates["time"], kind="stable") if "time" in run.covariates else np.arange(run.rows)
     blocks = np.array_split(in_time, max(min(thresholds.MAX_BLOCKS, run.rows // thresholds.BLOCK_ROWS), 1))
-    names = tuple(f"rows {one.min() + 1} to {one.max() + 1}" for one in blocks)
-    return "block", names, tuple(np.isin(entries.row, one) for one in blocks)
+    names = tuple(f"rows {block.min() + 1} to {block.max() + 1}" for block in blocks)
+    return "block", names, tuple(np.isin(entries.row, block) for block in blocks)
 
 
-def predict_left_out(fitted: Fitted, about: Linearised, left_out: np.ndarray) -> LeftOut:
+def predict_left_out(fitted: Fit, about: Linearised, left_out: np.ndarray) -> LeftOut:
     """Return how the rest predicts what is left out, everything refitted to it, from where all together fit.
 
     Parameters
@@ -154,7 +172,7 @@ def predict_left_out(fitted: Fitted, about: Linearised, left_out: np.ndarray) ->
     return LeftOut(density, np.asarray(mode.about.misfit)[left_out])
 
 
-def found_delta_chi2(before: Fitted, extension: Extension, after: Fitted) -> float:
+def observed_delta_chi2(before: Fit, extension: Extension, after: Fit) -> float:
     """Return the drop of chi² that the refit brought.
 
     At the noise scales of the old fit, and without the priors of what is new; where a noise scale is new itself, twice
@@ -175,7 +193,7 @@ def _in_order(old: Layout, point: np.ndarray, new: Layout) -> np.ndarray:
     return np.array([point[old.index(name)] for name in new.names], dtype=float)
 
 
-def _log_likelihood(fitted: Fitted) -> float:
+def _log_likelihood(fitted: Fit) -> float:
     """Return log p(y | h) with θ integrated out about the mode."""
     problem, h = fitted.model.problem, jnp.asarray(fitted.h)
     about = linearise(problem, jnp.asarray(fitted.z))
@@ -183,13 +201,13 @@ def _log_likelihood(fitted: Fitted) -> float:
     return float(slope(problem, about, h).value) + prior
 
 
-def objection(after: Fitted, delta_chi2: float) -> str:
+def objection(after: Fit, delta_chi2: float) -> str:
     """Return the sentence that says why a refit is not taken; empty where nothing speaks against it."""
     if not after.converged:
         return f"The refit is not taken. {after.message}"
     if not delta_chi2 > thresholds.REFIT_LOSS:
         return (
-            f"The refit is not taken: it fits worse than the model without the addition (chi2 rose by "
-            f"{-delta_chi2:.1f} at the same noise)."
+            "The refit is not taken: it fits worse than the model without the addition (χ² rose by "
+            f"{-delta_chi2:.1f} at the same noise scales)."
         )
     return ""

@@ -1,13 +1,12 @@
-"""Would I have found it?  Each effect that the model lacks is planted into data simulated from the fit itself.
+"""Injection recovery: each effect that the model lacks is injected into data simulated from the fit, and looked for.
 
 The campaign keeps its rows and stimulus; the outputs are those of the fitted model with the effect added, and the
-fitted noise.  The model without the effect is fitted again, from where it stood, and screened as real data are.
+fitted noise.  The model without the effect is refitted from where it stood, and diagnosed as real data are.
 Simulations without any effect give the rate of false alarms.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,24 +15,26 @@ from scipy import stats
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import searchable
-from imubayes.criticism.diagnosis import Diagnosis, judge
+from imubayes.criticism.diagnosis import Diagnosis, Verdict
+from imubayes.criticism.judge import judge
 from imubayes.criticism.warm_start import extended, whitened
 from imubayes.errors import InputError, Issue
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.inference.posterior_mode import find_mode, message
 from imubayes.model.bind import Model, bind
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict
 from imubayes.parameters.parameter import Declared
+from imubayes.presentation import Presented
 from imubayes.run import Campaign
 from imubayes.simulation.simulate import random_stream, simulate
 
-Screen = Callable[[Fitted], Diagnosis]
+Screen = Callable[[Fit], Diagnosis]
 
 
 @dataclass(frozen=True)
 class Size:
-    """How large an effect is planted.
+    """Size of an injected effect.
 
     Attributes
     ----------
@@ -53,30 +54,40 @@ class Size:
 
 
 @dataclass(frozen=True)
+class InjectedParameter:
+    """A parameter of an injected effect with its true value, in its unit."""
+
+    name: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Trial:
-    """One effect planted.
+    """One effect injected.
 
     Attributes
     ----------
     effect : its name.
-    planted : parameter name, value and unit.
-    delta_chi2 : by how much chi² would fall if it were added to the model, noise aside.
-    verdict, sentence, p_global : of the diagnosis.
-    effects : the first group of the diagnosis.
+    planted : its parameters.
+    delta_chi2 : expected drop of χ² were it added to the model, without noise.
+    diagnosis : of the refit without the effect.
     """
 
     effect: str
-    planted: tuple[dict[str, Any], ...]
+    planted: tuple[InjectedParameter, ...]
     delta_chi2: float
-    verdict: str
-    sentence: str
-    p_global: float
-    effects: tuple[str, ...]
+    diagnosis: Diagnosis
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """The first group of the diagnosis."""
+        return self.diagnosis.groups[0].effects if self.diagnosis.groups else ()
 
     @property
     def detected(self) -> bool:
-        """Whether the diagnosis said that something is wrong."""
-        return self.verdict not in ("adequate", "not_converged")
+        """Whether the diagnosis found the model inadequate."""
+        return self.diagnosis.verdict not in ("adequate", "not_converged")
 
     @property
     def group_first(self) -> bool:
@@ -84,18 +95,18 @@ class Trial:
         return self.effect in self.effects
 
 
-@dataclass(frozen=True)
-class Trials:
-    """What was planted and what became of it.
+@dataclass(frozen=True, repr=False)
+class Trials(Presented):
+    """Effects injected, and what the diagnosis found.
 
     Attributes
     ----------
     campaign, model : names.
     size, seed : as asked.
     trials : one for each effect.
-    skipped : effect → why it was not planted.
+    skipped : effect → why it was not injected.
     nulls : verdicts of the simulations without any effect.
-    threshold : chance of a false alarm that the screen allows.
+    threshold : probability of a false alarm that the diagnosis allows.
     """
 
     campaign: str
@@ -104,64 +115,35 @@ class Trials:
     seed: int
     trials: tuple[Trial, ...]
     skipped: dict[str, str]
-    nulls: tuple[str, ...]
+    nulls: tuple[Verdict, ...]
     threshold: float
 
     @property
+    def detected(self) -> int:
+        """Number of effects with which the diagnosis found the model inadequate."""
+        return sum(trial.detected for trial in self.trials)
+
+    @property
+    def group_first(self) -> int:
+        """Number of effects that the first group holds."""
+        return sum(trial.group_first for trial in self.trials)
+
+    @property
     def false_alarms(self) -> int:
-        """How many simulations without any effect were not found adequate."""
+        """Number of simulations without any effect that were not found adequate."""
         return sum(verdict != "adequate" for verdict in self.nulls)
 
     @property
-    def json(self) -> dict[str, Any]:
-        """As `imubayes plant --json` prints it."""
+    def false_alarm_interval(self) -> tuple[float, float]:
+        """The 95 % interval of the false-alarm rate (Clopper & Pearson)."""
         count, alarms = len(self.nulls), self.false_alarms
-        typical = self.size.typical
-        size = {"delta_chi2": self.size.delta_chi2} if typical is None else {"typical": typical}
         low = float(stats.beta.ppf(0.025, alarms, count - alarms + 1)) if alarms else 0.0
         high = float(stats.beta.ppf(0.975, alarms + 1, count - alarms)) if alarms < count else 1.0
-        return {
-            "format": 1,
-            "campaign": self.campaign,
-            "model": self.model,
-            "size": size,
-            "seed": self.seed,
-            "effects": [
-                {
-                    "effect": one.effect,
-                    "planted": list(one.planted),
-                    "delta_chi2": one.delta_chi2,
-                    "verdict": one.verdict,
-                    "detected": one.detected,
-                    "group_first": one.group_first,
-                    "first_group": list(one.effects),
-                    "p_global": one.p_global,
-                    "sentence": one.sentence,
-                }
-                for one in self.trials
-            ],
-            "detected": sum(one.detected for one in self.trials),
-            "group_first": sum(one.group_first for one in self.trials),
-            "skipped": [{"effect": name, "reason": reason} for name, reason in self.skipped.items()],
-            "null": {
-                "draws": count,
-                "false_alarms": alarms,
-                "rate": alarms / count if count else None,
-                "interval_95": [low, high] if count else None,
-                "allowed": self.threshold,
-            },
-        }  # fmt: skip
-
-    def __repr__(self) -> str:
-        found = self.json
-        return (
-            f"{found['detected']} of {len(self.trials)} planted effects detected, the right group first for "
-            f"{found['group_first']}; {self.false_alarms} false alarms in {len(self.nulls)} draws"
-        )
+        return low, high
 
 
 def plant_effects(
-    fitted: Fitted,
+    fitted: Fit,
     effects: Sequence[str] | None,
     size: Size,
     draws: int,
@@ -169,7 +151,7 @@ def plant_effects(
     tell: Callable[[str], None] = lambda text: None,
     screen: Screen = judge,
 ) -> Trials:
-    """Plant effects one by one, and nothing at all a number of times; screen each.
+    """Inject effects one by one, and none a number of times; diagnose each.
 
     Parameters
     ----------
@@ -190,10 +172,10 @@ def plant_effects(
         raise InputError(Issue(f"draws = {draws}", "plant", "a number of simulations, 0 or more", "correct draws"))
     threshold, nulls, trials, skipped = 0.0, [], [], {}
     for draw in range(draws):
-        tell(f"nothing planted, {draw + 1} of {draws}")
+        tell(f"without injection, {draw + 1} of {draws}")
         simulated = simulate(fitted.model, _seed(seed, f"null {draw}"), _truth(fitted.model, fitted.z, fitted.h))
         found = screen(refitted(fitted, simulated.campaign))
-        threshold = float(found.json.get("threshold", 0.0))
+        threshold = found.threshold
         nulls.append(found.verdict)
     names = list(effects) if effects else list(_lacking(fitted))
     clear = _Clear.of(fitted)
@@ -208,19 +190,19 @@ def plant_effects(
     return Trials(campaign, model, size, seed, tuple(trials), skipped, tuple(nulls), threshold)
 
 
-def refitted(fitted: Fitted, campaign: Campaign) -> Fitted:
+def refitted(fitted: Fit, campaign: Campaign) -> Fit:
     """Return the model fitted to other outputs of the same campaign, from where it stood."""
     model = bind(fitted.model.spec, campaign, fitted.model.registry.without_files())
     mode = find_mode(model.problem, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
-    return Fitted(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged), message(mode))
+    return Fit(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged), message(mode))
 
 
 def _seed(seed: int, name: str) -> int:
     return int(random_stream(seed, name).integers(2**31))
 
 
-def _lacking(fitted: Fitted) -> Iterator[str]:
-    there = {one.name for one in fitted.model.assembly.effects}
+def _lacking(fitted: Fit) -> Iterator[str]:
+    there = {effect.name for effect in fitted.model.assembly.effects}
     for member in searchable(fitted.model.registry):
         if member.name not in there:
             yield member.name
@@ -235,7 +217,7 @@ class _Clear:
     basis: np.ndarray
 
     @staticmethod
-    def of(fitted: Fitted) -> "_Clear":
+    def of(fitted: Fit) -> "_Clear":
         parts = whitened(fitted.model.problem, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
         _, jacobian, widths = (np.asarray(part) for part in parts)
         return _Clear(fitted.model.problem, fitted.h, np.linalg.qr(np.concatenate([jacobian, np.diag(1 / widths)]))[0])
@@ -250,7 +232,7 @@ class _Clear:
 _white = eqx.filter_jit(lambda problem, change, h: whiten(problem, whitener(problem, h), change))
 
 
-def _trial(fitted: Fitted, clear: _Clear, name: str, size: Size, seed: int, screen: Screen, asked: bool) -> Trial | str:
+def _trial(fitted: Fit, clear: _Clear, name: str, size: Size, seed: int, screen: Screen, asked: bool) -> Trial | str:
     """Return what became of one effect, or why it was not planted."""
     old = fitted.model
     spec = extended(old.spec, [name], None, old.campaign, old.registry.without_files())
@@ -272,24 +254,17 @@ def _trial(fitted: Fitted, clear: _Clear, name: str, size: Size, seed: int, scre
     if scale is None:
         scale = _scaled(strength, size.delta_chi2)
         if scale is None:
-            return "the model takes up all of it: no size of it could be seen in these runs"
+            return "the model absorbs all of it: no size of it is detectable in these runs"
     z = _placed(model, null, unit, scale)
-    names = model.layout.names
-    factors = model.layout.factors()
-    values = np.asarray(model.problem.priors.values(jnp.asarray(z))) / factors
+    values = np.asarray(model.problem.priors.values(jnp.asarray(z))) / model.layout.factors()
     planted = tuple(
-        {"name": names[place], "value": float(values[place]), "unit": model.layout.parameters[place].unit}
-        for place in (*unit, *shape)
+        InjectedParameter(parameter.name, float(values[place]), parameter.unit)
+        for place, parameter in ((place, model.layout.parameters[place]) for place in (*unit, *shape))
     )
     drop = strength(scale)
     h = model.hyper_layout.carried(fitted.model.hyper_layout, fitted.h)
     simulated = simulate(model, _seed(seed, name), _truth(model, z, h))
-    found = screen(refitted(fitted, simulated.campaign))
-    groups = found.json.get("groups") or []
-    return Trial(
-        name, planted, drop, found.verdict, found.sentence, float(found.json["p_global"]),
-        tuple(groups[0]["effects"]) if groups else (),
-    )  # fmt: skip
+    return Trial(name, planted, drop, screen(refitted(fitted, simulated.campaign)))
 
 
 def _scaled(strength: Callable[[float], float], target: float) -> float | None:
@@ -307,27 +282,27 @@ def _scaled(strength: Callable[[float], float], target: float) -> float | None:
 
 def _direction(model: Model, old: Model, name: str, seed: int) -> tuple[dict[int, float], dict[int, float]]:
     """Return shape parameters (place → value in its unit) and coefficients (place → largest typical size, signed)."""
-    declared = next(one.declared for one in model.assembly.effects if one.name == name)
+    declared = next(effect.declared for effect in model.assembly.effects if effect.name == name)
     known, shape, unit = set(old.layout.names), {}, {}
     for place, parameter in enumerate(model.layout.parameters):
         if parameter.effect != name or parameter.name in known:
             continue
-        one: Declared = declared[parameter.field]
-        if one.shape:
-            shape[place] = one.shape[len(one.shape) // 2]
+        own: Declared = declared[parameter.field]
+        if own.shape:
+            shape[place] = own.shape[len(own.shape) // 2]
         else:
             sign = 1.0 if random_stream(seed, f"sign of {parameter.name}").random() < 0.5 else -1.0
-            unit[place] = sign * one.typical[1] if parameter.z_at(-one.typical[1]) is not None else one.typical[1]
+            unit[place] = sign * own.typical[1] if parameter.z_at(-own.typical[1]) is not None else own.typical[1]
     return shape, unit
 
 
-def _carried(model: Model, fitted: Fitted, shape: dict[int, float]) -> np.ndarray:
+def _carried(model: Model, fitted: Fit, shape: dict[int, float]) -> np.ndarray:
     """Return the fit in the layout of the larger model, what is new at its null or shape."""
-    declared = {one.name: one.declared for one in model.assembly.effects}
+    declared = {effect.name: effect.declared for effect in model.assembly.effects}
     new = np.zeros(len(model.layout))
-    for place, one in enumerate(model.layout.parameters):
-        null = declared[one.effect][one.field].null / one.factor
-        new[place] = one.z_at(shape.get(place, null)) or 0.0
+    for place, parameter in enumerate(model.layout.parameters):
+        null = declared[parameter.effect][parameter.field].null / parameter.factor
+        new[place] = parameter.z_at(shape.get(place, null)) or 0.0
     return model.layout.carried(fitted.model.layout, fitted.z, new)
 
 
@@ -347,4 +322,4 @@ def _truth(model: Model, z: np.ndarray, h: np.ndarray) -> dict[str, float]:
     return truth | dict(zip(model.hyper_layout.names, hyper.tolist(), strict=True))
 
 
-__all__ = ["Size", "Trial", "Trials", "plant_effects", "refitted"]
+__all__ = ["InjectedParameter", "Size", "Trial", "Trials", "plant_effects", "refitted"]

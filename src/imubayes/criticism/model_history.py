@@ -1,62 +1,86 @@
-"""The models tried, as a tree: each node knows what it was made from, what that brought, and whether it is selected.
+"""The models tried, as a tree: what each was made from, what that brought, and which one is selected.
 
-A node is what `history.json` of a result folder says; parents and children are named by their folders, as seen from
-the node's own, so that results may move together.  Of a tree one node is selected: what is exported.
+A node is what `history.json` of a result folder says; parents and children are named by their folders, relative to the
+node's own, so that results may move together.  Of a tree one node is selected: the one that is exported.
 """
 
 import hashlib
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Literal
+
+from imubayes.criticism.cross_validation import CrossValidation
+from imubayes.criticism.diagnosis import EffectChoice, Verdict
+from imubayes.presentation import Presented
+from imubayes.records import Record
 
 
-@dataclass(frozen=True)
-class Node:
+class ChannelRms(Record):
+    """An rms of one channel: its residual, or its noise floor."""
+
+    channel: str
+    rms: float
+    unit: str
+
+
+class ChiSquareDrop(Record):
+    """Δχ² of an addition at the noise scales of its parent; None where unknown."""
+
+    predicted: float | None = None
+    observed: float | None = None
+
+
+class Node(Record):
     """One model tried.
 
     Attributes
     ----------
     id : of twelve characters, from data, model, seed and parent.
     model : name of the model.
-    parent : folder of the model it was made from, as seen from its own; None for the first.
-    children : folders of the models made from it, as seen from its own.
-    added : effects that it has more than its parent, each with its channels (None for all of the unit).
-    verdict : of the diagnosis that led here, empty where there was none.
+    parent : folder of the model it was made from, relative to its own; None for the first.
+    children : folders of the models made from it, relative to its own.
+    added : effects that it has more than its parent.
+    verdict : of the diagnosis that led here; None where there was none.
     chi2, dof : at the noise scales of its own fit.
-    rms : channel → (residual error, unit).
-    delta_chi2 : drop of chi² against its parent, at the parent's noise scales: expected and found; None where unknown.
-    held_out : gain of the log predictive density of what was left out: gain, se, helped, of, by, verdict; empty where
-        there was no comparison.
+    rms : residual rms of each channel.
+    delta_chi2 : against its parent.
+    held_out : cross-validation against its parent; None where there was none.
     data_hash, model_hash, seed : what was fitted.
     taken, message : whether the fit may be used, and why not.
     selected : whether this is the model that counts.
-    floor : channel → (noise of the rows, unit), where the noise of a sample is known.
+    floor : noise of the rows of each channel, where the noise of a sample is known.
     """
 
+    format: Literal[2] = 2
     id: str
     model: str
-    parent: str | None
-    children: tuple[str, ...]
-    added: tuple[Mapping[str, Any], ...]
-    verdict: str
+    parent: str | None = None
+    children: tuple[str, ...] = ()
+    added: tuple[EffectChoice, ...] = ()
+    verdict: Verdict | None = None
     chi2: float | None
     dof: float | None
-    rms: Mapping[str, tuple[float, str]]
-    delta_chi2: Mapping[str, float | None]
-    held_out: Mapping[str, Any]
+    rms: tuple[ChannelRms, ...]
+    delta_chi2: ChiSquareDrop = ChiSquareDrop()
+    held_out: CrossValidation | None = None
     data_hash: str
     model_hash: str
     seed: int
     taken: bool = True
     message: str = ""
     selected: bool = True
-    floor: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    floor: tuple[ChannelRms, ...] = ()
 
     @property
     def title(self) -> str:
-        """What tells it from its parent: the effects added, or the name of the first model."""
-        names = " ".join(f"+ {one['effect']}" for one in self.added)
-        return names or self.model
+        """What distinguishes it from its parent: the effects added, or the name of the first model."""
+        return " ".join(f"+ {choice.effect}" for choice in self.added) or self.model
+
+    @property
+    def chi2_per_dof(self) -> float | None:
+        """χ² per degree of freedom; None where the fit was not taken."""
+        return self.chi2 / self.dof if self.chi2 is not None and self.dof else None
 
 
 def node_id(data_hash: str, model_hash: str, seed: int, parent: str) -> str:
@@ -64,8 +88,8 @@ def node_id(data_hash: str, model_hash: str, seed: int, parent: str) -> str:
     return hashlib.sha256("\0".join((data_hash, model_hash, str(seed), parent)).encode()).hexdigest()[:12]
 
 
-@dataclass(frozen=True)
-class Tree:
+@dataclass(frozen=True, repr=False)
+class Tree(Presented):
     """Models tried, by place.
 
     Attributes
@@ -108,30 +132,22 @@ class Tree:
             visit(root, 0)
         return tuple(found)
 
-    def way_to(self, place: str) -> tuple[str, ...]:
+    def path_to(self, place: str) -> tuple[str, ...]:
         """Return the places from the root to a node, both included."""
-        way = [place]
-        while (parent := self.parents[way[0]]) is not None:
-            way.insert(0, parent)
-        return tuple(way)
+        path = [place]
+        while (parent := self.parents[path[0]]) is not None:
+            path.insert(0, parent)
+        return tuple(path)
 
     def together_with(self, place: str) -> tuple[str, ...]:
         """Return the places of the whole tree that a node stands in."""
-        root = self.way_to(place)[0]
-        return tuple(one for one in self.nodes if self.way_to(one)[0] == root)
-
-    def selecting(self, place: str) -> dict[str, bool]:
-        """Return which nodes of the tree are selected once this one is."""
-        return {one: one == place for one in self.together_with(place)}
+        root = self.path_to(place)[0]
+        return tuple(other for other in self.nodes if self.path_to(other)[0] == root)
 
 
-def error_by_kind(rms: Mapping[str, tuple[float, str]]) -> dict[str, float]:
-    """Return the residual error by unit: the root mean square over channels of one unit."""
-    units = dict.fromkeys(unit for _, unit in rms.values())
-    return {unit: mean_square(value for value, one in rms.values() if one == unit) for unit in units}
-
-
-def mean_square(values: Iterable[float]) -> float:
-    """Return the root mean square."""
-    listed = [value**2 for value in values]
-    return (sum(listed) / len(listed)) ** 0.5 if listed else float("nan")
+def rms_by_unit(channels: Iterable[ChannelRms]) -> dict[str, float]:
+    """Return the root mean square over the channels of each unit."""
+    sizes: dict[str, list[float]] = {}
+    for channel in channels:
+        sizes.setdefault(channel.unit, []).append(channel.rms)
+    return {unit: math.sqrt(sum(size**2 for size in each) / len(each)) for unit, each in sizes.items()}

@@ -14,8 +14,9 @@ from scipy.linalg import solve_triangular
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import fitting_channels
+from imubayes.criticism.diagnosis import CoefficientEstimate
 from imubayes.effects.base import MotionEffect
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.inference.posterior_precision import Linearised, linearise
 from imubayes.model.bind import Model, bind
 from imubayes.model.dry_run import dry_run
@@ -27,18 +28,9 @@ from imubayes.model.robust_likelihood import pseudo_values
 from imubayes.parameters.parameter import Declared
 from imubayes.parameters.priors import Normal
 from imubayes.parameters.vector import Layout, Parameter
+from imubayes.records import finite
 from imubayes.run import Campaign
 from imubayes.types import Array, Float
-
-
-@dataclass(frozen=True)
-class ExpectedCoefficient:
-    """A coefficient with its standard uncertainty, in its unit."""
-
-    name: str
-    value: float
-    sd: float
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -65,7 +57,7 @@ class Extension:
     null: np.ndarray
     new: np.ndarray
     delta_chi2: float | None
-    coefficients: tuple[ExpectedCoefficient, ...]
+    coefficients: tuple[CoefficientEstimate, ...]
     asked: np.ndarray
     residual: np.ndarray
     added: np.ndarray
@@ -117,7 +109,7 @@ def _channels(
 
 
 def extend(
-    before: Fitted,
+    before: Fit,
     effects: Sequence[str],
     channels: Sequence[str] | None = None,
     shape: Mapping[str, float] | None = None,
@@ -152,7 +144,7 @@ def extend(
 
 
 def _extension(
-    before: Fitted, spec: ModelSpec, registry: Registry, shape: Mapping[str, float], hints: Mapping[str, float]
+    before: Fit, spec: ModelSpec, registry: Registry, shape: Mapping[str, float], hints: Mapping[str, float]
 ) -> Extension:
     old, model = before.model, bind(spec, before.model.campaign, registry)
     dry_run(model.problem, model.assembly.effects, spec.files)
@@ -167,7 +159,7 @@ def _extension(
     return _first_step(model, null, h, new, hints, _without_new(before, model, new))
 
 
-def _without_new(before: Fitted, model: Model, new: np.ndarray) -> float | None:
+def _without_new(before: Fit, model: Model, new: np.ndarray) -> float | None:
     """Return χ² of the fit so far where what is new acts already where the expansion begins, None where it does not.
 
     The width of a dead zone cannot be zero: its prior excludes that, and the expansion begins at the prior's middle.
@@ -340,7 +332,7 @@ def _away_from_null(model: Model, place: int, null: float, hints: Mapping[str, f
 
 def _coefficients(
     layout: Layout, z: np.ndarray, new: np.ndarray, sd: np.ndarray, flat: np.ndarray
-) -> tuple[ExpectedCoefficient, ...]:
+) -> tuple[CoefficientEstimate, ...]:
     found = []
     for place, width, blind in zip(np.flatnonzero(new).tolist(), sd.tolist(), flat.tolist(), strict=True):
         parameter = layout.parameters[place]
@@ -351,6 +343,11 @@ def _coefficients(
             )
             spread = abs(high - low) / 2
             found.append(
-                ExpectedCoefficient(parameter.name, here / parameter.factor, spread / parameter.factor, parameter.unit)
+                CoefficientEstimate(
+                    name=parameter.name,
+                    value=finite(here / parameter.factor),
+                    sd=finite(spread / parameter.factor),
+                    unit=parameter.unit,
+                )
             )
     return tuple(found)

@@ -1,274 +1,310 @@
-"""What a diagnosis says on a terminal: one sentence, one picture, one next command; then the evidence.
+"""A diagnosis in words and tables: the verdict in a sentence, what to expect, the next command; then the evidence."""
 
-Works on the JSON of a diagnosis alone, which is also kept as `diagnosis.json` in the result folder.
-"""
-
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from imubayes.atomic_files import write_json
+from imubayes.criticism.detectability import ParameterBias
+from imubayes.criticism.diagnosis import (
+    Diagnosis,
+    EffectGroup,
+    RankedEffect,
+    UndetectableEffect,
+)
 from imubayes.display.fit_tables import Cell, Sheet
 from imubayes.display.labels import listed, pretty
+from imubayes.display.report import Report
 from imubayes.display.rounding import percent, significant, value_and_sd
 from imubayes.errors import InputError, Issue
 
-DIAGNOSIS = "diagnosis.json"
-Facts = Mapping[str, Any]
-_MOST_RANKED, _MOST_PATTERNS, _MOST_FAR_OFF = 10, 6, 8
-# A shift below this share of a posterior standard deviation is not worth a word.
-_SMALL_SHIFT = 0.1
+_MOST_NAMED, _MOST_RANKED, _MOST_STRUCTURES, _MOST_OUTLIERS = 3, 10, 6, 8
+# A bias below this share of a posterior standard deviation is not worth a word.
+_SMALL_BIAS = 0.1
 
 
-def write_diagnosis(folder: Path, facts: Facts, channel: str = "", covariate: str = "") -> None:
-    """Keep a diagnosis in its result folder, with the channel and covariate of its telling residual."""
-    kept = {**facts, "telling": {"channel": channel, "covariate": covariate}}
-    write_json(folder / DIAGNOSIS, kept)
+def diagnosis_report(found: Diagnosis, picture: Path | None = None) -> Report:
+    """Return the verdict with its evidence; the answer about one effect where one was asked for.
+
+    Parameters
+    ----------
+    picture : the file that shows the residual behind the first group.
+    """
+    if found.asked is not None:
+        return Report([sentence(found)], [ranking_sheet(found)])
+    sheets = [ranking_sheet(found), noise_sheet(found), outlier_sheet(found), structure_sheet(found)]
+    return Report(diagnosis_lines(found, picture), [*sheets, undetectable_sheet(found)])
 
 
-def read_diagnosis(folder: Path) -> dict[str, Any]:
-    """Return the diagnosis that a result folder holds, empty where there is none that can be read."""
-    try:
-        found = json.loads((folder / DIAGNOSIS).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
+def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
+    """Return a diagnosis as `imubayes diagnose --json` prints it: the record with its sentence and next command."""
+    return found.model_dump(mode="json") | {"sentence": sentence(found), "next": next_command(found)}
 
 
-def screened_candidate(facts: Facts, effect: str) -> dict[str, Any]:
-    """Return what the screen said of an effect: the candidate of a group, or the best of its lines; may be empty."""
-    grouped = [one for group in facts.get("groups", ()) for one in group["candidates"]]
-    for one in (*grouped, *facts.get("ranking", ()), *facts.get("noise", ())):
-        if one.get("effect") == effect:
-            return dict(one)
-    return {}
+def diagnosis_lines(found: Diagnosis, picture: Path | None = None) -> list[str]:
+    """Return the verdict, the prediction for the first group, the picture and the next command."""
+    lines = [sentence(found)]
+    if found.groups:
+        lines.append(_prediction(found))
+        lines += _discriminating_run(found.groups[0])
+    elif found.verdict == "not_converged":
+        lines.append("Candidates are not ranked about a fit that did not converge.")
+    if picture is not None:
+        lines.append(f"picture: {picture}")
+    command = next_command(found)
+    return [*lines, f"next: {command}"] if command else lines
 
 
-def found_class(facts: Facts) -> str:
-    """Return the effect class written for the strongest unexplained pattern.
+def sentence(found: Diagnosis) -> str:
+    """Return the verdict in a sentence or two."""
+    if found.asked is not None:
+        return _asked_sentence(found)
+    if found.verdict == "not_converged":
+        return found.message
+    if found.groups:
+        said = _missing_sentence(found.groups[0])
+    elif found.verdict == "unexplained_structure":
+        said = _structure_sentence(found)
+    elif found.verdict == "noise_model":
+        said = _noise_sentence(found)
+    else:
+        said = "The model explains the data: no effect of the catalogue is missing as far as these runs can show."
+        hidden = len(found.undetectable)
+        said += f" {hidden} effects of the catalogue are undetectable in these runs." if hidden else ""
+    return said + _outlier_sentence(found)
+
+
+def _missing_sentence(group: EffectGroup) -> str:
+    first, *others = group.effects
+    said = f"{first} is missing on {', '.join(group.channels)}."
+    if group.covariate is not None:
+        said += f" The residual of {group.residual.channel} depends on {group.covariate.phrase}."
+    if others:
+        rest = len(others) - _MOST_NAMED
+        names = [*others[:_MOST_NAMED], *([f"{rest} more"] if rest > 0 else [])]
+        said += f" {' and '.join(names)} would fit as well: these runs cannot distinguish them."
+    return said
+
+
+def _structure_sentence(found: Diagnosis) -> str:
+    strongest = found.strongest
+    assert strongest is not None
+    if strongest.step:
+        return f"The residual of {strongest.channel} has a {strongest.step}: no effect of the catalogue happens once."
+    phrases = " and ".join(covariate.phrase for covariate in strongest.covariates)
+    said = (
+        f"The residual of {strongest.channel} depends on {phrases} in a way that no effect of the catalogue explains."
+    )
+    parts = [f"{group.effects[0]} on {', '.join(group.channels)}" for group in found.nearest]
+    return f"{said} Explained in part by {'; '.join(parts)}." if parts else said
+
+
+def _noise_sentence(found: Diagnosis) -> str:
+    adopted = [f"{noise.effect} on {', '.join(noise.channels)}" for noise in found.noise if noise.adopted]
+    return f"The noise model is inadequate: {' and '.join(adopted)}. With it corrected, no effect is missing."
+
+
+def _outlier_sentence(found: Diagnosis) -> str:
+    if not found.outliers:
+        return ""
+    worst, count = found.outliers[0], len(found.outliers)
+    where = f"{worst.channel} in row {worst.row} of run {worst.run}, {abs(worst.distance):.0f} standard deviations"
+    return f" {count} outliers, the largest {where}." if count > 1 else f" One outlier: {where}."
+
+
+def _asked_sentence(found: Diagnosis) -> str:
+    asked = found.asked
+    assert asked is not None
+    if found.verdict == "missing_effect":
+        return f"{asked.effect} is missing, or an effect that resembles it: p = {found.p_global:.2g}."
+    if found.verdict == "adequate":
+        size = f"{significant(asked.smallest_detectable)} {pretty(asked.unit)}"
+        return f"{asked.effect} is absent down to {size}, the size that is detected with 80 % power."
+    hidden = found.undetectable[0]
+    absorbed = ", ".join(f"{percent(each.share)} in {each.parameter}" for each in hidden.absorbed_by[:3])
+    why = f"absorbed by the model, {absorbed}" if absorbed else _reason(hidden)
+    return f"These runs cannot show {asked.effect}: {why}."
+
+
+def _reason(hidden: UndetectableEffect) -> str:
+    if hidden.reason == "not_supplied":
+        return f"no run supplies {', '.join(hidden.needs) or 'what it needs'}"
+    return {"absorbed": "the model absorbs it", "noise": "its largest typical size is below the noise"}[hidden.reason]
+
+
+def next_command(found: Diagnosis) -> str:
+    """Return the command to run next; empty for an answer about one effect."""
+    result, choice = found.result, found.suggested
+    if found.asked is not None:
+        return ""
+    if choice is not None:
+        channels = f" --channels {' '.join(choice.channels)}" if choice.channels else ""
+        return f"imubayes add {choice.effect} --to {result} --out {result}-{choice.effect}{channels}"
+    if found.verdict == "unexplained_structure":
+        printable = any(structure.python for structure in found.structure)
+        return f"imubayes diagnose {result} --python > found_shape.py" if printable else f"imubayes compare {result}"
+    return f"imubayes fit … --out {result}" if found.verdict == "not_converged" else f"imubayes plant --result {result}"
+
+
+def effect_source(found: Diagnosis) -> str:
+    """Return the effect class written for the strongest unexplained structure.
 
     Raises
     ------
     InputError
-        where the diagnosis found no pattern that a formula describes.
+        where no structure has a formula.
     """
-    for one in facts.get("structure", ()):
-        if one.get("python"):
-            return str(one["python"])
+    source = next((structure.python for structure in found.structure if structure.python), "")
+    if source:
+        return source
     raise InputError(
         Issue(
             "there is no effect class to print",
-            f"diagnosis: {facts['verdict']}",
+            f"diagnosis: {found.verdict}",
             "unexplained_structure, with a formula",
-            f"do what the diagnosis says next: {facts.get('next') or 'nothing'}",
+            f"do what the diagnosis says next: {next_command(found) or 'nothing'}",
         )
     )
 
 
-def diagnosis_lines(facts: Facts, picture: Path | None = None) -> list[str]:
-    """Return the answer: a sentence, what to expect of it, the picture and the next command.
-
-    Parameters
-    ----------
-    facts : the diagnosis.
-    picture : the file that shows it.
-    """
-    lines = [str(facts["sentence"])]
-    if facts["groups"]:
-        lines.append(_expected(facts))
-        lines += [one for one in (_separating(facts["groups"]),) if one]
-    elif facts["verdict"] == "not_converged":
-        lines.append("Candidates are not ranked about a fit that did not converge.")
-    if picture is not None:
-        lines.append(f"picture: {picture}")
-    if facts.get("next"):
-        lines.append(f"next: {facts['next']}")
-    return lines
-
-
-def _expected(facts: Facts) -> str:
-    best, looks = facts["groups"][0], facts.get("looks") or 0
-    after = f" after {looks:.0f} looks" if looks else ""
-    rms = best.get("residual")
-    left = (
-        f" and the residual of {rms['channel']} from {significant(rms['before'])} to {significant(rms['after'])} "
-        f"{pretty(rms['unit'])} rms"
-        if rms
-        else ""
-    )
+def _prediction(found: Diagnosis) -> str:
+    best = found.groups[0]
+    rms = best.residual
     return (
-        f"Expected of adding it: chi2 falls by {significant(best['delta_chi2'])}, counted in the noise that is then "
-        f"left,{left}; chance {chance_text(best['p_global'])}{after}."
+        f"Predicted for adding it: Δχ² {significant(best.delta_chi2)}, in units of the noise that then remains; "
+        f"residual of {rms.channel} {significant(rms.before)} → {significant(rms.after)} {pretty(rms.unit)} rms; "
+        f"p {_relation(best.p_global)} corrected for {found.looks:.0f} looks."
     )
 
 
-def _separating(groups: Sequence[Facts]) -> str:
-    best = groups[0]
-    if len(best["effects"]) < 2:
-        return ""
-    how = f" To tell them apart: {best['separating_run']}." if best.get("separating_run") else ""
-    return f"These fit alike: {', '.join(best['effects'])}.{how}"
+def _relation(p: float) -> str:
+    text = chance_text(p)
+    return text if text.startswith("<") else f"= {text}"
+
+
+def _discriminating_run(group: EffectGroup) -> list[str]:
+    if len(group.effects) < 2:
+        return []
+    run = f" Discriminating run: {group.separating_run}." if group.separating_run else ""
+    return [f"Indistinguishable in these runs: {', '.join(group.effects)}.{run}"]
 
 
 def chance_text(p: float | None) -> str:
-    """Return a chance: two digits, and a power of ten where it is small."""
+    """Return a p-value: two digits, and a power of ten where it is small."""
     if p is None:
         return "–"
     return f"{p:.2g}" if p >= 1e-3 else ("< 1e-30" if p < 1e-30 else f"{p:.0e}".replace("e-0", "e-"))
 
 
-def ranking_sheet(facts: Facts, effect: str = "") -> Sheet:
-    """Return every candidate in order of evidence; those of one group carry its number."""
-    ranking = [one for one in facts.get("ranking", ()) if not effect or one["effect"] == effect]
-    whole = len(ranking)
-    if not effect:
-        # One line an effect: the channels on which it has most evidence.
-        best: dict[str, Facts] = {}
-        for one in ranking:
-            best.setdefault(one["effect"], one)
-        ranking = list(best.values())
+def ranking_sheet(found: Diagnosis) -> Sheet:
+    """Return the candidates in order of evidence, each with its equivalence group.
+
+    One line per effect, on the channels with the strongest evidence; all lines of an effect that was asked about.
+    """
+    ranking: Sequence[RankedEffect] = found.ranking
+    if found.asked is None:
+        best: dict[str, RankedEffect] = {}
+        for line in found.ranking:
+            best.setdefault(line.effect, line)
+        ranking = list(best.values())[:_MOST_RANKED]
     group = {
-        (one["effect"], tuple(one["channels"])): place
-        for place, each in reversed(list(enumerate(facts["groups"], 1)))
-        for one in each["candidates"]
+        (member.effect, member.channels): str(place)
+        for place, each in reversed(list(enumerate(found.groups, 1)))
+        for member in each.candidates
     }
     rows, slim = [], []
-    for one in ranking[: None if effect else _MOST_RANKED]:
-        strong = one["p_global"] is not None and one["p_global"] < facts["threshold"]
-        number = group.get((one["effect"], tuple(one["channels"])))
-        name, drop = Cell(one["effect"]), Cell(significant(one["delta_chi2"]))
-        chance = Cell(chance_text(one["p_global"]), "bad" if strong else "dim")
-        mark = Cell("" if number is None else str(number))
-        rows.append(
-            (name, Cell(listed(one["channels"], 3)), Cell(_coefficient(one)), drop, Cell(str(one["dof"])), chance, mark)
-        )
-        slim.append((name, Cell(_coefficient(one, short=True)), drop, chance, mark))
-    left = whole - len(rows)
-    note = f"{left} more in {DIAGNOSIS}. " if left > 0 else ""
-    note += (
-        "chi2 would fall by Δχ² if the effect were added; the chance is that of any candidate doing so well where "
-        "nothing is missing. Candidates of one group cannot be told apart by these runs."
+    for line in ranking:
+        name, drop = Cell(line.effect), Cell(significant(line.delta_chi2))
+        p = Cell(chance_text(line.p_global), "bad" if line.p_global < found.threshold else "dim")
+        mark = Cell(group.get((line.effect, line.channels), ""))
+        on, size = Cell(listed(line.channels, 3)), Cell(_coefficient(line))
+        rows.append((name, on, size, drop, Cell(str(line.dof)), p, mark))
+        slim.append((name, Cell(_coefficient(line, short=True)), drop, p, mark))
+    note = _more(len(found.ranking) - len(rows)) + (
+        "Δχ²: predicted drop of χ² if the effect were added; p: probability that the best of all candidates does so "
+        "well where nothing is missing. These runs cannot distinguish the candidates of one group."
     )
-    head = ("effect", "on", "coefficient", "Δχ²", "dof", "chance", "group")
+    head = ("effect", "on", "coefficient", "Δχ²", "dof", "p", "group")
     title = "Candidates in order of evidence"
-    narrow = Sheet(title, ("effect", "coefficient", "Δχ²", "chance", "group"), slim, (0, 1), "", note)
+    narrow = Sheet(title, ("effect", "coefficient", "Δχ²", "p", "group"), slim, (0, 1), "", note)
     return Sheet(title, head, rows, (0, 1, 2), "", note, narrow=narrow)
 
 
-def _coefficient(line: Facts, short: bool = False) -> str:
-    """Return the coefficient that stands out most, in short, and the shape that was scanned."""
-    known = [one for one in line["coefficients"] if one["value"] is not None]
+def _more(count: int) -> str:
+    return f"{count} more in diagnosis.json. " if count > 0 else ""
+
+
+def _coefficient(line: RankedEffect, short: bool = False) -> str:
+    """Return the most significant coefficient, and the shape that was scanned."""
+    known = [(each, each.value) for each in line.coefficients if each.value is not None]
     if not known:
         return "–"
-    best = max(known, key=lambda one: abs(one["value"]) / (one["sd"] or float("inf")))
-    value, sd = value_and_sd(best["value"], best["sd"])
-    name = best["name"].partition(".")[2] or best["name"]
-    text = f"{value} ± {sd} {pretty(best['unit'])}"
+    best, _ = max(known, key=lambda pair: abs(pair[1]) / (pair[0].sd or float("inf")))
+    value, sd = value_and_sd(best.value, best.sd)
+    text = f"{value} ± {sd} {pretty(best.unit)}"
     if short:
         return text
-    text = f"{name} {text}"
-    shape = ", ".join(
-        f"{key.rpartition('.')[2]} {significant(size)}" for key, size in (line.get("shape") or {}).items()
-    )
-    text += f" at {shape}" if shape else ""
+    shape = ", ".join(f"{key.rpartition('.')[2]} {significant(size)}" for key, size in line.shape.items())
+    text = f"{best.name.partition('.')[2] or best.name} {text}" + (f" at {shape}" if shape else "")
     return text + (f", {len(known) - 1} more" if len(known) > 1 else "")
 
 
-def undetectable_sheet(facts: Facts) -> Sheet:
-    """Return what these runs cannot show, and what would hide it."""
-    rows, without = [], []
-    for one in facts.get("undetectable", ()):
-        if one.get("needs"):
-            without.append(f"{one['effect']} ({', '.join(one['needs'])})")
-            continue
-        hiding = [f"{percent(each['share'])} {each['parameter']}" for each in one["absorbed_by"][:2]]
-        smallest, unit = one.get("smallest_detectable"), pretty(one.get("unit", ""))
-        size = f"{significant(smallest)} {unit}" if smallest is not None else "–"
-        rows.append(
-            (
-                Cell(one["effect"]),
-                Cell(", ".join(hiding) or str(one.get("reason", "–"))),
-                Cell(size),
-                Cell(_shift(one.get("bias"))),
-            )
-        )
-    note = "Not seen is not absent: these effects may be there, and no statement is made about them." if rows else ""
-    note += f" No run supplies what these need: {', '.join(without)}." if without else ""
+def undetectable_sheet(found: Diagnosis) -> Sheet:
+    """Return the effects that these runs cannot show, and what absorbs them."""
+    hidden = [each for each in found.undetectable if each.reason != "not_supplied"]
+    without = [f"{each.effect} ({', '.join(each.needs)})" for each in found.undetectable if each not in hidden]
+    rows = []
+    for each in hidden:
+        absorbed = ", ".join(f"{percent(part.share)} {part.parameter}" for part in each.absorbed_by[:2])
+        smallest = each.smallest_detectable
+        size = f"{significant(smallest)} {pretty(each.unit)}" if smallest is not None else "–"
+        rows.append((Cell(each.effect), Cell(absorbed or _reason(each)), Cell(size), Cell(_bias(each.bias))))
+    note = ""
     if rows:
-        note += " The last column is what the largest usual size of an effect, there and not seen, does to a parameter."
-    head = ("effect", "would hide in", "smallest seen", "would shift")
-    return Sheet("What these runs cannot show", head, rows, (0, 1, 3), "", note)
+        note = (
+            "Undetectable is not absent: no statement is made about these effects. The last column is the bias of the "
+            "most affected parameter where an effect is present at its largest typical size."
+        )
+    note += f" No run supplies what these need: {', '.join(without)}." if without else ""
+    head = ("effect", "absorbed by", "smallest detectable", "would bias")
+    return Sheet("Undetectable in these runs", head, rows, (0, 1, 3), "", note.strip())
 
 
-def _shift(bias: Facts | None) -> str:
-    """Return the parameter that an effect shifts most while it goes unseen."""
-    if not bias or abs(bias["in_sd"]) < _SMALL_SHIFT:
+def _bias(bias: ParameterBias | None) -> str:
+    if bias is None or abs(bias.in_sd) < _SMALL_BIAS:
         return "–"
-    size = f"{significant(abs(bias['value']))} {pretty(bias['unit'])}"
-    return f"{bias['parameter']} by {size}, {significant(abs(bias['in_sd']))} sd"
+    size = f"{significant(abs(bias.value))} {pretty(bias.unit)}"
+    return f"{bias.parameter} by {size}, {significant(abs(bias.in_sd))} sd"
 
 
-def structure_sheet(facts: Facts) -> Sheet:
-    """Return the patterns found in the residuals, whatever their cause."""
-    patterns = facts.get("structure", ())
+def structure_sheet(found: Diagnosis) -> Sheet:
+    """Return the significant structure of the residuals, whatever its cause."""
+    rows = []
+    for each in found.structure[:_MOST_STRUCTURES]:
+        size = each.coefficient
+        height = f"{significant(size.value)} {pretty(size.unit)}" if size is not None else ""
+        form = Cell(" ".join(part for part in (each.shape, height) if part))
+        rows.append((Cell(each.channel), Cell(each.covariate), Cell(each.test), Cell(chance_text(each.p), "bad"), form))
+    head = ("channel", "depends on", "test", "p", "form")
+    note = _more(len(found.structure) - len(rows)).strip()
+    return Sheet("Structure in the residuals, whatever its cause", head, rows, (0, 1, 2, 4), "", note)
+
+
+def noise_sheet(found: Diagnosis) -> Sheet:
+    """Return the noise that the model lacks."""
     rows = [
-        (
-            Cell(one["channel"]),
-            Cell(one["covariate"]),
-            Cell(one["test"]),
-            Cell(chance_text(one["p"]), "bad"),
-            Cell(" ".join(part for part in (str(one.get("shape") or ""), _size(one.get("coefficient"))) if part)),
-        )
-        for one in patterns[:_MOST_PATTERNS]
+        (Cell(noise.effect), Cell(listed(noise.channels, 4)), Cell(significant(noise.delta_chi2)), Cell(p))
+        for noise, p in ((noise, chance_text(noise.p)) for noise in found.noise if noise.adopted)
     ]
-    head = ("channel", "depends on", "test", "chance", "shape")
-    left = len(patterns) - len(rows)
-    note = f"{left} more in {DIAGNOSIS}." if left > 0 else ""
-    return Sheet("Patterns in the residuals, whatever their cause", head, rows, (0, 1, 2, 4), "", note)
+    return Sheet("Noise that the model lacks", ("noise", "on", "Δχ²", "p"), rows, (0, 1))
 
 
-def noise_sheet(facts: Facts) -> Sheet:
-    """Return what was found of the noise."""
+def outlier_sheet(found: Diagnosis) -> Sheet:
+    """Return the outliers, the farthest first."""
     rows = [
-        (
-            Cell(str(one.get("effect", ""))),
-            Cell(listed(list(one.get("channels", ())), 4)),
-            Cell(significant(one.get("drop", one.get("delta_chi2")))),
-            Cell(chance_text(one.get("p_global", one.get("p")))),
-        )
-        for one in facts.get("noise", ())
-        if one.get("adopted", True)
+        (Cell(each.run), Cell(each.channel), Cell(str(each.row)), Cell(f"{each.distance:+.1f}"))
+        for each in found.outliers[:_MOST_OUTLIERS]
     ]
-    return Sheet("Noise that the model lacks", ("noise", "on", "Δχ²", "chance"), rows, (0, 1))
-
-
-def far_off_sheet(facts: Facts) -> Sheet:
-    """Return the readings that are far off."""
-    readings = facts.get("far_off", ())
-    rows = [
-        (Cell(one["run"]), Cell(one["channel"]), Cell(str(one["row"])), Cell(f"{one['distance']:+.1f}"))
-        for one in readings[:_MOST_FAR_OFF]
-    ]
-    left = len(readings) - len(rows)
-    note = f"{left} more in {DIAGNOSIS}. " if left > 0 else ""
-    note += "In standard deviations of the other readings. The search went on without them."
-    return Sheet("Readings that are far off", ("run", "channel", "row", "distance"), rows, (0, 1), "", note)
-
-
-def _size(coefficient: Facts | None) -> str:
-    return f"{significant(coefficient['value'])} {pretty(coefficient['unit'])}" if coefficient else ""
-
-
-def asked_lines(facts: Facts, effect: str) -> list[str]:
-    """Return the answer about one effect: found, absent down to a size, or not to be seen by these runs."""
-    lines = [str(facts["sentence"])]
-    hidden = [one for one in facts.get("undetectable", ()) if one["effect"] == effect]
-    for one in hidden[:1]:
-        if any(each["parameter"] in lines[0] for each in one["absorbed_by"]):
-            continue
-        hiding = [f"{percent(each['share'])} would hide in {each['parameter']}" for each in one["absorbed_by"]]
-        lines.append(
-            "; ".join(hiding) + "." if hiding else f"Reason: {one.get('reason', 'no run supplies what it needs')}."
-        )
-    return lines
+    note = _more(len(found.outliers) - len(rows)) + (
+        "Deletion residuals, in standard deviations of the other samples. The search excludes outliers."
+    )
+    return Sheet("Outliers", ("run", "channel", "row", "residual / sd"), rows, (0, 1), "", note)

@@ -1,69 +1,101 @@
-"""What was planted, and what would have been found of it: lines and a table out of the JSON of `imubayes plant`."""
+"""Injection recovery in words and tables: which effects were injected, and which the diagnosis would have found."""
 
-from collections.abc import Mapping
 from typing import Any
 
-from imubayes.display.diagnosis_report import chance_text
+from imubayes.criticism.injection_recovery import Trial, Trials
+from imubayes.display.diagnosis_report import chance_text, sentence
 from imubayes.display.fit_tables import Cell, Sheet
 from imubayes.display.labels import listed, pretty
+from imubayes.display.report import Report
 from imubayes.display.rounding import percent, significant
 
-Facts = Mapping[str, Any]
+_MOOD = {"first": "", "other name": "weak", "missed": "bad"}
 
 
-def planting_lines(facts: Facts) -> list[str]:
-    """Return the answer in sentences."""
-    count, null = len(facts["effects"]), facts["null"]
-    size = facts["size"]
-    how = (
-        f"so large that adding it would lower chi2 by {significant(size['delta_chi2'])}"
-        if "delta_chi2" in size
-        else f"at {significant(size['typical'])} times the largest size met in practice"
-    )
+def injection_report(trials: Trials) -> Report:
+    """Return what was injected and what was recovered."""
+    return Report(injection_lines(trials), [injection_sheet(trials)])
+
+
+def injection_lines(trials: Trials) -> list[str]:
+    """Return the outcome in sentences."""
     lines = [
-        f"{count} effects planted one by one into simulated data of '{facts['campaign']}', each {how}: "
-        f"{facts['detected']} detected, the right group first for {facts['group_first']}."
+        f"{len(trials.trials)} effects injected one by one into simulated data of '{trials.campaign}', each "
+        f"{_size(trials)}: {trials.detected} detected, the right group first for {trials.group_first}."
     ]
-    if null["draws"]:
-        low, high = null["interval_95"]
+    if trials.nulls:
+        low, high = trials.false_alarm_interval
         lines.append(
-            f"With nothing planted: {null['false_alarms']} false alarms in {null['draws']} draws, a rate of "
-            f"{percent(null['rate'])} (95 % interval {percent(low)} to {percent(high)}; "
-            f"{percent(null['allowed'])} are allowed)."
+            f"Without injection: {trials.false_alarms} false alarms in {len(trials.nulls)} draws, a rate of "
+            f"{percent(trials.false_alarms / len(trials.nulls))} (95 % interval {percent(low)} to {percent(high)}; "
+            f"nominal {percent(trials.threshold)})."
         )
-    missed = [one["effect"] for one in facts["effects"] if not one["detected"]]
+    missed = [trial.effect for trial in trials.trials if not trial.detected]
     if missed:
-        lines.append(f"You would have missed: {', '.join(missed)}.")
-    hidden = [one["effect"] for one in facts["skipped"]]
-    if hidden:
-        lines.append(f"Not planted, because no run shows it or the model takes it up: {listed(hidden, 12)}.")
+        lines.append(f"Missed: {', '.join(missed)}.")
+    if trials.skipped:
+        lines.append(f"Not injected, undetectable in these runs: {listed(list(trials.skipped), 12)}.")
     return lines
 
 
-def planting_sheet(facts: Facts) -> Sheet:
-    """Return a line for each effect planted."""
+def _size(trials: Trials) -> str:
+    typical = trials.size.typical
+    if typical is None:
+        return f"at the size with Δχ² = {significant(trials.size.delta_chi2)}"
+    return f"at {significant(typical)} times the largest typical size"
+
+
+def injection_sheet(trials: Trials) -> Sheet:
+    """Return a line for each effect injected."""
     rows = []
-    for one in facts["effects"]:
-        first = listed(one["first_group"], 2) or one["verdict"]
-        right = "first" if one["group_first"] else ("other name" if one["detected"] else "missed")
-        mood = {"first": "", "other name": "weak", "missed": "bad"}[right]
-        rows.append(
-            (
-                Cell(one["effect"]),
-                Cell(_planted(one["planted"])),
-                Cell(significant(one["delta_chi2"])),
-                Cell(right, mood),
-                Cell(first),
-                Cell(chance_text(one["p_global"])),
-            )
-        )
-    head = ("effect", "planted", "Δχ²", "found", "what came first", "chance")
-    return Sheet("Would I have found it?", head, rows, (0, 1, 3, 4))
+    for trial in trials.trials:
+        outcome = "first" if trial.group_first else ("other name" if trial.detected else "missed")
+        first = listed(trial.effects, 2) or trial.diagnosis.verdict
+        cells = (Cell(trial.effect), Cell(_injected(trial)), Cell(significant(trial.delta_chi2)))
+        rows.append((*cells, Cell(outcome, _MOOD[outcome]), Cell(first), Cell(chance_text(trial.diagnosis.p_global))))
+    head = ("effect", "injected", "Δχ²", "found", "first group", "p")
+    return Sheet("Injection recovery", head, rows, (0, 1, 3, 4))
 
 
-def _planted(planted: list[Facts]) -> str:
-    if not planted:
+def _injected(trial: Trial) -> str:
+    if not trial.planted:
         return "–"
-    first = planted[0]
-    text = f"{first['name'].partition('.')[2]} {significant(first['value'])} {pretty(first['unit'])}"
-    return text + (f", {len(planted) - 1} more" if len(planted) > 1 else "")
+    first, count = trial.planted[0], len(trial.planted)
+    text = f"{first.name.partition('.')[2]} {significant(first.value)} {pretty(first.unit)}"
+    return text + (f", {count - 1} more" if count > 1 else "")
+
+
+def injection_json(trials: Trials) -> dict[str, Any]:
+    """Return the outcome as `imubayes plant --json` prints it."""
+    size, count = trials.size, len(trials.nulls)
+    return {
+        "format": 1,
+        "campaign": trials.campaign,
+        "model": trials.model,
+        "size": {"delta_chi2": size.delta_chi2} if size.typical is None else {"typical": size.typical},
+        "seed": trials.seed,
+        "effects": [
+            {
+                "effect": trial.effect,
+                "planted": [vars(parameter) for parameter in trial.planted],
+                "delta_chi2": trial.delta_chi2,
+                "verdict": trial.diagnosis.verdict,
+                "detected": trial.detected,
+                "group_first": trial.group_first,
+                "first_group": list(trial.effects),
+                "p_global": trial.diagnosis.p_global,
+                "sentence": sentence(trial.diagnosis),
+            }
+            for trial in trials.trials
+        ],
+        "detected": trials.detected,
+        "group_first": trials.group_first,
+        "skipped": [{"effect": name, "reason": reason} for name, reason in trials.skipped.items()],
+        "null": {
+            "draws": count,
+            "false_alarms": trials.false_alarms,
+            "rate": trials.false_alarms / count if count else None,
+            "interval_95": list(trials.false_alarm_interval) if count else None,
+            "allowed": trials.threshold,
+        },
+    }

@@ -1,9 +1,28 @@
-"""The text and HTML by which records show themselves in a terminal and in a notebook; registered by importing this."""
+"""The text and HTML by which records present themselves in a terminal and a notebook, registered on import."""
 
+from imubayes.criticism.diagnosis import Diagnosis
+from imubayes.criticism.injection_recovery import Trials
+from imubayes.criticism.model_history import Tree
+from imubayes.display.addition_report import addition_report
+from imubayes.display.diagnosis_report import diagnosis_report
+from imubayes.display.history_table import history_report
 from imubayes.display.html import summary_html
+from imubayes.display.injection_report import injection_report
+from imubayes.display.report import report_html, report_text
 from imubayes.display.terminal import summary_text
-from imubayes.results.presentation import html_of, text_of
+from imubayes.presentation import html_of, text_of
+from imubayes.results.addition import Addition
 from imubayes.results.result import Result
+
+_REPORTS = {
+    Addition: addition_report,
+    Diagnosis: diagnosis_report,
+    Tree: history_report,
+    Trials: injection_report,
+}
+for _record, _report in _REPORTS.items():
+    text_of.register(_record, lambda record, report=_report: report_text(report(record)))
+    html_of.register(_record, lambda record, report=_report: report_html(report(record)))
 
 
 @text_of.register

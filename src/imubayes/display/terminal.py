@@ -8,10 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from imubayes.display import diagnosis_report as diagnosed
-from imubayes.display.addition_report import addition_text, coefficient_sheet, error_sheet
 from imubayes.display.classical_comparison import beside_sheet, decision_sheet, textbook_sheet, undetermined_sheet
-from imubayes.display.injection_report import planting_lines, planting_sheet
 from imubayes.display.terminal_tables import (
     contribution_table,
     derived_table,
@@ -80,42 +77,3 @@ def print_textbook(facts: Mapping[str, Any]) -> None:
             console.print(terminal(sheet))
     if not facts["estimates"]:
         console.print("The textbook has no evaluation for these runs.", highlight=False)
-
-
-def print_diagnosis(facts: Mapping[str, Any], picture: Path | None = None, effect: str = "") -> None:
-    """Print a diagnosis: the answer, then the evidence; the answer about one effect where one was asked for."""
-    console = Console()
-    if effect:
-        _lines(console, diagnosed.asked_lines(facts, effect))
-        sheets = [diagnosed.ranking_sheet(facts, effect)]
-    else:
-        _lines(console, diagnosed.diagnosis_lines(facts, picture))
-        sheets = [diagnosed.ranking_sheet(facts), diagnosed.noise_sheet(facts), diagnosed.far_off_sheet(facts)]
-        sheets.append(diagnosed.structure_sheet(facts))
-        sheets.append(diagnosed.undetectable_sheet(facts))
-    for sheet in sheets:
-        if sheet.rows:
-            console.print(terminal(sheet))
-
-
-def print_addition(facts: Mapping[str, Any]) -> None:
-    """Print what an addition brought."""
-    console = Console()
-    _lines(console, addition_text(facts))
-    for sheet in (coefficient_sheet(facts), error_sheet(facts), error_sheet(facts, by_run=True)):
-        if sheet.rows and facts["taken"]:
-            console.print(terminal(sheet))
-    console.print(f"next: {facts['next']}", highlight=False, soft_wrap=True)
-
-
-def print_trials(facts: Mapping[str, Any]) -> None:
-    """Print what was planted and what was found of it."""
-    console = Console()
-    _lines(console, planting_lines(facts))
-    if facts["effects"]:
-        console.print(terminal(planting_sheet(facts)))
-
-
-def _lines(console: Console, lines: Iterable[str]) -> None:
-    for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)

@@ -43,6 +43,21 @@ def claim(folder: Path, resume: bool = False) -> None:
         folder.mkdir(parents=True, exist_ok=True)
 
 
+def claim_new(folder: Path, parent: Path | None) -> Path:
+    """Return a folder for the model after `parent`; raises InputError where it holds a result."""
+    if (folder / FIT).exists() or (parent is not None and folder.resolve() == parent.resolve()):
+        raise InputError(
+            Issue(
+                "the folder holds a result already",
+                str(folder),
+                "a folder that does not exist yet: each model tried keeps its own",
+                "choose another --out, or remove the folder",
+            )
+        )
+    claim(folder, resume=True)
+    return folder
+
+
 def _interrupted(folder: Path) -> bool:
     """Tell whether a folder holds a sampling of which there is no result."""
     checkpoint, summary = folder / CHECKPOINT, folder / SUMMARY

@@ -1,100 +1,107 @@
 """`history.json`: the models tried, read from and written to the result folders that hold them."""
 
-import json
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
 
-from imubayes.atomic_files import write_json
-from imubayes.criticism.model_history import Node, Tree, mean_square, node_id
-from imubayes.errors import InputError, Issue
+from imubayes.atomic_files import write_text
+from imubayes.criticism.diagnosis import Diagnosis
+from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, Tree, node_id
+from imubayes.errors import InputError, input_error
 from imubayes.inference.joint_fit import model_hash
 from imubayes.model.bind import Model
+from imubayes.results.addition import Addition, channel_rms
 from imubayes.results.fit_file import campaign_hash
 from imubayes.results.residuals import INPUT_UNIT
+from imubayes.results.result import read_result
 from imubayes.results.summary import Summary
 from imubayes.units import to_si
 
 HISTORY = "history.json"
 
 
-def channel_errors(summary: Summary) -> dict[str, tuple[float, str]]:
-    """Return the residual error of each channel over all runs, and its unit."""
-    found: dict[str, tuple[float, str]] = {}
-    for channel in dict.fromkeys(run.channel for run in summary.runs):
-        runs = [run for run in summary.runs if run.channel == channel]
-        values = [run.rms for run in runs if run.rms is not None for _ in range(run.n)]
-        if values:
-            found[channel] = (mean_square(values), runs[0].unit)
-    return found
-
-
 def first_node(model: Model, summary: Summary, seed: int) -> Node:
     """Return the node of a fit that was made from no other."""
-    data, made = campaign_hash(model), model_hash(model)
-    converged = summary.converged
+    data, made, converged = campaign_hash(model), model_hash(model), summary.converged
     return Node(
         id=node_id(data, made, seed, ""),
         model=model.spec.name,
-        parent=None,
-        children=(),
-        added=(),
-        verdict="",
         chi2=summary.chi2 if converged else None,
         dof=summary.dof if converged else None,
-        rms=channel_errors(summary) if converged else {},
-        delta_chi2={},
-        held_out={},
+        rms=channel_rms(summary) if converged else (),
         data_hash=data,
         model_hash=made,
         seed=seed,
         taken=converged,
         message=summary.message,
-        selected=True,
         floor=noise_floor(model),
     )
 
 
-def noise_floor(model: Model) -> dict[str, tuple[float, str]]:
+def remember(parent: Path, folder: Path, addition: Addition, diagnosis: Diagnosis | None, seed: int) -> None:
+    """Write the node of an addition below that of the result it was made from, which is begun where it has none."""
+    model = addition.result.fit.model
+    try:
+        above = read_node(parent)
+    except InputError:
+        before = read_result(parent)
+        above = first_node(before.fit.model, before.summary, seed)
+        write_node(parent, above)
+    data, made, held_out = campaign_hash(model), model_hash(model), addition.held_out
+    node = Node(
+        id=node_id(data, made, seed, above.id),
+        model=model.spec.name,
+        added=addition.added,
+        verdict=diagnosis.verdict if diagnosis is not None else None,
+        chi2=addition.chi2.after,
+        dof=addition.dof.after,
+        rms=tuple(ChannelRms(channel=each.channel, rms=each.after, unit=each.unit) for each in addition.channels),
+        delta_chi2=ChiSquareDrop(predicted=addition.predicted.delta_chi2, observed=addition.observed.delta_chi2),
+        held_out=held_out.model_copy(update={"each": (), "rates": ()}) if held_out is not None else None,
+        data_hash=data,
+        model_hash=made,
+        seed=seed,
+        taken=addition.taken,
+        message=addition.message,
+        selected=addition.taken,
+        floor=above.floor,
+    )
+    join(parent, folder, node)
+
+
+def noise_floor(model: Model) -> tuple[ChannelRms, ...]:
     """Return the noise of the rows of each channel, of stated or pooled noise of one sample, in input units."""
     campaign, entries = model.campaign, model.entries
-    found = {}
+    found = []
     for place, channel in enumerate(campaign.channels):
         here = (entries.channel == place) & ~entries.closing
         unit = INPUT_UNIT[channel.kind]
         if channel.noise is not None and here.any():
             size = channel.noise * float(np.sqrt(np.mean(1 / entries.samples[here])))
-            found[channel.name] = (size / abs(channel.scale_si * to_si(unit, campaign.site.gravity)), unit)
-    return found
+            scale = abs(channel.scale_si * to_si(unit, campaign.site.gravity))
+            found.append(ChannelRms(channel=channel.name, rms=size / scale, unit=unit))
+    return tuple(found)
 
 
 def write_node(folder: Path, node: Node) -> None:
     """Write `history.json` of a result folder."""
-    write_json(folder / HISTORY, {"format": 1, **asdict(node)})
+    write_text(folder / HISTORY, node.model_dump_json(indent=1) + "\n")
 
 
 def read_node(folder: Path) -> Node:
     """Return the node of a result folder; raises InputError where there is none or it is damaged."""
     file = folder / HISTORY
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        known = {key: value for key, value in content.items() if key in {one.name for one in fields(Node)}}
-        for key in ("rms", "floor"):
-            known[key] = {channel: (float(size), str(unit)) for channel, (size, unit) in known[key].items()}
-        for key in ("children", "added"):
-            known[key] = tuple(known[key])
-        return Node(**known)
-    except (OSError, ValueError, TypeError, AttributeError, KeyError) as error:
-        raise InputError(
-            Issue(
-                "this result has no history" if not file.is_file() else f"the history is damaged ({error})",
-                str(file),
-                "a folder written by `imubayes fit` or `imubayes add`",
-                "correct the path, or run the fit again",
-            )
+        return Node.model_validate_json(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        what = f"the history is damaged ({error})" if file.is_file() else "this result has no history"
+        raise input_error(
+            what,
+            str(file),
+            "a folder written by `imubayes fit` or `imubayes add`",
+            "correct the path, or run the fit again",
         ) from None
 
 
@@ -108,8 +115,8 @@ def join(parent: Path, child: Path, node: Node) -> None:
     """
     above = read_node(parent)
     place = os.path.relpath(child.resolve(), parent.resolve())
-    write_node(child, replace(node, parent=os.path.relpath(parent.resolve(), child.resolve())))
-    write_node(parent, replace(above, children=tuple(dict.fromkeys((*above.children, place)))))
+    write_node(child, node.model_copy(update={"parent": os.path.relpath(parent.resolve(), child.resolve())}))
+    write_node(parent, above.model_copy(update={"children": tuple(dict.fromkeys((*above.children, place)))}))
     if node.selected:
         select(child)
 
@@ -151,19 +158,17 @@ def select(folder: str | Path) -> Tree:
     """
     place = str(Path(folder).resolve())
     tree = read_tree([folder])
+    together = tree.together_with(place)
     if not tree.nodes[place].taken:
-        raise InputError(
-            Issue(
-                f"this model was not taken: {tree.nodes[place].message}",
-                str(folder),
-                ", ".join(shown_place(one) for one in tree.together_with(place) if tree.nodes[one].taken)
-                or "a fit that converged",
-                "select one of these",
-            )
+        raise input_error(
+            f"this model was not taken: {tree.nodes[place].message}",
+            str(folder),
+            ", ".join(shown_place(other) for other in together if tree.nodes[other].taken) or "a fit that converged",
+            "select one of these",
         )
-    for other, chosen in tree.selecting(place).items():
-        if tree.nodes[other].selected != chosen:
-            write_node(Path(other), replace(tree.nodes[other], selected=chosen))
+    for other in together:
+        if tree.nodes[other].selected != (other == place):
+            write_node(Path(other), tree.nodes[other].model_copy(update={"selected": other == place}))
     return read_tree([folder])
 
 

@@ -9,17 +9,17 @@ import xarray
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fit import Fit
 from imubayes.inference.posterior_tree import posterior_tree
+from imubayes.presentation import Presented
 from imubayes.results.fit_file import read_fit
 from imubayes.results.folder_state import POSTERIOR, damaged
-from imubayes.results.presentation import html_of, text_of
 from imubayes.results.residuals import Residuals, residuals_of
 from imubayes.results.result_folder import read_summary_and_residuals, write_result
 from imubayes.results.summarise import summarise
 from imubayes.results.summary import Summary
 
 
-@dataclass(frozen=True)
-class Result:
+@dataclass(frozen=True, repr=False)
+class Result(Presented):
     """A fit with everything that is reported of it; shows itself in a terminal and in a notebook.
 
     Attributes
@@ -79,12 +79,6 @@ class Result:
             return xarray.open_datatree(file, engine="h5netcdf")
         except (OSError, ValueError, KeyError) as error:
             raise InputError(damaged(file, error)) from error
-
-    def __repr__(self) -> str:
-        return text_of(self)
-
-    def _repr_html_(self) -> str | None:
-        return html_of(self)
 
 
 def result_of(fit: Fit, folder: Path | None = None, seed: int = 0, load_seconds: float = 0.0) -> Result:

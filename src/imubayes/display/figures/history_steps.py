@@ -1,10 +1,11 @@
 """How the error fell from model to model, and the tree of models tried."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
+from imubayes.criticism.model_history import Tree
+from imubayes.display.history_table import gain_text
 from imubayes.display.labels import pretty, readable, shortened
 from imubayes.display.marks import line, points
 from imubayes.display.rounding import significant
@@ -90,24 +91,19 @@ def _folded(name: str, room: int) -> str:
 
 
 @themed
-def history_figure(nodes: Sequence[Mapping[str, Any]]) -> Picture:
-    """Return the tree of models tried.
-
-    Parameters
-    ----------
-    nodes : as `imubayes history --json` lists them: depth, folder, parent, added, model, chi2, dof, held_out, taken,
-        selected; each below its parent.
-    """
+def history_figure(tree: Tree) -> Picture:
+    """Return the tree of models tried, a line for each."""
     caption = (
-        "Each line is a model, below the one it was made from: what was added, how well it fits, and what the step did "
-        "for runs that were left out. Filled: the selected model, which is exported. Red: not taken. A good history "
-        "ends at χ²/n near 1 with gains on left-out runs that are many times their standard error."
+        "Each line is a model, below the one it was made from: what was added, its goodness of fit, and the outcome of "
+        "cross-validation. Filled: the selected model, which is exported. Red: not taken. A good history ends at "
+        "χ²/dof near 1, each step with a Δ elpd of many standard errors."
     )
+    nodes = tree.in_order()
     step, columns = 0.3, (0.0, 4.6, 5.7, 6.7)
     height = max(1.2, 0.45 + step * len(nodes))
     figure = picture(9.6, height, "Models tried", caption)
     left, _, right, top = figure.inside
-    heads = ("model", "χ²/dof", "Δχ²", "left-out gain")
+    heads = ("model", "χ²/dof", "Δχ²", "Δ elpd")
     for place, head in zip(columns, heads, strict=True):
         text_at(figure, left + place, top - 0.2, head, size=SMALL, color=QUIET)
     base = top - 0.4 - step * len(nodes)
@@ -115,34 +111,22 @@ def history_figure(nodes: Sequence[Mapping[str, Any]]) -> Picture:
     axes.set_axis_off()
     axes.set(xlim=(0, right - left), ylim=(0, step * len(nodes)))
     where: dict[str, tuple[float, float]] = {}
-    for row, node in enumerate(nodes):
-        x, y = 0.12 + 0.28 * node["depth"], step * (len(nodes) - row - 0.5)
-        where[node["folder"]] = (x, y)
-        if node["parent"] in where:
-            above = where[node["parent"]]
+    for row, (depth, place) in enumerate(nodes):
+        node, parent = tree.nodes[place], tree.parents[place]
+        x, y = 0.12 + 0.28 * depth, step * (len(nodes) - row - 0.5)
+        where[place] = (x, y)
+        if parent in where:
+            above = where[parent]
             line(axes, [above[0], above[0], x], [above[1], y, y], color=FAINT, linewidth=1.2, zorder=1)
-        colour = INK if node["taken"] else RED
-        fill = {
-            "markerfacecolor": BLUE if node["selected"] else "white",
-            "markeredgecolor": BLUE if node["taken"] else RED,
-        }
+        colour = INK if node.taken else RED
+        fill = {"markerfacecolor": BLUE if node.selected else "white", "markeredgecolor": BLUE if node.taken else RED}
         points(axes, [x], [y], "o", 7, BLUE, markeredgewidth=1.3, zorder=3, **fill)
-        title = " ".join(f"+ {one['effect']}" for one in node["added"]) or node["model"]
-        texts = (shortened(title, 46), _ratio(node), significant(node["delta_chi2"].get("found")), _gain(node))
-        for place, (start, text) in enumerate(zip(columns, texts, strict=True)):
-            weight = "bold" if node["selected"] and place == 0 else "normal"
-            shown = axes.text(x + 0.16 if place == 0 else start, y, text, size=SMALL + 0.5, color=colour, weight=weight)
+        ratio = node.chi2_per_dof
+        fit = "–" if ratio is None else f"{ratio:.3f}"
+        texts = (shortened(node.title, 46), fit, significant(node.delta_chi2.observed), gain_text(node))
+        for column, (start, text) in enumerate(zip(columns, texts, strict=True)):
+            weight = "bold" if node.selected and column == 0 else "normal"
+            at = x + 0.16 if column == 0 else start
+            shown = axes.text(at, y, text, size=SMALL + 0.5, color=colour, weight=weight)
             shown.set(va="center_baseline")
     return figure
-
-
-def _ratio(node: Mapping[str, Any]) -> str:
-    return f"{node['chi2'] / node['dof']:.3f}" if node["chi2"] is not None and node["dof"] else "–"
-
-
-def _gain(node: Mapping[str, Any]) -> str:
-    one = node["held_out"]
-    if not one:
-        return "not taken" if not node["taken"] else "–"
-    words = {"not": ", no help", "unclear": ", unclear"}.get(one["verdict"], "")
-    return f"{one['delta']:+.1f} ± {significant(one['se'], 2)}, better for {one['helped']} of {one['of']}{words}"

@@ -1,10 +1,11 @@
-"""The telling residual: of one channel against what the missing effect depends on, before and after it is added."""
+"""The residual of one channel against what a missing effect depends on, before and after the effect is added."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.display.figures.panels import draw_means, limit_of, thinned
 from imubayes.display.labels import pretty, readable
 from imubayes.display.marks import level, line, points, strip
@@ -16,36 +17,24 @@ _WIDTH, _LEGEND, _HEIGHT = 11.5, 2.05, 3.5
 
 
 @themed
-def telling_figure(
-    at: np.ndarray,
-    residual: np.ndarray,
-    explained: np.ndarray,
-    runs: Sequence[str],
-    channel: str,
-    unit: str,
-    against: str,
-    effect: str,
-) -> Picture:
-    """Return the residual against the covariate that tells, and against what the candidate explains of it.
+def evidence_figure(evidence: ResidualEvidence, against: str) -> Picture:
+    """Return the residual against the covariate of a candidate, and against the part that the candidate explains.
 
     Parameters
     ----------
-    at : shape (n,), the covariate; NaN where a row does not have it.
-    residual, explained : shape (n,), in `unit`.
-    runs : of each point.
-    channel, unit : for the labels; a large unit is replaced by one of plain numbers.
-    against : the covariate with its unit, or what stands for it.
-    effect : name of the candidate.
+    evidence : the residual; a large unit is replaced by one of plain numbers.
+    against : the covariate with its unit.
     """
-    factor, shown = readable(unit, float(np.median(np.abs(residual))))
-    residual, explained = residual * factor, explained * factor
+    channel, effect, runs, at = evidence.channel, evidence.effect, evidence.run.tolist(), evidence.at
+    factor, shown = readable(evidence.unit, float(np.median(np.abs(evidence.residual))))
+    residual, explained = evidence.residual * factor, evidence.explained * factor
     caption = (
-        f"Left: each point is a row's residual of {channel}, colours are runs; black marks are what {effect} would "
-        "explain of it, with everything taken out that the model can take up otherwise. Right: one against the other; "
-        "where the candidate is the cause, every run follows the line of slope 1 and scatters about it by noise. "
-        "A good model shows no pattern on the left and a shapeless cloud about zero on the right."
+        f"Left: residual of {channel} in each row; colours are runs; black marks are the part that {effect} explains, "
+        "past what the model can absorb. Right: one against the other; where the candidate is the cause, every "
+        "run follows the line of slope 1 and scatters about it by noise. A good model shows no structure on the "
+        "left and a shapeless cloud about zero on the right."
     )
-    title = f"Residual of {channel} and what {effect} explains of it"
+    title = f"Residual of {channel} and the part that {effect} explains"
     figure = picture(_WIDTH, _HEIGHT, title, caption)
     signs = RunSigns(list(dict.fromkeys(runs)))
     left, bottom, right, top = figure.inside
@@ -62,11 +51,11 @@ def telling_figure(
             order = np.argsort(at, kind="stable")
             good = order[np.isfinite(at[order])]
             points(axes, at[good], explained[good], "D", 2.6, INK, zorder=6)
-            axes.set_title("against what it depends on")
+            axes.set_title("against the covariate")
         else:
             ends = np.array(axes.get_xlim())
             line(axes, ends, ends, color=INK, linewidth=1.3, zorder=6)
-            axes.set_title(f"against what is explained; slope {significant(_slope(x, residual))}")
+            axes.set_title(f"against the explained part; slope {significant(_slope(x, residual))}")
         label = against if column == 0 else f"explained / {pretty(shown)}"
         frame(axes, 6, 5, label, f"residual / {pretty(shown)}")
     signs.legend(figure, right - _LEGEND + 0.3, top, bottom, list(dict.fromkeys(runs)))

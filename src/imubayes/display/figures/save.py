@@ -1,33 +1,28 @@
-"""Pictures of a diagnosis and of an addition, drawn from what stands in a result folder."""
+"""Pictures of a diagnosis and of an addition: which channel and covariate they show, and where they are kept."""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import polars as pl
 
 from imubayes.covariates import shown
-from imubayes.criticism.residual_evidence import Telling
-from imubayes.display.figures.residual_evidence import added_variable_figure, before_after_figure, telling_figure
+from imubayes.criticism.diagnosis import EffectGroup
+from imubayes.criticism.residual_evidence import ResidualEvidence
+from imubayes.display.figures.residual_evidence import added_variable_figure, before_after_figure, evidence_figure
 from imubayes.display.labels import pretty
 from imubayes.display.theme import Picture
 
 _LEVELS, _TIME_LAST = 24, 0.1
 
 
-def save_telling(folder: Path, telling: Telling, facts: Mapping[str, Any]) -> Path:
-    """Draw the telling residual of a diagnosis into the `figures` of its result folder; return the file."""
-    effect = facts["groups"][0]["effects"][0] if facts["groups"] else "the best candidate"
-    if telling.covariate is not None:
-        unit = pretty(telling.covariate.unit)
-        against = f"{telling.covariate.phrase} / {unit}" if unit else telling.covariate.phrase
-    else:
-        against = f"what the effect explains / {pretty(telling.unit)}"
-    drawn = telling_figure(
-        np.asarray(telling.at, dtype=float), np.asarray(telling.residual), np.asarray(telling.explained),
-        telling.run.tolist(), telling.channel, telling.unit, against, effect,
-    )  # fmt: skip
+def save_evidence(folder: Path, evidence: ResidualEvidence) -> Path:
+    """Draw the residual that shows a missing effect into the `figures` of its result folder; return the file."""
+    covariate, unit = evidence.covariate, pretty(evidence.unit)
+    against = f"part explained by the effect / {unit}"
+    if covariate is not None:
+        against = covariate.phrase + (f" / {pretty(covariate.unit)}" if covariate.unit else "")
+    drawn = evidence_figure(evidence, against)
     target = folder / "figures"
     target.mkdir(exist_ok=True)
     return drawn.save(target / "diagnosis.png")
@@ -38,16 +33,16 @@ def before_after(
     after: pl.DataFrame,
     added: str,
     floors: Mapping[str, float] | None = None,
-    telling: Mapping[str, str] | None = None,
+    group: EffectGroup | None = None,
 ) -> Picture | None:
-    """Return the residual of the channel that changed most against what tells; None where the tables do not match.
+    """Return the residual of the channel that changed most against its covariate; None where the tables do not match.
 
     Parameters
     ----------
     before, after : `residuals.parquet` of two fits of one campaign.
     added : the effect.
     floors : channel → noise of one row, input units.
-    telling : `channel` and `covariate` that the diagnosis before named; without them those that changed most.
+    group : of the diagnosis before, whose channel and covariate are shown; without it those that changed most.
     """
     keys = ["run", "row", "channel"]
     joined = before.join(after.select([*keys, pl.col("input_residual").alias("after")]), on=keys, how="inner")
@@ -56,20 +51,19 @@ def before_after(
         return None
     change = ((pl.col("input_residual") - pl.col("after")) / pl.col("input_sd")) ** 2
     channel = joined.group_by("channel").agg(change.sum().alias("worth")).sort("worth")["channel"][-1]
-    named = telling or {}
-    channel = named["channel"] if named.get("channel") in joined["channel"].unique().to_list() else channel
+    if group is not None and group.residual.channel in joined["channel"].unique().to_list():
+        channel = group.residual.channel
+    named = group.covariate.name if group is not None and group.covariate is not None else None
     own = joined.filter(pl.col("channel") == channel)
-    at, label = telling_abscissa(
-        own, own["input_residual"].to_numpy() - own["after"].to_numpy(), named.get("covariate")
-    )
+    at, label = followed_covariate(own, own["input_residual"].to_numpy() - own["after"].to_numpy(), named)
     return before_after_figure(
         at, own["input_residual"].to_numpy(), own["after"].to_numpy(), own["run"].to_list(), channel,
         own["input_unit"][0], label, added, (floors or {}).get(channel),
     )  # fmt: skip
 
 
-def telling_abscissa(own: pl.DataFrame, change: np.ndarray, named: str | None = None) -> tuple[np.ndarray, str]:
-    """Return the covariate that a change follows best, by the means of its levels; the row where none tells.
+def followed_covariate(own: pl.DataFrame, change: np.ndarray, named: str | None = None) -> tuple[np.ndarray, str]:
+    """Return the covariate that a change follows best, by the means of its levels; the row where it follows none.
 
     One that is named goes first where the table has it; time, along which everything changes, goes last.
     """

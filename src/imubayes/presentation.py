@@ -1,4 +1,4 @@
-"""How a record shows itself in a terminal and in a notebook.
+"""How records present themselves in a terminal and in a notebook.
 
 Records stand below what displays them: `imubayes.display.presentation` registers the text and the HTML of each type.
 """
@@ -14,5 +14,15 @@ def text_of(record: object) -> str:
 
 @singledispatch
 def html_of(record: object) -> str | None:
-    """Return a record as HTML for a notebook, None where it has none."""
+    """Return a record as HTML for a notebook; None where it has none."""
     return None
+
+
+class Presented:
+    """Mixin of the records whose text and HTML are registered."""
+
+    def __repr__(self) -> str:
+        return text_of(self)
+
+    def _repr_html_(self) -> str | None:
+        return html_of(self)

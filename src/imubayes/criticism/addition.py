@@ -1,0 +1,110 @@
+"""A model with effects added, refitted from where the old fit stood, and what speaks for or against it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.criticism.cross_validation import CrossValidation, cross_validate, objection, observed_delta_chi2
+from imubayes.criticism.diagnosis import CoefficientEstimate, Diagnosis, ScreenedEffect
+from imubayes.criticism.warm_start import Extension, extend
+from imubayes.errors import InputError, Issue
+from imubayes.inference.fit import Fit
+from imubayes.inference.joint_fit import joint_fit
+from imubayes.records import Record, finite
+
+
+class Prediction(Record):
+    """What an addition was predicted to bring.
+
+    Attributes
+    ----------
+    delta_chi2, coefficients : by the linear model; by the screening where that has no gradient.
+    screened : Δχ² of the screening; None without one.
+    """
+
+    delta_chi2: float | None
+    coefficients: tuple[CoefficientEstimate, ...]
+    screened: float | None
+
+
+@dataclass(frozen=True)
+class Refit:
+    """An extended model after its fit.
+
+    Attributes
+    ----------
+    before : the fit before.
+    extension : the extended model before its fit, with the prediction.
+    fit : the refit.
+    delta_chi2 : observed; NaN where the refit did not converge.
+    objection : why the refit is not taken; empty where nothing speaks against it.
+    held_out : cross-validation; None where there was none.
+    predicted : what was predicted.
+    """
+
+    before: Fit
+    extension: Extension
+    fit: Fit
+    delta_chi2: float
+    objection: str
+    held_out: CrossValidation | None
+    predicted: Prediction
+
+
+def refit_with(
+    before: Fit,
+    effects: Sequence[str],
+    channels: Sequence[str] | None,
+    diagnosis: Diagnosis | None,
+    progress: Callable[[str], None],
+) -> Refit:
+    """Add effects to the model of a fit and fit again from where it stood.
+
+    Parameters
+    ----------
+    before : the fit to start from.
+    effects : names of effects or noise members.
+    channels : for the new effects; all that they can act on where None.
+    diagnosis : of the fit; what it estimates is where coefficients without a gradient, and scanned shapes, start.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for an effect that does not fit, and for a fit that cannot be started from.
+    """
+    if not np.isfinite(before.z).all():
+        raise InputError(
+            Issue(
+                f"there is no fit to go on from: {before.message}",
+                before.model.spec.where,
+                "a fit that converged",
+                "mend what kept the fit from converging, fit again, then add",
+            )
+        )
+    lines = [diagnosis.estimate(effect) for effect in effects] if diagnosis is not None else []
+    screened = [line for line in lines if isinstance(line, ScreenedEffect)]
+    shape, hints = {}, {}
+    for line in screened:
+        shape |= {name if "." in name else f"{line.effect}.{name}": value for name, value in line.shape.items()}
+        hints |= {each.name: each.value for each in line.coefficients if each.value is not None}
+    extension = extend(before, effects, channels, shape, hints)
+    progress("fitting")
+    fit = joint_fit(extension.model, None, start=(extension.z, extension.h), progress=progress)
+    delta_chi2 = observed_delta_chi2(before, extension, fit) if fit.converged else float("nan")
+    against = objection(fit, delta_chi2)
+    unseen = None if against else cross_validate(before, fit, progress)
+    known = screened[0] if len(effects) == 1 and screened else None
+    return Refit(before, extension, fit, delta_chi2, against, unseen, _prediction(extension, known))
+
+
+def _prediction(extension: Extension, screened: ScreenedEffect | None) -> Prediction:
+    drop, coefficients = extension.delta_chi2, extension.coefficients
+    if drop is None and screened is not None:
+        drop, coefficients = screened.delta_chi2, screened.coefficients
+    return Prediction(
+        delta_chi2=None if drop is None else finite(drop),
+        coefficients=tuple(coefficients),
+        screened=screened.delta_chi2 if screened is not None else None,
+    )

@@ -1,0 +1,354 @@
+"""From a converged fit to its diagnosis: the search, the verdict, and everything that supports it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imubayes.criticism import thresholds
+from imubayes.criticism.detectability import Detectability, detectability
+from imubayes.criticism.diagnosis import (
+    MISSING,
+    Amplitude,
+    AskedEffect,
+    CoefficientEstimate,
+    CovariateLabel,
+    Diagnosis,
+    EffectChoice,
+    EffectGroup,
+    FormulaTerm,
+    GroupMember,
+    NearestEffect,
+    NoiseFinding,
+    Outlier,
+    RankedEffect,
+    ResidualStructure,
+    RmsChange,
+    StrongestStructure,
+    UndetectableEffect,
+    Verdict,
+)
+from imubayes.criticism.discriminating_run import separating_run
+from imubayes.criticism.equivalent_effects import EquivalenceGroup
+from imubayes.criticism.formula_search import Formula, coefficient_unit, find_formula
+from imubayes.criticism.lack_of_fit import Structure, dominant_channel
+from imubayes.criticism.localised_structure import STEP
+from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.criticism.residual_evidence import ResidualEvidence, following_covariate, residual_evidence
+from imubayes.criticism.score_test import Candidate
+from imubayes.criticism.stepwise_search import SearchResult, search
+from imubayes.criticism.unexplained_structure import (
+    Significant,
+    channels_of,
+    mostly_step,
+    simplest,
+    unexplained_structure,
+)
+from imubayes.effects.base import Effect
+from imubayes.errors import InputError, Issue
+from imubayes.inference.fit import Fit
+from imubayes.records import finite
+
+
+def judge(fit: Fit, result: str = "RESULT", effect: str = "") -> Diagnosis:
+    """Return the diagnosis of a fit.
+
+    Parameters
+    ----------
+    fit : one that did not converge is not screened.
+    result : its result folder, for the next command.
+    effect : ask about one effect only: whether it is there, absent or undetectable.
+
+    Raises
+    ------
+    InputError
+        where the effect that is asked about does not exist, is noise, or is in the model already.
+    """
+    if effect:
+        _refuse_unknown(effect, fit)
+    if not fit.converged:
+        message = fit.message or "The fit did not converge."
+        return Diagnosis(verdict="not_converged", message=message, result=result)
+    found = search(fit)
+    if effect:
+        return _asked(effect, found, result)
+    unexplained = unexplained_structure(found)
+    verdict = _verdict(found, unexplained)
+    evidence = [_evidence(found, group) for group in found.groups]
+    grouped = zip(found.groups, evidence, strict=True) if verdict in MISSING else ()
+    diagnosis = Diagnosis(
+        verdict=verdict,
+        result=result,
+        p_global=_best(found),
+        groups=tuple(_group(fit, group, residual) for group, residual in grouped),
+        ranking=_ranking(found),
+        noise=_noise(found),
+        undetectable=_undetectable(found),
+        nearest=_nearest(found) if verdict == "unexplained_structure" else (),
+        structure=_structures(found, unexplained),
+        looks=found.look_elsewhere.looks,
+        outliers=_outliers(found),
+        suggested=_suggested(found, verdict),
+        strongest=_strongest(found) if verdict == "unexplained_structure" else None,
+    )
+    return diagnosis.with_evidence(evidence[0] if evidence else None)
+
+
+def _refuse_unknown(effect: str, fit: Fit) -> None:
+    where = f"effect '{effect}'"
+    member = fit.model.registry.find(effect, where)
+    if not issubclass(member, Effect):
+        raise InputError(
+            Issue(f"'{effect}' is noise, not an effect", where, "an effect", "ask without it: noise is always judged")
+        )
+    if any(spec.name == effect and spec.channels is None for spec in fit.model.spec.effects):
+        raise InputError(
+            Issue(
+                f"'{effect}' is in the model already",
+                fit.model.spec.where,
+                "an effect that the model lacks",
+                "see its estimate in the summary of the fit",
+            )
+        )
+
+
+def _verdict(found: SearchResult, unexplained: Sequence[Significant]) -> Verdict:
+    if unexplained:
+        return "unexplained_structure"
+    if found.groups:
+        return "missing_effect" if len(found.groups[0].members) == 1 else "equivalent_effects"
+    return "noise_model" if found.adopted else "adequate"
+
+
+def _asked(effect: str, found: SearchResult, result: str) -> Diagnosis:
+    """Return the answer for one effect: found, absent down to a size, or undetectable."""
+    lines = tuple(line for line in _ranking(found) if line.effect == effect)
+    known = next((each for each in _detectabilities(found) if each.effect == effect), None)
+    best = min((line.p_global for line in lines), default=1.0)
+    undetectable: tuple[UndetectableEffect, ...] = ()
+    if best < thresholds.FALSE_ALARM_EFFECT:
+        verdict: Verdict = "missing_effect"
+    elif known is not None and not known.undetectable:
+        verdict = "adequate"
+    else:
+        verdict = "undetectable"
+        needs = found.responses.unobservable.get(effect, ())
+        undetectable = (_hidden(known) if known is not None else _not_supplied(effect, needs),)
+    smallest = finite(known.smallest_detectable) if known is not None else None
+    return Diagnosis(
+        verdict=verdict,
+        result=result,
+        p_global=best,
+        ranking=lines,
+        undetectable=undetectable,
+        asked=AskedEffect(effect=effect, smallest_detectable=smallest, unit=known.unit if known is not None else ""),
+    )
+
+
+def _best(found: SearchResult) -> float:
+    return found.look_elsewhere(min((candidate.p for candidate in found.first.candidates), default=1.0))
+
+
+def _ranking(found: SearchResult) -> tuple[RankedEffect, ...]:
+    return tuple(
+        RankedEffect(
+            effect=candidate.effect,
+            channels=candidate.owners,
+            delta_chi2=candidate.delta_chi2,
+            dof=candidate.dof,
+            p=candidate.p,
+            p_global=found.look_elsewhere(candidate.p),
+            within_runs=candidate.score.within_runs,
+            shape=dict(candidate.scan.shape),
+            coefficients=_coefficients(candidate),
+        )
+        for candidate in found.first.candidates
+    )
+
+
+def _coefficients(candidate: Candidate) -> tuple[CoefficientEstimate, ...]:
+    return tuple(
+        CoefficientEstimate(
+            name=coefficient.parameter.name,
+            value=finite(value),
+            sd=finite(sd),
+            unit=coefficient.parameter.unit,
+        )
+        for coefficient, value, sd in zip(candidate.coefficients, candidate.value, candidate.sd, strict=True)
+    )
+
+
+def _evidence(found: SearchResult, group: EquivalenceGroup) -> ResidualEvidence:
+    projection, leader = found.first.projection, group.leader
+    response = next(each for each in found.first.prepared if each.response.scan == leader.scan)
+    names = [channel.name for channel in projection.fitted.model.campaign.channels]
+    channel = dominant_channel(projection, names, leader.score)
+    covariate = following_covariate(projection, found.first.structures, leader, channel)
+    return residual_evidence(projection, found.responses, response, leader, channel, covariate)
+
+
+def _group(fit: Fit, group: EquivalenceGroup, evidence: ResidualEvidence) -> EffectGroup:
+    leader, separation = group.leader, separating_run(fit, group)
+    before, after, unit = evidence.rms
+    return EffectGroup(
+        effects=group.effects,
+        channels=leader.owners,
+        delta_chi2=leader.delta_chi2,
+        dof=leader.dof,
+        p_global=group.p,
+        candidates=tuple(
+            GroupMember(
+                effect=member.effect,
+                channels=member.owners,
+                delta_chi2=member.delta_chi2,
+                shape=dict(member.scan.shape),
+                coefficients=_coefficients(member),
+                unexplained=unexplained,
+            )
+            for member, unexplained in zip(group.members, group.unexplained, strict=True)
+        ),
+        residual=RmsChange(channel=evidence.channel, before=before, after=after, unit=unit),
+        covariate=_label(evidence.covariate) if evidence.covariate is not None else None,
+        separating_run=separation.sentence if separation is not None else "",
+    )
+
+
+def _label(covariate: ResidualCovariate) -> CovariateLabel:
+    return CovariateLabel(name=covariate.name, unit=covariate.unit, phrase=covariate.phrase)
+
+
+def _nearest(found: SearchResult) -> tuple[NearestEffect, ...]:
+    return tuple(
+        NearestEffect(effects=group.effects, channels=group.leader.owners, delta_chi2=group.leader.delta_chi2)
+        for group in found.groups
+    )
+
+
+def _noise(found: SearchResult) -> tuple[NoiseFinding, ...]:
+    adopted = {(noise.effect, noise.channels) for noise in found.adopted}
+    return tuple(
+        NoiseFinding(
+            effect=noise.effect,
+            channels=noise.channels,
+            value=noise.value,
+            p=noise.p,
+            delta_chi2=noise.drop,
+            adopted=(noise.effect, noise.channels) in adopted,
+        )
+        for noise in found.noise
+    )
+
+
+def _detectabilities(found: SearchResult) -> list[Detectability]:
+    """Return how well each effect can be detected, by its best coefficient and shape."""
+    best: dict[str, Detectability] = {}
+    for response in found.first.prepared:
+        seen = detectability(
+            found.first.projection, response, thresholds.FALSE_ALARM_EFFECT, found.look_elsewhere.looks
+        )
+        known = best.get(seen.effect)
+        if known is None or seen.smallest_detectable / seen.typical[1] < known.smallest_detectable / known.typical[1]:
+            best[seen.effect] = seen
+    return list(best.values())
+
+
+def _undetectable(found: SearchResult) -> tuple[UndetectableEffect, ...]:
+    hidden = [_hidden(each) for each in _detectabilities(found) if each.undetectable]
+    return (*hidden, *(_not_supplied(name, needs) for name, needs in found.responses.unobservable.items()))
+
+
+def _hidden(seen: Detectability) -> UndetectableEffect:
+    return UndetectableEffect(
+        effect=seen.effect,
+        absorbed_by=seen.absorbed_by,
+        reason="absorbed" if seen.retained < 0.5 else "noise",
+        retained=seen.retained,
+        smallest_detectable=finite(seen.smallest_detectable),
+        typical=seen.typical,
+        unit=seen.unit,
+        bias=seen.bias,
+    )
+
+
+def _not_supplied(effect: str, needs: tuple[str, ...]) -> UndetectableEffect:
+    return UndetectableEffect(effect=effect, reason="not_supplied", needs=needs)
+
+
+def _structures(found: SearchResult, unexplained: Sequence[Significant]) -> tuple[ResidualStructure, ...]:
+    """Return the significant structures, with a formula for each channel where no effect explains them."""
+    channels = dict.fromkeys(structure.channel for structure, _ in unexplained)
+    # What happens once in one run has no formula in what runs share.
+    lasting = [name for name in channels if not mostly_step(name, unexplained)][: thresholds.MAX_FORMULAS]
+    formulas = {name: find_formula(found.first.projection, found.covariates, name) for name in lasting}
+    listed = simplest(unexplained or found.structures)
+    return tuple(_structure(found, structure, p, formulas.get(structure.channel)) for structure, p in listed)
+
+
+def _structure(found: SearchResult, structure: Structure, p: float, formula: Formula | None) -> ResidualStructure:
+    step = structure.test == STEP
+    plain = ResidualStructure(
+        channel=structure.channel,
+        covariate=" × ".join(covariate.name for covariate in structure.covariates),
+        test=structure.test if step else f"{structure.test} {structure.text}".strip(),
+        p=float(p),
+        shape=structure.text if step else "",
+        coefficient=_height(found, structure),
+    )
+    if formula is None or step:
+        return plain
+    terms = tuple(
+        FormulaTerm(shape=term.text, value=value, sd=finite(sd), unit=unit, delta_chi2=drop, p_global=chance)
+        for term, value, sd, unit, drop, chance in zip(
+            formula.terms, formula.value, formula.sd, formula.unit, formula.delta_chi2, formula.p, strict=True
+        )
+    )
+    first = Amplitude(value=terms[0].value, sd=terms[0].sd, unit=terms[0].unit)
+    content = {"shape": formula.text, "coefficient": first, "terms": terms, "inclusion": formula.inclusion}
+    return plain.model_copy(update=content | {"near": formula.near, "python": formula.python})
+
+
+def _height(found: SearchResult, structure: Structure) -> Amplitude | None:
+    """Return the height of a step at the input."""
+    if structure.height is None:
+        return None
+    campaign = found.first.projection.fitted.model.campaign
+    channel = next(each for each in campaign.channels if each.name == structure.channel)
+    factor, unit = coefficient_unit(channel.kind, channel.scale_si, campaign.site.gravity)
+    height, sd = structure.height
+    return Amplitude(value=height / factor, sd=finite(sd / factor), unit=unit)
+
+
+def _strongest(found: SearchResult) -> StrongestStructure:
+    structures = found.remaining or found.structures
+    step = next((structure for structure, _ in structures if structure.test == STEP), None)
+    if step is not None and mostly_step(step.channel, structures):
+        return StrongestStructure(channel=step.channel, covariates=(), step=step.text)
+    first = structures[0][0]
+    return StrongestStructure(channel=first.channel, covariates=tuple(_label(each) for each in first.covariates))
+
+
+def _outliers(found: SearchResult) -> tuple[Outlier, ...]:
+    """Return the outlying samples, the farthest first."""
+    model, distance = found.first.projection.fitted.model, found.outlier_sd
+    runs, channels, entries = model.campaign.runs, model.campaign.channels, model.entries
+    return tuple(
+        Outlier(
+            run=runs[entries.run[place]].name,
+            channel=channels[entries.channel[place]].name,
+            row=int(entries.row[place]) + 1,
+            distance=float(distance[place]),
+        )
+        for place in np.argsort(-np.abs(distance), kind="stable")[: np.count_nonzero(distance)]
+    )
+
+
+def _suggested(found: SearchResult, verdict: Verdict) -> EffectChoice | None:
+    """Return the effect or noise to add next; its channels where they are not all on which it was screened."""
+    if verdict == "noise_model":
+        return EffectChoice(effect=found.adopted[0].effect, channels=None)
+    if verdict not in MISSING:
+        return None
+    leader = found.groups[0].leader
+    channels = channels_of(found, leader)
+    same = [candidate for candidate in found.first.candidates if candidate.effect == leader.effect]
+    everywhere = {name for candidate in same for name in channels_of(found, candidate)}
+    return EffectChoice(effect=leader.effect, channels=channels if set(channels) != everywhere else None)

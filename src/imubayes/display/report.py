@@ -1,0 +1,53 @@
+"""A report free of its medium: sentences, tables, closing lines; shown on a terminal, as text and as HTML."""
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+from rich.console import Console
+
+from imubayes.display.fit_tables import Sheet
+from imubayes.display.html import sheet_html
+from imubayes.display.terminal_tables import terminal
+
+
+@dataclass(frozen=True)
+class Report:
+    """Lines said first, tables of evidence (those without rows are left out), and lines said last."""
+
+    lines: Sequence[str]
+    sheets: Sequence[Sheet] = ()
+    closing: Sequence[str] = ()
+
+
+def print_report(report: Report, console: Console | None = None) -> None:
+    """Print a report on a terminal."""
+    console = console or Console()
+    _print_lines(console, report.lines)
+    for sheet in report.sheets:
+        if sheet.rows:
+            console.print(terminal(sheet))
+    _print_lines(console, report.closing)
+
+
+def report_text(report: Report, width: int = 120) -> str:
+    """Return a report as plain text."""
+    buffer = io.StringIO()
+    print_report(report, Console(file=buffer, width=width, color_system=None))
+    return buffer.getvalue().rstrip("\n")
+
+
+def report_html(report: Report) -> str:
+    """Return a report as HTML for a notebook."""
+    tables = "".join(sheet_html(sheet) for sheet in report.sheets if sheet.rows)
+    return _paragraphs(report.lines) + tables + _paragraphs(report.closing)
+
+
+def _paragraphs(lines: Sequence[str]) -> str:
+    return "".join(f"<p>{escape(line)}</p>" for line in lines)
+
+
+def _print_lines(console: Console, lines: Sequence[str]) -> None:
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)

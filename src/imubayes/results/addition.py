@@ -1,0 +1,175 @@
+"""The record of an addition: what was predicted and observed, cross-validation, residual rms before and after."""
+
+from typing import Literal
+
+import numpy as np
+import polars as pl
+from pydantic import PrivateAttr
+
+from imubayes.criticism.addition import Prediction, Refit
+from imubayes.criticism.cross_validation import CrossValidation
+from imubayes.criticism.diagnosis import CoefficientEstimate, EffectChoice, RmsChange
+from imubayes.criticism.model_history import ChannelRms
+from imubayes.criticism.warm_start import Extension
+from imubayes.presentation import Presented
+from imubayes.records import Record, finite
+from imubayes.results.result import Result
+from imubayes.results.summary import Summary
+
+
+class RunRmsChange(Record):
+    """Residual rms of one channel in one run before and after an addition; `n` entries."""
+
+    name: str
+    channel: str
+    n: int
+    before: float | None
+    after: float | None
+    unit: str
+
+
+class BeforeAfter(Record):
+    """A number of the fit before and after an addition; None where it is unknown, or the refit is not taken."""
+
+    before: float | None
+    after: float | None
+
+
+class Observation(Record):
+    """What the refit found: Δχ² at the noise scales of the fit before, and the new parameters."""
+
+    delta_chi2: float | None
+    coefficients: tuple[CoefficientEstimate, ...]
+
+
+class Addition(Presented, Record):
+    """An addition to a model with the facts before and after.
+
+    Attributes
+    ----------
+    added : effects with their channels.
+    widened : priors widened because the estimate lies outside the typical range, by ``effect.parameter``.
+    taken, message : whether the refit converged and is no worse than the fit before, and why not.
+    predicted, observed : Δχ² and coefficients before and after the refit.
+    held_out : cross-validation; None where there was none.
+    runs, channels : residual rms in input units; empty where the refit is not taken.
+    parent, folder : result folders before and after; None where there are none.
+    """
+
+    __repr__ = Presented.__repr__
+
+    format: Literal[2] = 2
+    added: tuple[EffectChoice, ...]
+    widened: dict[str, str]
+    taken: bool
+    message: str
+    predicted: Prediction
+    observed: Observation
+    held_out: CrossValidation | None
+    runs: tuple[RunRmsChange, ...]
+    channels: tuple[RmsChange, ...]
+    chi2: BeforeAfter
+    dof: BeforeAfter
+    log_evidence: BeforeAfter
+    parent: str | None
+    folder: str | None
+    _result: Result | None = PrivateAttr(None)
+
+    @property
+    def result(self) -> Result:
+        """The refit; of an addition that was read from a folder, read it with `read_result`."""
+        if self._result is None:
+            raise AttributeError("the refit of an addition that was read from a folder: imubayes.read_result(folder)")
+        return self._result
+
+    def with_result(self, result: Result) -> "Addition":
+        """Return the same record with its refit."""
+        copy = self.model_copy()
+        copy._result = result
+        return copy
+
+
+def addition_of(refit: Refit, before: Summary, after: Summary, parent: str | None, folder: str | None) -> Addition:
+    """Return the record of an addition, from the refit and the summaries before and after."""
+    taken = not refit.objection
+    model, new = refit.extension.model, refit.extension.new.tolist()
+    known = {parameter.name for parameter in before.parameters}
+    fresh = {name for name, is_new in zip(model.layout.names, new, strict=True) if is_new}
+    fresh |= {name for name in model.hyper_layout.names if name not in known}
+    added = model.spec.effects[len(refit.before.model.spec.effects) :]
+    return Addition(
+        added=tuple(EffectChoice(effect=spec.name, channels=spec.channels) for spec in added),
+        widened=dict(refit.extension.widened),
+        taken=taken,
+        message=refit.objection,
+        predicted=refit.predicted,
+        observed=Observation(
+            delta_chi2=finite(refit.delta_chi2),
+            coefficients=tuple(
+                CoefficientEstimate(name=parameter.name, value=parameter.mean, sd=parameter.sd, unit=parameter.unit)
+                for parameter in after.parameters
+                if parameter.name in fresh
+            ),
+        ),
+        held_out=refit.held_out,
+        runs=_by_run(before, after) if taken else (),
+        channels=_by_channel(before, after) if taken else (),
+        chi2=BeforeAfter(before=before.chi2, after=after.chi2 if taken else None),
+        dof=BeforeAfter(before=before.dof, after=after.dof if taken else None),
+        log_evidence=BeforeAfter(before=before.log_evidence, after=after.log_evidence),
+        parent=parent,
+        folder=folder,
+    )
+
+
+def _by_run(before: Summary, after: Summary) -> tuple[RunRmsChange, ...]:
+    was = {(run.name, run.channel): run.rms for run in before.runs}
+    return tuple(
+        RunRmsChange(
+            name=run.name,
+            channel=run.channel,
+            n=run.n,
+            before=was.get((run.name, run.channel)),
+            after=run.rms,
+            unit=run.unit,
+        )
+        for run in after.runs
+    )
+
+
+def _by_channel(before: Summary, after: Summary) -> tuple[RmsChange, ...]:
+    was = {channel.channel: channel.rms for channel in channel_rms(before)}
+    return tuple(
+        RmsChange(channel=channel.channel, before=was[channel.channel], after=channel.rms, unit=channel.unit)
+        for channel in channel_rms(after)
+        if channel.channel in was
+    )
+
+
+def channel_rms(summary: Summary) -> tuple[ChannelRms, ...]:
+    """Return the residual rms of each channel over all runs."""
+    found = []
+    for channel in dict.fromkeys(run.channel for run in summary.runs):
+        runs = [run for run in summary.runs if run.channel == channel and run.n]
+        square = [(run.n, run.n * run.rms**2, run.unit) for run in runs if run.rms is not None]
+        if square:
+            rms = (sum(part for _, part, _ in square) / sum(n for n, _, _ in square)) ** 0.5
+            found.append(ChannelRms(channel=channel, rms=rms, unit=square[0][2]))
+    return tuple(found)
+
+
+def added_variable(extension: Extension) -> pl.DataFrame:
+    """Return the added-variable plot as a table: run, channel, added, residual; entries that the effect reaches."""
+    model, entries = extension.model, extension.model.entries
+    names = [*(channel.name for channel in model.campaign.channels), "closure_x", "closure_y", "closure_z"]
+    runs = [run.name for run in model.campaign.runs]
+    # Every entry changes slightly through what the old model absorbs; those are omitted.
+    reached = np.abs(extension.added) > 1e-3 * np.max(np.abs(extension.added), initial=0.0)
+    return pl.DataFrame(
+        {
+            "run": np.array(runs)[entries.run[reached]],
+            "channel": np.array(names)[entries.channel[reached]],
+            "added": extension.added[reached],
+            "residual": extension.residual[reached],
+        }
+    )
