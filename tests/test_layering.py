@@ -10,7 +10,7 @@ FLOORS = (
     ("errors", "units", "types", "gather", "frames", "earth", "records", "presentation", "atomic_files"),
     ("parameters",),
     ("covariates", "run", "stimulus"),
-    ("procedures", "classical"),
+    ("procedures",),
     ("campaign",),
     ("effects", "noise"),
     ("model",),
@@ -23,7 +23,10 @@ FLOORS = (
 )
 PLUGINS = ("procedures", "effects", "noise")
 # What the plug-ins of a package build on; all other modules of such a package are plug-ins.
-FOUNDATIONS = ("base", "memory", "shared_formulas")
+FOUNDATIONS = (
+    "base", "memory", "shared_formulas",
+    "ambient", "classical", "converter_ramp", "kinematics", "planned_steps", "textbook",
+)  # fmt: skip
 MOST_LINES = 500
 
 

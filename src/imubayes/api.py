@@ -23,7 +23,6 @@ from imubayes.inference.joint_fit import joint_fit
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import ModelSpec
-from imubayes.procedures import PROCEDURES
 from imubayes.results.addition import Addition, added_variable, addition_of
 from imubayes.results.folder_state import CHECKPOINT, claim, claim_new
 from imubayes.results.history_file import first_node, read_tree, remember, write_node
@@ -77,7 +76,7 @@ def fit(
 
 
 def _bound(campaign: Campaign | str | Path, model: ModelSpec | str | Path) -> Model:
-    loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign, tuple(PROCEDURES))
+    loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
     return bind(model if isinstance(model, ModelSpec) else read_model(model), loaded)
 
 

@@ -10,7 +10,7 @@ import pytest
 from small_files import DEGREE, EARTH, GRAVITY, write_csv
 
 from imubayes.campaign import FINDINGS, check_campaign, inspect_campaign, load_campaign
-from imubayes.campaign.nominal_input import nominal_input
+from imubayes.procedures.kinematics import nominal_input
 from imubayes.run import Channel, Mounting, Site, Table
 
 Change = Callable[[dict], None]

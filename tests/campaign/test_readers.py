@@ -14,7 +14,6 @@ import pytest
 from small_files import DEGREE, GRAVITY, MODEL
 
 from imubayes.campaign import (
-    PROCEDURE_NAMES,
     inspect_campaign,
     load_campaign,
     read_model_file,
@@ -22,6 +21,7 @@ from imubayes.campaign import (
 from imubayes.campaign.equipment import complete_axes
 from imubayes.campaign.toml_lines import key_lines, line_of
 from imubayes.errors import InputError
+from imubayes.procedures import PROCEDURES
 
 
 def test_everything_is_in_si(small: Path) -> None:
@@ -106,10 +106,11 @@ def test_unused_columns_are_named(small: Path, edit: Callable[[str, str, str], N
     assert (finding.name, finding.severity) == ("unused_columns", "warning")
 
 
-def test_procedures_can_be_handed_in(small: Path) -> None:
-    assert load_campaign(small, PROCEDURE_NAMES).runs
+def test_a_procedure_is_known_by_its_registration(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert load_campaign(small).runs
+    monkeypatch.delitem(PROCEDURES, "thermal_ramp")
     with pytest.raises(InputError, match="thermal_ramp"):
-        load_campaign(small, ("rate_table", "dividing_head"))
+        load_campaign(small)
 
 
 def test_axes() -> None:

@@ -16,7 +16,6 @@ from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.model.problem import predict
 from imubayes.noise.base import EntryNoise
-from imubayes.procedures import PROCEDURES
 
 ROOT = Path(__file__).parents[2]
 
@@ -24,9 +23,7 @@ ROOT = Path(__file__).parents[2]
 @cache
 def fitted_to(campaign: str, model: str = "hidden-effects") -> Fitted:
     """Return the fit of a shipped campaign, without what else is reported of one."""
-    declared = bind(
-        read_model(ROOT / "models" / f"{model}.toml"), load_campaign(ROOT / "data" / campaign, tuple(PROCEDURES))
-    )
+    declared = bind(read_model(ROOT / "models" / f"{model}.toml"), load_campaign(ROOT / "data" / campaign))
     found = refitted(declared, *(np.zeros(size) for size in declared.problem.size))
     assert found.converged
     return found

@@ -15,12 +15,11 @@ from imubayes.errors import InputError
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.joint_fit import joint_fit
 from imubayes.model.bind import bind
-from imubayes.procedures import PROCEDURES
 
 
 @pytest.fixture(scope="module")
 def fitted() -> Fitted:
-    model = bind(lacking_model(), load_campaign(CAMPAIGN, tuple(PROCEDURES)))
+    model = bind(lacking_model(), load_campaign(CAMPAIGN))
     return joint_fit(model, None)
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from imubayes.classical import Estimate, Undetermined
 from imubayes.cli.main import run
 from imubayes.display.classical_comparison import decision_sheet, textbook_json, textbook_sheet, undetermined_sheet
 from imubayes.display.terminal_tables import terminal
+from imubayes.procedures.textbook import Estimate, Undetermined
 
 ROOT = Path(__file__).parents[2]
 TRIHEDRAL = 54.735610317245346

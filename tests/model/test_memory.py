@@ -10,7 +10,7 @@ import pytest
 from imubayes.effects.memory import Decay, Play, inclusive_scan
 from imubayes.model.bind import Model, bind
 from imubayes.model.problem import predict
-from imubayes.procedures.base import rate_of_change
+from imubayes.procedures.ambient import rate_of_change
 from small_campaign import DEGREE, GYRO_SCALE, spec, tumble_campaign, wide_campaign
 
 HOUR_DEGREE = DEGREE / 3600

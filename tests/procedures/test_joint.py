@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.classical import Estimate, classical
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.model.problem import predict, predict_with_jacobian
-from imubayes.procedures import PROCEDURES
+from imubayes.procedures.classical import classical
+from imubayes.procedures.textbook import Estimate
 
 ROOT = Path(__file__).parents[2]
 
 
 def fitted(name):
-    campaign = load_campaign(ROOT / "data" / name, tuple(PROCEDURES))
+    campaign = load_campaign(ROOT / "data" / name)
     model = bind(read_model(ROOT / "models" / f"{name}.toml"), campaign)
     mode = find_mode(model.problem, *(jnp.zeros(size) for size in model.problem.size))
     assert bool(mode.converged)

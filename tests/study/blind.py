@@ -89,9 +89,8 @@ def mode_of(campaign: Path, model: Path) -> Any:
     from imubayes.campaign import load_campaign
     from imubayes.model.bind import bind
     from imubayes.model.model_file import read_model
-    from imubayes.procedures import PROCEDURES
 
-    declared = bind(read_model(model), load_campaign(campaign, tuple(PROCEDURES)))
+    declared = bind(read_model(model), load_campaign(campaign))
     return mode_from(declared, *(np.zeros(size) for size in declared.problem.size))
 
 

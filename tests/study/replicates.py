@@ -22,7 +22,6 @@ from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.joint_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
-from imubayes.procedures import PROCEDURES
 
 jax.config.update("jax_enable_x64", True)
 
@@ -82,7 +81,7 @@ def scores(procedure: str, replicates: int = REPLICATES, first_seed: int = 1) ->
         with tempfile.TemporaryDirectory() as folder:
             generator.generate(Path(folder) / name, seed)
             truth = tomllib.loads((Path(folder) / name / "truth.toml").read_text())
-            campaign = load_campaign(Path(folder) / name, tuple(PROCEDURES))
+            campaign = load_campaign(Path(folder) / name)
         own = [run.name for run in campaign.runs if run.procedure in procedure.split(", ")]
         model = bind(spec, campaign.only(*own))
         fit = joint_fit(model, Settings(seed=seed) if procedure in SAMPLED else None)

@@ -12,7 +12,6 @@ from imubayes.campaign.campaign_reader import (
     read_model_file,
 )
 from imubayes.campaign.file_schemas import (
-    PROCEDURE_NAMES,
     CampaignFile,
     EffectEntry,
     ModelFile,
@@ -21,7 +20,6 @@ from imubayes.campaign.findings import FINDINGS, Finding
 
 __all__ = [
     "FINDINGS",
-    "PROCEDURE_NAMES",
     "CampaignFile",
     "EffectEntry",
     "Finding",

@@ -7,8 +7,9 @@ import numpy as np
 from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.geographic_directions import DIRECTION_COLUMNS
-from imubayes.campaign.run_columns import NEEDS_TABLE, TEXT_COLUMNS, ColumnLayout
+from imubayes.campaign.run_columns import TEXT_COLUMNS, ColumnLayout
 from imubayes.covariates import recorded
+from imubayes.procedures import PROCEDURES, Procedure
 from imubayes.run import Channel, Run, Tumble
 
 TURN = 2 * np.pi
@@ -54,9 +55,9 @@ def build_run(
     )
 
 
-def unused_columns(layout: ColumnLayout, procedure: str, run: str, where: str) -> list[Finding]:
+def unused_columns(layout: ColumnLayout, procedure: Procedure, run: str, where: str) -> list[Finding]:
     """Name the columns that are understood but take no part in the rows."""
-    used = {"segment", *(DIRECTION_COLUMNS if procedure == "geographic_tumble" else ())}
+    used = {"segment", *(DIRECTION_COLUMNS if procedure.by_direction else ())}
     unused = [name for name in TEXT_COLUMNS if layout.has(name) and name not in used]
     if not unused:
         return []
@@ -75,12 +76,13 @@ def _covariates(
         if covariate.column in numbers
     }
     notes: list[str] = []
+    procedure = PROCEDURES[entry.procedure]
     rate = covariates.setdefault("table_rate", np.zeros(rows))
     # Beside a reference gyro nobody has written down how fast the table turns.
-    turning = (rate != 0) | (entry.procedure == "reference_gyro")
+    turning = (rate != 0) | (not procedure.rate_recorded)
     angle = covariates.get("table_angle")
     if angle is None:
-        if entry.procedure in NEEDS_TABLE and not turning.all():
+        if procedure.needs_table and not turning.all():
             notes.append("no angle column: the table is taken to stand at angle 0 where it is at rest")
         angle = np.full(rows, np.nan)
     elif np.any(np.isnan(angle) & ~turning):

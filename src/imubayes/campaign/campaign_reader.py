@@ -6,21 +6,22 @@ with the campaign where there is one, and `load_campaign` raises them at once.
 
 import hashlib
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from imubayes.campaign.equipment import build_channels, build_mountings, build_site, build_tables, refuse_repeats
-from imubayes.campaign.file_schemas import PROCEDURE_NAMES, CampaignFile, ModelFile, RunEntry
+from imubayes.campaign.file_schemas import CampaignFile, ModelFile, RunEntry
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.load_run import Equipment, Loaded, load_run
-from imubayes.campaign.run_columns import NEEDS_GYRO, NEEDS_TABLE, known_columns
+from imubayes.campaign.run_columns import known_columns
 from imubayes.campaign.servo_angle import with_angles
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.campaign.valid_entries import Draft, draft_of
 from imubayes.errors import InputError, Issue, closest_first
+from imubayes.procedures import PROCEDURES, procedure_named
 from imubayes.run import Campaign, Channel, Run, Site
 from imubayes.units import STANDARD_GRAVITY
 
@@ -44,31 +45,30 @@ class Inspection:
     findings: tuple[Finding, ...]
 
 
-def load_campaign(path: str | Path, procedures: Collection[str] = PROCEDURE_NAMES) -> Campaign:
+def load_campaign(path: str | Path) -> Campaign:
     """Read a campaign folder.
 
     Parameters
     ----------
     path : the folder, or its `campaign.toml`.
-    procedures : names of the procedures there are.
 
     Raises
     ------
     InputError
         with every problem of the campaign.
     """
-    inspection = inspect_campaign(path, procedures)
+    inspection = inspect_campaign(path)
     if inspection.campaign is None:
         raise InputError(inspection.issues)
     return inspection.campaign
 
 
-def check_campaign(path: str | Path, procedures: Collection[str] = PROCEDURE_NAMES) -> tuple[Finding, ...]:
+def check_campaign(path: str | Path) -> tuple[Finding, ...]:
     """Return the named findings in the data of a campaign, warnings too."""
-    return inspect_campaign(path, procedures).findings
+    return inspect_campaign(path).findings
 
 
-def inspect_campaign(path: str | Path, procedures: Collection[str] = PROCEDURE_NAMES) -> Inspection:
+def inspect_campaign(path: str | Path) -> Inspection:
     """Read a campaign folder and return what is there and what is wrong; never raises for bad input."""
     file = Path(path)
     file = file if file.suffix == ".toml" else file / CAMPAIGN_FILE
@@ -81,7 +81,7 @@ def inspect_campaign(path: str | Path, procedures: Collection[str] = PROCEDURE_N
     draft, ledger = draft_of(document.content), document.ledger
     equipment = _equipment(draft, ledger)
     _check_channel_names(draft, ledger)
-    _check_runs(draft, procedures, ledger)
+    _check_runs(draft, ledger)
     judge = None if ledger.issues else equipment
     loaded = [_load(file.parent / run.file, run, draft.names["channel"], judge) for run in draft.runs.values()]
     findings = tuple(finding for one in loaded for finding in one.findings)
@@ -171,21 +171,21 @@ def _check_channel_names(draft: Draft, ledger: Ledger) -> None:
             )
 
 
-def _check_runs(draft: Draft, procedures: Collection[str], ledger: Ledger) -> None:
+def _check_runs(draft: Draft, ledger: Ledger) -> None:
     refuse_repeats({index: run.name for index, run in draft.runs.items()}, "run", ledger)
     for index, run in draft.runs.items():
-        if run.procedure not in procedures:
+        if run.procedure not in PROCEDURES:
             ledger.add(
                 f"procedure '{run.procedure}' of run '{run.name}' is not known",
                 ("run", index, "procedure"),
-                closest_first(run.procedure, procedures, most=len(procedures)),
+                closest_first(run.procedure, PROCEDURES, most=len(PROCEDURES)),
                 "use one of the allowed procedures",
             )
         _check_reference(run, index, "table", run.table, draft.names["table"], ledger)
         _check_reference(run, index, "mounting", run.mounting, draft.names["mounting"], ledger)
         _check_file(run, index, ledger)
     _check_gyros(draft, ledger)
-    injected = [index for index, run in draft.runs.items() if run.procedure == "current_injection"]
+    injected = [index for index, run in draft.runs.items() if procedure_named(run.procedure).injected]
     # A faulty entry may be the one that says so.
     sound = len(draft.channels) == len(draft.names["channel"])
     if injected and sound and not any(channel.current_mA_per_g for channel in draft.channels.values()):
@@ -202,7 +202,7 @@ def _check_gyros(draft: Draft, ledger: Ledger) -> None:
     if any(channel.kind == "gyro" for channel in draft.channels.values()):
         return
     for index, run in draft.runs.items():
-        if run.procedure in NEEDS_GYRO:
+        if procedure_named(run.procedure).needs_gyro:
             ledger.add(
                 f"run '{run.name}' of procedure '{run.procedure}' has no gyro",
                 ("run", index, "procedure"),
@@ -215,7 +215,7 @@ def _check_reference(
     run: RunEntry, index: int, section: str, name: str | None, there: Sequence[str], ledger: Ledger
 ) -> None:
     if name is None:
-        if run.procedure in NEEDS_TABLE:
+        if procedure_named(run.procedure).needs_table:
             ledger.add(
                 f"run '{run.name}' of procedure '{run.procedure}' has no '{section}'",
                 ("run", index, section),

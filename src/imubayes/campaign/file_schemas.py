@@ -11,19 +11,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
-PROCEDURE_NAMES = (
-    "rate_table",
-    "rotation_modulation",
-    "dividing_head",
-    "polar_tumble",
-    "servo_table",
-    "geographic_tumble",
-    "thermal_ramp",
-    "current_injection",
-    "reference_gyro",
-    "free_tumble",
-)
-
 _NAME, _COLUMN_NAME = r"^[^\s\[\],][^\[\],]*$", r"^[A-Za-z_][A-Za-z0-9_.\-]*$"
 Name = Annotated[str, Field(min_length=1, pattern=_NAME)]
 ColumnName = Annotated[str, Field(min_length=1, pattern=_COLUMN_NAME)]

@@ -21,6 +21,7 @@ from imubayes.campaign.run_columns import lay_out
 from imubayes.campaign.run_tables import TableSource, read_header
 from imubayes.campaign.stream_checks import Monitor
 from imubayes.errors import InputError, Issue
+from imubayes.procedures import PROCEDURES, Reduction, procedure_named
 from imubayes.run import Channel, Mounting, Run, Site, Table
 
 
@@ -68,7 +69,9 @@ def load_run(file: Path, entry: RunEntry, channel_names: Sequence[str], equipmen
     """
     loaded = Loaded()
     try:
-        layout, loaded.issues = lay_out(read_header(file), channel_names, entry.ignore, entry.procedure, str(file))
+        layout, loaded.issues = lay_out(
+            read_header(file), channel_names, entry.ignore, procedure_named(entry.procedure), str(file)
+        )
         if loaded.issues:
             return loaded
         _load(loaded, TableSource(file, layout), entry, equipment)
@@ -85,7 +88,8 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
         loaded.findings.append(_empty(entry, where, "the table has a header and no rows"))
     if loaded.failed or equipment is None:
         return
-    if entry.procedure == "free_tumble":
+    procedure = PROCEDURES[entry.procedure]
+    if procedure.reduction is Reduction.POSES:
         run, found = _load_tumble(source, entry, equipment)
         loaded.findings += found
     elif source.layout.reduced:
@@ -101,35 +105,36 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
     else:
         assert survey.blocks is not None
         loaded.findings += check_log(survey.blocks, entry.name, where)
-        rows = reduce_log(source, entry.procedure, survey.rows, survey.blocks, survey.labelled)
+        rows = reduce_log(source, procedure.reduction, survey.rows, survey.blocks, survey.labelled)
         named = _named(source, entry, equipment, rows.first)
         loaded.findings += [_unsteady(entry, where, rows.unsteady)] if rows.unsteady else []
         run = build_run(entry, rows.numbers, equipment.channels, equipment.site.gravity, rows.notes, attitude=named)
     if run.rows == 0:
         loaded.findings.append(_empty(entry, where, "no stretch of constant stimulus was found in the log"))
-    elif entry.procedure != "servo_table" and not np.isfinite(run.observed).any():
+    elif not procedure.driven and not np.isfinite(run.observed).any():
         loaded.findings.append(_empty(entry, where, "no channel has a reading in any row"))
     if loaded.failed:
         return
     table, mounting = equipment.tables.get(entry.table or ""), equipment.mountings.get(entry.mounting or "")
     loaded.findings += check_rows(run, equipment.channels, equipment.site, table, mounting, where)
-    loaded.findings += unused_columns(source.layout, entry.procedure, entry.name, where)
+    loaded.findings += unused_columns(source.layout, procedure, entry.name, where)
     warnings = tuple(f"{f.name}: {f.what}" for f in loaded.findings if f.severity == "warning")
     loaded.run = None if loaded.failed else replace(run, notes=(*run.notes, *warnings))
 
 
 def _named(source: TableSource, entry: RunEntry, equipment: Equipment, rows: Sequence[int]) -> np.ndarray | None:
     """Return the attitude at the named directions of chosen rows; None where the procedure names none."""
-    return attitudes(source, rows, equipment.channels) if entry.procedure == "geographic_tumble" else None
+    return attitudes(source, rows, equipment.channels) if PROCEDURES[entry.procedure].by_direction else None
 
 
 def _survey(source: TableSource, entry: RunEntry) -> _Survey:
     layout = source.layout
-    monitor = Monitor(source, entry.name, all_move=entry.procedure == "free_tumble")
+    poses = procedure_named(entry.procedure).reduction is Reduction.POSES
+    monitor = Monitor(source, entry.name, all_move=poses)
     labels = [name for name in ("segment", *DIRECTION_COLUMNS) if name in layout.texts]
     tracker = SegmentTracker(labels) if labels and not layout.reduced else None
     builder = None
-    if not layout.reduced and entry.procedure != "free_tumble":
+    if not layout.reduced and not poses:
         builder = BlockBuilder([name for name in layout.numbers if not name.endswith("_sd")])
     for batch in source:
         if not batch.rows:

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from imubayes.campaign.findings import Finding
-from imubayes.campaign.nominal_input import nominal_input
 from imubayes.campaign.reduction import BlockSurvey
+from imubayes.procedures import PROCEDURES
 from imubayes.run import Channel, Mounting, Run, Site, Table
 
 DEGREE = math.pi / 180
@@ -41,36 +41,26 @@ def check_rows(
     run: Run, channels: Sequence[Channel], site: Site, table: Table | None, mounting: Mounting | None, where: str
 ) -> list[Finding]:
     """Check the rows of one run against what the nominal numbers predict."""
+    procedure = PROCEDURES[run.procedure]
     found = _turns(run, where)
-    if run.procedure == "current_injection":
-        return found + _check_current(run, channels, where)
-    if run.procedure == "reference_gyro":
-        return found + _check_reference(run, channels, where)
-    if table is None or mounting is None or run.rows == 0:
+    if run.rows == 0:
         return found
     if radians := _angle_in_radians(run, where):
         return [*found, radians]
-    rate, angle = run.covariates["table_rate"], run.covariates["table_angle"]
     slopes: list[tuple[Channel, float]] = []
     for index, channel in enumerate(channels):
-        stimulus = nominal_input(channel, table, mounting, site, rate, angle)
+        stimulus = procedure.nominal_input(run, channel, site, table, mounting)
+        if stimulus is None:
+            continue
         measured = _measured(run, index, channel)
         found += _stuck(run, channel, stimulus, run.observed[:, index], where)
         found += _saturated(run, channel, stimulus, run.observed[:, index], where)
-        slopes.append((channel, _slope(channel, stimulus, measured)))
-    return found + _judge(run, slopes, where)
-
-
-def _check_reference(run: Run, channels: Sequence[Channel], where: str) -> list[Finding]:
-    """Compare each gyro with what the reference beside it measured."""
-    rate = np.stack([run.covariates[f"reference_{axis}"] for axis in "xyz"], axis=1)
-    found = []
-    for index, channel in enumerate(channels):
-        if channel.kind == "gyro":
-            measured = _measured(run, index, channel)
-            slope = _slope(channel, rate @ channel.axes[0], measured)
-            found += slope_findings(run.name, channel, slope, where) if math.isfinite(slope) else []
-    return found
+        slope = _ratio(stimulus, measured) if procedure.injected else _slope(channel, stimulus, measured)
+        if procedure.injected and _is_factor(slope, 1000.0):
+            found.append(_current_finding(run.name, channel, slope, where))
+        else:
+            slopes.append((channel, slope))
+    return found + _judge(run, slopes, where, procedure.rate_recorded)
 
 
 def _measured(run: Run, index: int, channel: Channel) -> np.ndarray:
@@ -105,11 +95,11 @@ def _is_factor(slope: float, factor: float) -> bool:
     return any(abs(size / f - 1) < SAME_FACTOR for f in (factor, 1 / factor))
 
 
-def _judge(run: Run, slopes: Sequence[tuple[Channel, float]], where: str) -> list[Finding]:
+def _judge(run: Run, slopes: Sequence[tuple[Channel, float]], where: str, rate_recorded: bool) -> list[Finding]:
     """One finding for the rate column where all gyros agree, otherwise one per channel."""
     seen = [(channel, slope) for channel, slope in slopes if math.isfinite(slope)]
     gyros = [slope for channel, slope in seen if channel.kind == "gyro"]
-    if len(gyros) > 1 and all(_is_factor(slope, 1 / DEGREE) for slope in gyros):
+    if rate_recorded and len(gyros) > 1 and all(_is_factor(slope, 1 / DEGREE) for slope in gyros):
         what = f"every gyro moves {abs(float(np.median(gyros))):.4g} times as much as the rate column says"
         found = [
             Finding(
@@ -226,21 +216,13 @@ def _turns(run: Run, where: str) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _check_current(run: Run, channels: Sequence[Channel], where: str) -> list[Finding]:
-    """Compare each channel that can be driven by current with what the current stands for."""
-    found = []
-    for index, channel in enumerate(channels):
-        if not channel.current_per_acceleration or "current" not in run.covariates:
-            continue
-        stimulus = run.covariates["current"] / channel.current_per_acceleration
-        measured = _measured(run, index, channel)
-        good = np.isfinite(measured) & (stimulus != 0)
-        ratio = float(np.median(measured[good] / stimulus[good])) if good.any() else 1.0
-        if _is_factor(ratio, 1000.0):
-            what = f"channel '{channel.name}' answers the current {ratio:.4g} times as much as it should: A for mA?"
-            place = f"{where}, column 'current_mA'"
-            remedy = "convert the column to mA, or correct current_mA_per_g"
-            found.append(Finding("current_unit", "error", run.name, what, place, "milliamperes", remedy))
-        else:
-            found += slope_findings(run.name, channel, ratio, where)
-    return found
+def _ratio(stimulus: np.ndarray, measured: np.ndarray) -> float:
+    """Return the median of measurement over nominal input, NaN where there is none."""
+    good = np.isfinite(measured) & (stimulus != 0)
+    return float(np.median(measured[good] / stimulus[good])) if good.any() else math.nan
+
+
+def _current_finding(run: str, channel: Channel, ratio: float, where: str) -> Finding:
+    what = f"channel '{channel.name}' answers the current {ratio:.4g} times as much as it should: A for mA?"
+    remedy = "convert the column to mA, or correct current_mA_per_g"
+    return Finding("current_unit", "error", run, what, f"{where}, column 'current_mA'", "milliamperes", remedy)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from imubayes.covariates import recorded_columns
 from imubayes.errors import Issue, closest_first
+from imubayes.procedures import Procedure
 
 TEXT_COLUMNS = ("segment", "i_axis", "o_axis")
 
@@ -17,35 +18,6 @@ TEXT_COLUMNS = ("segment", "i_axis", "o_axis")
 def known_columns() -> tuple[str, ...]:
     """Return the columns that mean something by their name."""
     return (*recorded_columns(), *TEXT_COLUMNS, "samples")
-
-
-REQUIRED_COLUMNS: dict[str, tuple[tuple[str, ...], ...]] = {
-    "rate_table": (("table_rate_deg_s",),),
-    "rotation_modulation": (("table_rate_deg_s", "table_angle_deg"),),
-    "dividing_head": (("table_angle_deg",),),
-    "polar_tumble": (("table_angle_deg",),),
-    "servo_table": (("time_s",), ("table_angle_deg",)),
-    "geographic_tumble": (("i_axis",), ("o_axis",)),
-    "thermal_ramp": (("converter_temperature_degC", "temperature_degC"),),
-    "current_injection": (("current_mA",),),
-    "reference_gyro": (("time_s",), *((f"reference_{axis}_deg_s",) for axis in "xyz")),
-    "free_tumble": (("time_s",),),
-}
-"""For each procedure the columns it cannot do without; of each inner group one is enough."""
-
-NEEDS_TABLE = {
-    "rate_table",
-    "rotation_modulation",
-    "dividing_head",
-    "polar_tumble",
-    "servo_table",
-    "thermal_ramp",
-    "reference_gyro",
-}
-"""Procedures whose stimulus comes from a table and a mounting."""
-
-NEEDS_GYRO = {"servo_table", "reference_gyro"}
-"""Procedures that are about gyros alone."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +50,7 @@ class ColumnLayout:
 
 
 def lay_out(
-    header: Sequence[str], channels: Sequence[str], ignore: Sequence[str], procedure: str, where: str
+    header: Sequence[str], channels: Sequence[str], ignore: Sequence[str], procedure: Procedure, where: str
 ) -> tuple[ColumnLayout, list[Issue]]:
     """Sort the columns of a table, and say what is wrong with them."""
     deviation_names = {f"{channel}_sd": channel for channel in channels}
@@ -124,9 +96,9 @@ def _repeated(header: Sequence[str], where: str) -> list[Issue]:
     ]
 
 
-def _missing(layout: ColumnLayout, channels: Sequence[str], procedure: str, where: str) -> list[Issue]:
+def _missing(layout: ColumnLayout, channels: Sequence[str], procedure: Procedure, where: str) -> list[Issue]:
     issues = []
-    if not layout.channels and procedure != "servo_table":
+    if not layout.channels and not procedure.driven:
         issues.append(
             Issue(
                 "no channel of the campaign has a column in this table",
@@ -137,12 +109,12 @@ def _missing(layout: ColumnLayout, channels: Sequence[str], procedure: str, wher
         )
     issues += [
         Issue(
-            f"a run of procedure '{procedure}' needs the column '{group[0]}'",
+            f"a run of procedure '{procedure.name}' needs the column '{group[0]}'",
             f"{where}, header",
             ", or ".join(group),
             "add the column, or correct 'procedure' of the run",
         )
-        for group in REQUIRED_COLUMNS.get(procedure, ())
+        for group in procedure.columns
         if not any(layout.has(column) for column in group)
     ]
     return issues

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from imubayes.procedures import PROCEDURES
 from imubayes.run import Channel, Run, Table
 from imubayes.units import to_si
 
@@ -18,7 +19,7 @@ def with_angles(
 
     What gyros read in such a run is the error of the servo, nothing but for its noise; it is left out.
     """
-    driven = [run for run in runs if run.procedure == "servo_table"]
+    driven = [run for run in runs if PROCEDURES[run.procedure].driven]
     if not driven:
         return channels, tuple(runs)
     stated = [tables[run.table].angle_uncertainty for run in driven if run.table is not None]
@@ -31,7 +32,7 @@ def with_angles(
 def _with_angle(run: Run) -> Run:
     reading = np.full((run.rows, 1), np.nan)
     others, notes = run.observed, run.notes
-    if run.procedure == "servo_table":
+    if PROCEDURES[run.procedure].driven:
         turning = np.unwrap(run.covariates["table_angle"])
         run = replace(run, covariates={**run.covariates, "table_angle": turning})
         reading = np.degrees(turning)[:, None]
@@ -43,6 +44,6 @@ def _with_angle(run: Run) -> Run:
         run,
         observed=np.concatenate([others, reading], axis=1),
         sample_sd=np.concatenate([run.sample_sd, unknown], axis=1),
-        samples=np.ones(run.rows) if run.procedure == "servo_table" else run.samples,
+        samples=np.ones(run.rows) if PROCEDURES[run.procedure].driven else run.samples,
         notes=notes,
     )

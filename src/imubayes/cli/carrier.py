@@ -21,10 +21,9 @@ def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) 
     """
     from imubayes.campaign import load_campaign
     from imubayes.display.carrier_motion import fitted_biases, rotating_run, write_carrier
-    from imubayes.procedures import PROCEDURES
     from imubayes.results.result import read_result
 
-    loaded = load_campaign(campaign, tuple(PROCEDURES))
+    loaded = load_campaign(campaign)
     chosen = rotating_run(loaded, run)
     biases = None if result is None else fitted_biases(loaded, read_result(result).summary.model_dump())
     for file in write_carrier(out, loaded, chosen, biases):

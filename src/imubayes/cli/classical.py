@@ -20,15 +20,14 @@ def classical(campaign: Path, *, result: Path | None = None, as_json: Json = Fal
         Print one JSON object on standard output.
     """
     from imubayes.campaign import load_campaign
-    from imubayes.classical import classical as evaluate
     from imubayes.display.classical_comparison import textbook_json
     from imubayes.display.terminal import print_textbook
     from imubayes.errors import InputError, Issue
-    from imubayes.procedures import PROCEDURES
+    from imubayes.procedures.classical import classical as evaluate
     from imubayes.results.fit_file import read_record
     from imubayes.results.result import read_result
 
-    loaded = load_campaign(campaign, tuple(PROCEDURES))
+    loaded = load_campaign(campaign)
     if result is not None and read_record(result)["data_hash"] != loaded.digest:
         raise InputError(
             Issue(

@@ -25,9 +25,8 @@ def effects(name: str | None = None, *, campaign: Annotated[Path | None, Paramet
 
     if campaign is not None:
         from imubayes.campaign import load_campaign
-        from imubayes.procedures import PROCEDURES
 
-        print_observable(load_campaign(campaign, tuple(PROCEDURES)))
+        print_observable(load_campaign(campaign))
     if name is not None:
         print_effect(name)
     elif campaign is None:

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from imubayes.classical import Estimate, Finding, Undetermined
 from imubayes.display.fit_tables import Cell, Sheet
 from imubayes.display.labels import pretty
 from imubayes.display.rounding import significant, value_and_sd
+from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined
 from imubayes.records import finite
 
 Facts = Mapping[str, Any]
@@ -20,7 +20,7 @@ _BEYOND = 3.0
 _MOST_BESIDE = 8
 
 
-def textbook_json(findings: Sequence[Finding], summary: Facts | None = None) -> dict[str, Any]:
+def textbook_json(findings: Sequence[TextbookResult], summary: Facts | None = None) -> dict[str, Any]:
     """Return the estimates as `imubayes classical --json` prints them, each with the joint fit's where it has one."""
     joint = _joint(summary)
     return {

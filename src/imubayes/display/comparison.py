@@ -16,7 +16,6 @@ from rich.console import Console, ConsoleOptions
 from rich.table import Table
 
 from imubayes.atomic_files import write_json
-from imubayes.classical import classical
 from imubayes.display.classical_comparison import textbook_json
 from imubayes.display.figure_selection import corner_choice, plan, runs_shown
 from imubayes.display.fit_tables import alarm_of
@@ -24,6 +23,7 @@ from imubayes.display.html import summary_html
 from imubayes.display.labels import ordered
 from imubayes.display.terminal_tables import derived_table, fit_table, parameter_table, run_table, weak_table
 from imubayes.errors import InputError, Issue, closest_first
+from imubayes.procedures.classical import classical
 from imubayes.results.fit_file import campaign_of
 from imubayes.results.folder_state import damaged
 from imubayes.results.posterior_draws import read_draws

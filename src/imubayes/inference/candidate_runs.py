@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imubayes.procedures import PROCEDURES
 from imubayes.run import Campaign, Mounting, Run, Table
 
 _HEAD_POSITIONS = 12
@@ -129,7 +130,7 @@ def _empty_run(
     """Return a run whose readings are yet to be made."""
     count = len(covariates["time"])
     samples = float(np.median(np.concatenate([run.samples for run in campaign.runs])))
-    injected = procedure == "current_injection"
+    injected = PROCEDURES[procedure].injected
     # A current goes into channels that have one; the angle of a table is read where a gyro drives it, never here.
     known = np.array(
         [c.kind != "angle" and (not injected or bool(c.current_per_acceleration)) for c in campaign.channels]

@@ -7,7 +7,6 @@ import numpy as np
 
 from imubayes.covariates import ambient_names
 from imubayes.procedures import PROCEDURES
-from imubayes.procedures.servo_table import ServoTable
 from imubayes.run import Campaign, Kind
 from imubayes.stimulus import Ambient, Records, Stimulus
 
@@ -182,7 +181,7 @@ def output_indices(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np
 
 def servo_runs(campaign: Campaign) -> list[int]:
     """Return the indices of the runs in which a gyro drives the table."""
-    return [index for index, run in enumerate(campaign.runs) if run.procedure == ServoTable.name]
+    return [index for index, run in enumerate(campaign.runs) if PROCEDURES[run.procedure].driven]
 
 
 def nominal_rates(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.ndarray:

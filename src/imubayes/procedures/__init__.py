@@ -1,31 +1,38 @@
-"""The test procedures: what each kind of run does to the unit."""
+"""The test procedures: one module and one line of registration each."""
 
-from imubayes.procedures.base import Procedure
-from imubayes.procedures.current_injection import CurrentInjection
-from imubayes.procedures.dividing_head import DividingHead
-from imubayes.procedures.free_tumble import FreeTumble
-from imubayes.procedures.geographic_tumble import GeographicTumble
-from imubayes.procedures.polar_tumble import PolarTumble
-from imubayes.procedures.rate_table import RateTable
-from imubayes.procedures.reference_gyro import ReferenceGyro
-from imubayes.procedures.rotation_modulation import RotationModulation
-from imubayes.procedures.servo_table import ServoTable
-from imubayes.procedures.thermal_ramp import ThermalRamp
+from imubayes.procedures.base import Procedure, Reduction
+from imubayes.procedures.current_injection import CURRENT_INJECTION
+from imubayes.procedures.dividing_head import DIVIDING_HEAD
+from imubayes.procedures.free_tumble import FREE_TUMBLE
+from imubayes.procedures.geographic_tumble import GEOGRAPHIC_TUMBLE
+from imubayes.procedures.polar_tumble import POLAR_TUMBLE
+from imubayes.procedures.rate_table import RATE_TABLE
+from imubayes.procedures.reference_gyro import REFERENCE_GYRO
+from imubayes.procedures.rotation_modulation import ROTATION_MODULATION
+from imubayes.procedures.servo_table import SERVO_TABLE
+from imubayes.procedures.thermal_ramp import THERMAL_RAMP
 
 PROCEDURES: dict[str, Procedure] = {
     procedure.name: procedure
     for procedure in (
-        RateTable(),
-        RotationModulation(),
-        DividingHead(),
-        PolarTumble(),
-        GeographicTumble(),
-        ServoTable(),
-        ThermalRamp(),
-        CurrentInjection(),
-        ReferenceGyro(),
-        FreeTumble(),
+        RATE_TABLE,
+        ROTATION_MODULATION,
+        DIVIDING_HEAD,
+        POLAR_TUMBLE,
+        GEOGRAPHIC_TUMBLE,
+        SERVO_TABLE,
+        THERMAL_RAMP,
+        CURRENT_INJECTION,
+        REFERENCE_GYRO,
+        FREE_TUMBLE,
     )
 }
+"""Name → procedure."""
 
-__all__ = ["PROCEDURES", "Procedure"]
+
+def procedure_named(name: str) -> Procedure:
+    """Return a procedure by its name; one without any requirement where the name is unknown."""
+    return PROCEDURES.get(name) or Procedure(name)
+
+
+__all__ = ["PROCEDURES", "Procedure", "Reduction", "procedure_named"]

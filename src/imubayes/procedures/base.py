@@ -1,169 +1,79 @@
-"""What a procedure is: kinematics of the equipment, without any effect.
+"""What a procedure is: one record of all facts about one kind of test run.
 
-A procedure turns a recorded run into its nominal stimulus.  It knows the table and the mounting as drawn, not as
-they truly are; everything that is wrong with them is an effect.
+A module holds one record, with the functions that it names, and is registered by one line in `imubayes.procedures`.
+Reader, simulation, figures and textbook evaluation ask the record and know no procedure by name.
 """
 
-import math
-from abc import ABC, abstractmethod
-from datetime import UTC, datetime
-from typing import ClassVar
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum, auto
 
 import numpy as np
 
-from imubayes.covariates import ambient_names
-from imubayes.earth import table_to_local
-from imubayes.run import Campaign, Run
+from imubayes.procedures.kinematics import table_input, table_stimulus
+from imubayes.procedures.planned_steps import PlanRules
+from imubayes.procedures.textbook import TextbookResult
+from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.stimulus import Stimulus
 
-# A mean over a turn is the mean over equally spaced angles, exact for harmonics below their number.  About a
-# vertical axis gravity along an input axis varies by the tilt alone, so products up to the third are covered by 4;
-# about an inclined axis it swings by ±1 g and powers up to the fifth, times small harmonics, must average out.
-_NODES_VERTICAL, _NODES_INCLINED = 4, 12
-_VERTICAL_WITHIN = math.radians(1.0)
-# A partial turn is followed by Gauss–Legendre nodes: exact for polynomials of degree 9 over the arc.
-_NODES_ARC = 5
-# A temperature that moves by less than half a degree, or in fewer rows than a line and its scatter need, has no rate
-# worth the name; a slope is taken as known when its noise is a tenth of it.
-_LEAST_CHANGE, _LEAST_ROWS, _SLOPE_NOISE = 0.5, 4, 0.1
+
+class Reduction(Enum):
+    """How a raw log becomes rows."""
+
+    CONSTANT = auto()
+    """One row per span of constant rate, angle or current."""
+    AT_REST = auto()
+    """One row per span at rest; the table never turns while it is measured."""
+    BINNED = auto()
+    """At rest, in bins of temperature: temperature is the stimulus, or changes beside it."""
+    FOLLOWED = auto()
+    """Short rows that follow a stimulus which never stands still."""
+    POSES = auto()
+    """Static poses and the rotations between them."""
 
 
-class Procedure(ABC):
+@dataclass(frozen=True)
+class Procedure:
     """One kind of run.
 
     Attributes
     ----------
     name : as in campaign files.
-    needs : columns without which the run cannot be interpreted.
     reference : where the procedure is described.
+    columns : columns of run tables that it cannot do without; of each group one is enough.
+    needs_table : whether a run names a table and a mounting.
+    needs_gyro : whether it is meaningless for a unit without gyros.
+    reduction : how raw logs become rows.
+    by_direction : whether rows name the directions of the axes (`i_axis`, `o_axis`) in place of angles.
+    rate_recorded : whether the table's rate is recorded or 0; otherwise something else measures it.
+    injected : whether a current takes the place of the accelerometer at the converter.
+    driven : whether a gyro drives the table, whose angle is then the observation.
+    abscissae : covariates that figures show a run against, the first that varies.
+    row_name : what a row is called in figures.
+    plan : what a plan says of a run; None where it cannot be planned.
+    kinematics : run and campaign → stimulus.
+    nominal_input : run, channel, site, table and mounting → nominal input of the channel, rad/s or m/s², shape (R,),
+        for checks of the rows; None where nothing is known of it.
+    evaluate : campaign and runs → estimates by the textbook.  Procedures with one function are evaluated together.
     """
 
-    name: ClassVar[str]
-    needs: ClassVar[tuple[str, ...]] = ()
-    reference: ClassVar[str] = ""
+    name: str
+    reference: str = ""
+    columns: tuple[tuple[str, ...], ...] = ()
+    needs_table: bool = False
+    needs_gyro: bool = False
+    reduction: Reduction = Reduction.CONSTANT
+    by_direction: bool = False
+    rate_recorded: bool = True
+    injected: bool = False
+    driven: bool = False
+    abscissae: tuple[str, ...] = ("time",)
+    row_name: str = "row"
+    plan: PlanRules | None = None
+    kinematics: Callable[[Run, Campaign], Stimulus] = table_stimulus
+    nominal_input: Callable[[Run, Channel, Site, Table | None, Mounting | None], np.ndarray | None] = table_input
+    evaluate: Callable[[Campaign, Sequence[Run]], list[TextbookResult]] | None = None
 
-    @abstractmethod
     def stimulus(self, run: Run, campaign: Campaign) -> Stimulus:
         """Return the nominal stimulus of a run, at the nodes of its rows."""
-
-
-def _angle_nodes(angle: float, span: float, whole_turn_nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return table angles and weights that stand for one row."""
-    if math.isnan(angle):
-        count = whole_turn_nodes
-        return 2 * math.pi * np.arange(count) / count, np.full(count, 1 / count)
-    if abs(span) > 0:
-        points, weights = np.polynomial.legendre.leggauss(_NODES_ARC)
-        return angle + 0.5 * span * points, weights / 2
-    return np.array([angle]), np.ones(1)
-
-
-def table_stimulus(run: Run, campaign: Campaign, injected: bool = False) -> Stimulus:
-    """Return the stimulus of a run on a single-axis table; without a table the unit stands level and still."""
-    table = campaign.tables[run.table] if run.table is not None else None
-    azimuth, elevation = (table.azimuth, table.elevation) if table else (0.0, math.pi / 2)
-    vertical = abs(abs(elevation) - math.pi / 2) < _VERTICAL_WITHIN
-    whole_turn_nodes = _NODES_VERTICAL if vertical else _NODES_INCLINED
-    angles, spans = run.covariates["table_angle"], run.covariates["table_angle_span"]
-    per_row = [_angle_nodes(a, s, whole_turn_nodes) for a, s in zip(angles, spans, strict=True)]
-    row = np.repeat(np.arange(run.rows), [len(nodes) for nodes, _ in per_row])
-    angle = np.concatenate([nodes for nodes, _ in per_row])
-    count = len(row)
-    mounting = campaign.mountings[run.mounting].body_to_table if run.mounting is not None else np.eye(3)
-    return Stimulus(
-        row=row,
-        weight=np.concatenate([weights for _, weights in per_row]),
-        base=np.broadcast_to(table_to_local(azimuth, elevation), (count, 3, 3)),
-        mounting=np.broadcast_to(mounting, (count, 3, 3)),
-        table_angle=angle,
-        table_rate=run.covariates["table_rate"][row],
-        table_acceleration=run.covariates.get("table_acceleration", np.zeros(run.rows))[row],
-        reference_rate=np.zeros((count, 3)),
-        reference_acceleration=np.zeros((count, 3)),
-        ambient=ambient_of(run, row, campaign) | {"table_angle": angle},
-        injected=injected,
-        pose=np.full(count, -1),
-    )
-
-
-def ambient_of(run: Run, row: np.ndarray, campaign: Campaign | None = None) -> dict[str, np.ndarray]:
-    """Return the circumstances that the run recorded, at the given rows, and what follows from them.
-
-    Rates of temperature are there where a temperature changes in known time, `campaign_time` where it is known when
-    the run was made: since the campaign's first run with a date, or since its own beginning where no run has one.
-    """
-    known = {name: run.covariates[name] for name in ambient_names() if name in run.covariates}
-    time = known.get("time")
-    if time is not None:
-        for name in ("temperature", "converter_temperature"):
-            rate = rate_of_change(time, known[name]) if name in known else None
-            if rate is not None:
-                known[f"{name}_rate"] = rate
-        since = _since_first(run, campaign)
-        if since is not None:
-            known["campaign_time"] = since + time
-    return {name: values[row] for name, values in known.items() if np.all(np.isfinite(values))}
-
-
-def _since_first(run: Run, campaign: Campaign | None) -> float | None:
-    """Return the seconds from the start of the campaign's first dated run to that of this one."""
-    starts = [one.start for one in campaign.runs if one.start] if campaign is not None else []
-    if not starts and run.start is None:
-        return 0.0
-    if run.start is None:
-        return None
-    return (_instant(run.start) - min(map(_instant, [run.start, *starts]))).total_seconds()
-
-
-def _instant(start: str) -> datetime:
-    """Return a date and time; one without a zone is taken as UTC, so that it can be compared with others."""
-    at = datetime.fromisoformat(start)
-    return at if at.tzinfo else at.replace(tzinfo=UTC)
-
-
-def rate_of_change(time: np.ndarray, values: np.ndarray) -> np.ndarray | None:
-    """Return the slope of a recorded temperature against time at every row, or None where it does not change.
-
-    A straight line is fitted to the neighbours of each row: two on either side, or more (4, 8, … up to an eighth of
-    the run) until the slopes stand out from what the scatter about the lines makes of them.
-
-    Parameters
-    ----------
-    time : shape (R,), s, in any order.
-    values : shape (R,), °C.
-    """
-    rows = len(time)
-    finite = np.all(np.isfinite(time)) and np.all(np.isfinite(values))
-    if rows < _LEAST_ROWS or not finite or np.ptp(time) == 0 or np.ptp(values) < _LEAST_CHANGE:
-        return None
-    order = np.argsort(time, kind="stable")
-    reach = 2
-    slope, deviation = _local_slopes(time[order], values[order], reach)
-    while np.mean(deviation**2) > (_SLOPE_NOISE**2) * np.mean(slope**2) and 2 * reach <= rows // 8:
-        reach *= 2
-        slope, deviation = _local_slopes(time[order], values[order], reach)
-    found = np.empty(rows)
-    found[order] = slope
-    return found
-
-
-def _local_slopes(time: np.ndarray, values: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the slope about each row and its standard deviation, from running sums over `reach` rows either side."""
-    rows = len(time)
-    first = np.maximum(np.arange(rows) - reach, 0)
-    last = np.minimum(np.arange(rows) + reach + 1, rows)
-    t, v = time - time.mean(), values - values.mean()
-
-    def window(terms: np.ndarray) -> np.ndarray:
-        total = np.concatenate([[0.0], np.cumsum(terms)])
-        return total[last] - total[first]
-
-    count = (last - first).astype(float)
-    mean_t, mean_v = window(t) / count, window(v) / count
-    spread = window(t * t) - count * mean_t**2
-    common = window(t * v) - count * mean_t * mean_v
-    timed = spread > 1e-12 * np.ptp(time) ** 2
-    slope = np.where(timed, common / np.where(timed, spread, 1.0), 0.0)
-    scatter = np.maximum(window(v * v) - count * mean_v**2 - slope * common, 0.0)
-    freedom = np.maximum(count - 2, 1.0)
-    return slope, np.sqrt(np.where(timed, scatter / freedom / np.where(timed, spread, 1.0), 0.0))
+        return replace(self.kinematics(run, campaign), injected=self.injected, driven=self.driven)

@@ -11,41 +11,46 @@ equipments", ICRA 2014.
 import numpy as np
 
 from imubayes.errors import InputError, Issue
-from imubayes.procedures.base import Procedure, ambient_of
+from imubayes.procedures.ambient import ambient_of
+from imubayes.procedures.base import Procedure, Reduction
 from imubayes.run import Campaign, Run
 from imubayes.stimulus import Stimulus
 
 
-class FreeTumble(Procedure):
-    """No table: poses held still by hand or on a desk."""
-
-    name = "free_tumble"
-    needs = ("time_s",)
-    reference = "Tedaldi et al., ICRA 2014"
-
-    def stimulus(self, run: Run, campaign: Campaign) -> Stimulus:
-        if run.tumble is None:
-            raise InputError(
-                Issue(
-                    "this free tumble has no rotations between its poses",
-                    f"run '{run.name}'",
-                    "a raw log of all channels with time_s",
-                    "give the raw log, not means; the poses are found in it",
-                )
+def _stimulus(run: Run, campaign: Campaign) -> Stimulus:
+    if run.tumble is None:
+        raise InputError(
+            Issue(
+                "this free tumble has no rotations between its poses",
+                f"run '{run.name}'",
+                "a raw log of all channels with time_s",
+                "give the raw log, not means; the poses are found in it",
             )
-        rows = np.arange(run.rows)
-        zero = np.zeros(run.rows)
-        return Stimulus(
-            row=rows,
-            weight=np.ones(run.rows),
-            base=np.broadcast_to(np.eye(3), (run.rows, 3, 3)),
-            mounting=run.tumble.attitude[run.tumble.pose],
-            table_angle=zero,
-            table_rate=zero,
-            table_acceleration=zero,
-            reference_rate=np.zeros((run.rows, 3)),
-            reference_acceleration=np.zeros((run.rows, 3)),
-            ambient=ambient_of(run, rows, campaign),
-            injected=False,
-            pose=run.tumble.pose,
         )
+    rows = np.arange(run.rows)
+    zero = np.zeros(run.rows)
+    return Stimulus(
+        row=rows,
+        weight=np.ones(run.rows),
+        base=np.broadcast_to(np.eye(3), (run.rows, 3, 3)),
+        mounting=run.tumble.attitude[run.tumble.pose],
+        table_angle=zero,
+        table_rate=zero,
+        table_acceleration=zero,
+        reference_rate=np.zeros((run.rows, 3)),
+        reference_acceleration=np.zeros((run.rows, 3)),
+        ambient=ambient_of(run, rows, campaign),
+        injected=False,
+        pose=run.tumble.pose,
+    )
+
+
+FREE_TUMBLE = Procedure(
+    name="free_tumble",
+    reference="Tedaldi et al., ICRA 2014",
+    columns=(("time_s",),),
+    reduction=Reduction.POSES,
+    abscissae=("row",),
+    row_name="pose",
+    kinematics=_stimulus,
+)

@@ -2,25 +2,96 @@
 
 One axis carries ±1 g at a time, so that products of two components of gravity are never seen; the Earth's rate enters
 through the input axis.
+
+The textbook: at rest the output over the torquer's scale, less the Earth's rate on the input axis, is the drift
+
+    d = D_F + D_I f_I + D_O f_O + D_S f_S + D_II f_I² + D_OO f_O² + D_SS f_S²,
+
+where one of f_I, f_O, f_S is ±1 g and the others 0: the products of two never act.  With axis J up and down
+D_J = (d₊ − d₋)/2 and D_F + D_JJ = (d₊ + d₋)/2 (IEEE Std 517): D_F is never without a square.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from imubayes.procedures.base import Procedure, table_stimulus
-from imubayes.run import Campaign, Run
+from imubayes.earth import earth_rate
+from imubayes.procedures.base import Procedure, Reduction
+from imubayes.procedures.kinematics import table_stimulus
+from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, least_squares
+from imubayes.run import Campaign, Channel, Run
 from imubayes.stimulus import Stimulus
 
+METHOD = "IEEE Std 517 tumble in geographic positions"
+_DEGREE_PER_HOUR = np.pi / 180 / 3600
+_UP = 0.99
+_AXES = "ios"
 
-class GeographicTumble(Procedure):
-    """The unit at rest in positions that are named instead of measured."""
 
-    name = "geographic_tumble"
-    needs = ("i_axis", "o_axis")
-    reference = "IEEE Std 517, tumble test in geographic positions"
+def geographic_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
+    """Return the first-order coefficients of every gyro, and its fixed drift with each square."""
+    found: list[TextbookResult] = []
+    names = ", ".join(run.name for run in runs)
+    for place, channel in enumerate(campaign.channels):
+        if channel.kind != "gyro":
+            continue
+        force, drift = _readings(campaign, runs, place, channel)
+        if len(drift):
+            found += _of_channel(channel.name, names, force, drift)
+    return found
 
-    def stimulus(self, run: Run, campaign: Campaign) -> Stimulus:
+
+def _readings(campaign: Campaign, runs: Sequence[Run], place: int, channel: Channel) -> tuple[np.ndarray, np.ndarray]:
+    """Return gravity along I, O and S in g, (n, 3), and the drift in deg/h, (n,), at every position."""
+    forces, drifts = [], []
+    for run in runs:
         assert run.attitude is not None
-        still = table_stimulus(run, campaign)
-        return replace(still, base=run.attitude[still.row], table_angle=np.zeros_like(still.table_angle))
+        output = run.observed[:, place]
+        there = np.isfinite(output)
+        axes = np.einsum("rij,kj->rki", run.attitude[there], channel.axes)
+        earth = axes[:, 0] @ earth_rate(campaign.site.latitude)
+        forces.append(axes[:, :, 2])
+        drifts.append(((output[there] - channel.offset) / channel.scale_si - earth) / _DEGREE_PER_HOUR)
+    return np.concatenate(forces), np.concatenate(drifts)
+
+
+def _of_channel(name: str, names: str, force: np.ndarray, drift: np.ndarray) -> list[TextbookResult]:
+    found: list[TextbookResult] = []
+    # Each axis has an up and a down column: all positions together say how much readings scatter.
+    columns = [(axis, sign) for axis in range(3) for sign in (1, -1) if np.any(sign * force[:, axis] > _UP)]
+    design = np.stack([(sign * force[:, axis] > _UP).astype(float) for axis, sign in columns], axis=1)
+    value, covariance, _ = least_squares(design, drift)
+    for axis, letter in enumerate(_AXES):
+        pair = [columns.index((axis, sign)) for sign in (1, -1) if (axis, sign) in columns]
+        if len(pair) < 2:
+            missing = f"{name}: D_{letter.upper()} needs positions with its {letter.upper()} axis up and down"
+            found.append(Undetermined(names, missing))
+            continue
+        half = np.sqrt(covariance[pair[0], pair[0]] + covariance[pair[1], pair[1]]) / 2
+        up, down = value[pair]
+        square = f"D_F+D_{letter.upper() * 2}[{name}]"
+        found.append(
+            Estimate(f"gyro_g_sensitivity.d_{letter}[{name}]", names, (up - down) / 2, half, "deg/h/g", METHOD)
+        )
+        found.append(Estimate(square, names, (up + down) / 2, half, "deg/h", METHOD))
+    sentence = f"{name}: D_IO, D_OS and D_SI, since one axis alone carries gravity; D_F apart from D_II, D_OO and D_SS"
+    return [*found, Undetermined(names, sentence)]
+
+
+def _stimulus(run: Run, campaign: Campaign) -> Stimulus:
+    assert run.attitude is not None
+    still = table_stimulus(run, campaign)
+    return replace(still, base=run.attitude[still.row], table_angle=np.zeros_like(still.table_angle))
+
+
+GEOGRAPHIC_TUMBLE = Procedure(
+    name="geographic_tumble",
+    reference="IEEE Std 517, tumble test in geographic positions",
+    columns=(("i_axis",), ("o_axis",)),
+    reduction=Reduction.AT_REST,
+    by_direction=True,
+    abscissae=("row",),
+    kinematics=_stimulus,
+    evaluate=geographic_test,
+)

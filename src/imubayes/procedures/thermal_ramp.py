@@ -1,15 +1,16 @@
 """Thermal ramp: the unit at rest while sensor or converter change temperature (P8)."""
 
-from imubayes.procedures.base import Procedure, table_stimulus
-from imubayes.run import Campaign, Run
-from imubayes.stimulus import Stimulus
+from imubayes.procedures.base import Procedure, Reduction
+from imubayes.procedures.converter_ramp import converter_test
+from imubayes.procedures.planned_steps import PlanRules
 
-
-class ThermalRamp(Procedure):
-    """A constant input under a changing temperature."""
-
-    name = "thermal_ramp"
-    reference = "IEEE Std 1293, thermal sensitivity test"
-
-    def stimulus(self, run: Run, campaign: Campaign) -> Stimulus:
-        return table_stimulus(run, campaign)
+THERMAL_RAMP = Procedure(
+    name="thermal_ramp",
+    reference="IEEE Std 1293, thermal sensitivity test",
+    columns=(("converter_temperature_degC", "temperature_degC"),),
+    needs_table=True,
+    reduction=Reduction.BINNED,
+    abscissae=("converter_temperature", "temperature", "time"),
+    plan=PlanRules(("converter_temperature_degC",), ("rows", "rate_degC_per_h")),
+    evaluate=converter_test,
+)

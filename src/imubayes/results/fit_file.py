@@ -19,7 +19,6 @@ from imubayes.inference.joint_fit import data_hash, model_hash
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.parameters.vector import Layout
-from imubayes.procedures import PROCEDURES
 from imubayes.records import finite
 from imubayes.results.folder_state import FIT, MODEL, way_back
 from imubayes.run import Campaign
@@ -97,7 +96,7 @@ def read_fit(folder: str | Path) -> Fit:
     """
     folder = Path(folder)
     record = read_record(folder)
-    found = load_campaign(_folder(record, folder), tuple(PROCEDURES))
+    found = load_campaign(_folder(record, folder))
     model = bind(read_model(folder / MODEL), found)
     if campaign_hash(model) != record["data_hash"]:
         raise InputError(
@@ -127,7 +126,7 @@ def campaign_of(folder: str | Path) -> Campaign | None:
     """Return the campaign of a result folder, read again; None where it is gone or no longer what was fit."""
     try:
         record = read_record(folder)
-        found = load_campaign(_folder(record, Path(folder)), tuple(PROCEDURES))
+        found = load_campaign(_folder(record, Path(folder)))
     except InputError:
         return None
     return found if found.digest == record["data_hash"] else None

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.classical.converter import THRESHOLD
 from imubayes.inference.experiment_design import next_runs
 from imubayes.inference.fit import Fit
 from imubayes.inference.identifiability import (
@@ -19,6 +18,7 @@ from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_tree import in_units
 from imubayes.inference.procedure_contributions import contributions
 from imubayes.model.derived_quantities import derived_jacobian
+from imubayes.procedures.converter_ramp import THRESHOLD
 from imubayes.records import finite
 from imubayes.results.residuals import Residuals
 from imubayes.results.summary import Conformance, DerivedSummary, ParameterSummary, Seconds, Summary

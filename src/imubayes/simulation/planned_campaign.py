@@ -8,11 +8,13 @@ import numpy as np
 from imubayes.campaign.build_run import build_run
 from imubayes.campaign.equipment import build_channels, build_mountings, build_site, build_tables, refuse_repeats
 from imubayes.campaign.file_schemas import RunEntry
-from imubayes.campaign.run_columns import NEEDS_TABLE, known_columns
+from imubayes.campaign.run_columns import known_columns
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.errors import InputError, closest_first
+from imubayes.procedures import PROCEDURES, Reduction, procedure_named
+from imubayes.procedures.planned_steps import columns_of
 from imubayes.run import Campaign, Channel
-from imubayes.simulation.planned_rows import ASKED, columns_of, judge_steps
+from imubayes.simulation.planned_rows import judge_steps
 from imubayes.simulation.test_plan import PlanFile, PlannedRun
 
 
@@ -58,7 +60,7 @@ def read_plan(path: str | Path) -> Plan:
     _check_runs(file, ledger)
     ledger.stop_if_any()
     entries = tuple(_entry(run, place) for place, run in enumerate(file.run))
-    columns = tuple(columns_of(run) for run in file.run)
+    columns = tuple(_columns(run) for run in file.run)
     runs = tuple(
         build_run(entry, one | _nothing_yet(run, one, channels), channels, site.gravity)
         for entry, one, run in zip(entries, columns, file.run, strict=True)
@@ -67,9 +69,15 @@ def read_plan(path: str | Path) -> Plan:
     return Plan(file, path, path.parent / file.model, campaign, entries, columns)
 
 
+def _columns(run: PlannedRun) -> dict[str, np.ndarray]:
+    rules = PROCEDURES[run.procedure].plan
+    assert rules is not None
+    return columns_of(run, rules)
+
+
 def recorded(run: PlannedRun, channels: tuple[Channel, ...]) -> list[str]:
     """Return the channels that give a reading in a run: a current goes into those with a current output alone."""
-    injected = run.procedure == "current_injection"
+    injected = PROCEDURES[run.procedure].injected
     return [one.name for one in channels if one.current_per_acceleration or not injected]
 
 
@@ -112,26 +120,28 @@ def _check_channels(file: PlanFile, ledger: Ledger) -> None:
 def _check_runs(file: PlanFile, ledger: Ledger) -> None:
     refuse_repeats({place: run.name for place, run in enumerate(file.run)}, "run", ledger)
     there = {"table": [one.name for one in file.table], "mounting": [one.name for one in file.mounting]}
+    plannable = [procedure.name for procedure in PROCEDURES.values() if procedure.plan]
     for place, run in enumerate(file.run):
-        if run.procedure == "free_tumble":
+        procedure = procedure_named(run.procedure)
+        if procedure.reduction is Reduction.POSES:
             ledger.add(
                 f"run '{run.name}' is a free tumble, which cannot be planned: its rotations are made by hand",
                 ("run", place, "procedure"),
-                ", ".join(ASKED),
+                ", ".join(plannable),
                 "plan the poses as a dividing_head run, or record a tumble and fit it",
             )
-        elif run.procedure not in ASKED:
+        elif procedure.plan is None:
             ledger.add(
                 f"procedure '{run.procedure}' of run '{run.name}' cannot be simulated",
                 ("run", place, "procedure"),
-                closest_first(run.procedure, ASKED),
+                closest_first(run.procedure, plannable),
                 "use one of the allowed procedures",
             )
         else:
-            judge_steps(run, place, ledger)
+            judge_steps(run, procedure.plan, place, ledger)
         for section, names in there.items():
             _check_reference(run, place, section, names, ledger)
-        if run.procedure == "current_injection" and not any(one.current_mA_per_g for one in file.channel):
+        if procedure.injected and not any(one.current_mA_per_g for one in file.channel):
             ledger.add(
                 "a current is injected, and no channel says what its current stands for",
                 ("run", place, "procedure"),
@@ -142,7 +152,7 @@ def _check_runs(file: PlanFile, ledger: Ledger) -> None:
 
 def _check_reference(run: PlannedRun, place: int, section: str, there: list[str], ledger: Ledger) -> None:
     name = getattr(run, section)
-    if name is None and run.procedure in NEEDS_TABLE:
+    if name is None and procedure_named(run.procedure).needs_table:
         ledger.add(
             f"run '{run.name}' of procedure '{run.procedure}' has no '{section}'",
             ("run", place, section),

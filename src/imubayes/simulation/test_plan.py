@@ -19,7 +19,7 @@ instead of naming a file:
 """
 
 from datetime import date, datetime
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import BaseModel, Field
 
@@ -28,19 +28,15 @@ from imubayes.campaign.file_schemas import (
     ChannelEntry,
     MountingEntry,
     Name,
-    Positive,
     SiteEntry,
     TableEntry,
     UnitEntry,
 )
+from imubayes.procedures.planned_steps import PlannedSteps, Temperature
 
-Temperature = Annotated[float, Field(ge=-150, le=150)]
 
-
-class PlannedRun(BaseModel):
-    """One run of a plan; which keys a procedure takes stands in `planned_rows.ASKED`."""
-
-    model_config = CampaignFile.model_config
+class PlannedRun(PlannedSteps):
+    """One run of a plan; which of the steps a procedure takes stands in its record."""
 
     name: Name
     procedure: str
@@ -48,15 +44,6 @@ class PlannedRun(BaseModel):
     mounting: str | None = None
     temperature_degC: Temperature | None = None
     start: datetime | date | None = None
-    rates_deg_s: Annotated[list[float], Field(min_length=1)] | None = None
-    positions: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    angles_deg: Annotated[list[float], Field(min_length=1)] | None = None
-    converter_temperature_degC: Annotated[list[Temperature], Field(min_length=2, max_length=2)] | None = None
-    rows: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    rate_degC_per_h: Positive | None = None
-    current_mA: float | None = None
-    samples: Annotated[int, Field(ge=1)] = 1200
-    seconds_per_row: Positive | None = None
 
 
 class PlanFile(BaseModel):

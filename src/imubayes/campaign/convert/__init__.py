@@ -15,9 +15,9 @@ from imubayes.campaign.convert.campaign_writer import refuse_occupied, write_cam
 from imubayes.campaign.convert.count_scaling import nominal_of_counts
 from imubayes.campaign.convert.recording_formats import GYROS, KINDS, SIX, Columns
 from imubayes.campaign.convert.recording_options import ACCEL_UNITS, GYRO_UNITS, ConvertOptions, read_options
-from imubayes.campaign.run_columns import NEEDS_TABLE
 from imubayes.earth import normal_gravity
 from imubayes.errors import closest_first, input_error
+from imubayes.procedures import procedure_named
 
 RECORDING = "runs/recording.csv"
 DEFAULT_LATITUDE = 45.0
@@ -81,7 +81,7 @@ def _campaign(
     if options.serial:
         document["unit"] = {"serial": options.serial}
     document["channel"] = channels
-    if options.procedure in NEEDS_TABLE:
+    if procedure_named(options.procedure).needs_table:
         document["table"] = [{"name": "bench", "elevation_deg": 90.0}]
         document["mounting"] = [{"name": "aligned", "preset": "aligned"}]
         run |= {"table": "bench", "mounting": "aligned"}

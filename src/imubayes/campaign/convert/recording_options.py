@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from imubayes.campaign.file_schemas import PROCEDURE_NAMES
 from imubayes.errors import InputError, Issue, closest_first
+from imubayes.procedures import PROCEDURES
 
 ACCEL_UNITS = {"m/s^2": "m/s^2", "g": "g", "count": "m/s^2"}
 GYRO_UNITS = {"rad/s": "rad/s", "deg/s": "deg/s", "count": "rad/s"}
@@ -80,7 +80,7 @@ def read_options(given: Mapping[str, Any]) -> ConvertOptions:
         "accel_unit": ACCEL_UNITS,
         "gyro_unit": GYRO_UNITS,
         "time_unit": TIME_UNITS,
-        "procedure": PROCEDURE_NAMES,
+        "procedure": tuple(PROCEDURES),
         "delimiter": (None, *DELIMITERS),
     }
     for key, allowed in choices.items():

@@ -7,11 +7,10 @@ second pass averages each span exactly (`span_means`).  Memory does not grow wit
 
 from imubayes.campaign.reduction.block_survey import BlockBuilder, BlockSurvey, sampling_interval
 from imubayes.campaign.reduction.constant_spans import Span, constant_spans
-from imubayes.campaign.reduction.log_reduction import BINNED, Rows, reduce_log
+from imubayes.campaign.reduction.log_reduction import Rows, reduce_log
 from imubayes.campaign.reduction.segment_labels import SegmentTracker
 
 __all__ = [
-    "BINNED",
     "BlockBuilder",
     "BlockSurvey",
     "Rows",

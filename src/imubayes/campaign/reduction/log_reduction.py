@@ -20,15 +20,7 @@ from imubayes.campaign.reduction.span_means import Row, accumulate
 from imubayes.campaign.run_columns import ColumnLayout
 from imubayes.campaign.run_tables import TableSource
 from imubayes.covariates import recorded_columns
-
-BINNED = {"thermal_ramp", "current_injection"}
-"""Procedures in which the temperature is the stimulus, or runs beside it."""
-
-AT_REST = {"dividing_head", "polar_tumble", "geographic_tumble", *BINNED}
-"""Procedures whose rows are all taken at rest."""
-
-FOLLOWED = {"reference_gyro", "rotation_modulation", "servo_table"}
-"""Procedures whose stimulus never stands still."""
+from imubayes.procedures import Reduction
 
 CONSTANT = "where the stimulus was constant"
 UNSTEADY = 0.02  # relative standard deviation; a rate table is far more stable
@@ -53,26 +45,27 @@ class Rows:
 
 
 def reduce_log(
-    source: TableSource, procedure: str, rows: int, blocks: BlockSurvey, labelled: Sequence[Span] | None
+    source: TableSource, reduction: Reduction, rows: int, blocks: BlockSurvey, labelled: Sequence[Span] | None
 ) -> Rows:
     """Reduce a raw log to one row per span of constant stimulus.
 
     Parameters
     ----------
     source : the log.
-    procedure : decides whether spans are cut by temperature.
+    reduction : how the procedure wants its logs reduced.
     rows : number of raw rows.
     blocks : its survey.
     labelled : spans from the `segment` column, where there is one.
     """
     layout = source.layout
-    by_temperature = procedure in BINNED
+    by_temperature = reduction is Reduction.BINNED
+    at_rest = by_temperature or reduction is Reduction.AT_REST
     if labelled is not None:
         spans, how = list(labelled), "by the segment column"
-    elif procedure in FOLLOWED:
+    elif reduction is Reduction.FOLLOWED:
         spans, how = followed_spans(blocks), f"of at most {FOLLOW_SECONDS:g} s and {FOLLOW_DEGREES:g} deg of turning"
     else:
-        spans = constant_spans(blocks, layout.channels, by_temperature, procedure in AT_REST)
+        spans = constant_spans(blocks, layout.channels, by_temperature, at_rest)
         how = f"in bins of at most {BIN_KELVIN:g} degC and {BIN_SECONDS:g} s" if by_temperature else CONSTANT
     columns = [name for name in (*recorded_columns(), *layout.channels) if layout.has(name)]
     reduced = accumulate(source, spans, columns, blocks.interval) if spans else []

@@ -24,21 +24,10 @@ from imubayes.display.theme import (
     themed,
 )
 from imubayes.display.ticks import frame
+from imubayes.procedures import Procedure, Reduction, procedure_named
 
 _PITCH = 3.0
 _NORMAL = 1.959964  # 97.5 % point of the standard normal
-_DRIVERS = {
-    "rate_table": ("table_rate", "temperature", "time"),
-    "rotation_modulation": ("table_angle", "table_rate", "time"),
-    "dividing_head": ("table_angle", "time"),
-    "polar_tumble": ("table_angle", "time"),
-    "servo_table": ("time", "table_angle"),
-    "geographic_tumble": ("row",),
-    "reference_gyro": ("time",),
-    "thermal_ramp": ("converter_temperature", "temperature", "time"),
-    "current_injection": ("converter_temperature", "current", "temperature", "time"),
-    "free_tumble": ("row",),
-}
 _MODEL_BAND = "#f3c9a8"
 _GOOD = (
     "Upper panels: measurement over model. Lower panels: measurement less model, in input units. A good model has 95 % "
@@ -68,10 +57,16 @@ def measurement_figure(residuals: pl.DataFrame, run: str, channels: Sequence[str
     width = {1: 8.0, 2: 10.5, 3: 13.0}[columns]
     x_all, label = abscissa(numbers(recorded, against.column), against)
     phrase = against.phrase
-    if against.column == "row" and recorded.get_column("procedure")[0] == "free_tumble":
-        phrase = label = "pose"
-    procedure = str(recorded.get_column("procedure")[0]).replace("_", " ")
-    figure = picture(width, lines * _PITCH + 0.4, run, f"{_GOOD} {left_out}".strip(), f"{procedure}, against {phrase}")
+    procedure = _procedure(recorded)
+    if against.column == "row" and procedure.row_name != "row":
+        phrase = label = procedure.row_name
+    figure = picture(
+        width,
+        lines * _PITCH + 0.4,
+        run,
+        f"{_GOOD} {left_out}".strip(),
+        f"{procedure.name.replace('_', ' ')}, against {phrase}",
+    )
     left, _, right, top = figure.inside
     across = (right - left) / columns
     turns = against.unit == "deg"
@@ -94,8 +89,7 @@ def measurement_figure(residuals: pl.DataFrame, run: str, channels: Sequence[str
 
 def driver(recorded: pl.DataFrame) -> Covariate:
     """Return what drives a run: the covariate its procedure varies, as far as it is there and varies."""
-    procedure = str(recorded.get_column("procedure")[0])
-    keys = (*_DRIVERS.get(procedure, ()), *(known.name for known in shown()))
+    keys = (*_procedure(recorded).abscissae, *(known.name for known in shown()))
     for key in dict.fromkeys(keys):
         one = covariate(key)
         values = numbers(recorded, one.column)
@@ -104,12 +98,16 @@ def driver(recorded: pl.DataFrame) -> Covariate:
     return covariate("row")
 
 
+def _procedure(recorded: pl.DataFrame) -> Procedure:
+    return procedure_named(str(recorded.get_column("procedure")[0]))
+
+
 def _measured(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> None:
     observed, predicted = numbers(own, "observed"), numbers(own, "predicted")
     wide = _NORMAL * np.hypot(numbers(own, "sd"), np.nan_to_num(numbers(own, "model_sd")))
     order = np.argsort(x, kind="stable")
     band(axes, x[order], (predicted - wide)[order], (predicted + wide)[order], BAND_WIDE)
-    if own.get_column("procedure")[0] == "free_tumble" or x.size < 2:
+    if _procedure(own).reduction is Reduction.POSES or x.size < 2:
         points(axes, x, predicted, "_", 9, VERMILION, markeredgewidth=1.4)
     else:
         line(axes, x[order], predicted[order], color=VERMILION)

@@ -7,8 +7,8 @@ import pytest
 
 from imubayes.api import fit
 from imubayes.campaign import load_campaign
-from imubayes.classical import Estimate, classical
-from imubayes.procedures import PROCEDURES
+from imubayes.procedures.classical import classical
+from imubayes.procedures.textbook import Estimate
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "data" / "generators"))
@@ -29,8 +29,6 @@ def test_drift_of_gain_and_offset_is_found_behind_any_converter(converter, tmp_p
         one = known[name]
         assert abs(one["mean"] - truth[name]) < 4 * one["sd"], name
     # The textbook's lines stand on the same outputs: seats and source are in them, the decision is not changed.
-    lines = {
-        one.name: one for one in classical(load_campaign(tmp_path, tuple(PROCEDURES))) if isinstance(one, Estimate)
-    }
+    lines = {one.name: one for one in classical(load_campaign(tmp_path)) if isinstance(one, Estimate)}
     for name in (one for one in drift if one.startswith("delta_k")):
         assert abs(lines[name].value - truth[name]) < 4 * lines[name].sd, name

@@ -12,6 +12,8 @@ import numpy as np
 from imubayes.earth import table_to_local
 from imubayes.run import Campaign, Channel, Run
 
+_MAX_HARMONIC = 5
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -47,7 +49,7 @@ class Undetermined:
     sentence: str
 
 
-Finding = Estimate | Undetermined
+TextbookResult = Estimate | Undetermined
 
 
 @dataclass(frozen=True)
@@ -122,3 +124,26 @@ def axial(run: Run, campaign: Campaign, vector: np.ndarray) -> float:
     assert run.table is not None
     table = campaign.tables[run.table]
     return float(table_to_local(table.azimuth, table.elevation)[:, 2] @ vector)
+
+
+def harmonics(psi: np.ndarray, output: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return B0, C1, S1, C2, S2, … by least squares, and their covariance.
+
+    Parameters
+    ----------
+    psi : shape (n,), rad.
+    output : shape (n,).
+    order : highest harmonic; at n = 2·order positions the last sine is zero everywhere and is left out.
+    """
+    columns = [np.ones_like(psi)]
+    for k in range(1, order + 1):
+        columns += [np.cos(k * psi), np.sin(k * psi)]
+    if len(psi) == 2 * order:
+        columns.pop()
+    coefficients, covariance, _ = least_squares(np.stack(columns, axis=1), output)
+    return coefficients, covariance
+
+
+def order_of(positions: int) -> int:
+    """Return the highest harmonic that so many positions over the circle determine: 2 for 4 points, 5 from 11 on."""
+    return min(_MAX_HARMONIC, positions // 2)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from imubayes.classical.polar_tumble import combined
-from imubayes.classical.tumble import harmonics, order_of
+from imubayes.procedures.polar_tumble import combined
+from imubayes.procedures.textbook import harmonics, order_of
 
 PHI, LATITUDE = sp.symbols("phi L", real=True)
 C, S = sp.cos(LATITUDE), sp.sin(LATITUDE)

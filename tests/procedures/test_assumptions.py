@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.classical import Estimate, Undetermined, classical
-from imubayes.classical.reference_gyro import matched
-from imubayes.classical.rotation_modulation import carrier, left_after
-from imubayes.procedures import PROCEDURES
+from imubayes.procedures.classical import classical
+from imubayes.procedures.reference_gyro import matched
+from imubayes.procedures.rotation_modulation import carrier, left_after
+from imubayes.procedures.textbook import Estimate, Undetermined
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
 import geographic_tumble  # pyright: ignore[reportMissingImports]
@@ -33,7 +33,7 @@ def model_of(name):
 
 
 def loaded(folder):
-    return load_campaign(folder, tuple(PROCEDURES))
+    return load_campaign(folder)
 
 
 def ideal(drawn, keep=()):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.classical import Estimate, Undetermined, classical
-from imubayes.procedures import PROCEDURES
+from imubayes.procedures.classical import classical
+from imubayes.procedures.textbook import Estimate, Undetermined
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
 import polar_tumble  # pyright: ignore[reportMissingImports]
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def evaluated(folder):
-    return classical(load_campaign(folder, tuple(PROCEDURES)))
+    return classical(load_campaign(folder))
 
 
 def truth_of(folder):

@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
-from imubayes.classical import Estimate, Undetermined, classical
-from imubayes.classical.base import line
-from imubayes.classical.converter import converter_test
-from imubayes.procedures import PROCEDURES
+from imubayes.procedures.classical import classical
+from imubayes.procedures.converter_ramp import converter_test
+from imubayes.procedures.textbook import Estimate, Undetermined, line
 
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
 def campaign():
-    return load_campaign(ROOT / "data" / "accel-channel", tuple(PROCEDURES))
+    return load_campaign(ROOT / "data" / "accel-channel")
 
 
 def test_delta_k_is_near_the_truth_and_decided(campaign):

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imubayes.classical.base import Estimate, Finding, Undetermined, components, line, measured
+from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, components, line, measured
 from imubayes.run import Campaign, Channel, Run
 
 METHOD = "straight line against converter temperature"
@@ -19,9 +19,9 @@ _LEAST_INPUT = 0.1
 _LEAST_RAMP = 2.0
 
 
-def converter_test(campaign: Campaign, runs: Sequence[Run], threshold: float = THRESHOLD) -> list[Finding]:
+def converter_test(campaign: Campaign, runs: Sequence[Run], threshold: float = THRESHOLD) -> list[TextbookResult]:
     """Return relative slope per input, Δk, and the decision for each input."""
-    found: list[Finding] = []
+    found: list[TextbookResult] = []
     slopes: dict[str, list[tuple[float, Run, float, float]]] = {}
     for run in runs:
         temperature = run.covariates.get("converter_temperature")
@@ -52,9 +52,9 @@ def _input(run: Run, campaign: Campaign, channel: Channel) -> float:
     return float(np.mean(components(run, campaign, channel)[0]))
 
 
-def _decisions(channel: str, each: list[tuple[float, Run, float, float]], threshold: float) -> list[Finding]:
+def _decisions(channel: str, each: list[tuple[float, Run, float, float]], threshold: float) -> list[TextbookResult]:
     base = min(each, key=lambda one: abs(abs(one[0]) - 1))
-    found: list[Finding] = []
+    found: list[TextbookResult] = []
     for level, run, slope, sd in each:
         if run is base[1]:
             continue

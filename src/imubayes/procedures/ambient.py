@@ -1,0 +1,95 @@
+"""Covariates that effects see: what a run recorded, rates of temperature, and time since the campaign began."""
+
+from datetime import UTC, datetime
+
+import numpy as np
+
+from imubayes.covariates import ambient_names
+from imubayes.run import Campaign, Run
+
+# A temperature that moves by less than half a degree, or in fewer rows than a line and its scatter need, has no rate
+# worth the name; a slope is taken as known when its noise is a tenth of it.
+_LEAST_CHANGE, _LEAST_ROWS, _SLOPE_NOISE = 0.5, 4, 0.1
+
+
+def ambient_of(run: Run, row: np.ndarray, campaign: Campaign | None = None) -> dict[str, np.ndarray]:
+    """Return the circumstances that the run recorded, at the given rows, and what follows from them.
+
+    Rates of temperature are there where a temperature changes in known time, `campaign_time` where it is known when
+    the run was made: since the campaign's first run with a date, or since its own beginning where no run has one.
+    """
+    known = {name: run.covariates[name] for name in ambient_names() if name in run.covariates}
+    time = known.get("time")
+    if time is not None:
+        for name in ("temperature", "converter_temperature"):
+            rate = rate_of_change(time, known[name]) if name in known else None
+            if rate is not None:
+                known[f"{name}_rate"] = rate
+        since = _since_first(run, campaign)
+        if since is not None:
+            known["campaign_time"] = since + time
+    return {name: values[row] for name, values in known.items() if np.all(np.isfinite(values))}
+
+
+def _since_first(run: Run, campaign: Campaign | None) -> float | None:
+    """Return the seconds from the start of the campaign's first dated run to that of this one."""
+    starts = [one.start for one in campaign.runs if one.start] if campaign is not None else []
+    if not starts and run.start is None:
+        return 0.0
+    if run.start is None:
+        return None
+    return (_instant(run.start) - min(map(_instant, [run.start, *starts]))).total_seconds()
+
+
+def _instant(start: str) -> datetime:
+    """Return a date and time; one without a zone is taken as UTC, so that it can be compared with others."""
+    at = datetime.fromisoformat(start)
+    return at if at.tzinfo else at.replace(tzinfo=UTC)
+
+
+def rate_of_change(time: np.ndarray, values: np.ndarray) -> np.ndarray | None:
+    """Return the slope of a recorded temperature against time at every row, or None where it does not change.
+
+    A straight line is fitted to the neighbours of each row: two on either side, or more (4, 8, … up to an eighth of
+    the run) until the slopes stand out from what the scatter about the lines makes of them.
+
+    Parameters
+    ----------
+    time : shape (R,), s, in any order.
+    values : shape (R,), °C.
+    """
+    rows = len(time)
+    finite = np.all(np.isfinite(time)) and np.all(np.isfinite(values))
+    if rows < _LEAST_ROWS or not finite or np.ptp(time) == 0 or np.ptp(values) < _LEAST_CHANGE:
+        return None
+    order = np.argsort(time, kind="stable")
+    reach = 2
+    slope, deviation = _local_slopes(time[order], values[order], reach)
+    while np.mean(deviation**2) > (_SLOPE_NOISE**2) * np.mean(slope**2) and 2 * reach <= rows // 8:
+        reach *= 2
+        slope, deviation = _local_slopes(time[order], values[order], reach)
+    found = np.empty(rows)
+    found[order] = slope
+    return found
+
+
+def _local_slopes(time: np.ndarray, values: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the slope about each row and its standard deviation, from running sums over `reach` rows either side."""
+    rows = len(time)
+    first = np.maximum(np.arange(rows) - reach, 0)
+    last = np.minimum(np.arange(rows) + reach + 1, rows)
+    t, v = time - time.mean(), values - values.mean()
+
+    def window(terms: np.ndarray) -> np.ndarray:
+        total = np.concatenate([[0.0], np.cumsum(terms)])
+        return total[last] - total[first]
+
+    count = (last - first).astype(float)
+    mean_t, mean_v = window(t) / count, window(v) / count
+    spread = window(t * t) - count * mean_t**2
+    common = window(t * v) - count * mean_t * mean_v
+    timed = spread > 1e-12 * np.ptp(time) ** 2
+    slope = np.where(timed, common / np.where(timed, spread, 1.0), 0.0)
+    scatter = np.maximum(window(v * v) - count * mean_v**2 - slope * common, 0.0)
+    freedom = np.maximum(count - 2, 1.0)
+    return slope, np.sqrt(np.where(timed, scatter / freedom / np.where(timed, spread, 1.0), 0.0))

@@ -1,0 +1,14 @@
+"""The textbook estimates of a campaign, procedure by procedure, beside which the joint fit stands."""
+
+from imubayes.procedures import PROCEDURES
+from imubayes.procedures.textbook import TextbookResult
+from imubayes.run import Campaign
+
+
+def classical(campaign: Campaign) -> tuple[TextbookResult, ...]:
+    """Return the textbook estimates of a campaign, and what its runs cannot determine by the textbook."""
+    found: list[TextbookResult] = []
+    for evaluate in dict.fromkeys(procedure.evaluate for procedure in PROCEDURES.values()):
+        runs = [run for run in campaign.runs if PROCEDURES[run.procedure].evaluate is evaluate]
+        found += evaluate(campaign, runs) if evaluate and runs else []
+    return tuple(found)

@@ -1,0 +1,91 @@
+"""Kinematics of a unit on a single-axis table, as drawn: the nodes of a run, and the nominal input of a channel.
+
+Table and mounting are taken as they are specified; what is wrong with them is an effect.
+"""
+
+import math
+
+import numpy as np
+
+from imubayes.earth import earth_rate, table_to_local
+from imubayes.procedures.ambient import ambient_of
+from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.stimulus import Stimulus
+
+# A mean over a turn is the mean over equally spaced angles, exact for harmonics below their number.  About a
+# vertical axis gravity along an input axis varies by the tilt alone, so products up to the third are covered by 4;
+# about an inclined axis it swings by ±1 g and powers up to the fifth, times small harmonics, must average out.
+_NODES_VERTICAL, _NODES_INCLINED = 4, 12
+_VERTICAL_WITHIN = math.radians(1.0)
+# A partial turn is followed by Gauss–Legendre nodes: exact for polynomials of degree 9 over the arc.
+_NODES_ARC = 5
+
+
+def _angle_nodes(angle: float, span: float, whole_turn_nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return table angles and weights that stand for one row."""
+    if math.isnan(angle):
+        count = whole_turn_nodes
+        return 2 * math.pi * np.arange(count) / count, np.full(count, 1 / count)
+    if abs(span) > 0:
+        points, weights = np.polynomial.legendre.leggauss(_NODES_ARC)
+        return angle + 0.5 * span * points, weights / 2
+    return np.array([angle]), np.ones(1)
+
+
+def table_stimulus(run: Run, campaign: Campaign) -> Stimulus:
+    """Return the stimulus of a run on a single-axis table; without a table the unit stands level and still."""
+    table = campaign.tables[run.table] if run.table is not None else None
+    azimuth, elevation = (table.azimuth, table.elevation) if table else (0.0, math.pi / 2)
+    vertical = abs(abs(elevation) - math.pi / 2) < _VERTICAL_WITHIN
+    whole_turn_nodes = _NODES_VERTICAL if vertical else _NODES_INCLINED
+    angles, spans = run.covariates["table_angle"], run.covariates["table_angle_span"]
+    per_row = [_angle_nodes(a, s, whole_turn_nodes) for a, s in zip(angles, spans, strict=True)]
+    row = np.repeat(np.arange(run.rows), [len(nodes) for nodes, _ in per_row])
+    angle = np.concatenate([nodes for nodes, _ in per_row])
+    count = len(row)
+    mounting = campaign.mountings[run.mounting].body_to_table if run.mounting is not None else np.eye(3)
+    return Stimulus(
+        row=row,
+        weight=np.concatenate([weights for _, weights in per_row]),
+        base=np.broadcast_to(table_to_local(azimuth, elevation), (count, 3, 3)),
+        mounting=np.broadcast_to(mounting, (count, 3, 3)),
+        table_angle=angle,
+        table_rate=run.covariates["table_rate"][row],
+        table_acceleration=run.covariates.get("table_acceleration", np.zeros(run.rows))[row],
+        reference_rate=np.zeros((count, 3)),
+        reference_acceleration=np.zeros((count, 3)),
+        ambient=ambient_of(run, row, campaign) | {"table_angle": angle},
+        injected=False,
+        pose=np.full(count, -1),
+    )
+
+
+def table_input(
+    run: Run, channel: Channel, site: Site, table: Table | None, mounting: Mounting | None
+) -> np.ndarray | None:
+    """Return the nominal input of a channel on a table, rad/s or m/s², shape (R,); None without table or mounting."""
+    if table is None or mounting is None:
+        return None
+    rate, angle = run.covariates["table_rate"], run.covariates["table_angle"]
+    return nominal_input(channel, table, mounting, site, rate, angle)
+
+
+def nominal_input(
+    channel: Channel, table: Table, mounting: Mounting, site: Site, rate: np.ndarray, angle: np.ndarray
+) -> np.ndarray:
+    """Return the nominal input of a channel in rad/s or m/s², shape (R,).
+
+    Parameters
+    ----------
+    rate, angle : of the table, rad/s and rad; an angle that is NaN is averaged over the turn.
+    """
+    to_level = table_to_local(table.azimuth, table.elevation)
+    local = earth_rate(site.latitude) if channel.kind == "gyro" else np.array([0.0, 0.0, site.gravity])
+    fixed = to_level.T @ local
+    cosine, sine = (np.where(np.isnan(angle), 0.0, f(np.nan_to_num(angle))) for f in (np.cos, np.sin))
+    in_table = np.stack(
+        [cosine * fixed[0] + sine * fixed[1], cosine * fixed[1] - sine * fixed[0], np.full_like(rate, fixed[2])], axis=1
+    )
+    if channel.kind == "gyro":
+        in_table[:, 2] += rate
+    return in_table @ mounting.body_to_table @ channel.axes[0]

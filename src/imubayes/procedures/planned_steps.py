@@ -1,0 +1,100 @@
+"""What a plan says is done in a run, and the rows that follow from it before anything is measured.
+
+Rows follow each other in time: a turning row lasts whole turns, so that what depends on the angle averages out, and
+steady rows are separated by the time that it takes to move on.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+SECONDS_PER_ROW = 60.0
+Temperature = Annotated[float, Field(ge=-150, le=150)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class PlannedSteps(BaseModel):
+    """The keys of a planned run that say what is done; each procedure takes a few of them."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+    rates_deg_s: Annotated[list[float], Field(min_length=1)] | None = None
+    positions: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    angles_deg: Annotated[list[float], Field(min_length=1)] | None = None
+    converter_temperature_degC: Annotated[list[Temperature], Field(min_length=2, max_length=2)] | None = None
+    rows: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    rate_degC_per_h: Positive | None = None
+    current_mA: float | None = None
+    samples: Annotated[int, Field(ge=1)] = 1200
+    seconds_per_row: Positive | None = None
+
+    @property
+    def duration(self) -> float:
+        """Shortest duration of a row, s."""
+        return self.seconds_per_row or SECONDS_PER_ROW
+
+
+RAMP_KEYS = ("converter_temperature_degC", "rows", "rate_degC_per_h")
+STEP_KEYS = tuple(key for key in PlannedSteps.model_fields if key not in ("samples", "seconds_per_row"))
+
+
+@dataclass(frozen=True)
+class PlannedRows:
+    """Columns of a planned run in the units of the file, shape (R,) each, and the duration of each row, s."""
+
+    duration: np.ndarray
+    columns: dict[str, np.ndarray]
+
+
+def ramp_rows(steps: PlannedSteps) -> PlannedRows:
+    """Return the rows of a run at rest, over a ramp of temperature where there is one."""
+    if steps.rate_degC_per_h is None or steps.converter_temperature_degC is None:
+        return PlannedRows(np.full(steps.rows or 1, steps.duration), {})
+    low, high = steps.converter_temperature_degC
+    whole = 3600.0 * abs(high - low) / steps.rate_degC_per_h
+    rows = steps.rows or max(1, round(whole / steps.duration))
+    return PlannedRows(np.full(rows, whole / rows), {})
+
+
+@dataclass(frozen=True)
+class PlanRules:
+    """What a procedure takes from a plan.
+
+    Attributes
+    ----------
+    one_of : keys of which a run has exactly one.
+    further : keys that it may have.
+    pause : time to the next rate or position, s.
+    rows : steps → rows.
+    """
+
+    one_of: tuple[str, ...]
+    further: tuple[str, ...] = ()
+    pause: float = 0.0
+    rows: Callable[[PlannedSteps], PlannedRows] = ramp_rows
+
+
+def columns_of(steps: PlannedSteps, rules: PlanRules) -> dict[str, np.ndarray]:
+    """Return the columns of a run but for the outputs, in the units of the file; an angle is NaN over whole turns."""
+    rows = rules.rows(steps)
+    end = np.cumsum(rows.duration + rules.pause) - rules.pause
+    centre = end - rows.duration / 2
+    columns = {"time_s": np.round(centre, 6)} | rows.columns
+    if steps.converter_temperature_degC is not None:
+        low, high = steps.converter_temperature_degC
+        columns["converter_temperature_degC"] = low + (high - low) * centre / end[-1]
+    if steps.current_mA is not None:
+        columns["current_mA"] = np.full(len(centre), steps.current_mA)
+    return columns | {"samples": np.full(len(centre), float(steps.samples))}
+
+
+def whole_turns(rate: float, seconds: float) -> float:
+    """Return the shortest time of at least so many seconds that holds whole turns at a rate in deg/s."""
+    if rate == 0:
+        return seconds
+    turn = 360.0 / abs(rate)
+    return turn * max(1, math.ceil(seconds / turn - 1e-9))
