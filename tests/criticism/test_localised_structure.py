@@ -9,12 +9,12 @@ from scipy import stats
 
 from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.judge import judge
-from imubayes.criticism.lack_of_fit import forms, lay, look
-from imubayes.criticism.localised_structure import STEP, details, scan
+from imubayes.criticism.lack_of_fit import free_forms, project_forms, screen_structure
+from imubayes.criticism.localised_structure import STEP, features, scan_features
 from imubayes.criticism.multiple_testing import look_elsewhere
 from imubayes.criticism.projection import project
 from imubayes.criticism.residual_covariates import covariates
-from imubayes.criticism.score_test import explain
+from imubayes.criticism.score_test import score_test
 from imubayes.display.diagnosis_report import diagnosis_json
 
 
@@ -32,7 +32,7 @@ def known(projection):
 
 @pytest.fixture(scope="module")
 def scans(projection, known):
-    return [scan(projection, one) for one in details(projection, known)]
+    return [scan_features(projection, each) for each in features(projection, known)]
 
 
 def _under(projection, seed, change=None):
@@ -45,7 +45,7 @@ def _under(projection, seed, change=None):
 
 def _first(projection, known, scans):
     """Return the likeliest broad form and the likeliest detail."""
-    found = look(projection, lay(projection, forms(projection, known)), scans)
+    found = screen_structure(projection, project_forms(projection, free_forms(projection, known)), scans)
     is_broad = [one.test in ("levels", "spline", "course of one run") for one in found]
     return found[is_broad.index(True)], found[is_broad.index(False)]
 
@@ -56,9 +56,9 @@ def test_scores_of_the_scan_are_drops_of_chi_squared(projection, scans):
     for one in scans:
         for batch, scores in one.scores(residual[None, :]):
             for place, score, freedom in zip(batch.members[::7], scores[0][::7], batch.freedom[::7], strict=True):
-                detail = one.details.found[place]
-                whole = one.details.whole(detail, len(residual))
-                found = explain(projection, projection.project(whole), np.linalg.norm(whole, axis=0), 1e-6)
+                detail = one.features.found[place]
+                whole = one.features.whole(detail, len(residual))
+                found = score_test(projection, projection.project(whole), np.linalg.norm(whole, axis=0), 1e-6)
                 assert found.span.shape[1] == freedom
                 assert score == pytest.approx(found.delta_chi2_at_fit, rel=1e-5, abs=1e-7)
                 seen.add(detail.test)
@@ -69,7 +69,7 @@ def test_every_detail_counts_as_a_look(projection, scans):
     """With details left out of the count, white noise would be called structured most of the time."""
     counted = look_elsewhere([], scans)
     # What is called chance if only one detail had been looked at.
-    single = look_elsewhere([explain(projection, np.eye(len(projection.residual))[:, :1], np.ones(1))])
+    single = look_elsewhere([score_test(projection, np.eye(len(projection.residual))[:, :1], np.ones(1))])
     smallest = []
     for seed in range(60):
         residual = np.random.default_rng([seed, 5]).normal(size=(1, len(projection.residual)))

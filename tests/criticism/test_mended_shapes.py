@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imubayes.criticism.diagnosis import _resembles
-from imubayes.criticism.equivalent_effects import group
+from imubayes.criticism.equivalent_effects import equivalence_group
 from imubayes.criticism.projection import Projection, Strata
 from imubayes.criticism.score_test import Candidate, ScoreTest
 from imubayes.criticism.stepwise_search import Screening, SearchResult
@@ -64,5 +64,5 @@ def test_near_odds_for_the_same_are_one_group(response, doubt, expected):
     leader.log_p, other.log_p = -50.0, doubt
     leader.dof = other.dof = 1
     strata = stub(Strata, at_rows=lambda variance: np.full(len(RATE), variance[0]))
-    found = group(stub(Projection, strata=strata), leader, [leader, other], 1e-9)
+    found = equivalence_group(stub(Projection, strata=strata), leader, [leader, other], 1e-9)
     assert ("other" in found.effects) is expected

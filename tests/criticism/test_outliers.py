@@ -111,7 +111,7 @@ def test_a_step_is_no_matter_of_outliers(whole):
 
 def test_a_step_would_pass_for_outliers(whole, monkeypatch):
     """The planted fault: the check goes red where nobody asks whether they follow one another."""
-    monkeypatch.setattr(search_module, "in_a_row", lambda model, sizes: False)
+    monkeypatch.setattr(search_module, "consecutive", lambda model, sizes: False)
     found = diagnosis_json(judge(redrawn(whole, 8, change=step(whole))))
     assert found["verdict"] == "noise_model", found["sentence"]
 

@@ -13,7 +13,7 @@ from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.judge import judge
 from imubayes.criticism.multiple_testing import look_elsewhere
 from imubayes.criticism.projection import project
-from imubayes.criticism.score_test import prepare, screen
+from imubayes.criticism.score_test import project_responses, screen
 from imubayes.criticism.stepwise_search import search
 from imubayes.display.diagnosis_report import diagnosis_json
 
@@ -31,7 +31,7 @@ def looked(fitted):
         fresh = redrawn(fitted, seed)
         responses = candidate_responses(fresh)
         projection = project(fresh, responses.misfit, responses.jacobian)
-        candidates = screen(projection, prepare(projection, responses.candidates))
+        candidates = screen(projection, project_responses(projection, responses.candidates))
         found.append((projection, candidates))
     return found
 
@@ -40,7 +40,7 @@ def test_what_the_model_absorbs_is_orthogonal_to_what_is_screened(fitted):
     responses = candidate_responses(fitted)
     projection = project(fitted, responses.misfit, responses.jacobian)
     assert np.abs(projection.basis.T @ projection.residual).max() < 1e-8
-    for one in prepare(projection, responses.candidates):
+    for one in project_responses(projection, responses.candidates):
         assert np.abs(projection.basis.T @ one.projected).max() < 1e-8 * max(1.0, np.abs(one.whitened).max())
 
 
@@ -51,7 +51,7 @@ def test_what_is_rounding_of_a_response_has_no_coefficient(fitted, monkeypatch):
         projection = project(fitted, responses.misfit, responses.jacobian)
         return [
             coefficient.parameter.name
-            for one in screen(projection, prepare(projection, responses.candidates))
+            for one in screen(projection, project_responses(projection, responses.candidates))
             for coefficient, value in zip(one.coefficients, one.value, strict=True)
             if abs(value) > 1e6 * coefficient.typical[1]
         ]
@@ -72,7 +72,7 @@ def test_the_score_is_the_drop_of_a_linear_refit(fitted):
     """Δχ² by least squares with the columns of the candidate added, from scratch."""
     responses = candidate_responses(fitted)
     projection = project(fitted, responses.misfit, responses.jacobian)
-    one = prepare(projection, responses.candidates)[0]
+    one = project_responses(projection, responses.candidates)[0]
     candidate = next(c for c in screen(projection, [one]) if len(c.coefficients) == len(one.response.coefficients))
     whole = projection.basis @ (projection.basis.T @ one.whitened) + one.projected
     both = np.concatenate([projection.jacobian, whole], axis=1)
@@ -126,7 +126,7 @@ def test_a_hidden_effect_is_found_with_its_size(fitted):
     responses = candidate_responses(fitted)
     hidden = next(one for one in responses.candidates if one.scan.effect == "accel_bias_drift")
     projection = project(fitted, responses.misfit, responses.jacobian)
-    length = float(np.linalg.norm(prepare(projection, [hidden])[0].projected))
+    length = float(np.linalg.norm(project_responses(projection, [hidden])[0].projected))
     size = 10 / length
     fresh = redrawn(fitted, 3, change=hidden.columns[:, 0] * size)
     found = search(fresh)
@@ -147,7 +147,7 @@ def test_what_only_pleases_the_priors_at_an_absurd_size_is_no_candidate(fitted):
     """Its evidence all in the prior rows, its coefficient far beyond what is met in practice."""
     responses = candidate_responses(fitted)
     projection = project(fitted, responses.misfit, responses.jacobian)
-    found = screen(projection, prepare(projection, responses.candidates))[0]
+    found = screen(projection, project_responses(projection, responses.candidates))[0]
     absurd = np.array([1e4 * one.typical[1] for one in found.coefficients])
     assert not replace(found, value=absurd, score=replace(found.score, prior_share=0.9)).plausible
     assert replace(found, value=absurd, score=replace(found.score, prior_share=0.1)).plausible

@@ -1,4 +1,4 @@
-"""Who would swallow an effect that the model lacks, and how small an effect these runs could still show."""
+"""Detectability: what absorbs an effect that the model lacks, and how small an effect these runs could still show."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,12 @@ from imubayes.criticism import thresholds
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.score_test import ProjectedResponse
 
+RUN_OFFSETS = "run offsets"
+
 
 @dataclass(frozen=True)
 class Absorber:
-    """What hides an effect: parameter family (`effect.parameter`, or `run offsets`) and its share."""
+    """What hides an effect: parameter family (`effect.parameter`, or `RUN_OFFSETS`) and its share of the response."""
 
     parameter: str
     share: float
@@ -20,12 +22,12 @@ class Absorber:
 
 @dataclass(frozen=True)
 class ParameterBias:
-    """What an effect of the largest usual size does unseen to the parameter it shifts most.
+    """The parameter that an effect of the largest typical size biases most while undetected.
 
     Attributes
     ----------
     parameter, unit : name and unit.
-    value, in_sd : the shift, in that unit and in posterior standard deviations.
+    value, in_sd : the bias, in that unit and in posterior standard deviations.
     """
 
     parameter: str
@@ -36,16 +38,16 @@ class ParameterBias:
 
 @dataclass(frozen=True)
 class Detectability:
-    """How well the runs can see one effect.
+    """How well the runs can show one effect, by the coefficient that they show best relative to its typical size.
 
     Attributes
     ----------
-    effect, unit, name : of the coefficient that is seen best, relative to its typical size.
-    retained : share of its response that the model cannot absorb.
-    smallest_detectable : size that would be found with a chance of 80 %, in its unit; infinite where none would.
+    effect, name, unit : effect, and name and unit of the coefficient.
+    retained : fraction of its squared response that the model does not absorb.
+    smallest_detectable : size detected with a power of 80 %, in its unit; infinite where none is.
     typical : smallest and largest magnitude met in practice.
-    absorbed_by : what swallows the rest, largest first.
-    bias : what it would do to the reported parameters where it is there and not modelled; None where nothing is.
+    absorbed_by : what absorbs the rest, largest share first.
+    bias : of the reported parameters where the effect is present and not modelled; None without parameters.
     """
 
     effect: str
@@ -63,37 +65,36 @@ class Detectability:
         return self.smallest_detectable > self.typical[1]
 
 
-def detectability(projection: Projection, one: ProjectedResponse, threshold: float, looks: float) -> Detectability:
-    """Return how well the runs can see a candidate: by the coefficient that they see best.
+def detectability(projection: Projection, response: ProjectedResponse, threshold: float, looks: float) -> Detectability:
+    """Return how well the runs can show a candidate.
 
     Parameters
     ----------
-    threshold : chance of a false alarm over all looks.
-    looks : how many independent looks there are.
+    threshold : probability of a false alarm over all looks.
+    looks : effective number of independent looks.
     """
-    length = np.linalg.norm(one.projected, axis=0)
-    raw = np.sum((projection.root[:, None] * one.response.columns) ** 2, axis=0)
+    coefficients = response.response.coefficients
+    length = np.linalg.norm(response.projected, axis=0)
+    raw = np.sum((projection.root[:, None] * response.response.columns) ** 2, axis=0)
     needed = stats.norm.isf(threshold / max(looks, 1.0) / 2) + stats.norm.ppf(thresholds.DETECTION_POWER)
-    typical = np.array([coefficient.typical[1] for coefficient in one.response.coefficients])
     with np.errstate(divide="ignore"):
         smallest = needed * np.where(length > 1e-9 * np.sqrt(raw), 1 / length, np.inf)
-    best = int(np.argmin(smallest / typical))
-    coefficient = one.response.coefficients[best]
-    retained = float(length[best] ** 2 / raw[best]) if raw[best] > 0 else 0.0
+    best = int(np.argmin(smallest / np.array([coefficient.typical[1] for coefficient in coefficients])))
+    coefficient, whitened = coefficients[best], response.whitened[:, best]
     return Detectability(
-        effect=one.response.scan.effect,
+        effect=response.response.scan.effect,
         name=coefficient.parameter.name,
         unit=coefficient.parameter.unit,
-        retained=retained,
+        retained=float(length[best] ** 2 / raw[best]) if raw[best] > 0 else 0.0,
         smallest_detectable=float(smallest[best]),
         typical=coefficient.typical,
-        absorbed_by=_absorbers(projection, one.whitened[:, best], float(raw[best])),
-        bias=_bias(projection, one.whitened[:, best] * coefficient.typical[1]),
+        absorbed_by=_absorbers(projection, whitened, float(raw[best])),
+        bias=_bias(projection, whitened * coefficient.typical[1]),
     )
 
 
 def _bias(projection: Projection, whitened: np.ndarray) -> ParameterBias | None:
-    """Return the shift of the parameter that a change of the readings moves most, in its posterior sd."""
+    """Return the bias of the parameter that a whitened change of the data, (R,), shifts most in posterior sd."""
     shift = projection.absorb(whitened)
     if not len(shift):
         return None
@@ -105,19 +106,18 @@ def _bias(projection: Projection, whitened: np.ndarray) -> ParameterBias | None:
 
 
 def _absorbers(projection: Projection, whitened: np.ndarray, raw: float) -> tuple[Absorber, ...]:
-    """Return the shares of a response that each family of parameters, and the run offsets, take up."""
+    """Return the shares of a response of squared length `raw` that parameter families and run offsets absorb."""
     if raw <= 0:
         return ()
-    model = projection.fitted.model
-    fit = projection.absorb(whitened)
-    taken: dict[str, float] = {"run offsets": max(0.0, 1 - float(whitened @ whitened) / raw)}
+    shares = {RUN_OFFSETS: max(0.0, 1 - float(whitened @ whitened) / raw)}
     # Shares of the regression: g·(J_k c_k)/|g|² add up to what is absorbed in all.
-    shares = (projection.jacobian * fit).T @ whitened / raw
-    for parameter, share in zip(model.layout.parameters, shares.tolist(), strict=True):
+    each = (projection.jacobian * projection.absorb(whitened)).T @ whitened / raw
+    for parameter, share in zip(projection.fitted.model.layout.parameters, each.tolist(), strict=True):
         family = f"{parameter.effect}.{parameter.field}"
-        taken[family] = taken.get(family, 0.0) + share
-    absorbed = sum(taken.values())
-    positive = {name: share for name, share in taken.items() if share > 0}
+        shares[family] = shares.get(family, 0.0) + share
+    absorbed = min(sum(shares.values()), 1.0)
+    positive = {name: share for name, share in shares.items() if share > 0}
     whole = sum(positive.values()) or 1.0
-    found = [Absorber(name, share / whole * min(absorbed, 1.0)) for name, share in positive.items()]
-    return tuple(sorted((one for one in found if one.share >= thresholds.ABSORBER_SHARE), key=lambda one: -one.share))
+    found = [Absorber(name, share / whole * absorbed) for name, share in positive.items()]
+    listed = [absorber for absorber in found if absorber.share >= thresholds.ABSORBER_SHARE]
+    return tuple(sorted(listed, key=lambda absorber: -absorber.share))

@@ -13,7 +13,7 @@ import numpy as np
 from imubayes.criticism import thresholds
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.score_test import explain
+from imubayes.criticism.score_test import score_test
 from imubayes.criticism.term_library import Term, library
 
 # Sorts of terms that are chosen from many: penalised against plain ones.
@@ -71,7 +71,7 @@ def find_formula(projection: Projection, known: Sequence[ResidualCovariate], cha
     first: tuple[float, tuple[str, ...]] = (0.0, ())
     for step in range(thresholds.MAX_TERMS):
         found = [
-            explain(at, projected[:, None], np.linalg.norm(column, keepdims=True), thresholds.FORM_RETAINED_MIN)
+            score_test(at, projected[:, None], np.linalg.norm(column, keepdims=True), thresholds.FORM_RETAINED_MIN)
             for projected, column in zip(at.project(whitened).T, whitened.T, strict=True)
         ]
         worth = [

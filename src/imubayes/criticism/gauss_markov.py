@@ -1,9 +1,9 @@
-"""Noise that remembers: white noise with a slow part, and how much of it there is in each channel.
+"""Autocorrelated noise: white noise plus first-order Gauss–Markov noise, and how much of it each channel has.
 
-The slow part is exponentially correlated (IEEE Std 952, Markov noise): row to row by φ, with a share c of the variance;
-c = 1 is AR(1).  Whitening is by the innovations of its Kalman filter, exact for every record.  Share and correlation
-come from the restricted likelihood (Patterson & Thompson, Biometrika 1971) on a grid: what the model has taken out of
-the residual has taken the slow part along, and a correlation read off the residual would be too small.
+The Gauss–Markov part (IEEE Std 952) has correlation φ from row to row and a share c of the variance; c = 1 is AR(1).
+Whitening is by the innovations of its Kalman filter, exact for every record.  Share and correlation come from the
+restricted likelihood (Patterson & Thompson, Biometrika 1971) on a grid: the fit has absorbed part of the slow noise, so
+that the autocorrelation of the residual is biased towards zero.
 """
 
 from collections.abc import Sequence
@@ -18,14 +18,14 @@ from imubayes.criticism.projection import Projection
 
 @dataclass(frozen=True)
 class MarkovNoise:
-    """Noise of variance 1 with a slow part: its share of the variance, and its correlation from row to row."""
+    """Noise of unit variance: share of the variance that is Gauss–Markov, and its correlation from row to row."""
 
     share: float
     correlation: float
 
     @property
-    def slow(self) -> float:
-        """Its variance at the lowest frequencies, over that of white noise: 1 − c + c (1 + φ)/(1 − φ)."""
+    def low_frequency_power(self) -> float:
+        """Power at zero frequency over that of white noise: 1 − c + c (1 + φ)/(1 − φ)."""
         return 1 - self.share + self.share * (1 + self.correlation) / (1 - self.correlation)
 
 
@@ -35,7 +35,7 @@ GRID = (WHITE, *(MarkovNoise(*pair) for pair in product(thresholds.MARKOV_SHARES
 
 @dataclass(frozen=True)
 class InnovationsFilter:
-    """Takes the slow part out of whitened entries.
+    """Kalman filter that whitens entries with Gauss–Markov noise.
 
     Attributes
     ----------
@@ -71,21 +71,21 @@ class InnovationsFilter:
 
 
 def estimate_markov_noise(projection: Projection, channels: Sequence[int]) -> dict[int, MarkovNoise]:
-    """Return the memory of the noise of some channels of one kind, by place; each learns from the others.
+    """Return the Markov noise of some channels of one kind, by place.
 
-    A channel's own runs are few: to its likelihood comes the mean of those of the others.  Of memories that are nearly
-    as likely the one with the most slow noise is taken: too little of it passes for effects.
+    A channel has few runs of its own: the mean log likelihood of the other channels is added to its own.  Among grid
+    points that are nearly as likely, the one with the most low-frequency power is taken: too little passes for effects.
     """
     tables = np.array([restricted_log_likelihoods(*_of_channel(projection, place)) for place in channels])
     others = (tables.sum(axis=0) - tables) / max(len(channels) - 1, 1)
-    slow = np.array([one.slow for one in GRID])
+    power = np.array([noise.low_frequency_power for noise in GRID])
     whole = tables + others
-    likely = np.where(whole > whole.max(axis=1, keepdims=True) - thresholds.MARKOV_NEARLY, slow, 0.0)
+    likely = np.where(whole > whole.max(axis=1, keepdims=True) - thresholds.MARKOV_NEARLY, power, 0.0)
     return {place: GRID[int(np.argmax(own))] for place, own in zip(channels, likely, strict=True)}
 
 
 def _of_channel(projection: Projection, channel: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return residual, directions taken out, and records of one channel, its entries numbered from 0."""
+    """Return residual, projected-out directions and records of one channel, its entries numbered from 0."""
     entries, turn = projection.fitted.model.entries, projection.turn
     count = len(entries)
     groups = turn.series[(entries.channel[turn.series[:, 0]] == channel) & (turn.sizes > 2)]
@@ -102,20 +102,20 @@ def restricted_log_likelihoods(residual: np.ndarray, taken: np.ndarray, series: 
     Parameters
     ----------
     residual : shape (n,).
-    taken : shape (n, k), directions that have been taken out of it, as far as these entries hold them.
+    taken : shape (n, k), the part of the projected-out directions in these entries.
     series : shape (G, M), entries of each record in the order of time, n where padded.
     """
     count = len(residual)
     if not count:
         return np.zeros(len(GRID))
-    # A record's offset is free: how it scatters is a matter of its own.
+    # The offset of a record is free: its scatter is a noise of its own.
     offsets = (series[:, :, None] == np.arange(count)).any(axis=1).T.astype(float)
     whole = np.concatenate([taken, offsets / np.sqrt(offsets.sum(axis=0))], axis=1)
     left, lengths, _ = np.linalg.svd(whole, full_matrices=False)
     columns = np.concatenate([residual[:, None], left[:, lengths**2 > thresholds.DIRECTION_HELD_MIN]], axis=1)
     found = []
-    for one in GRID:
-        by = InnovationsFilter(series, np.full(len(series), one.share), np.full(len(series), one.correlation))
+    for noise in GRID:
+        by = InnovationsFilter(series, np.full(len(series), noise.share), np.full(len(series), noise.correlation))
         white, determinant = by.filtered(columns)
         basis, upper = np.linalg.qr(white[:, 1:])
         misfit = white[:, 0] - basis @ (basis.T @ white[:, 0])

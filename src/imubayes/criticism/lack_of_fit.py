@@ -1,10 +1,10 @@
-"""Structure without a name: whether the residual of a channel depends on anything, whatever the form.
+"""Lack of fit: whether the residual of a channel depends on any covariate, in any form.
 
-Each channel, and all channels of a kind together, are looked at against each covariate with a form free enough to
-follow any broad cause: one value per level where a covariate was stepped through few of them, a cubic spline where it
-varied freely, harmonics for the table angle, steps in time for each run by itself.  What is narrow, fast or sudden, and
-products of two covariates, are covered by `imubayes.criticism.localised_structure`.  Everything goes through the same
-projection as the candidates, so what the model absorbs is not taken for structure.
+Each channel, and all channels of a kind together, are tested against each covariate with a form free enough to follow
+any broad dependence: one value per level where a covariate was stepped, a cubic spline where it varied freely,
+harmonics of the table angle, segments in time for each run by itself.  Narrow, fast or sudden dependences, and products
+of two covariates, are left to `imubayes.criticism.localised_structure`.  Forms are projected as candidates are, so that
+what the model absorbs is not taken for structure.
 """
 
 from collections.abc import Sequence
@@ -15,10 +15,10 @@ from scipy import stats
 from scipy.interpolate import BSpline
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.localised_structure import STEP, Feature, FeatureScan, FeatureSet, in_time, time_in_run
+from imubayes.criticism.localised_structure import STEP, Feature, FeatureScan, FeatureSet, time_in_run, time_rank
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.score_test import ScoreTest, explain, sizes
+from imubayes.criticism.score_test import ScoreTest, generalised_least_squares, score_test
 from imubayes.criticism.term_library import levels
 
 
@@ -28,11 +28,11 @@ class Structure:
 
     Attributes
     ----------
-    channel : name; of several that were looked at together the one with most of it.
+    channel : name; of several tested together, the one with most of it.
     covariates : one or two.
-    test : what form was allowed.
+    test : the form that was fitted.
     score : what it explains.
-    text : of a detail: what it is in brief.
+    text : of a localised feature: what it is in brief.
     height : of a step: its height in the channel and the standard deviation of that, in output units.
     """
 
@@ -45,7 +45,7 @@ class Structure:
 
 
 @dataclass(frozen=True)
-class Form:
+class FreeForm:
     """A free form on one or more channels: columns over the entries, before whitening, shape (E, C)."""
 
     channels: tuple[str, ...]
@@ -54,52 +54,50 @@ class Form:
     columns: np.ndarray
 
 
-def forms(projection: Projection, known: Sequence[ResidualCovariate]) -> list[Form]:
-    """Return the free forms of every channel, and of all of a kind, in every covariate."""
-    fitted = projection.fitted
-    entries, found = fitted.model.entries, []
-    kinds: dict[str, list[list[Form]]] = {}
-    for place, channel in enumerate(fitted.model.campaign.channels):
+@dataclass(frozen=True)
+class ProjectedForm:
+    """A form as projected rows (R, C), with the lengths of its whitened columns before projection."""
+
+    form: FreeForm
+    columns: np.ndarray
+    length: np.ndarray
+
+
+def free_forms(projection: Projection, covariates: Sequence[ResidualCovariate]) -> list[FreeForm]:
+    """Return the free forms of every channel, and of all channels of a kind, in every covariate."""
+    entries, found = projection.fitted.model.entries, []
+    kinds: dict[str, dict[str, list[FreeForm]]] = {}
+    for place, channel in enumerate(projection.fitted.model.campaign.channels):
         here = (entries.channel == place) & ~entries.closing
-        alone = _of_channel(projection, channel.name, here, known)
-        kinds.setdefault(channel.kind, []).append(alone)
-        found += [*alone, *_courses(projection, channel.name, here)]
-    for each in kinds.values():
-        found.extend(_together(each))
+        own = _of_channel(channel.name, here, covariates)
+        found += [*own, *_courses(projection, channel.name, here)]
+        for form in own:
+            kinds.setdefault(channel.kind, {}).setdefault(form.covariate.name, []).append(form)
+    for forms in kinds.values():
+        found += [_together(same) for same in forms.values() if len(same) > 1]
     return found
 
 
-def _of_channel(
-    projection: Projection, channel: str, here: np.ndarray, known: Sequence[ResidualCovariate]
-) -> list[Form]:
+def _of_channel(channel: str, here: np.ndarray, covariates: Sequence[ResidualCovariate]) -> list[FreeForm]:
     found = []
-    usable = [one for one in known if _rows(one, here).sum() >= thresholds.FORM_MIN_ROWS]
-    for one in usable:
-        test, columns = _alone(one, _rows(one, here))
-        if columns.shape[1]:
-            found.append(Form((channel,), one, test, columns))
+    for covariate in covariates:
+        rows = here & np.isfinite(covariate.values)
+        if rows.sum() >= thresholds.FORM_MIN_ROWS and np.ptp(covariate.values[rows]) > 0:
+            test, basis = _form(covariate, rows)
+            if basis.shape[1]:
+                found.append(FreeForm((channel,), covariate, test, _at_rows(basis, rows)))
     return found
 
 
-def _together(channels: Sequence[Sequence[Form]]) -> list[Form]:
-    """Return the forms of several channels in the same covariates as one each, every channel with its own values."""
-    alike: dict[str, list[Form]] = {}
-    for one in (form for forms in channels for form in forms):
-        alike.setdefault(one.covariate.name, []).append(one)
-    return [
-        Form(
-            tuple(name for one in each for name in one.channels),
-            each[0].covariate,
-            each[0].test,
-            np.concatenate([one.columns for one in each], axis=1),
-        )
-        for each in alike.values()
-        if len(each) > 1
-    ]
+def _together(forms: Sequence[FreeForm]) -> FreeForm:
+    """Return the forms of several channels in the same covariate as one, each channel with its own values."""
+    channels = tuple(name for form in forms for name in form.channels)
+    columns = np.concatenate([form.columns for form in forms], axis=1)
+    return FreeForm(channels, forms[0].covariate, forms[0].test, columns)
 
 
-def _courses(projection: Projection, channel: str, here: np.ndarray) -> list[Form]:
-    """Return the course of each run by itself: what happens once belongs to no covariate that runs share."""
+def _courses(projection: Projection, channel: str, here: np.ndarray) -> list[FreeForm]:
+    """Return the course of each run by itself: what happens once depends on no covariate that runs share."""
     model, found = projection.fitted.model, []
     for index in range(len(model.campaign.runs)):
         rows = here & (model.entries.run == index)
@@ -107,109 +105,90 @@ def _courses(projection: Projection, channel: str, here: np.ndarray) -> list[For
         if count < thresholds.COURSE_MIN_ROWS:
             continue
         place = np.zeros(len(rows), dtype=int)
-        place[rows] = in_time(projection, rows)
+        place[rows] = time_rank(projection, rows)
         segment = place[rows] * min(thresholds.MAX_SEGMENTS, count // thresholds.SEGMENT_ROWS) // count
-        covariate = time_in_run(projection, index, rows, place)
-        steps = np.eye(segment.max() + 1)[segment]
-        found.append(Form((channel,), covariate, "course of one run", _spread(steps, rows)))
+        columns = _at_rows(np.eye(segment.max() + 1)[segment], rows)
+        found.append(FreeForm((channel,), time_in_run(projection, index, rows, place), "course of one run", columns))
     return found
 
 
-def _rows(one: ResidualCovariate, here: np.ndarray) -> np.ndarray:
-    rows = here & np.isfinite(one.values)
-    return rows if rows.any() and np.ptp(one.values[rows]) > 0 else np.zeros_like(rows)
-
-
-def _alone(one: ResidualCovariate, rows: np.ndarray) -> tuple[str, np.ndarray]:
-    values = one.values[rows]
-    if one.name == "table_angle_deg":
-        angle = np.radians(values)
-        basis = np.stack([f(k * angle) for k in range(1, thresholds.HARMONICS + 1) for f in (np.sin, np.cos)], axis=1)
-        return f"harmonics to {thresholds.HARMONICS}", _spread(basis, rows)
+def _form(covariate: ResidualCovariate, rows: np.ndarray) -> tuple[str, np.ndarray]:
+    """Return the name and basis, (n, columns), of the free form in a covariate over some rows."""
+    values = covariate.values[rows]
+    if covariate.name == "table_angle_deg":
+        orders, angle = range(1, thresholds.HARMONICS + 1), np.radians(values)
+        basis = np.stack([f(order * angle) for order in orders for f in (np.sin, np.cos)], axis=1)
+        return f"harmonics to {thresholds.HARMONICS}", basis
     level = levels(values)
     if level.max() + 1 <= thresholds.MAX_LEVELS:
-        return "levels", _spread(np.eye(level.max() + 1)[level], rows)
-    return "spline", _spread(_spline(values), rows)
-
-
-def _spline(values: np.ndarray) -> np.ndarray:
-    """Return a cubic B-spline basis with knots at quantiles, (n, columns)."""
+        return "levels", np.eye(level.max() + 1)[level]
+    # A cubic B-spline with knots at quantiles.
     inner = np.unique(np.quantile(values, np.linspace(0, 1, thresholds.SPLINE_COLUMNS - 2)))
     knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
-    return BSpline.design_matrix(values, knots, 3).toarray()
+    return "spline", BSpline.design_matrix(values, knots, 3).toarray()
 
 
-def _spread(basis: np.ndarray, rows: np.ndarray) -> np.ndarray:
+def _at_rows(basis: np.ndarray, rows: np.ndarray) -> np.ndarray:
     columns = np.zeros((len(rows), basis.shape[1]))
     columns[rows] = basis
     return columns
 
 
-@dataclass(frozen=True)
-class ProjectedForm:
-    """A form as projected rows (R, C), with the lengths of its columns before."""
-
-    form: Form
-    columns: np.ndarray
-    length: np.ndarray
-
-
-def lay(projection: Projection, found: Sequence[Form]) -> list[ProjectedForm]:
+def project_forms(projection: Projection, forms: Sequence[FreeForm]) -> list[ProjectedForm]:
     """Return forms as rows of the projection."""
-    if not found:
+    if not forms:
         return []
-    whitened = projection.whitened(np.concatenate([one.columns for one in found], axis=1))
-    projected = projection.project(whitened)
-    length = np.linalg.norm(whitened, axis=0)
-    ends = np.cumsum([one.columns.shape[1] for one in found])
-    parts = [slice(end - one.columns.shape[1], end) for one, end in zip(found, ends, strict=True)]
-    return [ProjectedForm(one, projected[:, part], length[part]) for one, part in zip(found, parts, strict=True)]
+    whitened = projection.whitened(np.concatenate([form.columns for form in forms], axis=1))
+    ends = np.cumsum([form.columns.shape[1] for form in forms])[:-1]
+    lengths = np.split(np.linalg.norm(whitened, axis=0), ends)
+    columns = np.split(projection.project(whitened), ends, axis=1)
+    return [ProjectedForm(*each) for each in zip(forms, columns, lengths, strict=True)]
 
 
-def look(projection: Projection, laid: Sequence[ProjectedForm], scans: Sequence[FeatureScan]) -> list[Structure]:
-    """Return what each form, and the best detail against each covariate, explains; the least likely by chance first."""
+def screen_structure(
+    projection: Projection, forms: Sequence[ProjectedForm], scans: Sequence[FeatureScan]
+) -> list[Structure]:
+    """Return what each form, and the best feature against each covariate, explains; the most significant first."""
     found = []
-    for one in laid:
-        explained = explain(projection, one.columns, one.length, thresholds.FORM_RETAINED_MIN)
-        channel = dominant_channel(projection, one.form.channels, explained)
-        found.append(Structure(channel, (one.form.covariate,), one.form.test, explained))
-    found += [_detailed(projection, one.details, detail) for one in scans for detail in _best(projection, one)]
-    return sorted((one for one in found if one.score.span.shape[1]), key=lambda one: one.score.p)
+    for each in forms:
+        score = score_test(projection, each.columns, each.length, thresholds.FORM_RETAINED_MIN)
+        channel = dominant_channel(projection, each.form.channels, score)
+        found.append(Structure(channel, (each.form.covariate,), each.form.test, score))
+    found += [_of_feature(projection, each.features, best) for each in scans for best in _best(projection, each)]
+    return sorted((each for each in found if each.score.span.shape[1]), key=lambda each: each.score.p)
 
 
-def _detailed(projection: Projection, of: FeatureSet, detail: Feature) -> Structure:
-    """Return what one detail explains."""
-    whole = of.whole(detail, len(projection.residual))
-    columns = projection.project(whole)
-    explained = explain(projection, columns, np.linalg.norm(whole, axis=0), thresholds.FORM_RETAINED_MIN)
-    channel = dominant_channel(projection, of.channels, explained)
-    if detail.test != STEP:
-        return Structure(channel, detail.covariates, detail.test, explained, detail.text)
-    value, sd = sizes(projection, columns, explained.fitted, explained.variance)
-    place = of.channels.index(channel)
-    return Structure(
-        channel, detail.covariates, detail.test, explained, detail.text, (float(value[place]), float(sd[place]))
-    )
+def _of_feature(projection: Projection, of: FeatureSet, feature: Feature) -> Structure:
+    """Return what one feature explains."""
+    whitened = of.whole(feature, len(projection.residual))
+    columns = projection.project(whitened)
+    score = score_test(projection, columns, np.linalg.norm(whitened, axis=0), thresholds.FORM_RETAINED_MIN)
+    channel, height = dominant_channel(projection, of.channels, score), None
+    if feature.test == STEP:
+        value, sd = generalised_least_squares(projection, columns, score.fitted, score.variance)
+        place = of.channels.index(channel)
+        height = float(value[place]), float(sd[place])
+    return Structure(channel, feature.covariates, feature.test, score, feature.text, height)
 
 
-def _best(projection: Projection, one: FeatureScan) -> list[Feature]:
-    """Return the detail with the strongest evidence against each covariate."""
+def _best(projection: Projection, of: FeatureScan) -> list[Feature]:
+    """Return the feature with the strongest evidence against each covariate."""
     best: dict[str, tuple[float, Feature]] = {}
-    for batch, scores in one.scores(projection.residual[None, :]):
+    for batch, scores in of.scores(projection.residual[None, :]):
         log_p = stats.chi2.logsf(scores[0], np.maximum(batch.freedom, 1))
         for place, value, freedom in zip(batch.members.tolist(), log_p.tolist(), batch.freedom.tolist(), strict=True):
-            detail = one.details.found[place]
-            key = " × ".join(each.phrase for each in detail.covariates)
+            feature = of.features.found[place]
+            key = " × ".join(covariate.phrase for covariate in feature.covariates)
             if freedom and (key not in best or value < best[key][0]):
-                best[key] = (value, detail)
-    return [detail for _, detail in best.values()]
+                best[key] = (value, feature)
+    return [feature for _, feature in best.values()]
 
 
-def dominant_channel(projection: Projection, channels: Sequence[str], found: ScoreTest) -> str:
+def dominant_channel(projection: Projection, channels: Sequence[str], score: ScoreTest) -> str:
     """Return the channel in which most is explained."""
     if len(channels) == 1:
         return channels[0]
-    names = [one.name for one in projection.fitted.model.campaign.channels]
-    squares = projection.strata.sums(found.fitted**2)[:-1]
-    worth = {name: float(squares[projection.strata.channel == names.index(name)].sum()) for name in channels}
-    return max(worth, key=lambda name: worth[name])
+    names = [channel.name for channel in projection.fitted.model.campaign.channels]
+    squares = projection.strata.sums(score.fitted**2)[:-1]
+    explained = {name: float(squares[projection.strata.channel == names.index(name)].sum()) for name in channels}
+    return max(explained, key=lambda name: explained[name])

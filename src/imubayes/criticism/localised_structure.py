@@ -1,9 +1,9 @@
-"""Details: dependences that are narrow, fast or sudden, which a free form over the whole range is too stiff to follow.
+"""Localised structure: narrow, fast or sudden features that a free form over the whole range is too stiff to follow.
 
-Each family of the library's terms, and a step at each of some instants of each run, is looked at on all channels of a
-kind together, each channel with a size of its own.  Products of two covariates are among them, for a form that is free
-in two would be free in too much.  They are many and each has few directions: scores of all come from products of
-matrices, and only the best against each covariate is looked at closely.
+Each family of terms of the library, and a step at each of some instants of each run, is tested on all channels of a
+kind together, each channel with its own amplitude.  Products of two covariates are among them: a form free in both
+would have too many degrees of freedom.  Features are many and each has few directions: their scores come from products
+of matrices, and only the best against each covariate is tested in full.
 """
 
 from collections.abc import Sequence
@@ -14,14 +14,14 @@ import numpy as np
 from imubayes.criticism import thresholds
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.term_library import library
+from imubayes.criticism.term_library import Term, library
 
 STEP = "step"
 
 
 @dataclass(frozen=True)
 class Feature:
-    """One family of terms: one or two covariates, sort of test, where its columns stand, and what it is in brief."""
+    """One family of terms: its covariates, one or two, sort of test, places of its columns, and what it is in brief."""
 
     covariates: tuple[ResidualCovariate, ...]
     test: str
@@ -31,14 +31,14 @@ class Feature:
 
 @dataclass(frozen=True)
 class FeatureSet:
-    """The details of one kind of channel, whitened.
+    """The features of one kind of channel, whitened.
 
     Attributes
     ----------
     channels : names, C of them.
     rows : the rows of the projection that hold each channel.
     columns : one per channel, shape (rows of it, N), whitened.
-    found : what the N columns belong to.
+    found : the features that the N columns belong to.
     """
 
     channels: tuple[str, ...]
@@ -46,9 +46,9 @@ class FeatureSet:
     columns: tuple[np.ndarray, ...]
     found: tuple[Feature, ...]
 
-    def whole(self, one: Feature, height: int) -> np.ndarray:
-        """Return the whitened columns of a detail over all rows, (height, C · its columns): each channel its own."""
-        chosen = list(one.columns)
+    def whole(self, feature: Feature, height: int) -> np.ndarray:
+        """Return the whitened columns of a feature over all rows, (height, C · its columns), channel by channel."""
+        chosen = list(feature.columns)
         result = np.zeros((height, len(self.channels) * len(chosen)))
         for place, (rows, columns) in enumerate(zip(self.rows, self.columns, strict=True)):
             result[rows, place * len(chosen) : (place + 1) * len(chosen)] = columns[:, chosen]
@@ -57,14 +57,14 @@ class FeatureSet:
 
 @dataclass(frozen=True)
 class FeatureBatch:
-    """Details with equally many columns, ready to be scored.
+    """Features with equally many columns, ready to be scored.
 
     Attributes
     ----------
-    members : places among the details, (F,).
+    members : places among the features, (F,).
     index : shape (F, k), columns of each.
     white : shape (F, C · k, C · k), from the products of columns with a residual to independent scores.
-    freedom : shape (F,), directions that the model does not absorb.
+    freedom : shape (F,), degrees of freedom that the model does not absorb.
     """
 
     members: np.ndarray
@@ -75,25 +75,25 @@ class FeatureBatch:
 
 @dataclass(frozen=True)
 class FeatureScan:
-    """Details with the model's part taken out."""
+    """Features with what the model absorbs projected out."""
 
-    details: FeatureSet
+    features: FeatureSet
     basis: np.ndarray
     batches: tuple[FeatureBatch, ...]
 
     def scores(self, residuals: np.ndarray) -> list[tuple[FeatureBatch, np.ndarray]]:
         """Return for each batch the drops of χ², shape (n, F), of residuals (n, R); they need not be projected."""
         left = residuals - (residuals @ self.basis) @ self.basis.T
-        products = [left[:, rows] @ each for rows, each in zip(self.details.rows, self.details.columns, strict=True)]
+        products = [left[:, rows] @ each for rows, each in zip(self.features.rows, self.features.columns, strict=True)]
         found = []
         for batch in self.batches:
-            along = np.concatenate([one[:, batch.index] for one in products], axis=2)
+            along = np.concatenate([product[:, batch.index] for product in products], axis=2)
             found.append((batch, np.sum(np.einsum("nfa,fab->nfb", along, batch.white, optimize=True) ** 2, axis=2)))
         return found
 
 
-def details(projection: Projection, known: Sequence[ResidualCovariate]) -> list[FeatureSet]:
-    """Return the details of each kind of channel; none where the readings are too many."""
+def features(projection: Projection, covariates: Sequence[ResidualCovariate]) -> list[FeatureSet]:
+    """Return the features of each kind of channel; none where there are too many samples."""
     model = projection.fitted.model
     entries, gravity = model.entries, model.campaign.site.gravity
     result = []
@@ -102,7 +102,7 @@ def details(projection: Projection, known: Sequence[ResidualCovariate]) -> list[
         here = np.isin(entries.channel, places) & ~entries.closing
         if not thresholds.FEATURE_MIN_ROWS <= here.sum() <= thresholds.FEATURE_MAX_ROWS:
             continue
-        columns, found = _of_terms(known, here, gravity)
+        columns, found = _of_terms(covariates, here, gravity)
         steps, sudden = _steps(projection, here, len(columns))
         columns, found = [*columns, *steps], (*found, *sudden)
         if not columns:
@@ -115,10 +115,11 @@ def details(projection: Projection, known: Sequence[ResidualCovariate]) -> list[
 
 
 def _of_terms(
-    known: Sequence[ResidualCovariate], here: np.ndarray, gravity: float
+    covariates: Sequence[ResidualCovariate], here: np.ndarray, gravity: float
 ) -> tuple[list[np.ndarray], list[Feature]]:
-    columns, families = [], {}
-    for term in library(known, here, gravity):
+    columns: list[np.ndarray] = []
+    families: dict[tuple[str, str], list[tuple[int, Term]]] = {}
+    for term in library(covariates, here, gravity):
         families.setdefault((term.sort, term.family), []).append((len(columns), term))
         columns.append(np.where(here, term.values, 0.0))
     found = [
@@ -129,16 +130,16 @@ def _of_terms(
 
 
 def _steps(projection: Projection, here: np.ndarray, first: int) -> tuple[list[np.ndarray], list[Feature]]:
-    """Return a step at each of some instants of each run: what happens once belongs to no covariate that runs share."""
+    """Return a step at each of some instants of each run: what happens once depends on no covariate that runs share."""
     model = projection.fitted.model
     columns, found = [], []
     for index in range(len(model.campaign.runs)):
         within = here & (model.entries.run == index)
-        # Place among the readings of the same channel.
+        # Rank in time among the samples of the same channel.
         place, count = np.zeros(len(within), dtype=int), 0
         for channel in np.unique(model.entries.channel[within]):
             rows = within & (model.entries.channel == channel)
-            place[rows] = in_time(projection, rows)
+            place[rows] = time_rank(projection, rows)
             count = max(count, int(rows.sum()))
         if count < thresholds.FEATURE_MIN_ROWS:
             continue
@@ -154,8 +155,8 @@ def _steps(projection: Projection, here: np.ndarray, first: int) -> tuple[list[n
     return columns, found
 
 
-def in_time(projection: Projection, rows: np.ndarray) -> np.ndarray:
-    """Return the place in time, from 0, of each of some entries, (E,) bool, of one run and channel."""
+def time_rank(projection: Projection, rows: np.ndarray) -> np.ndarray:
+    """Return the rank in time, from 0, of some entries, (E,) bool, of one run and channel."""
     rank = np.asarray(projection.fitted.model.problem.observations.rank)[rows]
     return np.argsort(np.argsort(rank, kind="stable"))
 
@@ -188,11 +189,11 @@ def _whitened(projection: Projection, columns: np.ndarray, here: np.ndarray) -> 
     return np.concatenate(blocks, axis=1)
 
 
-def scan(projection: Projection, of: FeatureSet) -> FeatureScan:
-    """Return details with everything taken out that the projection takes out."""
+def scan_features(projection: Projection, of: FeatureSet) -> FeatureScan:
+    """Return features with everything projected out that the projection removes."""
     basis = projection.basis
     taken = [basis[rows].T @ columns for rows, columns in zip(of.rows, of.columns, strict=True)]
-    widths = np.array([len(one.columns) for one in of.found])
+    widths = np.array([len(feature.columns) for feature in of.found])
     batches = []
     for width in np.unique(widths).tolist():
         members = np.flatnonzero(widths == width)
@@ -202,7 +203,7 @@ def scan(projection: Projection, of: FeatureSet) -> FeatureScan:
 
 
 def _batch(of: FeatureSet, taken: Sequence[np.ndarray], members: np.ndarray, index: np.ndarray) -> FeatureBatch:
-    absorbed = np.concatenate([one[:, index] for one in taken], axis=2)
+    absorbed = np.concatenate([each[:, index] for each in taken], axis=2)
     count, width = index.shape
     size = len(of.channels) * width
     squares = np.zeros((count, size, size))
@@ -214,6 +215,6 @@ def _batch(of: FeatureSet, taken: Sequence[np.ndarray], members: np.ndarray, ind
     scale = np.where(length > 0, 1 / np.where(length > 0, length, 1.0), 0.0)
     left = squares - np.einsum("pfa,pfb->fab", absorbed, absorbed, optimize=True)
     values, axes = np.linalg.eigh(left * scale[:, :, None] * scale[:, None, :])
-    held = values > thresholds.FORM_RETAINED_MIN
-    white = scale[:, :, None] * axes * np.where(held, 1 / np.sqrt(np.where(held, values, 1.0)), 0.0)[:, None, :]
-    return FeatureBatch(members, index, white, held.sum(axis=1))
+    retained = values > thresholds.FORM_RETAINED_MIN
+    white = scale[:, :, None] * axes * np.where(retained, 1 / np.sqrt(np.where(retained, values, 1.0)), 0.0)[:, None, :]
+    return FeatureBatch(members, index, white, retained.sum(axis=1))

@@ -1,7 +1,7 @@
-"""How often does chance alone do so well somewhere?  Many candidates are looked at, and the best of many is not rare.
+"""Look-elsewhere correction: the smallest p-value of many candidates is often small by chance.
 
 All scores come from one residual.  Under no effect it is white within the space that the model leaves, so the
-distribution of the smallest of all p-values is found by drawing it (Westfall & Young, Resampling-Based Multiple
+distribution of the smallest of all p-values is found by simulating it (Westfall & Young, Resampling-Based Multiple
 Testing, 1993), correlations included and without any refit.
 """
 
@@ -23,59 +23,46 @@ class LookElsewhere:
     Attributes
     ----------
     smallest : shape (draws,), sorted.
-    looks : the number of independent looks that it amounts to.
+    looks : effective number of independent looks.
     """
 
     smallest: np.ndarray
     looks: float
 
     def __call__(self, p: float) -> float:
-        """Return the chance that any candidate reaches p."""
-        edge = max(2, int(thresholds.LOOK_TAIL * len(self.smallest)))
+        """Return the probability that any candidate reaches p under no effect."""
+        count = len(self.smallest)
+        edge = max(2, int(thresholds.LOOK_TAIL * count))
         reference = self.smallest[edge - 1]
         if p < reference:
-            return min(1.0, p * edge / len(self.smallest) / reference)
-        return float(np.searchsorted(self.smallest, p, side="right") / len(self.smallest))
+            return min(1.0, p * edge / count / reference)
+        return float(np.searchsorted(self.smallest, p, side="right") / count)
 
 
-def look_elsewhere(looked: Sequence[ScoreTest], scans: Sequence[FeatureScan] = (), seed: int = 0) -> LookElsewhere:
-    """Return the distribution of the smallest p-value of everything that was looked at, under no effect.
-
-    Parameters
-    ----------
-    looked : what was looked at by itself.
-    scans : details, each of them one more look.
-    """
-    looked = [one for one in looked if one.span.shape[1]]
-    if not looked and not scans:
+def look_elsewhere(scores: Sequence[ScoreTest], scans: Sequence[FeatureScan] = (), seed: int = 0) -> LookElsewhere:
+    """Return the distribution of the smallest p-value of all score tests, and of all features scanned."""
+    scores = [score for score in scores if score.span.shape[1]]
+    if not scores and not scans:
         return LookElsewhere(np.ones(1), 0.0)
-    height = len(looked[0].span) if looked else len(scans[0].basis)
-    spans = np.concatenate([np.zeros((height, 0)), *(one.span for one in looked)], axis=1)
-    ends = np.cumsum([one.span.shape[1] for one in looked], dtype=int)
+    height = len(scores[0].span) if scores else len(scans[0].basis)
+    spans = np.concatenate([np.zeros((height, 0)), *(score.span for score in scores)], axis=1)
+    freedom = np.array([score.span.shape[1] for score in scores], dtype=int)
+    starts = np.cumsum(freedom) - freedom
     random = np.random.default_rng(seed)
     parts = []
     for _ in range(thresholds.LOOK_DRAWS // thresholds.LOOK_DRAWS_AT_ONCE):
         draws = random.normal(size=(thresholds.LOOK_DRAWS_AT_ONCE, height))
-        each = [_smallest((draws @ spans) ** 2, ends)] if looked else []
-        parts.append(np.min([*each, *(_smallest_detail(one, draws) for one in scans)], axis=0))
+        each = [_least_p(chi2, batch.freedom) for scan in scans for batch, chi2 in scan.scores(draws)]
+        if scores:
+            each.append(_least_p(np.add.reduceat((draws @ spans) ** 2, starts, axis=1), freedom))
+        parts.append(np.min(each, axis=0))
     smallest = np.sort(np.concatenate(parts))
     edge = max(2, int(thresholds.LOOK_TAIL * thresholds.LOOK_DRAWS))
     return LookElsewhere(smallest, float(edge / thresholds.LOOK_DRAWS / smallest[edge - 1]))
 
 
-def _smallest(squares: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Return the smallest p-value of each draw; squares are the drawn scores by direction, (draws, directions)."""
-    return _least(np.add.reduceat(squares, np.concatenate([[0], ends[:-1]]), axis=1), np.diff(ends, prepend=0))
-
-
-def _smallest_detail(one: FeatureScan, draws: np.ndarray) -> np.ndarray:
-    """Return the smallest p-value of all details for each draw, (draws,)."""
-    return np.min([_least(scores, batch.freedom) for batch, scores in one.scores(draws)], axis=0)
-
-
-def _least(scores: np.ndarray, freedom: np.ndarray) -> np.ndarray:
-    """Return the smallest p-value over scores (draws, F) with their degrees of freedom (F,)."""
+def _least_p(chi2: np.ndarray, freedom: np.ndarray) -> np.ndarray:
+    """Return the smallest p-value of each draw, (draws,), over scores (draws, F) with freedom (F,)."""
     # Among equal degrees of freedom the largest score has the smallest p.
-    kinds = np.unique(freedom[freedom > 0]).tolist()
-    each = [stats.chi2.sf(scores[:, freedom == one].max(axis=1), one) for one in kinds]
-    return np.min([np.ones(len(scores)), *each], axis=0)
+    each = [stats.chi2.sf(chi2[:, freedom == dof].max(axis=1), dof) for dof in np.unique(freedom[freedom > 0]).tolist()]
+    return np.min([np.ones(len(chi2)), *each], axis=0)

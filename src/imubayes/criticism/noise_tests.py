@@ -1,7 +1,7 @@
-"""Is it the noise?  Correlation within runs, offsets from run to run, scatter that grows with the input, outliers.
+"""Tests of the noise model: autocorrelation, run offsets, scatter that grows with the input, outliers.
 
 Each kind of noise has a statistic of the whitened, projected residual.  Projection itself correlates residuals, so each
-statistic is compared with its own distribution for white noise sent through the same projection, by simulation.
+statistic is compared with its simulated distribution for white noise under the same projection.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,10 +26,10 @@ class NoiseCandidate:
     ----------
     effect : name in the catalogue.
     channels : names.
-    value : estimate: correlation from row to row, variance of offsets over that of a run's mean, …; of outliers the
-        logarithm of the kurtosis over that of white noise.
-    p : chance of so much under white noise.
-    drop : square of the statistic in standard deviations: what S is for an effect.
+    value : estimate: lag-one correlation, relative variance of run offsets, …; of outliers the log kurtosis; each less
+        its mean under white noise.
+    p : p-value under white noise.
+    drop : square of the statistic in standard deviations, comparable with the Δχ² of an effect.
     """
 
     effect: str
@@ -40,7 +40,7 @@ class NoiseCandidate:
 
 
 def to_entries(projection: Projection, rows: np.ndarray) -> np.ndarray:
-    """Return rows of the projection as whitened entries, (E, …), the run offsets taken out where they are noise."""
+    """Return rows of the projection as whitened entries, (E, …), without run offsets that are noise."""
     count = len(projection.fitted.model.entries)
     kept = rows.copy()
     kept[: len(projection.strata.of_row)][projection.offset_rows] = 0.0
@@ -54,7 +54,7 @@ def correlation(projection: Projection, entries: np.ndarray, chosen: np.ndarray)
 
 
 def run_offsets(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Return the mean square of the groups' common parts over that of single entries, less one, per column."""
+    """Return the mean square of the group offsets over that of single entries, less one, per column."""
     members = projection.turn.members[chosen]
     padded = np.concatenate([entries, np.zeros((1, *entries.shape[1:]))])[members]
     size = np.sum(members < len(entries), axis=1)
@@ -62,8 +62,8 @@ def run_offsets(projection: Projection, entries: np.ndarray, chosen: np.ndarray)
     return np.mean(common**2, axis=0) / (np.sum(padded**2, axis=(0, 1)) / size.sum()) - 1
 
 
-def growth(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Return how the squared entries grow with the squared input, per column."""
+def input_proportionality(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return the relative slope of the squared entries over the squared input, per column."""
     here = np.unique(projection.turn.members[chosen])
     here = here[here < len(entries)]
     weight = _relative_square(projection.input[here])
@@ -73,7 +73,7 @@ def growth(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> n
 
 
 def log_kurtosis(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Return the logarithm of the kurtosis of the entries, each channel on its own scale, per column."""
+    """Return the logarithm of the kurtosis of the entries, each channel scaled by its own variance, per column."""
     channel = projection.fitted.model.entries.channel
     here = np.unique(projection.turn.members[chosen])
     here = here[here < len(entries)]
@@ -87,13 +87,13 @@ def log_kurtosis(projection: Projection, entries: np.ndarray, chosen: np.ndarray
 _KINDS: tuple[tuple[str, Callable], ...] = (
     ("correlated_noise", correlation),
     ("run_scatter", run_offsets),
-    ("rate_proportional_noise", growth),
+    ("rate_proportional_noise", input_proportionality),
     (OUTLIERS, log_kurtosis),
 )
 
 
 def screen_noise(projection: Projection, seed: int = 1) -> list[NoiseCandidate]:
-    """Return the noise candidates on each kind of channel, the least likely by chance first."""
+    """Return the noise candidates on each kind of channel, the most significant first."""
     model = projection.fitted.model
     rows = len(projection.residual)
     draws = np.random.default_rng(seed).normal(
@@ -111,21 +111,21 @@ def screen_noise(projection: Projection, seed: int = 1) -> list[NoiseCandidate]:
             values = statistic(projection, entries, chosen)
             mean, sd = float(np.mean(values[1:])), float(np.std(values[1:]))
             z = (float(values[0]) - mean) / max(sd, 1e-12)
-            # Squares are skew: the tail of a normal would understate how often chance does as well.
+            # Quadratic statistics are skew: a normal tail would understate the p-value.
             skew = float(np.clip(stats.skew(values[1:]), 0.0, 4.0)) if sd > 1e-9 * abs(mean) else 0.0
             p = float(stats.pearson3.sf(z, skew)) if np.isfinite(skew) else float(stats.norm.sf(z))
             value = float(np.clip(values[0] - mean, -thresholds.STRONGEST_ANTICORRELATION, None))
             found.append(NoiseCandidate(effect, names, value, max(p, 1e-300), max(z, 0.0) ** 2))
-    return sorted(found, key=lambda one: one.p)
+    return sorted(found, key=lambda candidate: candidate.p)
 
 
 def _groups(projection: Projection, names: tuple[str, ...], effect: str) -> np.ndarray:
-    """Return the groups of channels in which a kind of noise can show, (G,) bool."""
+    """Return the groups in which a kind of noise can be tested, (G,) bool."""
     model = projection.fitted.model
     index = [place for place, channel in enumerate(model.campaign.channels) if channel.name in names]
     first = projection.turn.members[:, 0]
     chosen = np.isin(model.entries.channel[first], index) & (projection.turn.sizes > 2)
-    present = {one.name for one in model.assembly.effects if set(one.channels) & set(names)}
+    present = {bound.name for bound in model.assembly.effects if set(bound.channels) & set(names)}
     allowed = present.isdisjoint(Outliers.excludes) if effect == OUTLIERS else True
     if effect in present or not allowed or (effect == "run_scatter" and {"gyro_run_bias", "accel_run_bias"} & present):
         return np.zeros_like(chosen)
@@ -134,12 +134,12 @@ def _groups(projection: Projection, names: tuple[str, ...], effect: str) -> np.n
 
 @dataclass(frozen=True)
 class Prewhitening:
-    """Takes further noise out of whitened entries: what grows with the input, then what remembers the row before.
+    """Whitens entries further: first noise that grows with the input, then autocorrelated noise.
 
     Attributes
     ----------
     weight : shape (E,), one over the standard deviation relative to the model's.
-    innovations : of the slow part in each record.
+    innovations : filter of the Markov noise in each record.
     """
 
     weight: np.ndarray
@@ -150,27 +150,27 @@ class Prewhitening:
 
 
 def prewhitening(projection: Projection, candidates: Sequence[NoiseCandidate]) -> Prewhitening:
-    """Return the whitening that the noise candidates ask for.
+    """Return the whitening for the noise of some candidates.
 
     Parameters
     ----------
-    projection : with everything taken out that may be more than noise.
+    projection : with everything projected out that may be more than noise.
     """
     model, series = projection.fitted.model, projection.turn.series
     names = [channel.name for channel in model.campaign.channels] + [""] * 3
-    known: dict[int, MarkovNoise] = {}
+    markov: dict[int, MarkovNoise] = {}
     weight = np.ones(len(model.entries))
-    for one in candidates:
-        here = np.isin(np.array(names)[model.entries.channel], one.channels)
-        if one.effect == "correlated_noise":
-            known |= estimate_markov_noise(projection, [names.index(name) for name in one.channels])
-        if one.effect == "rate_proportional_noise":
+    for candidate in candidates:
+        here = np.isin(np.array(names)[model.entries.channel], candidate.channels)
+        if candidate.effect == "correlated_noise":
+            markov |= estimate_markov_noise(projection, [names.index(name) for name in candidate.channels])
+        if candidate.effect == "rate_proportional_noise":
             relative = _relative_square(projection.input[here])
             # e² follows 1 + k w about its mean: k from the slope over the mean.
-            slope = np.clip(one.value * (1 - one.value * relative.mean()) ** -1, 0, 1e6)
+            slope = np.clip(candidate.value * (1 - candidate.value * relative.mean()) ** -1, 0, 1e6)
             weight[here] = 1 / np.sqrt(1 + slope * relative)
-    each = [known.get(place, WHITE) for place in model.entries.channel[series[:, 0]].tolist()]
-    share, correlation = (np.array([getattr(one, field) for one in each]) for field in ("share", "correlation"))
+    each = [markov.get(place, WHITE) for place in model.entries.channel[series[:, 0]].tolist()]
+    share, correlation = (np.array([getattr(noise, field) for noise in each]) for field in ("share", "correlation"))
     return Prewhitening(weight, InnovationsFilter(series, share, correlation))
 
 

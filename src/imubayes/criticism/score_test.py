@@ -1,10 +1,10 @@
-"""One pass over all candidates, before any refit: what a refit would bring, and which coefficients it would find.
+"""Score test of every candidate before any refit: the Δχ² of a refit, and the coefficients it would find.
 
-With r the whitened residual and g⊥ a candidate's whitened response less what the model can absorb, u = g⊥ᵀr and
+With r the whitened residual and g⊥ a candidate's whitened response less what the model absorbs, u = g⊥ᵀr and
 V = g⊥ᵀg⊥ give the score S = uᵀV⁻¹u, the drop of χ² of a refit, and β̂ = V⁻¹u, the coefficients it would find.
 
-A hidden effect has inflated the noise scales that the fit found, so S is measured against the scale of each stratum
-as it is *after* the candidate has been taken out: F = Σ_s (S_s/s_s²)/d with Satterthwaite's degrees of freedom.  In a
+A missing effect has inflated the fitted noise scales, so S is measured against the scale of each stratum *after* the
+candidate was projected out: F = Σ_s (S_s/s_s²)/d with Satterthwaite's degrees of freedom.  In a
 single stratum that is the F test of a nested linear model, exactly.
 """
 
@@ -24,7 +24,7 @@ _SMALLEST = 1e-300
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate on some channels (or mountings, tables), as screened.
+    """A candidate on some channels (or mountings, tables), screened.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Candidate:
     coefficients : C of them.
     owners : the channels, mountings or tables of the coefficients.
     value, sd : shape (C,), in the coefficients' units, the sd with the noise scale after the candidate.
-    retained : share of the response that the model cannot absorb, shape (C,).
+    retained : fraction of the squared response that the model does not absorb, shape (C,).
     score : its score test, what it explains.
     """
 
@@ -56,44 +56,44 @@ class Candidate:
 
     @property
     def plausible(self) -> bool:
-        """Whether it is more than a way to please the priors at an absurd size.
+        """Whether it is supported by data, not only by the priors at an absurd size.
 
-        What the model absorbs all but for its priors would fit best without gravity, say: then all g-sensitivities
-        could be zero, as their priors like it.
+        An effect that the model absorbs but for its priors would fit best without gravity, say: then all
+        g-sensitivities could be zero, as their priors prefer.
         """
-        typical = np.array([one.typical[1] for one in self.coefficients])
+        typical = np.array([coefficient.typical[1] for coefficient in self.coefficients])
         return self.score.prior_share < 0.5 or bool(np.any(np.abs(self.value) <= thresholds.IMPLAUSIBLE_SIZE * typical))
 
     @property
     def p(self) -> float:
-        """Chance of such a drop of χ² where there is no effect, of this candidate alone."""
+        """p-value of this candidate alone."""
         return self.score.p
 
     @cached_property
     def log_p(self) -> float:
-        """Logarithm of the chance of such a gain of likelihood: what candidates are ranked by.
+        """Logarithm of the p-value of the likelihood ratio, by which candidates are ranked.
 
-        The F test of `p` loses power where evidence comes from between few runs as well; which of two causes explains
-        more must not depend on that.
+        The F test of `p` loses power where part of the evidence lies between few runs; the ranking must not depend on
+        that.
         """
         return float(stats.chi2.logsf(2 * self.score.log_likelihood_gain, max(self.dof, 1)))
 
     @property
     def delta_chi2(self) -> float:
-        """The drop of χ² that a refit brings, in units of the noise after it."""
+        """Drop of χ² of a refit, in units of the noise after it."""
         return self.score.delta_chi2
 
 
 @dataclass(frozen=True)
 class ProjectedResponse:
-    """A response as rows, before and after projection: whitened (R, C) and projected (R, C)."""
+    """A response as rows: whitened (R, C), and projected (R, C)."""
 
     response: Response
     whitened: np.ndarray
     projected: np.ndarray
 
 
-def prepare(projection: Projection, responses: Sequence[Response]) -> list[ProjectedResponse]:
+def project_responses(projection: Projection, responses: Sequence[Response]) -> list[ProjectedResponse]:
     """Return the responses as rows of the projection."""
     if not responses:
         return []
@@ -119,7 +119,7 @@ class ScoreTest:
     span : shape (R, d), orthonormal.
     fitted : shape (R,).
     delta_chi2, delta_chi2_at_fit : S with the noise scales after it, and with those of the fit.
-    p : chance of such a drop under no effect.
+    p : p-value under no effect.
     log_likelihood_gain : with the noise scale of every stratum free, so that evidence counts in whichever it lies.
     within_runs, prior_share : shares of S that come from within runs, and from the priors.
     variance : shape (strata + 1,), noise variance of each stratum after it, relative to the fit's.
@@ -136,7 +136,7 @@ class ScoreTest:
     variance: np.ndarray
 
 
-def explain(
+def score_test(
     projection: Projection, columns: np.ndarray, length: np.ndarray, least: float = thresholds.RETAINED_MIN
 ) -> ScoreTest:
     """Return what projected columns explain of the residual.
@@ -175,8 +175,8 @@ def assess(projection: Projection, one: ProjectedResponse, chosen: np.ndarray | 
     """Return a candidate with the chosen coefficients; all of them where None."""
     chosen = np.arange(len(one.response.coefficients)) if chosen is None else chosen
     columns, length = one.projected[:, chosen], np.linalg.norm(one.whitened[:, chosen], axis=0)
-    found = explain(projection, columns, length)
-    value, sd = sizes(projection, columns, found.fitted, found.variance)
+    found = score_test(projection, columns, length)
+    value, sd = generalised_least_squares(projection, columns, found.fitted, found.variance)
     coefficients = tuple(one.response.coefficients[place] for place in chosen)
     return Candidate(
         scan=one.response.scan,
@@ -189,7 +189,9 @@ def assess(projection: Projection, one: ProjectedResponse, chosen: np.ndarray | 
     )
 
 
-def sizes(projection: Projection, columns, explained, variance) -> tuple[np.ndarray, np.ndarray]:
+def generalised_least_squares(
+    projection: Projection, columns: np.ndarray, explained: np.ndarray, variance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return coefficients and standard deviations by generalised least squares with the scales of the strata."""
     size = np.linalg.norm(columns, axis=0)
     unit = columns / np.where(size > 0, size, 1.0)
@@ -197,16 +199,16 @@ def sizes(projection: Projection, columns, explained, variance) -> tuple[np.ndar
     value = inverse @ explained
     covariance = (inverse * projection.strata.at_rows(variance)) @ inverse.T
     with np.errstate(divide="ignore"):
-        # A column that is all absorbed has no coefficient: its uncertainty is boundless.
+        # A column that is absorbed in full has no coefficient: its uncertainty is infinite.
         sd = np.where(size > 0, np.sqrt(np.diag(covariance)) / np.where(size > 0, size, 1.0), np.inf)
     return np.where(size > 0, value / np.where(size > 0, size, 1.0), 0.0), sd
 
 
-def variants(response: Response, kinds: Mapping[str, str]) -> list[np.ndarray]:
-    """Return which coefficients to try together: those of each kind of channel, those of each owner alone.
+def coefficient_subsets(response: Response, kinds: Mapping[str, str]) -> list[np.ndarray]:
+    """Return which coefficients to test together: those of each kind of channel, and those of each owner alone.
 
-    What acts on gyros and accelerometers alike is one cause for each kind: together they would pass off two causes, one
-    in each, as one.
+    An effect on gyros and accelerometers alike is one cause for each kind: tested together, two causes, one in each,
+    would appear as one.
 
     Parameters
     ----------
@@ -221,9 +223,13 @@ def variants(response: Response, kinds: Mapping[str, str]) -> list[np.ndarray]:
 
 
 def screen(projection: Projection, responses: Sequence[ProjectedResponse]) -> list[Candidate]:
-    """Return every candidate on all its channels together, on each kind and on each alone, the best founded first."""
+    """Return every candidate on each kind of channel and on each owner alone, the most significant first."""
     kinds = {channel.name: channel.kind for channel in projection.fitted.model.campaign.channels}
-    found = [assess(projection, one, chosen) for one in responses for chosen in variants(one.response, kinds)]
+    found = [
+        assess(projection, response, chosen)
+        for response in responses
+        for chosen in coefficient_subsets(response.response, kinds)
+    ]
     return sorted(
         (one for one in found if one.dof and one.plausible), key=lambda one: (one.log_p, -one.delta_chi2 / one.dof)
     )

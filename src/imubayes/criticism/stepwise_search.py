@@ -1,4 +1,4 @@
-"""The search: look, take out the best explanation, look again, until nothing is left that chance would not do."""
+"""Stepwise search: screen, project out the best explanation and screen again, until nothing significant remains."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,15 +8,15 @@ import numpy as np
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses, candidate_responses
-from imubayes.criticism.equivalent_effects import EquivalenceGroup, group
-from imubayes.criticism.lack_of_fit import ProjectedForm, Structure, forms, lay, look
-from imubayes.criticism.localised_structure import FeatureScan, FeatureSet, details, scan
+from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
+from imubayes.criticism.lack_of_fit import ProjectedForm, Structure, free_forms, project_forms, screen_structure
+from imubayes.criticism.localised_structure import FeatureScan, FeatureSet, features, scan_features
 from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
 from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, Prewhitening, prewhitening, screen_noise
 from imubayes.criticism.outliers import clustered, consecutive, deletion_residuals, find_outliers
 from imubayes.criticism.projection import Projection, orthonormal, project
 from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
-from imubayes.criticism.score_test import Candidate, ProjectedResponse, prepare, screen
+from imubayes.criticism.score_test import Candidate, ProjectedResponse, project_responses, screen
 from imubayes.inference.fitted import Fitted
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.problem import masked
@@ -27,16 +27,11 @@ _CONFOUNDED_NOISE = ("correlated_noise", "run_scatter")
 
 @dataclass(frozen=True)
 class Screening:
-    """One pass over candidates and free forms.
-
-    Attributes
-    ----------
-    candidates, structures : the least likely by chance first.
-    """
+    """Candidates and free forms, tested against one projected residual; both sorted, the most significant first."""
 
     projection: Projection
     prepared: tuple[ProjectedResponse, ...]
-    laid: tuple[ProjectedForm, ...]
+    forms: tuple[ProjectedForm, ...]
     scans: tuple[FeatureScan, ...]
     candidates: tuple[Candidate, ...]
     structures: tuple[Structure, ...]
@@ -44,15 +39,15 @@ class Screening:
 
 @dataclass(frozen=True)
 class Corrections:
-    """Chance of so small a p-value among all that was looked at: effects, and structure."""
+    """Look-elsewhere corrections: for the effects screened, and for the structure screened."""
 
     of_effect: LookElsewhere
     of_structure: LookElsewhere
 
-    def significant(self, structures: Sequence[Structure], strict: float = 1.0) -> tuple[tuple[Structure, float], ...]:
-        """Return the structures beyond chance, with their chance."""
-        judged = [(one, self.of_structure(one.score.p)) for one in structures]
-        return tuple(pair for pair in judged if pair[1] < strict * thresholds.FALSE_ALARM_STRUCTURE)
+    def significant(self, structures: Sequence[Structure], factor: float = 1.0) -> tuple[tuple[Structure, float], ...]:
+        """Return the structures below `factor` times the threshold, with their corrected p-values."""
+        corrected = [(structure, self.of_structure(structure.score.p)) for structure in structures]
+        return tuple(pair for pair in corrected if pair[1] < factor * thresholds.FALSE_ALARM_STRUCTURE)
 
 
 @dataclass(frozen=True)
@@ -61,15 +56,15 @@ class SearchResult:
 
     Attributes
     ----------
-    first : the first look, at the noise that was settled on.
-    responses, covariates : what was looked at.
-    groups : one per effect found, in the order of evidence.
-    structures : those beyond chance at the first look, with their chance.
-    remaining : those that remain so after the groups were taken out.
-    noise : noise candidates as screened first.
-    adopted : those that are beyond chance once effects and patterns are taken out.
+    first : the first screening, with the noise finally adopted.
+    responses, covariates : what was screened.
+    groups : one per effect found, in order of evidence.
+    structures : those significant in the first screening, with corrected p-values.
+    remaining : those still significant after the groups were projected out.
+    noise : noise candidates as first screened.
+    adopted : those significant after effects and structure were projected out.
     outlier_sd : shape (E,), deletion residual of each outlier in standard deviations; 0 for other samples.
-    look_elsewhere : correction for the smallest p-value of all candidates.
+    look_elsewhere : correction of the candidates' p-values.
     """
 
     first: Screening
@@ -86,35 +81,33 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class SearchInput:
-    """A fit and what is looked at in it."""
+    """A fit, linearised with all candidates, and the covariates of its residuals."""
 
     fitted: Fitted
     responses: Responses
     covariates: tuple[ResidualCovariate, ...]
 
-    def projection(self, extra: Prewhitening | None = None, offsets: bool = False) -> Projection:
-        """Return residuals and responses without what the model absorbs."""
-        return project(self.fitted, self.responses.misfit, self.responses.jacobian, extra, offsets)
-
-    def look(self, at: Projection) -> Screening:
-        """Return one pass over candidates and free forms."""
-        laid = lay(at, forms(at, self.covariates))
-        return _look(at, prepare(at, self.responses.candidates), laid, details(at, self.covariates))
+    def screening(self, extra: Prewhitening | None = None, offsets: bool = False) -> Screening:
+        """Return the first screening, with further noise where `extra` and `offsets` say so."""
+        at = project(self.fitted, self.responses.misfit, self.responses.jacobian, extra, offsets)
+        responses = project_responses(at, self.responses.candidates)
+        forms = project_forms(at, free_forms(at, self.covariates))
+        return _screening(at, responses, forms, features(at, self.covariates))
 
 
 @dataclass(frozen=True)
 class FirstPass:
-    """What the first look shows, the noise being what the model says.
+    """What is significant with the noise of the model.
 
     Attributes
     ----------
-    first, last : the look at all, and at what the groups leave.
-    alarm : whether anything but noise is beyond chance.
-    cleared : the projection without groups and without patterns that are no noise.
+    first, last : screening before and after the groups were projected out.
+    alarm : whether an effect or structure is significant.
+    cleared : the projection without groups and without patterns that cannot be noise.
     """
 
     first: Screening
-    chances: Corrections
+    corrections: Corrections
     noise: tuple[NoiseCandidate, ...]
     groups: tuple[EquivalenceGroup, ...]
     last: Screening
@@ -123,174 +116,178 @@ class FirstPass:
 
 
 def search(fitted: Fitted) -> SearchResult:
-    """Return what is missing in a converged fit; without a refit, but where readings are far off."""
-    whole = SearchInput(fitted, candidate_responses(fitted), tuple(covariates(fitted)))
-    at_first = _sight(whole)
-    outliers, far = _outliers(whole, at_first)
-    if not outliers:
-        return _settled(whole, at_first)
-    ground, sight, apart = whole, at_first, np.zeros(len(far))
+    """Return what is missing in a converged fit; it is refitted only where there are outliers."""
+    given = SearchInput(fitted, candidate_responses(fitted), tuple(covariates(fitted)))
+    first = _first_pass(given)
+    noise, outlying = _outliers(given, first)
+    if not noise:
+        return _with_noise(given, first)
+    current, at, sizes = given, first, np.zeros(len(outlying))
     for _ in range(thresholds.MAX_OUTLIER_ROUNDS):
-        # What an effect that is missing moves far off has a cause: only what remains so without it is left out.
-        rest, apart = _without(fitted, far, 1 if sight.groups else thresholds.MAX_OUTLIER_ROUNDS)
-        ground = SearchInput(rest, candidate_responses(rest), ground.covariates)
-        sight = _sight(ground)
-        more = find_outliers(sight.last.projection)
+        # Deviations caused by a missing effect are no outliers: only those that remain without it are rejected.
+        rest, sizes = _refit_without(fitted, outlying, 1 if at.groups else thresholds.MAX_OUTLIER_ROUNDS)
+        current = SearchInput(rest, candidate_responses(rest), given.covariates)
+        at = _first_pass(current)
+        more = find_outliers(at.last.projection)
         if not more.any():
             break
-        far = (apart != 0) | more
-    if consecutive(fitted.model, apart):
-        return _settled(whole, at_first)
-    found = _settled(ground, sight)
-    return replace(found, noise=at_first.noise, adopted=(*outliers, *found.adopted), outlier_sd=apart)
+        outlying = (sizes != 0) | more
+    if consecutive(fitted.model, sizes):
+        return _with_noise(given, first)
+    found = _with_noise(current, at)
+    return replace(found, noise=first.noise, adopted=(*noise, *found.adopted), outlier_sd=sizes)
 
 
-def _sight(ground: SearchInput) -> FirstPass:
-    first = ground.look(ground.projection())
-    chances = Corrections(
-        look_elsewhere([one.score for one in first.candidates]),
-        look_elsewhere([one.score for one in first.structures], first.scans),
+def _first_pass(given: SearchInput) -> FirstPass:
+    first = given.screening()
+    corrections = Corrections(
+        look_elsewhere([candidate.score for candidate in first.candidates]),
+        look_elsewhere([structure.score for structure in first.structures], first.scans),
     )
     noise = screen_noise(first.projection)
-    groups, last = _steps(first, chances.of_effect)
-    alarm, cleared = bool(groups or chances.significant(first.structures)), last.projection
-    if alarm or _within(noise, thresholds.FALSE_ALARM_NOISE):
-        cleared = _without_patterns(last, chances.of_structure, at_least=int(alarm and not groups)).projection
-    return FirstPass(first, chances, tuple(noise), groups, last, alarm, cleared)
+    groups, last = _select_effects(first, corrections.of_effect)
+    alarm, cleared = bool(groups or corrections.significant(first.structures)), last.projection
+    if alarm or _significant_noise(noise, thresholds.FALSE_ALARM_NOISE):
+        at_least = int(alarm and not groups)
+        cleared = _without_patterns(last, corrections.of_structure, at_least).projection
+    return FirstPass(first, corrections, tuple(noise), groups, last, alarm, cleared)
 
 
-def _outliers(ground: SearchInput, sight: FirstPass) -> tuple[list[NoiseCandidate], np.ndarray]:
-    """Return the outliers among the noise beyond chance, and which readings these are, (E,) bool.
+def _outliers(given: SearchInput, first: FirstPass) -> tuple[list[NoiseCandidate], np.ndarray]:
+    """Return the outlier candidates among the significant noise, and which samples are outliers, (E,) bool.
 
-    A few readings that are far off pass for a pattern, and a pattern in a few rows for readings that are far off.  A
-    pattern explains more of them than it has directions, or gathers them at one value of a covariate.
+    A few outliers pass for a pattern, and a pattern in a few rows for outliers.  A pattern explains more of them than
+    it has directions, or they cluster at one value of a covariate.
     """
-    before = sight.first.projection
-    beyond = [one for one in _within(sight.noise, thresholds.FALSE_ALARM_NOISE) if one.effect == OUTLIERS]
-    far = find_outliers(sight.last.projection)
-    directions = sight.cleared.basis.shape[1] - before.basis.shape[1]
-    explained = np.sum(find_outliers(before) & ~find_outliers(sight.cleared))
-    if not beyond or explained > directions or clustered(sight.last.projection, far, ground.covariates):
-        return [], far
-    return (beyond if far.any() or not sight.alarm else []), far
+    before, last = first.first.projection, first.last.projection
+    noise = [each for each in _significant_noise(first.noise, thresholds.FALSE_ALARM_NOISE) if each.effect == OUTLIERS]
+    outlying = find_outliers(last)
+    directions = first.cleared.basis.shape[1] - before.basis.shape[1]
+    explained = np.sum(find_outliers(before) & ~find_outliers(first.cleared))
+    if not noise or explained > directions or clustered(last, outlying, given.covariates):
+        return [], outlying
+    return (noise if outlying.any() or not first.alarm else []), outlying
 
 
-def _without(fitted: Fitted, far: np.ndarray, rounds: int) -> tuple[Fitted, np.ndarray]:
-    """Return the fit to all readings but those that are far off, (E,) bool, and by how much they are, (E,).
+def _refit_without(fitted: Fitted, outlying: np.ndarray, rounds: int) -> tuple[Fitted, np.ndarray]:
+    """Return the fit without the outliers, (E,) bool, and the deletion residual of each, (E,).
 
-    They have made the noise look wide and neighbours look far off: once they are left out, more of them may show, and
-    some that were left out come back.
+    Outliers inflate the noise scale and mask one another: once they are rejected more may show, and some come back.
     """
     z, h, rest = jnp.asarray(fitted.z), jnp.asarray(fitted.h), fitted
-    apart = np.zeros(len(far))
+    sizes = np.zeros(len(outlying))
     for _ in range(rounds):
-        problem = masked(fitted.model.problem, far)
+        problem = masked(fitted.model.problem, outlying)
         mode = find_mode(problem, z, h)
         if not bool(mode.converged):
             break
         z, h = mode.z, mode.h
         rest = replace(fitted, model=replace(fitted.model, problem=problem), z=np.asarray(z), h=np.asarray(h))
-        sizes, surprise = deletion_residuals(problem, mode)
-        apart = np.where(far, sizes, 0.0)
+        in_noise_sd, in_predictive_sd = deletion_residuals(problem, mode)
+        sizes = np.where(outlying, in_noise_sd, 0.0)
         more = find_outliers(project(rest, np.asarray(mode.about.misfit), np.asarray(mode.about.jacobian)))
-        now = more | (far & (np.abs(surprise) > thresholds.READMIT_SD))
-        if np.array_equal(now, far):
+        updated = more | (outlying & (np.abs(in_predictive_sd) > thresholds.READMIT_SD))
+        if np.array_equal(updated, outlying):
             break
-        far = now
-    return rest, apart
+        outlying = updated
+    return rest, sizes
 
 
-def _settled(ground: SearchInput, sight: FirstPass) -> SearchResult:
-    """Return what is missing once the noise is what the readings say."""
-    first, chances, groups, last = sight.first, sight.chances, sight.groups, sight.last
-    adopted, doubted, strict = [], [], 1.0
-    if sight.alarm or _within(sight.noise, thresholds.FALSE_ALARM_NOISE):
-        remaining = [one for one in screen_noise(sight.cleared) if one.effect != OUTLIERS]
-        adopted = _within(remaining, thresholds.FALSE_ALARM_NOISE)
-        suspected = _within(remaining, thresholds.SUSPECTED_NOISE_P)
-        hinted = [one for one in suspected if one.effect in _CONFOUNDED_NOISE and one not in adopted]
-        doubted = [*adopted, *(hinted if sight.alarm else ())]
-    if doubted:
-        offsets = any(one.effect == "run_scatter" for one in doubted)
-        first = ground.look(ground.projection(prewhitening(sight.cleared, doubted), offsets))
-        strict = (
-            thresholds.ESTIMATED_CORRELATION_FACTOR if any(one.effect == "correlated_noise" for one in doubted) else 1.0
-        )
-        groups, last = _steps(first, chances.of_effect, strict)
+def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
+    """Return the outcome with the noise that the residuals show."""
+    first, groups, last = at.first, at.groups, at.last
+    adopted: list[NoiseCandidate] = []
+    modelled: list[NoiseCandidate] = []
+    factor = 1.0
+    if at.alarm or _significant_noise(at.noise, thresholds.FALSE_ALARM_NOISE):
+        remaining = [each for each in screen_noise(at.cleared) if each.effect != OUTLIERS]
+        adopted = modelled = _significant_noise(remaining, thresholds.FALSE_ALARM_NOISE)
+        if at.alarm:
+            suspected = _significant_noise(remaining, thresholds.SUSPECTED_NOISE_P)
+            modelled = adopted + [
+                each for each in suspected if each.effect in _CONFOUNDED_NOISE and each not in adopted
+            ]
+    if modelled:
+        effects = {each.effect for each in modelled}
+        first = given.screening(prewhitening(at.cleared, modelled), "run_scatter" in effects)
+        factor = thresholds.ESTIMATED_CORRELATION_FACTOR if "correlated_noise" in effects else 1.0
+        groups, last = _select_effects(first, at.corrections.of_effect, factor)
     return SearchResult(
         first=first,
-        responses=ground.responses,
-        covariates=ground.covariates,
+        responses=given.responses,
+        covariates=given.covariates,
         groups=groups,
-        structures=chances.significant(first.structures, strict),
-        remaining=chances.significant(last.structures, strict),
-        noise=sight.noise,
+        structures=at.corrections.significant(first.structures, factor),
+        remaining=at.corrections.significant(last.structures, factor),
+        noise=at.noise,
         adopted=tuple(adopted),
-        outlier_sd=np.zeros(len(ground.responses.misfit)),
-        look_elsewhere=chances.of_effect,
+        outlier_sd=np.zeros(len(given.responses.misfit)),
+        look_elsewhere=at.corrections.of_effect,
     )
 
 
-def _within(noise: Sequence[NoiseCandidate], threshold: float) -> list[NoiseCandidate]:
-    """Return the noise candidates whose chance, with all of them counted, is below a threshold."""
-    return [one for one in noise if one.p * len(noise) < threshold]
+def _significant_noise(noise: Sequence[NoiseCandidate], threshold: float) -> list[NoiseCandidate]:
+    """Return the noise candidates with a p-value below a threshold (Bonferroni)."""
+    return [each for each in noise if each.p * len(noise) < threshold]
 
 
-def _look(
+def _screening(
     projection: Projection,
     prepared: Sequence[ProjectedResponse],
-    laid: Sequence[ProjectedForm],
-    fine: Sequence[FeatureSet],
+    forms: Sequence[ProjectedForm],
+    feature_sets: Sequence[FeatureSet],
 ) -> Screening:
-    scans = [scan(projection, one) for one in fine]
-    candidates, structures = screen(projection, prepared), look(projection, laid, scans)
-    return Screening(projection, tuple(prepared), tuple(laid), tuple(scans), tuple(candidates), tuple(structures))
+    scans = tuple(scan_features(projection, each) for each in feature_sets)
+    candidates, structures = screen(projection, prepared), screen_structure(projection, forms, scans)
+    return Screening(projection, tuple(prepared), tuple(forms), scans, tuple(candidates), tuple(structures))
 
 
-def _steps(
-    first: Screening, chance: LookElsewhere, strict: float = 1.0
+def _select_effects(
+    at: Screening, corrected: LookElsewhere, factor: float = 1.0
 ) -> tuple[tuple[EquivalenceGroup, ...], Screening]:
-    """Take out the best candidate and look again, as long as one is beyond chance."""
-    at, groups = first, []
+    """Select the best candidate, project it out and screen again, while one is significant."""
+    groups: list[EquivalenceGroup] = []
+    threshold = factor * thresholds.FALSE_ALARM_EFFECT
     while at.candidates and len(groups) < thresholds.MAX_EFFECTS:
-        p = chance(min(one.p for one in at.candidates))
-        if p >= strict * thresholds.FALSE_ALARM_EFFECT:
+        p = corrected(min(candidate.p for candidate in at.candidates))
+        if p >= threshold:
             break
-        leader = next(one for one in at.candidates if chance(one.p) < strict * thresholds.FALSE_ALARM_EFFECT)
-        groups.append(group(at.projection, leader, at.candidates, p))
+        leader = next(candidate for candidate in at.candidates if corrected(candidate.p) < threshold)
+        groups.append(equivalence_group(at.projection, leader, at.candidates, p))
         at = deflate(at, span_over_shapes(at, leader))
     return tuple(groups), at
 
 
-def _without_patterns(at: Screening, chance: LookElsewhere, at_least: int) -> Screening:
-    """Take out the strongest patterns that are no noise; the weaker ones would take the noise along."""
+def _without_patterns(at: Screening, corrected: LookElsewhere, at_least: int) -> Screening:
+    """Project out the strongest patterns that cannot be noise; the weaker ones would take noise along."""
     for place in range(thresholds.MAX_PATTERNS):
-        if not at.structures or (
-            place >= at_least and chance(at.structures[0].score.p) >= thresholds.PATTERN_NOT_NOISE_P
-        ):
+        if not at.structures:
             break
-        at = deflate(at, at.structures[0].score.span)
+        strongest = at.structures[0].score
+        if place >= at_least and corrected(strongest.p) >= thresholds.PATTERN_NOT_NOISE_P:
+            break
+        at = deflate(at, strongest.span)
     return at
 
 
 def span_over_shapes(at: Screening, leader: Candidate) -> np.ndarray:
-    """Return the directions of a candidate at every shape that was tried, (R, d): the true one lies between them."""
+    """Return the directions of a candidate at every shape scanned, (R, d): the true shape lies between them."""
     names = {coefficient.parameter.name for coefficient in leader.coefficients}
     columns, lengths = [], []
-    for one in at.prepared:
-        if one.response.scan.effect == leader.effect:
-            chosen = [i for i, each in enumerate(one.response.coefficients) if each.parameter.name in names]
-            columns.append(one.projected[:, chosen])
-            lengths.append(np.linalg.norm(one.whitened[:, chosen], axis=0))
+    for each in at.prepared:
+        if each.response.scan.effect == leader.effect:
+            chosen = [place for place, c in enumerate(each.response.coefficients) if c.parameter.name in names]
+            columns.append(each.projected[:, chosen])
+            lengths.append(np.linalg.norm(each.whitened[:, chosen], axis=0))
     return orthonormal(np.concatenate(columns, axis=1), np.concatenate(lengths), thresholds.SHAPE_RETAINED_MIN)
 
 
 def deflate(at: Screening, span: np.ndarray) -> Screening:
-    """Return the look after some directions, (R, d), have been taken out."""
+    """Return the screening after some orthonormal directions, (R, d), were projected out."""
 
     def less(columns: np.ndarray) -> np.ndarray:
         return columns - span @ (span.T @ columns)
 
-    prepared = [replace(one, projected=less(one.projected)) for one in at.prepared]
-    laid = [replace(one, columns=less(one.columns)) for one in at.laid]
-    return _look(at.projection.without(span), prepared, laid, [one.details for one in at.scans])
+    responses = [replace(each, projected=less(each.projected)) for each in at.prepared]
+    forms = [replace(each, columns=less(each.columns)) for each in at.forms]
+    return _screening(at.projection.without(span), responses, forms, [each.features for each in at.scans])
