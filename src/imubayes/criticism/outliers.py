@@ -1,4 +1,4 @@
-"""Readings that are far off: which they are, and whether they have a cause in common."""
+"""Outliers: which samples they are, and whether they have a common cause."""
 
 from collections.abc import Sequence
 
@@ -18,96 +18,101 @@ from imubayes.model.problem import Problem
 
 
 def find_outliers(projection: Projection) -> np.ndarray:
-    """Return which readings are so far off that a normal law does not bring them about, (E,) bool."""
-    left = np.abs(to_entries(projection, projection.residual[:, None])[:, 0])
-    # A reading that the model leans on hides most of what it is off by (studentised residuals, Cook & Weisberg 1982).
-    leant_on = np.sum(to_entries(projection, projection.basis) ** 2, axis=1)
-    left /= np.sqrt(np.maximum(1 - leant_on, thresholds.UNLEVERAGED_MIN))
-    model, found = projection.fitted.model, np.zeros(len(left), dtype=bool)
-    seen = (np.asarray(model.problem.observations.weight) > 0) & ~model.entries.closing
-    for place in np.unique(model.entries.channel[seen]):
-        own = (model.entries.channel == place) & seen
-        found[own] = left[own] > thresholds.OUTLIER_SD * np.median(left[own]) / thresholds.NORMAL_MAD
+    """Return which samples are outliers, (E,) bool: beyond the threshold in robust standard deviations."""
+    size = np.abs(to_entries(projection, projection.residual[:, None])[:, 0])
+    # High-leverage samples have small raw residuals; studentise (Cook & Weisberg 1982).
+    leverage = np.sum(to_entries(projection, projection.basis) ** 2, axis=1)
+    size /= np.sqrt(np.maximum(1 - leverage, thresholds.UNLEVERAGED_MIN))
+    model, found = projection.fitted.model, np.zeros(len(size), dtype=bool)
+    used = (np.asarray(model.problem.observations.weight) > 0) & ~model.entries.closing
+    for place in np.unique(model.entries.channel[used]):
+        own = (model.entries.channel == place) & used
+        found[own] = size[own] > thresholds.OUTLIER_SD * np.median(size[own]) / thresholds.NORMAL_MAD
     return found
 
 
 def deletion_residuals(problem: Problem, mode: Mode) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much readings differ from what the rest predicts, each (E,).
+    """Return how far samples lie from the prediction of the others, each (E,).
 
-    First in standard deviations of a reading, then in those of its difference from the others of its run and channel:
-    what the rest predicts is uncertain, and what a run's readings have in common is none of its own.
+    First in standard deviations of the noise of a sample; then in those of its difference from the others of its run
+    and channel, the uncertainty of the prediction included.
 
     Parameters
     ----------
-    problem : with the others masked out.
-    mode : the fit to the rest.
+    problem : with the outliers masked.
+    mode : the fit without them.
     """
-    known, about = posterior_precision(problem, mode), mode.about
+    precision, about = posterior_precision(problem, mode), mode.about
     group = np.asarray(problem.observations.group)
-    seen = (np.asarray(problem.observations.weight) > 0).astype(float)
-    count = np.maximum(np.bincount(group, seen), 1.0)
+    used = (np.asarray(problem.observations.weight) > 0).astype(float)
+    count = np.maximum(np.bincount(group, used), 1.0)
 
-    def apart(values: np.ndarray) -> np.ndarray:
+    def centred(values: np.ndarray) -> np.ndarray:
         mean = np.zeros((len(count), values.shape[1]))
-        np.add.at(mean, group, seen[:, None] * values)
+        np.add.at(mean, group, used[:, None] * values)
         return values - (mean / count[:, None])[group]
 
-    own, jacobian = np.asarray(noise_distribution(problem, mode.h).squared_scale), apart(np.asarray(about.jacobian))
-    misfit = apart(np.asarray(about.misfit)[:, None])[:, 0]
-    variance = own * (1 + 1 / count[group]) + deviations(jacobian, np.asarray(known)) ** 2
+    own = np.asarray(noise_distribution(problem, mode.h).squared_scale)
+    jacobian = centred(np.asarray(about.jacobian))
+    misfit = centred(np.asarray(about.misfit)[:, None])[:, 0]
+    variance = own * (1 + 1 / count[group]) + deviations(jacobian, np.asarray(precision)) ** 2
     return misfit / np.sqrt(own), misfit / np.sqrt(variance)
 
 
-def clustered(projection: Projection, far: np.ndarray, known: Sequence[ResidualCovariate]) -> bool:
-    """Tell whether readings that are far off, (E,) bool, gather at one value of a covariate, in more than one run.
+def clustered(projection: Projection, outlying: np.ndarray, covariates: Sequence[ResidualCovariate]) -> bool:
+    """Tell whether outliers, (E,) bool, cluster at one value of a covariate, in more than one run.
 
-    A row counts once, however many of its channels are far off: what happens once happens to all of them.
+    A row counts once, however many of its channels are outliers: a disturbance acts on all of them.
     """
-    entries, channels = projection.fitted.model.entries, projection.fitted.model.campaign.channels
+    model = projection.fitted.model
+    entries, channels = model.entries, model.campaign.channels
     row = np.unique(np.stack([entries.run, entries.row]), axis=1, return_inverse=True)[1].reshape(-1)
-    best, looks = 1.0, 0
+    tables = [*(covariate.values for covariate in covariates), _of_table(model, "table_rate")]
+    p_values: list[float] = []
     for kind in dict.fromkeys(channel.kind for channel in channels):
         of_kind = [place for place, channel in enumerate(channels) if channel.kind == kind]
         here = np.isin(entries.channel, of_kind) & ~entries.closing
-        share = len(np.unique(row[here & far])) / max(len(np.unique(row[here])), 1)
-        for values in (*(one.values for one in known), _of_table(projection.fitted.model, "table_rate")):
-            for cell in _cells(values, here):
-                hit = cell & far
-                rows = np.unique(row[hit])
-                if (
-                    len(np.unique(row[cell])) < thresholds.CLUSTER_ROWS
-                    or len(np.unique(entries.run[cell])) < thresholds.CLUSTER_RUNS
-                ):
-                    continue
-                looks += 1
-                if len(rows) >= thresholds.CLUSTER_ROWS and len(np.unique(entries.run[hit])) >= thresholds.CLUSTER_RUNS:
-                    best = min(best, float(stats.binom.sf(len(rows) - 1, len(np.unique(row[cell])), share)))
-    return best * looks < thresholds.CLUSTER_P
+        share = len(np.unique(row[here & outlying])) / max(len(np.unique(row[here])), 1)
+        cells = [cell for values in tables for cell in _cells(values, here)]
+        p_values += [p for cell in cells for p in _cluster_p(row, entries.run, cell, cell & outlying, share)]
+    return min(p_values, default=1.0) * len(p_values) < thresholds.CLUSTER_P
+
+
+def _cluster_p(row: np.ndarray, run: np.ndarray, cell: np.ndarray, hit: np.ndarray, share: float) -> list[float]:
+    """Return the binomial p-value of the outliers in one cell; nothing where the cell has too few rows or runs."""
+
+    def sufficient(chosen: np.ndarray) -> bool:
+        rows, runs = len(np.unique(row[chosen])), len(np.unique(run[chosen]))
+        return rows >= thresholds.CLUSTER_ROWS and runs >= thresholds.CLUSTER_RUNS
+
+    if not sufficient(cell):
+        return []
+    hits, rows = len(np.unique(row[hit])), len(np.unique(row[cell]))
+    return [float(stats.binom.sf(hits - 1, rows, share)) if sufficient(hit) else 1.0]
 
 
 def consecutive(model: Model, sizes: np.ndarray) -> bool:
-    """Tell whether readings that are far off follow one another, off to the same side: a step, or a narrow peak.
+    """Tell whether outliers follow one another with the same sign: a step, or a narrow peak.
 
     Parameters
     ----------
-    sizes : shape (E,), by how much readings are off, with their sign; 0 for those that are not.
+    sizes : shape (E,), signed deletion residual of each outlier; 0 for other samples.
 
-    Readings that are hit at random are seldom neighbours in time: the number of such pairs is then Poisson's.
+    Random outliers are seldom neighbours in time: the number of such pairs is then Poisson-distributed.
     """
     series = np.asarray(model.problem.observations.in_time)
     signs = np.concatenate([np.sign(sizes), [0.0]])
     first, second = series[:, :-1], series[:, 1:]
     neighbours = (first < len(sizes)) & (second < len(sizes))
-    alike = neighbours & (signs[first] * signs[second] > 0)
-    at = first[alike]
-    # A blow to the table hits all channels at once, and counts once.
+    at = first[neighbours & (signs[first] * signs[second] > 0)]
+    # A shock to the table acts on all channels, and counts once.
     pairs = len(np.unique(np.stack([model.entries.run[at], model.entries.row[at]]), axis=1).T)
     expected = neighbours.sum() * np.mean(sizes != 0) ** 2 / 2
     return float(stats.poisson.sf(pairs - 1, expected)) < thresholds.CLUSTER_P
 
 
 def _of_table(model: Model, name: str) -> np.ndarray:
-    """Return what a table did at each reading, (E,), NaN where there is none: it acts on all channels alike."""
+    """Return a covariate of the table at each entry, (E,), NaN without a table: it acts on all channels alike."""
     entries, found = model.entries, np.full(len(model.entries), np.nan)
     for index, run in enumerate(model.campaign.runs):
         if run.table is not None and name in run.covariates:
@@ -117,7 +122,7 @@ def _of_table(model: Model, name: str) -> np.ndarray:
 
 
 def _cells(values: np.ndarray, here: np.ndarray) -> list[np.ndarray]:
-    """Return readings of equal values of a covariate, or of neighbouring ones where there are many, each (E,) bool."""
+    """Return the entries at each value of a covariate, or in each quantile bin where values are many, (E,) bool."""
     here = here & np.isfinite(values)
     if not here.any():
         return []
@@ -125,7 +130,7 @@ def _cells(values: np.ndarray, here: np.ndarray) -> list[np.ndarray]:
     rounded = np.round(values / (size or 1.0), thresholds.OUTLIER_DIGITS)
     single = np.unique(rounded[here])
     if len(single) <= thresholds.OUTLIER_MAX_VALUES:
-        return [here & (rounded == one) for one in single]
+        return [here & (rounded == value) for value in single]
     edges = np.quantile(rounded[here], np.linspace(0, 1, thresholds.OUTLIER_BINS + 1)[1:-1])
     part = np.searchsorted(edges, rounded)
-    return [here & (part == one) for one in range(thresholds.OUTLIER_BINS)]
+    return [here & (part == bin_) for bin_ in range(thresholds.OUTLIER_BINS)]

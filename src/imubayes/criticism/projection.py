@@ -1,9 +1,9 @@
-"""Residuals and candidate responses, whitened, with everything taken out that the model could absorb.
+"""Residuals and candidate responses, whitened and projected on the complement of what the model can absorb.
 
-Rows are the measured entries, then one pseudo-entry per prior.  The entries of a run and channel whose offset is part
-of the noise are turned so that their common direction, the offset, is a row of its own.  Rows fall into *strata* that
-each have a noise scale of their own: the scatter within runs of a channel, the scatter between its runs, the prior.
-A missing effect has inflated the noise of the strata it acts in; judging it needs their scale without it.
+Rows are the measured entries, then one pseudo-entry per prior.  Where the offset of a run and channel is noise, a
+Householder reflection makes their common direction, the offset, a row of its own.  Rows fall into *strata*, each with
+its own noise scale: the scatter within runs of a channel, the scatter between its runs, the prior.  A missing effect
+has inflated the noise of the strata it acts in; judging it needs their scale without it.
 """
 
 from collections.abc import Callable
@@ -22,6 +22,7 @@ from imubayes.model.problem import Observations, Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
 
 PRIOR = -1
+Whitening = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Strata:
         return result
 
     def at_rows(self, values: np.ndarray) -> np.ndarray:
-        """Return what each row has of values per stratum, that of prior rows last: (strata + 1, …) → (R, …)."""
+        """Return values per stratum, prior rows last, (strata + 1, …), at each row, (R, …)."""
         return values[self._place]
 
     @cached_property
@@ -55,14 +56,14 @@ class Strata:
 
 @dataclass(frozen=True)
 class Projection:
-    """Whitening, turning and projecting, for any columns over the entries.
+    """Whitening, reflection and projection, for any columns over the entries.
 
     Attributes
     ----------
     fitted : the fit it belongs to.
     turn : from entries to rows.
     basis : shape (R, P), orthonormal columns that span what the model's parameters can absorb.
-    residual : shape (R,), what is left of the data.
+    residual : shape (R,), projected residual.
     strata : of the rows.
     freedom : shape (strata + 1,), degrees of freedom of the residual in each stratum.
     jacobian, upper : shapes (R, P) and (P, P): the whitened Jacobian with the prior rows, and R of its QR.
@@ -102,23 +103,23 @@ class Projection:
         return self.turn(columns)
 
     def without(self, span: np.ndarray) -> "Projection":
-        """Return the projection that takes out some further orthonormal directions, (R, d), as well."""
+        """Return the projection with further orthonormal directions, (R, d), projected out."""
         residual = self.residual - span @ (span.T @ self.residual)
         freedom = self.freedom - self.strata.sums(np.sum(span**2, axis=1))
         return replace(self, basis=np.concatenate([self.basis, span], axis=1), residual=residual, freedom=freedom)
 
     def absorb(self, rows: np.ndarray) -> np.ndarray:
-        """Return what the model's parameters, in z, would take up of whitened rows (R, C); shape (P, C)."""
+        """Return the shift of the model's parameters, in z, that fits whitened rows (R, C); shape (P, C)."""
         return scipy.linalg.solve_triangular(self.upper, self.basis[:, : len(self.upper)].T @ rows)
 
     def project(self, rows: np.ndarray) -> np.ndarray:
-        """Return what the model's parameters cannot absorb."""
+        """Return the part of rows, (R, C), that the model's parameters cannot absorb."""
         return rows - self.basis @ (self.basis.T @ rows)
 
 
 @dataclass(frozen=True)
 class RowTransform:
-    """From entries to rows: whiten, then turn each group's common direction into its first row.
+    """From entries to rows: whiten, then reflect each group's common direction into its first row.
 
     `members` are the groups' entries, `series` the same in the order of time, both (G, M) and padded with E; `extra`
     (optional) is a further whitening of the entries, see `imubayes.criticism.noise_tests`.
@@ -131,7 +132,7 @@ class RowTransform:
     sizes: np.ndarray
     reflectors: np.ndarray
     priors: int
-    extra: Callable[[np.ndarray], np.ndarray] | None = None
+    extra: Whitening | None = None
 
     def __call__(self, columns: np.ndarray) -> np.ndarray:
         flat = columns.reshape(len(columns), -1)
@@ -143,7 +144,7 @@ class RowTransform:
         return rows.reshape(len(rows), *columns.shape[1:])
 
     def reflect(self, white: np.ndarray) -> np.ndarray:
-        """Turn each group so that its common direction becomes its first row; applied twice, nothing has changed."""
+        """Reflect each group so that its common direction becomes its first row; the reflection is its own inverse."""
         padded = np.concatenate([white, np.zeros((1, white.shape[1]))])[self.members]
         along = np.einsum("gm,gmc->gc", self.reflectors, padded)
         padded = padded - 2 * self.reflectors[:, :, None] * along[:, None, :]
@@ -160,14 +161,16 @@ def _whiten(problem: Problem, h, columns):
 _pseudo_values = jax.jit(pseudo_values)
 
 
-def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None, offsets: bool = False) -> Projection:
+def project(
+    fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra: Whitening | None = None, offsets: bool = False
+) -> Projection:
     """Return the projection of a fit.
 
     Parameters
     ----------
     misfit, jacobian : shapes (E,) and (E, P), as of `imubayes.criticism.candidate_effects.candidate_responses`.
     extra : a further whitening of the entries.
-    offsets : whether run offsets count as noise of their own although the model does not say so.
+    offsets : whether run offsets count as noise although the model has none.
     """
     problem = fitted.model.problem
     observations = problem.observations
@@ -216,7 +219,7 @@ def project(fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra=None
 
 
 def _seen_first(observations: Observations) -> np.ndarray:
-    """Return the entries of each group, (G, M): the first of them, whose row the offset takes, is not masked."""
+    """Return the entries of each group, (G, M), the first of them, whose row takes the offset, not masked."""
     members = np.asarray(observations.members)
     weight = np.concatenate([np.asarray(observations.weight), [-1.0]])[members]
     return np.take_along_axis(members, np.argsort(-weight, axis=1, kind="stable"), axis=1)
@@ -241,13 +244,13 @@ def _strata(fitted: Fitted, members: np.ndarray, separate: np.ndarray, priors: i
 
 
 def orthonormal(columns: np.ndarray, original: np.ndarray, least: float) -> np.ndarray:
-    """Return an orthonormal basis of projected columns, without directions that the projection has wiped out.
+    """Return an orthonormal basis of projected columns, without directions that the projection has annihilated.
 
     Parameters
     ----------
     columns : shape (R, C), projected.
     original : shape (C,), lengths before projection.
-    least : share of the squared length below which a direction counts as wiped out.
+    least : share of the squared length below which a direction counts as annihilated.
     """
     kept = original > 0
     if not kept.any():
@@ -255,5 +258,5 @@ def orthonormal(columns: np.ndarray, original: np.ndarray, least: float) -> np.n
     scaled = columns[:, kept] / original[kept]
     # Through the Gram matrix: its eigenvalues are shares of squared lengths, and `least` is far above their rounding.
     squares, axes = np.linalg.eigh(scaled.T @ scaled)
-    held = squares > least
-    return scaled @ (axes[:, held] / np.sqrt(squares[held]))
+    retained = squares > least
+    return scaled @ (axes[:, retained] / np.sqrt(squares[retained]))
