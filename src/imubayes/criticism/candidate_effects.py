@@ -14,7 +14,7 @@ import numpy as np
 
 from imubayes.effects.base import Effect, MotionEffect
 from imubayes.gather import on_device
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.model.assembly import assemble
 from imubayes.model.bind import build_problem
 from imubayes.model.bound_effects import BoundEffect, NoChannelError, NotObservableError, bind_effect
@@ -93,7 +93,7 @@ class _Extended:
     places: dict[str, int]
 
 
-def candidate_responses(fitted: Fitted, only: Sequence[str] = ()) -> Responses:
+def candidate_responses(fitted: Fit, only: Sequence[str] = ()) -> Responses:
     """Return the fit linearised in its own parameters and in those of every candidate, or of the named ones only."""
     acting, unobservable = _candidates(fitted)
     if only:
@@ -128,7 +128,7 @@ def fitting_channels(member: EffectClass, campaign: Campaign) -> list[str]:
     return [channel.name for channel in campaign.channels if channel.kind in member.kinds]
 
 
-def _candidates(fitted: Fitted) -> tuple[tuple[BoundEffect, ...], dict[str, tuple[str, ...]]]:
+def _candidates(fitted: Fit) -> tuple[tuple[BoundEffect, ...], dict[str, tuple[str, ...]]]:
     """Return every effect that the model lacks, on the channels on which it lacks it, and what no run can show."""
     model = fitted.model
     acting: list[BoundEffect] = []
@@ -148,7 +148,7 @@ def _candidates(fitted: Fitted) -> tuple[tuple[BoundEffect, ...], dict[str, tupl
     return tuple(acting), unobservable
 
 
-def _spec(member: type[Effect], fitted: Fitted) -> EffectSpec | None:
+def _spec(member: type[Effect], fitted: Fit) -> EffectSpec | None:
     """Return the candidate for what the model does not have yet; None where it has all of it."""
     rivals = [one for one in fitted.model.assembly.effects if _rival(one.effect_class, member)]
     spec = EffectSpec(member.name, where=f"candidate {member.name}")
@@ -165,7 +165,7 @@ def _rival(one: EffectClass, other: EffectClass) -> bool:
     return one.name == other.name or one.name in other.excludes or other.name in one.excludes
 
 
-def _extend(fitted: Fitted, acting: tuple[BoundEffect, ...]) -> _Extended:
+def _extend(fitted: Fit, acting: tuple[BoundEffect, ...]) -> _Extended:
     assembly = fitted.model.assembly
     extended = assemble(assembly.effects + acting, assembly.grouping)
     parameters = extended.layout.parameters

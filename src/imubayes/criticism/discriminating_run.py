@@ -15,7 +15,7 @@ from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.score_test import Candidate
 from imubayes.inference.experiment_design import with_planned
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class SeparatingRun:
     difference: float
 
 
-def separating_run(fitted: Fitted, group: EquivalenceGroup) -> SeparatingRun | None:
+def separating_run(fitted: Fit, group: EquivalenceGroup) -> SeparatingRun | None:
     """Return the run that best distinguishes the members of a group; None where no feasible run does."""
     if len(group.members) < 2:
         return None

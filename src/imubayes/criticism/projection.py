@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg
 
 from imubayes.criticism import thresholds
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Observations, Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
@@ -71,7 +71,7 @@ class Projection:
     root : shape (E,), one over each entry's standard deviation, run offsets not counted.
     """
 
-    fitted: Fitted
+    fitted: Fit
     turn: "RowTransform"
     basis: np.ndarray
     residual: np.ndarray
@@ -162,7 +162,7 @@ _pseudo_values = jax.jit(pseudo_values)
 
 
 def project(
-    fitted: Fitted, misfit: np.ndarray, jacobian: np.ndarray, extra: Whitening | None = None, offsets: bool = False
+    fitted: Fit, misfit: np.ndarray, jacobian: np.ndarray, extra: Whitening | None = None, offsets: bool = False
 ) -> Projection:
     """Return the projection of a fit.
 
@@ -225,7 +225,7 @@ def _seen_first(observations: Observations) -> np.ndarray:
     return np.take_along_axis(members, np.argsort(-weight, axis=1, kind="stable"), axis=1)
 
 
-def _input(fitted: Fitted, misfit: np.ndarray) -> np.ndarray:
+def _input(fitted: Fit, misfit: np.ndarray) -> np.ndarray:
     """Return the predicted output of each entry as an input; 0 for closing rotations."""
     entries, channels = fitted.model.entries, fitted.model.campaign.channels
     scale = np.array([channel.scale_si for channel in channels] + [1.0] * 3)
@@ -233,7 +233,7 @@ def _input(fitted: Fitted, misfit: np.ndarray) -> np.ndarray:
     return np.where(entries.closing, 0.0, (entries.value - misfit - offset[entries.channel]) / scale[entries.channel])
 
 
-def _strata(fitted: Fitted, members: np.ndarray, separate: np.ndarray, priors: int) -> Strata:
+def _strata(fitted: Fit, members: np.ndarray, separate: np.ndarray, priors: int) -> Strata:
     entries = fitted.model.entries
     between = np.zeros(len(entries) + 1, dtype=bool)
     between[members[separate, 0]] = True

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.covariates import Covariate, regressors
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.model.problem import Problem, row_means, signal_path, values_of
 
 
@@ -30,7 +30,7 @@ class ResidualCovariate:
     phrase: str
 
 
-def covariates(fitted: Fitted) -> list[ResidualCovariate]:
+def covariates(fitted: Fit) -> list[ResidualCovariate]:
     """Return every covariate that some run has and that takes more than one value."""
     values = {"sample": _at_samples(fitted), "recorded": _recorded(fitted), "derived": _derived(fitted)}
     gravity = fitted.model.campaign.site.gravity
@@ -46,7 +46,7 @@ def _varies(values: np.ndarray) -> bool:
     return known.size > 2 and float(np.ptp(known)) > 1e-9 * (1 + float(np.abs(known).max()))
 
 
-def _at_samples(fitted: Fitted) -> Callable[[Covariate], np.ndarray]:
+def _at_samples(fitted: Fit) -> Callable[[Covariate], np.ndarray]:
     """Return rate or specific force along each channel's own axes, as the fitted model has them, (E,) in SI."""
     means = _row_means(fitted.model.problem, fitted.z)
     readout = np.asarray(fitted.model.problem.observations.readout)
@@ -75,7 +75,7 @@ def _row_means(problem: Problem, z):
     }
 
 
-def _recorded(fitted: Fitted) -> Callable[[Covariate], np.ndarray]:
+def _recorded(fitted: Fit) -> Callable[[Covariate], np.ndarray]:
     """Return what the runs recorded, (E,) in SI."""
     entries, runs = fitted.model.entries, fitted.model.campaign.runs
 
@@ -90,7 +90,7 @@ def _recorded(fitted: Fitted) -> Callable[[Covariate], np.ndarray]:
     return values
 
 
-def _derived(fitted: Fitted) -> Callable[[Covariate], np.ndarray]:
+def _derived(fitted: Fit) -> Callable[[Covariate], np.ndarray]:
     """Return what the procedures derive from recorded columns, (E,) in SI."""
     nodes, entries = fitted.model.nodes, fitted.model.entries
     first_row = np.cumsum([0, *(run.rows for run in fitted.model.campaign.runs)])
@@ -106,7 +106,7 @@ def _derived(fitted: Fitted) -> Callable[[Covariate], np.ndarray]:
     return values
 
 
-def _node_rows(fitted: Fitted) -> np.ndarray:
+def _node_rows(fitted: Fit) -> np.ndarray:
     """Return the row, counted over all runs, of each node."""
     nodes = fitted.model.nodes
     sizes = np.concatenate([np.full(count, size) for count, size in nodes.turns])

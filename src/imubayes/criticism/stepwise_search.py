@@ -17,7 +17,7 @@ from imubayes.criticism.outliers import clustered, consecutive, deletion_residua
 from imubayes.criticism.projection import Projection, orthonormal, project
 from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
 from imubayes.criticism.score_test import Candidate, ProjectedResponse, project_responses, screen
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.problem import masked
 
@@ -83,7 +83,7 @@ class SearchResult:
 class SearchInput:
     """A fit, linearised with all candidates, and the covariates of its residuals."""
 
-    fitted: Fitted
+    fitted: Fit
     responses: Responses
     covariates: tuple[ResidualCovariate, ...]
 
@@ -115,7 +115,7 @@ class FirstPass:
     cleared: Projection
 
 
-def search(fitted: Fitted) -> SearchResult:
+def search(fitted: Fit) -> SearchResult:
     """Return what is missing in a converged fit; it is refitted only where there are outliers."""
     given = SearchInput(fitted, candidate_responses(fitted), tuple(covariates(fitted)))
     first = _first_pass(given)
@@ -169,7 +169,7 @@ def _outliers(given: SearchInput, first: FirstPass) -> tuple[list[NoiseCandidate
     return (noise if outlying.any() or not first.alarm else []), outlying
 
 
-def _refit_without(fitted: Fitted, outlying: np.ndarray, rounds: int) -> tuple[Fitted, np.ndarray]:
+def _refit_without(fitted: Fit, outlying: np.ndarray, rounds: int) -> tuple[Fit, np.ndarray]:
     """Return the fit without the outliers, (E,) bool, and the deletion residual of each, (E,).
 
     Outliers inflate the noise scale and mask one another: once they are rejected more may show, and some come back.
