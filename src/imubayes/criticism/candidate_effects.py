@@ -1,7 +1,7 @@
-"""What else could act: every effect of the catalogue that the model lacks, laid beside the model at its null.
+"""Candidates: every effect of the catalogue that the model lacks, added to the model at its null.
 
 The model and all candidates become one problem whose first parameters are the model's own.  At their nulls the
-candidates change nothing, so one linearisation gives the Jacobian of the fit and what every candidate would do.
+candidates change nothing, so one linearisation gives the Jacobian of the fit and the response to every candidate.
 """
 
 from collections.abc import Iterator, Sequence
@@ -52,7 +52,7 @@ class ShapeScan:
 
 @dataclass(frozen=True)
 class Response:
-    """What one candidate would do, for one choice of its shape.
+    """The response to one candidate, for one choice of its shape.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Responses:
     misfit : shape (E,), observed less predicted, output units.
     jacobian : shape (E, P), of the model's own parameters in z.
     candidates : one response per candidate and shape.
-    unobservable : effects that no run can show → what they need.
+    unobservable : effects that no run can show → the covariates they need.
     """
 
     misfit: np.ndarray
@@ -97,18 +97,18 @@ def candidate_responses(fitted: Fit, only: Sequence[str] = ()) -> Responses:
     """Return the fit linearised in its own parameters and in those of every candidate, or of the named ones only."""
     acting, unobservable = _candidates(fitted)
     if only:
-        acting = tuple(one for one in acting if one.name in only)
+        acting = tuple(effect for effect in acting if effect.name in only)
     extended = _extend(fitted, acting)
     z = np.concatenate([fitted.z, np.zeros(len(extended.parameters) - extended.known)])
     slopes = np.asarray(_slopes(extended.problem, jnp.asarray(z)))
     own = np.asarray(_values(extended.problem, jnp.asarray(z)))[: extended.known]
     predicted, first = _linearised(extended, own, scan_place=0)
     candidates: list[Response] = []
-    longest = max((1, *(len(_grid(one)) for one in acting)))
+    longest = max((1, *(len(_grid(effect)) for effect in acting)))
     for place in range(longest):
         jacobian = first if place == 0 else _linearised(extended, own, place)[1]
         candidates.extend(
-            _response(one, extended, jacobian, place) for one in acting if place < max(1, len(_grid(one)))
+            _response(effect, extended, jacobian, place) for effect in acting if place < max(1, len(_grid(effect)))
         )
     misfit = np.asarray(fitted.model.problem.observations.value) - predicted
     known = extended.known
@@ -116,9 +116,9 @@ def candidate_responses(fitted: Fit, only: Sequence[str] = ()) -> Responses:
 
 
 def searchable(registry: Registry) -> Iterator[type[Effect]]:
-    """Return the effects that can be missing: causes, not what stands for unknowns of the runs themselves."""
+    """Return the effects that can be missing: causes, not nuisance parameters of the runs."""
     for member in registry.effects.values():
-        learns_spread = any(one.spread for one in declared_parameters(member).values())
+        learns_spread = any(declared.spread for declared in declared_parameters(member).values())
         if issubclass(member, Effect) and not member.nuisance and not learns_spread:
             yield member
 
@@ -129,7 +129,7 @@ def fitting_channels(member: EffectClass, campaign: Campaign) -> list[str]:
 
 
 def _candidates(fitted: Fit) -> tuple[tuple[BoundEffect, ...], dict[str, tuple[str, ...]]]:
-    """Return every effect that the model lacks, on the channels on which it lacks it, and what no run can show."""
+    """Return every effect that the model lacks, on the channels that lack it, and the effects that no run can show."""
     model = fitted.model
     acting: list[BoundEffect] = []
     unobservable: dict[str, tuple[str, ...]] = {}
@@ -138,9 +138,9 @@ def _candidates(fitted: Fit) -> tuple[tuple[BoundEffect, ...], dict[str, tuple[s
         if spec is None:
             continue
         try:
-            one = bind_effect(spec, model.assembly.grouping, model.registry)
+            effect = bind_effect(spec, model.assembly.grouping, model.registry)
             # Without a label, a table where there is none, there is nothing to find.
-            acting.extend([one] if one.parameters else [])
+            acting.extend([effect] if effect.parameters else [])
         except NoChannelError:
             continue
         except NotObservableError:
@@ -149,20 +149,20 @@ def _candidates(fitted: Fit) -> tuple[tuple[BoundEffect, ...], dict[str, tuple[s
 
 
 def _spec(member: type[Effect], fitted: Fit) -> EffectSpec | None:
-    """Return the candidate for what the model does not have yet; None where it has all of it."""
-    rivals = [one for one in fitted.model.assembly.effects if _rival(one.effect_class, member)]
+    """Return the candidate on the channels that lack it; None where none does."""
+    rivals = [effect for effect in fitted.model.assembly.effects if _rival(effect.effect_class, member)]
     spec = EffectSpec(member.name, where=f"candidate {member.name}")
     if not rivals:
         return spec
     if issubclass(member, MotionEffect):
         return None
-    taken = {name for one in rivals for name in one.channels}
+    taken = {name for rival in rivals for name in rival.channels}
     free = tuple(name for name in fitting_channels(member, fitted.model.campaign) if name not in taken)
     return replace(spec, channels=free) if free else None
 
 
-def _rival(one: EffectClass, other: EffectClass) -> bool:
-    return one.name == other.name or one.name in other.excludes or other.name in one.excludes
+def _rival(member: EffectClass, other: EffectClass) -> bool:
+    return member.name == other.name or member.name in other.excludes or other.name in member.excludes
 
 
 def _extend(fitted: Fit, acting: tuple[BoundEffect, ...]) -> _Extended:
@@ -173,9 +173,9 @@ def _extend(fitted: Fit, acting: tuple[BoundEffect, ...]) -> _Extended:
     return _Extended(on_device(build_problem(extended)), len(assembly.layout), acting, parameters, places)
 
 
-def _grid(one: BoundEffect) -> list[dict[str, float]]:
-    """Return the shapes to try; several shape parameters are scanned together, place by place."""
-    grids = {field: declared.shape for field, declared in one.declared.items() if declared.shape}
+def _grid(effect: BoundEffect) -> list[dict[str, float]]:
+    """Return the shapes to scan; several shape parameters are scanned together, place by place."""
+    grids = {field: declared.shape for field, declared in effect.declared.items() if declared.shape}
     longest = max((len(grid) for grid in grids.values()), default=0)
     return [{field: grid[min(place, len(grid) - 1)] for field, grid in grids.items()} for place in range(longest)]
 
@@ -184,11 +184,11 @@ def _linearised(extended: _Extended, own: np.ndarray, scan_place: int) -> tuple[
     """Return prediction (E,) and its derivative by all parameters in SI (E, P + C), candidates at their nulls."""
     values = np.concatenate([own, np.zeros(len(extended.parameters) - extended.known)])
     place = extended.known
-    for one in extended.effects:
-        grid = _grid(one)
+    for effect in extended.effects:
+        grid = _grid(effect)
         shape = grid[min(scan_place, len(grid) - 1)] if grid else {}
-        for parameter in one.parameters:
-            null = one.declared[parameter.field].null
+        for parameter in effect.parameters:
+            null = effect.declared[parameter.field].null
             values[place] = shape[parameter.field] * parameter.factor if parameter.field in shape else null
             place += 1
     whole = jnp.concatenate([jnp.asarray(values), extended.problem.nulls])
@@ -200,7 +200,7 @@ def _linearised(extended: _Extended, own: np.ndarray, scan_place: int) -> tuple[
 
 @eqx.filter_jit
 def _push(problem: Problem, values):
-    predicted, push = jax.linearize(lambda one: predict_from(problem, one), values)
+    predicted, push = jax.linearize(lambda values: predict_from(problem, values), values)
     nulls = jnp.zeros_like(problem.nulls)
     return predicted, jax.vmap(lambda seed: push(jnp.concatenate([seed, nulls])))(problem.sparsity.seeds)
 
@@ -209,13 +209,14 @@ _values = eqx.filter_jit(lambda problem, z: problem.priors.values(z))
 _slopes = eqx.filter_jit(lambda problem, z: problem.priors.slopes(z))
 
 
-def _response(one: BoundEffect, extended: _Extended, jacobian: np.ndarray, scan_place: int) -> Response:
-    grid = _grid(one)
+def _response(effect: BoundEffect, extended: _Extended, jacobian: np.ndarray, scan_place: int) -> Response:
+    grid = _grid(effect)
     shape = grid[scan_place] if grid else {}
-    linear = [parameter for parameter in one.parameters if not one.declared[parameter.field].shape]
+    linear = [parameter for parameter in effect.parameters if not effect.declared[parameter.field].shape]
     places = [extended.places[parameter.name] for parameter in linear]
     coefficients = tuple(
-        Coefficient(parameter, ",".join(parameter.label), one.declared[parameter.field].typical) for parameter in linear
+        Coefficient(parameter, ",".join(parameter.label), effect.declared[parameter.field].typical)
+        for parameter in linear
     )
     factors = np.array([parameter.factor for parameter in linear])
-    return Response(ShapeScan(one.name, shape), coefficients, jacobian[:, places] * factors)
+    return Response(ShapeScan(effect.name, shape), coefficients, jacobian[:, places] * factors)

@@ -1,8 +1,8 @@
-"""A shape for what has no name: the simplest formula in the covariates that explains a channel's residual.
+"""Formula search: the simplest formula in the covariates that explains a channel's residual.
 
-Orthogonal matching pursuit over the library of simple terms, all sent through the projection: the term with the
-strongest evidence is taken, taken out, and the next looked for, until chance alone would do as well.  How often each
-term comes first when whole runs are drawn anew says how much to trust it.
+Orthogonal matching pursuit over the library of simple terms, all projected: the term with the strongest evidence is
+selected and projected out, until no further term is significant.  The inclusion frequency, how often a term is selected
+first when whole runs are resampled, says how far to trust it.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ import numpy as np
 from imubayes.criticism import thresholds
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.score_test import score_test
+from imubayes.criticism.score_test import ScoreTest, score_test
 from imubayes.criticism.term_library import Term, library
 
 # Sorts of terms that are chosen from many: penalised against plain ones.
@@ -22,18 +22,18 @@ _ELABORATE = ("product", "wave")
 
 @dataclass(frozen=True)
 class Formula:
-    """What was found for one channel.
+    """The formula found for one channel.
 
     Attributes
     ----------
     channel : name.
-    terms : the terms, in the order in which they were taken.
+    terms : in the order of selection.
     value, sd : coefficients at the input, in `unit` of each.
     unit : one per term.
-    delta_chi2 : Δχ² of each term when it was taken.
-    p : chance of each, with all looks at the library counted.
-    inclusion : how often the first term comes first when runs are drawn anew.
-    near : texts of terms that would do almost as well as the first.
+    delta_chi2 : drop of χ² of each term when it was selected.
+    p : p-value of each, all terms of the library counted.
+    inclusion : inclusion frequency of the first term.
+    near : texts of terms that explain almost as much as the first.
     python : an effect class, ready to paste into a file beside the model.
     """
 
@@ -50,64 +50,59 @@ class Formula:
 
     @property
     def text(self) -> str:
-        """The sum of the terms, in words."""
+        """The sum of the terms, in symbols."""
         return " + ".join(term.text for term in self.terms)
 
 
-def find_formula(projection: Projection, known: Sequence[ResidualCovariate], channel: str) -> Formula | None:
-    """Return the simplest formula for the residual of a channel; None where no term is beyond chance."""
+@dataclass(frozen=True)
+class _Selected:
+    """A selected term: its place in the library, its score test and its corrected p-value."""
+
+    place: int
+    score: ScoreTest
+    p: float
+
+
+def find_formula(projection: Projection, covariates: Sequence[ResidualCovariate], channel: str) -> Formula | None:
+    """Return the simplest formula for the residual of a channel; None where no term is significant."""
     model = projection.fitted.model
-    place = [one.name for one in model.campaign.channels].index(channel)
-    constants = model.campaign.channels[place]
-    rows = (model.entries.channel == place) & ~model.entries.closing
-    terms = library(known, rows, model.campaign.site.gravity)
+    gravity = model.campaign.site.gravity
+    index = [other.name for other in model.campaign.channels].index(channel)
+    constants = model.campaign.channels[index]
+    rows = (model.entries.channel == index) & ~model.entries.closing
+    terms = library(covariates, rows, gravity)
     if not terms:
         return None
-    factor, base = coefficient_unit(constants.kind, constants.scale_si, model.campaign.site.gravity)
+    factor, base = coefficient_unit(constants.kind, constants.scale_si, gravity)
     columns = np.stack([np.where(rows, term.values, 0.0) for term in terms], axis=1) * factor
     size = np.abs(columns).max(axis=0)
     whitened = projection.whitened(columns / size)
-    at, taken = projection, []
-    first: tuple[float, tuple[str, ...]] = (0.0, ())
-    for step in range(thresholds.MAX_TERMS):
-        found = [
-            score_test(at, projected[:, None], np.linalg.norm(column, keepdims=True), thresholds.FORM_RETAINED_MIN)
-            for projected, column in zip(at.project(whitened).T, whitened.T, strict=True)
-        ]
-        worth = [
-            one.delta_chi2 - thresholds.ELABORATE_PENALTY * (term.sort in _ELABORATE) if one.span.shape[1] else -np.inf
-            for term, one in zip(terms, found, strict=True)
-        ]
-        best = int(np.argmax(worth))
-        p = min(1.0, found[best].p * len(terms))
-        if p >= thresholds.TERM_P:
-            break
-        if step == 0:
-            near = [
-                term.text
-                for term, one in zip(terms, found, strict=True)
-                if one.delta_chi2 > found[best].delta_chi2 - thresholds.NEAR_CHI2 and term is not terms[best]
-            ]
-            first = (_inclusion(at, at.project(whitened), best), tuple(near))
-        taken.append((best, found[best].delta_chi2, p, found[best].variance))
-        at = at.without(found[best].span)
-    if not taken:
+    first = _scores(projection, whitened)
+    selected = _pursue(projection, terms, whitened, first)
+    if not selected:
         return None
-    chosen = [best for best, *_ in taken]
-    value, sd = _solve(projection, whitened[:, chosen], taken[-1][3])
-    units = tuple(f"{base}/{terms[best].divisor}" if terms[best].divisor else base for best in chosen)
-    value, sd = value / size[chosen], sd / size[chosen]
+    places = [choice.place for choice in selected]
+    values, sds = _solve(projection, whitened[:, places], selected[-1].score.variance)
+    best = selected[0]
+    chosen = [terms[place] for place in places]
+    units = tuple(f"{base}/{term.divisor}" if term.divisor else base for term in chosen)
+    values, sds = values / size[places], sds / size[places]
+    best = selected[0]
     return Formula(
         channel=channel,
-        terms=tuple(terms[best] for best in chosen),
-        value=tuple(value.tolist()),
-        sd=tuple(sd.tolist()),
+        terms=tuple(chosen),
+        value=tuple(values.tolist()),
+        sd=tuple(sds.tolist()),
         unit=units,
-        delta_chi2=tuple(drop for _, drop, _, _ in taken),
-        p=tuple(p for _, _, p, _ in taken),
-        inclusion=first[0],
-        near=first[1],
-        python=_python(constants.kind, [terms[best] for best in chosen], units, value),
+        delta_chi2=tuple(choice.score.delta_chi2 for choice in selected),
+        p=tuple(choice.p for choice in selected),
+        inclusion=_inclusion(projection, projection.project(whitened), best.place),
+        near=tuple(
+            term.text
+            for place, (term, score) in enumerate(zip(terms, first, strict=True))
+            if score.delta_chi2 > best.score.delta_chi2 - thresholds.NEAR_CHI2 and place != best.place
+        ),
+        python=_python(constants.kind, chosen, units, values),
     )
 
 
@@ -116,18 +111,48 @@ def coefficient_unit(kind: str, scale: float, gravity: float) -> tuple[float, st
     return (scale * np.pi / 180 / 3600, "deg/h") if kind == "gyro" else (scale * 1e-6 * gravity, "ug")
 
 
+def _scores(projection: Projection, whitened: np.ndarray) -> list[ScoreTest]:
+    """Return the score test of every whitened column, (R, terms), by itself."""
+    lengths = np.linalg.norm(whitened, axis=0)
+    return [
+        score_test(projection, column[:, None], lengths[place, None], thresholds.FORM_RETAINED_MIN)
+        for place, column in enumerate(projection.project(whitened).T)
+    ]
+
+
+def _pursue(
+    projection: Projection, terms: Sequence[Term], whitened: np.ndarray, scores: Sequence[ScoreTest]
+) -> list[_Selected]:
+    """Select terms one by one; `scores` are those before any was selected."""
+    selected: list[_Selected] = []
+    penalty = [thresholds.ELABORATE_PENALTY * (term.sort in _ELABORATE) for term in terms]
+    while len(selected) < thresholds.MAX_TERMS:
+        if selected:
+            projection = projection.without(selected[-1].score.span)
+            scores = _scores(projection, whitened)
+        worth = [
+            score.delta_chi2 - less if score.span.shape[1] else -np.inf
+            for score, less in zip(scores, penalty, strict=True)
+        ]
+        best = int(np.argmax(worth))
+        p = min(1.0, scores[best].p * len(terms))
+        if p >= thresholds.TERM_P:
+            break
+        selected.append(_Selected(best, scores[best], p))
+    return selected
+
+
 def _solve(projection: Projection, whitened: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    projected = projection.project(whitened)
+    """Return least-squares coefficients of whitened columns, and their standard deviations."""
+    inverse = np.linalg.pinv(projection.project(whitened))
     weight = projection.strata.at_rows(variance)
-    inverse = np.linalg.pinv(projected)
     return inverse @ projection.residual, np.sqrt(np.diag((inverse * weight) @ inverse.T))
 
 
 def _inclusion(projection: Projection, projected: np.ndarray, best: int) -> float:
-    """Return how often the same term comes first when whole runs are drawn anew."""
+    """Return how often the same term is selected first when whole runs are resampled."""
     model = projection.fitted.model
-    count = len(model.entries)
-    runs = len(model.campaign.runs)
+    count, runs = len(model.entries), len(model.campaign.runs)
     along, square = np.zeros((runs, projected.shape[1])), np.zeros((runs, projected.shape[1]))
     np.add.at(along, model.entries.run, projected[:count] * projection.residual[:count, None])
     np.add.at(square, model.entries.run, projected[:count] ** 2)

@@ -172,50 +172,52 @@ def project(
     extra : a further whitening of the entries.
     offsets : whether run offsets count as noise although the model has none.
     """
-    problem = fitted.model.problem
-    observations = problem.observations
-    by = whitener(problem, fitted.h)
+    problem, observations = fitted.model.problem, fitted.model.problem.observations
     members = _seen_first(observations)
-    sizes = np.sum(members < len(misfit), axis=1)
-    # An offset of a run, whitened, is the direction of its own in the group's rows.
-    offset = np.asarray(_whiten(problem, fitted.h, np.ones((len(misfit), 1))))
-    offset = np.concatenate([(extra(offset) if extra is not None else offset)[:, 0], [0.0]])[members]
-    length = np.linalg.norm(offset, axis=1)
-    direction = np.concatenate([np.asarray(by.direction), [0.0]])[members]
-    # Variance of the run's mean with its offset against without: (1 − κ)⁻², κ = shrink · |u|².
-    kappa = np.asarray(by.shrink) * np.sum(direction**2, axis=1)
-    separate = ((1 - kappa) ** -2 > thresholds.OFFSET_INFLATION) | (offsets & (sizes > 1))
-    reflectors = np.zeros(members.shape)
-    unit = offset / np.where(length > 0, length, 1.0)[:, None]
-    first = unit - np.eye(1, members.shape[1])
-    size = np.linalg.norm(first, axis=1)
-    able = separate & (length > 0) & (size > 1e-12)
-    reflectors[able] = first[able] / size[able, None]
+    separate, reflectors = _reflectors(fitted, members, extra, offsets)
     widths = np.asarray(prior_widths(problem, fitted.h))
-    turn = RowTransform(
-        problem, fitted.h, members, np.asarray(observations.in_time), sizes, reflectors, len(widths), extra
-    )
+    sizes, series = np.sum(members < len(misfit), axis=1), np.asarray(observations.in_time)
+    turn = RowTransform(problem, fitted.h, members, series, sizes, reflectors, len(widths), extra)
     rows = turn(jacobian)
     rows[len(misfit) :] = np.diag(1 / widths)
     basis, upper = np.linalg.qr(rows)
     whole = turn(np.asarray(_pseudo_values(problem, fitted.h, misfit)))
     whole[len(misfit) :] = -fitted.z / widths
-    residual = whole - basis @ (basis.T @ whole)
     strata = _strata(fitted, members, separate, len(widths))
-    taken = strata.sums(np.sum(basis**2, axis=1))
-    count = strata.sums(np.concatenate([np.asarray(observations.weight) > 0, np.ones(len(widths), bool)]).astype(float))
+    used = np.concatenate([np.asarray(observations.weight) > 0, np.ones(len(widths), bool)])
     return Projection(
-        fitted,
-        turn,
-        basis,
-        residual,
-        strata,
-        count - taken,
-        rows,
-        upper,
-        _input(fitted, misfit),
-        np.asarray(by.precision_root),
+        fitted=fitted,
+        turn=turn,
+        basis=basis,
+        residual=whole - basis @ (basis.T @ whole),
+        strata=strata,
+        freedom=strata.sums(used.astype(float)) - strata.sums(np.sum(basis**2, axis=1)),
+        jacobian=rows,
+        upper=upper,
+        input=_input(fitted, misfit),
+        root=np.asarray(whitener(problem, fitted.h).precision_root),
     )
+
+
+def _reflectors(
+    fitted: Fit, members: np.ndarray, extra: Whitening | None, offsets: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return which groups have an offset that is noise, (G,) bool, and their Householder vectors, (G, M)."""
+    problem, count = fitted.model.problem, len(fitted.model.entries)
+    by = whitener(problem, fitted.h)
+    # The whitened offset of a run is its direction in the group's rows.
+    offset = np.asarray(_whiten(problem, fitted.h, np.ones((count, 1))))
+    offset = np.concatenate([(extra(offset) if extra is not None else offset)[:, 0], [0.0]])[members]
+    length = np.linalg.norm(offset, axis=1)
+    direction = np.concatenate([np.asarray(by.direction), [0.0]])[members]
+    # Variance of the run's mean with its offset against without: (1 − κ)⁻², κ = shrink · |u|².
+    kappa = np.asarray(by.shrink) * np.sum(direction**2, axis=1)
+    several = np.sum(members < count, axis=1) > 1
+    separate = ((1 - kappa) ** -2 > thresholds.OFFSET_INFLATION) | (offsets & several)
+    first = offset / np.where(length > 0, length, 1.0)[:, None] - np.eye(1, members.shape[1])
+    size = np.linalg.norm(first, axis=1)
+    able = separate & (length > 0) & (size > 1e-12)
+    return separate, np.where(able[:, None], first / np.where(able, size, 1.0)[:, None], 0.0)
 
 
 def _seen_first(observations: Observations) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What was going on when an entry was measured: the covariates that residuals are looked at against."""
+"""The covariates of every entry, against which residuals are tested."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -97,17 +97,13 @@ def project_responses(projection: Projection, responses: Sequence[Response]) -> 
     """Return the responses as rows of the projection."""
     if not responses:
         return []
-    largest = np.array([coefficient.typical[1] for one in responses for coefficient in one.coefficients])
-    whitened = projection.whitened(np.concatenate([one.columns for one in responses], axis=1))
+    coefficients = [coefficient for response in responses for coefficient in response.coefficients]
+    largest = np.array([coefficient.typical[1] for coefficient in coefficients])
+    whitened = projection.whitened(np.concatenate([response.columns for response in responses], axis=1))
     whitened = np.where(largest * np.linalg.norm(whitened, axis=0) < thresholds.RESPONSE_MIN, 0.0, whitened)
-    projected = projection.project(whitened)
-    ends = np.cumsum([len(one.coefficients) for one in responses])
-    return [
-        ProjectedResponse(
-            one, whitened[:, end - len(one.coefficients) : end], projected[:, end - len(one.coefficients) : end]
-        )
-        for one, end in zip(responses, ends, strict=True)
-    ]
+    ends = np.cumsum([len(response.coefficients) for response in responses])[:-1]
+    parts = (np.split(columns, ends, axis=1) for columns in (whitened, projection.project(whitened)))
+    return [ProjectedResponse(*each) for each in zip(responses, *parts, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -171,21 +167,21 @@ def score_test(
     return ScoreTest(span, fitted, total, float(along @ along), max(p, _SMALLEST), gain, within, prior_share, variance)
 
 
-def assess(projection: Projection, one: ProjectedResponse, chosen: np.ndarray | None = None) -> Candidate:
-    """Return a candidate with the chosen coefficients; all of them where None."""
-    chosen = np.arange(len(one.response.coefficients)) if chosen is None else chosen
-    columns, length = one.projected[:, chosen], np.linalg.norm(one.whitened[:, chosen], axis=0)
-    found = score_test(projection, columns, length)
-    value, sd = generalised_least_squares(projection, columns, found.fitted, found.variance)
-    coefficients = tuple(one.response.coefficients[place] for place in chosen)
+def assess(projection: Projection, projected: ProjectedResponse, chosen: np.ndarray) -> Candidate:
+    """Return a candidate with the chosen coefficients, by their places."""
+    response, columns = projected.response, projected.projected[:, chosen]
+    length = np.linalg.norm(projected.whitened[:, chosen], axis=0)
+    score = score_test(projection, columns, length)
+    value, sd = generalised_least_squares(projection, columns, score.fitted, score.variance)
+    coefficients = tuple(response.coefficients[place] for place in chosen)
     return Candidate(
-        scan=one.response.scan,
+        scan=response.scan,
         coefficients=coefficients,
         owners=tuple(dict.fromkeys(coefficient.owner for coefficient in coefficients)),
         value=value,
         sd=sd,
         retained=np.sum(columns**2, axis=0) / np.where(length > 0, length**2, 1.0),
-        score=found,
+        score=score,
     )
 
 
@@ -218,8 +214,8 @@ def coefficient_subsets(response: Response, kinds: Mapping[str, str]) -> list[np
     every = range(len(owners))
     alone = [[i for i in every if owners[i] == owner] for owner in dict.fromkeys(owners)]
     together = [[i for i in every if kinds.get(owners[i], "") == kind] for kind in dict.fromkeys((*kinds.values(), ""))]
-    chosen = dict.fromkeys(tuple(one) for one in (*together, *alone) if one)
-    return [np.array(one) for one in chosen]
+    subsets = dict.fromkeys(tuple(places) for places in (*together, *alone) if places)
+    return [np.array(places) for places in subsets]
 
 
 def screen(projection: Projection, responses: Sequence[ProjectedResponse]) -> list[Candidate]:
@@ -230,6 +226,5 @@ def screen(projection: Projection, responses: Sequence[ProjectedResponse]) -> li
         for response in responses
         for chosen in coefficient_subsets(response.response, kinds)
     ]
-    return sorted(
-        (one for one in found if one.dof and one.plausible), key=lambda one: (one.log_p, -one.delta_chi2 / one.dof)
-    )
+    found = [candidate for candidate in found if candidate.dof and candidate.plausible]
+    return sorted(found, key=lambda candidate: (candidate.log_p, -candidate.delta_chi2 / candidate.dof))

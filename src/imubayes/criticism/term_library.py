@@ -1,8 +1,8 @@
-"""The library of simple terms in the covariates: what a dependence that has no name may look like.
+"""The library of simple terms in the covariates: what a dependence without a known cause may look like.
 
 Powers, absolute values, exponentials, harmonics of the table angle, bumps (a resonance, a jump of mode), waves (an
-interference) and products of two covariates.  The scan of details looks at each of them on all channels of a kind
-(`imubayes.criticism.localised_structure`), the search for a formula at each on one channel
+interference) and products of two covariates.  Each is tested on all channels of a kind
+(`imubayes.criticism.localised_structure`), and in the formula search on one channel
 (`imubayes.criticism.formula_search`).
 """
 
@@ -23,10 +23,10 @@ class Term:
 
     Attributes
     ----------
-    text : formula in words of the covariates.
-    divisor : unit that its coefficient has below the slash, empty where it has none.
+    text : formula in symbols of the covariates.
+    divisor : unit by which that of its coefficient is divided; empty where it is not.
     expression : the same in Python, for `sample`, in SI.
-    needs : what a run has to supply.
+    needs : covariates that a run has to supply.
     values : shape (E,), in datasheet units, 0 where not known.
     covariates : one or two.
     sort : power, harmonic, bump, wave or product; bumps, waves and products are chosen from many.
@@ -57,7 +57,7 @@ class _Base:
 
 
 def library(known: Sequence[ResidualCovariate], rows: np.ndarray, gravity: float) -> list[Term]:
-    """Return the terms that can be formed of the covariates known in some rows, shape (E,) bool."""
+    """Return the terms that can be formed of the covariates of some rows, shape (E,) bool."""
     terms: list[Term] = []
     bases: list[_Base] = []
     entries = {covariate.column: covariate for covariate in regressors()}
@@ -79,7 +79,7 @@ def library(known: Sequence[ResidualCovariate], rows: np.ndarray, gravity: float
 
 
 def levels(values: np.ndarray) -> np.ndarray:
-    """Number the levels of a covariate: values closer than a share of the range are one; each its own in a continuum.
+    """Number the levels of a covariate: values closer than a share of the range are one; all differ in a continuum.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def levels(values: np.ndarray) -> np.ndarray:
     gaps = np.diff(values[order]) > thresholds.SAME_LEVEL * np.ptp(values)
     level = np.empty(len(values), dtype=int)
     level[order] = np.concatenate([[0], np.cumsum(gaps)])
-    widths = [np.ptp(values[level == one]) for one in range(level.max() + 1)]
+    widths = [np.ptp(values[level == number]) for number in range(level.max() + 1)]
     # A chain of close values is a continuum, not a level.
     return level if max(widths) < thresholds.SAME_LEVEL * np.ptp(values) or level.max() == 0 else np.arange(len(values))
 
@@ -159,7 +159,7 @@ def _bumps(base: _Base, gravity: float) -> list[Term]:
 
 
 def _waves(base: _Base, gravity: float) -> list[Term]:
-    """Return waves along a covariate, from one through its range to as many as its levels can show."""
+    """Return waves along a covariate, from one period over its range to as many as its levels resolve."""
     known = base.values[np.isfinite(base.values)]
     most = min(thresholds.MAX_WAVES, len(np.unique(levels(known))) // 3)
     unit, factor = base.entry.unit, base.entry.factor(gravity)
