@@ -87,7 +87,7 @@ class Responses:
 @dataclass(frozen=True)
 class _Extended:
     problem: Problem
-    known: int
+    own: int
     effects: tuple[BoundEffect, ...]
     parameters: tuple[Parameter, ...]
     places: dict[str, int]
@@ -99,9 +99,9 @@ def candidate_responses(fitted: Fit, only: Sequence[str] = ()) -> Responses:
     if only:
         acting = tuple(effect for effect in acting if effect.name in only)
     extended = _extend(fitted, acting)
-    z = np.concatenate([fitted.z, np.zeros(len(extended.parameters) - extended.known)])
+    z = np.concatenate([fitted.z, np.zeros(len(extended.parameters) - extended.own)])
     slopes = np.asarray(_slopes(extended.problem, jnp.asarray(z)))
-    own = np.asarray(_values(extended.problem, jnp.asarray(z)))[: extended.known]
+    own = np.asarray(_values(extended.problem, jnp.asarray(z)))[: extended.own]
     predicted, first = _linearised(extended, own, scan_place=0)
     candidates: list[Response] = []
     longest = max((1, *(len(_grid(effect)) for effect in acting)))
@@ -111,8 +111,8 @@ def candidate_responses(fitted: Fit, only: Sequence[str] = ()) -> Responses:
             _response(effect, extended, jacobian, place) for effect in acting if place < max(1, len(_grid(effect)))
         )
     misfit = np.asarray(fitted.model.problem.observations.value) - predicted
-    known = extended.known
-    return Responses(misfit, first[:, :known] * slopes[None, :known], tuple(candidates), unobservable)
+    count = extended.own
+    return Responses(misfit, first[:, :count] * slopes[None, :count], tuple(candidates), unobservable)
 
 
 def searchable(registry: Registry) -> Iterator[type[Effect]]:
@@ -182,8 +182,8 @@ def _grid(effect: BoundEffect) -> list[dict[str, float]]:
 
 def _linearised(extended: _Extended, own: np.ndarray, scan_place: int) -> tuple[np.ndarray, np.ndarray]:
     """Return prediction (E,) and its derivative by all parameters in SI (E, P + C), candidates at their nulls."""
-    values = np.concatenate([own, np.zeros(len(extended.parameters) - extended.known)])
-    place = extended.known
+    values = np.concatenate([own, np.zeros(len(extended.parameters) - extended.own)])
+    place = extended.own
     for effect in extended.effects:
         grid = _grid(effect)
         shape = grid[min(scan_place, len(grid) - 1)] if grid else {}

@@ -53,10 +53,10 @@ class InnovationsFilter:
 
     def filtered(self, white: np.ndarray) -> tuple[np.ndarray, float]:
         """Return entries (E, C) whitened, and the logarithm of the determinant of their covariance."""
-        remembers = (self.share > 0) & (self.correlation > 0)
-        share, correlation = self.share[remembers, None], self.correlation[remembers, None]
+        correlated = (self.share > 0) & (self.correlation > 0)
+        share, correlation = self.share[correlated, None], self.correlation[correlated, None]
         result = np.concatenate([white, np.zeros((1, white.shape[1]))])
-        series, count = self.series[remembers], len(white)
+        series, count = self.series[correlated], len(white)
         state, variance, log_determinant = np.zeros((len(series), white.shape[1])), share.copy(), 0.0
         for place in series.T:
             there = (place < count)[:, None]

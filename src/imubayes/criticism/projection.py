@@ -85,8 +85,8 @@ class Projection:
     @property
     def offset_rows(self) -> np.ndarray:
         """Which rows hold run offsets that are noise, (R,) bool."""
-        known = self.strata.of_row != PRIOR
-        return known & self.strata.between[np.where(known, self.strata.of_row, 0)]
+        measured = self.strata.of_row != PRIOR
+        return measured & self.strata.between[np.where(measured, self.strata.of_row, 0)]
 
     @cached_property
     def posterior_sd(self) -> np.ndarray:

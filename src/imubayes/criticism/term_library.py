@@ -56,25 +56,24 @@ class _Base:
         return Term(text, divisor, expression, self.entry.needed, _filled(values), covariates, sort, family or text)
 
 
-def library(known: Sequence[ResidualCovariate], rows: np.ndarray, gravity: float) -> list[Term]:
+def library(covariates: Sequence[ResidualCovariate], rows: np.ndarray, gravity: float) -> list[Term]:
     """Return the terms that can be formed of the covariates of some rows, shape (E,) bool."""
     terms: list[Term] = []
     bases: list[_Base] = []
-    entries = {covariate.column: covariate for covariate in regressors()}
-    for one in known:
-        values = np.where(rows & np.isfinite(one.values), one.values, np.nan)
-        if np.isfinite(values).sum() < 4 or np.nanmax(values) - np.nanmin(values) <= 0:
+    entries = {entry.column: entry for entry in regressors()}
+    for covariate in covariates:
+        entry = entries.get(covariate.name)
+        values = np.where(rows & np.isfinite(covariate.values), covariate.values, np.nan)
+        if entry is None or np.isfinite(values).sum() < 4 or np.nanmax(values) - np.nanmin(values) <= 0:
             continue
-        if (entry := entries.get(one.name)) is None:
-            continue
-        base = _Base(entry, values - entry.centre if entry.centre else values, one)
+        base = _Base(entry, values - entry.centre if entry.centre else values, covariate)
         if entry.periodic:
             terms.extend(_harmonics(base, gravity))
         elif entry.symbol:
             bases.append(base)
             terms.extend(_of_one(base, gravity))
-    for one, other in combinations(bases, 2):
-        terms.extend(_of_two(one, other))
+    for first, second in combinations(bases, 2):
+        terms.extend(_of_two(first, second))
     return [term for term in terms if np.any(term.values != 0)]
 
 
@@ -160,12 +159,12 @@ def _bumps(base: _Base, gravity: float) -> list[Term]:
 
 def _waves(base: _Base, gravity: float) -> list[Term]:
     """Return waves along a covariate, from one period over its range to as many as its levels resolve."""
-    known = base.values[np.isfinite(base.values)]
-    most = min(thresholds.MAX_WAVES, len(np.unique(levels(known))) // 3)
+    finite = base.values[np.isfinite(base.values)]
+    most = min(thresholds.MAX_WAVES, len(np.unique(levels(finite))) // 3)
     unit, factor = base.entry.unit, base.entry.factor(gravity)
     found = []
     for half_turns in range(2, 2 * most + 1):
-        period = 2 * float(np.ptp(known)) / half_turns
+        period = 2 * float(np.ptp(finite)) / half_turns
         for name, f in (("sin", np.sin), ("cos", np.cos)):
             found.append(
                 base.term(
