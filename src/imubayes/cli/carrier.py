@@ -25,7 +25,7 @@ def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) 
 
     loaded = load_campaign(campaign)
     chosen = rotating_run(loaded, run)
-    biases = None if result is None else fitted_biases(loaded, read_result(result).summary.model_dump())
+    biases = None if result is None else fitted_biases(loaded, read_result(result).summary)
     for file in write_carrier(out, loaded, chosen, biases):
         print(f"wrote {file}")
     return 0

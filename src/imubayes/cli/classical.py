@@ -1,4 +1,4 @@
-"""`imubayes classical`: what the textbook makes of each run."""
+"""`imubayes classical`: the classical evaluation of each run."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from imubayes.cli.options import Json, print_json
 
 
 def classical(campaign: Path, *, result: Path | None = None, as_json: Json = False) -> int:
-    """Evaluate each run by the textbook, and compare with the joint fit.
+    """Evaluate each run by the classical method of its procedure, and compare with the joint fit.
 
     Example: imubayes classical data/trihedral-imu --result results/trihedral-imu
 
@@ -15,13 +15,14 @@ def classical(campaign: Path, *, result: Path | None = None, as_json: Json = Fal
     campaign
         Folder with campaign.toml.
     result
-        Result folder of a fit of the same campaign, to stand beside the textbook.
+        Result folder of a fit of the same campaign, to compare with.
     as_json
         Print one JSON object on standard output.
     """
     from imubayes.campaign import load_campaign
-    from imubayes.display.classical_comparison import textbook_json
-    from imubayes.display.terminal import print_textbook
+    from imubayes.display.classical_comparison import classical_json, compare_classical
+    from imubayes.display.report import print_report
+    from imubayes.display.terminal import classical_report
     from imubayes.errors import InputError, Issue
     from imubayes.procedures.classical import classical as evaluate
     from imubayes.results.fit_file import read_record
@@ -37,9 +38,9 @@ def classical(campaign: Path, *, result: Path | None = None, as_json: Json = Fal
                 "name the result that belongs to it, or fit the campaign as it is now",
             )
         )
-    facts = textbook_json(evaluate(loaded), None if result is None else read_result(result).summary.model_dump())
+    comparison = compare_classical(evaluate(loaded), None if result is None else read_result(result).summary)
     if as_json:
-        print_json(facts)
+        print_json(classical_json(comparison))
     else:
-        print_textbook(facts)
-    return 0 if facts["estimates"] else 1
+        print_report(classical_report(comparison))
+    return 0 if comparison.estimates else 1

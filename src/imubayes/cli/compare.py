@@ -4,7 +4,7 @@ from pathlib import Path
 
 
 def compare(result: Path, *, parameters: list[str] | None = None) -> int:
-    """Compare the model with the measurements: pictures and a table per run and channel.
+    """Compare the model with the measurements: figures, and goodness of fit per run and channel.
 
     Example: imubayes compare results/trihedral-imu
 
@@ -13,11 +13,10 @@ def compare(result: Path, *, parameters: list[str] | None = None) -> int:
     result
         Result folder of a fit.
     parameters
-        Names for the corner plot; by default the mounting angles and scale factors that matter most.
+        Names for the corner plot; by default the mounting angles and scale factors that are determined least.
     """
     from imubayes.display.comparison import compare as compare_result
-    from imubayes.display.terminal import print_comparison
+    from imubayes.display.comparison import print_comparison
 
-    comparison = compare_result(result, parameters=parameters)
-    print_comparison(comparison.runs, comparison.textbook, comparison.pictures)
+    print_comparison(compare_result(result, parameters=parameters))
     return 0

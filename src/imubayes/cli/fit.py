@@ -43,13 +43,14 @@ def fit(
 
     start_jax()
     from imubayes.api import fit as fit_campaign
-    from imubayes.display.terminal import print_summary
+    from imubayes.display.report import print_report
+    from imubayes.display.terminal import summary_report
 
     with progress() as tell:
         result = fit_campaign(campaign, model, out, sample=sample, seed=seed, resume=resume, progress=tell)
     if as_json:
         print_json(result.summary.model_dump(mode="json"))
     else:
-        print_summary(result.summary.model_dump(), verbose=verbose)
+        print_report(summary_report(result.summary, verbose=verbose))
         print(f"\nresult in {out}; next: imubayes compare {out}")
     return 0 if result.converged else 1

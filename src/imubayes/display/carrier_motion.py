@@ -1,8 +1,7 @@
-"""The motion of the carrier of a rotating unit, as a table and a picture."""
+"""The motion of the carrier of a rotating unit, as a table and a figure."""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import polars as pl
@@ -13,20 +12,20 @@ from imubayes.display.theme import Picture
 from imubayes.earth import earth_rate, table_to_local
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.procedures.rotation_modulation import Carrier, attenuation, carrier
+from imubayes.results.summary import Summary
 from imubayes.run import Campaign, Run
 from imubayes.units import to_si
 
-Facts = Mapping[str, Any]
 _BIASES = {"gyro": "gyro_bias.bias", "accelerometer": "accel_bias.bias"}
 
 
 def rotating_run(campaign: Campaign, name: str) -> Run:
-    """Return a run of a campaign in which the unit turns on a table; raises InputError where it is none."""
+    """Return a run in which the unit rotates on a table; raises InputError where it is none."""
     turning = [run for run in campaign.runs if run.table and run.mounting and np.any(run.covariates["table_rate"] != 0)]
     found = next((run for run in turning if run.name == name), None)
     if found is not None and np.isfinite(found.covariates["table_angle"]).all():
         return found
-    fault = "is no run that turns on a table" if found is None else "has no table angle in some of its rows"
+    fault = "is no run with a rotating table" if found is None else "has no table angle in some of its rows"
     known = [run.name for run in turning if np.isfinite(run.covariates["table_angle"]).all()]
     raise InputError(
         Issue(
@@ -38,11 +37,14 @@ def rotating_run(campaign: Campaign, name: str) -> Run:
     )
 
 
-def fitted_biases(campaign: Campaign, summary: Facts) -> dict[str, float]:
-    """Return the bias of each channel that a fit has found, rad/s or m/s²."""
-    found = {one["name"]: one for one in summary["parameters"]}
-    named = {one.name: found.get(f"{_BIASES[one.kind]}[{one.name}]") for one in campaign.channels}
-    return {name: one["mean"] * to_si(one["unit"], campaign.site.gravity) for name, one in named.items() if one}
+def fitted_biases(campaign: Campaign, summary: Summary) -> dict[str, float]:
+    """Return the estimated bias of each channel, rad/s or m/s²."""
+    channel_of = {f"{_BIASES[channel.kind]}[{channel.name}]": channel.name for channel in campaign.channels}
+    return {
+        channel_of[parameter.name]: parameter.mean * to_si(parameter.unit, campaign.site.gravity)
+        for parameter in summary.parameters
+        if parameter.name in channel_of and parameter.mean is not None
+    }
 
 
 def carrier_table(motion: Carrier, gravity: float) -> pl.DataFrame:
@@ -54,7 +56,7 @@ def carrier_table(motion: Carrier, gravity: float) -> pl.DataFrame:
 
 
 def modulation_picture(campaign: Campaign, run: Run) -> Picture | None:
-    """Return the picture of the gyros' bias vector as it turns; None where there are too few gyros."""
+    """Return the figure of the gyro bias vector under rotation; None where fewer than three gyros determine it."""
     motion = carrier(campaign, run)
     if not np.isfinite(motion.rate).all() or run.table is None:
         return None
@@ -64,7 +66,7 @@ def modulation_picture(campaign: Campaign, run: Run) -> Picture | None:
     weight = np.abs(run.covariates["table_angle_span"])
     arc = attenuation(run)[:, None]
     total = np.cumsum(weight)
-    # Weighted by the arcs; over an arc of its own a turning vector is as short as the measured mean of it was.
+    # Weighted by arc; the mean over a row shortens a rotating vector, as `attenuation` says.
     mean = np.cumsum(felt[:, :2] * arc * weight[:, None], axis=0) / total[:, None]
     along = np.cumsum(felt[:, 2] * weight) / total
     length = float(np.mean(np.hypot(felt[:, 0], felt[:, 1])))
@@ -73,7 +75,7 @@ def modulation_picture(campaign: Campaign, run: Run) -> Picture | None:
 
 
 def write_carrier(file: Path, campaign: Campaign, run: Run, biases: Mapping[str, float] | None) -> list[Path]:
-    """Write the table of a carrier's motion, and the picture beside it; return the files."""
+    """Write the table of the motion of a carrier, and the figure beside it; return the files."""
     write_text(file, carrier_table(carrier(campaign, run, biases), campaign.site.gravity).write_csv())
     drawn = modulation_picture(campaign, run)
     return [file, *([] if drawn is None else [drawn.save(file.with_suffix(".png"))])]

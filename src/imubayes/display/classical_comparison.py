@@ -1,148 +1,189 @@
-"""The textbook beside the joint fit: what each gives, and what the mounting angle explains of the difference.
-
-Works on the estimates and, where there is one, on the summary of a fit of the same campaign.
-"""
+"""Classical estimates beside the joint fit, and the part of the difference that the mounting angle explains."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from imubayes.display.fit_tables import Cell, Sheet
 from imubayes.display.labels import pretty
 from imubayes.display.rounding import significant, value_and_sd
+from imubayes.display.sheet import Cell, Sheet
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined
 from imubayes.records import finite
+from imubayes.results.summary import Conformance, DerivedSummary, Quantity, Summary
 
-Facts = Mapping[str, Any]
-# A difference beyond this many of the textbook's own standard deviations is one that it does not own up to.
+# A difference beyond so many combined standard deviations is one that the classical uncertainty does not cover.
 _BEYOND = 3.0
 _MOST_BESIDE = 8
 
 
-def textbook_json(findings: Sequence[TextbookResult], summary: Facts | None = None) -> dict[str, Any]:
-    """Return the estimates as `imubayes classical --json` prints them, each with the joint fit's where it has one."""
-    joint = _joint(summary)
+@dataclass(frozen=True)
+class AngleError:
+    """Error of the mounting angle that the classical evaluation assumes, and its effect on the estimate."""
+
+    arcsec: float
+    ppm: float
+
+
+@dataclass(frozen=True)
+class ComparedEstimate:
+    """A classical estimate with the same quantity of the joint fit, None where that does not have it."""
+
+    classical: Estimate
+    joint: Quantity | None
+    of_angle: AngleError | None
+
+    @property
+    def difference(self) -> float:
+        """Classical less joint estimate; NaN without the latter."""
+        if self.joint is None or self.joint.mean is None:
+            return math.nan
+        return self.classical.value - self.joint.mean
+
+    @property
+    def normalised_difference(self) -> float:
+        """Difference in combined standard deviations; NaN where either has none."""
+        if self.joint is None or self.joint.sd is None:
+            return math.nan
+        return abs(self.difference) / math.hypot(self.classical.sd, self.joint.sd)
+
+    @property
+    def conformance(self) -> Conformance | None:
+        """Probability from the joint fit that the quantity does not exceed its threshold."""
+        return self.joint.within if isinstance(self.joint, DerivedSummary) else None
+
+
+@dataclass(frozen=True)
+class ClassicalComparison:
+    """All classical estimates of a campaign, and what could not be determined classically."""
+
+    estimates: tuple[ComparedEstimate, ...]
+    undetermined: tuple[Undetermined, ...]
+
+
+def compare_classical(findings: Sequence[TextbookResult], summary: Summary | None = None) -> ClassicalComparison:
+    """Return classical estimates beside those of a fit of the same campaign, where there is one."""
+    joint = {} if summary is None else {entry.name: entry for entry in (*summary.derived, *summary.parameters)}
+    return ClassicalComparison(
+        tuple(_compared(finding, joint) for finding in findings if isinstance(finding, Estimate)),
+        tuple(finding for finding in findings if isinstance(finding, Undetermined)),
+    )
+
+
+def _compared(estimate: Estimate, joint: Mapping[str, Quantity]) -> ComparedEstimate:
+    found = joint.get(estimate.name)
+    if found is None or found.unit != estimate.unit or found.mean is None:
+        return ComparedEstimate(estimate, None, None)
+    return ComparedEstimate(estimate, found, _angle_error(estimate, joint))
+
+
+def _angle_error(estimate: Estimate, joint: Mapping[str, Quantity]) -> AngleError | None:
+    """Return the error of the nominal angle θ; the classical scale factor is k′/cos θ."""
+    angle = joint.get(estimate.angle)
+    if angle is None or angle.mean is None or not estimate.value:
+        return None
+    ratio = math.cos(math.radians(angle.mean)) / math.cos(math.radians(estimate.nominal))
+    return AngleError((angle.mean - estimate.nominal) * 3600, (ratio - 1) * 1e6)
+
+
+def classical_json(comparison: ClassicalComparison) -> dict[str, Any]:
+    """Return a comparison as `imubayes classical --json` prints it."""
     return {
         "format": 1,
-        "estimates": [_line(one, joint) for one in findings if isinstance(one, Estimate)],
-        "undetermined": [vars(one) for one in findings if isinstance(one, Undetermined)],
+        "estimates": [_json(compared) for compared in comparison.estimates],
+        "undetermined": [asdict(finding) for finding in comparison.undetermined],
     }
 
 
-def _joint(summary: Facts | None) -> dict[str, Facts]:
-    lines = [] if summary is None else [*summary["derived"], *summary["parameters"]]
-    return {line["name"]: line for line in lines}
-
-
-def _line(one: Estimate, joint: Mapping[str, Facts]) -> dict[str, Any]:
-    line: dict[str, Any] = {
-        "name": one.name,
-        "run": one.run,
-        "value": one.value,
-        "sd": finite(one.sd),
-        "unit": one.unit,
-        "method": one.method,
-        "decision": one.decision,
-    }
-    found = joint.get(one.name)
-    if found is None or found["unit"] != one.unit:
-        return line | {"joint": None, "difference": None, "of_angle": None}
-    return line | {
-        "joint": {"value": found["mean"], "sd": found["sd"], "within": found.get("within")},
-        "difference": one.value - found["mean"],
-        "of_angle": _of_angle(one, joint),
+def _json(compared: ComparedEstimate) -> dict[str, Any]:
+    estimate, joint, within = compared.classical, compared.joint, compared.conformance
+    fit = {"value": joint.mean, "sd": joint.sd, "within": within and within.model_dump()} if joint else None
+    return {
+        "name": estimate.name,
+        "run": estimate.run,
+        "value": estimate.value,
+        "sd": finite(estimate.sd),
+        "unit": estimate.unit,
+        "method": estimate.method,
+        "decision": estimate.decision,
+        "joint": fit,
+        "difference": finite(compared.difference),
+        "of_angle": asdict(compared.of_angle) if compared.of_angle else None,
     }
 
 
-def _of_angle(one: Estimate, joint: Mapping[str, Facts]) -> dict[str, float] | None:
-    """Return the error of the mounting angle, and what it does to the textbook's value: k′/cos θ with the wrong θ."""
-    angle = joint.get(one.angle)
-    if angle is None or not one.value:
-        return None
-    ratio = math.cos(math.radians(angle["mean"])) / math.cos(math.radians(one.nominal))
-    return {"arcsec": (angle["mean"] - one.nominal) * 3600, "ppm": (ratio - 1) * 1e6}
+def classical_sheet(estimates: Sequence[ComparedEstimate]) -> Sheet:
+    """Return a line per estimate: classical, joint fit, their difference and the part of it from the angle."""
+    with_joint = any(compared.joint for compared in estimates)
+    rows, few = [], []
+    for compared in estimates:
+        estimate, unit = compared.classical, pretty(compared.classical.unit)
+        value, sd = value_and_sd(estimate.value, estimate.sd)
+        names, joint = (Cell(estimate.name), Cell(estimate.run)), _joint_cells(compared)
+        rows.append((*names, Cell(value), Cell(sd), *(joint if with_joint else ()), Cell(unit)))
+        few.append((*names, Cell(f"{_with_sd(value, sd)} {unit}"), Cell(_with_sd(joint[0].text, joint[1].text))))
+    columns = ("joint", "sd", "difference", "explained by") if with_joint else ()
+    head, title = ("quantity", "run", "classical", "sd", *columns, "unit"), "Classical estimates, run by run"
+    note = "The classical sd is the scatter about the fitted curve; errors of its assumptions are not contained."
+    if not with_joint:
+        return Sheet(title, head, rows, (0, 1), "", note)
+    narrow = Sheet(title, ("quantity", "run", "classical ± sd", "joint ± sd"), few, (0, 1), "", note)
+    return Sheet(title, head, rows, (0, 1, 7), "", note, narrow=narrow)
 
 
-def textbook_sheet(facts: Facts) -> Sheet:
-    """Return the table: textbook, joint fit, difference and what explains it."""
-    compared = any(one["joint"] for one in facts["estimates"])
-    rows = []
-    for one in facts["estimates"]:
-        value, sd = value_and_sd(one["value"], one["sd"])
-        cells = [Cell(one["name"]), Cell(one["run"]), Cell(value), Cell(sd)]
-        rows.append((*cells, *(_compared(one) if compared else ()), Cell(pretty(one["unit"]))))
-    head = ["quantity", "run", "textbook", "sd", *(("joint", "sd", "differs", "because") if compared else ()), "unit"]
-    note = (
-        "The sd of the textbook is the scatter about its fitted curve; what is wrong with its assumptions it does not "
-        "contain."
-    )
-    sheet = Sheet("Textbook estimates, each run by itself", head, rows, (0, 1, 7) if compared else (0, 1), "", note)
-    if not compared:
-        return sheet
-    lines = [(row[0], row[1], _with_sd(row[2], row[3], row[-1]), _with_sd(row[4], row[5])) for row in rows]
-    few = ("quantity", "run", "textbook ± sd", "joint ± sd")
-    return replace(sheet, narrow=replace(sheet, head=few, rows=lines, left=(0, 1)))
+def _with_sd(value: str, sd: str) -> str:
+    return f"{value} ± {sd}" if sd not in ("", "–") else value
 
 
-def _with_sd(value: Cell, sd: Cell, unit: Cell | None = None) -> Cell:
-    known = f"{value.text} ± {sd.text}" if sd.text not in ("", "–") else value.text
-    return Cell(f"{known} {unit.text}" if unit is not None else known, value.mood)
-
-
-def _is_beyond(one: Facts) -> bool:
-    return one["sd"] is not None and abs(one["difference"]) > _BEYOND * math.hypot(one["sd"], one["joint"]["sd"])
-
-
-def _compared(one: Facts) -> tuple[Cell, Cell, Cell, Cell]:
-    if not one["joint"]:
+def _joint_cells(compared: ComparedEstimate) -> tuple[Cell, Cell, Cell, Cell]:
+    joint, angle = compared.joint, compared.of_angle
+    if joint is None or joint.mean is None:
         return Cell(""), Cell(""), Cell(""), Cell("")
-    value, sd = value_and_sd(one["joint"]["value"], one["joint"]["sd"])
-    relative = one["name"].startswith("scale_factor[")
-    size = one["difference"] / one["joint"]["value"] * 1e6 if relative else one["difference"]
-    beyond = _is_beyond(one)
-    why = one["of_angle"]
-    because = (
-        f"angle {significant(why['arcsec'])} arcsec off: {significant(why['ppm'])} ppm"
-        if why and abs(why["ppm"]) >= 1
-        else ""
-    )
+    value, sd = value_and_sd(joint.mean, joint.sd)
+    relative = joint.name.startswith("scale_factor[")
+    size = compared.difference / joint.mean * 1e6 if relative else compared.difference
     text = significant(size) + (" ppm" if relative else "")
-    return Cell(value), Cell(sd), Cell(text, "bad" if beyond else ""), Cell(because)
+    because = ""
+    if angle is not None and abs(angle.ppm) >= 1:
+        because = f"angle error {significant(angle.arcsec)} arcsec: {significant(angle.ppm)} ppm"
+    mood = "bad" if compared.normalised_difference > _BEYOND else ""
+    return Cell(value), Cell(sd), Cell(text, mood), Cell(because)
 
 
-def beside_sheet(facts: Facts) -> Sheet:
-    """Return the estimates that lie beyond their own uncertainties from the joint fit, the furthest first."""
-    compared = [one for one in facts["estimates"] if one["joint"] and one["sd"]]
-    far = sorted(compared, key=lambda one: -abs(one["difference"]) / math.hypot(one["sd"], one["joint"]["sd"]))
-    beyond = [one for one in far if _is_beyond(one)]
-    sheet = textbook_sheet({"estimates": beyond[:_MOST_BESIDE]})
+def discrepancy_sheet(comparison: ClassicalComparison) -> Sheet:
+    """Return the estimates that differ from the joint fit beyond both uncertainties, the furthest first."""
+    known = [compared for compared in comparison.estimates if math.isfinite(compared.normalised_difference)]
+    ranked = sorted(known, key=lambda compared: -compared.normalised_difference)
+    beyond = [compared for compared in ranked if compared.normalised_difference > _BEYOND]
     note = (
-        f"{len(beyond)} of {len(compared)} textbook estimates lie more than {_BEYOND:g} of their own standard "
-        "uncertainties from the joint fit: their assumptions do not hold. All of them: imubayes classical CAMPAIGN "
-        "--result RESULT."
+        f"{len(beyond)} of {len(known)} classical estimates differ from the joint fit by more than {_BEYOND:g} "
+        "combined standard uncertainties: the assumptions of the classical evaluation do not hold. All estimates: "
+        "imubayes classical CAMPAIGN --result RESULT."
     )
-    words = {"title": "The textbook beside the joint fit, where they differ", "note": note}
-    narrow = replace(sheet.narrow, **words) if sheet.narrow is not None else None
-    return replace(sheet, **words, narrow=narrow)
+    sheet = classical_sheet(beyond[:_MOST_BESIDE])
+    title = "Classical estimates that disagree with the joint fit"
+    narrow = None if sheet.narrow is None else replace(sheet.narrow, title=title, note=note)
+    return replace(sheet, title=title, note=note, narrow=narrow)
 
 
-def decision_sheet(facts: Facts) -> Sheet:
-    """Return what the textbook concludes."""
-    decided = [one for one in facts["estimates"] if one["decision"]]
-    rows = [(Cell(one["name"]), Cell(one["decision"]), Cell(_within(one))) for one in decided]
-    note = "Joint: the probability that the quantity is at or below the threshold, all runs and effects together."
-    return Sheet("What the textbook decides", ("quantity", "decision", "joint"), rows, (0, 1, 2), "", note)
+def decision_sheet(comparison: ClassicalComparison) -> Sheet:
+    """Return the decisions of the classical evaluation beside their probability."""
+    rows = [
+        (Cell(compared.classical.name), Cell(compared.classical.decision), Cell(_probability(compared.conformance)))
+        for compared in comparison.estimates
+        if compared.classical.decision
+    ]
+    note = "Joint: probability, from all runs and effects together, that the quantity does not exceed the threshold."
+    return Sheet("Classical decisions", ("quantity", "decision", "joint"), rows, (0, 1, 2), "", note)
 
 
-def _within(one: Facts) -> str:
-    within = (one["joint"] or {}).get("within")
-    if not within or within["probability"] is None:
+def _probability(within: Conformance | None) -> str:
+    if within is None or within.probability is None:
         return ""
-    return f"P(≤ {within['threshold']:g} {pretty(within['unit'])}) = {within['probability']:.2g}"
+    return f"P(≤ {within.threshold:g} {pretty(within.unit)}) = {within.probability:.2g}"
 
 
-def undetermined_sheet(facts: Facts) -> Sheet:
-    """Return what the textbook cannot determine from these runs."""
-    rows = [(Cell(one["run"]), Cell(one["sentence"])) for one in facts["undetermined"]]
-    return Sheet("What the textbook leaves open", ("run", "because"), rows, (0, 1))
+def undetermined_sheet(comparison: ClassicalComparison) -> Sheet:
+    """Return what cannot be determined classically from these runs."""
+    rows = [(Cell(finding.run), Cell(finding.sentence)) for finding in comparison.undetermined]
+    return Sheet("Not determined classically", ("run", "reason"), rows, (0, 1))

@@ -12,22 +12,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 from rich.console import Console, ConsoleOptions
-from rich.table import Table
 
 from imubayes.atomic_files import write_json
-from imubayes.display.classical_comparison import textbook_json
-from imubayes.display.figure_selection import corner_choice, plan, runs_shown
-from imubayes.display.fit_tables import alarm_of
+from imubayes.display.classical_comparison import ClassicalComparison, compare_classical, discrepancy_sheet
+from imubayes.display.figure_selection import Plan, corner_choice, plan, runs_shown
+from imubayes.display.fit_tables import fit_sheet, run_sheet, weak_sheet
 from imubayes.display.html import summary_html
 from imubayes.display.labels import ordered
-from imubayes.display.terminal_tables import derived_table, fit_table, parameter_table, run_table, weak_table
+from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
+from imubayes.display.sheet import SheetTable, terminal
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.procedures.classical import classical
 from imubayes.results.fit_file import campaign_of
 from imubayes.results.folder_state import damaged
 from imubayes.results.posterior_draws import read_draws
-from imubayes.results.result import Result, read_result
+from imubayes.results.result import read_result
+from imubayes.results.summary import Summary
 
 _MOST_COLUMNS = 9
 _INDEX = "captions.json"
@@ -35,51 +37,48 @@ _INDEX = "captions.json"
 
 @dataclass(frozen=True)
 class Comparison:
-    """What a comparison made.
+    """Tables and figures of a comparison.
 
     Attributes
     ----------
     folder : the result folder.
-    pictures : files made, in the order in which they tell the story.
+    pictures : files written, overview first.
     captions : file name → caption.
-    summary : the content of `summary.json`.
-    notes : what was left out, one sentence each.
-    textbook : textbook estimates beside the joint ones, as `imubayes classical --json` prints them; None where the
-        campaign is not at hand.
+    summary : of the fit.
+    notes : what was left out.
+    classical : classical estimates beside those of the joint fit; None where the campaign is not available.
     """
 
     folder: Path
     pictures: tuple[Path, ...]
     captions: Mapping[str, str]
-    summary: Mapping[str, Any]
+    summary: Summary
     notes: tuple[str, ...]
-    textbook: Mapping[str, Any] | None = None
+    classical: ClassicalComparison | None = None
 
     @property
     def converged(self) -> bool:
         """Whether the result may be used."""
-        return not alarm_of(self.summary)
+        return self.summary.converged
 
     @property
-    def runs(self) -> Table:
-        """How well each run and channel fits: a line per run, or per run and channel where there are many channels."""
-        channels = {run["channel"] for run in self.summary["runs"]}
-        return fit_table(self.summary) if len(channels) <= _MOST_COLUMNS else run_table(self.summary)
+    def runs(self) -> SheetTable:
+        """Goodness of fit: a line per run, or per run and channel where there are many channels."""
+        channels = {run.channel for run in self.summary.runs}
+        return terminal((fit_sheet if len(channels) <= _MOST_COLUMNS else run_sheet)(self.summary))
 
     @property
-    def tables(self) -> tuple[Table, ...]:
-        """Fit of the runs, runs in detail, parameters, derived quantities and weak directions, for the terminal."""
-        made = [self.runs, run_table(self.summary), parameter_table(self.summary)]
-        if self.summary["derived"]:
-            made.append(derived_table(self.summary))
-        if self.summary.get("weak_directions"):
-            made.append(weak_table(self.summary))
-        return tuple(made)
+    def tables(self) -> tuple[SheetTable, ...]:
+        """Goodness of fit, runs in detail, parameters, derived quantities and weak directions, for the terminal."""
+        optional = ((self.summary.derived, derived_sheet), (self.summary.weak_directions, weak_sheet))
+        sheets = [run_sheet(self.summary), parameter_sheet(self.summary)]
+        sheets += [sheet(self.summary) for content, sheet in optional if content]
+        return self.runs, *map(terminal, sheets)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterable[Any]:
         yield self.runs
         yield from self.notes
-        yield f"{len(self.pictures)} pictures in {self.folder / 'figures'}"
+        yield f"{len(self.pictures)} figures in {self.folder / 'figures'}"
 
     def _repr_html_(self) -> str:
         return summary_html(self.summary)
@@ -99,94 +98,118 @@ def compare(folder: str | Path, parameters: Sequence[str] | None = None) -> Comp
         if the folder is missing or damaged, a parameter is not in it, or no prediction is a finite number.
     """
     folder = Path(folder)
-    stored = read_result(folder)
-    summary = stored.summary.model_dump()
-    _refuse_no_numbers(stored)
-    names = _checked(stored, parameters) if parameters else corner_choice(summary)
-    draws = _draws(stored, names, asked=bool(parameters))
-    notes = list(_notes(stored, draws))
-    target = folder / "figures"
+    result = read_result(folder)
+    summary, residuals = result.summary, result.residuals.table
+    _refuse_non_finite(residuals, folder)
+    names = _checked(summary, folder, parameters) if parameters else corner_choice(summary)
+    if parameters and result.posterior_file is None:
+        raise InputError(_no_draws(folder))
+    draws = {} if result.posterior_file is None else _draws(result.posterior_file, names, asked=bool(parameters))
+    made, captions = _draw(plan(summary, residuals, names, draws), folder / "figures")
+    campaign = campaign_of(folder)
+    classical_estimates = None if campaign is None else compare_classical(classical(campaign), summary)
+    notes = tuple(_notes(summary, residuals, draws))
+    return Comparison(folder, tuple(made), captions, summary, notes, classical_estimates)
+
+
+def _draw(figures: Plan, target: Path) -> tuple[list[Path], dict[str, str]]:
+    """Write figures one by one; return the files, and the caption of each by file name."""
     _make_folder(target)
     made: list[Path] = []
     captions: dict[str, str] = {}
     with _light_collection():
-        for name, draw in plan(stored, names, draws):
+        for name, draw in figures:
             figure = draw()
             made.append(figure.save(target / f"{name}.png"))
             captions[f"{name}.png"] = figure.caption
     _replace_index(target, captions)
-    campaign = campaign_of(folder)
-    textbook = None if campaign is None else textbook_json(classical(campaign), summary)
-    return Comparison(folder, tuple(made), captions, summary, tuple(notes), textbook)
+    return made, captions
 
 
-def _refuse_no_numbers(stored: Result) -> None:
-    """Raise where the model could not be evaluated for some readings: such a fit has nothing to draw."""
-    bad = stored.residuals.table.filter(~stored.residuals.table["predicted"].is_finite())
+def _refuse_non_finite(residuals: pl.DataFrame, folder: Path) -> None:
+    """Raise where predictions are not finite: such a fit has nothing to draw."""
+    bad = residuals.filter(~residuals["predicted"].is_finite())
     if bad.is_empty():
         return
     first = bad.row(0, named=True)
     raise InputError(
         Issue(
-            f"the model gave no finite number for {len(bad)} of {len(stored.residuals.table)} readings: "
+            f"{len(bad)} of {len(residuals)} predictions are not finite: "
             f"the first is {first['channel']} in row {first['row']} of {first['run']}",
-            str(stored.folder),
-            "a model that can be evaluated everywhere",
-            "mend the model (an effect of your own may divide by zero), fit again, then compare",
+            str(folder),
+            "a model that is finite for every observation",
+            "correct the model (an effect of your own may divide by zero), fit again, then compare",
         )
     )
 
 
-def _checked(stored: Result, parameters: Sequence[str]) -> list[str]:
-    known = [quantity.name for quantity in (*stored.summary.parameters, *stored.summary.derived)]
+def _checked(summary: Summary, folder: Path, parameters: Sequence[str]) -> list[str]:
+    known = [entry.name for entry in (*summary.parameters, *summary.derived)]
     members: list[str] = []
     issues = []
     for name in dict.fromkeys(parameters):
         # A family stands for its members: gyro_scale_factor.scale for [gx], [gy], [gz].
-        own = [name] if name in known else [one for one in known if one.partition("[")[0] == name]
+        own = [name] if name in known else [member for member in known if member.partition("[")[0] == name]
         members += own
         if not own:
-            where = f"{stored.folder}/summary.json, option --parameters"
+            where = f"{folder / 'summary.json'}, option --parameters"
             remedy = "take a name from the tables of the result; a name without its brackets stands for all its members"
             issues.append(Issue(f"'{name}' is not in the result", where, closest_first(name, known), remedy))
-    if stored.posterior_file is None:
-        remedy = "mend what kept the fit from converging, fit again, then compare"
-        allowed = "a result with posterior.nc, which every fit that converged writes"
-        issues.append(Issue("there are no draws to show", str(stored.folder), allowed, remedy))
     if issues:
         raise InputError(issues)
     return members
 
 
-def _draws(stored: Result, names: Sequence[str], asked: bool) -> Mapping[str, Any]:
-    if stored.posterior_file is None or not names:
+def _no_draws(folder: Path) -> Issue:
+    return Issue(
+        "there are no posterior draws",
+        str(folder),
+        "a result with posterior.nc, which every fit that converged writes",
+        "correct what kept the fit from converging, fit again, then compare",
+    )
+
+
+def _draws(file: Path, names: Sequence[str], asked: bool) -> Mapping[str, Any]:
+    if not names:
         return {}
     try:
-        draws = read_draws(stored.posterior_file, names)
+        draws = read_draws(file, names)
     except (OSError, KeyError, ValueError, RuntimeError) as error:
-        raise InputError(damaged(stored.posterior_file, error)) from error
+        raise InputError(damaged(file, error)) from error
     absent = [name for name in names if name not in draws]
     if absent and asked:
-        raise InputError(damaged(stored.posterior_file, f"it has no draws of {', '.join(absent[:5])}"))
+        raise InputError(damaged(file, f"it has no draws of {', '.join(absent[:5])}"))
     return draws
 
 
-def _notes(stored: Result, draws: Mapping[str, Any]) -> Iterator[str]:
-    runs = ordered(stored.residuals.table, "run")
-    shown = runs_shown(stored)
+def _notes(summary: Summary, residuals: pl.DataFrame, draws: Mapping[str, Any]) -> Iterator[str]:
+    runs, shown = ordered(residuals, "run"), runs_shown(summary, residuals)
     if len(shown) < len(runs):
-        yield f"Of {len(runs)} runs the {len(shown)} that fit worst have a picture of their own."
+        yield f"Of {len(runs)} runs the {len(shown)} with the worst fit have a figure of their own."
     if not draws:
-        yield "No corner plot: the result holds no draws of the posterior."
+        yield "No corner plot: the result holds no posterior draws."
+
+
+def print_comparison(comparison: Comparison) -> None:
+    """Print goodness of fit, the classical estimates that disagree with the joint fit, and the files of the figures."""
+    console = Console()
+    console.print(comparison.runs)
+    if comparison.classical is not None and (sheet := discrepancy_sheet(comparison.classical)).rows:
+        console.print(terminal(sheet))
+    for path in comparison.pictures:
+        console.print(str(path), highlight=False, soft_wrap=True)
 
 
 @contextmanager
 def _light_collection() -> Iterator[None]:
-    """Keep the garbage collector from walking all loaded modules for every few pictures it takes away."""
+    """Collect garbage seldom while figures are drawn: a third of the time would go into walking all loaded modules."""
+    thresholds = gc.get_threshold()
     gc.freeze()
+    gc.set_threshold(200_000, 50, 1000)
     try:
         yield
     finally:
+        gc.set_threshold(*thresholds)
         gc.unfreeze()
 
 

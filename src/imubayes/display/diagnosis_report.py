@@ -11,10 +11,10 @@ from imubayes.criticism.diagnosis import (
     RankedEffect,
     UndetectableEffect,
 )
-from imubayes.display.fit_tables import Cell, Sheet
 from imubayes.display.labels import listed, pretty
 from imubayes.display.report import Report
 from imubayes.display.rounding import percent, significant, value_and_sd
+from imubayes.display.sheet import Cell, Sheet
 from imubayes.errors import InputError, Issue
 
 _MOST_NAMED, _MOST_RANKED, _MOST_STRUCTURES, _MOST_OUTLIERS = 3, 10, 6, 8

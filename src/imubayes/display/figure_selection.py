@@ -1,4 +1,4 @@
-"""Which pictures a result gets, in the order in which they tell its story: overview first, single runs last."""
+"""The figures of a result: overview first, single runs last."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -18,32 +18,31 @@ from imubayes.display.figures.prior_posterior import mounting_quantities
 from imubayes.display.goodness_of_fit import worst_first
 from imubayes.display.labels import covariates_of, numbers, ordered, varies
 from imubayes.display.theme import MOST_PANELS, Picture
-from imubayes.results.result import Result
+from imubayes.results.summary import Quantity, Summary
 
 MOST_RUNS, MOST_CORNER = 24, 6
 Plan = Iterator[tuple[str, Callable[[], Picture]]]
 
 
-def plan(stored: Result, names: Sequence[str], draws: Mapping[str, Any]) -> Plan:
-    """Yield a name and a way to draw for every picture, the overview first."""
-    summary, residuals = stored.summary.model_dump(), stored.residuals.table
+def plan(summary: Summary, residuals: pl.DataFrame, names: Sequence[str], draws: Mapping[str, Any]) -> Plan:
+    """Yield a name and a function that draws it for every figure, the overview first."""
     runs = ordered(residuals, "run")
-    if summary["runs"]:
+    if summary.runs:
         yield "fit-of-runs", lambda: run_chi2_figure(summary)
-    for one in covariates_of(residuals):
-        for page, channels in _pages(_channels_with(residuals, one)):
+    for covariate in covariates_of(residuals):
+        for page, channels in _pages(_channels_with(residuals, covariate)):
             yield (
-                f"residuals-{one.name.replace('_', '-')}{page}",
-                lambda one=one, channels=channels: residual_figure(residuals, one, channels, runs),
+                f"residuals-{covariate.name.replace('_', '-')}{page}",
+                lambda covariate=covariate, channels=channels: residual_figure(residuals, covariate, channels, runs),
             )
-    if any(one.get("from_data") is not None for one in (*summary["parameters"], *summary["derived"])):
+    if any(entry.from_data is not None for entry in (*summary.parameters, *summary.derived)):
         yield "identifiability", lambda: identifiability_figure(summary)
     if mounting_quantities(summary):
         yield "mounting-prior-posterior", lambda: prior_posterior_figure(summary)
     drawn = [name for name in names if name in draws]
     if drawn:
         yield "corner", lambda: corner_figure(draws, drawn, summary)
-    for run, file in _files_of_runs(runs_shown(stored)):
+    for run, file in _files_of_runs(runs_shown(summary, residuals)):
         own = residuals.filter(pl.col("run") == run)
         for page, channels in _pages(ordered(own, "channel")):
             yield (
@@ -52,10 +51,10 @@ def plan(stored: Result, names: Sequence[str], draws: Mapping[str, Any]) -> Plan
             )
 
 
-def _channels_with(residuals: pl.DataFrame, one: Covariate) -> list[str]:
-    """Return the channels whose rows have a covariate that varies; closing rotations have hardly any."""
+def _channels_with(residuals: pl.DataFrame, covariate: Covariate) -> list[str]:
+    """Return the channels whose rows have a covariate that varies; closing rotations lack most."""
     names = ordered(residuals, "channel")
-    return [name for name in names if varies(numbers(residuals.filter(pl.col("channel") == name), one.column))]
+    return [name for name in names if varies(numbers(residuals.filter(pl.col("channel") == name), covariate.column))]
 
 
 def _pages(channels: Sequence[str]) -> list[tuple[str, list[str]]]:
@@ -63,12 +62,12 @@ def _pages(channels: Sequence[str]) -> list[tuple[str, list[str]]]:
     return [(f"-{number}" if len(pages) > 1 else "", page) for number, page in enumerate(pages, 1)]
 
 
-def runs_shown(stored: Result) -> list[str]:
-    """Return the runs that get a picture of their own: all, or those that fit worst where there are many."""
-    runs = ordered(stored.residuals.table, "run")
+def runs_shown(summary: Summary, residuals: pl.DataFrame) -> list[str]:
+    """Return the runs that get a figure of their own: all, or those that fit worst where there are many."""
+    runs = ordered(residuals, "run")
     if len(runs) <= MOST_RUNS:
         return runs
-    ranked = [name for name in worst_first(stored.summary.model_dump()) if name in runs]
+    ranked = [name for name in worst_first(summary) if name in runs]
     kept = set((ranked + [name for name in runs if name not in ranked])[:MOST_RUNS])
     return [name for name in runs if name in kept]
 
@@ -87,35 +86,38 @@ def _files_of_runs(runs: Sequence[str]) -> list[tuple[str, str]]:
     return found
 
 
-def corner_choice(summary: Mapping[str, Any], most: int = MOST_CORNER) -> list[str]:
-    """Return the quantities whose joint posterior tells most.
+def corner_choice(summary: Summary, most: int = MOST_CORNER) -> list[str]:
+    """Return the quantities whose joint posterior is most informative.
 
-    Scale factor and mounting angle of one channel are told apart only by combining runs, and only where the axis is
-    neither along nor across the rotation: those with the least from the data come first, each with its scale factor.
+    Scale factor and mounting angle of one channel are separated only by combining runs, and only where the axis is
+    inclined to the axis of rotation: the angles with the least from the data come first, each with its scale factor.
     """
-    derived = [one for one in summary["derived"] if one.get("sd")]
-    angles = [one for one in derived if one["name"].startswith("mounting_angle[")]
-    oblique = [one for one in angles if 10 < abs(one["mean"]) % 90 < 80]
-    scales = {one["name"][len("scale_factor[") : -1]: one["name"] for one in derived if _is_scale(one["name"])}
-    chosen: list[str] = []
-    for one in sorted(oblique or angles, key=_from_data)[: most // 2]:
-        channel = one["name"].partition("[")[2].partition(",")[0]
-        chosen += [one["name"], *([scales[channel]] if channel in scales else [])]
-    rest = sorted((one for one in derived if _is_scale(one["name"])), key=_from_data)
-    chosen += [one["name"] for one in rest]
-    if len(dict.fromkeys(chosen)) < 2:
-        parameters = [one for one in summary["parameters"] if one.get("sd") and not one.get("nuisance")]
-        loose = [one for one in parameters if _from_data(one) > 0.1]
-        chosen += [one["name"] for one in sorted(loose, key=_from_data)]
-    unique = set(list(dict.fromkeys(chosen))[:most])
-    in_order = [one["name"] for one in (*summary["parameters"], *derived) if one["name"] in unique]
+    derived = sorted((entry for entry in summary.derived if entry.sd), key=_from_data)
+    scales = [entry.name for entry in derived if _is_scale(entry.name)]
+    chosen = [name for angle in _angles(derived)[: most // 2] for name in (angle, _scale_of(angle)) if name]
+    chosen = list(dict.fromkeys(name for name in (*chosen, *scales) if not _is_scale(name) or name in scales))
+    if len(chosen) < 2:
+        loose = [entry for entry in summary.parameters if entry.sd and not entry.nuisance and _from_data(entry) > 0.1]
+        chosen += [entry.name for entry in sorted(loose, key=_from_data)]
+    kept = set(chosen[:most])
+    in_order = [entry.name for entry in (*summary.parameters, *summary.derived) if entry.name in kept]
     return sorted(in_order, key=_is_scale)
+
+
+def _angles(derived: Sequence[Quantity]) -> list[str]:
+    """Return the mounting angles, only the inclined axes where there are any."""
+    angles = [entry for entry in derived if entry.name.startswith("mounting_angle[") and entry.mean is not None]
+    inclined = [entry for entry in angles if 10 < abs(entry.mean or 0.0) % 90 < 80]
+    return [entry.name for entry in inclined or angles]
+
+
+def _scale_of(angle: str) -> str:
+    return f"scale_factor[{angle.partition('[')[2].partition(',')[0]}]"
 
 
 def _is_scale(name: str) -> bool:
     return name.startswith("scale_factor[")
 
 
-def _from_data(one: Mapping[str, Any]) -> float:
-    share = one.get("from_data")
-    return 1.0 if share is None else float(share)
+def _from_data(entry: Quantity) -> float:
+    return 1.0 if entry.from_data is None else entry.from_data

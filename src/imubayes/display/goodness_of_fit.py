@@ -1,26 +1,26 @@
-"""How unlikely a χ² is, per run and channel.
+"""p-values of χ² per run and channel.
 
-Parameters take their share of the degrees of freedom; a run and channel has, in proportion, n·dof/N of its n values.
+Parameters take up their share of the degrees of freedom: of its n values a run and channel has n·dof/N in proportion.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from scipy.special import gammainc, gammaincc
+
+from imubayes.results.summary import RunSummary, Summary
 
 SIGNIFICANT = 0.001
 
 
-def share_of_freedom(summary: Mapping[str, Any]) -> float:
-    """Return degrees of freedom per residual, between 0.1 and 1; 1 where the summary does not tell."""
-    count = sum(int(run.get("n") or 0) for run in summary.get("runs", ()))
-    freedom = summary.get("dof") or 0
-    return min(max(freedom / count, 0.1), 1.0) if count and freedom else 1.0
+def share_of_freedom(summary: Summary) -> float:
+    """Return the degrees of freedom per residual, between 0.1 and 1; 1 where there are no residuals."""
+    count = sum(run.n for run in summary.runs)
+    return min(max(summary.dof / count, 0.1), 1.0) if count and summary.dof else 1.0
 
 
 def tail(chi2: float, freedom: float) -> float:
-    """Return the probability of a χ² as far out: positive above its mean, negative (of its size) below."""
+    """Return the p-value of a χ²: of its upper tail, or minus that of the lower tail where this is smaller."""
     if not (math.isfinite(chi2) and freedom > 0):
         return math.nan
     above = float(gammaincc(freedom / 2, chi2 / 2))
@@ -28,27 +28,23 @@ def tail(chi2: float, freedom: float) -> float:
     return above if above <= below else -below
 
 
-def worst_first(summary: Mapping[str, Any]) -> list[str]:
-    """Return the names of the runs, the one with the least likely χ² of a channel first."""
+def worst_first(summary: Summary) -> list[str]:
+    """Return the names of the runs, the one with the least likely excess of χ² in a channel first."""
     share = share_of_freedom(summary)
-    evidence: dict[str, float] = {}
-    for run in summary.get("runs", ()):
-        found = tail(_number(run.get("chi2")), share * (run.get("n") or 0))
-        excess = found if found >= 0 else 1.0
-        evidence[run["name"]] = min(evidence.get(run["name"], 1.0), excess)
-    return sorted(evidence, key=lambda name: evidence[name])
+    chance: dict[str, float] = {}
+    for run in summary.runs:
+        found = math.nan if run.chi2 is None else tail(run.chi2, share * run.n)
+        chance[run.name] = min(chance.get(run.name, 1.0), found if found >= 0 else 1.0)
+    return sorted(chance, key=chance.__getitem__)
 
 
-def worst_channels(summary_runs: Sequence[Mapping[str, Any]], most: int) -> list[str]:
+def worst_channels(runs: Sequence[RunSummary], most: int) -> list[str]:
     """Return at most `most` channels, those of the largest χ²/n, in their own order."""
-    totals: dict[str, list[float]] = {}
-    for run in summary_runs:
-        total = totals.setdefault(run["channel"], [0.0, 0.0])
-        total[0] += _number(run.get("chi2"), 0.0)
-        total[1] += run.get("n") or 0
-    ranked = sorted(totals, key=lambda name: -totals[name][0] / max(totals[name][1], 1))
-    return [name for name in totals if name in ranked[:most]]
+    channels = list(dict.fromkeys(run.channel for run in runs))
 
+    def ratio(channel: str) -> float:
+        own = [run for run in runs if run.channel == channel]
+        return sum(run.chi2 or 0.0 for run in own) / max(sum(run.n for run in own), 1)
 
-def _number(value: Any, otherwise: float = math.nan) -> float:
-    return float(value) if isinstance(value, int | float) else otherwise
+    ranked = sorted(channels, key=ratio, reverse=True)[:most]
+    return [channel for channel in channels if channel in ranked]

@@ -18,8 +18,8 @@ from imubayes.display.addition_report import (
 )
 from imubayes.display.figures.history_steps import error_per_step_figure, history_figure
 from imubayes.display.figures.save import added_variable, before_after
-from imubayes.display.fit_tables import Sheet
 from imubayes.display.history_table import history_sheet
+from imubayes.display.sheet import Sheet
 from imubayes.display.templates import render
 from imubayes.display.theme import Picture
 from imubayes.results.history_file import shown_place

@@ -9,7 +9,7 @@ from imubayes.display.history_table import history_report
 from imubayes.display.html import summary_html
 from imubayes.display.injection_report import injection_report
 from imubayes.display.report import report_html, report_text
-from imubayes.display.terminal import summary_text
+from imubayes.display.terminal import summary_report
 from imubayes.presentation import html_of, text_of
 from imubayes.results.addition import Addition
 from imubayes.results.result import Result
@@ -27,9 +27,9 @@ for _record, _report in _REPORTS.items():
 
 @text_of.register
 def _(record: Result) -> str:
-    return summary_text(record.summary.model_dump())
+    return report_text(summary_report(record.summary))
 
 
 @html_of.register
 def _(record: Result) -> str:
-    return summary_html(record.summary.model_dump())
+    return summary_html(record.summary)

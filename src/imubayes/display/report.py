@@ -7,9 +7,7 @@ from html import escape
 
 from rich.console import Console
 
-from imubayes.display.fit_tables import Sheet
-from imubayes.display.html import sheet_html
-from imubayes.display.terminal_tables import terminal
+from imubayes.display.sheet import Sheet, sheet_html, terminal
 
 
 @dataclass(frozen=True)

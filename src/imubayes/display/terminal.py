@@ -1,79 +1,33 @@
-"""What is printed on a terminal: the verdict first, then the tables, then what was not determined."""
+"""A fit and its classical evaluation as reports for the terminal."""
 
-import io
-from collections.abc import Iterable, Mapping
-from pathlib import Path
-from typing import Any
-
-from rich.console import Console
-from rich.table import Table
-
-from imubayes.display.classical_comparison import beside_sheet, decision_sheet, textbook_sheet, undetermined_sheet
-from imubayes.display.terminal_tables import (
-    contribution_table,
-    derived_table,
-    next_run_table,
-    parameter_table,
-    run_table,
-    terminal,
-    weak_table,
+from imubayes.display.classical_comparison import (
+    ClassicalComparison,
+    classical_sheet,
+    decision_sheet,
+    undetermined_sheet,
 )
+from imubayes.display.fit_tables import contribution_sheet, next_run_sheet, run_sheet, weak_sheet
+from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
+from imubayes.display.report import Report
+from imubayes.results.summary import Summary
 
 
-def print_summary(summary: dict[str, Any], verbose: bool = False) -> None:
-    """Print a summary; the parameters of single poses only where `verbose`."""
-    _show(summary, Console(), verbose)
-
-
-def summary_text(summary: dict[str, Any], width: int = 120) -> str:
-    """Return a summary as plain text."""
-    buffer = io.StringIO()
-    _show(summary, Console(file=buffer, width=width, color_system=None), verbose=False)
-    return buffer.getvalue()
-
-
-def _show(summary: dict[str, Any], console: Console, verbose: bool) -> None:
-    shown = summary | {
-        "parameters": [line for line in summary["parameters"] if verbose or not line["nuisance"]],
-        "runs": summary["runs"] if verbose else [],
-    }
-    console.print(parameter_table(shown))
-    console.print(derived_table(shown))
-    if verbose:
-        console.print(run_table(shown))
-    if summary["weak_directions"]:
-        console.print(weak_table(summary))
-    if summary["next_runs"]:
-        console.print(next_run_table(summary))
-    if summary.get("contributions"):
-        console.print(contribution_table(summary))
-    seconds = summary["seconds"]
-    chi2 = "–" if summary["chi2"] is None else f"{summary['chi2']:.1f}"
-    console.print(
-        f"chi2 {chi2} for {summary['dof']:.0f} degrees of freedom; "
-        f"fit {seconds['fit']:.1f} s, sampling {seconds['sample']:.1f} s; "
-        f"intervals are {summary['interval']}; uncertainty is the {summary['uncertainty']}",
-        highlight=False,
+def summary_report(summary: Summary, verbose: bool = False) -> Report:
+    """Return a summary; nuisance parameters, such as attitudes of poses, and single runs only where `verbose`."""
+    sheets = [parameter_sheet(summary, nuisance=verbose), derived_sheet(summary)]
+    sheets += [run_sheet(summary)] if verbose else []
+    sheets += [weak_sheet(summary), next_run_sheet(summary), contribution_sheet(summary)]
+    chi2 = "–" if summary.chi2 is None else f"{summary.chi2:.1f}"
+    closing = (
+        f"chi2 {chi2} for {summary.dof:.0f} degrees of freedom; "
+        f"fit {summary.seconds.fit:.1f} s, sampling {summary.seconds.sample:.1f} s; "
+        f"intervals are {summary.interval}; uncertainty is the {summary.uncertainty}"
     )
+    return Report((), sheets, (closing,))
 
 
-def print_comparison(runs: Table, textbook: Mapping[str, Any] | None, pictures: Iterable[Path]) -> None:
-    """Print the table per run and channel, the textbook beside the joint fit, and where the pictures are."""
-    console = Console()
-    console.print(runs)
-    if textbook is not None:
-        beside = beside_sheet(textbook)
-        if beside.rows:
-            console.print(terminal(beside))
-    for path in pictures:
-        console.print(str(path), highlight=False, soft_wrap=True)
-
-
-def print_textbook(facts: Mapping[str, Any]) -> None:
-    """Print textbook estimates, and what they leave open."""
-    console = Console()
-    for sheet in (textbook_sheet(facts), decision_sheet(facts), undetermined_sheet(facts)):
-        if sheet.rows:
-            console.print(terminal(sheet))
-    if not facts["estimates"]:
-        console.print("The textbook has no evaluation for these runs.", highlight=False)
+def classical_report(comparison: ClassicalComparison) -> Report:
+    """Return classical estimates, and what they leave undetermined."""
+    sheets = (classical_sheet(comparison.estimates), decision_sheet(comparison), undetermined_sheet(comparison))
+    none = "No classical evaluation applies to these runs."
+    return Report((), sheets, () if comparison.estimates else (none,))

@@ -1,53 +1,47 @@
-"""One calm look for all pictures: paper, ink, colours of runs, captions that say what a good model looks like.
+"""The frame of all figures: style, title above, caption below, colours of runs.
 
-Hues are those of Okabe and Ito (2008), which the colour-blind can tell apart; where there are more runs than hues the
-marker tells them apart as well, so that a run keeps its sign in every picture.  Positions are computed in inches: a
-layout engine that draws everything twice would take longer than the pictures themselves.
+Hues are those of Okabe and Ito (2008), which are safe for colour-blind readers; where there are more runs than hues the
+marker distinguishes them, the same in every figure.  Panels are placed in inches: constrained layout would draw every
+figure twice.
 """
 
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import wraps
+from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from imubayes.atomic_files import replacing
 from imubayes.display.labels import shortened
 
-INK, QUIET, FAINT, PAPER, RED = "#222222", "#666666", "#dddddd", "#ffffff", "#b91c1c"
+INK, QUIET, FAINT, RED = "#222222", "#666666", "#dddddd", "#b91c1c"
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
 HUES = (BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE, "#555555")
 MARKERS = ("o", "^", "s", "D", "v", "P", "X")
 BAND, BAND_WIDE = "#cfd8e3", "#e9eef4"
 MOST_PANELS = 6
-DPI = 100
 TEXT, SMALL = 9.0, 8.0
-_STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans", "font.size": TEXT, "text.color": INK, "axes.labelcolor": INK,
-    "axes.edgecolor": QUIET, "axes.linewidth": 0.7, "axes.labelsize": TEXT, "axes.titlesize": TEXT,
-    "axes.titleweight": "bold", "axes.titlelocation": "left", "axes.titlepad": 4.0, "axes.spines.top": False,
-    "axes.spines.right": False, "axes.labelpad": 3.0, "xtick.labelsize": SMALL, "ytick.labelsize": SMALL,
-    "xtick.color": QUIET, "ytick.color": QUIET, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
-    "xtick.major.size": 3.0, "ytick.major.size": 3.0, "xtick.major.pad": 2.5, "ytick.major.pad": 2.5,
-    "legend.frameon": False, "legend.fontsize": SMALL, "lines.linewidth": 1.2, "figure.facecolor": PAPER,
-    "axes.facecolor": PAPER, "axes.unicode_minus": True, "axes.formatter.useoffset": False,
-    "axes.formatter.limits": (-5, 7), "path.simplify": True, "figure.dpi": DPI, "savefig.dpi": DPI,
-}  # fmt: skip
+_STYLE = mpl.rc_params_from_file(str(files("imubayes.display") / "imubayes.mplstyle"), use_default_template=False)
+_EDGE = 0.3
 
 
 class Picture(Figure):
-    """A figure that knows its caption, shows itself in a notebook, and is saved whole or not at all.
+    """A figure with its caption, which shows itself in a notebook.
 
     Attributes
     ----------
     caption : what is drawn and what a good model would look like.
-    inside : left, bottom, right and top of the free area, inches.
+    inside : left, bottom, right and top of the area between title and caption, inches.
     """
 
     caption: str = ""
@@ -57,7 +51,7 @@ class Picture(Figure):
         return self.png()
 
     def png(self) -> bytes:
-        """Return the picture as PNG."""
+        """Return the figure as PNG."""
         buffer = BytesIO()
         with mpl.rc_context(_STYLE):
             # Fast compression: a fifth larger, in a third of the time.
@@ -65,7 +59,7 @@ class Picture(Figure):
         return buffer.getvalue()
 
     def save(self, file: str | Path) -> Path:
-        """Write the picture as PNG."""
+        """Write the figure as PNG, replacing the file atomically."""
         file = Path(file)
         with replacing(file) as scratch:
             scratch.write_bytes(self.png())
@@ -84,76 +78,131 @@ def themed[**P](draw: Callable[P, Picture]) -> Callable[P, Picture]:
 
 
 def picture(width: float, height: float, title: str, caption: str, subtitle: str = "", alarm: str = "") -> Picture:
-    """Return an empty picture with its title above and its caption below.
+    """Return an empty figure with its title above and its caption below.
 
     Parameters
     ----------
-    width : of the picture, inches.
-    height : of the space between title and caption, inches.
+    width : of the figure, inches.
+    height : of the area between title and caption, inches.
     title, caption : what is drawn; what a good model would look like.
-    subtitle : a quiet line below the title.
-    alarm : what has to be said before anything else, in red, in the place of the subtitle.
+    subtitle : below the title.
+    alarm : a warning that takes the place of the subtitle, in red.
     """
-    subtitle = textwrap.shorten(alarm, int((width - 0.6) * 72 / (TEXT * 0.62)), placeholder=" …") or subtitle
-    lines = textwrap.wrap(caption, int((width - 0.6) * 72 / (TEXT * 0.545)))
-    below = 0.22 + 0.165 * len(lines) + 0.1
-    above = 0.42 + (0.2 if subtitle else 0.0)
-    whole = height + below + above
+    inner = width - 2 * _EDGE
+    subtitle = textwrap.shorten(alarm, int(inner * 72 / (TEXT * 0.62)), placeholder=" …") or subtitle
+    lines = textwrap.wrap(caption, int(inner * 72 / (TEXT * 0.545)))
+    below = 0.32 + 0.165 * len(lines)
+    whole = height + below + (0.62 if subtitle else 0.42)
     figure = Picture(figsize=(width, whole))
     FigureCanvasAgg(figure)
     figure.caption = caption
-    figure.inside = (0.3, below, width - 0.3, below + height)
-    figure.text(0.3 / width, 1 - 0.13 / whole, title, size=13, weight="bold", va="top", ha="left")
-    if subtitle:
-        figure.text(
-            0.3 / width, 1 - 0.42 / whole, subtitle, size=TEXT, color=RED if alarm else QUIET, va="top", ha="left"
-        )
-    figure.text(
-        0.3 / width, 0.17 / whole, "\n".join(lines), size=TEXT, color=INK, va="bottom", ha="left", linespacing=1.3
-    )
+    figure.inside = (_EDGE, below, width - _EDGE, below + height)
+    left = _EDGE / width
+    figure.text(left, 1 - 0.13 / whole, title, size=13, weight="bold", va="top")
+    figure.text(left, 1 - 0.42 / whole, subtitle, color=RED if alarm else QUIET, va="top")
+    figure.text(left, 0.17 / whole, "\n".join(lines), va="bottom", linespacing=1.3)
     return figure
 
 
-def axes_at(figure: Picture, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Return axes whose frame has this place and size, inches."""
-    whole_width, whole_height = figure.get_size_inches()
-    return figure.add_axes((left / whole_width, bottom / whole_height, width / whole_width, height / whole_height))
+def panels(
+    figure: Picture,
+    rows: int = 1,
+    columns: int = 1,
+    margins: tuple[float, float, float, float] = (0.7, 0.5, 0.1, 0.3),
+    gaps: tuple[float, float] = (0.85, 0.36),
+    share_x: bool = False,
+    widths: Sequence[float] | None = None,
+) -> np.ndarray:
+    """Return a grid of panels that fills the area between title and caption.
+
+    Parameters
+    ----------
+    rows, columns : of the grid.
+    margins : left, bottom, right and top of the grid, inches.
+    gaps : between columns and between rows, inches.
+    share_x : whether the panels of a column have one abscissa, drawn below the last.
+    widths : of the columns, relative.
+
+    Returns
+    -------
+    np.ndarray
+        shape (rows, columns), of Axes.
+    """
+    width, height = figure.get_size_inches()
+    left, bottom, right, top = (
+        edge + sign * margin for edge, sign, margin in zip(figure.inside, (1, 1, -1, -1), margins, strict=True)
+    )
+    across = (right - left - (columns - 1) * gaps[0]) / columns
+    up = (top - bottom - (rows - 1) * gaps[1]) / rows
+    grid = GridSpec(
+        rows, columns, figure,
+        left=left / width, right=right / width, bottom=bottom / height, top=top / height,
+        wspace=gaps[0] / across, hspace=gaps[1] / up, width_ratios=widths,
+    )  # fmt: skip
+    found = grid.subplots(sharex="col" if share_x else False, squeeze=False)
+    for axes in found.flat:
+        axes.yaxis.set_major_locator(FewTicks())
+    for axes in found[:-1].flat if share_x else ():
+        axes.xaxis.set_visible(False)
+    return found
 
 
-def text_at(figure: Picture, left: float, bottom: float, text: str, **style) -> None:
-    """Write text at a place in inches."""
-    whole_width, whole_height = figure.get_size_inches()
-    figure.text(left / whole_width, bottom / whole_height, text, **style)
+def legend_at(figure: Picture, left: float, top: float, handles: Sequence, **style) -> None:
+    """Put a legend with its upper left corner at a place in inches."""
+    width, height = figure.get_size_inches()
+    figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(left / width, top / height), **style)
+
+
+def legend_above(figure: Picture, handles: Sequence) -> None:
+    """Put a legend in one line beside the title."""
+    width, height = figure.get_size_inches()
+    corner = (1 - _EDGE / width, 1 - 0.11 / height)
+    figure.legend(handles=handles, loc="upper right", bbox_to_anchor=corner, ncols=len(handles), columnspacing=1.2)
+
+
+def dot(colour: str, label: str, **style) -> Line2D:
+    """Return the legend entry of points."""
+    return Line2D([], [], linestyle="", **{"marker": "o", "color": colour, "markersize": 5, "label": label, **style})
+
+
+def at_runs(axes: Axes, x: np.ndarray, y: np.ndarray, runs: np.ndarray, signs: "RunSigns", **style) -> None:
+    """Draw points in the colour and marker of their run; `runs` holds a name per point."""
+    for run in dict.fromkeys(runs.tolist()):
+        colour, marker = signs.sign(run)
+        mask = runs == run
+        axes.plot(x[mask], y[mask], marker, color=colour, zorder=3, **style)
+
+
+class FewTicks(MaxNLocator):
+    """At most four intervals; no ticks outside the limits, which would be made but not drawn."""
+
+    def __init__(self) -> None:
+        super().__init__(4, steps=[1, 2, 2.5, 5, 10])
+
+    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
+        """Return round values within the limits."""
+        return [value for value in super().tick_values(vmin, vmax) if vmin <= value <= vmax]
 
 
 class RunSigns:
-    """The hue and marker of every run, the same in all pictures of a result."""
+    """The hue and marker of every run, the same in all figures of a result."""
 
     def __init__(self, runs: Sequence[str]):
         self.runs = list(runs)
         self._place = {name: place for place, name in enumerate(runs)}
 
-    def hue(self, run: str) -> str:
-        """Return the colour of a run."""
-        return HUES[self._place[run] % len(HUES)]
+    def sign(self, run: str) -> tuple[str, str]:
+        """Return colour and marker of a run."""
+        turn, place = divmod(self._place[run], len(HUES))
+        return HUES[place], MARKERS[turn % len(MARKERS)]
 
-    def marker(self, run: str) -> str:
-        """Return the marker of a run."""
-        return MARKERS[self._place[run] // len(HUES) % len(MARKERS)]
-
-    def legend(self, figure: Picture, left: float, top: float, bottom: float, shown: Sequence[str]) -> None:
-        """List the runs in a column of small lines; as many as there is room for."""
-        step = 0.185
-        room = int((top - bottom) / step)
-        names = [run for run in self.runs if run in set(shown)]
+    def legend(self, figure: Picture, left: float, shown: Sequence[str] | None = None) -> None:
+        """List the runs below each other from `left` inches on, as many as there is room for."""
+        _, bottom, _, top = figure.inside
+        room = int((top - bottom) / 0.185)
+        names = [run for run in self.runs if shown is None or run in shown]
         listed = names if len(names) <= room else names[: room - 1]
-        axes = axes_at(figure, left, bottom, 0.16, top - bottom)
-        axes.set_axis_off()
-        axes.set(xlim=(0, 1), ylim=(0, top - bottom))
-        for place, run in enumerate(listed):
-            height = top - bottom - (place + 0.5) * step
-            axes.plot([0.5], [height], self.marker(run), color=self.hue(run), markersize=5, markeredgewidth=0)
-            text_at(figure, left + 0.2, bottom + height, shortened(run, 25), size=SMALL, va="center", ha="left")
+        handles = [dot(self.sign(run)[0], shortened(run, 25), marker=self.sign(run)[1]) for run in listed]
         if len(listed) < len(names):
-            height = bottom + (top - bottom) - (len(listed) + 0.5) * step
-            text_at(figure, left + 0.2, height, f"… {len(names) - len(listed)} more", size=SMALL, va="center")
+            handles.append(dot("none", f"… {len(names) - len(listed)} more"))
+        legend_at(figure, left, top, handles, handlelength=0.8, labelspacing=0.55)

@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 
-from imubayes.criticism.model_history import Tree
+from imubayes.criticism.model_history import Node, Tree
 from imubayes.display.history_table import gain_text
 from imubayes.display.labels import pretty, readable, shortened
-from imubayes.display.marks import line, points
 from imubayes.display.rounding import significant
 from imubayes.display.theme import (
     BLUE,
@@ -19,14 +19,13 @@ from imubayes.display.theme import (
     SMALL,
     VERMILION,
     Picture,
-    axes_at,
+    panels,
     picture,
-    text_at,
     themed,
 )
-from imubayes.display.ticks import frame
 
 _HUES = (BLUE, VERMILION, GREEN)
+_STEP, _COLUMNS = 0.3, (0.0, 4.6, 5.7, 6.7)
 
 
 @themed
@@ -42,42 +41,33 @@ def error_per_step_figure(
     floors : unit → noise of one row, where it is known.
     """
     caption = (
-        "Root mean square residual over all rows, runs and channels of one unit, model by model. A good way falls at "
-        "every step; a last step that is flat was not needed. It ends at the dashed line, the noise of single rows, or "
-        "above it by the offsets from run to run where the model counts them as noise."
+        "Root-mean-square residual over all rows, runs and channels of one unit, model by model. A good history falls "
+        "at every step; a flat last step was unnecessary. It ends at the dashed line, the noise of single rows, or "
+        "above it by the run-to-run offsets where the model counts them as noise."
     )
-    panels = list(errors)
-    width = max(6.0, 4.6 * len(panels) + 0.6)
-    figure = picture(width, 3.3, "Error per step", caption)
-    left, bottom, right, top = figure.inside
-    across = (right - left) / max(len(panels), 1) - 0.85
-    for column, unit in enumerate(panels):
-        sizes = np.asarray(errors[unit], dtype=float)
+    figure = picture(max(6.0, 4.6 * len(errors) + 0.6), 3.3, "Residual error by step", caption)
+    grid = panels(figure, 1, max(len(errors), 1), (0.75, 0.55, 0.1, 0.25))[0]
+    for axes, (unit, sizes), hue in zip(grid, errors.items(), _HUES, strict=False):
         factor, shown = readable(unit, float(np.nanmax(sizes)))
-        axes = axes_at(figure, left + 0.75 + column * (across + 0.85), bottom + 0.55, across, top - bottom - 0.8)
-        y, x = sizes * factor, np.arange(len(steps), dtype=float)
-        axes.set_xlim(-0.5, len(steps) - 0.5)
-        floor = floors.get(unit)
-        axes.set_ylim(0, 1.18 * max(float(np.nanmax(y)), (floor or 0.0) * factor))
-        if floor is not None:
-            line(axes, [-0.5, len(steps) - 0.5], [floor * factor] * 2, color=QUIET, linewidth=1.0, linestyle="--")
-            axes.text(-0.48, floor * factor, "noise of the rows", size=SMALL, color=QUIET, va="bottom")
-        hue = _HUES[column % len(_HUES)]
-        line(axes, x, y, color=hue, linewidth=1.4, zorder=3)
-        points(axes, x, y, "o", 6, hue, zorder=4)
-        for place, size in zip(x.tolist(), y.tolist(), strict=True):
-            if np.isfinite(size):
-                low = floor is not None and size < 1.05 * floor * factor
-                apart = (0, -14 if low else 6)
-                said = axes.annotate(significant(size), (place, size), apart, textcoords="offset points", size=SMALL)
-                said.set(ha="center")
-        frame(axes, 0, 5, None, f"rms residual / {pretty(shown)}")
-        room = max(9, int(across / max(len(steps), 1) * 12))
-        for place, step in enumerate(steps):
-            words = step.replace("+ ", "+")
-            label = axes.text(place, -0.04, _folded(words, room), size=SMALL, transform=axes.get_xaxis_transform())
-            label.set(ha="center", va="top")
+        floor = floors[unit] * factor if unit in floors else None
+        _steps(axes, np.asarray(sizes, dtype=float) * factor, floor, hue)
+        room = max(9, int(figure.get_figwidth() / len(errors) / len(steps) * 10))
+        axes.set_xticks(range(len(steps)), [_folded(step.replace("+ ", "+"), room) for step in steps])
+        axes.tick_params(axis="x", length=0)
+        axes.set_ylabel(f"rms residual / {pretty(shown)}")
     return figure
+
+
+def _steps(axes: Axes, sizes: np.ndarray, floor: float | None, hue: str) -> None:
+    axes.set(xlim=(-0.5, len(sizes) - 0.5), ylim=(0, 1.18 * max(float(np.nanmax(sizes)), floor or 0.0)))
+    if floor is not None:
+        axes.axhline(floor, color=QUIET, linewidth=1.0, linestyle="--")
+        axes.text(-0.48, floor, "noise of the rows", size=SMALL, color=QUIET, va="bottom")
+    axes.plot(sizes, "o-", color=hue, linewidth=1.4, markersize=6, zorder=3)
+    for place, size in enumerate(sizes.tolist()):
+        if np.isfinite(size):
+            offset = (0, -14 if floor is not None and size < 1.05 * floor else 6)
+            axes.annotate(significant(size), (place, size), offset, textcoords="offset points", size=SMALL, ha="center")
 
 
 def _folded(name: str, room: int) -> str:
@@ -99,34 +89,31 @@ def history_figure(tree: Tree) -> Picture:
         "χ²/dof near 1, each step with a Δ elpd of many standard errors."
     )
     nodes = tree.in_order()
-    step, columns = 0.3, (0.0, 4.6, 5.7, 6.7)
-    height = max(1.2, 0.45 + step * len(nodes))
-    figure = picture(9.6, height, "Models tried", caption)
-    left, _, right, top = figure.inside
-    heads = ("model", "χ²/dof", "Δχ²", "Δ elpd")
-    for place, head in zip(columns, heads, strict=True):
-        text_at(figure, left + place, top - 0.2, head, size=SMALL, color=QUIET)
-    base = top - 0.4 - step * len(nodes)
-    axes = axes_at(figure, left, base, right - left, step * len(nodes))
+    figure = picture(9.6, max(1.2, 0.45 + _STEP * len(nodes)), "Models tried", caption)
+    axes = panels(figure, margins=(0, 0, 0, 0))[0, 0]
     axes.set_axis_off()
-    axes.set(xlim=(0, right - left), ylim=(0, step * len(nodes)))
+    left, bottom, right, top = figure.inside
+    axes.set(xlim=(0, right - left), ylim=(bottom - top, 0))
+    for place, head in zip(_COLUMNS, ("model", "χ²/dof", "Δχ²", "Δ elpd"), strict=True):
+        axes.text(place, -0.12, head, size=SMALL, color=QUIET, va="center")
     where: dict[str, tuple[float, float]] = {}
     for row, (depth, place) in enumerate(nodes):
-        node, parent = tree.nodes[place], tree.parents[place]
-        x, y = 0.12 + 0.28 * depth, step * (len(nodes) - row - 0.5)
+        x, y = 0.12 + 0.28 * depth, -0.4 - _STEP * (row + 0.5)
         where[place] = (x, y)
+        parent = tree.parents[place]
         if parent in where:
             above = where[parent]
-            line(axes, [above[0], above[0], x], [above[1], y, y], color=FAINT, linewidth=1.2, zorder=1)
-        colour = INK if node.taken else RED
-        fill = {"markerfacecolor": BLUE if node.selected else "white", "markeredgecolor": BLUE if node.taken else RED}
-        points(axes, [x], [y], "o", 7, BLUE, markeredgewidth=1.3, zorder=3, **fill)
-        ratio = node.chi2_per_dof
-        fit = "–" if ratio is None else f"{ratio:.3f}"
-        texts = (shortened(node.title, 46), fit, significant(node.delta_chi2.observed), gain_text(node))
-        for column, (start, text) in enumerate(zip(columns, texts, strict=True)):
-            weight = "bold" if node.selected and column == 0 else "normal"
-            at = x + 0.16 if column == 0 else start
-            shown = axes.text(at, y, text, size=SMALL + 0.5, color=colour, weight=weight)
-            shown.set(va="center_baseline")
+            axes.plot([above[0], above[0], x], [above[1], y, y], color=FAINT, zorder=1)
+        _model(axes, tree.nodes[place], x, y)
     return figure
+
+
+def _model(axes: Axes, node: Node, x: float, y: float) -> None:
+    fill, edge = BLUE if node.selected else "white", BLUE if node.taken else RED
+    axes.plot([x], [y], "o", color=fill, markersize=7, markeredgecolor=edge, markeredgewidth=1.3, zorder=3)
+    fit = "–" if node.chi2_per_dof is None else f"{node.chi2_per_dof:.3f}"
+    texts = (shortened(node.title, 46), fit, significant(node.delta_chi2.observed), gain_text(node))
+    for place, (start, text) in enumerate(zip(_COLUMNS, texts, strict=True)):
+        weight = "bold" if node.selected and place == 0 else "normal"
+        style = {"size": SMALL + 0.5, "color": INK if node.taken else RED, "va": "center_baseline"}
+        axes.text(x + 0.16 if place == 0 else start, y, text, weight=weight, **style)

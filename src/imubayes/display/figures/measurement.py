@@ -9,30 +9,28 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from imubayes.covariates import Covariate, shown
-from imubayes.display.figures.panels import abscissa, chosen_channels, limit_of, set_abscissa, thinned
+from imubayes.display.figures.panels import abscissa, chosen_channels, limit_of, set_abscissa, set_decades, thinned
 from imubayes.display.labels import covariate, numbers, ordered, pretty, readable, varies
-from imubayes.display.marks import band, level, line, points
 from imubayes.display.theme import (
     BAND_WIDE,
     BLUE,
-    INK,
-    QUIET,
     VERMILION,
     Picture,
-    axes_at,
+    dot,
+    legend_above,
+    panels,
     picture,
     themed,
 )
-from imubayes.display.ticks import frame
 from imubayes.procedures import Procedure, Reduction, procedure_named
 
 _PITCH = 3.0
 _NORMAL = 1.959964  # 97.5 % point of the standard normal
 _MODEL_BAND = "#f3c9a8"
 _GOOD = (
-    "Upper panels: measurement over model. Lower panels: measurement less model, in input units. A good model has 95 % "
-    "of the points inside the light band (noise, run offset and model together) without a trend; the points of one run "
-    "may lie off zero together, by the run's own offset. The orange band is the model's own 95 % uncertainty."
+    "Upper panels: measurement and model. Lower panels: residual in input units. In a good model 95 % of the points "
+    "lie within the light band (noise, run offset and model uncertainty combined) without a trend; the points of a run "
+    "may share its offset. Orange band: 95 % uncertainty of the model alone."
 )
 
 
@@ -53,37 +51,32 @@ def measurement_figure(residuals: pl.DataFrame, run: str, channels: Sequence[str
     recorded = recorded.filter(pl.col("channel").is_in(names))
     against = driver(recorded)
     columns = min(len(names), 3)
-    lines = -(-len(names) // 3)
-    width = {1: 8.0, 2: 10.5, 3: 13.0}[columns]
+    lines = -(-len(names) // columns)
     x_all, label = abscissa(numbers(recorded, against.column), against)
-    phrase = against.phrase
-    procedure = _procedure(recorded)
+    procedure, phrase = _procedure(recorded), against.phrase
     if against.column == "row" and procedure.row_name != "row":
         phrase = label = procedure.row_name
-    figure = picture(
-        width,
-        lines * _PITCH + 0.4,
-        run,
-        f"{_GOOD} {left_out}".strip(),
-        f"{procedure.name.replace('_', ' ')}, against {phrase}",
-    )
-    left, _, right, top = figure.inside
-    across = (right - left) / columns
-    turns = against.unit == "deg"
+    subtitle = f"{procedure.name.replace('_', ' ')}, against {phrase}"
+    width = {1: 8.0, 2: 10.5, 3: 13.0}[columns]
+    figure = picture(width, lines * _PITCH + 0.4, run, f"{_GOOD} {left_out}".strip(), subtitle)
+    grid = panels(figure, 2 * lines, columns, (0.8, 0.48, 0.15, 0.3), (0.95, 0.25), share_x=True)
     for place, name in enumerate(names):
-        mask = (recorded.get_column("channel") == name).to_numpy()
+        mask = (recorded["channel"] == name).to_numpy()
         own, x = recorded.filter(pl.Series(mask)), x_all[mask]
-        corner = left + (place % 3) * across + 0.8
-        base = top - (place // 3 + 1) * _PITCH
-        upper = axes_at(figure, corner, base + 1.38, across - 0.95, 1.32)
-        lower = axes_at(figure, corner, base + 0.08, across - 0.95, 1.2)
+        upper, lower = grid[2 * (place // columns) : 2 * (place // columns) + 2, place % columns]
         for axes in (upper, lower):
             set_abscissa(axes, x_all, against)
         _measured(upper, own, x)
-        unit = _remaining(lower, own, x)
-        frame(upper, 6, 5, None, pretty(own.get_column("output_unit")[0] or ""), turns=turns)
-        frame(lower, 6, 4, label if place + 3 >= len(names) else None, unit, turns=turns)
-    _legend(figure)
+        _residual(lower, own, x)
+        if place + columns >= len(names):
+            lower.set_xlabel(label)
+            lower.xaxis.set_visible(True)
+            lower.tick_params(labelbottom=True)
+    for axes in grid[-2:, len(names) - columns * (lines - 1) :].flat:
+        axes.remove()
+    model = Line2D([], [], color=VERMILION, label="model")
+    bands = (Patch(color=_MODEL_BAND, label="model, 95 %"), Patch(color=BAND_WIDE, label="measurement, 95 %"))
+    legend_above(figure, [dot(BLUE, "measured"), model, *bands])
     return figure
 
 
@@ -106,19 +99,21 @@ def _measured(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> None:
     observed, predicted = numbers(own, "observed"), numbers(own, "predicted")
     wide = _NORMAL * np.hypot(numbers(own, "sd"), np.nan_to_num(numbers(own, "model_sd")))
     order = np.argsort(x, kind="stable")
-    band(axes, x[order], (predicted - wide)[order], (predicted + wide)[order], BAND_WIDE)
+    band = ((predicted - wide)[order], (predicted + wide)[order])
+    axes.fill_between(x[order], *band, color=BAND_WIDE, linewidth=0, zorder=1)
     if _procedure(own).reduction is Reduction.POSES or x.size < 2:
-        points(axes, x, predicted, "_", 9, VERMILION, markeredgewidth=1.4)
+        axes.plot(x, predicted, "_", color=VERMILION, markersize=9, markeredgewidth=1.4)
     else:
-        line(axes, x[order], predicted[order], color=VERMILION)
+        axes.plot(x[order], predicted[order], color=VERMILION)
     kept = thinned(x.size)
-    points(axes, x[kept], observed[kept], "o", 4, BLUE, alpha=0.85, zorder=3)
+    axes.plot(x[kept], observed[kept], "o", color=BLUE, markersize=4, alpha=0.85, zorder=3)
     _set_ordinate(axes, x, observed, predicted, float(np.nanmax(wide)))
-    axes.set_title(own.get_column("channel")[0])
+    axes.set_title(own["channel"][0])
+    axes.set_ylabel(pretty(own["output_unit"][0] or ""))
 
 
 def _set_ordinate(axes: Axes, x: np.ndarray, observed: np.ndarray, predicted: np.ndarray, wide: float) -> None:
-    """Let the panel show the model's shape: not less than three bands high, logarithmic where the rates are."""
+    """Show the shape of the model: at least three bands high, logarithmic where the rates are."""
     both = np.concatenate([observed[np.isfinite(observed)], predicted - wide, predicted + wide])
     low, high = float(both.min()), float(both.max())
     if axes.get_xscale() == "symlog":
@@ -126,47 +121,30 @@ def _set_ordinate(axes: Axes, x: np.ndarray, observed: np.ndarray, predicted: np
         largest = max(abs(low), abs(high))
         if 0 < inner < largest / 30:
             axes.set_yscale("symlog", linthresh=10.0 ** np.ceil(np.log10(inner)), linscale=0.6)
+            set_decades(axes.yaxis)
             axes.set_ylim(-2 * largest if low < -inner else -inner, 2 * largest if high > inner else inner)
             return
     middle, half = 0.5 * (low + high), max(0.53 * (high - low), 3 * wide) or 1.0
     axes.set_ylim(middle - half, middle + half)
 
 
-def _remaining(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> str:
+def _residual(axes: Axes, own: pl.DataFrame, x: np.ndarray) -> None:
     """Draw residual and bands in input units; the factor to input units is that of the row itself."""
-    y, sd = numbers(own, "input_residual"), numbers(own, "input_sd")
-    output_sd = numbers(own, "sd")
+    y, sd, output_sd = (numbers(own, name) for name in ("input_residual", "input_sd", "sd"))
     with np.errstate(divide="ignore", invalid="ignore"):
         model = numbers(own, "model_sd") * np.where(output_sd > 0, sd / output_sd, np.nan)
-    factor, unit = readable(own.get_column("input_unit")[0] or "", float(np.nanmedian(sd)))
+    factor, unit = readable(own["input_unit"][0] or "", float(np.nanmedian(sd)))
     y, sd, model = y * factor, sd * factor, np.nan_to_num(model * factor)
     order = np.argsort(x, kind="stable")
-    wide = _NORMAL * np.hypot(sd, model)[order]
-    narrow = _NORMAL * model[order]
-    place = x[order]
     low, high = axes.get_xlim()
-    place = np.concatenate([[low], place, [high]])
-    for half, colour in ((wide, BAND_WIDE), (narrow, _MODEL_BAND)):
+    place = np.concatenate([[low], x[order], [high]])
+    wide = _NORMAL * np.hypot(sd, model)
+    for half, colour in ((wide[order], BAND_WIDE), (_NORMAL * model[order], _MODEL_BAND)):
         half = np.concatenate([half[:1], half, half[-1:]])
-        band(axes, place, -half, half, colour)
-    level(axes, 0, VERMILION, 1.0)
+        axes.fill_between(place, -half, half, color=colour, linewidth=0, zorder=1)
+    axes.axhline(0, color=VERMILION, linewidth=1.0, zorder=1.5)
     limit = limit_of(y, 1.25 * float(np.nanmax(wide)))
     kept = thinned(x.size)
-    drawn = np.clip(y[kept], -0.97 * limit, 0.97 * limit)
-    points(axes, x[kept], drawn, "o", 4, BLUE, alpha=0.85, zorder=3)
+    axes.plot(x[kept], np.clip(y[kept], -0.97 * limit, 0.97 * limit), "o", color=BLUE, markersize=4, alpha=0.85)
     axes.set_ylim(-limit, limit)
-    return pretty(unit)
-
-
-def _legend(figure: Picture) -> None:
-    handles = [
-        Line2D([], [], marker="o", color=BLUE, linestyle="", markersize=5, label="measured"),
-        Line2D([], [], color=VERMILION, label="model"),
-        Patch(color=_MODEL_BAND, label="model, 95 %"),
-        Patch(color=BAND_WIDE, label="measurement, 95 %"),
-    ]
-    width, height = figure.get_size_inches()
-    figure.legend(
-        handles=handles, loc="upper right", bbox_to_anchor=(1 - 0.2 / width, 1 - 0.02 / height), ncols=4,
-        labelcolor=INK, handlelength=1.4, columnspacing=1.2, borderaxespad=0.6, edgecolor=QUIET,
-    )  # fmt: skip
+    axes.set_ylabel(pretty(unit))

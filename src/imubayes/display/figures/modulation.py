@@ -1,67 +1,60 @@
-"""A bias vector that turns with the unit and averages out, beside the part along the axis that stays."""
+"""Rotation modulation: the bias vector across the axis averages out, its component along the axis stays."""
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from imubayes.display.labels import pretty, readable
-from imubayes.display.marks import level, line, points
-from imubayes.display.theme import BLUE, FAINT, QUIET, SMALL, VERMILION, Picture, axes_at, picture, themed
-from imubayes.display.ticks import frame
+from imubayes.display.theme import BLUE, FAINT, QUIET, SMALL, VERMILION, Picture, panels, picture, themed
+
+_CAPTION = (
+    "Left: the biases of the unit as seen by the carrier, across the axis of rotation (with the effect of a mounting "
+    "error). Points: single rows, on a circle; line: cumulative mean, which spirals to the centre. Right: length of "
+    "that mean, its expected value, and the mean along the axis, which rotation does not modulate. A good run ends on "
+    "a whole turn."
+)
 
 
 @themed
 def modulation_figure(
     turns: np.ndarray,
-    turning: np.ndarray,
+    across: np.ndarray,
     mean: np.ndarray,
     along: np.ndarray,
     expected: np.ndarray,
     unit: str,
     run: str,
 ) -> Picture:
-    """Return the turning bias vector, and what is left of its mean as the unit turns.
+    """Return the rotating bias vector, and its cumulative mean.
 
     Parameters
     ----------
-    turns : shape (R,), turns swept up to the end of each row.
-    turning : shape (R, 2), what the carrier feels of the biases across the axis, in `unit`.
-    mean : shape (R, 2), the mean of it so far.
-    along : shape (R,), the mean along the axis so far.
-    expected : shape (R,), length that the mean across the axis should have.
+    turns : shape (R,), turns up to the end of each row.
+    across : shape (R, 2), biases across the axis as seen by the carrier, in `unit`.
+    mean : shape (R, 2), their cumulative mean.
+    along : shape (R,), cumulative mean along the axis.
+    expected : shape (R,), expected length of `mean`.
     """
-    caption = (
-        "Left: what the carrier feels across the axis of rotation of the unit's biases, and of what an error of the "
-        "seat makes of the rotation. Points are single rows, which go round; the line is their mean so far, which "
-        "spirals into the middle. Right: the length of that mean, with what it should be, and the mean along the axis, "
-        "which turning does not touch. A good run ends on a whole turn."
-    )
-    factor, shown = readable(unit, float(np.hypot(*turning.T).max()))
-    figure = picture(9.2, 3.6, f"Rotation modulation: {run}", caption)
-    left, bottom, right, top = figure.inside
-    side = top - bottom - 0.6
-    reach = 1.15 * float(np.abs(turning).max()) * factor
-    circle = axes_at(figure, left + 0.75, bottom + 0.5, side, side)
-    circle.set(xlim=(-reach, reach), ylim=(-reach, reach))
-    level(circle, 0.0, FAINT)
-    line(circle, [0, 0], [-reach, reach], color=FAINT, linewidth=0.7)
-    points(circle, turning[:, 0] * factor, turning[:, 1] * factor, "o", 3, BLUE, alpha=0.55)
-    line(circle, mean[:, 0] * factor, mean[:, 1] * factor, color=VERMILION, linewidth=1.4, zorder=4)
-    points(circle, mean[-1:, 0] * factor, mean[-1:, 1] * factor, "o", 6, VERMILION, zorder=5)
-    frame(circle, 4, 4, f"x of the carrier / {pretty(shown)}", f"y of the carrier / {pretty(shown)}")
-    start = left + 0.75 + side + 1.0
-    course = axes_at(figure, start, bottom + 0.5, right - start - 0.1, side)
-    length = np.hypot(*mean.T) * factor
-    highest = 1.15 * max(float(length.max()), float(np.abs(along).max()) * factor)
-    course.set(xlim=(0, float(turns[-1])), ylim=(0, highest))
-    line(course, turns, np.abs(along) * factor, color=QUIET, linewidth=1.2, linestyle="--")
-    line(course, turns, expected * factor, color=BLUE, linewidth=1.0)
-    line(course, turns, length, color=VERMILION, linewidth=1.4, zorder=3)
-    words = (
-        (f"along the axis, {abs(along[-1]) * factor:.3g}", QUIET),
-        (f"across the axis, {length[-1]:.3g}", VERMILION),
-        ("across the axis, as it should be", BLUE),
-    )
-    for place, (text, colour) in enumerate(words):
-        said = course.text(0.98, 0.95 - 0.08 * place, text, size=SMALL, color=colour, transform=course.transAxes)
-        said.set(ha="right", va="top")
-    frame(course, 6, 4, "turns", f"mean so far / {pretty(shown)}")
+    factor, shown = readable(unit, float(np.hypot(*across.T).max()))
+    across, mean, along, expected = across * factor, mean * factor, along * factor, expected * factor
+    figure = picture(9.2, 3.6, f"Rotation modulation: {run}", _CAPTION)
+    circle, course = panels(figure, 1, 2, (0.75, 0.5, 0.1, 0.1), (1.0, 0), widths=(3.0, 3.75))[0]
+    _draw_circle(circle, across, mean, pretty(shown))
+    length = np.hypot(*mean.T)
+    course.plot(turns, np.abs(along), "--", color=QUIET, label=f"along the axis, {abs(along[-1]):.3g}")
+    course.plot(turns, length, color=VERMILION, linewidth=1.4, label=f"across the axis, {length[-1]:.3g}", zorder=3)
+    course.plot(turns, expected, color=BLUE, linewidth=1.0, label="across the axis, expected")
+    highest = 1.15 * max(float(length.max()), float(np.abs(along).max()))
+    course.set(xlim=(0, turns[-1]), ylim=(0, highest), xlabel="turns", ylabel=f"cumulative mean / {pretty(shown)}")
+    course.legend(loc="upper right", fontsize=SMALL)
     return figure
+
+
+def _draw_circle(axes: Axes, across: np.ndarray, mean: np.ndarray, unit: str) -> None:
+    axes.axhline(0, color=FAINT, linewidth=0.7)
+    axes.axvline(0, color=FAINT, linewidth=0.7)
+    axes.plot(*across.T, "o", color=BLUE, markersize=3, alpha=0.55)
+    axes.plot(*mean.T, color=VERMILION, linewidth=1.4, zorder=4)
+    axes.plot(*mean[-1], "o", color=VERMILION, markersize=6, zorder=5)
+    reach = 1.15 * float(np.abs(across).max())
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+    axes.set(xlabel=f"x of the carrier / {unit}", ylabel=f"y of the carrier / {unit}")

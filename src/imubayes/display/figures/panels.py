@@ -1,24 +1,25 @@
-"""What residual panels share: choice of channels, limits, and means over neighbouring points."""
+"""What residual panels share: choice of channels, axes, limits, and means over neighbouring points."""
 
 from collections.abc import Sequence
 
 import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.ticker import MaxNLocator, NullLocator, StrMethodFormatter
 
 from imubayes.covariates import Covariate
-from imubayes.display.labels import numbers, ordered, pretty, readable
-from imubayes.display.marks import line, uprights
+from imubayes.display.labels import ordered, pretty, readable
 from imubayes.display.theme import INK, MOST_PANELS
 
-# Decades of a covariate beyond which a linear axis would press the small values together.
+# Ratio of the largest to the smallest rate beyond which a linear axis would crowd the small ones.
 _WIDE = 30.0
 _MOST_LEVELS, _LEAST = 26, 4
 _POINTS = 4000
 
 
 def chosen_channels(residuals: pl.DataFrame, channels: Sequence[str] | None) -> tuple[list[str], str]:
-    """Return at most `MOST_PANELS` channels and a sentence on what was left out.
+    """Return at most `MOST_PANELS` channels and a sentence on those left out.
 
     Without a choice the channels of the largest whitened residuals are taken, in their own order.
     """
@@ -33,31 +34,47 @@ def chosen_channels(residuals: pl.DataFrame, channels: Sequence[str] | None) -> 
     sizes = dict(residuals.group_by("channel").agg((pl.col("whitened") ** 2).mean()).iter_rows())
     ranked = sorted(own, key=lambda name: -(sizes[name] or 0.0))[:MOST_PANELS]
     kept = [name for name in own if name in ranked]
-    return kept, f"Of {len(own)} channels the {MOST_PANELS} of the largest residuals are shown."
+    return kept, f"Shown: the {MOST_PANELS} of {len(own)} channels with the largest residuals."
 
 
 def abscissa(values: np.ndarray, covariate: Covariate) -> tuple[np.ndarray, str]:
     """Return the values in a readable unit, and the label of the axis."""
-    finite = np.abs(values[np.isfinite(values)])
-    factor, unit = readable(covariate.unit, float(finite.max(initial=0.0)))
-    if covariate.unit != "s":
-        factor, unit = 1.0, covariate.unit
+    factor, unit = 1.0, covariate.unit
+    if unit == "s":
+        factor, unit = readable(unit, float(np.abs(values[np.isfinite(values)]).max(initial=0.0)))
     return values * factor, f"{covariate.phrase} / {pretty(unit)}" if unit else covariate.phrase
 
 
 def set_abscissa(axes: Axes, values: np.ndarray, covariate: Covariate) -> None:
-    """Set scale and limits: linear, or symmetric logarithmic for rates over several decades."""
+    """Set scale, limits and ticks: linear, or symmetric logarithmic for rates over several decades."""
     finite = values[np.isfinite(values)]
-    low, high = float(finite.min()), float(finite.max())
+    low, high = float(finite.min(initial=np.inf)), float(finite.max(initial=-np.inf))
     sizes = np.abs(finite[finite != 0])
-    if covariate.column == "table_rate_deg_s" and sizes.size and sizes.max() > _WIDE * sizes.min():
+    if covariate.unit == "deg/s" and sizes.size and sizes.max() > _WIDE * sizes.min():
         smallest = 10.0 ** np.floor(np.log10(sizes.min()) + 1e-9)
         axes.set_xscale("symlog", linthresh=smallest, linscale=0.6)
+        set_decades(axes.xaxis)
         edge = 1.6
         axes.set_xlim(low * edge if low < 0 else low - smallest / 2, high * edge if high > 0 else high + smallest / 2)
         return
-    margin = 0.03 * (high - low) or 1.0
-    axes.set_xlim(low - margin, high + margin)
+    set_range(axes, finite, 0.03)
+    if covariate.unit == "deg" and high - low >= 90:
+        # Multiples of 45 and 90 degrees.
+        axes.xaxis.set_major_locator(MaxNLocator(9, steps=[1, 1.8, 4.5, 9, 10]))
+
+
+def set_decades(axis: Axis) -> None:
+    """Label the decades of a logarithmic axis with plain numbers."""
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_locator(NullLocator())
+
+
+def set_range(axes: Axes, x: np.ndarray, margin: float = 0.04) -> None:
+    """Set the limits of the abscissa to the finite values with a relative margin."""
+    finite = x[np.isfinite(x)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    room = margin * (high - low) or 1.0
+    axes.set_xlim(low - room, high + room)
 
 
 def thinned(count: int) -> np.ndarray | slice:
@@ -83,15 +100,7 @@ def neighbour_means(
         return np.empty(0), np.empty(0), np.empty(0)
     order = np.argsort(x, kind="stable")
     x, y = x[order], y[order]
-    even = np.unique(np.linspace(0, x.size, int(np.clip(x.size // 12, 4, 16)), endpoint=False).astype(int))
-    if groups is not None:
-        starts = np.flatnonzero(np.diff(groups[good][order], prepend=-1))
-    else:
-        # Levels are told apart by gaps: 0.2 % of the range, or of the value, since rates span decades.
-        step = np.maximum(0.002 * np.abs(x), 1e-6 * max(float(np.ptp(x)), 1e-300))
-        starts = np.flatnonzero(np.diff(x, prepend=-np.inf) > step)
-        if not 2 <= len(starts) <= _MOST_LEVELS or x.size < _LEAST * len(starts):
-            starts = even
+    starts = _level_starts(x) if groups is None else np.flatnonzero(np.diff(groups[good][order], prepend=-1))
     sizes = np.diff(starts, append=x.size)
     means = np.add.reduceat(y, starts) / sizes
     scatter = np.sqrt(np.add.reduceat((y - np.repeat(means, sizes)) ** 2, starts) / np.maximum(sizes - 1, 1))
@@ -100,16 +109,26 @@ def neighbour_means(
     return places[kept], means[kept], (scatter / np.sqrt(sizes))[kept]
 
 
+def _level_starts(x: np.ndarray) -> np.ndarray:
+    """Return where each level of ascending values begins; of groups of equal number where there are many levels."""
+    # Levels are separated by gaps: 0.2 % of the value, since rates span decades.
+    gap = np.maximum(0.002 * np.abs(x), 1e-6 * max(float(np.ptp(x)), 1e-300))
+    starts = np.flatnonzero(np.diff(x, prepend=-np.inf) > gap)
+    if 2 <= len(starts) <= _MOST_LEVELS and x.size >= _LEAST * len(starts):
+        return starts
+    return np.unique(np.linspace(0, x.size, int(np.clip(x.size // 12, 4, 16)), endpoint=False).astype(int))
+
+
 def draw_means(axes: Axes, x: np.ndarray, y: np.ndarray, groups: np.ndarray | None = None) -> None:
-    """Draw the means of neighbouring points with two standard errors to each side."""
+    """Draw the means of neighbouring points with ±2 standard errors."""
     place, mean, error = neighbour_means(x, y, groups)
     if place.size:
-        line(axes, place, mean, color=INK, linewidth=0.9, marker="_", markersize=6, zorder=5)
-        uprights(axes, place, mean - 2 * error, mean + 2 * error, INK, 0.9, zorder=5)
+        axes.plot(place, mean, color=INK, linewidth=0.9, marker="_", markersize=6, markeredgewidth=0.9, zorder=5)
+        axes.vlines(place, mean - 2 * error, mean + 2 * error, INK, linewidth=0.9, zorder=5)
 
 
 def spread(axes: Axes, x: np.ndarray, runs: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """Return places moved sideways a little by run, where few levels would make points hide each other."""
+    """Return places shifted sideways a little by run, where few levels would make points overlap."""
     levels = np.unique(x)
     if len(levels) > _MOST_LEVELS or len(names) < 2 or x.size < 3 * len(levels):
         return x
@@ -124,7 +143,7 @@ def spread(axes: Axes, x: np.ndarray, runs: np.ndarray, names: Sequence[str]) ->
 
 
 def limit_of(values: np.ndarray, least: float) -> float:
-    """Return the half height of a panel: all points, but not the few that would press the others flat."""
+    """Return the half height of a panel that shows all points but outliers that would compress the others."""
     sizes = np.abs(values[np.isfinite(values)])
     if not sizes.size:
         return least
@@ -133,16 +152,6 @@ def limit_of(values: np.ndarray, least: float) -> float:
 
 def row_numbers(residuals: pl.DataFrame) -> pl.DataFrame:
     """Return the residuals with `row` counted on from run to run."""
-    offset, offsets = 0, {}
-    for run, last in residuals.group_by("run", maintain_order=True).agg(pl.col("row").max()).iter_rows():
-        offsets[run] = offset
-        offset += int(last) + 1
-    names = residuals.get_column("run").to_list()
-    counted = residuals.get_column("row").to_numpy() + np.array([offsets[name] for name in names])
-    return residuals.with_columns(pl.Series("row", counted))
-
-
-__all__ = [
-    "abscissa", "chosen_channels", "draw_means", "limit_of", "neighbour_means", "numbers", "row_numbers",
-    "set_abscissa", "spread", "thinned",
-]  # fmt: skip
+    counts = residuals.group_by("run", maintain_order=True).agg(pl.col("row").max() + 1)
+    offsets = counts.with_columns((pl.col("row").cum_sum() - pl.col("row")).alias("offset")).drop("row")
+    return residuals.join(offsets, on="run", maintain_order="left").with_columns(pl.col("row") + pl.col("offset"))

@@ -1,186 +1,143 @@
-"""Before and after the runs: the prior and the posterior of chosen quantities, mounting angles above all."""
+"""Prior and posterior of chosen quantities, mounting angles above all: estimate and standard uncertainty.
+
+A forest plot out of the summary alone; densities as in `arviz_plots.plot_prior_posterior` would need a panel for each.
+"""
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from imubayes.display.figures.panels import set_decades
 from imubayes.display.fit_tables import alarm_of
 from imubayes.display.labels import pretty, shortened
-from imubayes.display.marks import band, line, points, uprights
+from imubayes.display.quantity_tables import is_nuisance
 from imubayes.display.rounding import concise, significant
 from imubayes.display.theme import (
     BAND,
     BAND_WIDE,
     BLUE,
-    FAINT,
     QUIET,
     SMALL,
     VERMILION,
     Picture,
-    axes_at,
+    dot,
+    legend_above,
+    panels,
     picture,
     themed,
 )
-from imubayes.display.ticks import frame, tick_places
+from imubayes.results.summary import Quantity, Summary
 
 _MOST = 40
 _NAMES, _NUMBERS = 2.35, 1.3  # room for the names on the left and the numbers on the right, inches
 _FAMILIES = ("mounting_error.", "mounting_angle[")
+_DETERMINED = 0.95  # largest ratio of posterior to prior sd of a quantity that the data determined
+_ARCSEC = {"deg": 3600.0, "arcmin": 60.0, "arcsec": 1.0}
 _ON_PAPER = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.0}
 _CAPTION = (
-    "Left: the posterior with its 95 % interval, in prior standard deviations from the prior's centre; an estimate "
-    "beyond the bands says that the equipment is worse than stated, or the model is wrong (where the prior has no one "
-    "centre, the estimate stands as a number). Right: standard uncertainty before the runs (open) and after (filled), "
-    "on a logarithmic axis. With a good set of runs every line is long; a short one, in vermilion, is a quantity that "
-    "the runs did not determine."
+    "Left: posterior mean and 95 % interval in prior standard deviations; an estimate outside the bands means that the "
+    "equipment is worse than stated or that the model is wrong (where the prior has no single centre, the estimate is "
+    "given as a number). Right: standard uncertainty before (open) and after the runs (filled), logarithmic axis. With "
+    "a good set of runs every line is long; a short one, in vermilion, is a quantity that the data did not determine."
 )
 
 
-def mounting_quantities(summary: Mapping[str, Any]) -> list[str]:
-    """Return the names of mounting errors and mounting angles whose prior and posterior are known."""
-    entries = (*summary["parameters"], *summary["derived"])
-    return [one["name"] for one in entries if one["name"].startswith(_FAMILIES) and _known(one)]
+def mounting_quantities(summary: Summary) -> list[str]:
+    """Return the names of mounting errors and mounting angles whose prior and posterior widths are known."""
+    entries = (*summary.parameters, *summary.derived)
+    return [entry.name for entry in entries if entry.name.startswith(_FAMILIES) and _is_known(entry)]
 
 
 @themed
-def prior_posterior_figure(summary: Mapping[str, Any], names: Sequence[str] | None = None) -> Picture:
+def prior_posterior_figure(summary: Summary, names: Sequence[str] | None = None) -> Picture:
     """Return prior against posterior; without names those of the mountings, the least determined if they are many.
 
-    The prior's width is `prior_sd`, or where it is not given that which `from_data` implies; its centre is
-    `prior_mean`, and 0 for errors.  Without a centre the left panel gives the estimate as a number.
+    The prior of an error is centred on 0; without a centre the left panel gives the estimate as a number.
     """
-    entries = {one["name"]: one for one in (*summary["parameters"], *summary["derived"])}
-    wanted = [name for name in (names or mounting_quantities(summary)) if name in entries and _known(entries[name])]
+    entries = {entry.name: entry for entry in (*summary.parameters, *summary.derived)}
+    wanted = [name for name in (names or mounting_quantities(summary)) if name in entries and _is_known(entries[name])]
     if not wanted:
         raise ValueError("no quantity with a prior and a posterior width was named")
-    caption = _CAPTION
-    chosen = [entries[name] for name in wanted]
+    chosen, caption = [entries[name] for name in wanted], _CAPTION
     if len(chosen) > _MOST:
-        ranked = sorted(range(len(chosen)), key=lambda place: _ratio(chosen[place]), reverse=True)[:_MOST]
-        caption += f" Shown are the {_MOST} least determined of {len(chosen)}."
-        chosen = [chosen[place] for place in sorted(ranked)]
-    tall = len(chosen) * 0.24
-    title = "Mounting, before and after the runs" if names is None else "Prior and posterior"
-    figure = picture(12.0, tall + 0.85, title, caption, alarm=alarm_of(summary))
-    left, bottom, right, top = figure.inside
-    inner = right - left - _NAMES - _NUMBERS
-    share = 0.45 if any(_centre(one) is not None for one in chosen) else 0.0
-    gap = 0.35 if share else 0.0
-    start = left + _NAMES + share * inner + gap
-    panels = [axes_at(figure, start, bottom + 0.5, (1 - share) * inner - gap, tall)]
-    unit = _widths(panels[0], chosen)
-    if share:
-        panels.insert(0, axes_at(figure, left + _NAMES, bottom + 0.5, share * inner, tall))
-        _shifts(panels[0], chosen)
-        frame(panels[0], 7, 0, "estimate / prior standard deviations")
-    frame(panels[-1], 7, 0, f"standard uncertainty / {unit}")
-    for axes in panels:
-        axes.set_ylim(len(chosen) - 0.4, -0.6)
+        kept = sorted(chosen, key=_ratio, reverse=True)[:_MOST]
+        caption += f" Shown: the {_MOST} least determined of {len(chosen)}."
+        chosen = [entry for entry in chosen if entry in kept]
+    title = "Mounting: prior and posterior" if names is None else "Prior and posterior"
+    figure = picture(12.0, len(chosen) * 0.24 + 0.85, title, caption, alarm=alarm_of(summary))
+    centred = any(map(_is_centred, chosen))
+    widths = (0.45, 0.55) if centred else (1.0,)
+    grid = panels(figure, 1, len(widths), (_NAMES, 0.5, _NUMBERS, 0.3), (0.35, 0), widths=widths)[0]
+    if centred:
+        _shifts(grid[0], chosen)
+    _widths(grid[-1], chosen)
+    for axes in grid:
+        axes.set(ylim=(len(chosen) - 0.4, -0.6), yticks=[])
         axes.spines["left"].set_visible(False)
-    for place, one in enumerate(chosen):
-        along = panels[0].get_yaxis_transform()
-        name = shortened(one["name"], 34)
-        panels[0].text(-0.01, place, name, transform=along, size=SMALL, ha="right", va="center_baseline")
-    _legend(figure, right, top)
+    grid[0].set_yticks(range(len(chosen)), [shortened(entry.name, 34) for entry in chosen])
+    grid[0].tick_params(axis="y", length=0)
+    bands = (Patch(color=BAND, label="prior, ±1 sd"), Patch(color=BAND_WIDE, label="prior, ±2 sd"))
+    before = dot(QUIET, "before", markerfacecolor="white", markeredgewidth=1.0)
+    legend_above(figure, [*bands, before, dot(BLUE, "after"), dot(VERMILION, "not determined")])
     return figure
 
 
-def _shifts(axes: Axes, chosen: Sequence[Mapping[str, Any]]) -> None:
-    ends = (-0.6, len(chosen) - 0.4)
+def _shifts(axes: Axes, chosen: Sequence[Quantity]) -> None:
     for half, colour in ((2.0, BAND_WIDE), (1.0, BAND)):
-        band(axes, np.array([-half, half]), np.full(2, ends[0]), np.full(2, ends[1]), colour)
-    line(axes, [0, 0], ends, color=QUIET, linewidth=0.7)
+        axes.axvspan(-half, half, color=colour, linewidth=0)
+    axes.axvline(0, color=QUIET, linewidth=0.7)
     reach = 3.0
-    for place, one in enumerate(chosen):
-        centre = _centre(one)
-        if centre is None:
-            text = f"{concise(one['mean'], one['sd'])} {pretty(one['unit'])}"
+    for place, entry in enumerate(chosen):
+        if not _is_centred(entry):
+            text = f"{concise(_number(entry.mean), _number(entry.sd))} {pretty(entry.unit)}"
             axes.text(0, place, text, size=SMALL, color=QUIET, ha="center", va="center", bbox=_ON_PAPER)
             continue
-        prior = _prior_sd(one) or 1.0
-        middle = (one["mean"] - centre) / prior
-        low, high = (one["q025"] - centre) / prior, (one["q975"] - centre) / prior
-        reach = max(reach, 1.08 * max(abs(low), abs(high)))
-        colour = _colour(one)
-        line(axes, [low, high], [place, place], color=colour, linewidth=2.0, solid_capstyle="butt")
-        points(axes, [middle], [place], "o", 4.5, colour)
-    axes.set_xlim(-reach, reach)
+        prior = _number(entry.prior_sd)
+        low, middle, high = (_number(value) / prior for value in (entry.q025, entry.mean, entry.q975))
+        reach = max(reach, 1.08 * abs(low), 1.08 * abs(high))
+        axes.plot([low, high], [place, place], color=_colour(entry), linewidth=2.0, solid_capstyle="butt")
+        axes.plot([middle], [place], "o", color=_colour(entry), markersize=4.5)
+    axes.set(xlim=(-reach, reach), xlabel="estimate / prior standard deviations")
 
 
-def _widths(axes: Axes, chosen: Sequence[Mapping[str, Any]]) -> str:
+def _widths(axes: Axes, chosen: Sequence[Quantity]) -> None:
     """Draw uncertainty before and after, in one unit for all where they share a dimension."""
-    units = {one["unit"] for one in chosen}
-    angles = units <= {"deg", "arcsec", "arcmin"}
-    factor = {"deg": 3600.0, "arcmin": 60.0, "arcsec": 1.0}
-    axes.set_xscale("log")
-    sizes = []
-    for place, one in enumerate(chosen):
-        scale = factor[one["unit"]] if angles else 1.0
-        before, after = (_prior_sd(one) or math.nan) * scale, one["sd"] * scale
+    units = {entry.unit for entry in chosen}
+    angles = units <= set(_ARCSEC)
+    unit = "arcsec" if angles else (pretty(next(iter(units))) if len(units) == 1 else "unit of each")
+    sizes: list[float] = []
+    for place, entry in enumerate(chosen):
+        scale = _ARCSEC[entry.unit] if angles else 1.0
+        before, after = _number(entry.prior_sd) * scale, _number(entry.sd) * scale
         sizes += [before, after]
-        colour = _colour(one)
-        line(axes, [after, before], [place, place], color=colour, linewidth=1.0, alpha=0.6)
-        points(axes, [before], [place], "o", 5, "white", markeredgecolor=QUIET, markeredgewidth=1.0)
-        points(axes, [after], [place], "o", 5, colour)
-        text = f"{significant(before, 2)} → {significant(after, 2)}" + ("" if angles else f" {pretty(one['unit'])}")
-        axes.text(1.015, place, text, transform=axes.get_yaxis_transform(), size=8, va="center", ha="left")
-    finite = np.array([size for size in sizes if np.isfinite(size) and size > 0])
-    limits = (float(finite.min()) / 1.6, float(finite.max()) * 1.6)
-    axes.set_xlim(limits)
-    grid = np.array(tick_places(*limits, 7, 0.0))
-    uprights(axes, grid, -0.6, len(chosen) - 0.4, FAINT, 0.6, zorder=0.5)
+        axes.plot([after, before], [place, place], color=_colour(entry), linewidth=1.0, alpha=0.6)
+        axes.plot([before], [place], "o", color="white", markeredgecolor=QUIET, markeredgewidth=1.0, markersize=5)
+        axes.plot([after], [place], "o", color=_colour(entry), markersize=5)
+        text = f"{significant(before, 2)} → {significant(after, 2)}" + ("" if angles else f" {pretty(entry.unit)}")
+        axes.text(1.015, place, text, transform=axes.get_yaxis_transform(), size=SMALL, va="center")
     axes.text(1.015, -1.0, "before → after", transform=axes.get_yaxis_transform(), size=SMALL, color=QUIET, va="center")
-    if angles:
-        return "arcsec"
-    return pretty(next(iter(units))) if len(units) == 1 else "the unit of each"
+    axes.set(xscale="log", xlim=(min(sizes) / 1.6, max(sizes) * 1.6), xlabel=f"standard uncertainty / {unit}")
+    set_decades(axes.xaxis)
+    axes.grid(axis="x")
 
 
-def _known(one: Mapping[str, Any]) -> bool:
-    return bool(one["sd"] and _prior_sd(one) and not one.get("nuisance"))
+def _is_known(entry: Quantity) -> bool:
+    return bool(entry.sd and entry.prior_sd and entry.mean is not None and not is_nuisance(entry))
 
 
-def _prior_sd(one: Mapping[str, Any]) -> float | None:
-    if one.get("prior_sd"):
-        return float(one["prior_sd"])
-    share, sd = one.get("from_data"), one.get("sd")
-    if share is None or not sd or not 0 <= share < 1:
-        return None
-    return float(sd) / math.sqrt(1 - share)
+def _is_centred(entry: Quantity) -> bool:
+    return entry.name.startswith(("mounting_error.", "table_axis_tilt."))
 
 
-def _centre(one: Mapping[str, Any]) -> float | None:
-    if one.get("prior_mean") is not None:
-        return float(one["prior_mean"])
-    return 0.0 if one["name"].startswith(("mounting_error.", "table_axis_tilt.")) else None
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
-def _ratio(one: Mapping[str, Any]) -> float:
-    return one["sd"] / (_prior_sd(one) or math.inf)
+def _ratio(entry: Quantity) -> float:
+    return _number(entry.sd) / (entry.prior_sd or math.inf)
 
 
-def _colour(one: Mapping[str, Any]) -> str:
-    # A tenth of the variance from the data is 5 % off the standard deviation.
-    return VERMILION if _ratio(one) ** 2 > 0.9 else BLUE
-
-
-def _legend(figure: Picture, right: float, top: float) -> None:
-    width, height = figure.get_size_inches()
-    handles = [
-        Patch(color=BAND, label="prior, ±1 sd"),
-        Patch(color=BAND_WIDE, label="prior, ±2 sd"),
-        Line2D([], [], marker="o", markerfacecolor="white", markeredgecolor=QUIET, linestyle="", label="before"),
-        Line2D([], [], marker="o", color=BLUE, linestyle="", markersize=5, label="after"),
-        Line2D([], [], marker="o", color=VERMILION, linestyle="", markersize=5, label="not determined"),
-    ]
-    figure.legend(
-        handles=handles, loc="upper right", bbox_to_anchor=(1 - 0.2 / width, 1 - 0.02 / height), ncols=5,
-        handlelength=1.2, columnspacing=1.2, borderaxespad=0.6,
-    )  # fmt: skip
-
-
-__all__ = ["mounting_quantities", "prior_posterior_figure"]
+def _colour(entry: Quantity) -> str:
+    return VERMILION if _ratio(entry) > _DETERMINED else BLUE

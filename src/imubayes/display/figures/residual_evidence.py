@@ -1,4 +1,4 @@
-"""The residual of one channel against what a missing effect depends on, before and after the effect is added."""
+"""Residuals of one channel against what the missing effect depends on, before and after it is added."""
 
 from collections.abc import Sequence
 
@@ -6,14 +6,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from imubayes.criticism.residual_evidence import ResidualEvidence
-from imubayes.display.figures.panels import draw_means, limit_of, thinned
+from imubayes.display.figures.panels import draw_means, limit_of, set_range, thinned
 from imubayes.display.labels import pretty, readable
-from imubayes.display.marks import level, line, points, strip
 from imubayes.display.rounding import significant
-from imubayes.display.theme import BAND, INK, QUIET, Picture, RunSigns, axes_at, picture, themed
-from imubayes.display.ticks import frame
+from imubayes.display.theme import BAND, INK, QUIET, Picture, RunSigns, at_runs, panels, picture, themed
 
-_WIDTH, _LEGEND, _HEIGHT = 11.5, 2.05, 3.5
+_LEGEND = 2.05
 
 
 @themed
@@ -29,36 +27,23 @@ def evidence_figure(evidence: ResidualEvidence, against: str) -> Picture:
     factor, shown = readable(evidence.unit, float(np.median(np.abs(evidence.residual))))
     residual, explained = evidence.residual * factor, evidence.explained * factor
     caption = (
-        f"Left: residual of {channel} in each row; colours are runs; black marks are the part that {effect} explains, "
-        "past what the model can absorb. Right: one against the other; where the candidate is the cause, every "
-        "run follows the line of slope 1 and scatters about it by noise. A good model shows no structure on the "
-        "left and a shapeless cloud about zero on the right."
+        f"Left: residual of {channel}, colours are runs; black: the part that {effect} explains and the present model "
+        "cannot absorb. Right: residual against that part; if the candidate is the cause, every run follows the line "
+        "of slope 1 within its noise. A good model shows no pattern on the left and an uncorrelated cloud about zero "
+        "on the right."
     )
-    title = f"Residual of {channel} and the part that {effect} explains"
-    figure = picture(_WIDTH, _HEIGHT, title, caption)
-    signs = RunSigns(list(dict.fromkeys(runs)))
-    left, bottom, right, top = figure.inside
-    across = (right - left - _LEGEND - 2 * 0.85) / 2
     high = limit_of(np.concatenate([residual, explained]), 1e-12)
     names = np.array(list(runs))
-    for column, x in enumerate((at, explained)):
-        axes = axes_at(figure, left + 0.75 + column * (across + 0.85), bottom + 0.45, across, top - bottom - 0.7)
-        _range(axes, x)
-        axes.set_ylim(-high, high)
-        level(axes, 0, QUIET)
+    title = f"Residual of {channel} and the part explained by {effect}"
+    figure, signs, (left, right) = _pair_of_panels(title, caption, names)
+    for axes, x in ((left, at), (right, explained)):
         _cloud(axes, x, residual, names, signs, high)
-        if column == 0:
-            order = np.argsort(at, kind="stable")
-            good = order[np.isfinite(at[order])]
-            points(axes, at[good], explained[good], "D", 2.6, INK, zorder=6)
-            axes.set_title("against the covariate")
-        else:
-            ends = np.array(axes.get_xlim())
-            line(axes, ends, ends, color=INK, linewidth=1.3, zorder=6)
-            axes.set_title(f"against the explained part; slope {significant(_slope(x, residual))}")
-        label = against if column == 0 else f"explained / {pretty(shown)}"
-        frame(axes, 6, 5, label, f"residual / {pretty(shown)}")
-    signs.legend(figure, right - _LEGEND + 0.3, top, bottom, list(dict.fromkeys(runs)))
+    left.plot(at, explained, "D", color=INK, markersize=2.6, zorder=6)
+    left.set_title("against its covariate")
+    right.axline((0, 0), slope=1, color=INK, linewidth=1.3, zorder=6)
+    right.set_title(f"against the explained part; slope {significant(_slope(explained, residual))}")
+    left.set(xlabel=against, ylabel=f"residual / {pretty(shown)}")
+    right.set(xlabel=f"explained / {pretty(shown)}", ylabel=f"residual / {pretty(shown)}")
     return figure
 
 
@@ -88,30 +73,21 @@ def before_after_figure(
     factor, shown = readable(unit, float(np.median(np.abs(before))))
     before, after = before * factor, after * factor
     caption = (
-        f"Residual of {channel} in input units before and after adding {added}, on the same scale; colours are runs, "
-        "black are means of neighbouring points with ±2 standard errors. A good model leaves a shapeless band about "
-        "zero" + (", as wide as the grey band, the noise of one row (±1 sd)." if floor is not None else ".")
+        f"Residual of {channel} in input units before and after adding {added}, on one scale; colours are runs, black: "
+        "means of neighbouring points with ±2 standard errors. A good model leaves a band without pattern about zero"
+        + (", as wide as the grey band, the noise of one row (±1 sd)." if floor is not None else ".")
     )
-    figure = picture(_WIDTH, _HEIGHT, f"{channel} before and after adding {added}", caption)
-    signs = RunSigns(list(dict.fromkeys(runs)))
-    left, bottom, right, top = figure.inside
-    across = (right - left - _LEGEND - 2 * 0.85) / 2
     high = limit_of(np.concatenate([before, after]), 3 * floor * factor if floor else 1e-12)
     names = np.array(list(runs))
-    for column, (word, y) in enumerate((("before", before), ("after", after))):
-        axes = axes_at(figure, left + 0.75 + column * (across + 0.85), bottom + 0.45, across, top - bottom - 0.7)
-        _range(axes, at)
-        axes.set_ylim(-high, high)
+    figure, signs, grid = _pair_of_panels(f"{channel} before and after adding {added}", caption, names)
+    for axes, word, y in zip(grid, ("before", "after"), (before, after), strict=True):
         if floor is not None:
-            strip(axes, floor * factor, BAND)
-        level(axes, 0, QUIET)
+            axes.axhspan(-floor * factor, floor * factor, color=BAND, linewidth=0, zorder=1)
         _cloud(axes, at, y, names, signs, high)
-        good = np.isfinite(at) & np.isfinite(y)
-        draw_means(axes, at[good], y[good])
-        size = significant(float(np.sqrt(np.nanmean(y**2))))
-        axes.set_title(f"{word}: rms {size} {pretty(shown)}")
-        frame(axes, 6, 5, against, f"residual / {pretty(shown)}" if column == 0 else "")
-    signs.legend(figure, right - _LEGEND + 0.3, top, bottom, list(dict.fromkeys(runs)))
+        draw_means(axes, at, y)
+        axes.set_title(f"{word}: rms {significant(float(np.sqrt(np.nanmean(y**2))))} {pretty(shown)}")
+        axes.set_xlabel(against)
+    grid[0].set_ylabel(f"residual / {pretty(shown)}")
     return figure
 
 
@@ -121,32 +97,35 @@ def added_variable_figure(added: np.ndarray, residual: np.ndarray, runs: Sequenc
 
     Parameters
     ----------
-    added, residual : shape (n,), both whitened and with everything taken out that the model can take up.
+    added, residual : shape (n,), both whitened and projected off what the present model can absorb.
     runs : of each point.
     effect : for the labels.
     """
-    slope = _slope(added, residual)
     caption = (
-        f"Added-variable plot of {effect}: what is left of the measurements against what the effect would explain of "
-        "them, in noise standard deviations, both freed of what the model before can take up. The line is the expected "
-        "size, slope 1. An effect that is really there shows the same slope in every run (colour); one that only fits "
-        "an accident lives off a few points of one run."
+        f"Added-variable plot of {effect}: whitened residual against the part that the effect would explain, both "
+        "projected off what the present model can absorb. Line: expected slope 1. A real effect shows the same slope "
+        "in every run (colour); a spurious one rests on a few points of one run."
     )
-    figure = picture(7.2, 4.0, f"{effect}: does every run support it?", caption)
-    signs = RunSigns(list(dict.fromkeys(runs)))
-    left, bottom, right, top = figure.inside
-    axes = axes_at(figure, left + 0.65, bottom + 0.45, right - left - _LEGEND - 0.75, top - bottom - 0.7)
-    _range(axes, added)
-    high = limit_of(residual, 3.0)
-    axes.set_ylim(-high, high)
-    level(axes, 0, QUIET)
-    _cloud(axes, added, residual, np.array(list(runs)), signs, high)
-    ends = np.array(axes.get_xlim())
-    line(axes, ends, ends, color=INK, linewidth=1.3, zorder=6)
-    axes.set_title(f"slope {significant(slope)}")
-    frame(axes, 6, 6, "explained by the effect / sd", "residual / sd")
-    signs.legend(figure, right - _LEGEND + 0.3, top, bottom, list(dict.fromkeys(runs)))
+    names = np.array(list(runs))
+    figure = picture(7.2, 4.0, f"{effect}: consistency between runs", caption)
+    signs = _signs(figure, names)
+    axes = panels(figure, 1, 1, (0.65, 0.45, _LEGEND + 0.1, 0.25))[0, 0]
+    _cloud(axes, added, residual, names, signs, limit_of(residual, 3.0))
+    axes.axline((0, 0), slope=1, color=INK, linewidth=1.3, zorder=6)
+    axes.set_title(f"slope {significant(_slope(added, residual))}")
+    axes.set(xlabel="explained by the effect / sd", ylabel="residual / sd")
     return figure
+
+
+def _pair_of_panels(title: str, caption: str, runs: np.ndarray) -> tuple[Picture, RunSigns, np.ndarray]:
+    figure = picture(11.5, 3.5, title, caption)
+    return figure, _signs(figure, runs), panels(figure, 1, 2, (0.75, 0.45, _LEGEND, 0.25))[0]
+
+
+def _signs(figure: Picture, runs: np.ndarray) -> RunSigns:
+    signs = RunSigns(list(dict.fromkeys(runs.tolist())))
+    signs.legend(figure, figure.inside[2] - _LEGEND + 0.3)
+    return signs
 
 
 def _slope(x: np.ndarray, y: np.ndarray) -> float:
@@ -154,19 +133,12 @@ def _slope(x: np.ndarray, y: np.ndarray) -> float:
     return float(x[good] @ y[good] / max(float(x[good] @ x[good]), 1e-300))
 
 
-def _range(axes: Axes, x: np.ndarray) -> None:
-    finite = x[np.isfinite(x)]
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    margin = 0.04 * (high - low) or 1.0
-    axes.set_xlim(low - margin, high + margin)
-
-
 def _cloud(axes: Axes, x: np.ndarray, y: np.ndarray, runs: np.ndarray, signs: RunSigns, high: float) -> None:
     good = np.isfinite(x) & np.isfinite(y)
+    set_range(axes, x)
+    axes.set_ylim(-high, high)
+    axes.axhline(0, color=QUIET, linewidth=0.7, zorder=1.5)
     x, y, runs = x[good], np.clip(y[good], -0.98 * high, 0.98 * high), runs[good]
     kept = thinned(x.size)
-    x, y, runs = x[kept], y[kept], runs[kept]
     size = 4.2 if x.size < 400 else 2.6
-    for name in dict.fromkeys(runs.tolist()):
-        here = runs == name
-        points(axes, x[here], y[here], signs.marker(name), size, signs.hue(name), alpha=0.75, zorder=3)
+    at_runs(axes, x[kept], y[kept], runs[kept], signs, markersize=size, alpha=0.75)
