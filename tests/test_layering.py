@@ -107,7 +107,7 @@ def test_the_sources_keep_the_rules():
     ("sources", "complaint"),
     [
         ({"imubayes.units": "from imubayes.model.signal_path import travel"}, "is above it"),
-        ({"imubayes.effects.base": "import imubayes.display.terminal_tables"}, "is above it"),
+        ({"imubayes.effects.base": "import imubayes.display.sheet"}, "is above it"),
         ({"imubayes.model.grouping": "def f():\n    import imubayes.run"}, "inside a function"),
         ({"imubayes.run": "f = 1\n" * 501}, "more than 500 lines"),
         ({"imubayes.effects.a": "from imubayes.effects.b import B"}, "do not know each other"),

@@ -23,8 +23,8 @@ def compared(trihedral: Path) -> Comparison:
 def tumble(tmp_path: Path) -> Path:
     """A fit that was not sampled: one run by hand, no table, channels beyond one page."""
     parameters, derived = made.trihedral_quantities()
-    parameters = [one for one in parameters if one["name"].startswith(("gyro", "accel"))]
-    derived = [one for one in derived if one["name"].startswith("scale_factor")]
+    parameters = [entry for entry in parameters if entry.name.startswith(("gyro", "accel"))]
+    derived = [entry for entry in derived if entry.name.startswith("scale_factor")]
     residuals = made.tumble_residuals()
     summary = made.summary_of(residuals, parameters, derived, sampled=False)
     return made.write_folder(tmp_path / "tumble", residuals, summary)

@@ -1,11 +1,22 @@
 """Result folders made up for tests: right in form and plausible in size, out of plain NumPy."""
 
-import json
+import math
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import xarray as xr
+
+from imubayes.results.residuals import Residuals
+from imubayes.results.summary import (
+    DerivedSummary,
+    NextRun,
+    ParameterSummary,
+    RunSummary,
+    Seconds,
+    Summary,
+    WeakDirection,
+)
 
 GYROS, ACCELEROMETERS = ("gx", "gy", "gz"), ("ax", "ay", "az")
 CHANNELS = (*GYROS, *ACCELEROMETERS)
@@ -147,25 +158,35 @@ def thermal_residuals(rows=48) -> pl.DataFrame:
     return pl.concat(frames)
 
 
-def quantity(name, unit, mean, sd, from_data=0.999, **more) -> dict:
-    return {"name": name, "unit": unit, "mean": mean, "sd": sd, "q025": mean - 1.96 * sd, "q975": mean + 1.96 * sd,
-            "from_data": from_data, **more}  # fmt: skip
+def quantity(name, unit, mean, sd, from_data=0.999, **more) -> DerivedSummary:
+    prior_sd = sd / math.sqrt(1 - from_data) if from_data < 1 else None
+    return DerivedSummary(name=name, unit=unit, mean=mean, sd=sd, q025=mean - 1.96 * sd, q975=mean + 1.96 * sd,
+                          from_data=from_data, prior_sd=prior_sd, **more)  # fmt: skip
 
 
-def _parameter(name, unit, mean, sd, prior_sd) -> dict:
-    share = 1 - (sd / prior_sd) ** 2
-    return quantity(name, unit, mean, sd, share, map=mean, prior_sd=prior_sd, r_hat=1.002, ess_bulk=2100.0,
-                    ess_tail=1800.0)  # fmt: skip
+def parameter(name, unit, mean, sd, from_data=0.999, **more) -> ParameterSummary:
+    sampling = {"nuisance": False, "map": mean, "r_hat": 1.002, "ess_bulk": 2100.0, "ess_tail": 1800.0}
+    plain = quantity(name, unit, mean, sd, from_data).model_dump(exclude={"within"})
+    return ParameterSummary(**plain | sampling | more)
 
 
-def trihedral_quantities(seed=4) -> tuple[list[dict], list[dict]]:
+def without_estimates(entries):
+    """Return quantities as a fit leaves them that failed."""
+    empty = ("mean", "sd", "q025", "q975", "from_data", "r_hat", "ess_bulk", "ess_tail")
+    return tuple(
+        entry.model_copy(update=dict.fromkeys(set(empty) & set(type(entry).model_fields))) for entry in entries
+    )
+
+
+def trihedral_quantities(seed=4) -> tuple[list[ParameterSummary], list[DerivedSummary]]:
     random = np.random.default_rng(seed)
     parameters = []
 
     def add(name, labels, unit, spread, sd):
         for label in labels:
-            one = sd * random.uniform(0.8, 1.3)
-            parameters.append(_parameter(f"{name}[{label}]", unit, spread * random.standard_normal(), one, spread))
+            own = sd * random.uniform(0.8, 1.3)
+            mean = spread * random.standard_normal()
+            parameters.append(parameter(f"{name}[{label}]", unit, mean, own, 1 - (own / spread) ** 2, prior_sd=spread))
 
     for axis, sd in (("x", 1.2), ("y", 1.1), ("z", 297.0)):
         add(f"mounting_error.{axis}", MOUNTINGS, "arcsec", 300.0, sd)
@@ -203,53 +224,39 @@ def trihedral_quantities(seed=4) -> tuple[list[dict], list[dict]]:
     return parameters, derived
 
 
-def run_entries(residuals: pl.DataFrame) -> list[dict]:
-    entries = []
-    for (run, channel), frame in residuals.group_by("run", "channel", maintain_order=True):
-        entries.append(
-            {
-                "name": run,
-                "channel": channel,
-                "n": frame.height,
-                "chi2": float(np.sum(frame["whitened"].to_numpy() ** 2)),
-                "rms": float(np.sqrt(np.mean(frame["input_residual"].to_numpy() ** 2))),
-                "unit": frame["input_unit"][0],
-            }
-        )
-    return entries
+def run_entries(residuals: pl.DataFrame) -> tuple[RunSummary, ...]:
+    return Residuals(residuals).by_run_and_channel()
 
 
-def summary_of(residuals: pl.DataFrame, parameters=None, derived=None, **more) -> dict:
+def summary_of(residuals: pl.DataFrame, parameters=None, derived=None, **more) -> Summary:
     if parameters is None or derived is None:
         parameters, derived = trihedral_quantities()
     runs = run_entries(residuals)
-    summary = {
-        "format": 1, "campaign": "trihedral-imu", "model": "trihedral-imu", "converged": True, "message": "",
-        "sampled": True, "interval": "95 % equal-tailed",
-        "uncertainty": "standard deviation", "acceptance": 0.9, "contributions": [],
-        "parameters": parameters, "derived": derived, "runs": runs,
-        "chi2": sum(run["chi2"] for run in runs), "dof": int(0.95 * residuals.height), "log_evidence": -123.0,
-        "weak_directions": [{"combination": "all mounting_error.z together", "from_data": 0.02}],
-        "next_runs": [{"run": "dividing head in mounting 'pyramid'", "quantity": "mounting_angle[gx,pyramid]",
-                       "sd_before": 3.6e-4, "sd_after": 2.1e-4, "unit": "deg"}],
-        "notes": [], "seconds": {"load": 0.1, "fit": 1.2, "sample": 5.0},
-    }  # fmt: skip
-    return summary | more
+    weak = WeakDirection(combination="all mounting_error.z together", from_data=0.02)
+    candidate = NextRun(run="dividing head in mounting 'pyramid'", quantity="mounting_angle[gx,pyramid]",
+                        sd_before=3.6e-4, sd_after=2.1e-4, unit="deg")  # fmt: skip
+    return Summary(
+        campaign="trihedral-imu", model="trihedral-imu", converged=True, message="", sampled=True,
+        interval="95 % equal-tailed", uncertainty="standard deviation", acceptance=0.9, contributions=(),
+        parameters=tuple(parameters), derived=tuple(derived), runs=runs,
+        chi2=sum(run.chi2 or 0.0 for run in runs), dof=int(0.95 * residuals.height), log_evidence=-123.0,
+        weak_directions=(weak,), next_runs=(candidate,), notes=(), seconds=Seconds(load=0.1, fit=1.2, sample=5.0),
+    ).model_copy(update=more)  # fmt: skip
 
 
-def posterior_of(summary: dict, chains=8, draws=500, seed=5) -> xr.DataTree:
+def posterior_of(summary: Summary, chains=8, draws=500, seed=5) -> xr.DataTree:
     """Return normal draws; scale factors and mounting angles of one gyro hang together."""
     random = np.random.default_rng(seed)
     common = {c: random.standard_normal((chains, draws)) for c in CHANNELS}
     families: dict[str, dict[tuple[str, ...], np.ndarray]] = {}
-    for one in (*summary["parameters"], *summary["derived"]):
-        name, _, label = one["name"].partition("[")
+    for entry in (*summary.parameters, *summary.derived):
+        name, _, label = entry.name.partition("[")
         labels: tuple[str, ...] = tuple(label.removesuffix("]").split(",")) if label else ()
         noise = random.standard_normal((chains, draws))
-        joined = one["name"].startswith("scale_factor") or label.endswith("pyramid]")
+        joined = name.startswith("scale_factor") or label.endswith("pyramid]")
         if joined and label[:2] in common:
             noise = 0.8 * common[label[:2]] + 0.6 * noise
-        families.setdefault(name, {})[labels] = one["mean"] + one["sd"] * noise
+        families.setdefault(name, {})[labels] = entry.mean + entry.sd * noise
     variables = {}
     for name, members in families.items():
         keys = list(members)
@@ -271,9 +278,9 @@ def _dimension(axis: list[str], name: str) -> str:
     return "mounting" if set(axis) <= set(MOUNTINGS) else f"{name}_label"
 
 
-def write_folder(folder: Path, residuals: pl.DataFrame, summary: dict, posterior: xr.DataTree | None = None) -> Path:
+def write_folder(folder: Path, residuals: pl.DataFrame, summary: Summary, posterior: xr.DataTree | None = None) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    (folder / "summary.json").write_text(summary.model_dump_json(), encoding="utf-8")
     residuals.write_parquet(folder / "residuals.parquet")
     if posterior is not None:
         posterior.to_netcdf(folder / "posterior.nc", engine="h5netcdf")

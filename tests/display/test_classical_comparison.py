@@ -1,16 +1,22 @@
-"""The textbook beside the joint fit: the difference, and what of it the mounting angle explains."""
+"""Classical estimates beside the joint fit: the difference, and the part of it that the mounting angle explains."""
 
 import io
 import json
 from pathlib import Path
 
 import pytest
+import synthetic_results as made
 from rich.console import Console
 
 from imubayes.cli.main import run
-from imubayes.display.classical_comparison import decision_sheet, textbook_json, textbook_sheet, undetermined_sheet
-from imubayes.display.terminal_tables import terminal
-from imubayes.procedures.textbook import Estimate, Undetermined
+from imubayes.display.classical_comparison import (
+    classical_json,
+    classical_sheet,
+    compare_classical,
+    decision_sheet,
+    undetermined_sheet,
+)
+from imubayes.display.sheet import terminal
 
 ROOT = Path(__file__).parents[2]
 TRIHEDRAL = 54.735610317245346
@@ -24,27 +30,28 @@ FOUND = [
 
 
 def summary(value, degrees):
-    scale = {"name": "scale_factor[gx]", "mean": value, "sd": 0.002, "unit": UNIT}
-    angle = {"name": "mounting_angle[gx,pyramid]", "mean": degrees, "sd": 1e-5, "unit": "deg"}
-    return {"derived": [scale, angle], "parameters": []}
+    scale = made.quantity("scale_factor[gx]", UNIT, value, 0.002)
+    angle = made.quantity("mounting_angle[gx,pyramid]", "deg", degrees, 1e-5)
+    return made.summary_of(made.tumble_residuals(4), (), (scale, angle))
 
 
 def test_the_angle_explains_the_difference():
-    """The unit leans 10 arcsec further out than the drawing says: the textbook's k is 68.6 ppm too small."""
-    facts = textbook_json(FOUND, summary(1000.0686, TRIHEDRAL + 10 / 3600))
+    """The unit leans 10 arcsec further out than the drawing says: the classical k is 68.6 ppm too small."""
+    comparison = compare_classical(FOUND, summary(1000.0686, TRIHEDRAL + 10 / 3600))
+    facts = classical_json(comparison)
     first, second, *_ = facts["estimates"]
     assert first["of_angle"]["arcsec"] == pytest.approx(10, abs=1e-6)
     assert first["of_angle"]["ppm"] == pytest.approx(-68.6, abs=0.1)
     assert first["difference"] / 1000 * 1e6 == pytest.approx(-68.6, abs=0.1)
     assert second["joint"] is None
     assert second["sd"] is None
-    row = [cell.text for cell in textbook_sheet(facts).rows[0]]
-    assert "angle 10.0 arcsec off: -68.6 ppm" in row
+    row = [cell.text for cell in classical_sheet(comparison.estimates).rows[0]]
+    assert "angle error 10.0 arcsec: -68.6 ppm" in row
     json.dumps(facts, allow_nan=False)
 
 
 def test_a_narrow_terminal_keeps_both_numbers():
-    sheet = textbook_sheet(textbook_json(FOUND, summary(1000.0686, TRIHEDRAL)))
+    sheet = classical_sheet(compare_classical(FOUND, summary(1000.0686, TRIHEDRAL)).estimates)
     buffer = io.StringIO()
     Console(file=buffer, width=80).print(terminal(sheet))
     lines = [line.rstrip() for line in buffer.getvalue().splitlines()]
@@ -57,10 +64,14 @@ def test_a_narrow_terminal_keeps_both_numbers():
 
 
 def test_without_a_fit_there_is_no_comparison():
-    facts = textbook_json(FOUND)
-    assert len(textbook_sheet(facts).head) == 5
-    assert [cell.text for cell in decision_sheet(facts).rows[0]] == ["delta_k[ax,hot]", "hot keeps its own line", ""]
-    assert len(undetermined_sheet(facts).rows) == 1
+    comparison = compare_classical(FOUND)
+    assert len(classical_sheet(comparison.estimates).head) == 5
+    assert [cell.text for cell in decision_sheet(comparison).rows[0]] == [
+        "delta_k[ax,hot]",
+        "hot keeps its own line",
+        "",
+    ]
+    assert len(undetermined_sheet(comparison).rows) == 1
 
 
 def test_on_the_command_line(capsys):
@@ -68,7 +79,7 @@ def test_on_the_command_line(capsys):
     facts = json.loads(capsys.readouterr().out)
     assert any(one["name"] == "gyro_g_sensitivity.d_i[g]" for one in facts["estimates"])
     assert run(["classical", str(ROOT / "data" / "polar-tumble")]) == 0
-    assert "Textbook estimates" in capsys.readouterr().out
+    assert "Classical estimates" in capsys.readouterr().out
     assert run(["classical", str(ROOT / "data" / "desk-imu")]) == 1
-    assert "no evaluation" in capsys.readouterr().out
+    assert "No classical evaluation" in capsys.readouterr().out
     assert run(["classical", str(ROOT / "data" / "none")]) == 2

@@ -80,8 +80,7 @@ def test_missing_values_are_left_out(tmp_path: Path):
 def test_a_fit_that_failed_is_still_shown(tmp_path: Path):
     residuals = made.trihedral_residuals(temperatures=(25,))
     parameters, derived = made.trihedral_quantities()
-    for entry in (*parameters, *derived):
-        entry |= dict.fromkeys(("mean", "sd", "q025", "q975", "from_data", "r_hat", "ess_bulk", "ess_tail"))
+    parameters, derived = made.without_estimates(parameters), made.without_estimates(derived)
     more = {"converged": False, "message": "The fit did not converge.", "sampled": False}
     summary = made.summary_of(residuals, parameters, derived, **more)
     found = compare(made.write_folder(tmp_path / "failed", residuals, summary))
@@ -122,11 +121,10 @@ def test_chosen_parameters(trihedral: Path, tmp_path: Path):
 
 
 def test_default_choice_pairs_angles_with_scale_factors():
-    parameters, derived = made.trihedral_quantities()
-    summary = {"parameters": parameters, "derived": derived}
+    summary = made.summary_of(made.trihedral_residuals(temperatures=(25,)))
     angles = [f"mounting_angle[{channel},pyramid]" for channel in made.GYROS]
     assert corner_choice(summary) == [*angles, *(f"scale_factor[{channel}]" for channel in made.GYROS)]
-    assert len(corner_choice({"parameters": parameters, "derived": []})) == 6
+    assert len(corner_choice(summary.model_copy(update={"derived": ()}))) == 6
 
 
 def test_draws_from_file_tree_and_arviz_agree(trihedral: Path):

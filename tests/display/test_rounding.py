@@ -1,4 +1,4 @@
-"""Numbers as GUM 7.2.6 wants them, against cases worked by hand."""
+"""Numbers as in GUM 7.2.6, against cases worked by hand."""
 
 import math
 
@@ -32,7 +32,7 @@ def test_value_is_rounded_by_its_uncertainty(value, sd, expected):
     ("value", "sd", "expected"),
     [
         (54.735612, 0.000361, "54.73561(36)"),
-        (12.3456, 2.13, "12.3 ± 2.1"),
+        (12.3456, 2.13, "12.3(2.1)"),
         (1000.18, 0.0996, "1000.18(10)"),
         (7.0, 0.0, "7.00000"),
     ],

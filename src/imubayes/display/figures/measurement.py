@@ -121,7 +121,7 @@ def _set_ordinate(axes: Axes, x: np.ndarray, observed: np.ndarray, predicted: np
         largest = max(abs(low), abs(high))
         if 0 < inner < largest / 30:
             axes.set_yscale("symlog", linthresh=10.0 ** np.ceil(np.log10(inner)), linscale=0.6)
-            set_decades(axes.yaxis)
+            set_decades(axes.yaxis, 5)
             axes.set_ylim(-2 * largest if low < -inner else -inner, 2 * largest if high > inner else inner)
             return
     middle, half = 0.5 * (low + high), max(0.53 * (high - low), 3 * wide) or 1.0

@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.ticker import MaxNLocator, NullLocator, StrMethodFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter, SymmetricalLogLocator
 
 from imubayes.covariates import Covariate
 from imubayes.display.labels import ordered, pretty, readable
@@ -63,8 +63,11 @@ def set_abscissa(axes: Axes, values: np.ndarray, covariate: Covariate) -> None:
         axes.xaxis.set_major_locator(MaxNLocator(9, steps=[1, 1.8, 4.5, 9, 10]))
 
 
-def set_decades(axis: Axis) -> None:
-    """Label the decades of a logarithmic axis with plain numbers."""
+def set_decades(axis: Axis, most: int = 9) -> None:
+    """Label at most so many decades of a logarithmic axis with plain numbers."""
+    locator = axis.get_major_locator()
+    assert isinstance(locator, LogLocator | SymmetricalLogLocator)
+    locator.set_params(numticks=most)
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_locator(NullLocator())
 
