@@ -136,23 +136,30 @@ def add(
     parent = before.folder
     if diagnosis is None and parent is not None:
         diagnosis = read_diagnosis(parent)
-    suggested = diagnosis.suggested if diagnosis is not None else None
-    if not effects and suggested is not None:
-        effects, channels = [suggested.effect], channels or suggested.channels
-    if not effects:
-        raise input_error("no effect is named", "add", "imubayes effects lists them", "name one")
+    effects, channels = _named(effects, channels, diagnosis)
     folder = claim_new(Path(out), parent) if out is not None else None
     refit = refit_with(before.fit, effects, channels, diagnosis, tell)
     if sample and not refit.objection:
         refit = _sampled(refit, folder, seed, tell)
     after = result_of(refit.fit, folder, seed)
-    places = [str(place) if place is not None else None for place in (parent, folder)]
-    addition = addition_of(refit, before.summary, after.summary, *places).with_result(after)
+    addition = addition_of(refit, before, after)
     if folder is not None:
         write_addition(folder, addition, added_variable(refit.extension))
         if parent is not None:
             remember(parent, folder, addition, diagnosis, seed)
     return addition
+
+
+def _named(
+    effects: Sequence[str], channels: Sequence[str] | None, diagnosis: Diagnosis | None
+) -> tuple[Sequence[str], Sequence[str] | None]:
+    """Return effects and channels to add: as named, or as the diagnosis suggests."""
+    if effects:
+        return effects, channels
+    suggested = diagnosis.suggested if diagnosis is not None else None
+    if suggested is None:
+        raise input_error("no effect is named", "add", "imubayes effects lists them", "name one")
+    return [suggested.effect], channels or suggested.channels
 
 
 def _sampled(refit: Refit, folder: Path | None, seed: int, tell: Callable[[str], None]) -> Refit:

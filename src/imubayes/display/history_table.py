@@ -1,5 +1,6 @@
 """The models tried as a table and as JSON: the tree, residual rms, cross-validation, and which one is selected."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from imubayes.criticism.model_history import Node, Tree, rms_by_unit
@@ -29,32 +30,38 @@ def history_json(tree: Tree) -> dict[str, Any]:
 
 def history_sheet(tree: Tree) -> Sheet:
     """Return a line for each model tried."""
-    errors = {place: rms_by_unit(node.rms) for place, node in tree.nodes.items()}
-    units = list(dict.fromkeys(unit for error in errors.values() for unit in error))
-    scales = {unit: readable(unit, max(error.get(unit, 0.0) for error in errors.values())) for unit in units}
-    rows, slim, roots = [], [], []
-    for place, (depth, folder) in enumerate(tree.in_order()):
-        node, error = tree.nodes[folder], errors[folder]
-        if depth == 0 and place:
-            roots.append(place)
-        sizes = [Cell(significant(error[unit] * scales[unit][0]) if unit in error else "–") for unit in units]
-        mark = "●" if node.selected else ("✕" if not node.taken else "○")
-        indented = f"{'   ' * (depth - 1)}└─ {node.title}" if depth else node.title
-        title = Cell(f"{mark} {indented}", "" if node.taken else "dim")
-        mood = "bad" if node.held_out is not None and node.held_out.verdict == "not" else ""
-        gain = Cell(gain_text(node), mood)
-        fit = (Cell(ratio_text(node.chi2_per_dof)), Cell(significant(node.delta_chi2.observed)))
-        rows.append((title, *fit, *sizes, gain, Cell(shown_place(folder))))
-        slim.append((title, *sizes, gain))
-    columns = (*(f"residual / {pretty(scales[unit][1])}" for unit in units), "Δ elpd")
+    errors = [rms_by_unit(node.rms) for node in tree.nodes.values()]
+    units = dict.fromkeys(unit for error in errors for unit in error)
+    scales = {unit: readable(unit, max(error.get(unit, 0.0) for error in errors)) for unit in units}
+    ordered = tree.in_order()
+    rows = [_row(tree.nodes[place], depth, place, scales) for depth, place in ordered]
+    slim = [(row[0], *row[3:-1]) for row in rows]
+    columns = (*(f"residual / {pretty(unit)}" for _, unit in scales.values()), "Δ elpd")
     head = ("model", "χ²/dof", "Δχ²", *columns, "folder")
     note = (
         "● selected, the model that is exported; ✕ not taken. Δχ²: drop at the noise scales of the model before; "
         "Δ elpd: rise of the log predictive density in cross-validation."
     )
-    title, dividers = "Models tried", frozenset(roots)
-    narrow = Sheet(title, ("model", *columns), slim, (0,), "", note, dividers)
-    return Sheet(title, head, rows, (0, len(head) - 1), "", note, dividers, narrow)
+    dividers = frozenset(index for index, (depth, _) in enumerate(ordered) if index and depth == 0)
+    narrow = Sheet("Models tried", ("model", *columns), slim, (0,), "", note, dividers)
+    return Sheet("Models tried", head, rows, (0, len(head) - 1), "", note, dividers, narrow)
+
+
+def _row(node: Node, depth: int, place: str, scales: Mapping[str, tuple[float, str]]) -> tuple[Cell, ...]:
+    """Return title, goodness of fit, residual rms by unit, cross-validation and folder of a node."""
+    error = rms_by_unit(node.rms)
+    sizes = [significant(error[unit] * factor) if unit in error else "–" for unit, (factor, _) in scales.items()]
+    mark = "●" if node.selected else ("○" if node.taken else "✕")
+    title = f"{'   ' * (depth - 1)}└─ {node.title}" if depth else node.title
+    useless = node.held_out is not None and node.held_out.verdict == "not"
+    return (
+        Cell(f"{mark} {title}", "" if node.taken else "dim"),
+        Cell(ratio_text(node.chi2_per_dof)),
+        Cell(significant(node.delta_chi2.observed)),
+        *map(Cell, sizes),
+        Cell(gain_text(node), "bad" if useless else ""),
+        Cell(shown_place(place)),
+    )
 
 
 def gain_text(node: Node) -> str:

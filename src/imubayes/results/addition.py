@@ -89,15 +89,17 @@ class Addition(Presented, Record):
         return copy
 
 
-def addition_of(refit: Refit, before: Summary, after: Summary, parent: str | None, folder: str | None) -> Addition:
-    """Return the record of an addition, from the refit and the summaries before and after."""
+def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
+    """Return the record of an addition, from the refit and the results before and after."""
+    before, after = result.summary, refitted.summary
+    parent, folder = (str(each.folder) if each.folder is not None else None for each in (result, refitted))
     taken = not refit.objection
     model, new = refit.extension.model, refit.extension.new.tolist()
     known = {parameter.name for parameter in before.parameters}
     fresh = {name for name, is_new in zip(model.layout.names, new, strict=True) if is_new}
     fresh |= {name for name in model.hyper_layout.names if name not in known}
     added = model.spec.effects[len(refit.before.model.spec.effects) :]
-    return Addition(
+    addition = Addition(
         added=tuple(EffectChoice(effect=spec.name, channels=spec.channels) for spec in added),
         widened=dict(refit.extension.widened),
         taken=taken,
@@ -120,6 +122,7 @@ def addition_of(refit: Refit, before: Summary, after: Summary, parent: str | Non
         parent=parent,
         folder=folder,
     )
+    return addition.with_result(refitted)
 
 
 def _by_run(before: Summary, after: Summary) -> tuple[RunRmsChange, ...]:
