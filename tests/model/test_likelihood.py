@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from imubayes.inference.laplace_move import LogDensity
 from imubayes.inference.posterior_precision import knowledge, linearise
 from imubayes.model.bind import Model, bind
 from imubayes.model.likelihood import entry_log_likelihood, log_density, residuals
@@ -259,3 +260,30 @@ def test_half_the_squared_residual_is_the_log_density_at_fixed_noise():
     drop = 0.5 * (jnp.sum(residuals(model.problem, z, h) ** 2) - jnp.sum(residuals(model.problem, other, h) ** 2))
     change = log_density(model.problem, other, h) - log_density(model.problem, z, h)
     assert float(change) == pytest.approx(float(drop), rel=1e-9)
+
+
+def test_the_public_log_density_is_the_one_that_is_sampled():
+    model = full_model()
+    z, h = point(model, 3)
+    both = jnp.concatenate([z, h])
+    assert len(model.parameter_names) == len(model.parameter_units) == len(both)
+    points = jnp.stack([both, 0.5 * both])
+    found = jax.jit(jax.vmap(model.log_density))(points)
+    assert found.shape == (2,)
+    assert float(found[0]) == pytest.approx(float(log_density(model.problem, z, h)), rel=1e-12)
+    sampled = LogDensity(model.problem, 2)(np.asarray(points))
+    np.testing.assert_allclose(found, sampled, rtol=1e-12)
+    gradient = jax.grad(model.log_density)(both)
+    assert gradient.shape == both.shape
+    assert np.all(np.isfinite(gradient))
+
+
+def test_parameters_in_their_units_go_to_z_and_back():
+    model = full_model()
+    z = jnp.concatenate(point(model, 4))
+    values = np.asarray(model.to_units(z))
+    np.testing.assert_allclose(model.from_units(values), z, rtol=1e-9, atol=1e-9)
+    place = model.parameter_names.index("white_noise.sigma[gx]")
+    assert model.parameter_units[place] == model.hyper_layout.parameters[place - len(model.layout)].unit
+    sigma = float(model.problem.hyper_priors.values(z[len(model.layout) :])[place - len(model.layout)])
+    assert values[place] == pytest.approx(sigma / model.hyper_layout.factors()[place - len(model.layout)])

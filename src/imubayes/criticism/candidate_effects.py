@@ -16,8 +16,8 @@ from imubayes.effects.base import Effect, MotionEffect
 from imubayes.gather import on_device
 from imubayes.inference.fit import Fit
 from imubayes.model.assembly import assemble
-from imubayes.model.bind import build_problem
 from imubayes.model.bound_effects import BoundEffect, NoChannelError, NotObservableError, bind_effect
+from imubayes.model.build_problem import build_problem
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.model_spec import EffectSpec
 from imubayes.model.problem import Problem, predict_from

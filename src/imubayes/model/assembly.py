@@ -1,5 +1,6 @@
 """Effects and campaign put together: the pieces from which the problem and the derived quantities are built."""
 
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from imubayes.effects.base import Effect, MotionEffect, RecordEffect, Stage
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping
 from imubayes.model.nodes import KINDS, NodeTable, records_of
-from imubayes.model.signal_path import Channels, EffectLayer
+from imubayes.model.signal_path import AddOffset, Broadcast, Channels, Convert, EffectLayer, Layer, Project, Resolve
 from imubayes.parameters.vector import Layout
 from imubayes.run import Campaign
 from imubayes.stimulus import Ambient, Motion, Nodes
@@ -38,45 +39,75 @@ class Assembly:
     channels: dict[str, Channels]
     nodes: Nodes
 
-    def effect_layers(self, one: BoundEffect, chosen: np.ndarray | None) -> list[EffectLayer]:
-        """Return the layers of an effect at chosen nodes; None stands for one node that belongs to no run.
+    def path(
+        self,
+        chosen: np.ndarray | None,
+        stages: Collection[Stage],
+        keep: Callable[[BoundEffect, type[Effect]], bool] = lambda effect, effect_class: True,
+        injected: np.ndarray | None = None,
+    ) -> tuple[Layer, ...]:
+        """Return the layers of some stages of the signal path: their effects, and the junctions that close them.
 
-        What acts on stands is laid out over all stands, what has a memory over all nodes, whatever the nodes.
+        Parameters
+        ----------
+        chosen : the nodes of the path, shape (n,); None for one node that belongs to no run.
+        stages : the stages that the path passes.
+        keep : selects among the effects of these stages, given the bound effect and its class.
+        injected : shape (n,), 1 where a current is injected; nowhere by default.
         """
-        member = one.effect_class
-        assert issubclass(member, Effect)
-        if member.stage == Stage.STAND:
+        if injected is None:
+            injected = np.zeros(1 if chosen is None else len(chosen))
+        junctions: dict[Stage, Layer] = {
+            Stage.STAND: Broadcast(),
+            Stage.TABLE: Resolve(tuple((kind, len(channels.scale)) for kind, channels in self.channels.items())),
+            Stage.PLACE: Project(self.channels),
+            Stage.SENSOR: Convert(self.channels, injected),
+            Stage.CONVERTER: AddOffset(self.channels),
+        }
+        layers: list[Layer] = [junctions[stage] for stage in stages]
+        for effect in self.effects:
+            effect_class = effect.effect_class
+            if issubclass(effect_class, Effect) and effect_class.stage in stages and keep(effect, effect_class):
+                layers += self._effect_layers(effect, effect_class, chosen)
+        return tuple(sorted(layers, key=lambda layer: layer.sort_key()))
+
+    def _effect_layers(
+        self, effect: BoundEffect, effect_class: type[Effect], chosen: np.ndarray | None
+    ) -> list[EffectLayer]:
+        """Return the layers of an effect, one per kind of channel.
+
+        Effects at STAND are evaluated at all stands, effects with memory at all nodes, whatever the chosen nodes.
+        """
+        if effect_class.stage == Stage.STAND:
             chosen = self.grouping.nodes.stand_node
-        if issubclass(member, RecordEffect):
+        if issubclass(effect_class, RecordEffect):
             chosen = np.arange(len(self.grouping.nodes.run))
-        nodes = _nowhere(self.grouping.nodes) if chosen is None else _at(self.grouping.nodes, chosen)
-        grouping = replace(self.grouping, nodes=nodes)
-        places = {p.name: place for place, p in enumerate(self.layout.parameters)}
-        kinds = ("",) if issubclass(member, MotionEffect) else tuple(kind for kind in KINDS if kind in one.kinds)
+        nodes = self.grouping.nodes
+        grouping = replace(self.grouping, nodes=_without_run(nodes) if chosen is None else _at(nodes, chosen))
+        kinds = ("",) if issubclass(effect_class, MotionEffect) else [kind for kind in KINDS if kind in effect.kinds]
+        options = tuple(sorted(effect.spec.options.items()))
         layers = []
         for kind in kinds:
             names = [channel.name for channel in grouping.campaign.channels if channel.kind == kind]
-            by_field: dict[str, Array] = {
-                field: self._places(one, field, grouping, names, places) for field in one.declared
+            places: dict[str, Array] = {
+                field: self._places(effect, field, grouping, names) for field in effect.declared
             }
-            layers.append(EffectLayer(member, tuple(sorted(one.spec.options.items())), by_field, kind))
+            layers.append(EffectLayer(effect_class, options, places, kind))
         return layers
 
-    def _places(
-        self, one: BoundEffect, field: str, grouping: Grouping, names: list[str], places: dict[str, int]
-    ) -> np.ndarray:
-        """Return the places of one field's values: (1 or N, 1 or C), or (1 or N,) for effects on the motion."""
-        null = len(self.layout) + int(np.searchsorted(self.nulls, one.declared[field].null))
-        # A learnt prior width does not enter the signal: its place in the formula stays empty.
+    def _places(self, effect: BoundEffect, field: str, grouping: Grouping, names: list[str]) -> np.ndarray:
+        """Return the indices of one field's values: (1 or N, 1 or C), or (1 or N,) for effects on the motion."""
+        null = len(self.layout) + int(np.searchsorted(self.nulls, effect.declared[field].null))
+        # A learnt prior width is no parameter of the formula: its field keeps the null value.
         labelled = {
-            (() if p.label == ("all",) else p.label): places[p.name]
-            for p in one.parameters
-            if p.field == field and field not in one.hyper_fields
+            (() if parameter.label == ("all",) else parameter.label): self.layout.index(parameter.name)
+            for parameter in effect.parameters
+            if parameter.field == field
         }
-        per = one.per_of(field)
-        place = grouping.node_places(per, labelled, null, names, one.gated)
+        per = effect.per_of(field)
+        place = grouping.node_places(per, labelled, null, names, effect.gated)
         if names and "channel" not in per:
-            place = np.where(np.isin(names, one.channels), place, null)
+            place = np.where(np.isin(names, effect.channels), place, null)
         return place if names else place[:, 0]
 
 
@@ -86,9 +117,9 @@ def assemble(effects: tuple[BoundEffect, ...], grouping: Grouping) -> Assembly:
     return Assembly(
         effects=effects,
         grouping=grouping,
-        layout=Layout(tuple(p for one in effects for p in one.parameters)),
-        hyper_layout=Layout(tuple(p for one in effects for p in one.hyperparameters)),
-        nulls=np.array(sorted({d.null for one in effects for d in one.declared.values()} | {0.0})),
+        layout=Layout(tuple(p for effect in effects for p in effect.parameters)),
+        hyper_layout=Layout(tuple(p for effect in effects for p in effect.hyperparameters)),
+        nulls=np.array(sorted({d.null for effect in effects for d in effect.declared.values()} | {0.0})),
         channels={k: _channels(campaign, k) for k in KINDS if any(c.kind == k for c in campaign.channels)},
         nodes=_nodes(campaign, grouping.nodes),
     )
@@ -135,21 +166,11 @@ def _nodes(campaign: Campaign, nodes: NodeTable) -> Nodes:
 
 
 def _at(nodes: NodeTable, chosen: np.ndarray) -> NodeTable:
-    """Return what labels need to know of chosen nodes."""
-    return NodeTable(
-        nodes.stimulus,
-        nodes.run[chosen],
-        nodes.pose[chosen],
-        nodes.stand[chosen],
-        nodes.stand_node,
-        nodes.turns,
-        nodes.row_of,
-        nodes.injected[chosen],
-        nodes.supplies,
-    )
+    """Return chosen nodes, with what labels depend on."""
+    columns = {name: getattr(nodes, name)[chosen] for name in ("run", "pose", "stand", "injected")}
+    return replace(nodes, **columns)
 
 
-def _nowhere(nodes: NodeTable) -> NodeTable:
+def _without_run(nodes: NodeTable) -> NodeTable:
     """Return one node that belongs to no run and no pose."""
-    one = _at(nodes, np.zeros(1, dtype=int))
-    return replace(one, run=np.array([-1]), pose=np.array([-1]))
+    return replace(_at(nodes, np.zeros(1, dtype=int)), run=np.array([-1]), pose=np.array([-1]))

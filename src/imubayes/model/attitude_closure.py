@@ -12,8 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.effects.base import Stage
 from imubayes.frames import compose, exponential, small_rotation
 from imubayes.gather import take
+from imubayes.model.assembly import Assembly
 from imubayes.model.signal_path import Channels, Layer, propagate
 from imubayes.stimulus import Ambient, Experience, Motion, Records, SignalPath
 from imubayes.types import Array, Float
@@ -51,6 +53,52 @@ class Transitions(eqx.Module):
 def nominal_inverse(axes: Array) -> np.ndarray:
     """Return the least-squares inverse (3, C) of the input axes, from axes (C, 3, 3)."""
     return np.linalg.pinv(np.asarray(axes)[:, 0, :])
+
+
+def bind_transitions(assembly: Assembly) -> Transitions | None:
+    """Return the transitions of all free tumbles, padded to the longest; None where there are none."""
+    campaign, nodes = assembly.grouping.campaign, assembly.grouping.nodes
+    tumbles = [(index, run.tumble) for index, run in enumerate(campaign.runs) if run.tumble is not None]
+    if not tumbles:
+        return None
+    steps = max(tumble.step.shape[1] for _, tumble in tumbles)
+    node_of = {(run, pose): node for node, (run, pose) in enumerate(zip(nodes.run, nodes.pose, strict=True))}
+    start = np.concatenate([[node_of[run, pose] for pose in tumble.start] for run, tumble in tumbles])
+    stop = np.concatenate([[node_of[run, pose] for pose in tumble.stop] for run, tumble in tumbles])
+    node = np.repeat(start, steps)
+    step = _padded([tumble.step for _, tumble in tumbles], steps)
+    readings = _padded([tumble.readings for _, tumble in tumbles], steps)
+    return Transitions(
+        start=start,
+        stop=stop,
+        step=step,
+        readings=_readings_by_kind(assembly, step, readings),
+        coning=_padded([tumble.coning for _, tumble in tumbles], steps),
+        ambient=Ambient(**{name: values[node] for name, values in nodes.stimulus.ambient.items()}),
+        records=assembly.nodes.records.at(node),
+        inverse={kind: nominal_inverse(channels.axes) for kind, channels in assembly.channels.items()},
+        layers=assembly.path(
+            node,
+            (Stage.PLACE, Stage.SENSOR, Stage.CONVERTER),
+            keep=lambda _, effect_class: effect_class.stage >= Stage.SENSOR,
+        ),
+    )
+
+
+def _padded(arrays: list[np.ndarray], steps: int) -> np.ndarray:
+    """Return arrays (T_i, K_i, …) joined along the first axis, the second padded with zeros to `steps`."""
+    widths = [[(0, 0), (0, steps - array.shape[1]), *[(0, 0)] * (array.ndim - 2)] for array in arrays]
+    return np.concatenate([np.pad(array, width) for array, width in zip(arrays, widths, strict=True)])
+
+
+def _readings_by_kind(assembly: Assembly, step: np.ndarray, readings: np.ndarray) -> dict[str, Array]:
+    by_kind: dict[str, Array] = {}
+    for kind, channels in assembly.channels.items():
+        columns = [i for i, channel in enumerate(assembly.grouping.campaign.channels) if channel.kind == kind]
+        # Padded steps have no length and get the nominal offset: no rotation, and no force to invert.
+        padded = np.where(step[..., None] == 0, channels.offset, readings[..., columns])
+        by_kind[kind] = padded.reshape(-1, len(columns))
+    return by_kind
 
 
 def closing_rotations(

@@ -1,15 +1,18 @@
 """The list of derived quantities of a model: which there are, their names and units, and how to compute them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.effects.base import Effect, MotionEffect, Order, RecordEffect, Stage
+from imubayes.effects.base import Effect, Order, RecordEffect, Stage
 from imubayes.gather import in_batches, on_device
 from imubayes.model.assembly import Assembly
+from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import RUN_AXES
 from imubayes.model.nodes import KINDS
 from imubayes.model.problem import Problem, values_of
@@ -21,7 +24,8 @@ from imubayes.model.sensitivities import (
     sensitivities,
     thermal_slopes,
 )
-from imubayes.model.signal_path import AddOffset, Broadcast, Convert, Layer, Project, Resolve, sorted_layers
+from imubayes.model.signal_path import Layer
+from imubayes.run import Channel
 from imubayes.types import Array, Float, Int
 from imubayes.units import to_si
 
@@ -38,32 +42,32 @@ class DerivedFunction(eqx.Module):
 
     Attributes
     ----------
-    probe : where the path is probed.
+    inputs : the nodes and layers at which the path is evaluated.
     pairs : kind → shape (pairs, 2), channels whose axes are compared.
     thermal_pairs : kind → shape (n, 3): channel, run, and the run with the input nearest 1 g.
     factors : shape (D,), divides the numbers found.
     """
 
-    probe: SensitivityInputs
+    inputs: SensitivityInputs
     pairs: dict[str, Int[Array, "_ 2"]]
     thermal_pairs: dict[str, Int[Array, "_ 3"]]
     factors: Float[Array, " D"]
 
     def __call__(self, values: Float[Array, " V"]) -> Float[Array, " D"]:
         """Return all derived quantities in their units, in the order of the names."""
-        response = sensitivities(self.probe, values)
-        axes = axes_of_rotation(self.probe, values)
+        response = sensitivities(self.inputs, values)
+        axes = axes_of_rotation(self.inputs, values)
         parts = []
         for kind in KINDS:
             if kind in response:
-                toward = jnp.sign(jnp.sum(response[kind] * self.probe.channels[kind].axes[:, 0], axis=-1))
+                toward = jnp.sign(jnp.sum(response[kind] * self.inputs.channels[kind].axes[:, 0], axis=-1))
                 parts.append(toward * jnp.sqrt(jnp.sum(response[kind] ** 2, axis=-1)))
                 sensitive = response[kind] * toward[:, None]
                 parts.append(angle_between(sensitive[:, None, :], axes[None, :, :]).reshape(-1))
                 first, second = self.pairs[kind][:, 0], self.pairs[kind][:, 1]
                 parts.append(angle_between(sensitive[first], sensitive[second]))
-        if self.probe.thermal is not None:
-            slopes = thermal_slopes(self.probe, values)
+        if self.inputs.thermal is not None:
+            slopes = thermal_slopes(self.inputs, values)
             for kind in KINDS:
                 if kind in slopes:
                     channel, run, base = (self.thermal_pairs[kind][:, column] for column in range(3))
@@ -107,56 +111,81 @@ class DerivedQuantities:
 def derived_quantities(assembly: Assembly) -> DerivedQuantities:
     """Return the derived quantities of an assembled model."""
     campaign = assembly.grouping.campaign
-    mountings, probe_nodes = _mounting_nodes(assembly)
-    thermal_runs, thermal_nodes = _thermal_nodes(assembly)
-    gravity = campaign.site.gravity
+    mountings, mounting_nodes = _mounting_nodes(assembly)
+    thermal = _thermal_runs(assembly)
     names: list[DerivedQuantity] = []
-    pairs, thermal_pairs, thermal_input = {}, {}, {}
     thermal_names: list[DerivedQuantity] = []
-    for kind in KINDS:
+    pairs, thermal_pairs = {}, {}
+    for kind in assembly.channels:
         channels = [channel for channel in campaign.channels if channel.kind == kind]
-        if not channels:
-            continue
-        for channel in channels:
-            unit = f"{channel.output_unit} per {channel.per}"
-            names.append(DerivedQuantity(f"scale_factor[{channel.name}]", unit, 1 / to_si(channel.per, gravity)))
-        for channel in channels:
-            names += [DerivedQuantity(f"mounting_angle[{channel.name},{m}]", "deg", to_si("deg")) for m in mountings]
-        # Two axes and their angle; of a redundant unit every pair, since none is special.
-        couples = [(i, j) for i in range(len(channels)) for j in range(i + 1, len(channels))]
-        names += [
-            DerivedQuantity(f"axis_angle[{channels[i].name},{channels[j].name}]", "deg", to_si("deg"))
-            for i, j in couples
-        ]
+        # The angle between two axes; of a redundant unit every pair, since none is special.
+        couples = list(combinations(range(len(channels)), 2))
+        names += _quantities_of_kind(channels, mountings, couples, campaign.site.gravity)
         pairs[kind] = np.array(couples, dtype=int).reshape(-1, 2)
-        inputs = _nominal_inputs(assembly, kind, thermal_nodes)
-        thermal_input[kind] = np.where(np.abs(inputs) < 1e-12, 1.0, inputs)
-        rows = []
-        for column, channel in enumerate(channels):
-            if kind != "accelerometer" or not len(thermal_runs):
-                continue
-            in_g = np.abs(inputs[:, column]) / gravity
-            base = int(np.argmin(np.abs(in_g - 1)))
-            for place, run in enumerate(thermal_runs):
-                measured = np.isfinite(campaign.runs[run].observed[:, campaign.channels.index(channel)]).any()
-                if place != base and in_g[place] > _LEAST_INPUT_G and measured:
-                    rows.append((column, place, base))
-                    name = f"delta_k[{channel.name},{campaign.runs[run].name}]"
-                    thermal_names.append(DerivedQuantity(name, "%", to_si("%")))
+        rows = _thermal_comparisons(assembly, channels, thermal) if kind == "accelerometer" else []
+        for column, place, _ in rows:
+            name = f"delta_k[{channels[column].name},{campaign.runs[thermal.runs[place]].name}]"
+            thermal_names.append(DerivedQuantity(name, "%", to_si("%")))
         thermal_pairs[kind] = np.array(rows, dtype=int).reshape(-1, 3)
     names += thermal_names
-    probe = SensitivityInputs(
+    inputs = SensitivityInputs(
         channels=assembly.channels,
-        sensor_layers=_sensor_layers(assembly),
-        mountings=assembly.nodes.at(probe_nodes),
-        mounting_layers=sorted_layers([Broadcast(), *_layers(assembly, probe_nodes, {Stage.STAND, Stage.TABLE})]),
-        thermal=assembly.nodes.at(thermal_nodes) if len(thermal_nodes) else None,
-        thermal_layers=_whole_path(assembly, thermal_nodes) if len(thermal_nodes) else (),
-        thermal_input=thermal_input,
+        sensor_layers=assembly.path(None, (Stage.PLACE, Stage.SENSOR, Stage.CONVERTER), keep=_is_lasting),
+        mountings=assembly.nodes.at(mounting_nodes),
+        mounting_layers=assembly.path(mounting_nodes, (Stage.STAND, Stage.TABLE)),
+        thermal=assembly.nodes.at(thermal.nodes) if thermal.runs else None,
+        thermal_layers=_whole_path(assembly, thermal.nodes) if thermal.runs else (),
+        thermal_input={kind: np.where(np.abs(si) < 1e-12, 1.0, si) for kind, si in thermal.inputs.items()},
     )
     factors = np.array([name.factor for name in names])
-    derivation = DerivedFunction(probe, pairs, thermal_pairs, factors)
-    return DerivedQuantities(tuple(names), on_device(derivation))
+    return DerivedQuantities(tuple(names), on_device(DerivedFunction(inputs, pairs, thermal_pairs, factors)))
+
+
+def _quantities_of_kind(
+    channels: Sequence[Channel], mountings: Sequence[str], couples: Sequence[tuple[int, int]], gravity: float
+) -> list[DerivedQuantity]:
+    """Return scale factors, mounting angles and angles between the axes of the channels of one kind."""
+    scales = [
+        DerivedQuantity(f"scale_factor[{c.name}]", f"{c.output_unit} per {c.per}", 1 / to_si(c.per, gravity))
+        for c in channels
+    ]
+    angles = [f"mounting_angle[{channel.name},{mounting}]" for channel in channels for mounting in mountings]
+    angles += [f"axis_angle[{channels[i].name},{channels[j].name}]" for i, j in couples]
+    return scales + [DerivedQuantity(name, "deg", to_si("deg")) for name in angles]
+
+
+@dataclass(frozen=True)
+class _ThermalRuns:
+    """Runs with a converter temperature: their indices, a node of each, and kind → nominal input in SI, (T, C)."""
+
+    runs: list[int]
+    nodes: np.ndarray
+    inputs: dict[str, np.ndarray]
+
+
+def _thermal_runs(assembly: Assembly) -> _ThermalRuns:
+    nodes = assembly.grouping.nodes
+    runs = [index for index, supplied in enumerate(nodes.supplies) if "converter_temperature" in supplied]
+    first = np.array([int(np.argmax(nodes.run == run)) for run in runs], dtype=int)
+    return _ThermalRuns(runs, first, {kind: _nominal_inputs(assembly, kind, first) for kind in assembly.channels})
+
+
+def _thermal_comparisons(
+    assembly: Assembly, channels: Sequence[Channel], thermal: _ThermalRuns
+) -> list[tuple[int, int, int]]:
+    """Return the runs whose thermal slope is compared with that at the input nearest 1 g: (channel, run, base)."""
+    if not thermal.runs:
+        return []
+    campaign, rows = assembly.grouping.campaign, []
+    for column, channel in enumerate(channels):
+        in_g = np.abs(thermal.inputs[channel.kind][:, column]) / campaign.site.gravity
+        base = int(np.argmin(np.abs(in_g - 1)))
+        index = campaign.channels.index(channel)
+        for place, run in enumerate(thermal.runs):
+            measured = np.isfinite(campaign.runs[run].observed[:, index]).any()
+            if place != base and in_g[place] > _LEAST_INPUT_G and measured:
+                rows.append((column, place, base))
+    return rows
 
 
 def _mounting_nodes(assembly: Assembly) -> tuple[list[str], np.ndarray]:
@@ -168,12 +197,6 @@ def _mounting_nodes(assembly: Assembly) -> tuple[list[str], np.ndarray]:
             of_run.setdefault(run.mounting, index)
     first = [int(np.argmax(assembly.grouping.nodes.run == index)) for index in of_run.values()]
     return list(of_run), np.array(first, dtype=int)
-
-
-def _thermal_nodes(assembly: Assembly) -> tuple[list[int], np.ndarray]:
-    nodes = assembly.grouping.nodes
-    runs = [i for i, supplied in enumerate(nodes.supplies) if "converter_temperature" in supplied]
-    return runs, np.array([int(np.argmax(nodes.run == run)) for run in runs], dtype=int)
 
 
 def _nominal_inputs(assembly: Assembly, kind: str, nodes: np.ndarray) -> np.ndarray:
@@ -190,39 +213,19 @@ def _nominal_inputs(assembly: Assembly, kind: str, nodes: np.ndarray) -> np.ndar
     return inputs
 
 
-def _layers(assembly: Assembly, chosen: np.ndarray, stages: set[Stage]) -> list[Layer]:
-    return [
-        layer
-        for one in assembly.effects
-        if issubclass(one.effect_class, Effect) and one.effect_class.stage in stages
-        for layer in assembly.effect_layers(one, chosen)
-    ]
+def _whole_path(assembly: Assembly, nodes: np.ndarray) -> tuple[Layer, ...]:
+    return assembly.path(nodes, tuple(Stage), injected=assembly.grouping.nodes.injected[nodes])
 
 
-def _whole_path(assembly: Assembly, chosen: np.ndarray) -> tuple[Layer, ...]:
-    channels = assembly.channels
-    counts = tuple((kind, len(one.scale)) for kind, one in channels.items())
-    injected = assembly.nodes.injected[chosen]
-    junctions = [Broadcast(), Resolve(counts), Project(channels), Convert(channels, injected), AddOffset(channels)]
-    return sorted_layers(junctions + _layers(assembly, chosen, set(Stage)))
+def _is_lasting(effect: BoundEffect, effect_class: type[Effect]) -> bool:
+    """Tell whether an effect belongs to the scale factor: the small-signal response common to all runs.
 
-
-def _sensor_layers(assembly: Assembly) -> tuple[Layer, ...]:
-    """Return the path from the projection on, without what belongs to single runs and without injection.
-
-    Dead zones and limits are left out as well: a scale factor is the slope between them.
+    Effects of single runs and of injected currents do not, nor do dead zones and limits: a scale factor is the slope
+    between them.
     """
-    channels = assembly.channels
-    junctions = [Project(channels), Convert(channels, np.zeros(1)), AddOffset(channels)]
-    lasting = [
-        one
-        for one in assembly.effects
-        if issubclass(one.effect_class, Effect)
-        and not issubclass(one.effect_class, MotionEffect | RecordEffect)
-        and one.effect_class.stage >= Stage.SENSOR
-        and one.effect_class.order < Order.LIMIT
-        and "injection" not in one.effect_class.needs
-        and not set(one.sharing) & {*RUN_AXES, "pose"}
-    ]
-    layers = [layer for one in lasting for layer in assembly.effect_layers(one, None)]
-    return sorted_layers(junctions + layers)
+    return (
+        not issubclass(effect_class, RecordEffect)
+        and effect_class.order < Order.LIMIT
+        and "injection" not in effect_class.needs
+        and not set(effect.sharing) & {*RUN_AXES, "pose"}
+    )

@@ -8,12 +8,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from imubayes.effects import EFFECTS, Effect
+from imubayes.effects.base import MotionEffect
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.noise import NOISES, Noise
 from imubayes.parameters.parameter import declared_parameters
 
 EffectClass = type[Effect] | type[Noise]
+"""The class of an effect or of a noise member; a model file lists both as effects."""
 _USER = "imubayes_user_"
+
+
+def acts_on_channels(effect_class: EffectClass) -> bool:
+    """Tell whether a class acts on single channels; effects on the motion and closure noise act on the whole unit."""
+    return not issubclass(effect_class, MotionEffect) and "closure" not in effect_class.kinds
 
 
 @dataclass(frozen=True)

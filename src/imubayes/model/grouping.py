@@ -68,17 +68,18 @@ class Grouping:
         columns = list(channels) if channels else [""]
         run_bound = any(axis in per for axis in RUN_AXES) or "pose" in per or bool(gated)
         if not run_bound:
-            return np.array([[places.get(self._label(per, name, None, None), null) for name in columns]])
+            return np.array([[places.get(self.label(per, name), null) for name in columns]])
         table: dict[tuple[int, int], list[int]] = {}
         keys = list(zip(self.nodes.run.tolist(), self.nodes.pose.tolist(), strict=True))
         for run, pose in set(keys):
             if gated and run in gated:
                 table[run, pose] = [null] * len(columns)
             else:
-                table[run, pose] = [places.get(self._label(per, name, run, pose), null) for name in columns]
+                table[run, pose] = [places.get(self.label(per, name, run, pose), null) for name in columns]
         return np.array([table[key] for key in keys], dtype=int).reshape(-1, len(columns))
 
-    def _label(self, per: Sequence[str], channel: str, run: int | None, pose: int | None) -> Label:
+    def label(self, per: Sequence[str], channel: str, run: int | None = None, pose: int | None = None) -> Label:
+        """Return the label of a value at one channel, run and pose; empty for one value for all."""
         parts = []
         for axis in per:
             if axis == "channel":

@@ -103,9 +103,9 @@ def noise_distribution(problem: Problem, h: Float[Array, " H"]) -> NoiseDistribu
     shared = jnp.zeros(observations.members.shape[0])
     for layer in problem.noise:
         if issubclass(layer.noise, EntryNoise):
-            own = own + layer.variances(values, observations.entry)
+            own = own + layer.entry_variances(values, observations.entry)
         elif issubclass(layer.noise, SharedNoise):
-            shared = shared + layer.variances(values, None)
+            shared = shared + layer.shared_variances(values)
         elif issubclass(layer.noise, TailNoise):
             here = take(layer.tails(values), observations.group)
             tail = here if tail is None else tail + here

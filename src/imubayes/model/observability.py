@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from imubayes.effects.base import Effect, MotionEffect, Stage
-from imubayes.model.effect_registry import EffectClass, Registry
+from imubayes.effects.base import Effect, Stage
+from imubayes.model.effect_registry import EffectClass, Registry, acts_on_channels
 from imubayes.model.nodes import join_nodes
 from imubayes.run import Campaign, Run
 
@@ -28,33 +28,32 @@ class Observability:
 
 def observability(campaign: Campaign, registry: Registry | None = None) -> tuple[Observability, ...]:
     """Return for every effect and noise member what the campaign has for it; nothing is fitted."""
-    supplies = [
-        frozenset({*supplied, *_belongings(run)})
+    supplies = {
+        run.name: frozenset({*supplied, *_group_axes(run)})
         for run, supplied in zip(campaign.runs, join_nodes(campaign).supplies, strict=True)
-    ]
-    return tuple(_judged(member, campaign, supplies) for member in (registry or Registry()).effects.values())
+    }
+    return tuple(_of_class(known, campaign, supplies) for known in (registry or Registry()).effects.values())
 
 
-def _belongings(run: Run) -> set[str]:
-    """Return what a run has that values can belong to."""
+def _group_axes(run: Run) -> set[str]:
+    """Return the axes by which values of a run can be labelled."""
     tumble = {"pose", "free tumble"} if run.tumble is not None else set()
     return {"run", *({"table"} if run.table else ()), *({"mounting"} if run.mounting else ()), *tumble}
 
 
-def _judged(member: EffectClass, campaign: Campaign, supplies: list[frozenset[str]]) -> Observability:
-    needs = {*member.needs, *member.per, *(("free tumble",) if member.nuisance else ())} - {"channel"}
-    # A current stands for the sensor: of what comes before the converter nothing is seen then.
-    blind = {"injection"} - needs if issubclass(member, Effect) and member.stage < Stage.CONVERTER else set()
-    runs = tuple(
-        run.name
-        for run, supplied in zip(campaign.runs, supplies, strict=True)
-        if needs <= supplied and not blind & supplied
-    )
-    by_channel = not issubclass(member, MotionEffect) and "closure" not in member.kinds
-    channels = tuple(one.name for one in campaign.channels if by_channel and one.kind in member.kinds)
+def _of_class(effect_class: EffectClass, campaign: Campaign, supplies: dict[str, frozenset[str]]) -> Observability:
+    by_channel = acts_on_channels(effect_class)
+    channels = [channel.name for channel in campaign.channels if by_channel and channel.kind in effect_class.kinds]
     if by_channel and not channels:
-        return Observability(member, (), (), tuple(member.kinds))
-    if runs:
-        return Observability(member, runs, channels, ())
-    nowhere = sorted(need for need in needs if not any(need in supplied for supplied in supplies))
-    return Observability(member, (), channels, tuple(nowhere or sorted(needs)))
+        return Observability(effect_class, (), (), tuple(effect_class.kinds))
+    needs = {*effect_class.needs, *effect_class.per, *(("free tumble",) if effect_class.nuisance else ())} - {"channel"}
+    hidden_by = _hidden_by(effect_class) - needs
+    runs = tuple(name for name, supplied in supplies.items() if needs <= supplied and not hidden_by & supplied)
+    nowhere = sorted(need for need in needs if not any(need in supplied for supplied in supplies.values()))
+    missing = () if runs else tuple(nowhere or sorted(needs))
+    return Observability(effect_class, runs, tuple(channels), missing)
+
+
+def _hidden_by(effect_class: EffectClass) -> set[str]:
+    """Return what hides the effect: an injected current replaces the sensor, and all that precedes the converter."""
+    return {"injection"} if issubclass(effect_class, Effect) and effect_class.stage < Stage.CONVERTER else set()

@@ -4,6 +4,8 @@ A `Problem` is one pytree: the nominal motion, the layers of the signal path, th
 priors.  Nothing here closes over a campaign, so units of equal structure are stacked and treated in one vmap.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -34,22 +36,23 @@ class NoiseLayer(eqx.Module):
 
     def correlations(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
         """Return the correlation of neighbouring rows of every run and channel."""
-        chosen = {field: take(h, place) for field, place in self.places.items()}
-        return self.acts * jax.vmap(lambda one: self.noise(**one).lag_one_correlation())(chosen)  # pyright: ignore
+        return self._evaluate(h, lambda noise: noise.of_neighbours())
 
-    def variances(self, h: Float[Array, " H"], entries: Entry | None) -> Float[Array, " M"]:
-        """Return the variance of every entry, or of every run and channel."""
-        chosen = {field: take(h, place) for field, place in self.places.items()}
-        if entries is not None:
-            found = jax.vmap(lambda one, entry: self.noise(**one).variance(entry))(chosen, entries)  # pyright: ignore
-        else:
-            found = jax.vmap(lambda one: self.noise(**one).shared_variance())(chosen)  # pyright: ignore
-        return self.acts * found
+    def entry_variances(self, h: Float[Array, " H"], entries: Entry) -> Float[Array, " M"]:
+        """Return the variance of every entry."""
+        return self._evaluate(h, lambda noise, entry: noise.variance(entry), entries)
+
+    def shared_variances(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
+        """Return the variance of what all entries of a run and channel have in common."""
+        return self._evaluate(h, lambda noise: noise.shared_variance())
 
     def tails(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
-        """Return one over the degrees of freedom of every run and channel, 0 for a normal law."""
+        """Return one over the degrees of freedom of every run and channel, 0 for a normal distribution."""
+        return self._evaluate(h, lambda noise: 1 / noise.degrees())
+
+    def _evaluate(self, h: Float[Array, " H"], quantity: Callable, *entries: Entry) -> Float[Array, " M"]:
         chosen = {field: take(h, place) for field, place in self.places.items()}
-        return self.acts * jax.vmap(lambda one: 1 / self.noise(**one).degrees())(chosen)  # pyright: ignore
+        return self.acts * jax.vmap(lambda values, *entry: quantity(self.noise(**values), *entry))(chosen, *entries)
 
 
 class Observations(eqx.Module):

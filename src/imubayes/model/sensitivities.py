@@ -1,4 +1,4 @@
-"""Derived quantities, found by probing the signal path: no effect is asked for by name.
+"""Derived quantities, found by evaluating the signal path: no effect is asked for by name.
 
 The true sensitive axis of a channel is the gradient of its output with respect to the rate (or specific force) it is
 exposed to, at rest and at the reference temperatures; its length is the scale factor, its angle to the table's axis in
@@ -6,7 +6,6 @@ a mounting the true mounting angle.  The relative slope against converter temper
 effect added tomorrow takes part in all of them.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -23,7 +22,7 @@ WARMED_UP = 1e9  # s since power-on: longer than any warm-up
 
 
 class SensitivityInputs(eqx.Module):
-    """Where the signal path is probed.
+    """Nodes and layers at which the signal path is evaluated.
 
     Attributes
     ----------
@@ -47,59 +46,56 @@ class SensitivityInputs(eqx.Module):
 
 @dataclass(frozen=True)
 class DerivedQuantity:
-    """Name, unit and the factor from the probe's number to that unit."""
+    """Name, unit and the factor from the SI number to that unit."""
 
     name: str
     unit: str
     factor: float
 
 
-def sensitivities(probe: SensitivityInputs, values: Float[Array, " V"]) -> dict[str, Float[Array, "C 3"]]:
+def sensitivities(inputs: SensitivityInputs, values: Float[Array, " V"]) -> dict[str, Float[Array, "C 3"]]:
     """Return the gradient of every channel's output, kind → (C, 3), output units per rad/s or m/s² in body axes."""
-    slopes = jax.jacfwd(lambda stimulus: _respond(probe, values, stimulus))(jnp.zeros(6))
+    slopes = jax.jacfwd(lambda stimulus: _respond(inputs, values, stimulus))(jnp.zeros(6))
     own = {"gyro": slice(0, 3), "accelerometer": slice(3, 6)}
-    return {kind: slopes[kind][:, own[kind]] for kind in probe.channels}
+    return {kind: slopes[kind][:, own[kind]] for kind in inputs.channels}
 
 
-def _respond(probe: SensitivityInputs, values, stimulus: Float[Array, " 6"]) -> dict[str, Float[Array, " C"]]:
+def _respond(inputs: SensitivityInputs, values, stimulus: Float[Array, " 6"]) -> dict[str, Float[Array, " C"]]:
     """Return the outputs at a rate and a specific force, kind → (C,)."""
     zero = jnp.zeros(1)
     nothing = jnp.zeros(3)
     rate, force = stimulus[:3], stimulus[3:]
     experience = {
         name: Experience(*(jnp.broadcast_to(v, (1, one.scale.shape[0], 3)) for v in (rate, force, *(nothing,) * 4)))
-        for name, one in probe.channels.items()
+        for name, one in inputs.channels.items()
     }
     warm, long = jnp.full(1, REFERENCE_TEMPERATURE), jnp.full(1, WARMED_UP)
     known = {"temperature": warm, "converter_temperature": warm, "power_on": long}
     ambient = Ambient(**{name: known.get(name, zero) for name in ambient_names()})
-    path = SignalPath(probe.mountings.stands, ambient, experience, {}, {})
-    signal = propagate(probe.sensor_layers, path, values).signal
-    return {kind: signal[kind][0] for kind in probe.channels}
+    path = SignalPath(inputs.mountings.stands, ambient, experience, {}, {})
+    signal = propagate(inputs.sensor_layers, path, values).signal
+    return {kind: signal[kind][0] for kind in inputs.channels}
 
 
-def axes_of_rotation(probe: SensitivityInputs, values: Float[Array, " V"]) -> Float[Array, "M 3"]:
+def axes_of_rotation(inputs: SensitivityInputs, values: Float[Array, " V"]) -> Float[Array, "M 3"]:
     """Return the table's axis in body axes, for each mounting."""
-    return propagate(probe.mounting_layers, initial_path(probe.mountings), values).motion.mounting[:, 2, :]
+    return propagate(inputs.mounting_layers, initial_path(inputs.mountings), values).motion.mounting[:, 2, :]
 
 
-def thermal_slopes(probe: SensitivityInputs, values: Float[Array, " V"]) -> dict[str, Float[Array, "T C"]]:
+def thermal_slopes(inputs: SensitivityInputs, values: Float[Array, " V"]) -> dict[str, Float[Array, "T C"]]:
     """Return d(output)/d(converter temperature) over the nominal output of the input, kind → (T, C), per °C."""
-    assert probe.thermal is not None
-    instants = probe.thermal
+    assert inputs.thermal is not None
+    instants = inputs.thermal
 
     def output(temperature):
         warmed = replace(instants, ambient=instants.ambient.updated(converter_temperature=temperature))
-        return propagate(probe.thermal_layers, initial_path(warmed), values).signal
+        return propagate(inputs.thermal_layers, initial_path(warmed), values).signal
 
     at = instants.ambient.converter_temperature
     _, slope = jax.jvp(output, (at,), (jnp.ones_like(at),))
     return {
-        kind: slope[kind] / (one.scale[None, :] * probe.thermal_input[kind]) for kind, one in probe.channels.items()
+        kind: slope[kind] / (one.scale[None, :] * inputs.thermal_input[kind]) for kind, one in inputs.channels.items()
     }
-
-
-Derive = Callable[[SensitivityInputs, Float[Array, " V"]], Float[Array, " D"]]
 
 
 def unit_vectors(vectors: Float[Array, "... 3"]) -> Float[Array, "... 3"]:

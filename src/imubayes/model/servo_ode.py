@@ -6,7 +6,6 @@ Effects with a memory are taken as at rest.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,21 +15,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.effects.base import Effect, RecordEffect, Stage
+from imubayes.effects.base import RecordEffect, Stage
 from imubayes.model.assembly import Assembly
-from imubayes.model.bound_effects import BoundEffect
-from imubayes.model.nodes import servo_runs
+from imubayes.model.nodes import NodeTable, servo_runs
 from imubayes.model.signal_path import (
-    AddOffset,
     Broadcast,
     Channels,
-    Convert,
     Layer,
-    Project,
-    Resolve,
     initial_path,
     propagate,
-    sorted_layers,
 )
 from imubayes.procedures.servo_table import driving_channel, turns_of
 from imubayes.stimulus import Ambient, Motion, Nodes, SignalPath
@@ -68,49 +61,46 @@ class Servos(eqx.Module):
     layers: tuple[Layer, ...]
 
 
-def bind_servos(assembly: Assembly, acting: Sequence[BoundEffect]) -> Servos | None:
+def bind_servos(assembly: Assembly) -> Servos | None:
     """Return the runs in which a gyro drives the table; None where there are none."""
     campaign, nodes = assembly.grouping.campaign, assembly.grouping.nodes
-    driven = servo_runs(campaign)
-    if not driven:
+    indices = servo_runs(campaign)
+    if not indices:
         return None
-    runs = [campaign.runs[index] for index in driven]
-    longest = max(run.rows for run in runs)
-    own = [np.flatnonzero(nodes.run == index) for index in driven]
-    # Nodes come sorted by the number of nodes of their row; those of one run are put back into the order of its rows.
-    own = [place[np.argsort(nodes.stimulus.row[place], kind="stable")] for place in own]
-    padded = np.stack([np.concatenate([place, np.repeat(place[-1:], longest - len(place))]) for place in own])
-    time = nodes.stimulus.ambient["time"][padded]
+    runs = [campaign.runs[index] for index in indices]
+    node = _nodes_in_row_order(nodes, indices)
+    time, first = nodes.stimulus.ambient["time"][node], node[:, 0]
     seconds = time[:, -1] - time[:, 0]
-    first = np.array([place[0] for place in own])
     gyros = [channel for channel in campaign.channels if channel.kind == "gyro"]
     driver = np.array([driving_channel(campaign, run) for run in runs])
-    axes = np.stack([gyros[place].axes[0] * gyros[place].scale_si for place in driver])
-    layers: list[Layer] = [
-        Resolve(tuple((kind, len(one.scale)) for kind, one in assembly.channels.items())),
-        Project(assembly.channels),
-        Convert(assembly.channels, np.zeros(len(driven))),
-        AddOffset(assembly.channels),
-        *(
-            layer
-            for one in acting
-            if issubclass(one.effect_class, Effect) and one.effect_class.stage >= Stage.TABLE
-            if not issubclass(one.effect_class, RecordEffect)
-            for layer in assembly.effect_layers(one, first)
-        ),
-    ]
+    axes = np.stack([gyros[index].axes[0] * gyros[index].scale_si for index in driver])
     return Servos(
         stand=nodes.stand[first],
         driver=np.eye(len(gyros))[driver],
-        gain=np.sum(axes * np.stack([nodes.stimulus.mounting[node, 2] for node in first]), axis=1),
+        gain=np.sum(axes * nodes.stimulus.mounting[first, 2], axis=1),
         first=nodes.stimulus.table_angle[first],
         seconds=seconds,
         place=(time - time[:, :1]) / seconds[:, None],
-        ambient=Ambient(**{name: values[padded] for name, values in nodes.stimulus.ambient.items()}),
-        # A power of two, so that records of about the same length are one compiled program.
+        ambient=Ambient(**{name: values[node] for name, values in nodes.stimulus.ambient.items()}),
+        # A power of two, so that records of about the same length share one compiled program.
         steps=2 ** math.ceil(math.log2(STEPS_PER_TURN * max(1.0, *map(turns_of, runs)))),
-        layers=sorted_layers(layers),
+        layers=assembly.path(
+            first,
+            (Stage.TABLE, Stage.PLACE, Stage.SENSOR, Stage.CONVERTER),
+            keep=lambda _, effect_class: not issubclass(effect_class, RecordEffect),
+        ),
     )
+
+
+def _nodes_in_row_order(nodes: NodeTable, indices: list[int]) -> np.ndarray:
+    """Return the nodes of some runs, each with one node per row, in the order of the rows; shape (S, K).
+
+    Shorter runs are padded with their last node.
+    """
+    own = [np.flatnonzero(nodes.run == index) for index in indices]
+    own = [node[np.argsort(nodes.stimulus.row[node], kind="stable")] for node in own]
+    longest = max(map(len, own))
+    return np.stack([np.pad(node, (0, longest - len(node)), mode="edge") for node in own])
 
 
 def servo_angles(
@@ -129,7 +119,7 @@ def servo_angles(
     channels : constants of the channels, per kind.
     values : all parameters in SI, then the null values.
     """
-    before = [one for one in layers if one.place()[0] == Stage.STAND and not isinstance(one, Broadcast)]
+    before = [one for one in layers if one.sort_key()[0] == Stage.STAND and not isinstance(one, Broadcast)]
     stands = jax.tree.map(lambda leaf: leaf[servos.stand], propagate(before, initial_path(instants), values).motion)
 
     def turning(share: Any, angle: Float[Array, " S"], _: None) -> Float[Array, " S"]:
@@ -158,11 +148,6 @@ def servo_angles(
     )
     everywhere = jax.vmap(jax.vmap(solution.evaluate))(servos.place)
     return jnp.diagonal(everywhere, axis1=0, axis2=2).T
-
-
-def between(share: Any, place: Float[Array, "S K"], values: Float[Array, "S K"]) -> Float[Array, " S"]:
-    """Return what each run recorded at a share of its time, between its rows."""
-    return jax.vmap(lambda x, y: jnp.interp(share, x, y))(place, values)
 
 
 def _output(

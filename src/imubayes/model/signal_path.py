@@ -45,17 +45,17 @@ class Layer(eqx.Module):
 
     closes: ClassVar[Stage]
 
-    def place(self) -> tuple[int, float]:
+    def sort_key(self) -> tuple[int, float]:
         """Return stage and order: layers are passed in the order of these."""
         return self.closes, math.inf
 
-    def asks(self) -> dict[str, Array]:
-        """Return the places of the values that the step needs, by field."""
+    def value_places(self) -> dict[str, Array]:
+        """Return the indices of the values that the step needs, by field."""
         return {}
 
     @abstractmethod
     def __call__(self, path: SignalPath, chosen: dict[str, Array]) -> SignalPath:
-        """Return the path after this step; `chosen` are the values it asked for, by field."""
+        """Return the path after this step; `chosen` are the values at its `value_places`, by field."""
 
 
 class EffectLayer(Layer):
@@ -75,10 +75,10 @@ class EffectLayer(Layer):
     places: dict[str, Array]
     kind: str = eqx.field(static=True)
 
-    def place(self):
+    def sort_key(self):
         return self.effect.stage, self.effect.order
 
-    def asks(self):
+    def value_places(self):
         return self.places
 
     def __call__(self, path, chosen):
@@ -221,15 +221,10 @@ def propagate(layers: Sequence[Layer], path: SignalPath, values: Float[Array, " 
 
 
 def _chosen(layers: Sequence[Layer], values: Float[Array, " V"]) -> list[dict[str, Array]]:
-    """Return what every layer asks for: all of it in one gather, since a program pays for each."""
-    places, tree = jax.tree.flatten([layer.asks() for layer in layers])
+    """Return the values of every layer, by one gather: a compiled program pays for each."""
+    places, tree = jax.tree.flatten([layer.value_places() for layer in layers])
     if not places:
         return [{} for _ in layers]
     ends = np.cumsum([math.prod(place.shape) for place in places])[:-1]
     found = jnp.split(take(values, jnp.concatenate([jnp.ravel(place) for place in places])), ends)
     return jax.tree.unflatten(tree, [one.reshape(place.shape) for one, place in zip(found, places, strict=True)])
-
-
-def sorted_layers(layers: Sequence[Layer]) -> tuple[Layer, ...]:
-    """Sort layers by stage and order; a junction closes its stage."""
-    return tuple(sorted(layers, key=lambda layer: layer.place()))

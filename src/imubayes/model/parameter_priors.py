@@ -1,0 +1,118 @@
+"""Unit and prior of every scalar parameter: from the model file, the campaign's equipment or the effect's default."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.errors import InputError, Issue
+from imubayes.model.effect_registry import EffectClass
+from imubayes.model.model_spec import EffectSpec
+from imubayes.noise.base import Noise
+from imubayes.parameters.parameter import Declared, declared_parameters
+from imubayes.parameters.priors import LogNormal, Normal, Prior, parse_prior
+from imubayes.parameters.vector import Parameter
+from imubayes.run import Campaign, Channel
+from imubayes.units import to_si
+
+# Where neither the campaign nor the spread of raw samples gives the noise of a channel: a thousandth of what was
+# recorded, known to a factor of e³ = 20 either way.
+_UNKNOWN_NOISE_SHARE, _UNKNOWN_NOISE_LOG_SD = 1e-3, 3.0
+
+
+def hyper_fields(effect_class: EffectClass) -> set[str]:
+    """Return the fields that are hyperparameters: all of a noise member, the learnt prior widths of an effect."""
+    declared = declared_parameters(effect_class)
+    if issubclass(effect_class, Noise):
+        return set(declared)
+    return {declaration.spread for declaration in declared.values() if declaration.spread}
+
+
+def parameter_of(
+    spec: EffectSpec, effect_class: EffectClass, field: str, label: dict[str, str], campaign: Campaign
+) -> Parameter:
+    """Return one scalar parameter with its prior.
+
+    Parameters
+    ----------
+    field : the declared field.
+    label : what the value belongs to, axis → name; empty for one value for all.
+
+    Raises
+    ------
+    InputError
+        where the prior of the model file does not parse or does not suit the parameter.
+    """
+    declared = declared_parameters(effect_class)[field]
+    gravity, where = campaign.site.gravity, f"{spec.where}, prior of {field}"
+    units = _channel_units(_representative_channel(effect_class, label, campaign), campaign)
+    if field in spec.prior:
+        prior = parse_prior(spec.prior[field], declared.unit, gravity, where, units.si)
+        _check_family(prior, field, declared, where, field in hyper_fields(effect_class))
+    else:
+        prior = parse_prior(declared.prior, declared.unit, gravity, where, units.si)
+        prior = _from_equipment(declared.equipment, label, campaign, prior)
+        if not units.noise_known and isinstance(prior, LogNormal) and "noise" in declared.prior:
+            prior = LogNormal(prior.median, _UNKNOWN_NOISE_LOG_SD)
+    factor = to_si(declared.unit, gravity, where, units.si)
+    names = tuple(label.values()) or ("all",)
+    return Parameter(effect_class.name, field, names, declared.unit, factor, prior, effect_class.nuisance)
+
+
+def _check_family(prior: Prior, field: str, declared: Declared, where: str, hyper: bool) -> None:
+    if declared.spread and not isinstance(prior, Normal):
+        raise InputError(
+            Issue(
+                f"the prior width of '{field}' is learnt, so its prior has to be normal",
+                where,
+                f"normal(0, 1 {declared.unit})",
+                "write a normal prior, or leave it out",
+            )
+        )
+    if hyper and isinstance(prior, Normal):
+        raise InputError(
+            Issue(
+                f"'{field}' is a standard deviation and may not be negative",
+                where,
+                "lognormal, halfnormal, uniform, loguniform or halfcauchy",
+                f"write a prior of positive values, such as lognormal(1 {declared.unit}, 0.5)",
+            )
+        )
+
+
+def _representative_channel(effect_class: EffectClass, label: dict[str, str], campaign: Campaign) -> Channel | None:
+    """Return the channel whose noise and scale serve as units: the labelled one, else the first of the right kind."""
+    labelled = [channel for channel in campaign.channels if channel.name == label.get("channel")]
+    suitable = [channel for channel in campaign.channels if channel.kind in effect_class.kinds]
+    return next(iter(labelled + suitable), None)
+
+
+@dataclass(frozen=True)
+class _ChannelUnits:
+    """SI values of the channel-dependent units `noise` and `scale`, and whether the noise is stated."""
+
+    si: dict[str, float]
+    noise_known: bool = True
+
+
+def _channel_units(channel: Channel | None, campaign: Campaign) -> _ChannelUnits:
+    if channel is None:
+        return _ChannelUnits({})
+    per = "deg/s" if channel.kind == "gyro" else "g"
+    scale = abs(channel.scale_si) * to_si(per, campaign.site.gravity)
+    if channel.noise is not None:
+        return _ChannelUnits({"noise": channel.noise, "scale": scale})
+    column = [known.name for known in campaign.channels].index(channel.name)
+    spread = max((np.nanstd(run.observed[:, column]) for run in campaign.runs if run.rows), default=0.0)
+    spread = spread if np.isfinite(spread) and spread > 0 else scale
+    return _ChannelUnits({"noise": _UNKNOWN_NOISE_SHARE * float(spread), "scale": scale}, noise_known=False)
+
+
+def _from_equipment(fact: str, label: dict[str, str], campaign: Campaign, default: Prior) -> Prior:
+    """Return the prior that the campaign's own statement about its equipment implies, else the default."""
+    stated = None
+    if fact == "seat" and "mounting" in label:
+        stated = campaign.mountings[label["mounting"]].uncertainty
+    elif fact in ("axis", "rate") and "table" in label:
+        table = campaign.tables[label["table"]]
+        stated = table.axis_uncertainty if fact == "axis" else table.rate_uncertainty
+    return default if stated is None else Normal(0.0, stated)
