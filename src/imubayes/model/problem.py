@@ -36,7 +36,7 @@ class NoiseLayer(eqx.Module):
 
     def correlations(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
         """Return the correlation of neighbouring rows of every run and channel."""
-        return self._evaluate(h, lambda noise: noise.of_neighbours())
+        return self._evaluate(h, lambda noise: noise.lag_one_correlation())
 
     def entry_variances(self, h: Float[Array, " H"], entries: Entry) -> Float[Array, " M"]:
         """Return the variance of every entry."""
