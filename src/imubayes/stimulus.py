@@ -1,16 +1,13 @@
-"""What a unit experiences, from the table's motion down to one channel's signal.
+"""What travels along the signal path, from the table's motion down to one channel's signal.
 
 The forward model is evaluated at *nodes*: instants at which the stimulus is known.  A recorded row is a mean over
 an interval, so a row owns one node when nothing moved and several, with weights, when the table turned meanwhile.
-A procedure turns a run into a `Stimulus` (NumPy); the classes below it are what travels along the signal path,
+A procedure turns a run into a `Stimulus` (`imubayes.procedures.nominal_stimulus`, NumPy alone); the classes here are
 each written for one node, and batched by vmap.
 """
 
-from dataclasses import dataclass
-
 import equinox as eqx
 import jax
-import numpy as np
 
 from imubayes.covariates import ambient_names
 from imubayes.types import Array, Bool, Float, Int, Matrices, Scalars, Vectors
@@ -180,59 +177,3 @@ class SignalPath(eqx.Module):
     signal: dict[str, Float[Array, "N C"]]
     nodes: Nodes | None = None
     records: Records | None = None
-
-
-@dataclass(frozen=True)
-class Stimulus:
-    """The nodes of one run (n of them), in SI.
-
-    Attributes
-    ----------
-    row : shape (n,), the row of the run each node belongs to.
-    weight : shape (n,), sums to 1 over the nodes of a row.
-    base, mounting : shape (n, 3, 3), nominal.
-    table_angle, table_rate, table_acceleration : shape (n,).
-    reference_rate, reference_acceleration : shape (n, 3), body axes, zero where no reference rides along.
-    ambient : covariate name → shape (n,), those that the run supplies.
-    injected : whether a current is fed to the converter in the sensor's place.
-    pose : shape (n,), static pose of a free tumble, else −1.
-    driven : whether a gyro drives the table.
-    """
-
-    row: np.ndarray
-    weight: np.ndarray
-    base: np.ndarray
-    mounting: np.ndarray
-    table_angle: np.ndarray
-    table_rate: np.ndarray
-    table_acceleration: np.ndarray
-    reference_rate: np.ndarray
-    reference_acceleration: np.ndarray
-    ambient: dict[str, np.ndarray]
-    injected: bool
-    pose: np.ndarray
-    driven: bool = False
-
-    @property
-    def referenced(self) -> bool:
-        """Whether a reference gyro rides along."""
-        return bool(np.any(self.reference_rate != 0))
-
-    @property
-    def supplies(self) -> frozenset[str]:
-        """Names of what this run lets an effect see."""
-        seen = set(self.ambient)
-        # Between the poses of a free tumble the unit is turned by hand.
-        if np.any(self.table_rate != 0) or np.any(self.pose >= 0) or self.referenced:
-            seen.add("turning")
-        if np.any(self.table_rate != 0):
-            seen.add("commanded")
-        if self.referenced:
-            seen.add("reference")
-        if np.any(self.table_acceleration != 0) or np.any(self.reference_acceleration != 0):
-            seen.add("acceleration")
-        if self.injected:
-            seen.add("injection")
-        if self.driven:
-            seen.add("driven")
-        return frozenset(seen)

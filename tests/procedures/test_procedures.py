@@ -9,8 +9,8 @@ import pytest
 from imubayes.errors import InputError
 from imubayes.inference.candidate_runs import candidate_runs
 from imubayes.procedures import PROCEDURES
+from imubayes.procedures.nominal_stimulus import Stimulus
 from imubayes.run import Campaign, Run
-from imubayes.stimulus import Stimulus
 from small_campaign import campaign, driven_campaign, tumble_campaign, wide_campaign
 
 CAMPAIGN = campaign()

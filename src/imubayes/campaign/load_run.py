@@ -89,26 +89,8 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
     if loaded.failed or equipment is None:
         return
     procedure = PROCEDURES[entry.procedure]
-    if procedure.reduction is Reduction.POSES:
-        run, found = _load_tumble(source, entry, equipment)
-        loaded.findings += found
-    elif source.layout.reduced:
-        numbers = _whole(source)
-        loaded.findings += _check_counts(numbers, source, entry)
-        run = build_run(
-            entry,
-            numbers,
-            equipment.channels,
-            equipment.site.gravity,
-            attitude=_named(source, entry, equipment, range(survey.rows)),
-        )
-    else:
-        assert survey.blocks is not None
-        loaded.findings += check_log(survey.blocks, entry.name, where)
-        rows = reduce_log(source, procedure.reduction, survey.rows, survey.blocks, survey.labelled)
-        named = _named(source, entry, equipment, rows.first)
-        loaded.findings += [_unsteady(entry, where, rows.unsteady)] if rows.unsteady else []
-        run = build_run(entry, rows.numbers, equipment.channels, equipment.site.gravity, rows.notes, attitude=named)
+    run, found = _rows_of(source, entry, equipment, survey)
+    loaded.findings += found
     if run.rows == 0:
         loaded.findings.append(_empty(entry, where, "no stretch of constant stimulus was found in the log"))
     elif not procedure.driven and not np.isfinite(run.observed).any():
@@ -122,6 +104,26 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
     loaded.run = None if loaded.failed else replace(run, notes=(*run.notes, *warnings))
 
 
+def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey: _Survey) -> tuple[Run, list[Finding]]:
+    """Return the rows of a run and the findings of its form: static poses, means, or a raw log to be reduced."""
+    reduction = PROCEDURES[entry.procedure].reduction
+    if reduction is Reduction.POSES:
+        return _load_tumble(source, entry, equipment)
+    gravity = equipment.site.gravity
+    if source.layout.reduced:
+        numbers = _whole(source)
+        named = _named(source, entry, equipment, range(survey.rows))
+        run = build_run(entry, numbers, equipment.channels, gravity, attitude=named)
+        return run, _check_counts(numbers, source, entry)
+    assert survey.blocks is not None
+    where = str(source.file)
+    found = check_log(survey.blocks, entry.name, where)
+    rows = reduce_log(source, reduction, survey.rows, survey.blocks, survey.labelled)
+    named = _named(source, entry, equipment, rows.first)
+    found += [_unsteady(entry, where, rows.unsteady)] if rows.unsteady else []
+    return build_run(entry, rows.numbers, equipment.channels, gravity, rows.notes, attitude=named), found
+
+
 def _named(source: TableSource, entry: RunEntry, equipment: Equipment, rows: Sequence[int]) -> np.ndarray | None:
     """Return the attitude at the named directions of chosen rows; None where the procedure names none."""
     return attitudes(source, rows, equipment.channels) if PROCEDURES[entry.procedure].by_direction else None
@@ -133,17 +135,13 @@ def _survey(source: TableSource, entry: RunEntry) -> _Survey:
     monitor = Monitor(source, entry.name, all_move=poses)
     labels = [name for name in ("segment", *DIRECTION_COLUMNS) if name in layout.texts]
     tracker = SegmentTracker(labels) if labels and not layout.reduced else None
-    builder = None
-    if not layout.reduced and not poses:
-        builder = BlockBuilder([name for name in layout.numbers if not name.endswith("_sd")])
+    numbers = [name for name in layout.numbers if not name.endswith("_sd")]
+    builder = BlockBuilder(numbers) if not layout.reduced and not poses else None
+    consumers = [consumer for consumer in (monitor, builder, tracker) if consumer is not None]
     for batch in source:
-        if not batch.rows:
-            continue
-        monitor.push(batch)
-        if builder is not None:
-            builder.push(batch)
-        if tracker is not None:
-            tracker.push(batch)
+        if batch.rows:
+            for consumer in consumers:
+                consumer.push(batch)
     blocks = builder.finish() if builder is not None and monitor.rows else None
     return _Survey(monitor.rows, blocks, None if tracker is None else tracker.spans(), monitor.findings())
 

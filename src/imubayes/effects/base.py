@@ -74,7 +74,7 @@ class Effect(eqx.Module):
     stage, order : where on the signal path.
     per : what a value belongs to, for each value the names in its label: channel, run, mounting, table, pose.
     kinds : kinds of channel that it can act on.
-    needs : what a run must supply (`imubayes.stimulus.Stimulus.supplies`).
+    needs : what a run must supply (`imubayes.procedures.nominal_stimulus.Stimulus.supplies`).
     excludes : equivalent effects, which may not stand in the same model for the same channel.
     confused_with : effects with a similar signature, in words.
     reference : source of the formula.

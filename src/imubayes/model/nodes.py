@@ -7,8 +7,9 @@ import numpy as np
 
 from imubayes.covariates import ambient_names
 from imubayes.procedures import PROCEDURES
+from imubayes.procedures.nominal_stimulus import Stimulus
 from imubayes.run import Campaign, Kind
-from imubayes.stimulus import Ambient, Records, Stimulus
+from imubayes.stimulus import Ambient, Records
 
 # Sorted, because that is the order in which JAX walks through a dictionary.
 KINDS: tuple[Kind, ...] = ("accelerometer", "gyro")

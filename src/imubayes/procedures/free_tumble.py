@@ -13,8 +13,8 @@ import numpy as np
 from imubayes.errors import InputError, Issue
 from imubayes.procedures.ambient import ambient_of
 from imubayes.procedures.base import Procedure, Reduction
+from imubayes.procedures.nominal_stimulus import Stimulus
 from imubayes.run import Campaign, Run
-from imubayes.stimulus import Stimulus
 
 
 def _stimulus(run: Run, campaign: Campaign) -> Stimulus:

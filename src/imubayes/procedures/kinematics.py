@@ -9,8 +9,8 @@ import numpy as np
 
 from imubayes.earth import earth_rate, table_to_local
 from imubayes.procedures.ambient import ambient_of
+from imubayes.procedures.nominal_stimulus import Stimulus
 from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.stimulus import Stimulus
 
 # A mean over a turn is the mean over equally spaced angles, exact for harmonics below their number.  About a
 # vertical axis gravity along an input axis varies by the tilt alone, so products up to the third are covered by 4;

@@ -23,9 +23,9 @@ from scipy.interpolate import CubicSpline
 
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.kinematics import table_stimulus
+from imubayes.procedures.nominal_stimulus import Stimulus
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, along_table, measured
 from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.stimulus import Stimulus
 from imubayes.units import to_si
 
 AXES = ("reference_x", "reference_y", "reference_z")

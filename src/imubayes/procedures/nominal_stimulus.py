@@ -1,0 +1,61 @@
+"""What a procedure makes of a run: the nominal stimulus at its nodes (NumPy alone, so that reading needs no JAX)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Stimulus:
+    """The nodes of one run (n of them), in SI.
+
+    Attributes
+    ----------
+    row : shape (n,), the row of the run each node belongs to.
+    weight : shape (n,), sums to 1 over the nodes of a row.
+    base, mounting : shape (n, 3, 3), nominal.
+    table_angle, table_rate, table_acceleration : shape (n,).
+    reference_rate, reference_acceleration : shape (n, 3), body axes, zero where no reference rides along.
+    ambient : covariate name → shape (n,), those that the run supplies.
+    injected : whether a current is fed to the converter in the sensor's place.
+    pose : shape (n,), static pose of a free tumble, else −1.
+    driven : whether a gyro drives the table.
+    """
+
+    row: np.ndarray
+    weight: np.ndarray
+    base: np.ndarray
+    mounting: np.ndarray
+    table_angle: np.ndarray
+    table_rate: np.ndarray
+    table_acceleration: np.ndarray
+    reference_rate: np.ndarray
+    reference_acceleration: np.ndarray
+    ambient: dict[str, np.ndarray]
+    injected: bool
+    pose: np.ndarray
+    driven: bool = False
+
+    @property
+    def referenced(self) -> bool:
+        """Whether a reference gyro rides along."""
+        return bool(np.any(self.reference_rate != 0))
+
+    @property
+    def supplies(self) -> frozenset[str]:
+        """Names of what this run lets an effect see."""
+        seen = set(self.ambient)
+        # Between the poses of a free tumble the unit is turned by hand.
+        if np.any(self.table_rate != 0) or np.any(self.pose >= 0) or self.referenced:
+            seen.add("turning")
+        if np.any(self.table_rate != 0):
+            seen.add("commanded")
+        if self.referenced:
+            seen.add("reference")
+        if np.any(self.table_acceleration != 0) or np.any(self.reference_acceleration != 0):
+            seen.add("acceleration")
+        if self.injected:
+            seen.add("injection")
+        if self.driven:
+            seen.add("driven")
+        return frozenset(seen)
