@@ -105,11 +105,12 @@ def test_a_step_in_one_run_is_found_with_its_place_and_height(projection, known,
     broad, detail = _first(_under(projection, 1, height * after), known, scans)
     assert (detail.test, detail.channel) == (STEP, projection.fitted.model.campaign.channels[0].name)
     assert detail.score.p < broad.score.p
-    assert run.name in detail.text
+    assert detail.step is not None
+    assert detail.step.run == run.name
     assert detail.height is not None
     value, sd = detail.height
     assert abs(value - height) < 3.5 * sd
-    at = float(detail.text.split(" at ")[1].split(" s ")[0])
+    at = detail.step.at
     assert abs(at - np.nanmedian(time)) < 0.1 * np.ptp(time[np.isfinite(time)])
 
 

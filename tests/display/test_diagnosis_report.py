@@ -24,7 +24,9 @@ from imubayes.criticism.diagnosis import (
     UndetectableEffect,
     Verdict,
 )
+from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.injection_recovery import Size, Trial, Trials
+from imubayes.criticism.localised_structure import Step
 from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, Tree, node_id
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence
@@ -49,7 +51,7 @@ def line(effect: str, drop: float, p: float, value: float = 120.0) -> RankedEffe
     )  # fmt: skip
 
 
-def diagnosis(verdict: Verdict = "equivalent_effects", python: str = "") -> Diagnosis:
+def diagnosis(verdict: Verdict = "equivalent_effects", terms: tuple[FormulaTerm, ...] = ()) -> Diagnosis:
     ranked = (line("gyro_scale_asymmetry", 98.4, 1e-18), line("gyro_scale_quadratic", 95.1, 3e-18))
     members = tuple(GroupMember(unexplained=0.0, **vars(each)) for each in ranked)
     group = EffectGroup(
@@ -63,14 +65,14 @@ def diagnosis(verdict: Verdict = "equivalent_effects", python: str = "") -> Diag
     )
     lacking = UndetectableEffect(effect="lever_arm", reason="not_supplied", needs=("turning",))
     pattern = ResidualStructure(
-        channel="gx", covariate="table_rate", test="spline", p=1e-9, shape="Ω²", python=python,
+        channel="gx", covariate="table_rate", test="spline", p=1e-9, shape="Ω²", kind="gyro", terms=terms,
         coefficient=Amplitude(value=0.3, sd=None, unit="ppm"),
     )  # fmt: skip
     return Diagnosis(
         verdict=verdict, message="It did not settle.", p_global=1e-18, result="R",
         groups=(group,) if verdict == "equivalent_effects" else (),
         ranking=(*ranked, line("gyro_g_sensitivity", 2.0, 0.9)), undetectable=(hidden, lacking),
-        structure=(pattern,), looks=40.0, strongest=StrongestStructure(channel="gx", covariates=(), step="step at 3 s"),
+        structure=(pattern,), looks=40.0, strongest=StrongestStructure(channel="gx", covariates=(), step=Step("ramp", 3.0, "s")),
         suggested=EffectChoice(effect="gyro_scale_asymmetry", channels=None)
         if verdict == "equivalent_effects" else None,
     )  # fmt: skip
@@ -124,7 +126,16 @@ def test_not_converged_is_not_ranked():
 def test_the_class_of_the_strongest_pattern_is_given_and_none_is_refused():
     with pytest.raises(InputError, match="no effect class"):
         shown.effect_source(diagnosis("unexplained_structure"))
-    assert shown.effect_source(diagnosis("unexplained_structure", "class FoundShape: …")) == "class FoundShape: …"
+    term = FormulaTerm(
+        shape="|Ω_i|", expression="jnp.abs(sample.rate[0])", needs=("turning",), value=0.3, sd=None, unit="ppm",
+        delta_chi2=50.0, p_global=1e-9,
+    )  # fmt: skip
+    source = shown.effect_source(diagnosis("unexplained_structure", (term,)))
+    compile(source, "found_shape.py", "exec")
+    assert "import jax.numpy as jnp" in source
+    assert 'name = "found_gyro_shape"' in source
+    assert "needs = ('turning',)" in source
+    assert "return signal + self.coefficient * jnp.abs(sample.rate[0])" in source
 
 
 def test_a_kept_diagnosis_comes_back(tmp_path):

@@ -9,6 +9,8 @@ from pydantic import PrivateAttr
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import Absorber, ParameterBias
+from imubayes.criticism.formula_search import FormulaTerm
+from imubayes.criticism.localised_structure import Step
 from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.presentation import Presented
 from imubayes.records import Record
@@ -182,17 +184,6 @@ class Amplitude(Record):
     unit: str
 
 
-class FormulaTerm(Record):
-    """A term of a formula with its coefficient and its evidence."""
-
-    shape: str
-    value: float
-    sd: float | None
-    unit: str
-    delta_chi2: float
-    p_global: float
-
-
 class ResidualStructure(Record):
     """Dependence of a channel's residual on a covariate, or on a product of two.
 
@@ -201,23 +192,25 @@ class ResidualStructure(Record):
     covariate : name, of two joined by " × ".
     test : the form that was fitted.
     p : corrected for the number of looks.
-    shape : formula, or what the step is; empty where none was sought.
+    step : where it is a step in one run.
+    shape : formula in symbols; empty where none was sought.
     coefficient : of the first term, or the height of the step.
     terms, inclusion, near : of the formula: its terms, how often the first comes first when runs are resampled, and
         terms that fit almost as well.
-    python : an effect class with this formula.
+    kind : kind of the channel of the formula.
     """
 
     channel: str
     covariate: str
     test: str
     p: float
-    shape: str
+    step: Step | None = None
+    shape: str = ""
     coefficient: Amplitude | None
     terms: tuple[FormulaTerm, ...] = ()
     inclusion: float | None = None
     near: tuple[str, ...] = ()
-    python: str = ""
+    kind: str = ""
 
 
 class StrongestStructure(Record):
@@ -225,7 +218,7 @@ class StrongestStructure(Record):
 
     channel: str
     covariates: tuple[CovariateLabel, ...]
-    step: str = ""
+    step: Step | None = None
 
 
 class Outlier(Record):

@@ -15,9 +15,33 @@ from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import ScoreTest, score_test
 from imubayes.criticism.term_library import Term, library
+from imubayes.records import Record, finite
 
 # Sorts of terms that are chosen from many: penalised against plain ones.
 _ELABORATE = ("product", "wave")
+
+
+class FormulaTerm(Record):
+    """One term of a formula, with its coefficient at the input.
+
+    Attributes
+    ----------
+    shape : the term in symbols.
+    expression : the term in Python, in SI, for an effect's `sample`.
+    needs : covariates that a run has to supply.
+    value, sd, unit : coefficient.
+    delta_chi2 : drop of χ² when the term was selected.
+    p_global : its p-value, all terms of the library counted.
+    """
+
+    shape: str
+    expression: str
+    needs: tuple[str, ...]
+    value: float
+    sd: float | None
+    unit: str
+    delta_chi2: float
+    p_global: float
 
 
 @dataclass(frozen=True)
@@ -26,32 +50,22 @@ class Formula:
 
     Attributes
     ----------
-    channel : name.
+    channel, kind : name and kind.
     terms : in the order of selection.
-    value, sd : coefficients at the input, in `unit` of each.
-    unit : one per term.
-    delta_chi2 : drop of χ² of each term when it was selected.
-    p : p-value of each, all terms of the library counted.
     inclusion : inclusion frequency of the first term.
-    near : texts of terms that explain almost as much as the first.
-    python : an effect class, ready to paste into a file beside the model.
+    near : terms that explain almost as much as the first, in symbols.
     """
 
     channel: str
-    terms: tuple[Term, ...]
-    value: tuple[float, ...]
-    sd: tuple[float, ...]
-    unit: tuple[str, ...]
-    delta_chi2: tuple[float, ...]
-    p: tuple[float, ...]
+    kind: str
+    terms: tuple[FormulaTerm, ...]
     inclusion: float
     near: tuple[str, ...]
-    python: str
 
     @property
     def text(self) -> str:
         """The sum of the terms, in symbols."""
-        return " + ".join(term.text for term in self.terms)
+        return " + ".join(term.shape for term in self.terms)
 
 
 @dataclass(frozen=True)
@@ -84,25 +98,19 @@ def find_formula(projection: Projection, covariates: Sequence[ResidualCovariate]
     places = [choice.place for choice in selected]
     values, sds = _solve(projection, whitened[:, places], selected[-1].score.variance)
     best = selected[0]
-    chosen = [terms[place] for place in places]
-    units = tuple(f"{base}/{term.divisor}" if term.divisor else base for term in chosen)
-    values, sds = values / size[places], sds / size[places]
-    best = selected[0]
     return Formula(
         channel=channel,
-        terms=tuple(chosen),
-        value=tuple(values.tolist()),
-        sd=tuple(sds.tolist()),
-        unit=units,
-        delta_chi2=tuple(choice.score.delta_chi2 for choice in selected),
-        p=tuple(choice.p for choice in selected),
+        kind=constants.kind,
+        terms=tuple(
+            _formula_term(terms[choice.place], choice, value, sd, base)
+            for choice, value, sd in zip(selected, values / size[places], sds / size[places], strict=True)
+        ),
         inclusion=_inclusion(projection, projection.project(whitened), best.place),
         near=tuple(
             term.text
             for place, (term, score) in enumerate(zip(terms, first, strict=True))
             if score.delta_chi2 > best.score.delta_chi2 - thresholds.NEAR_CHI2 and place != best.place
         ),
-        python=_python(constants.kind, chosen, units, values),
     )
 
 
@@ -142,6 +150,19 @@ def _pursue(
     return selected
 
 
+def _formula_term(term: Term, choice: _Selected, value: float, sd: float, base: str) -> FormulaTerm:
+    return FormulaTerm(
+        shape=term.text,
+        expression=term.expression,
+        needs=term.needs,
+        value=float(value),
+        sd=finite(sd),
+        unit=f"{base}/{term.divisor}" if term.divisor else base,
+        delta_chi2=choice.score.delta_chi2,
+        p_global=choice.p,
+    )
+
+
 def _solve(projection: Projection, whitened: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return least-squares coefficients of whitened columns, and their standard deviations."""
     inverse = np.linalg.pinv(projection.project(whitened))
@@ -160,34 +181,3 @@ def _inclusion(projection: Projection, projected: np.ndarray, best: int) -> floa
     whole = drawn @ square
     score = np.where(whole > 1e-12, (drawn @ along) ** 2 / np.where(whole > 1e-12, whole, 1.0), 0.0)
     return float(np.mean(np.argmax(score, axis=1) == best))
-
-
-def _python(kind: str, terms: Sequence[Term], units: Sequence[str], value: np.ndarray) -> str:
-    """Return the text of an effect class with these terms."""
-    names = ["coefficient", "second", "third"][: len(terms)]
-    needs = tuple(dict.fromkeys(need for term in terms for need in term.needs))
-    formula = " + ".join(f"{name}·{term.text}" for name, term in zip(names, terms, strict=True))
-    lines = [
-        f'"""Found in the residuals: {formula}."""',
-        "",
-        "import jax.numpy as jnp",
-        "",
-        "from imubayes import Order, Scalar, SignalEffect, Stage, parameter",
-        "",
-        "",
-        "class FoundShape(SignalEffect):",
-        f'    """Signal + {formula}."""',
-        "",
-        f'    name = "found_{kind}_shape"',
-        f'    stage, order, kinds = Stage.SENSOR, Order.BIAS, ("{kind}",)',
-        f"    needs = {needs!r}",
-    ]
-    for name, unit, found in zip(names, units, value.tolist(), strict=True):
-        wide = float(f"{3 * abs(found):.1g}") or 1.0
-        low, high = float(f"{abs(found) / 10:.1g}"), wide
-        prior = f"normal(0, {wide:g} {unit})"
-        lines.append(f'    {name}: Scalar = parameter("{unit}", "{prior}", ({low:g}, {high:g}), "the coefficient")')
-    total = " + ".join(f"self.{name} * {term.expression}" for name, term in zip(names, terms, strict=True))
-    lines += ["", "    def apply(self, signal, sample):", f"        return signal + {total}", ""]
-    text = "\n".join(lines)
-    return text if "jnp." in total else text.replace("import jax.numpy as jnp\n\n", "")

@@ -15,7 +15,6 @@ from imubayes.criticism.diagnosis import (
     Diagnosis,
     EffectChoice,
     EffectGroup,
-    FormulaTerm,
     GroupMember,
     NearestEffect,
     NoiseFinding,
@@ -284,26 +283,26 @@ def _structures(found: SearchResult, unexplained: Sequence[Significant]) -> tupl
 
 
 def _structure(found: SearchResult, structure: Structure, p: float, formula: Formula | None) -> ResidualStructure:
-    step = structure.test == STEP
     plain = ResidualStructure(
         channel=structure.channel,
         covariate=" × ".join(covariate.name for covariate in structure.covariates),
-        test=structure.test if step else f"{structure.test} {structure.text}".strip(),
+        test=structure.test if structure.step else f"{structure.test} {structure.family}".strip(),
         p=float(p),
-        shape=structure.text if step else "",
+        step=structure.step,
         coefficient=_height(found, structure),
     )
-    if formula is None or step:
+    if formula is None or structure.step:
         return plain
-    terms = tuple(
-        FormulaTerm(shape=term.text, value=value, sd=finite(sd), unit=unit, delta_chi2=drop, p_global=chance)
-        for term, value, sd, unit, drop, chance in zip(
-            formula.terms, formula.value, formula.sd, formula.unit, formula.delta_chi2, formula.p, strict=True
-        )
-    )
-    first = Amplitude(value=terms[0].value, sd=terms[0].sd, unit=terms[0].unit)
-    content = {"shape": formula.text, "coefficient": first, "terms": terms, "inclusion": formula.inclusion}
-    return plain.model_copy(update=content | {"near": formula.near, "python": formula.python})
+    first = formula.terms[0]
+    content = {
+        "shape": formula.text,
+        "coefficient": Amplitude(value=first.value, sd=first.sd, unit=first.unit),
+        "terms": formula.terms,
+        "inclusion": formula.inclusion,
+        "near": formula.near,
+        "kind": formula.kind,
+    }
+    return plain.model_copy(update=content)
 
 
 def _height(found: SearchResult, structure: Structure) -> Amplitude | None:
@@ -321,7 +320,7 @@ def _strongest(found: SearchResult) -> StrongestStructure:
     structures = found.remaining or found.structures
     step = next((structure for structure, _ in structures if structure.test == STEP), None)
     if step is not None and mostly_step(step.channel, structures):
-        return StrongestStructure(channel=step.channel, covariates=(), step=step.text)
+        return StrongestStructure(channel=step.channel, covariates=(), step=step.step)
     first = structures[0][0]
     return StrongestStructure(channel=first.channel, covariates=tuple(_label(each) for each in first.covariates))
 

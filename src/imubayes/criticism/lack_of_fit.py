@@ -15,7 +15,7 @@ from scipy import stats
 from scipy.interpolate import BSpline
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.localised_structure import STEP, Feature, FeatureScan, FeatureSet, time_in_run, time_rank
+from imubayes.criticism.localised_structure import Feature, FeatureScan, FeatureSet, Step, time_in_run, time_rank
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import ScoreTest, generalised_least_squares, score_test
@@ -32,7 +32,8 @@ class Structure:
     covariates : one or two.
     test : the form that was fitted.
     score : what it explains.
-    text : of a localised feature: what it is in brief.
+    family : of a localised feature: its family of terms, in symbols.
+    step : of a step: where it is.
     height : of a step: its height in the channel and the standard deviation of that, in output units.
     """
 
@@ -40,7 +41,8 @@ class Structure:
     covariates: tuple[ResidualCovariate, ...]
     test: str
     score: ScoreTest
-    text: str = ""
+    family: str = ""
+    step: Step | None = None
     height: tuple[float, float] | None = None
 
 
@@ -164,11 +166,11 @@ def _of_feature(projection: Projection, of: FeatureSet, feature: Feature) -> Str
     columns = projection.project(whitened)
     score = score_test(projection, columns, np.linalg.norm(whitened, axis=0), thresholds.FORM_RETAINED_MIN)
     channel, height = dominant_channel(projection, of.channels, score), None
-    if feature.test == STEP:
+    if feature.step is not None:
         value, sd = generalised_least_squares(projection, columns, score.fitted, score.variance)
         place = of.channels.index(channel)
         height = float(value[place]), float(sd[place])
-    return Structure(channel, feature.covariates, feature.test, score, feature.text, height)
+    return Structure(channel, feature.covariates, feature.test, score, feature.family, feature.step, height)
 
 
 def _best(projection: Projection, of: FeatureScan) -> list[Feature]:

@@ -8,6 +8,7 @@ of matrices, and only the best against each covariate is tested in full.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -20,13 +21,23 @@ STEP = "step"
 
 
 @dataclass(frozen=True)
+class Step:
+    """A step in one run: at a time in seconds, or from a row, as `unit` says."""
+
+    run: str
+    at: float
+    unit: Literal["s", "row"]
+
+
+@dataclass(frozen=True)
 class Feature:
-    """One family of terms: its covariates, one or two, sort of test, places of its columns, and what it is in brief."""
+    """One family of terms: its covariates, one or two, sort of test, places of its columns, and symbols; or a step."""
 
     covariates: tuple[ResidualCovariate, ...]
     test: str
     columns: tuple[int, ...]
-    text: str
+    family: str = ""
+    step: Step | None = None
 
 
 @dataclass(frozen=True)
@@ -148,9 +159,8 @@ def _steps(projection: Projection, here: np.ndarray, first: int) -> tuple[list[n
         for part in range(1, parts):
             after = within & (place * parts >= part * count)
             at = float(np.nanmin(covariate.values[after]))
-            where = f"at {at:.4g} s" if covariate.name == "time_s" else f"from row {at:.0f}"
-            text = f"step {where} of run {model.campaign.runs[index].name}"
-            found.append(Feature((covariate,), STEP, (first + len(columns),), text))
+            step = Step(model.campaign.runs[index].name, at, "s" if covariate.name == "time_s" else "row")
+            found.append(Feature((covariate,), STEP, (first + len(columns),), step=step))
             columns.append(after.astype(float))
     return columns, found
 

@@ -11,6 +11,7 @@ from imubayes.criticism.diagnosis import (
     RankedEffect,
     UndetectableEffect,
 )
+from imubayes.display.criticism_words import formula_source, step_text, structure_shape
 from imubayes.display.labels import listed, pretty
 from imubayes.display.report import Report
 from imubayes.display.rounding import percent, significant, value_and_sd
@@ -37,7 +38,12 @@ def diagnosis_report(found: Diagnosis, picture: Path | None = None) -> Report:
 
 def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
     """Return a diagnosis as `imubayes diagnose --json` prints it: the record with its sentence and next command."""
-    return found.model_dump(mode="json") | {"sentence": sentence(found), "next": next_command(found)}
+    structure = [
+        each.model_dump(mode="json") | {"shape": structure_shape(each), "python": formula_source(each)}
+        for each in found.structure
+    ]
+    shown = {"sentence": sentence(found), "structure": structure, "next": next_command(found)}
+    return found.model_dump(mode="json") | shown
 
 
 def diagnosis_lines(found: Diagnosis, picture: Path | None = None) -> list[str]:
@@ -89,7 +95,8 @@ def _structure_sentence(found: Diagnosis) -> str:
     strongest = found.strongest
     assert strongest is not None
     if strongest.step:
-        return f"The residual of {strongest.channel} has a {strongest.step}: no effect of the catalogue happens once."
+        where = step_text(strongest.step)
+        return f"The residual of {strongest.channel} has a {where}: no effect of the catalogue happens once."
     phrases = " and ".join(covariate.phrase for covariate in strongest.covariates)
     said = (
         f"The residual of {strongest.channel} depends on {phrases} in a way that no effect of the catalogue explains."
@@ -140,7 +147,7 @@ def next_command(found: Diagnosis) -> str:
         channels = f" --channels {' '.join(choice.channels)}" if choice.channels else ""
         return f"imubayes add {choice.effect} --to {result} --out {result}-{choice.effect}{channels}"
     if found.verdict == "unexplained_structure":
-        printable = any(structure.python for structure in found.structure)
+        printable = any(structure.terms for structure in found.structure)
         return f"imubayes diagnose {result} --python > found_shape.py" if printable else f"imubayes compare {result}"
     return f"imubayes fit … --out {result}" if found.verdict == "not_converged" else f"imubayes plant --result {result}"
 
@@ -153,7 +160,7 @@ def effect_source(found: Diagnosis) -> str:
     InputError
         where no structure has a formula.
     """
-    source = next((structure.python for structure in found.structure if structure.python), "")
+    source = next((formula_source(structure) for structure in found.structure if structure.terms), "")
     if source:
         return source
     raise InputError(
@@ -282,7 +289,7 @@ def structure_sheet(found: Diagnosis) -> Sheet:
     for each in found.structure[:_MOST_STRUCTURES]:
         size = each.coefficient
         height = f"{significant(size.value)} {pretty(size.unit)}" if size is not None else ""
-        form = Cell(" ".join(part for part in (each.shape, height) if part))
+        form = Cell(" ".join(part for part in (structure_shape(each), height) if part))
         rows.append((Cell(each.channel), Cell(each.covariate), Cell(each.test), Cell(chance_text(each.p), "bad"), form))
     head = ("channel", "depends on", "test", "p", "form")
     note = _more(len(found.structure) - len(rows)).strip()
