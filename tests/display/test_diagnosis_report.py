@@ -72,7 +72,8 @@ def diagnosis(verdict: Verdict = "equivalent_effects", terms: tuple[FormulaTerm,
         verdict=verdict, message="It did not settle.", p_global=1e-18, result="R",
         groups=(group,) if verdict == "equivalent_effects" else (),
         ranking=(*ranked, line("gyro_g_sensitivity", 2.0, 0.9)), undetectable=(hidden, lacking),
-        structure=(pattern,), looks=40.0, strongest=StrongestStructure(channel="gx", covariates=(), step=Step("ramp", 3.0, "s")),
+        structure=(pattern,), looks=40.0,
+        strongest=StrongestStructure(channel="gx", covariates=(), step=Step("ramp", 3.0, "s")),
         suggested=EffectChoice(effect="gyro_scale_asymmetry", channels=None)
         if verdict == "equivalent_effects" else None,
     )  # fmt: skip

@@ -7,9 +7,7 @@ from imubayes.criticism.localised_structure import Step
 _NAMES = ("coefficient", "second", "third")
 _SOURCE = '''"""Found in the residuals: {formula}."""
 {numpy}
-from imubayes.effects.base import Order, SignalEffect, Stage
-from imubayes.parameters.parameter import parameter
-from imubayes.types import Scalar
+from imubayes import Order, Scalar, SignalEffect, Stage, parameter
 
 
 class FoundShape(SignalEffect):
