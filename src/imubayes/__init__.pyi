@@ -6,6 +6,7 @@ from .effects.base import Effect, MotionEffect, Order, PlaceEffect, RecordEffect
 from .effects.memory import Decay, Play
 from .errors import InputError
 from .frames import compose, cross, exponential, rotate
+from .inference.density_sampling import Samples, sample
 from .inference.ensemble_sampling import Settings
 from .model.model_file import load_model
 from .noise.base import Entry, EntryNoise, Noise, SeriesNoise, SharedNoise, TailNoise
@@ -37,6 +38,7 @@ __all__ = [
     "RecordEffect",
     "Result",
     "Sample",
+    "Samples",
     "Scalar",
     "SeriesNoise",
     "Settings",
@@ -63,6 +65,7 @@ __all__ = [
     "read_result",
     "reference_temperature",
     "rotate",
+    "sample",
     "time_constant",
     "to_si",
     "vector3",

@@ -15,7 +15,7 @@ from PIL import Image
 from imubayes.display.comparison import Comparison, compare
 from imubayes.display.figure_selection import corner_choice
 from imubayes.errors import InputError
-from imubayes.results.posterior_draws import draws_of, read_draws
+from imubayes.results.posterior_draws import draws_of
 
 
 def test_all_pictures_are_made_with_captions(compared: Comparison, trihedral: Path):
@@ -135,7 +135,7 @@ def test_draws_from_file_tree_and_arviz_agree(trihedral: Path):
         "table_rate_error.rate_error[rate]",
         "scale_factor[gz]",
     ]
-    from_file = read_draws(file, [*names, "gyro_bias.bias[gq]", "nothing"])
+    from_file = draws_of(file, [*names, "gyro_bias.bias[gq]", "nothing"])
     assert list(from_file) == names
     with xr.open_datatree(file, engine="h5netcdf") as tree:
         from_tree = draws_of(tree, names)
@@ -145,14 +145,14 @@ def test_draws_from_file_tree_and_arviz_agree(trihedral: Path):
     np.testing.assert_array_equal(from_file[names[1]], expected)
 
 
-def test_draws_of_a_family_with_one_list_of_labels_or_none():
+def test_draws_of_a_variable_with_and_without_labels():
     values = np.arange(12.0).reshape(2, 3, 2)
-    labelled = xr.DataArray(values, dims=("chain", "draw", "f.label"), coords={"f.label": ["gx,up", "gy,up"]})
-    bare = xr.DataArray(values[..., :1], dims=("chain", "draw", "b.label"), coords={"b.label": [""]})
-    data = xr.Dataset({"f": labelled, "b": bare, "s": (("draw", "chain"), values[..., 0].T)})
-    found = draws_of(data, ["f[gy,up]", "b", "s"])
-    np.testing.assert_array_equal(found["f[gy,up]"], values[..., 1].reshape(-1))
-    np.testing.assert_array_equal(found["b"], found["s"])
+    labels = {"channel": ["gx", "gy"], "mounting": ["up, north"]}
+    labelled = xr.DataArray(values[..., None], dims=("chain", "draw", *labels), coords=labels)
+    data = xr.Dataset({"f": labelled, "s": (("draw", "chain"), values[..., 0].T)})
+    found = draws_of(data, ["f[gy,up, north]", "s[all]"])
+    np.testing.assert_array_equal(found["f[gy,up, north]"], values[..., 1].reshape(-1))
+    np.testing.assert_array_equal(found["s[all]"], values[..., 0].reshape(-1))
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from imubayes.errors import InputError, Issue, closest_first
 from imubayes.procedures.classical import classical
 from imubayes.results.fit_file import campaign_of
 from imubayes.results.folder_state import damaged
-from imubayes.results.posterior_draws import read_draws
+from imubayes.results.posterior_draws import draws_of
 from imubayes.results.result import read_result
 from imubayes.results.summary import Summary
 
@@ -173,7 +173,7 @@ def _draws(file: Path, names: Sequence[str], asked: bool) -> Mapping[str, Any]:
     if not names:
         return {}
     try:
-        draws = read_draws(file, names)
+        draws = draws_of(file, names)
     except (OSError, KeyError, ValueError, RuntimeError) as error:
         raise InputError(damaged(file, error)) from error
     absent = [name for name in names if name not in draws]

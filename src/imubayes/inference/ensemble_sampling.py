@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import emcee
 import numpy as np
+from emcee.backends import HDFBackend
 from emcee.moves import DEMove, StretchMove
 
 from imubayes.inference.checkpoint import Checkpoint
@@ -31,6 +32,10 @@ _LEAST_DRAWS, _LEAST_STEPS = 6000, 10
 _LONG = 60
 # Largest size of all chains together, in numbers: 400 MB.
 _MOST_NUMBERS = 50_000_000
+
+
+# Points (n, D) → log densities (n,).
+BatchedDensity = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,7 @@ def walkers_for(dimensions: int, settings: Settings) -> int:
 
 
 def sample(
-    log_density: Callable[[np.ndarray], np.ndarray],
+    log_density: BatchedDensity,
     starts: Sequence[np.ndarray],
     names: Sequence[str],
     settings: Settings,
@@ -92,46 +97,67 @@ def sample(
     proposal : the Laplace proposal; None for stretch and DE moves alone.
     progress : called with the number of steps done and a word on convergence.
     """
-    walkers, dimensions = starts[0].shape
     hard = proposal is not None and expected_acceptance(log_density, proposal, settings.seed) < _HARD_ACCEPTANCE
     short_share = _SHORT_SHARE_HARD if hard else _SHORT_SHARE
-    moves = [LaplaceMove(proposal, _SHORT_STEP, short_share) if proposal is not None else None for _ in starts]
-    samplers = [_sampler(log_density, walkers, dimensions, move) for move in moves]
-    states = [_state(place, start, settings, checkpoint) for place, start in enumerate(starts)]
-    memory = _MOST_NUMBERS // (len(starts) * walkers * dimensions)
-    most = min(settings.most_steps + _BURN_IN if settings.most_steps else memory, memory)
-    enough = settings.least_steps or max(_LEAST_STEPS, math.ceil(_LEAST_DRAWS / (len(starts) * walkers)))
-    least = min(enough + _BURN_IN, most)
+    walkers, dimensions = starts[0].shape
+    ensembles = []
+    for number, start in enumerate(starts):
+        move = LaplaceMove(proposal, _SHORT_STEP, short_share) if proposal is not None else None
+        state = _state(number, start, settings, checkpoint)
+        ensembles.append(_Ensemble(_sampler(log_density, walkers, dimensions, move), move, state))
+    least, most = _lengths(len(starts), walkers, dimensions, settings)
+    tell = progress or (lambda steps, word: None)
     taken, block = checkpoint.steps, _BLOCK
     while True:
-        if taken >= least or taken >= most:
+        if taken >= least:
             chains = _judged(checkpoint, names)
-            if progress is not None:
-                progress(taken, chains.diagnosis.message or "converged")
+            tell(taken, chains.diagnosis.message or "converged")
             if chains.diagnosis.converged or taken >= most:
                 return chains
             block = max(_BLOCK, taken // 4)
         steps = min(block, (least if taken < least else most) - taken)
         with checkpoint.block() as backends:
-            for place, (sampler, move, backend) in enumerate(zip(samplers, moves, backends, strict=True)):
-                sampler.backend = backend
-                if move is not None:
-                    move.forget()
-                for state in sampler.sample(states[place], iterations=steps, skip_initial_state_check=True):
-                    states[place] = state
+            for ensemble, backend in zip(ensembles, backends, strict=True):
+                ensemble.advance(steps, backend)
         taken += steps
-        if progress is not None:
-            progress(taken, "")
+        tell(taken, "")
 
 
-def _sampler(log_density, walkers: int, dimensions: int, move: LaplaceMove | None) -> emcee.EnsembleSampler:
+def _lengths(ensembles: int, walkers: int, dimensions: int, settings: Settings) -> tuple[int, int]:
+    """Return the fewest and the most steps that each ensemble takes, burn-in included."""
+    memory = _MOST_NUMBERS // (ensembles * walkers * dimensions)
+    most = min(settings.most_steps + _BURN_IN if settings.most_steps else memory, memory)
+    enough = settings.least_steps or max(_LEAST_STEPS, math.ceil(_LEAST_DRAWS / (ensembles * walkers)))
+    return min(enough + _BURN_IN, most), most
+
+
+@dataclass
+class _Ensemble:
+    """An ensemble with its sampler and where it stands."""
+
+    sampler: emcee.EnsembleSampler
+    move: LaplaceMove | None
+    state: emcee.State
+
+    def advance(self, steps: int, backend: HDFBackend) -> None:
+        """Take a block of steps into a backend."""
+        self.sampler.backend = backend
+        if self.move is not None:
+            self.move.forget()
+        for state in self.sampler.sample(self.state, iterations=steps, skip_initial_state_check=True):
+            self.state = state
+
+
+def _sampler(
+    log_density: BatchedDensity, walkers: int, dimensions: int, move: LaplaceMove | None
+) -> emcee.EnsembleSampler:
     moves = [(StretchMove(), _STRETCH_SHARE), (DEMove(), _DE_SHARE)]
     if move is not None:
         moves.append((move, 1 - _STRETCH_SHARE - _DE_SHARE))
     return emcee.EnsembleSampler(walkers, dimensions, log_density, moves=moves, vectorize=True)
 
 
-def expected_acceptance(log_density, proposal: LaplaceProposal, seed: int) -> float:
+def expected_acceptance(log_density: BatchedDensity, proposal: LaplaceProposal, seed: int) -> float:
     """Return the share of independent proposals that would be taken, from importance weights of a few draws."""
     points, density = proposal.to_point(np.random.RandomState(seed).normal(size=(_TRIAL, proposal.dimensions)))
     log_weight = log_density(points) - density
@@ -144,14 +170,14 @@ def expected_acceptance(log_density, proposal: LaplaceProposal, seed: int) -> fl
     return float(taken * log_weight.size / _TRIAL)
 
 
-def _state(place: int, start: np.ndarray, settings: Settings, checkpoint: Checkpoint) -> emcee.State:
+def _state(number: int, start: np.ndarray, settings: Settings, checkpoint: Checkpoint) -> emcee.State:
     """Return where an ensemble stands: its last checkpoint, or its start with a random stream of its own."""
     if checkpoint.steps:
-        state = checkpoint.read()[place].get_last_sample()
+        state = checkpoint.read()[number].get_last_sample()
         # The random stream comes back as a list, which NumPy does not take and emcee does not complain about.
         state.random_state = tuple(state.random_state or ())
         return state
-    random = np.random.RandomState(np.random.SeedSequence([settings.seed, place]).generate_state(4))
+    random = np.random.RandomState(np.random.SeedSequence([settings.seed, number]).generate_state(4))
     return emcee.State(start, random_state=random.get_state())
 
 

@@ -20,13 +20,15 @@ class Posterior:
     Attributes
     ----------
     points : shape (S, P + H), draws in z, sampled or of the Laplace approximation.
-    derived, prior_derived : shapes (S′, D) and (S″, D), draws of the derived quantities in their units.
+    derived : shape (S′, D), draws of the derived quantities in their units, of `derived_rows` of the points.
+    prior_points, prior_derived : shapes (S″, P) and (S″, D), draws of the prior in z, and what is derived from them.
     approximation : the nested Laplace approximation.
     chains : the sampled chains; None where the draws are of the Laplace approximation.
     """
 
     points: np.ndarray
     derived: np.ndarray
+    prior_points: np.ndarray
     prior_derived: np.ndarray
     approximation: NestedLaplace
     chains: Chains | None = None

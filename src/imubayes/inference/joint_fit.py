@@ -16,10 +16,10 @@ from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.ensemble_sampling import Chains, Settings, sample, walkers_for
 from imubayes.inference.fit import Fit, Posterior, evenly_spaced
 from imubayes.inference.laplace_move import LaplaceProposal, LogDensity
-from imubayes.inference.nested_laplace import nested_laplace
+from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
 from imubayes.inference.posterior_mode import Mode, find_mode, fit_at, heights, message
 from imubayes.model.bind import Model
-from imubayes.model.derived_quantities import DerivedQuantities, evaluate_derived
+from imubayes.model.derived_quantities import evaluate_derived
 from imubayes.model.problem import Problem
 
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
@@ -84,8 +84,7 @@ def joint_fit(
             chains, points = None, proposal.draw(np.random.RandomState(0), _LAPLACE_DRAWS)
         seconds["sample"] = time.perf_counter() - clock
     tell("deriving")
-    draws, prior = _derived_draws(fit.derived, problem, points)
-    return replace(fit, posterior=Posterior(points, draws, prior, approximation, chains), seconds=seconds)
+    return replace(fit, posterior=_posterior(fit, points, approximation, chains), seconds=seconds)
 
 
 def _sampled(
@@ -184,10 +183,10 @@ def _starts(
     return starts
 
 
-def _derived_draws(derived: DerivedQuantities, problem: Problem, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    size = problem.size[0]
-    chosen = evenly_spaced(len(points), _DERIVED_DRAWS)
+def _posterior(fit: Fit, points: np.ndarray, approximation: NestedLaplace, chains: Chains | None) -> Posterior:
+    """Return the posterior of draws (S, P + H), with the derived quantities of evenly spaced draws and of the prior."""
+    size = len(fit.z)
+    chosen = points[evenly_spaced(len(points), _DERIVED_DRAWS), :size]
     prior = np.random.default_rng(0).normal(size=(_PRIOR_DRAWS, size))
-    both = np.concatenate([points[chosen, :size], prior])
-    values = evaluate_derived(derived.derivation, problem, both)
-    return values[:_DERIVED_DRAWS], values[_DERIVED_DRAWS:]
+    derived = evaluate_derived(fit.derived.derivation, fit.model.problem, np.concatenate([chosen, prior]))
+    return Posterior(points, derived[:_DERIVED_DRAWS], prior, derived[_DERIVED_DRAWS:], approximation, chains)

@@ -1,0 +1,159 @@
+"""Sampling of any log density with the sampler of the fit: independent ensembles that run until they agree."""
+
+import hashlib
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import xarray
+from arviz_base import from_dict
+
+from imubayes.errors import InputError, Issue
+from imubayes.inference.checkpoint import Checkpoint
+from imubayes.inference.ensemble_sampling import BatchedDensity, Chains, Settings, walkers_for
+from imubayes.inference.ensemble_sampling import sample as sample_ensembles
+
+# Starts are wider than the target is said to be, so that a second mode nearby is met by one of the ensembles.
+_OVERDISPERSION = 2.0
+# Without a Laplace proposal the starts are no draws of the target: a quarter of this many steps is left out as burn-in.
+_LEAST_STEPS = 300
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Draws from a log density.
+
+    Attributes
+    ----------
+    names : of the D parameters.
+    chains : draws, log densities, acceptance and convergence, with burn-in removed.
+    """
+
+    names: tuple[str, ...]
+    chains: Chains
+
+    @property
+    def draws(self) -> np.ndarray:
+        """All draws together, shape (S, D)."""
+        return self.chains.points.reshape(-1, len(self.names))
+
+    @property
+    def converged(self) -> bool:
+        """Whether nested R̂ and the effective sample sizes of all parameters are sufficient."""
+        return self.chains.diagnosis.converged
+
+    @property
+    def message(self) -> str:
+        """What did not converge, in a sentence; empty where all did."""
+        return self.chains.diagnosis.message
+
+    @cached_property
+    def posterior(self) -> xarray.DataTree:
+        """The draws as an ArviZ tree, one variable per name; a chain is a walker of the ensemble `superchain`."""
+        ensembles, steps, walkers, _ = self.chains.points.shape
+        shape = (ensembles * walkers, steps)
+        points = self.chains.points.transpose(0, 2, 1, 3).reshape(*shape, -1)
+        stats = {
+            "lp": self.chains.log_density.transpose(0, 2, 1).reshape(shape),
+            "superchain": np.repeat(np.arange(ensembles), walkers)[:, None].repeat(steps, axis=1),
+        }
+        variables = {name: points[..., place] for place, name in enumerate(self.names)}
+        return from_dict({"posterior": variables, "sample_stats": stats}, check_conventions=False)
+
+
+def sample(
+    log_density: BatchedDensity,
+    start: np.ndarray | Sequence[float],
+    scale: np.ndarray | Sequence[float] | float = 1.0,
+    names: Sequence[str] = (),
+    *,
+    settings: Settings | None = None,
+    checkpoint: str | Path | None = None,
+    resume: bool = False,
+    progress: Callable[[int, str], None] | None = None,
+) -> Samples:
+    """Sample a log density of your own by independent ensembles of stretch and differential-evolution moves.
+
+    The ensembles run until nested R̂ and the effective sample sizes of all parameters are sufficient, or
+    `settings.most_steps` is reached.
+
+    Parameters
+    ----------
+    log_density : points (n, D) → (n,), up to a constant; −∞ or NaN where the density is zero.  A JAX function of one
+        point becomes such a function by ``jax.jit(jax.vmap(function))``.
+    start : shape (D,), a point within the bulk of the density.
+    scale : shape (D,) or one for all, the rough standard deviation of each parameter.
+    names : of the D parameters; ``x0``, ``x1``, … where none are given.
+    settings : number of ensembles and walkers, seed, fewest and most steps.
+    checkpoint : file in which the chains are kept; a temporary one where None.
+    resume : continue the checkpoint.
+    progress : called with the number of steps and a word on convergence.
+
+    Raises
+    ------
+    InputError
+        for names that do not fit the start, a log density of another shape or not finite at any start, and a
+        checkpoint to be resumed that is missing, damaged or of other parameters or settings.
+
+    Examples
+    --------
+    >>> import imubayes
+    >>> normal = imubayes.sample(lambda x: -0.5 * (x**2).sum(axis=1), [0.0, 0.0], names=["a", "b"])
+    >>> normal.converged
+    True
+    """
+    settings = settings or Settings()
+    settings = replace(settings, least_steps=settings.least_steps or _LEAST_STEPS)
+    centre = np.atleast_1d(np.asarray(start, dtype=float))
+    names = tuple(names) or tuple(f"x{place}" for place in range(len(centre)))
+    walkers = walkers_for(len(centre), settings)
+    random = np.random.default_rng([settings.seed, 1])
+    wide = _OVERDISPERSION * np.broadcast_to(np.asarray(scale, dtype=float), centre.shape)
+    starts = list(centre + wide * random.normal(size=(settings.ensembles, walkers, len(centre))))
+    _check(log_density, starts[0], names)
+
+    def without_nan(points: np.ndarray) -> np.ndarray:
+        values = np.asarray(log_density(points))
+        return np.where(np.isnan(values), -np.inf, values)
+
+    fingerprints = {
+        "parameters": hashlib.sha256("\n".join(names).encode()).hexdigest(),
+        "sampler": f"seed {settings.seed}, {settings.ensembles} ensembles of {walkers} walkers",
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(checkpoint) if checkpoint is not None else Path(folder) / "checkpoint.h5"
+        file = Checkpoint(path, settings.ensembles, walkers, len(centre), fingerprints)
+        if resume:
+            file.check()
+        else:
+            file.create()
+        return Samples(names, sample_ensembles(without_nan, starts, names, settings, file, progress=progress))
+
+
+def _check(log_density: BatchedDensity, points: np.ndarray, names: tuple[str, ...]) -> None:
+    """Raise InputError unless names and log density fit the points (n, D)."""
+    if len(names) != points.shape[1]:
+        what = f"{len(names)} names for {points.shape[1]} parameters"
+        raise InputError(Issue(what, "names", "one name per entry of `start`", "give as many names as parameters"))
+    values = np.asarray(log_density(points))
+    if values.shape != points.shape[:1]:
+        raise InputError(
+            Issue(
+                f"the log density of points {points.shape} has shape {values.shape}",
+                "log_density",
+                f"shape {points.shape[:1]}, one value per point",
+                "vectorise it: `jax.vmap(function)`, or a loop over the points",
+            )
+        )
+    if not np.isfinite(values).any():
+        raise InputError(
+            Issue(
+                "the log density is not finite at any starting point",
+                "log_density, start, scale",
+                "a start within the bulk of the density",
+                "choose another start, or a smaller scale",
+            )
+        )
