@@ -17,6 +17,7 @@ from imubayes.display.classical_comparison import (
     undetermined_sheet,
 )
 from imubayes.display.sheet import terminal
+from imubayes.procedures.textbook import Estimate, Undetermined
 
 ROOT = Path(__file__).parents[2]
 TRIHEDRAL = 54.735610317245346

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from imubayes.covariates import Covariate, shown
-from imubayes.display.figures.panels import abscissa, chosen_channels, limit_of, set_abscissa, set_decades, thinned
+from imubayes.display.figures.panels import abscissa, chosen_channels, limit_of, set_abscissa, set_symlog, thinned
 from imubayes.display.labels import covariate, numbers, ordered, pretty, readable, varies
 from imubayes.display.theme import (
     BAND_WIDE,
@@ -120,8 +120,7 @@ def _set_ordinate(axes: Axes, x: np.ndarray, observed: np.ndarray, predicted: np
         inner = float(np.max(np.abs(predicted[np.abs(x) == np.min(np.abs(x[x != 0]))])))
         largest = max(abs(low), abs(high))
         if 0 < inner < largest / 30:
-            axes.set_yscale("symlog", linthresh=10.0 ** np.ceil(np.log10(inner)), linscale=0.6)
-            set_decades(axes.yaxis, 5)
+            set_symlog(axes, "y", 10.0 ** np.ceil(np.log10(inner)), 5)
             axes.set_ylim(-2 * largest if low < -inner else -inner, 2 * largest if high > inner else inner)
             return
     middle, half = 0.5 * (low + high), max(0.53 * (high - low), 3 * wide) or 1.0

@@ -1,6 +1,7 @@
 """What residual panels share: choice of channels, axes, limits, and means over neighbouring points."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 import polars as pl
@@ -52,8 +53,7 @@ def set_abscissa(axes: Axes, values: np.ndarray, covariate: Covariate) -> None:
     sizes = np.abs(finite[finite != 0])
     if covariate.unit == "deg/s" and sizes.size and sizes.max() > _WIDE * sizes.min():
         smallest = 10.0 ** np.floor(np.log10(sizes.min()) + 1e-9)
-        axes.set_xscale("symlog", linthresh=smallest, linscale=0.6)
-        set_decades(axes.xaxis)
+        set_symlog(axes, "x", smallest)
         edge = 1.6
         axes.set_xlim(low * edge if low < 0 else low - smallest / 2, high * edge if high > 0 else high + smallest / 2)
         return
@@ -61,6 +61,14 @@ def set_abscissa(axes: Axes, values: np.ndarray, covariate: Covariate) -> None:
     if covariate.unit == "deg" and high - low >= 90:
         # Multiples of 45 and 90 degrees.
         axes.xaxis.set_major_locator(MaxNLocator(9, steps=[1, 1.8, 4.5, 9, 10]))
+
+
+def set_symlog(axes: Axes, axis: Literal["x", "y"], smallest: float, most: int = 9) -> None:
+    """Make an axis symmetric logarithmic above its smallest decade, with ticks at not many more than `most` decades."""
+    # Just above the decade: matplotlib's locator takes log(1000)/log(10) < 3 for a lower one.
+    scale = {"value": "symlog", "linthresh": 1.0001 * smallest, "linscale": 0.6}
+    (axes.set_xscale if axis == "x" else axes.set_yscale)(**scale)
+    set_decades(axes.xaxis if axis == "x" else axes.yaxis, most)
 
 
 def set_decades(axis: Axis, most: int = 9) -> None:
