@@ -123,7 +123,7 @@ def test_one_run_alone_has_no_standard_error():
 
 
 def test_what_stands_in_the_model_is_not_added_again(first):
-    with pytest.raises(InputError, match="stands twice"):
+    with pytest.raises(InputError, match="is listed twice"):
         extend(first.fit, ["white_noise"])
 
 

@@ -83,9 +83,9 @@ def test_an_effect_of_a_kind_the_unit_lacks_is_refused():
 
 def test_an_effect_may_not_stand_twice_on_a_channel():
     (problem,) = refused(effect("gyro_bias"), effect("gyro_bias", channels=("gx",)))
-    assert "stands twice on gx" in problem.what
+    assert "is listed twice on gx" in problem.what
     (problem,) = refused(effect("mounting_error"), effect("mounting_error"))
-    assert "stands twice" in problem.what
+    assert "is listed twice" in problem.what
 
 
 def test_it_may_stand_twice_on_different_channels():

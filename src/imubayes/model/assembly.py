@@ -1,4 +1,4 @@
-"""Effects and campaign put together: the pieces from which the problem and the derived quantities are built."""
+"""Effects and campaign assembled: what the problem and the derived quantities are built from."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
@@ -24,9 +24,9 @@ class Assembly:
     Attributes
     ----------
     effects : the effects and noise members.
-    grouping : what nodes and entries belong to.
+    grouping : labels of nodes and entries.
     layout, hyper_layout : the scalars.
-    nulls : values at which effects do nothing, behind the parameters in the vector of values.
+    nulls : null values of effects, appended to the parameters in the vector of values.
     channels : constants of the channels, per kind.
     nodes : all nodes.
     """

@@ -1,10 +1,10 @@
-"""Closing a free tumble: the gyros must carry each pose into the next.
+"""Attitude closure of a free tumble: the integrated gyro rates must carry the attitude of each pose into the next.
 
-While the unit is moved by hand nothing is known of its motion but what its own sensors say.  The signal path is
-therefore run backwards: the readings are inverted to angular rate and specific force (a fixed point of a few
-rounds, since every channel is nominal to some percent), the rates are integrated, and what is observed is that the
-rotation so found leads from the attitude of one pose to that of the next.  The Earth's rotation is taken out
-exactly, in the local level: C_nb(stop) = exp(−ω_E Δt) · C_nb(start) · Π exp(ω_k Δt_k + coning_k).
+Between poses the unit is turned by hand and its motion is known from its own sensors alone.  The signal path is
+therefore inverted: outputs become angular rate and specific force by fixed-point iteration (a few rounds, since every
+channel is nominal to some percent), the rates are integrated, and the closure error of the rotation is the observation.
+The Earth's rotation is removed exactly, in the local level: C_nb(stop) = exp(−ω_E Δt) · C_nb(start) · Π exp(ω_k Δt_k +
+coning_k).
 """
 
 import equinox as eqx
@@ -33,7 +33,7 @@ class Transitions(eqx.Module):
     step : shape (T, K), s.
     readings : kind → shape (T·K, C), output units.
     coning : shape (T, K, 3), rad.
-    ambient : circumstances of every step, T·K of them: those of the pose before.
+    ambient : covariates of every step, T·K of them: those of the preceding pose.
     records : the static nodes in the order of time, for effects with memory.
     inverse : kind → shape (3, C); least-squares inverse of the nominal axes.
     layers : the signal path from the projection on, with places of values for T·K instants.
@@ -104,11 +104,11 @@ def _readings_by_kind(assembly: Assembly, step: np.ndarray, readings: np.ndarray
 def closing_rotations(
     transitions: Transitions, channels: dict[str, Channels], motion: Motion, values: Float[Array, " V"]
 ) -> Float[Array, "T 3"]:
-    """Return the rotation by which each transition misses the attitude of its last pose, rad, body axes.
+    """Return the closure error of each transition as a rotation vector, rad, body axes.
 
     Parameters
     ----------
-    transitions : the moving parts.
+    transitions : the recorded motion between poses.
     channels : constants of the channels, per kind.
     motion : the static nodes after all kinematic effects; its mounting is the attitude of each pose.
     values : all parameters in SI, then the null values.
@@ -126,9 +126,9 @@ def closing_rotations(
 
 
 def _inverted(transitions: Transitions, channels: dict[str, Channels], values) -> dict[str, Array]:
-    """Return rate and force in body axes, kind → (T·K, 3), that would give the readings."""
+    """Return rate and force in body axes, kind → (T·K, 3), that reproduce the recorded outputs."""
 
-    def nearer(_: Array, found: dict[str, Array]) -> dict[str, Array]:
+    def refine(_: Array, found: dict[str, Array]) -> dict[str, Array]:
         predicted = _readout(transitions, channels, found, values)
         misfit = {
             kind: (read - predicted[kind]) / channels[kind].scale[None, :]
@@ -136,17 +136,17 @@ def _inverted(transitions: Transitions, channels: dict[str, Channels], values) -
         }
         return {kind: found[kind] + misfit[kind] @ transitions.inverse[kind].T for kind in found}
 
-    nothing: dict[str, Array] = {kind: jnp.zeros((len(read), 3)) for kind, read in transitions.readings.items()}
-    return jax.lax.fori_loop(0, _ROUNDS, nearer, nothing)
+    zero: dict[str, Array] = {kind: jnp.zeros((len(read), 3)) for kind, read in transitions.readings.items()}
+    return jax.lax.fori_loop(0, _ROUNDS, refine, zero)
 
 
 def _readout(transitions: Transitions, channels: dict[str, Channels], found: dict[str, Array], values):
-    """Return what the channels would read, kind → (T·K, C)."""
+    """Return the predicted channel outputs, kind → (T·K, C)."""
     zero = jnp.zeros_like(next(iter(found.values())))
     body = Experience(found.get("gyro", zero), found.get("accelerometer", zero), zero, zero, zero, zero)
     experience = {
-        kind: jax.tree.map(lambda leaf, one=one: jnp.broadcast_to(leaf[:, None], (len(leaf), len(one.scale), 3)), body)
-        for kind, one in channels.items()
+        kind: jax.tree.map(lambda leaf, of=known: jnp.broadcast_to(leaf[:, None], (len(leaf), len(of.scale), 3)), body)
+        for kind, known in channels.items()
     }
     path = SignalPath(_no_motion(len(zero)), transitions.ambient, experience, {}, {}, records=transitions.records)
     return propagate(transitions.layers, path, values).signal

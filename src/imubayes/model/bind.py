@@ -101,7 +101,7 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None) 
 
     Parameters
     ----------
-    registry : effects by name, with those of the model's files tried out already; by default the package's own.
+    registry : effects by name, user effects in it are not dry-run again; by default the package's own.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def _bind_effects(spec: ModelSpec, grouping: Grouping, registry: Registry) -> tu
                 "the model has no noise",
                 spec.where,
                 "white_noise",
-                'add [[effect]] name = "white_noise": without it no residual has a size to be compared with',
+                'add [[effect]] name = "white_noise": without it residuals have no scale',
             )
         )
     if issues:
@@ -192,7 +192,7 @@ def _conflicts(effects: Sequence[BoundEffect]) -> list[Issue]:
         excluded = other.name in effect.effect_class.excludes or effect.name in other.effect_class.excludes
         if (shared or whole_unit) and (same or excluded):
             pair = f"'{effect.name}' and '{other.name}' do not go together"
-            what = f"the effect '{effect.name}' stands twice" if same else pair
+            what = f"the effect '{effect.name}' is listed twice" if same else pair
             on = f" on {', '.join(shared)}" if shared else ""
             remedy = f"keep one of them, or give each its own 'channels' ({other.spec.where} is the other)"
             found.append(Issue(what + on, effect.spec.where, "one effect for each cause and channel", remedy))

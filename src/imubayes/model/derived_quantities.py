@@ -1,4 +1,4 @@
-"""The list of derived quantities of a model: which there are, their names and units, and how to compute them."""
+"""Derived quantities of a model: their names and units, and the function that computes them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,11 +29,11 @@ from imubayes.run import Channel
 from imubayes.types import Array, Float, Int
 from imubayes.units import to_si
 
-# An input below this share of g says nothing about a relative slope.
+# A relative slope is not determined by an input below this share of g.
 _LEAST_INPUT_G = 0.1
-# Points whose quantities are computed at once.
+# Batch size.
 _AT_ONCE = 500
-# Half the distance of the points whose quantities are subtracted for a slope, in z.
+# Step of the central differences, in z.
 _APART = 1e-3
 
 
@@ -84,7 +84,7 @@ def _derive_batch(derivation: DerivedFunction, problem: Problem, points: Float[A
 def evaluate_derived(derivation: DerivedFunction, problem: Problem, points: np.ndarray) -> np.ndarray:
     """Return the derived quantities, in their units, of many points in z (n, P); shape (n, D).
 
-    What is compiled for the draws serves the slopes.
+    One compiled function for draws and derivatives.
     """
     return in_batches(lambda batch: _derive_batch(derivation, problem, batch), points, _AT_ONCE)
 
@@ -92,8 +92,8 @@ def evaluate_derived(derivation: DerivedFunction, problem: Problem, points: np.n
 def derived_jacobian(derivation: DerivedFunction, problem: Problem, z: np.ndarray) -> np.ndarray:
     """Return the derivative of every derived quantity, in its unit, by every parameter in z (P,); shape (D, P).
 
-    By central differences: over a thousandth of a prior a derived quantity is a straight line to seven digits, and the
-    derivative as a program of its own takes longer to compile than everything else of them.
+    By central differences: over a thousandth of a prior width derived quantities are linear to seven digits, and
+    automatic differentiation would dominate their compile time.
     """
     steps = _APART * np.eye(len(z))
     above, below = np.split(evaluate_derived(derivation, problem, np.concatenate([z + steps, z - steps])), 2)
@@ -189,7 +189,7 @@ def _thermal_comparisons(
 
 
 def _mounting_nodes(assembly: Assembly) -> tuple[list[str], np.ndarray]:
-    """Return the mountings in use and a node of each; where there is none, the first node stands in."""
+    """Return the mountings in use and the first node of each."""
     runs = assembly.grouping.campaign.runs
     of_run = {}
     for index, run in enumerate(runs):

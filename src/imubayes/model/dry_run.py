@@ -1,4 +1,4 @@
-"""Whether the user's own effects can be evaluated: tried without computing anything, before anything is fitted."""
+"""Abstract evaluation of user-defined effects, by shapes and types alone, before anything is fitted."""
 
 import sys
 import traceback
@@ -14,20 +14,20 @@ from imubayes.model.likelihood import log_density
 from imubayes.model.problem import Problem, signal_path, values_of
 
 
-def dry_run(problem: Problem, acting: Sequence[BoundEffect], files: Sequence[str]) -> None:
-    """Follow the signal path by shapes and types alone.
+def dry_run(problem: Problem, effects: Sequence[BoundEffect], files: Sequence[str]) -> None:
+    """Trace the signal path and the log density without computing them.
 
     Parameters
     ----------
-    problem, acting : the model with the user's effects.
+    problem, effects : the model with the user's effects.
     files : where these are defined.
 
     Raises
     ------
     InputError
-        where a class of the user fails, or returns what is not one real number; it names file, line and fault.
+        where a user-defined class raises, or does not return one real number; names file, line and cause.
     """
-    own = [one.effect_class for one in acting if _is_own(one, files)]
+    own = [effect.effect_class for effect in effects if _is_own(effect, files)]
     if not own:
         return
     try:
@@ -56,15 +56,15 @@ def _like(size: int) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct((size,), jnp.zeros(0).dtype)
 
 
-def _is_own(one: BoundEffect, files: Sequence[str]) -> bool:
-    module = getattr(sys.modules.get(one.effect_class.__module__), "__file__", None)
+def _is_own(effect: BoundEffect, files: Sequence[str]) -> bool:
+    module = getattr(sys.modules.get(effect.effect_class.__module__), "__file__", None)
     return module is not None and any(Path(module) == Path(file) for file in files)
 
 
 def _line(error: BaseException, files: Sequence[str]) -> str:
     """Return file, line and method of the last step in a file of the user; empty where there is none."""
     own = {str(Path(file).resolve()) for file in files}
-    steps = [one for one in traceback.extract_tb(error.__traceback__) if str(Path(one.filename).resolve()) in own]
+    steps = [frame for frame in traceback.extract_tb(error.__traceback__) if str(Path(frame.filename).resolve()) in own]
     return f"{steps[-1].filename}:{steps[-1].lineno}, in {steps[-1].name}" if steps else ""
 
 

@@ -1,4 +1,4 @@
-"""Which effects and noise members there are: the package's own and the user's."""
+"""Registry of effect and noise classes: those of the package and those from user files."""
 
 import hashlib
 import importlib.util
@@ -61,7 +61,7 @@ class Registry:
 
     def without_files(self) -> "Registry":
         """Return the registry without what files define: for a model that names its files itself."""
-        return Registry({name: one for name, one in self.effects.items() if not one.__module__.startswith(_USER)})
+        return Registry({name: known for name, known in self.effects.items() if not known.__module__.startswith(_USER)})
 
 
 def _members_of(file: Path) -> list[EffectClass]:

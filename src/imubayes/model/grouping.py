@@ -1,7 +1,7 @@
-"""Who shares one value: from labels to places in the parameter vector, and which entries a value can reach.
+"""Parameter sharing: from labels to indices in the parameter vector, and which entries a value can affect.
 
-Every effect's values belong to something: a channel, a mounting, a table, a run, a pose, or a combination.  This module
-knows, for each node and channel and for each measured entry, which channel, mounting, … it belongs to.
+Every value of an effect is labelled by channel, mounting, table, run, pose or a combination.  `Grouping` finds these
+labels for each node and channel and for each measured entry.
 """
 
 from collections.abc import Iterable, Sequence
@@ -19,7 +19,7 @@ RUN_AXES = ("run", "mounting", "table")
 
 @dataclass(frozen=True)
 class Grouping:
-    """What nodes and entries of a campaign belong to."""
+    """Labels of the nodes and entries of a campaign."""
 
     campaign: Campaign
     nodes: NodeTable
@@ -27,8 +27,8 @@ class Grouping:
 
     def label_of_run(self, axis: str, run: int) -> str | None:
         """Return the run's own name, or its mounting or table; None where it has none."""
-        one = self.campaign.runs[run]
-        return {"run": one.name, "mounting": one.mounting, "table": one.table}[axis]
+        recorded = self.campaign.runs[run]
+        return {"run": recorded.name, "mounting": recorded.mounting, "table": recorded.table}[axis]
 
     def labels(self, per: Sequence[str], channels: Sequence[str], runs: Iterable[int]) -> list[Label]:
         """Return the labels of an effect that acts on some channels in some runs, in a stable order."""
@@ -55,15 +55,15 @@ class Grouping:
     def node_places(
         self, per: Sequence[str], places: dict[Label, int], null: int, channels: Sequence[str], gated: set[int] | None
     ) -> np.ndarray:
-        """Return places of values, (1 or N, 1 or C): one per node and channel of one kind.
+        """Return indices of values, (1 or N, 1 or C): one per node and channel of one kind.
 
         Parameters
         ----------
-        per : what a value belongs to.
-        places : label → place in the vector.
-        null : place of the null value, for what the effect does not touch.
+        per : axes by which a value is labelled.
+        places : label → index in the vector.
+        null : index of the null value, used where the effect does not act.
         channels : names of all channels of the kind; empty for effects on the motion.
-        gated : runs in which the effect does not act, or None where it need not be kept from any.
+        gated : runs in which the effect is switched off; None for none.
         """
         columns = list(channels) if channels else [""]
         run_bound = any(axis in per for axis in RUN_AXES) or "pose" in per or bool(gated)
@@ -92,12 +92,12 @@ class Grouping:
         return tuple(parts)
 
     def reach(self, per: Sequence[str], label: Label, channels: Sequence[str] | None, runs: set[int]) -> np.ndarray:
-        """Return which entries a value can change, shape (E,).
+        """Return which entries depend on a value, bool of shape (E,).
 
         Parameters
         ----------
-        per, label : what the value belongs to.
-        channels : channels the effect acts on, None for effects on the motion, which every channel feels.
+        per, label : axes and names of the value.
+        channels : channels the effect acts on; None for effects on the motion, which affect every channel.
         runs : runs in which the effect acts.
         """
         entries = self.entries
@@ -105,9 +105,9 @@ class Grouping:
         reached = np.isin(entries.run, list(runs))
         if channels is not None:
             own = [label[per.index("channel")]] if "channel" in per else list(channels)
-            # Closing rotations are integrated from every channel, inverted together.
+            # Closure errors depend on every channel: the outputs are inverted jointly.
             angles = [place for place, channel in enumerate(self.campaign.channels) if channel.kind == "angle"]
-            # A gyro that drives a table is seen in its angle.
+            # A gyro that drives the table affects its angle.
             felt = [names.index(name) for name in own]
             driven = angles if any(self.campaign.channels[place].kind == "gyro" for place in felt) else []
             reached &= np.isin(entries.channel, [*felt, *driven]) | entries.closing
@@ -121,7 +121,9 @@ class Grouping:
 
 
 def colour_columns(reach: np.ndarray) -> np.ndarray:
-    """Return a colour for each parameter so that no two of one colour reach a common entry; reach is (P, E).
+    """Colour the Jacobian columns: no two parameters of one colour affect a common entry; reach is (P, E).
+
+    Curtis, Powell and Reid, On the estimation of sparse Jacobian matrices (J. Inst. Math. Appl. 13, 1974).
 
     Greedy, widest reach first, which for block structure finds as many colours as the fullest entry has parameters.
     """

@@ -1,8 +1,8 @@
-"""Room for compiled code.
+"""Limit on the memory maps held by compiled code.
 
-Linux maps every compiled function in several pieces of memory, 65 530 in all for a process unless it is set otherwise;
-beyond that the compiler ends the process.  Whoever fits an archive of units with plans unlike each other in one process
-gets there after some hundreds of fits, so what was compiled for earlier ones is given up in time.
+Every compiled function occupies several memory maps.  Linux allows 65 530 per process by default; beyond that the
+compiler aborts.  A process that fits many units with different test plans reaches the limit after some hundreds of
+fits, so the cache of compiled functions is cleared before.
 """
 
 from pathlib import Path
@@ -10,18 +10,18 @@ from pathlib import Path
 import jax
 
 _MOST, _HELD = Path("/proc/sys/vm/max_map_count"), Path("/proc/self/maps")
-# One fit with its diagnosis holds a hundredth or two.
+# One fit with its diagnosis holds 1 to 2 % of the maps.
 _FULL = 0.5
 
 
 def clear_if_crowded() -> bool:
-    """Give up all compiled code where half of the memory maps of the process are in use; return whether it was."""
+    """Clear JAX's caches where half of the memory maps are in use; return whether they were cleared."""
     try:
         most = int(_MOST.read_text())
         with _HELD.open("rb") as file:
             held = sum(1 for _ in file)
     except OSError:
-        return False  # another system, which counts otherwise
+        return False  # not Linux: no such limit
     if held < _FULL * most:
         return False
     jax.clear_caches()

@@ -2,7 +2,8 @@
 
 With θ in z (prior: standard normal) and hyperparameters h in z, the log density is
 −½ |r|² − ½ log det Σ(h) + const with r = [L⁻¹(y − f(θ)), (z_θ)/s(h), z_h]; s(h) is 1 except for parameters whose prior
-width is itself learnt.  Under heavy tails r is that of the straightened problem (`imubayes.model.robust_likelihood`).
+width is itself learnt.  Under heavy tails r is that of the equivalent least-squares problem
+(`imubayes.model.robust_likelihood`).
 """
 
 import equinox as eqx
@@ -16,9 +17,9 @@ from imubayes.types import Array, Float, Scalar
 
 
 def whitened(problem: Problem, h: Float[Array, " H"], misfit: Float[Array, " E"]) -> Float[Array, " E"]:
-    """Return L⁻¹(y − f): its squared norm is what the readings take off twice the log density."""
-    by, straight = least_squares_form(problem, h, misfit)
-    return whiten(problem, by, straight)
+    """Return L⁻¹(y − f): its squared norm is the data's part of −2 log density, up to the normaliser."""
+    whitening, straight = least_squares_form(problem, h, misfit)
+    return whiten(problem, whitening, straight)
 
 
 def residuals(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Float[Array, " EP"]:
@@ -29,17 +30,17 @@ def residuals(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) ->
 def residuals_of(
     problem: Problem, misfit: Float[Array, " E"], z: Float[Array, " P"], h: Float[Array, " H"]
 ) -> Float[Array, " EP"]:
-    """Return what `residuals` does, where the misfit y − f(θ) is known."""
+    """Return `residuals` for a known misfit y − f(θ)."""
     return jnp.concatenate([whitened(problem, h, misfit), z / prior_widths(problem, h)])
 
 
 def log_normaliser(problem: Problem, h: Float[Array, " H"]) -> Scalar:
-    """Return the part of the log density that depends on h alone, its prior included."""
-    by = whitener(problem, h)
+    """Return the terms of the log density that depend on h alone, including its prior."""
+    whitening = whitener(problem, h)
     widths = jnp.sum(jnp.log(prior_widths(problem, h)))
     entries = jnp.sum(problem.observations.weight)
     constant = 0.5 * jnp.log(2 * jnp.pi) * (entries + problem.size[0] + problem.size[1])
-    return -0.5 * by.log_determinant - widths - 0.5 * jnp.sum(h**2) - constant
+    return -0.5 * whitening.log_determinant - widths - 0.5 * jnp.sum(h**2) - constant
 
 
 def log_density(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Scalar:
@@ -65,30 +66,30 @@ def entry_log_likelihood(problem: Problem, residual: Float[Array, " E"], h: Floa
     """Return the log likelihood of every entry and of every run and channel, for residuals y − f(θ).
 
     Entries of one run share an offset, so an entry's own density is conditional on the others: with Σ⁻¹ = Q its
-    variance is 1/Q_ii and its residual (Q r)_i/Q_ii (Bürkner, Gabry, Vehtari, Computational Statistics 2021).  A law
-    with heavy tails keeps its shape about that, its scale widened by what the offset is uncertain.
+    variance is 1/Q_ii and its residual (Q r)_i/Q_ii (Bürkner, Gabry, Vehtari, Computational Statistics 2021).  A
+    heavy-tailed distribution keeps its shape about that mean; its scale grows by the uncertainty of the offset.
     """
-    by, observations, law = whitener(problem, h), problem.observations, noise_distribution(problem, h)
+    whitening, observations, noise = whitener(problem, h), problem.observations, noise_distribution(problem, h)
     pseudo = pseudo_values(problem, h, residual)
-    pulled, precision = inverse_covariance(problem, by, pseudo)
+    pulled, precision = inverse_covariance(problem, whitening, pseudo)
     seen = observations.weight > 0
     safe = jnp.where(seen, precision, 1.0)
     two_pi = jnp.log(2 * jnp.pi)
-    if law.tail is None:
+    if noise.tail is None:
         entry = jnp.log(safe) - pulled**2 / safe
     else:
-        own = jnp.where(seen, by.precision_root, 1.0) ** -2
-        variance = law.squared_scale + jnp.maximum(1 / safe - own, 0.0)
+        own = jnp.where(seen, whitening.precision_root, 1.0) ** -2
+        variance = noise.squared_scale + jnp.maximum(1 / safe - own, 0.0)
         left = (residual - pseudo + pulled / safe) / jnp.sqrt(variance)
-        entry = -jnp.log(variance) - deviance(left, law.tail) - normaliser(law.tail)
-    root = jnp.where(seen, by.precision_root, 1.0)
-    shrunk = 1 - by.shrink * group_sum(by.direction**2, observations)
+        entry = -jnp.log(variance) - deviance(left, noise.tail) - normaliser(noise.tail)
+    root = jnp.where(seen, whitening.precision_root, 1.0)
+    shrunk = 1 - whitening.shrink * group_sum(whitening.direction**2, observations)
     log_determinant = -2 * group_sum(jnp.log(root), observations) - 2 * jnp.log(shrunk)
-    if by.series is not None:
-        log_determinant = log_determinant + group_sum(jnp.log1p(-(by.series.correlation**2)), observations)
-    if law.tail is not None:
+    if whitening.series is not None:
+        log_determinant = log_determinant + group_sum(jnp.log1p(-(whitening.series.correlation**2)), observations)
+    if noise.tail is not None:
         log_determinant = log_determinant + group_sum(
-            observations.weight * log_determinant_correction(law.tail), observations
+            observations.weight * log_determinant_correction(noise.tail), observations
         )
     count = group_sum(observations.weight, observations)
     gone = group_sum(whitened(problem, h, residual) ** 2, observations)

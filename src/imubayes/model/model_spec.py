@@ -12,11 +12,10 @@ class EffectSpec:
     ----------
     name : of the effect or noise member.
     channels : the channels it acts on; None for all that it can act on.
-    per : who shares one value (channel, all, run, mounting); None for the effect's own choice.
+    per : sharing of values (channel, all, run, mounting); None for the default of the effect.
     prior : parameter → prior as written.
     options : fixed settings of the effect.
-    optional : whether to leave it out where no run can show it or the unit has no such channel, instead of refusing the
-        model.
+    optional : drop it where no run can show it or the unit lacks the channel, instead of refusing the model.
     where : file and key, for errors.
     """
 

@@ -1,4 +1,4 @@
-"""From runs to arrays: the nodes of all runs one after the other, and what was measured in them (NumPy only)."""
+"""From runs to arrays: the concatenated nodes of all runs, and the entries measured in them (NumPy only)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """The covariance of the data, and its inverse root, in closed form.
 
 Σ = D^½ R D^½ + Σ_g T_g 1 1ᵀ (see `imubayes.noise.base`), R = I unless a member correlates.  A model with heavy tails
-has a Σ too: that of the normal law that says as much of the parameters (`imubayes.model.robust_likelihood`).
+has a Σ too: that of the normal distribution with the same Fisher information (`imubayes.model.robust_likelihood`).
 """
 
 import equinox as eqx
@@ -54,7 +54,7 @@ class Whitener(eqx.Module):
     Attributes
     ----------
     precision_root : shape (E,), D^(−½), 0 where masked.
-    shrink : shape (G,), what the shared part takes off along each group's direction.
+    shrink : shape (G,), reduction by the shared variance along each group's direction.
     log_determinant : log det Σ.
     series : the correlation in time; None in a model without.
     """
@@ -66,7 +66,7 @@ class Whitener(eqx.Module):
 
     @property
     def direction(self) -> Float[Array, " E"]:
-        """What the entries of a group have in common, scaled: u = A D^(−½) 1."""
+        """Scaled direction of the shared part: u = A D^(−½) 1."""
         return self.precision_root if self.series is None else self.series.forward(self.precision_root)
 
     def scale(self, values: Float[Array, "E *columns"]) -> Float[Array, "E *columns"]:
@@ -82,13 +82,13 @@ def group_sum(values: Float[Array, "E *columns"], observations: Observations) ->
 
 
 class NoiseDistribution(eqx.Module):
-    """How the readings scatter about the prediction at given hyperparameters.
+    """Distribution of the observations about the prediction, at given hyperparameters.
 
     Attributes
     ----------
-    squared_scale : shape (E,), square of the scale of what each entry has alone: its variance under a normal law.
+    squared_scale : shape (E,), squared scale of the independent part of each entry; its variance if normal.
     shared_variance : shape (G,), variance of what all entries of a group have in common.
-    tail : shape (E,), one over the degrees of freedom, 0 for a normal law; None in a model without heavy tails.
+    tail : shape (E,), 1/ν of Student's t, 0 for a normal distribution; None in a model without heavy tails.
     """
 
     squared_scale: Float[Array, " E"]
@@ -97,7 +97,7 @@ class NoiseDistribution(eqx.Module):
 
 
 def noise_distribution(problem: Problem, h: Float[Array, " H"]) -> NoiseDistribution:
-    """Return how the readings scatter at hyperparameters h (in z)."""
+    """Return the distribution of the observations at hyperparameters h (in z)."""
     values, observations = problem.hyper_priors.values(h), problem.observations
     own, tail = jnp.zeros_like(observations.value), None
     shared = jnp.zeros(observations.members.shape[0])
@@ -116,15 +116,15 @@ def noise_distribution(problem: Problem, h: Float[Array, " H"]) -> NoiseDistribu
 def whitener(problem: Problem, h: Float[Array, " H"]) -> Whitener:
     """Return the whitener at hyperparameters h (in z).
 
-    Under heavy tails an entry counts with the Fisher information of its law, and what the logarithm of that law has
-    beyond its square is in the log determinant.
+    Under heavy tails an entry has the Fisher information of its distribution as precision, and the log determinant
+    includes the normaliser of that distribution.
     """
-    law = noise_distribution(problem, h)
-    if law.tail is None:
-        return whitener_of(problem, h, law.squared_scale, law.shared_variance)
-    by = whitener_of(problem, h, law.squared_scale / fisher_information(law.tail), law.shared_variance)
-    beyond = jnp.sum(problem.observations.weight * log_determinant_correction(law.tail))
-    return eqx.tree_at(lambda one: one.log_determinant, by, by.log_determinant + beyond)
+    noise = noise_distribution(problem, h)
+    if noise.tail is None:
+        return whitener_of(problem, h, noise.squared_scale, noise.shared_variance)
+    by = whitener_of(problem, h, noise.squared_scale / fisher_information(noise.tail), noise.shared_variance)
+    beyond = jnp.sum(problem.observations.weight * log_determinant_correction(noise.tail))
+    return eqx.tree_at(lambda known: known.log_determinant, by, by.log_determinant + beyond)
 
 
 def whitener_of(

@@ -1,4 +1,4 @@
-"""The problem as arrays, and what the model predicts of it: a pure function of parameters.
+"""The problem as arrays, and its prediction as a pure function of the parameters.
 
 A `Problem` is one pytree: the nominal motion, the layers of the signal path, the measured entries, the noise, the
 priors.  Nothing here closes over a campaign, so units of equal structure are stacked and treated in one vmap.
@@ -20,7 +20,7 @@ from imubayes.parameters.vector import Priors
 from imubayes.stimulus import Nodes, SignalPath
 from imubayes.types import Array, Bool, Float, Int
 
-# Points that are predicted at once: more would leave much of a batch unused where a few are asked for.
+# Batch size of predictions: larger batches would be mostly padding for the usual few points.
 _AT_ONCE = 8
 
 
@@ -81,7 +81,7 @@ class Observations(eqx.Module):
 
 
 class Sparsity(eqx.Module):
-    """Which entries a parameter can reach; parameters of one colour reach no entry together.
+    """Sparsity of the Jacobian; parameters of one colour affect no common entry.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Problem(eqx.Module):
     nodes, channels, layers, transitions, servos : the forward model.
     turns : rows as (number of rows, nodes per row), in the order of the nodes; static.
     node_weight : shape (N,).
-    nulls : shape (V − P,), the values behind the parameters at which effects do nothing.
+    nulls : shape (V − P,), null values of effects, appended to the parameters.
     priors, hyper_priors : from z to SI values, θ and h.
     spread_of : shape (P,), place in h of the parameter's learnt prior width, H where the prior is fixed.
     spread_unit : shape (P,), width of the parameter's own prior, SI.
@@ -146,10 +146,10 @@ def predict(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " E"]:
     return predict_from(problem, values_of(problem, z))
 
 
-# Traced once for all that is built on it, whatever derivative is taken of it.
+# Compiled separately: traced once, whatever derivatives are taken of it.
 @jax.jit
 def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, " E"]:
-    """Return what `predict` does, from parameters in SI and nulls."""
+    """Return the prediction from parameters in SI and nulls."""
     path = signal_path(problem, values)
     outputs = [row_means(problem, path.signal[kind]).reshape(-1) for kind in sorted(problem.channels)]
     if problem.servos is not None:
@@ -170,7 +170,7 @@ def _predict_batch(problem: Problem, points: Float[Array, "n P"]) -> Float[Array
 def predict_many(problem: Problem, points: np.ndarray) -> np.ndarray:
     """Return the predictions of many points (n, P), shape (n, E).
 
-    The signal path is compiled once for all who ask for more than one prediction.
+    In batches of one size, so that the signal path is compiled once.
     """
     return in_batches(lambda batch: _predict_batch(problem, batch), np.asarray(points), _AT_ONCE)
 
@@ -189,24 +189,24 @@ def row_means(problem: Problem, signal: Float[Array, "N C"]) -> Float[Array, "R 
 def predict_with_jacobian(problem: Problem, z: Float[Array, " P"]) -> tuple[Float[Array, " E"], Float[Array, "E P"]]:
     """Return f(z) and ∂f/∂z.
 
-    One forward derivative per colour instead of one per parameter: parameters of one colour reach no common entry, so
-    their columns are told apart by their reach.
+    One forward derivative per colour instead of one per parameter (compressed Jacobian): parameters of one colour
+    affect no common entry, so their columns are separated by the sparsity pattern.
     """
     sparsity = problem.sparsity
-    predicted, push = jax.linearize(lambda one: predict(problem, one), z)
+    predicted, push = jax.linearize(lambda point: predict(problem, point), z)
     packed = jax.vmap(push)(sparsity.seeds)
     return predicted, jnp.where(sparsity.reach, take(packed, sparsity.colour).T, 0.0)
 
 
 @jax.jit
 def prior_widths(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " P"]:
-    """Return the standard deviation of each z_θ: 1, or what has been learnt of the spread."""
+    """Return the standard deviation of each z_θ: 1, or the learnt prior width over the stated one."""
     values = problem.hyper_priors.values(h)
     widths = take(jnp.concatenate([values, jnp.ones(1)]), problem.spread_of)
     return jnp.where(problem.spread_of < values.shape[0], widths / problem.spread_unit, 1.0)
 
 
 def masked(problem: Problem, left_out: np.ndarray) -> Problem:
-    """Return the problem with entries, (E,) bool, masked out; its shapes stay, so that nothing is compiled again."""
+    """Return the problem with entries, (E,) bool, masked out; shapes are unchanged, so nothing is recompiled."""
     weight = problem.observations.weight * jnp.asarray(~left_out, dtype=float)
-    return eqx.tree_at(lambda one: one.observations.weight, problem, weight)
+    return eqx.tree_at(lambda known: known.observations.weight, problem, weight)

@@ -1,9 +1,9 @@
-"""Derived quantities, found by evaluating the signal path: no effect is asked for by name.
+"""Sensitive axes and thermal slopes as derivatives of the signal path, whatever its effects.
 
 The true sensitive axis of a channel is the gradient of its output with respect to the rate (or specific force) it is
 exposed to, at rest and at the reference temperatures; its length is the scale factor, its angle to the table's axis in
-a mounting the true mounting angle.  The relative slope against converter temperature is a derivative as well.  An
-effect added tomorrow takes part in all of them.
+a mounting the true mounting angle.  The relative slope against converter temperature is a derivative as well.  New
+effects are included without further code.
 """
 
 from dataclasses import dataclass, replace
@@ -66,8 +66,8 @@ def _respond(inputs: SensitivityInputs, values, stimulus: Float[Array, " 6"]) ->
     nothing = jnp.zeros(3)
     rate, force = stimulus[:3], stimulus[3:]
     experience = {
-        name: Experience(*(jnp.broadcast_to(v, (1, one.scale.shape[0], 3)) for v in (rate, force, *(nothing,) * 4)))
-        for name, one in inputs.channels.items()
+        name: Experience(*(jnp.broadcast_to(v, (1, known.scale.shape[0], 3)) for v in (rate, force, *(nothing,) * 4)))
+        for name, known in inputs.channels.items()
     }
     warm, long = jnp.full(1, REFERENCE_TEMPERATURE), jnp.full(1, WARMED_UP)
     known = {"temperature": warm, "converter_temperature": warm, "power_on": long}
@@ -94,7 +94,8 @@ def thermal_slopes(inputs: SensitivityInputs, values: Float[Array, " V"]) -> dic
     at = instants.ambient.converter_temperature
     _, slope = jax.jvp(output, (at,), (jnp.ones_like(at),))
     return {
-        kind: slope[kind] / (one.scale[None, :] * inputs.thermal_input[kind]) for kind, one in inputs.channels.items()
+        kind: slope[kind] / (known.scale[None, :] * inputs.thermal_input[kind])
+        for kind, known in inputs.channels.items()
     }
 
 

@@ -1,8 +1,8 @@
 """A table that the gyro drives: its angle as the solution of a differential equation.
 
-The table turns so that the output of the driving gyro stays nothing.  At an angle and an instant the rate at which it
-does is found on the signal path itself, with every effect of the model; integrated, it gives the angle of every row.
-Effects with a memory are taken as at rest.
+The table turns so that the output of the driving gyro stays zero.  The rate that nulls the output at a given angle and
+time is found on the signal path, with every effect of the model, and integrated to the angle of every row.  Effects
+with memory are taken at rest.
 """
 
 import math
@@ -29,7 +29,7 @@ from imubayes.procedures.servo_table import driving_channel, turns_of
 from imubayes.stimulus import Ambient, Motion, Nodes, SignalPath
 from imubayes.types import Array, Float
 
-# The balance is found by rounds that each shrink its error by the size of the calibration errors: 1 % to the fourth.
+# Fixed-point rounds; each shrinks the error of the null by the size of the calibration errors: 1 % to the fourth.
 _ROUNDS = 4
 STEPS_PER_TURN = 96
 
@@ -45,7 +45,7 @@ class Servos(eqx.Module):
     first : shape (S,), first reading of the table's angle, rad.
     seconds : shape (S,), from the first to the last row.
     place : shape (S, K), time of each row as a share of that.
-    ambient : circumstances of every row, (S, K).
+    ambient : covariates of every row, (S, K).
     steps : number of steps of the integration; static.
     layers : the signal path from the table on, with places of values for S nodes.
     """
@@ -119,20 +119,20 @@ def servo_angles(
     channels : constants of the channels, per kind.
     values : all parameters in SI, then the null values.
     """
-    before = [one for one in layers if one.sort_key()[0] == Stage.STAND and not isinstance(one, Broadcast)]
+    before = [layer for layer in layers if layer.sort_key()[0] == Stage.STAND and not isinstance(layer, Broadcast)]
     stands = jax.tree.map(lambda leaf: leaf[servos.stand], propagate(before, initial_path(instants), values).motion)
 
     def turning(share: Any, angle: Float[Array, " S"], _: None) -> Float[Array, " S"]:
         ambient = jax.tree.map(
-            lambda one: jax.vmap(lambda x, y: jnp.interp(share, x, y))(servos.place, one), servos.ambient
+            lambda rows: jax.vmap(lambda x, y: jnp.interp(share, x, y))(servos.place, rows), servos.ambient
         )
         ambient = ambient.updated(table_angle=angle)
 
-        def nearer(_: Array, rate: Float[Array, " S"]) -> Float[Array, " S"]:
+        def refine(_: Array, rate: Float[Array, " S"]) -> Float[Array, " S"]:
             moving = replace(stands, table_angle=angle, table_rate=rate)
             return rate - _output(servos, channels, moving, ambient, values) / servos.gain
 
-        return servos.seconds * jax.lax.fori_loop(0, _ROUNDS, nearer, jnp.zeros_like(angle))
+        return servos.seconds * jax.lax.fori_loop(0, _ROUNDS, refine, jnp.zeros_like(angle))
 
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(turning),
@@ -153,6 +153,6 @@ def servo_angles(
 def _output(
     servos: Servos, channels: dict[str, Channels], motion: Motion, ambient: Ambient, values
 ) -> Float[Array, " S"]:
-    """Return what the driving gyro reads beyond its nominal offset, output units."""
+    """Return the output of the driving gyro less its nominal offset, output units."""
     path = propagate(servos.layers, SignalPath(motion, ambient, {}, {}, {}), values)
     return jnp.sum(servos.driver * (path.signal["gyro"] - channels["gyro"].offset[None, :]), axis=1)

@@ -1,9 +1,9 @@
-"""The signal path: one loop over layers, from the table's motion to the output of every channel.
+"""The signal path: one loop over layers, from the motion of the table to the output of every channel.
 
 A layer is an effect together with the places of its values in the parameter vector, or one of five junctions that
-every path has: `Spread` (the stand of a run → its nodes), `Resolve` (motion → what acts on the body), `Project` (body →
-channel axes, where the signal starts), `Convert` (SI → output units; an injected current takes the sensor's place) and
-`Emit` (the nominal offset).  There is no case per kind of run and none per effect.
+every path has: `Broadcast` (the stand of a run → its nodes), `Resolve` (motion → rate and force in body axes), `Project`
+(body → channel axes, where the signal starts), `Convert` (SI → output units; an injected current takes the sensor's
+place) and `AddOffset` (the nominal offset).  There is no case per kind of run and none per effect.
 """
 
 import math
@@ -83,7 +83,7 @@ class EffectLayer(Layer):
 
     def __call__(self, path, chosen):
         options = dict(self.options)
-        return self.effect.advance(lambda one: self.effect(**one, **options), chosen, path, self.kind)
+        return self.effect.advance(lambda values: self.effect(**values, **options), chosen, path, self.kind)
 
 
 class Broadcast(Layer):
@@ -209,7 +209,7 @@ def project(axes, experience: Experience, ambient: Ambient) -> Sample:
 
 
 def initial_path(instants: Nodes) -> SignalPath:
-    """Return a path on which nothing has happened yet."""
+    """Return the nominal motion as a path that has passed no layer."""
     return SignalPath(instants.stands, instants.stand_ambient, {}, {}, {}, instants, instants.records)
 
 
@@ -227,4 +227,4 @@ def _chosen(layers: Sequence[Layer], values: Float[Array, " V"]) -> list[dict[st
         return [{} for _ in layers]
     ends = np.cumsum([math.prod(place.shape) for place in places])[:-1]
     found = jnp.split(take(values, jnp.concatenate([jnp.ravel(place) for place in places])), ends)
-    return jax.tree.unflatten(tree, [one.reshape(place.shape) for one, place in zip(found, places, strict=True)])
+    return jax.tree.unflatten(tree, [part.reshape(place.shape) for part, place in zip(found, places, strict=True)])
