@@ -1,7 +1,7 @@
 """The signal path: one loop over layers, from the motion of the table to the output of every channel.
 
 A layer is an effect together with the places of its values in the parameter vector, or one of five junctions that
-every path has: `Broadcast` (the stand of a run → its nodes), `Resolve` (motion → rate and force in body axes), `Project`
+every path has: `Broadcast` (the stand of a run → its nodes), `Resolve` (motion → rate, force in body axes), `Project`
 (body → channel axes, where the signal starts), `Convert` (SI → output units; an injected current takes the sensor's
 place) and `AddOffset` (the nominal offset).  There is no case per kind of run and none per effect.
 """
