@@ -167,6 +167,6 @@ def test_names_with_brackets_are_not_taken_for_markup(summary):
 
 
 def test_tables_do_without_matplotlib():
-    code = "import sys, imubayes.display.terminal_tables, imubayes.display.html; print('matplotlib' in sys.modules)"
+    code = "import sys, imubayes.display.sheet, imubayes.display.html; print('matplotlib' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
