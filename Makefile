@@ -12,12 +12,14 @@ INSTALL = $(UV) pip install --quiet --compile-bytecode --python $(BIN)/python
 
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: help setup demo test study bench data lock clean
+.PHONY: help setup demo test test-fast laws study bench data lock clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo    fit, sample and compare the shipped trihedral campaign"
 	@echo "make test    style, types and tests"
+	@echo "make test-fast  tests that compile no model, below a minute"
+	@echo "make laws    the laws over all registered effects and noise components"
 	@echo "make study   the long statistical studies (coverage, simulation-based calibration)"
 	@echo "make bench   benchmarks"
 	@echo "make data    regenerate the shipped synthetic campaigns"
@@ -34,6 +36,12 @@ test: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+test-fast: $(READY)
+	$(BIN)/pytest -n 2 -m "not slow and not compiled"
+
+laws: $(READY)
+	$(BIN)/pytest -n 2 tests/conformance
 
 study: $(READY)
 	$(BIN)/pytest -m slow

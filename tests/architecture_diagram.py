@@ -8,7 +8,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "imubayes"
 PAGE = ROOT / "ARCHITECTURE.md"
 BLOCK = re.compile(r"(?<=```mermaid\n).*?(?=```)", re.DOTALL)
-FOUNDATION = ("errors", "units", "types", "gather", "frames", "earth", "atomic_files")
+FOUNDATION = ("errors", "units", "types", "gather", "frames", "earth", "records", "presentation", "atomic_files")
 """Bottom-floor modules, which everything may use: one node, without arrows to it."""
 
 

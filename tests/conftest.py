@@ -22,8 +22,26 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 settings.register_profile("tests", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("tests")
 
-# Folders whose tests compile models of their own.
-HEAVY = ("readme", "criticism", "cli", "conformance", "inference", "model", "display", "results")
+# Folders and files whose tests compile models of their own, heaviest first; `make test-fast` leaves them out.
+COMPILED = (
+    "readme",
+    "criticism",
+    "cli",
+    "conformance",
+    "inference",
+    "model",
+    "display/test_comparison.py",
+    "results",
+    "procedures/test_joint.py",
+    "procedures/test_recovery.py",
+    "procedures/test_converters.py",
+    "procedures/test_assumptions.py",
+    "procedures/test_new_procedure.py",
+    "campaign/test_new_covariate.py",
+    "simulation",
+    "reference",
+    "study",
+)
 
 # What is imported from within a module under the hook is looked for as if it, too, had been compiled under it, and is
 # compiled anew: some 1400 modules, so they come first.
@@ -57,15 +75,21 @@ def pytest_configure(config):
     config.addinivalue_line("filterwarnings", "ignore:Error (reading|writing) persistent compilation cache:UserWarning")
     # Aliases of other packages, such as rich's, are still written in the old way.
     config.addinivalue_line("filterwarnings", "ignore::beartype.roar.BeartypeDecorHintPep585DeprecationWarning")
+    config.addinivalue_line("markers", "compiled: compiles a model; left out by `make test-fast`")
 
 
 def pytest_collection_modifyitems(items):
     """Heavy tests first, so that none is left over at the end; a file stays with one process, for its fixtures."""
-    items.sort(key=lambda item: HEAVY.index(_part(item)) if _part(item) in HEAVY else len(HEAVY))
+    for item in items:
+        if _weight(item) < len(COMPILED):
+            item.add_marker("compiled")
+    items.sort(key=_weight)
 
 
-def _part(item) -> str:
-    return item.path.relative_to(Path(__file__).parent).parts[0]
+def _weight(item) -> int:
+    """Return the place of a test among those that compile, their number where it does not."""
+    path = item.path.relative_to(Path(__file__).parent).as_posix()
+    return next((place for place, part in enumerate(COMPILED) if path.startswith(part)), len(COMPILED))
 
 
 @pytest.fixture(scope="session")
