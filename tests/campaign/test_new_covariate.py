@@ -10,7 +10,7 @@ from imubayes.criticism.residual_covariates import covariates
 from imubayes.criticism.term_library import library
 from imubayes.display.figures.panels import abscissa
 from imubayes.display.labels import covariates_of, numbers
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.inference.joint_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec, ModelSpec
@@ -46,7 +46,7 @@ def test_a_new_covariate_is_read_shown_and_regressed_on(moist):
     assert HUMIDITY in covariates_of(table)
     assert abscissa(numbers(table, "humidity_pct"), HUMIDITY)[1] == "relative humidity / %"
 
-    found = covariates(Fitted(fit.model, np.asarray(fit.mode.z), np.asarray(fit.mode.h), True))
+    found = covariates(Fit(fit.model, np.asarray(fit.mode.z), np.asarray(fit.mode.h), True))
     regressor = next(each for each in found if each.name == "humidity_pct")
     assert np.nanmax(regressor.values) == pytest.approx(60.0)
     terms = library([regressor], np.isfinite(regressor.values), moist.site.gravity)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.campaign import load_campaign
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @cache
-def fitted_to(campaign: str, model: str = "hidden-effects") -> Fitted:
+def fitted_to(campaign: str, model: str = "hidden-effects") -> Fit:
     """Return the fit of a shipped campaign, without what else is reported of one."""
     declared = bind(read_model(ROOT / "models" / f"{model}.toml"), load_campaign(ROOT / "data" / campaign))
     found = refitted(declared, *(np.zeros(size) for size in declared.problem.size))
@@ -29,7 +29,7 @@ def fitted_to(campaign: str, model: str = "hidden-effects") -> Fitted:
     return found
 
 
-def redrawn(fitted: Fitted, seed: int, correlation: float = 0.0, change: np.ndarray | None = None) -> Fitted:
+def redrawn(fitted: Fit, seed: int, correlation: float = 0.0, change: np.ndarray | None = None) -> Fit:
     """Return the fit of fresh data: white noise, or AR(1) from row to row, with a change of the readings on top."""
     problem = fitted.model.problem
     random = np.random.default_rng(seed)
@@ -52,10 +52,10 @@ def redrawn(fitted: Fitted, seed: int, correlation: float = 0.0, change: np.ndar
     fresh = eqx.tree_at(lambda p: p.observations.value, problem, jnp.asarray(readings))
     mode = find_mode(fresh, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
     model = replace(fitted.model, problem=fresh, entries=replace(fitted.model.entries, value=readings))
-    return Fitted(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged))
+    return Fit(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged))
 
 
-def with_values(fitted: Fitted, value: np.ndarray) -> Fitted:
+def with_values(fitted: Fit, value: np.ndarray) -> Fit:
     """Return the fit to other readings."""
     entries = fitted.model.entries
     runs = [replace(run, observed=run.observed.copy()) for run in fitted.model.campaign.runs]
@@ -65,7 +65,7 @@ def with_values(fitted: Fitted, value: np.ndarray) -> Fitted:
     return refitted(model, np.zeros(len(fitted.z)), np.zeros(len(fitted.h)))
 
 
-def refitted(model: Model, z: np.ndarray, h: np.ndarray) -> Fitted:
+def refitted(model: Model, z: np.ndarray, h: np.ndarray) -> Fit:
     """Return the fit of a model, begun at z and h."""
     mode = find_mode(model.problem, jnp.asarray(z), jnp.asarray(h))
-    return Fitted(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged))
+    return Fit(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged))

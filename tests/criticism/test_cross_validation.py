@@ -17,7 +17,7 @@ from imubayes.criticism.cross_validation import groups, objection, predict_left_
 from imubayes.criticism.diagnosis import EffectChoice
 from imubayes.criticism.warm_start import extend
 from imubayes.errors import InputError
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.inference.posterior_precision import linearise
@@ -81,7 +81,7 @@ def test_the_error_falls_to_the_noise(second, place):
     assert channel.after == pytest.approx(floor.rms, rel=0.1)
 
 
-def dense_density(fitted: Fitted, left_out: np.ndarray, parameters_known: bool = False) -> float:
+def dense_density(fitted: Fit, left_out: np.ndarray, parameters_known: bool = False) -> float:
     """Return log p(left out | rest) from whole covariance matrices, linear about the mode without."""
     problem = fitted.model.problem
     rest = masked(problem, left_out)
@@ -181,7 +181,7 @@ def test_a_bad_refit_is_not_taken(place, first, tmp_path, monkeypatch, fault):
         monkeypatch.setattr(
             addition_module,
             "objection",
-            lambda after, drop: objection(Fitted(after.model, after.z, after.h, False, "No."), drop),
+            lambda after, drop: objection(Fit(after.model, after.z, after.h, False, "No."), drop),
         )
     found = add(result, [LACKING], tmp_path / "next")
     assert not found.taken

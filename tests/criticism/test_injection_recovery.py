@@ -12,13 +12,13 @@ from imubayes.criticism.injection_recovery import Size, plant_effects, refitted
 from imubayes.criticism.warm_start import extend
 from imubayes.display.injection_report import injection_json
 from imubayes.errors import InputError
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.inference.joint_fit import joint_fit
 from imubayes.model.bind import bind
 
 
 @pytest.fixture(scope="module")
-def fitted() -> Fitted:
+def fitted() -> Fit:
     model = bind(lacking_model(), load_campaign(CAMPAIGN))
     return joint_fit(model, None)
 
@@ -36,7 +36,7 @@ def test_the_planted_size_is_the_size_asked_for(fitted):
     """The screen sees data in which a refit would find it: chi² falls by 400, give or take the noise (sd 40)."""
     drops = []
 
-    def screen(one: Fitted) -> Diagnosis:
+    def screen(one: Fit) -> Diagnosis:
         # A fit without the effect takes it for noise; what was asked for counts in the noise of the simulation.
         drops.append(extend(replace(one, h=fitted.h), ["converter_offset_drift"]).delta_chi2)
         return answer("missing_effect", "converter_offset_drift")

@@ -15,7 +15,7 @@ from imubayes.criticism.noise_tests import screen_noise, to_entries
 from imubayes.criticism.outliers import consecutive
 from imubayes.criticism.projection import project
 from imubayes.display.diagnosis_report import diagnosis_json
-from imubayes.inference.fitted import Fitted
+from imubayes.inference.fit import Fit
 from imubayes.inference.posterior_precision import linearise
 from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec
@@ -27,11 +27,11 @@ def whole():
     return fitted_to("hidden-none")
 
 
-def deviations(fitted: Fitted) -> np.ndarray:
+def deviations(fitted: Fit) -> np.ndarray:
     return np.sqrt(np.asarray(noise_distribution(fitted.model.problem, jnp.asarray(fitted.h)).squared_scale))
 
 
-def hits(fitted: Fitted, count: int, size: float, seed: int) -> np.ndarray:
+def hits(fitted: Fit, count: int, size: float, seed: int) -> np.ndarray:
     """Return what some readings, drawn at random, are off by, (E,)."""
     rng = np.random.default_rng(seed)
     change = np.zeros(len(fitted.model.entries))
@@ -43,7 +43,7 @@ def named(document: dict) -> set[tuple[str, str, int]]:
     return {(one["run"], one["channel"], one["row"]) for one in document["outliers"]}
 
 
-def places(fitted: Fitted, change: np.ndarray) -> set[tuple[str, str, int]]:
+def places(fitted: Fit, change: np.ndarray) -> set[tuple[str, str, int]]:
     entries, campaign = fitted.model.entries, fitted.model.campaign
     return {
         (campaign.runs[entries.run[k]].name, campaign.channels[entries.channel[k]].name, int(entries.row[k]) + 1)
@@ -89,7 +89,7 @@ def test_a_pattern_in_a_few_rows_is_no_matter_of_outliers(whole):
     assert not found["outliers"]
 
 
-def step(whole: Fitted) -> np.ndarray:
+def step(whole: Fit) -> np.ndarray:
     """Return what the last three readings of one channel in one run are off by, (E,)."""
     entries = whole.model.entries
     own = np.flatnonzero((entries.run == 1) & (entries.channel == 0))

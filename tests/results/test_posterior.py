@@ -52,6 +52,16 @@ def test_the_file_holds_the_same(result, tree):
         xarray.testing.assert_equal(stored.posterior[group].to_dataset(), tree[group].to_dataset())
 
 
+def test_summary_and_residuals_as_data_frames(result):
+    frame = result.to_dataframe()
+    assert frame.height == len(result.summary.parameters) + len(result.summary.derived)
+    scale = frame.filter(frame["name"] == "scale_factor[gx]").row(0, named=True)
+    line = next(quantity for quantity in result.summary.derived if quantity.name == "scale_factor[gx]")
+    assert (scale["kind"], scale["mean"], scale["sd"]) == ("derived", line.mean, line.sd)
+    residuals = result.residuals.to_dataframe()
+    assert {"run", "channel", "residual", "whitened"} <= set(residuals.columns)
+
+
 @pytest.mark.filterwarnings("ignore:Your data appears to have a single value or no finite values")
 @pytest.mark.parametrize(
     "plot", ["plot_dist", "plot_trace_dist", "plot_forest", "plot_ess", "plot_rank", "plot_autocorr", "plot_ridge"]

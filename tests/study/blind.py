@@ -98,11 +98,11 @@ def mode_from(declared: Any, z: np.ndarray, h: np.ndarray) -> Any:
     """Return the fit of a declared model, started from a point."""
     import jax.numpy as jnp
 
-    from imubayes.inference.fitted import Fitted
+    from imubayes.inference.fit import Fit
     from imubayes.inference.posterior_mode import find_mode, message
 
     mode = find_mode(declared.problem, jnp.asarray(z), jnp.asarray(h))
-    return Fitted(declared, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged), message(mode))
+    return Fit(declared, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged), message(mode))
 
 
 def diagnosed(fitted: Any, effect: str = "") -> Document:

@@ -1,4 +1,4 @@
-"""The runs that could be made next: what the campaign's tables, mountings, chamber and converters allow."""
+"""Candidate runs: what the campaign's tables, mountings, chamber and converters allow."""
 
 import math
 from dataclasses import dataclass, replace
@@ -39,14 +39,9 @@ def candidate_runs(campaign: Campaign, elsewhere: bool = False) -> tuple[Campaig
     ----------
     elsewhere : whether runs on another rate table, which has errors of its own, count.
     """
-    mountings = dict(campaign.mountings)
-    seats = [one.uncertainty for one in mountings.values() if one.uncertainty]
-    for name, matrix in _STANDARD.items():
-        if not any(np.allclose(one.body_to_table[2], matrix[2], atol=1e-3) for one in mountings.values()):
-            mountings[name] = Mounting(name, matrix, max(seats, default=None))
-    others = {one.name: _another(one) for one in campaign.tables.values() if elsewhere and one.elevation > _VERTICAL}
+    mountings = _with_standard_mountings(campaign)
+    others = _other_tables(campaign) if elsewhere else {}
     tables = {**campaign.tables, **{other.name: other for other in others.values()}}
-    extended = replace(campaign, mountings=mountings, tables=tables)
     used = {(run.table, run.mounting) for run in campaign.runs}
     found = []
     for table in campaign.tables.values():
@@ -59,11 +54,26 @@ def candidate_runs(campaign: Campaign, elsewhere: bool = False) -> tuple[Campaig
         found.extend(_on(other, campaign.tables[original], campaign, mounting) for mounting in seen)
     found.extend(_injections(campaign))
     found.extend(_cycles(campaign))
-    return extended, found
+    return replace(campaign, mountings=mountings, tables=tables), found
 
 
-def _another(table: Table) -> Table:
-    return replace(table, name=f"another table than {table.name}")
+def _with_standard_mountings(campaign: Campaign) -> dict[str, Mounting]:
+    """Return the mountings, and a standard one for each body axis that none of them has along the table axis."""
+    mountings = dict(campaign.mountings)
+    uncertainty = max((mounting.uncertainty for mounting in mountings.values() if mounting.uncertainty), default=None)
+    for name, matrix in _STANDARD.items():
+        if not any(np.allclose(known.body_to_table[2], matrix[2], atol=1e-3) for known in mountings.values()):
+            mountings[name] = Mounting(name, matrix, uncertainty)
+    return mountings
+
+
+def _other_tables(campaign: Campaign) -> dict[str, Table]:
+    """Return for each rate table another of its kind, which has errors of its own."""
+    return {
+        table.name: replace(table, name=f"another table than {table.name}")
+        for table in campaign.tables.values()
+        if table.elevation > _VERTICAL
+    }
 
 
 def _on(table: Table, original: Table, campaign: Campaign, mounting: Mounting) -> CandidateRun:
@@ -74,33 +84,39 @@ def _on(table: Table, original: Table, campaign: Campaign, mounting: Mounting) -
 
 
 def _cycles(campaign: Campaign) -> list[CandidateRun]:
-    """Return a thermal run with two slopes and holds, in place of the first of each kind that there is."""
+    """Return a thermal cycle with two slopes and holds, in place of the first run of each kind of temperature."""
     found = []
     for name, words in (("temperature", "temperature"), ("converter_temperature", "converter temperature")):
         runs = [run for run in campaign.runs if name in run.covariates and "time" in run.covariates]
         changed = [run for run in runs if np.ptp(run.covariates[name]) > _CHANGED and run.tumble is None]
-        if not changed:
-            continue
-        run = changed[0]
-        low, high = float(run.covariates[name].min()), float(run.covariates[name].max())
-        duration = float(np.ptp(run.covariates["time"]))
-        time = np.linspace(0.0, duration, _CYCLE_ROWS)
-        still = np.zeros(_CYCLE_ROWS)
-        covariates = {"time": time, "table_rate": still, "table_angle": still, "table_angle_span": still}
-        for other in ("temperature", "converter_temperature", "current"):
-            if other in run.covariates:
-                covariates[other] = np.full(_CYCLE_ROWS, float(np.median(run.covariates[other])))
-        if "power_on" in run.covariates:
-            covariates["power_on"] = time + float(run.covariates["power_on"].min())
-        covariates[name] = low + (high - low) * np.interp(time / duration, *_CYCLE)
-        planned = _empty_run(campaign, f"candidate {name} cycle", run.procedure, run.table, run.mounting, covariates)
-        where = f" in mounting '{run.mounting}'" if run.mounting is not None else ""
-        sentence = (
-            f"{run.procedure}{where}, {words} cycled within {duration / 3600:.2g} h from {low:.3g} to {high:.3g} degC, "
-            "held, and back three times slower"
-        )
-        found.append(CandidateRun(sentence, planned))
+        if changed:
+            found.append(_cycle(campaign, changed[0], name, words))
     return found
+
+
+def _cycle(campaign: Campaign, run: Run, name: str, words: str) -> CandidateRun:
+    low, high = float(run.covariates[name].min()), float(run.covariates[name].max())
+    duration = float(np.ptp(run.covariates["time"]))
+    time = np.linspace(0.0, duration, _CYCLE_ROWS)
+    covariates = {"time": time} | _still(_CYCLE_ROWS)
+    for other in ("temperature", "converter_temperature", "current"):
+        if other in run.covariates:
+            covariates[other] = np.full(_CYCLE_ROWS, float(np.median(run.covariates[other])))
+    if "power_on" in run.covariates:
+        covariates["power_on"] = time + float(run.covariates["power_on"].min())
+    covariates[name] = low + (high - low) * np.interp(time / duration, *_CYCLE)
+    planned = _empty_run(campaign, f"candidate {name} cycle", run.procedure, run.table, run.mounting, covariates)
+    where = f" in mounting '{run.mounting}'" if run.mounting is not None else ""
+    sentence = (
+        f"{run.procedure}{where}, {words} cycled within {duration / 3600:.2g} h from {low:.3g} to {high:.3g} degC, "
+        "held, and back three times slower"
+    )
+    return CandidateRun(sentence, planned)
+
+
+def _still(count: int) -> dict[str, np.ndarray]:
+    """Return the covariates of a table at rest."""
+    return {name: np.zeros(count) for name in ("table_rate", "table_angle", "table_angle_span")}
 
 
 def _injections(campaign: Campaign) -> list[CandidateRun]:
@@ -110,12 +126,8 @@ def _injections(campaign: Campaign) -> list[CandidateRun]:
         return []
     current = _INJECTED_G * campaign.site.gravity * currents[0]
     count = _HEAD_POSITIONS
-    still = np.zeros(count)
-    covariates = {
+    covariates = _still(count) | {
         "time": 600.0 * np.arange(count),
-        "table_rate": still,
-        "table_angle": still,
-        "table_angle_span": still,
         "converter_temperature": np.linspace(*_RAMP, count),
         "current": np.full(count, current),
     }
@@ -127,7 +139,7 @@ def _injections(campaign: Campaign) -> list[CandidateRun]:
 def _empty_run(
     campaign: Campaign, name: str, procedure: str, table: str | None, mounting: str | None, covariates: dict
 ) -> Run:
-    """Return a run whose readings are yet to be made."""
+    """Return a run without observations."""
     count = len(covariates["time"])
     samples = float(np.median(np.concatenate([run.samples for run in campaign.runs])))
     injected = PROCEDURES[procedure].injected

@@ -107,17 +107,10 @@ def sample(
     """
     settings = settings or Settings()
     settings = replace(settings, least_steps=settings.least_steps or _LEAST_STEPS)
-    centre = np.atleast_1d(np.asarray(start, dtype=float))
-    names = tuple(names) or tuple(f"x{place}" for place in range(len(centre)))
-    walkers = walkers_for(len(centre), settings)
-    random = np.random.default_rng([settings.seed, 1])
-    wide = _OVERDISPERSION * np.broadcast_to(np.asarray(scale, dtype=float), centre.shape)
-    starts = list(centre + wide * random.normal(size=(settings.ensembles, walkers, len(centre))))
+    starts = _starts(start, scale, settings)
+    walkers, dimensions = starts[0].shape
+    names = tuple(names) or tuple(f"x{place}" for place in range(dimensions))
     _check(log_density, starts[0], names)
-
-    def without_nan(points: np.ndarray) -> np.ndarray:
-        values = np.asarray(log_density(points))
-        return np.where(np.isnan(values), -np.inf, values)
 
     fingerprints = {
         "parameters": hashlib.sha256("\n".join(names).encode()).hexdigest(),
@@ -125,12 +118,32 @@ def sample(
     }
     with tempfile.TemporaryDirectory() as folder:
         path = Path(checkpoint) if checkpoint is not None else Path(folder) / "checkpoint.h5"
-        file = Checkpoint(path, settings.ensembles, walkers, len(centre), fingerprints)
+        file = Checkpoint(path, settings.ensembles, walkers, dimensions, fingerprints)
         if resume:
             file.check()
         else:
             file.create()
-        return Samples(names, sample_ensembles(without_nan, starts, names, settings, file, progress=progress))
+        return Samples(
+            names, sample_ensembles(_without_nan(log_density), starts, names, settings, file, progress=progress)
+        )
+
+
+def _starts(
+    start: np.ndarray | Sequence[float], scale: np.ndarray | Sequence[float] | float, settings: Settings
+) -> list[np.ndarray]:
+    """Return the first points of each ensemble, (walkers, D)."""
+    centre = np.atleast_1d(np.asarray(start, dtype=float))
+    wide = _OVERDISPERSION * np.broadcast_to(np.asarray(scale, dtype=float), centre.shape)
+    size = (settings.ensembles, walkers_for(len(centre), settings), len(centre))
+    return list(centre + wide * np.random.default_rng([settings.seed, 1]).normal(size=size))
+
+
+def _without_nan(log_density: BatchedDensity) -> BatchedDensity:
+    def density(points: np.ndarray) -> np.ndarray:
+        values = np.asarray(log_density(points))
+        return np.where(np.isnan(values), -np.inf, values)
+
+    return density
 
 
 def _check(log_density: BatchedDensity, points: np.ndarray, names: tuple[str, ...]) -> None:

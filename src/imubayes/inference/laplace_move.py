@@ -18,10 +18,10 @@ from imubayes.model.problem import Problem
 from imubayes.types import Array, Float
 
 _to_point = eqx.filter_jit(
-    lambda approximation, problem, normal: jax.vmap(lambda one: to_point(approximation, problem, one))(normal)
+    lambda approximation, problem, normal: jax.vmap(lambda vector: to_point(approximation, problem, vector))(normal)
 )
 _to_normal = eqx.filter_jit(
-    lambda approximation, problem, points: jax.vmap(lambda one: to_normal(approximation, problem, one))(points)
+    lambda approximation, problem, points: jax.vmap(lambda point: to_normal(approximation, problem, point))(points)
 )
 
 
@@ -32,7 +32,7 @@ _MOST_IN_BLOCK = 16
 @eqx.filter_jit
 def _log_density(problem: Problem, points: Float[Array, "n PH"], block: int) -> Float[Array, " n"]:
     size = problem.size[0]
-    return jax.lax.map(lambda one: log_density(problem, one[:size], one[size:]), points, batch_size=block)
+    return jax.lax.map(lambda point: log_density(problem, point[:size], point[size:]), points, batch_size=block)
 
 
 class LogDensity:

@@ -79,8 +79,8 @@ def fit_parameters(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"
     """Return θ at given h, as a `LeastSquares` outcome with the model linearised there: Levenberg–Marquardt from z."""
     residual = linear_residual(problem, h)
 
-    def undamped(one, _):
-        value, about = residual(one)
+    def undamped(z, _):
+        value, about = residual(z)
         return _UNDAMPED * value, about
 
     return minimise(undamped, z, tolerance=_TOLERANCE, most_steps=_STEPS, linear_solver=GramCholesky(), has_aux=True)
@@ -114,16 +114,16 @@ _gauss_newton = eqx.filter_jit(gauss_newton)
 
 @eqx.filter_jit
 def _heights(problem: Problem, predicted: Float[Array, "n E"], z: Float[Array, "n P"], h: Float[Array, " H"]):
-    def height(predicted, one):
+    def height(predicted, z):
         misfit = problem.observations.value - predicted
-        return -0.5 * jnp.sum(residuals_of(problem, misfit, one, h) ** 2) + log_normaliser(problem, h)
+        return -0.5 * jnp.sum(residuals_of(problem, misfit, z, h) ** 2) + log_normaliser(problem, h)
 
     return jax.vmap(height)(predicted, z)
 
 
 def heights(problem: Problem, z: Sequence[Float[Array, " P"]] | np.ndarray, h: Float[Array, " H"]) -> np.ndarray:
     """Return the log density at several θ (n of shape P) and one h, −∞ where it is not finite; shape (n,)."""
-    points = np.stack([np.asarray(one) for one in z])
+    points = np.stack([np.asarray(point) for point in z])
     found = np.asarray(_heights(problem, predict_many(problem, points), points, h))
     return np.where(np.isfinite(found), found, -np.inf)
 
@@ -136,7 +136,7 @@ def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) ->
     """
     steps, settled, about, at = 0, False, None, None
     if has_heavy_tails(problem):
-        # Far from the fit every reading would pass for an outlier, and pull on nothing.
+        # Far from the fit every sample would pass for an outlier and have no influence.
         z = _fit_parameters(with_normal_noise(problem), z, h).value
     for _ in range(_ROUNDS):
         fitted = _fit_parameters(problem, z, h)

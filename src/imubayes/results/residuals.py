@@ -31,6 +31,10 @@ class Residuals:
 
     table: pl.DataFrame
 
+    def to_dataframe(self) -> pl.DataFrame:
+        """Return one row per run, row and channel, with covariates, observed and predicted output and residuals."""
+        return self.table
+
     @property
     def chi2(self) -> float:
         """Sum of squares of the whitened residuals."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+import polars as pl
 import xarray
 
 from imubayes.errors import InputError, Issue
@@ -79,6 +80,15 @@ class Result(Presented):
             return xarray.open_datatree(file, engine="h5netcdf")
         except (OSError, ValueError, KeyError) as error:
             raise InputError(damaged(file, error)) from error
+
+    def to_dataframe(self) -> pl.DataFrame:
+        """Return parameters and derived quantities, one row each, with the columns of `summary.json`."""
+        rows = [
+            {"kind": kind} | quantity.model_dump(exclude={"within"})
+            for kind, quantities in (("parameter", self.summary.parameters), ("derived", self.summary.derived))
+            for quantity in quantities
+        ]
+        return pl.DataFrame(rows, infer_schema_length=None)
 
 
 def result_of(fit: Fit, folder: Path | None = None, seed: int = 0, load_seconds: float = 0.0) -> Result:
