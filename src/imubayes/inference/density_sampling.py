@@ -108,17 +108,12 @@ def sample(
     settings = settings or Settings()
     settings = replace(settings, least_steps=settings.least_steps or _LEAST_STEPS)
     starts = _starts(start, scale, settings)
-    walkers, dimensions = starts[0].shape
-    names = tuple(names) or tuple(f"x{place}" for place in range(dimensions))
+    names = tuple(names) or tuple(f"x{place}" for place in range(starts[0].shape[1]))
     _check(log_density, starts[0], names)
 
-    fingerprints = {
-        "parameters": hashlib.sha256("\n".join(names).encode()).hexdigest(),
-        "sampler": f"seed {settings.seed}, {settings.ensembles} ensembles of {walkers} walkers",
-    }
     with tempfile.TemporaryDirectory() as folder:
         path = Path(checkpoint) if checkpoint is not None else Path(folder) / "checkpoint.h5"
-        file = Checkpoint(path, settings.ensembles, walkers, dimensions, fingerprints)
+        file = _checkpoint(path, starts[0].shape, names, settings)
         if resume:
             file.check()
         else:
@@ -136,6 +131,15 @@ def _starts(
     wide = _OVERDISPERSION * np.broadcast_to(np.asarray(scale, dtype=float), centre.shape)
     size = (settings.ensembles, walkers_for(len(centre), settings), len(centre))
     return list(centre + wide * np.random.default_rng([settings.seed, 1]).normal(size=size))
+
+
+def _checkpoint(path: Path, shape: tuple[int, ...], names: Sequence[str], settings: Settings) -> Checkpoint:
+    walkers, dimensions = shape
+    fingerprints = {
+        "parameters": hashlib.sha256("\n".join(names).encode()).hexdigest(),
+        "sampler": f"seed {settings.seed}, {settings.ensembles} ensembles of {walkers} walkers",
+    }
+    return Checkpoint(path, settings.ensembles, walkers, dimensions, fingerprints)
 
 
 def _without_nan(log_density: BatchedDensity) -> BatchedDensity:
