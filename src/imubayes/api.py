@@ -15,7 +15,7 @@ from imubayes.criticism.diagnosis import Diagnosis
 from imubayes.criticism.injection_recovery import Size, Trials, plant_effects
 from imubayes.criticism.judge import judge
 from imubayes.criticism.model_history import Tree
-from imubayes.errors import InputError, Issue, input_error
+from imubayes.errors import input_error
 from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fit import Fit
@@ -210,8 +210,8 @@ def plant(
     if result is not None:
         fitted = (result if isinstance(result, Result) else read_result(result)).fit
     elif campaign is None or model is None:
-        raise InputError(
-            Issue("nothing to inject into", "plant", "a campaign with a model, or a result", "give one of the two")
+        raise input_error(
+            "nothing to inject into", "plant", "a campaign with a model, or a result", "give one of the two"
         )
     else:
         tell("fitting")

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from imubayes.errors import InputError, Issue
+from imubayes.errors import input_error
 
 
 @contextmanager
@@ -100,11 +100,9 @@ def refuse_existing(file: Path, but: Callable[[bytes], bool] = lambda content: F
     """Raise InputError where a file or folder exists, except a file whose content may be replaced."""
     if not file.exists() or (file.is_file() and but(file.read_bytes())):
         return
-    raise InputError(
-        Issue(
-            f"'{file.name}' is there already",
-            str(file),
-            "a file that does not exist yet",
-            "choose another name, or remove it first",
-        )
+    raise input_error(
+        f"'{file.name}' is there already",
+        str(file),
+        "a file that does not exist yet",
+        "choose another name, or remove it first",
     )

@@ -125,7 +125,7 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
         "not orthogonal", r":16, channel\[0\]\.output_axis", "orthogonal to",
     ),
     "channel twice": (toml('name = "gy"', 'name = "gx"'), "given twice", r"channel\[1\]\.name", "not yet used"),
-    "channel named like a column": (toml('name = "gy"', 'name = "samples"'), "already means", r"channel\[1\]\.name", "name"),
+    "channel named like a column": (toml('name = "gy"', 'name = "samples"'), "is reserved", r"channel\[1\]\.name", "name"),
     "no channel table": (toml("[[channel]]", "[[chanel]]"), "chanel", r"campaign\.toml:1\d, chanel", "channel"),
     "elevation out of range": (toml("elevation_deg = 90.0", "elevation_deg = 200.0"), "200", r"table\[0\]\.elevation_deg", "at most 90"),
     "negative uncertainty": (

@@ -221,15 +221,15 @@ def test_rows_are_what_the_plan_says(plan: Path):
 BAD_PLANS = [
     ('procedure = "dividing_head"', 'procedure = "free_tumble"', "free tumble", "rate_table"),
     ('procedure = "dividing_head"', 'procedure = "divided_head"', "cannot be simulated", "dividing_head"),
-    ("positions = 8", "rates_deg_s = [10.0]", "means nothing", "positions"),
+    ("positions = 8", "rates_deg_s = [10.0]", "does not apply", "positions"),
     ("positions = 8", "", "has no 'positions'", "angles_deg"),
     ("positions = 8", "positions = 8\nangles_deg = [1.0]", "both positions and angles_deg", "angles_deg"),
-    ("rate_degC_per_h = 30.0\nrows = 10", "rate_degC_per_h = 30.0", "how many rows", "rows"),
-    ("rows = 10", "rows = 10\nseconds_per_row = 60.0", "twice", "rate_degC_per_h"),
+    ("rate_degC_per_h = 30.0\nrows = 10", "rate_degC_per_h = 30.0", "number of rows", "rows"),
+    ("rows = 10", "rows = 10\nseconds_per_row = 60.0", "overdetermined", "rate_degC_per_h"),
     (
         "[20.0, 50.0]\nrate_degC_per_h = 30.0\nrows",
         "[20.0, 20.0]\nrate_degC_per_h = 30.0\nrows",
-        "no change",
+        "no temperature change",
         "two different values",
     ),
     ("positions = 8", "position = 8", "unknown key 'position'", "positions"),
@@ -241,7 +241,7 @@ BAD_PLANS = [
     ('name = "standing"', 'name = "warming"', "given twice", "not yet used"),
     ('model = "model.toml"', 'model = "modell.toml"', "no file 'modell.toml'", "model.toml"),
     ("gyro_scale_factor.scale[gx]", "gyro_scale_factor.scale[gy]", "no parameter", "gyro_scale_factor.scale[gx]"),
-    ('gyro_scale_factor.scale[gx]" = 250.0', 'white_noise.sigma[gx]" = -1.0', "impossible", "output"),
+    ('gyro_scale_factor.scale[gx]" = 250.0', 'white_noise.sigma[gx]" = -1.0', "outside the support", "output"),
     ("seed = 5", "seed = -5", "seed", "at least 0"),
 ]
 

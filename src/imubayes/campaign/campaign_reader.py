@@ -1,7 +1,7 @@
-"""A campaign folder becomes a `Campaign`; a model file becomes a `ModelFile`.
+"""Read a campaign folder as a `Campaign` and a model file as a `ModelFile`.
 
-Everything is read before anything is refused: `inspect_campaign` returns all problems and findings together
-with the campaign where there is one, and `load_campaign` raises them at once.
+All files are read before an error is raised: `inspect_campaign` returns every issue and finding together with the
+campaign, if valid; `load_campaign` raises all issues at once.
 """
 
 import hashlib
@@ -12,7 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.campaign.equipment import build_channels, build_mountings, build_site, build_tables, refuse_repeats
+from imubayes.campaign.equipment import (
+    build_channels,
+    build_mountings,
+    build_site,
+    build_tables,
+    check_references,
+    refuse_repeats,
+    require_current_scale,
+)
 from imubayes.campaign.file_schemas import CampaignFile, ModelFile, RunEntry
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.load_run import Equipment, Loaded, load_run
@@ -31,12 +39,12 @@ TABLE_FILES = ("*.csv", "*.parquet", "*/*.csv", "*/*.parquet")
 
 @dataclass(frozen=True)
 class Inspection:
-    """Everything a reading of a campaign brought up.
+    """Result of reading a campaign.
 
     Attributes
     ----------
-    campaign : the campaign, or None where something stops it.
-    problems : faults of the files, and findings of severity error, as complaints.
+    campaign : the campaign; None if there are issues.
+    issues : faults of the files, and findings of severity error.
     findings : findings in the data, errors and warnings.
     """
 
@@ -55,7 +63,7 @@ def load_campaign(path: str | Path) -> Campaign:
     Raises
     ------
     InputError
-        with every problem of the campaign.
+        with every issue of the campaign.
     """
     inspection = inspect_campaign(path)
     if inspection.campaign is None:
@@ -64,12 +72,12 @@ def load_campaign(path: str | Path) -> Campaign:
 
 
 def check_campaign(path: str | Path) -> tuple[Finding, ...]:
-    """Return the named findings in the data of a campaign, warnings too."""
+    """Return the findings in the data of a campaign, warnings included."""
     return inspect_campaign(path).findings
 
 
 def inspect_campaign(path: str | Path) -> Inspection:
-    """Read a campaign folder and return what is there and what is wrong; never raises for bad input."""
+    """Read a campaign folder and return the campaign with all issues and findings; never raises for bad input."""
     file = Path(path)
     file = file if file.suffix == ".toml" else file / CAMPAIGN_FILE
     if not file.exists():
@@ -84,8 +92,8 @@ def inspect_campaign(path: str | Path) -> Inspection:
     _check_runs(draft, ledger)
     judge = None if ledger.issues else equipment
     loaded = [_load(file.parent / run.file, run, draft.names["channel"], judge) for run in draft.runs.values()]
-    findings = tuple(finding for one in loaded for finding in one.findings)
-    issues = [*ledger.issues, *(problem for one in loaded for problem in one.issues)]
+    findings = tuple(finding for result in loaded for finding in result.findings)
+    issues = [*ledger.issues, *(issue for result in loaded for issue in result.issues)]
     issues += [finding.problem() for finding in findings if finding.severity == "error"]
     if issues or document.entry is None:
         return Inspection(None, tuple(issues), findings)
@@ -93,12 +101,12 @@ def inspect_campaign(path: str | Path) -> Inspection:
 
 
 def read_model_file(path: str | Path) -> ModelFile:
-    """Read a model file; whether its effects exist is for the registry of effects to say.
+    """Read a model file; effect names are validated later, by the effect registry.
 
     Raises
     ------
     InputError
-        with every problem of structure.
+        with every violation of the schema.
     """
     document = read_document(Path(path), ModelFile)
     folder = Path(path).parent
@@ -137,9 +145,9 @@ def _equipment(draft: Draft, ledger: Ledger) -> Equipment:
 def _campaign(
     entry: CampaignFile, equipment: Equipment, loaded: Sequence[Loaded], findings: Sequence[Finding], file: Path
 ) -> Campaign:
-    runs = tuple(one.run for one in loaded if one.run is not None)
+    runs = tuple(result.run for result in loaded if result.run is not None)
     channels, runs = with_angles(equipment.channels, runs, equipment.tables)
-    channels, said = _fill_noise(channels, runs)
+    channels, noise_notes = _fill_noise(channels, runs)
     return Campaign(
         entry.name,
         equipment.site,
@@ -149,7 +157,7 @@ def _campaign(
         runs,
         entry.unit.serial,
         _digest([file, *(file.parent / run.file for run in entry.run)]),
-        (*entry.notes, *said, *(str(finding) for finding in findings)),
+        (*entry.notes, *noise_notes, *(str(finding) for finding in findings)),
         str(file.parent),
     )
 
@@ -164,9 +172,9 @@ def _check_channel_names(draft: Draft, ledger: Ledger) -> None:
     for index, channel in draft.channels.items():
         if channel.name in taken:
             ledger.add(
-                f"the channel name '{channel.name}' already means something else in a run table",
+                f"the channel name '{channel.name}' is reserved for another column of run tables",
                 ("channel", index, "name"),
-                "a name that is no known column and no '<channel>_sd'",
+                "a name that is neither a known column nor '<channel>_sd'",
                 "rename the channel and its column",
             )
 
@@ -181,24 +189,18 @@ def _check_runs(draft: Draft, ledger: Ledger) -> None:
                 closest_first(run.procedure, PROCEDURES, most=len(PROCEDURES)),
                 "use one of the allowed procedures",
             )
-        _check_reference(run, index, "table", run.table, draft.names["table"], ledger)
-        _check_reference(run, index, "mounting", run.mounting, draft.names["mounting"], ledger)
+        check_references(run, index, draft.names, ledger)
         _check_file(run, index, ledger)
     _check_gyros(draft, ledger)
     injected = [index for index, run in draft.runs.items() if procedure_named(run.procedure).injected]
-    # A faulty entry may be the one that says so.
-    sound = len(draft.channels) == len(draft.names["channel"])
-    if injected and sound and not any(channel.current_mA_per_g for channel in draft.channels.values()):
-        ledger.add(
-            "a current is injected, and no channel says what its current stands for",
-            ("run", injected[0], "procedure"),
-            "current_mA_per_g = … in a [[channel]]",
-            "add current_mA_per_g to the channel under test",
-        )
+    # An invalid channel entry may be the one with the key.
+    complete = len(draft.channels) == len(draft.names["channel"])
+    if injected and complete:
+        require_current_scale(draft.channels.values(), injected[0], ledger)
 
 
 def _check_gyros(draft: Draft, ledger: Ledger) -> None:
-    """Note runs that only a gyro gives a meaning, in a unit that has none."""
+    """Add an issue for every run that requires a gyro, in a unit without gyros."""
     if any(channel.kind == "gyro" for channel in draft.channels.values()):
         return
     for index, run in draft.runs.items():
@@ -209,26 +211,6 @@ def _check_gyros(draft: Draft, ledger: Ledger) -> None:
                 'a [[channel]] of kind = "gyro"',
                 "add the gyro, or correct 'procedure'",
             )
-
-
-def _check_reference(
-    run: RunEntry, index: int, section: str, name: str | None, there: Sequence[str], ledger: Ledger
-) -> None:
-    if name is None:
-        if procedure_named(run.procedure).needs_table:
-            ledger.add(
-                f"run '{run.name}' of procedure '{run.procedure}' has no '{section}'",
-                ("run", index, section),
-                ", ".join(there) or f"the name of a [[{section}]]",
-                f"say which {section} was used",
-            )
-    elif name not in there:
-        ledger.add(
-            f"run '{run.name}' refers to the {section} '{name}', which is not in the campaign",
-            ("run", index, section),
-            closest_first(name, there) or f"none is there: add a [[{section}]]",
-            f"correct the name, or add the {section}",
-        )
 
 
 def _check_file(run: RunEntry, index: int, ledger: Ledger) -> None:
@@ -247,7 +229,7 @@ def _check_file(run: RunEntry, index: int, ledger: Ledger) -> None:
 
 
 def _fill_noise(channels: Sequence[Channel], runs: Sequence[Run]) -> tuple[tuple[Channel, ...], list[str]]:
-    """Give a channel without stated noise the pooled standard deviation of one sample, from rest where there is any."""
+    """Set unstated channel noise to the pooled standard deviation of one sample, from rows at rest if there are any."""
     filled, notes = [], []
     for index, channel in enumerate(channels):
         pooled = math.nan if channel.noise is not None else _pooled(runs, index)

@@ -5,13 +5,16 @@ names must be unique.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from imubayes.campaign.file_schemas import ChannelEntry, MountingEntry, SiteEntry, TableEntry
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.earth import normal_gravity
+from imubayes.errors import closest_first
+from imubayes.procedures import procedure_named
 from imubayes.run import Channel, Mounting, Site, Table
 from imubayes.units import to_si
 
@@ -19,6 +22,19 @@ DEGREE, ARCMIN, ARCSEC, PPM, MILLIAMPERE = (to_si(unit) for unit in ("deg", "arc
 ROTATION_TOLERANCE = 1e-6  # of the orthonormality of a matrix with seven decimals
 SQUARENESS = math.sin(1 * DEGREE)  # output axes are orthogonalised if within 1 degree of orthogonal
 _ALLOWED_PER = {"gyro": ("deg/s", "deg/h", "rad/s"), "accelerometer": ("g", "m/s^2")}
+
+
+class RunReferences(Protocol):
+    """What a run entry, recorded or planned, refers to."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def procedure(self) -> str: ...
+    @property
+    def table(self) -> str | None: ...
+    @property
+    def mounting(self) -> str | None: ...
 
 
 def build_site(entry: SiteEntry) -> Site:
@@ -84,6 +100,43 @@ def refuse_repeats(names: Mapping[int, str], section: str, ledger: Ledger) -> No
                 f"rename one of the two {section}s",
             )
         first.setdefault(name, index)
+
+
+def check_references(run: RunReferences, index: int, names: Mapping[str, Sequence[str]], ledger: Ledger) -> None:
+    """Add an issue for a table or mounting that a run names but the file lacks, or that it needs and does not name.
+
+    Parameters
+    ----------
+    index : of the run in its file.
+    names : section (`table`, `mounting`) → names that the file defines.
+    """
+    for section, name in (("table", run.table), ("mounting", run.mounting)):
+        defined = names[section]
+        if name is None and procedure_named(run.procedure).needs_table:
+            ledger.add(
+                f"run '{run.name}' of procedure '{run.procedure}' has no '{section}'",
+                ("run", index, section),
+                ", ".join(defined) or f"the name of a [[{section}]]",
+                f"name the {section} of the run",
+            )
+        elif name is not None and name not in defined:
+            ledger.add(
+                f"run '{run.name}' refers to the {section} '{name}', which is not defined",
+                ("run", index, section),
+                closest_first(name, defined) or f"none is defined: add a [[{section}]]",
+                f"correct the name, or add the {section}",
+            )
+
+
+def require_current_scale(channels: Iterable[ChannelEntry], run: int, ledger: Ledger) -> None:
+    """Add an issue, at the run of that index, where no channel states its current per acceleration."""
+    if not any(channel.current_mA_per_g for channel in channels):
+        ledger.add(
+            "a current is injected, but no channel has 'current_mA_per_g'",
+            ("run", run, "procedure"),
+            "current_mA_per_g = … in a [[channel]]",
+            "add current_mA_per_g to the channel under test",
+        )
 
 
 def complete_axes(input_axis: np.ndarray, output_axis: np.ndarray | None) -> np.ndarray:

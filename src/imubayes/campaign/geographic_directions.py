@@ -1,4 +1,4 @@
-"""Positions named by directions: `i_axis` and `o_axis` say where a gyro's input and output axes point, E W N S U D."""
+"""Geographic positions: `i_axis` and `o_axis` give the directions of a gyro's input and output axes, E W N S U D."""
 
 from collections.abc import Sequence
 
@@ -22,16 +22,16 @@ DIRECTION_COLUMNS = ("i_axis", "o_axis")
 
 
 def attitudes(source: TableSource, rows: Sequence[int], channels: Sequence[Channel]) -> np.ndarray:
-    """Return body → local level at chosen rows of a table, shape (len(rows), 3, 3).
+    """Return the rotation from body to local level at the given rows of a table, shape (len(rows), 3, 3).
 
     The axes are those of the campaign's first gyro, or of its first channel where it has none.
 
     Raises
     ------
     InputError
-        for a letter that is no direction, or an output axis along the input axis.
+        for a letter that is not a direction, or parallel input and output axes.
     """
-    named = next((one for one in channels if one.kind == "gyro"), channels[0])
+    reference = next((channel for channel in channels if channel.kind == "gyro"), channels[0])
     letters = {name: [text for batch in source for text in batch.texts[name]] for name in DIRECTION_COLUMNS}
     found, issues = [], []
     for row in rows:
@@ -39,7 +39,7 @@ def attitudes(source: TableSource, rows: Sequence[int], channels: Sequence[Chann
         issues += _judge(pair, source.place(row))
         if not issues:
             i, o = (np.array(DIRECTIONS[letter]) for letter in pair)
-            found.append(np.stack([i, o, np.cross(i, o)], axis=1) @ named.axes)
+            found.append(np.stack([i, o, np.cross(i, o)], axis=1) @ reference.axes)
     if issues:
         raise InputError(issues)
     return np.array(found).reshape(-1, 3, 3)
@@ -48,7 +48,7 @@ def attitudes(source: TableSource, rows: Sequence[int], channels: Sequence[Chann
 def _judge(pair: Sequence[str], where: str) -> list[Issue]:
     unknown = [
         Issue(
-            f"'{letter}' is no direction",
+            f"'{letter}' is not a direction",
             f"{where}, column '{name}'",
             ", ".join(DIRECTIONS),
             "give the direction of the axis as one letter: East, West, North, South, Up or Down",
@@ -60,9 +60,9 @@ def _judge(pair: Sequence[str], where: str) -> list[Issue]:
         return unknown
     return [
         Issue(
-            f"the output axis points {pair[1]} and the input axis {pair[0]}: they lie along one line",
+            f"the output axis points {pair[1]} and the input axis {pair[0]}: they are parallel",
             f"{where}, columns 'i_axis' and 'o_axis'",
-            "two directions that are perpendicular to each other",
+            "two perpendicular directions",
             "correct the letters of this row",
         )
     ]

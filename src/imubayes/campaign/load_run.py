@@ -20,7 +20,7 @@ from imubayes.campaign.reduction import BlockBuilder, BlockSurvey, SegmentTracke
 from imubayes.campaign.run_columns import lay_out
 from imubayes.campaign.run_tables import TableSource, read_header
 from imubayes.campaign.stream_checks import Monitor
-from imubayes.errors import InputError, Issue
+from imubayes.errors import InputError, Issue, input_error
 from imubayes.procedures import PROCEDURES, Reduction, procedure_named
 from imubayes.run import Channel, Mounting, Run, Site, Table
 
@@ -154,13 +154,11 @@ def _whole(source: TableSource) -> dict[str, np.ndarray]:
 def _load_tumble(source: TableSource, entry: RunEntry, equipment: Equipment) -> tuple[Run, list[Finding]]:
     layout = source.layout
     if layout.reduced:
-        raise InputError(
-            Issue(
-                "a free tumble is given as means, without the motion between its poses",
-                f"{source.file}, column 'samples'",
-                "a raw log: time_s and one column per channel",
-                "give the raw log of the whole recording",
-            )
+        raise input_error(
+            "a free tumble is given as means, without the motion between its poses",
+            f"{source.file}, column 'samples'",
+            "a raw log: time_s and one column per channel",
+            "give the raw log of the whole recording",
         )
     reduced = reduce_tumble(
         _whole(source), equipment.channels, equipment.site.gravity, entry.initial_rest_s, source.file

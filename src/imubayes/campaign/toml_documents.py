@@ -151,7 +151,7 @@ def _wrong_value(fault: Any, path: KeyPath) -> str:
 
 
 def _form(path: KeyPath) -> str:
-    """Return the form of the value in words, where its innermost key is known for one."""
+    """Return the expected form of the value in words, from its innermost key."""
     keys = [part for part in path[1:] if isinstance(part, str)] or [str(part) for part in path[:1]]
     return next((FORMS[key] for key in reversed(keys) if key in FORMS), "")
 

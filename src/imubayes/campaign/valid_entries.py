@@ -1,4 +1,4 @@
-"""The sound parts of a campaign file, so that one faulty entry does not hide the faults of the others."""
+"""The valid entries of a campaign file, so that one invalid entry does not hide the errors of the others."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ from imubayes.campaign.file_schemas import ChannelEntry, MountingEntry, RunEntry
 
 @dataclass(frozen=True)
 class Draft:
-    """Entries that passed the schema, by their place in the file.
+    """Entries that conform to the schema, by their index in the file.
 
     Attributes
     ----------
-    site : None where it is missing or faulty.
+    site : None if missing or invalid.
     channels, tables, mountings, runs : index in the file → entry.
-    names : section → all names in it, those of faulty entries too.
+    names : section → all names in it, including those of invalid entries.
     """
 
     site: SiteEntry | None
@@ -29,14 +29,14 @@ class Draft:
 
 
 def draft_of(content: Mapping[str, Any]) -> Draft:
-    """Return what is sound in the content of a campaign file."""
+    """Return the valid entries in the content of a campaign file."""
     sections = ("channel", "table", "mounting", "run")
     return Draft(
-        _sound(content.get("site"), SiteEntry),
-        _all_sound(content, "channel", ChannelEntry),
-        _all_sound(content, "table", TableEntry),
-        _all_sound(content, "mounting", MountingEntry),
-        _all_sound(content, "run", RunEntry),
+        _validated(content.get("site"), SiteEntry),
+        _entries(content, "channel", ChannelEntry),
+        _entries(content, "table", TableEntry),
+        _entries(content, "mounting", MountingEntry),
+        _entries(content, "run", RunEntry),
         {section: _names(content, section) for section in sections},
     )
 
@@ -46,12 +46,12 @@ def _elements(content: Mapping[str, Any], section: str) -> list[Any]:
     return value if isinstance(value, list) else []
 
 
-def _all_sound[Entry: BaseModel](content: Mapping[str, Any], section: str, kind: type[Entry]) -> dict[int, Entry]:
-    entries = {index: _sound(value, kind) for index, value in enumerate(_elements(content, section))}
+def _entries[Entry: BaseModel](content: Mapping[str, Any], section: str, kind: type[Entry]) -> dict[int, Entry]:
+    entries = {index: _validated(value, kind) for index, value in enumerate(_elements(content, section))}
     return {index: entry for index, entry in entries.items() if entry is not None}
 
 
-def _sound[Entry: BaseModel](value: Any, kind: type[Entry]) -> Entry | None:
+def _validated[Entry: BaseModel](value: Any, kind: type[Entry]) -> Entry | None:
     try:
         return kind.model_validate(value)
     except ValidationError:

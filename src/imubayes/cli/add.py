@@ -42,10 +42,10 @@ def add(
     from imubayes.cli.session import progress, start_jax
 
     start_jax()
-    from imubayes.errors import InputError, Issue
+    from imubayes.errors import input_error
 
     if not effects:
-        raise InputError(Issue("no effect is named", "command line", "imubayes effects lists them", "name one"))
+        raise input_error("no effect is named", "command line", "imubayes effects lists them", "name one")
     from imubayes.api import add as add_effects
     from imubayes.display.addition_report import addition_report, next_command
     from imubayes.display.report import print_report

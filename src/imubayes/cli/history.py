@@ -30,11 +30,11 @@ def history(
         Print one JSON object on standard output.
     """
     from imubayes.cli.session import start_jax
-    from imubayes.errors import InputError, Issue
+    from imubayes.errors import input_error
 
     folders = [*results, *([select] if select is not None and not results else [])]
     if not folders:
-        raise InputError(Issue("no result is named", "command line", "result folders", "name at least one"))
+        raise input_error("no result is named", "command line", "result folders", "name at least one")
     start_jax()
     from imubayes.api import export as export_model
     from imubayes.api import history as read

@@ -11,7 +11,7 @@ from itertools import combinations
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.errors import InputError, Issue, closest_first
+from imubayes.errors import InputError, Issue, closest_first, input_error
 from imubayes.gather import on_device
 from imubayes.model.assembly import Assembly, assemble
 from imubayes.model.bound_effects import BoundEffect, NotObservableError, bind_effect
@@ -147,13 +147,11 @@ def _bind_effects(spec: ModelSpec, grouping: Grouping, registry: Registry) -> tu
     if issues:
         raise InputError(issues)
     if not any(effect.parameters for effect in effects):
-        raise InputError(
-            Issue(
-                "the model has no parameter to fit: it lists noise and no effect that acts in these runs",
-                spec.where,
-                "at least one effect, such as gyro_bias or accel_bias",
-                "add an [[effect]]; `imubayes effects --for CAMPAIGN` lists those that the runs could show",
-            )
+        raise input_error(
+            "the model has no parameter to fit: it lists noise and no effect that acts in these runs",
+            spec.where,
+            "at least one effect, such as gyro_bias or accel_bias",
+            "add an [[effect]]; `imubayes effects --for CAMPAIGN` lists those that the runs could show",
         )
     return tuple(effects)
 

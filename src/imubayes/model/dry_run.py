@@ -8,7 +8,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 
-from imubayes.errors import InputError, Issue
+from imubayes.errors import input_error
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.likelihood import log_density
 from imubayes.model.problem import Problem, signal_path, values_of
@@ -41,14 +41,12 @@ def dry_run(problem: Problem, effects: Sequence[BoundEffect], files: Sequence[st
     except (Exception, SystemExit) as error:
         line = _line(error, files)
         names = ", ".join(member.__name__ for member in own)
-        raise InputError(
-            Issue(
-                f"an effect of the user cannot be evaluated: {type(error).__name__}: {_short(error)}",
-                line or f"{', '.join(files)}: {names}",
-                "methods as their base class describes them, written with jax.numpy, for one sample, returning what "
-                "they are given, changed",
-                "mend the class; a choice that depends on a value is jnp.where, not if",
-            )
+        raise input_error(
+            f"an effect of the user cannot be evaluated: {type(error).__name__}: {_short(error)}",
+            line or f"{', '.join(files)}: {names}",
+            "methods as their base class describes them, written with jax.numpy, for one sample, returning what "
+            "they are given, changed",
+            "mend the class; a choice that depends on a value is jnp.where, not if",
         ) from error
 
 

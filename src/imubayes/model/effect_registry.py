@@ -9,7 +9,7 @@ from pathlib import Path
 
 from imubayes.effects import EFFECTS, Effect
 from imubayes.effects.base import MotionEffect
-from imubayes.errors import InputError, Issue, closest_first
+from imubayes.errors import InputError, closest_first, input_error
 from imubayes.noise import NOISES, Noise
 from imubayes.parameters.parameter import declared_parameters
 
@@ -32,13 +32,11 @@ class Registry:
     def find(self, name: str, where: str) -> EffectClass:
         """Return the member of a name; raises InputError with the closest names."""
         if name not in self.effects:
-            raise InputError(
-                Issue(
-                    f"there is no effect '{name}'",
-                    where,
-                    closest_first(name, self.effects),
-                    "correct the name; `imubayes effects` lists all",
-                )
+            raise input_error(
+                f"there is no effect '{name}'",
+                where,
+                closest_first(name, self.effects),
+                "correct the name; `imubayes effects` lists all",
             )
         return self.effects[name]
 
@@ -48,13 +46,11 @@ class Registry:
         for file in files:
             for member in _members_of(Path(file)):
                 if member.name in self.effects:
-                    raise InputError(
-                        Issue(
-                            f"the effect '{member.name}' exists already",
-                            str(file),
-                            "a name that `imubayes effects` does not list",
-                            "give the new effect a name of its own",
-                        )
+                    raise input_error(
+                        f"the effect '{member.name}' exists already",
+                        str(file),
+                        "a name that `imubayes effects` does not list",
+                        "give the new effect a name of its own",
                     )
                 effects[member.name] = member
         return Registry(effects)
@@ -66,14 +62,12 @@ class Registry:
 
 def _members_of(file: Path) -> list[EffectClass]:
     def refuse(what: str) -> InputError:
-        return InputError(
-            Issue(
-                what,
-                str(file),
-                "a Python file with classes derived from SignalEffect, RecordEffect, MotionEffect, PlaceEffect, "
-                "EntryNoise, SharedNoise, SeriesNoise or TailNoise that have a name and parameters",
-                "mend the file, or take it out of the model's 'files'",
-            )
+        return input_error(
+            what,
+            str(file),
+            "a Python file with classes derived from SignalEffect, RecordEffect, MotionEffect, PlaceEffect, "
+            "EntryNoise, SharedNoise, SeriesNoise or TailNoise that have a name and parameters",
+            "mend the file, or take it out of the model's 'files'",
         )
 
     if not file.is_file():

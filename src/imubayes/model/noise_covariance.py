@@ -182,7 +182,9 @@ def whiten(problem: Problem, by: Whitener, residual: Float[Array, "E *columns"])
     return scaled - direction * take(by.shrink.reshape(columns) * along, problem.observations.group)
 
 
-def inverse_covariance(problem: Problem, by: Whitener, residual: Float[Array, " E"]):
+def inverse_covariance(
+    problem: Problem, by: Whitener, residual: Float[Array, " E"]
+) -> tuple[Float[Array, " E"], Float[Array, " E"]]:
     """Return Σ⁻¹ · residual and the diagonal of Σ⁻¹, both of shape (E,)."""
     observations = problem.observations
     direction = by.direction

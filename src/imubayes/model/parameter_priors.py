@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.errors import InputError, Issue
+from imubayes.errors import input_error
 from imubayes.model.effect_registry import EffectClass
 from imubayes.model.model_spec import EffectSpec
 from imubayes.noise.base import Noise
@@ -60,22 +60,18 @@ def parameter_of(
 
 def _check_family(prior: Prior, field: str, declared: Declared, where: str, hyper: bool) -> None:
     if declared.spread and not isinstance(prior, Normal):
-        raise InputError(
-            Issue(
-                f"the prior width of '{field}' is learnt, so its prior has to be normal",
-                where,
-                f"normal(0, 1 {declared.unit})",
-                "write a normal prior, or leave it out",
-            )
+        raise input_error(
+            f"the prior width of '{field}' is learnt, so its prior has to be normal",
+            where,
+            f"normal(0, 1 {declared.unit})",
+            "write a normal prior, or leave it out",
         )
     if hyper and isinstance(prior, Normal):
-        raise InputError(
-            Issue(
-                f"'{field}' is a standard deviation and may not be negative",
-                where,
-                "lognormal, halfnormal, uniform, loguniform or halfcauchy",
-                f"write a prior of positive values, such as lognormal(1 {declared.unit}, 0.5)",
-            )
+        raise input_error(
+            f"'{field}' is a standard deviation and may not be negative",
+            where,
+            "lognormal, halfnormal, uniform, loguniform or halfcauchy",
+            f"write a prior of positive values, such as lognormal(1 {declared.unit}, 0.5)",
         )
 
 

@@ -20,7 +20,7 @@ from imubayes.effects.base import Effect, Stage
 from imubayes.frames import rotate, rotate_back, turn_back_about_z
 from imubayes.gather import take
 from imubayes.stimulus import Ambient, Experience, Motion, Nodes, Sample, SignalPath
-from imubayes.types import Array, Float, Vector3
+from imubayes.types import Array, Float, Matrix3, Vector3
 
 
 class Channels(eqx.Module):
@@ -75,10 +75,10 @@ class EffectLayer(Layer):
     places: dict[str, Array]
     kind: str = eqx.field(static=True)
 
-    def sort_key(self):
+    def sort_key(self) -> tuple[int, float]:
         return self.effect.stage, self.effect.order
 
-    def value_places(self):
+    def value_places(self) -> dict[str, Array]:
         return self.places
 
     def __call__(self, path, chosen):
@@ -195,7 +195,7 @@ def into_body(motion: Motion, vector: Vector3) -> Vector3:
     return rotate_back(motion.mounting, turn_back_about_z(rotate_back(motion.base, vector), motion.table_angle))
 
 
-def project(axes, experience: Experience, ambient: Ambient) -> Sample:
+def project(axes: Matrix3, experience: Experience, ambient: Ambient) -> Sample:
     """Return what one channel experiences along its own axes."""
     return Sample(
         rate=rotate(axes, experience.rate),

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtr, ndtri
 from scipy import special
 
-from imubayes.errors import InputError, Issue, closest_first
+from imubayes.errors import InputError, closest_first, input_error
 from imubayes.types import Array, Float, Scalar
 from imubayes.units import same_dimension, to_si
 
@@ -182,7 +182,7 @@ def parse_prior(text: str, unit: str, gravity: float, where: str, own: Mapping[s
 def _parse_prior(text: str, unit: str, gravity: float, where: str, known: tuple[tuple[str, float], ...]) -> Prior:
     def refuse(what: str, allowed: str) -> InputError:
         example = f"normal(0, 1 {unit})" if unit != "1" else "normal(0, 1)"
-        return InputError(Issue(what, where, allowed, f"write the prior like {example}"))
+        return input_error(what, where, allowed, f"write the prior like {example}")
 
     def in_si(number: str, written: str, carries: bool) -> float:
         if not carries and written != "1":

@@ -71,18 +71,18 @@ class Layout:
         """Return the SI value of each parameter's unit, shape (P,)."""
         return np.array([parameter.factor for parameter in self.parameters], dtype=float)
 
-    def carried(self, known: "Layout", point: np.ndarray, otherwise: np.ndarray | float = 0.0) -> np.ndarray:
-        """Return a point of another layout in this one, by name.
+    def carried(self, source: "Layout", point: np.ndarray, default: np.ndarray | float = 0.0) -> np.ndarray:
+        """Return a point of another layout in this one, matched by name.
 
         Parameters
         ----------
-        known : the other layout.
-        point : z there, shape (its length,).
-        otherwise : z of what the other layout lacks, shape (P,) or one for all; 0 is the middle of the prior.
+        source : the other layout.
+        point : z in that layout, shape (its length,).
+        default : z of parameters that the other layout lacks, shape (P,) or a scalar; 0 is the prior median.
         """
-        there = dict(zip(known.names, point.tolist(), strict=True))
-        rest = np.broadcast_to(otherwise, len(self)).tolist()
-        return np.array([there.get(name, other) for name, other in zip(self.names, rest, strict=True)], dtype=float)
+        values = dict(zip(source.names, point.tolist(), strict=True))
+        defaults = np.broadcast_to(default, len(self)).tolist()
+        return np.array([values.get(name, z) for name, z in zip(self.names, defaults, strict=True)], dtype=float)
 
     def z_of(self, values: Sequence[float] | np.ndarray) -> np.ndarray:
         """Return z of values given in datasheet units, shape (P,)."""

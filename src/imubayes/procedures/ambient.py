@@ -1,4 +1,4 @@
-"""Covariates that effects see: what a run recorded, rates of temperature, and time since the campaign began."""
+"""Covariates available to effects: recorded ones, temperature rates, and time since the start of the campaign."""
 
 from datetime import UTC, datetime
 
@@ -7,33 +7,34 @@ import numpy as np
 from imubayes.covariates import ambient_names
 from imubayes.run import Campaign, Run
 
-# A temperature that moves by less than half a degree, or in fewer rows than a line and its scatter need, has no rate
-# worth the name; a slope is taken as known when its noise is a tenth of it.
+# A temperature range below half a degree, or fewer rows than a line and its residual variance need, gives no usable
+# rate; windows widen until the noise of the slopes is a tenth of their size.
 _LEAST_CHANGE, _LEAST_ROWS, _SLOPE_NOISE = 0.5, 4, 0.1
 
 
 def ambient_of(run: Run, row: np.ndarray, campaign: Campaign | None = None) -> dict[str, np.ndarray]:
-    """Return the circumstances that the run recorded, at the given rows, and what follows from them.
+    """Return the recorded covariates of a run at the given rows, and those derived from them.
 
-    Rates of temperature are there where a temperature changes in known time, `campaign_time` where it is known when
-    the run was made: since the campaign's first run with a date, or since its own beginning where no run has one.
+    Temperature rates are derived where temperature varies with recorded time.  `campaign_time` counts from the first
+    dated run of the campaign, or from the start of the run itself if no run is dated; an undated run among dated ones
+    has none.
     """
-    known = {name: run.covariates[name] for name in ambient_names() if name in run.covariates}
-    time = known.get("time")
+    covariates = {name: run.covariates[name] for name in ambient_names() if name in run.covariates}
+    time = covariates.get("time")
     if time is not None:
         for name in ("temperature", "converter_temperature"):
-            rate = rate_of_change(time, known[name]) if name in known else None
+            rate = rate_of_change(time, covariates[name]) if name in covariates else None
             if rate is not None:
-                known[f"{name}_rate"] = rate
-        since = _since_first(run, campaign)
-        if since is not None:
-            known["campaign_time"] = since + time
-    return {name: values[row] for name, values in known.items() if np.all(np.isfinite(values))}
+                covariates[f"{name}_rate"] = rate
+        delay = _since_first(run, campaign)
+        if delay is not None:
+            covariates["campaign_time"] = delay + time
+    return {name: values[row] for name, values in covariates.items() if np.all(np.isfinite(values))}
 
 
 def _since_first(run: Run, campaign: Campaign | None) -> float | None:
-    """Return the seconds from the start of the campaign's first dated run to that of this one."""
-    starts = [one.start for one in campaign.runs if one.start] if campaign is not None else []
+    """Return the time from the start of the first dated run of the campaign to the start of this run, s."""
+    starts = [other.start for other in campaign.runs if other.start] if campaign is not None else []
     if not starts and run.start is None:
         return 0.0
     if run.start is None:
@@ -42,16 +43,16 @@ def _since_first(run: Run, campaign: Campaign | None) -> float | None:
 
 
 def _instant(start: str) -> datetime:
-    """Return a date and time; one without a zone is taken as UTC, so that it can be compared with others."""
+    """Return date and time as UTC unless a time zone is given, so that instants can be compared."""
     at = datetime.fromisoformat(start)
     return at if at.tzinfo else at.replace(tzinfo=UTC)
 
 
 def rate_of_change(time: np.ndarray, values: np.ndarray) -> np.ndarray | None:
-    """Return the slope of a recorded temperature against time at every row, or None where it does not change.
+    """Return the rate of a recorded temperature at every row, °C/s, shape (R,); None if it is constant.
 
     A straight line is fitted to the neighbours of each row: two on either side, or more (4, 8, … up to an eighth of
-    the run) until the slopes stand out from what the scatter about the lines makes of them.
+    the run) until the slopes are significant against their standard deviations.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ def rate_of_change(time: np.ndarray, values: np.ndarray) -> np.ndarray | None:
 
 
 def _local_slopes(time: np.ndarray, values: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the slope about each row and its standard deviation, from running sums over `reach` rows either side."""
+    """Return the slope at each row and its standard deviation, from running sums over `reach` rows on either side."""
     rows = len(time)
     first = np.maximum(np.arange(rows) - reach, 0)
     last = np.minimum(np.arange(rows) + reach + 1, rows)

@@ -1,7 +1,7 @@
-"""What a procedure is: one record of all facts about one kind of test run.
+"""The record of a test procedure: all facts about one kind of run.
 
-A module holds one record, with the functions that it names, and is registered by one line in `imubayes.procedures`.
-Reader, simulation, figures and textbook evaluation ask the record and know no procedure by name.
+Each procedure is one module with one record and the functions that it names, registered by one line in
+`imubayes.procedures`.  Reader, simulation, figures and textbook evaluation use the record, never a procedure's name.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,16 +18,16 @@ from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table
 
 
 class Reduction(Enum):
-    """How a raw log becomes rows."""
+    """How a raw log is reduced to rows."""
 
     CONSTANT = auto()
     """One row per span of constant rate, angle or current."""
     AT_REST = auto()
-    """One row per span at rest; the table never turns while it is measured."""
+    """One row per span at rest; the table does not turn during measurements."""
     BINNED = auto()
-    """At rest, in bins of temperature: temperature is the stimulus, or changes beside it."""
+    """At rest, in bins of temperature, which is the stimulus or varies along with it."""
     FOLLOWED = auto()
-    """Short rows that follow a stimulus which never stands still."""
+    """Short rows that follow a continuously varying stimulus."""
     POSES = auto()
     """Static poses and the rotations between them."""
 
@@ -39,22 +39,22 @@ class Procedure:
     Attributes
     ----------
     name : as in campaign files.
-    reference : where the procedure is described.
-    columns : columns of run tables that it cannot do without; of each group one is enough.
-    needs_table : whether a run names a table and a mounting.
-    needs_gyro : whether it is meaningless for a unit without gyros.
-    reduction : how raw logs become rows.
-    by_direction : whether rows name the directions of the axes (`i_axis`, `o_axis`) in place of angles.
-    rate_recorded : whether the table's rate is recorded or 0; otherwise something else measures it.
-    injected : whether a current takes the place of the accelerometer at the converter.
+    reference : source of the procedure.
+    columns : required columns of run tables, in groups; of each group one is enough.
+    needs_table : whether a run must name a table and a mounting.
+    needs_gyro : whether the unit must have a gyro.
+    reduction : how raw logs are reduced to rows.
+    by_direction : whether rows give the directions of the axes (`i_axis`, `o_axis`) instead of angles.
+    rate_recorded : whether the table rate is recorded (0 if absent); False if another instrument measures it.
+    injected : whether a current replaces the accelerometer at the converter input.
     driven : whether a gyro drives the table, whose angle is then the observation.
-    abscissae : covariates that figures show a run against, the first that varies.
-    row_name : what a row is called in figures.
-    plan : what a plan says of a run; None where it cannot be planned.
+    abscissae : covariates for the abscissa of figures; the first that varies is used.
+    row_name : name of a row in figures.
+    plan : the keys of a planned run; None if it cannot be planned.
     kinematics : run and campaign → stimulus.
     nominal_input : run, channel, site, table and mounting → nominal input of the channel, rad/s or m/s², shape (R,),
-        for checks of the rows; None where nothing is known of it.
-    evaluate : campaign and runs → estimates by the textbook.  Procedures with one function are evaluated together.
+        for checks of the rows; None if unknown.
+    evaluate : campaign and runs → textbook estimates.  Procedures that share the function are evaluated together.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The textbook estimates of a campaign, procedure by procedure, beside which the joint fit stands."""
+"""Textbook estimates of a campaign, procedure by procedure, for comparison with the joint fit."""
 
 from imubayes.procedures import PROCEDURES
 from imubayes.procedures.textbook import TextbookResult
@@ -6,7 +6,7 @@ from imubayes.run import Campaign
 
 
 def classical(campaign: Campaign) -> tuple[TextbookResult, ...]:
-    """Return the textbook estimates of a campaign, and what its runs cannot determine by the textbook."""
+    """Return the textbook estimates of a campaign, and the quantities that the textbook methods cannot determine."""
     found: list[TextbookResult] = []
     for evaluate in dict.fromkeys(procedure.evaluate for procedure in PROCEDURES.values()):
         runs = [run for run in campaign.runs if PROCEDURES[run.procedure].evaluate is evaluate]

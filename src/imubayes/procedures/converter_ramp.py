@@ -1,8 +1,8 @@
-"""The converter of an accelerometer over temperature: a straight line per input, and whether one does for all (P8).
+"""Converter of an accelerometer over temperature: a line per input, and whether one line serves all inputs (P8).
 
-For each input (1 g, 1/√3 g in the trihedral mounting, a current that stands for several g) the output is a straight
-line in the converter's temperature.  With k the relative slope at the input nearest 1 g and k′ that at another,
-Δk = |k′ − k|/|k|; at or below the threshold the line of 1 g stands for all inputs, above it that input keeps its own.
+For each input (1 g, 1/√3 g in the trihedral mounting, a current equivalent to several g) the output is linear in the
+converter temperature.  With k the relative slope at the input nearest 1 g and k′ that at another input,
+Δk = |k′ − k|/|k|; up to the threshold the 1 g line applies, above it the input needs its own line.
 """
 
 from collections.abc import Sequence
@@ -14,19 +14,19 @@ from imubayes.run import Campaign, Channel, Run
 
 METHOD = "straight line against converter temperature"
 THRESHOLD = 0.1
-"""Δk up to which the line of 1 g stands for all inputs, by default."""
+"""Default Δk up to which the 1 g line applies to all inputs."""
 _LEAST_INPUT = 0.1
 _LEAST_RAMP = 2.0
 
 
 def converter_test(campaign: Campaign, runs: Sequence[Run], threshold: float = THRESHOLD) -> list[TextbookResult]:
-    """Return relative slope per input, Δk, and the decision for each input."""
+    """Return the relative slope, Δk and the decision for each input."""
     found: list[TextbookResult] = []
     slopes: dict[str, list[tuple[float, Run, float, float]]] = {}
     for run in runs:
         temperature = run.covariates.get("converter_temperature")
         if temperature is None or np.ptp(temperature) < _LEAST_RAMP:
-            found.append(Undetermined(run.name, "the converter does not change temperature"))
+            found.append(Undetermined(run.name, "the converter temperature is constant"))
             continue
         for channel, output in measured(run, campaign, "accelerometer"):
             level = _input(run, campaign, channel)
@@ -53,14 +53,14 @@ def _input(run: Run, campaign: Campaign, channel: Channel) -> float:
 
 
 def _decisions(channel: str, each: list[tuple[float, Run, float, float]], threshold: float) -> list[TextbookResult]:
-    base = min(each, key=lambda one: abs(abs(one[0]) - 1))
+    base = min(each, key=lambda slope: abs(abs(slope[0]) - 1))
     found: list[TextbookResult] = []
     for level, run, slope, sd in each:
         if run is base[1]:
             continue
         delta = abs(slope - base[2]) / abs(base[2])
         spread = float(np.hypot(sd, slope / base[2] * base[3])) / abs(base[2])
-        decision = f"the line of {base[0]:.3g} g stands" if delta <= threshold else f"{level:.3g} g keeps its own line"
+        decision = f"the {base[0]:.3g} g line applies" if delta <= threshold else f"{level:.3g} g needs its own line"
         found.append(
             Estimate(
                 f"delta_k[{channel},{run.name}]", f"{run.name}, {base[1].name}", delta * 100, spread * 100, "%",

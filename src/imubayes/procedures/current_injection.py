@@ -1,7 +1,7 @@
-"""Current injection: a known current takes the accelerometer's place at the converter (P8).
+"""Current injection: a known current replaces the accelerometer at the converter input (P8).
 
-It stands for inputs that no table gives, 12 g and more, and what the sensor itself does drops out: this is what
-tells the converter's gain drift from the sensor's.
+It is equivalent to inputs beyond the range of a table, 12 g and more.  The sensor is out of the loop, which separates
+the gain drift of the converter from that of the sensor.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from imubayes.run import Channel, Mounting, Run, Site, Table
 def _nominal_input(
     run: Run, channel: Channel, _site: Site, _table: Table | None, _mounting: Mounting | None
 ) -> np.ndarray | None:
-    """Return the acceleration that the current stands for."""
+    """Return the acceleration equivalent to the current, m/s², shape (R,)."""
     if not channel.current_per_acceleration or "current" not in run.covariates:
         return None
     return run.covariates["current"] / channel.current_per_acceleration

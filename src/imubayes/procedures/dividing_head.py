@@ -1,8 +1,8 @@
-"""Dividing head: static positions about a horizontal axis carry gravity around the unit (P7).
+"""Dividing head: multipoint tumble in static positions about a horizontal axis (P7).
 
-The textbook takes harmonics of the output, and the coefficients from them.  About a horizontal axis that holds the
-output axis or the pendulous axis, with ψ the angle from a_i = +1 g in the sense
-in which the other axis in the plane sees a_x = sin ψ, a_i = cos ψ.  By the power-to-multiple-angle identities
+The textbook derives the model coefficients from harmonics of the output.  The output or the pendulous axis lies along
+the horizontal axis; ψ is the angle from a_i = +1 g, so that a_i = cos ψ and a_x = sin ψ, x the other axis in the plane
+of rotation.  By the power-to-multiple-angle identities
 
     E/K1 = K0 + a_i + K2 a_i² + K3 a_i³ + K_oq a_i|a_i| + K_xx a_x² + δ a_x + K_ix a_i a_x
 
@@ -12,7 +12,7 @@ has the harmonics (over K1)
     C2 = (K2 − K_xx)/2                S2 = K_ix/2
     C3 = K3/4 + 8/(15π) K_oq          C5 = −8/(105π) K_oq
 
-(IEEE Std 1293, multipoint tumble).  sin² + cos² = 1 hides K_xx: the textbook takes it as zero, and so does this.
+(IEEE Std 1293, multipoint tumble).  As sin² + cos² = 1, K_xx is not separable; like the textbook, assume K_xx = 0.
 """
 
 from collections.abc import Sequence
@@ -39,14 +39,14 @@ _ACROSS = 0.05
 
 
 def tumble_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
-    """Return the model coefficients of every accelerometer whose input axis turns through gravity."""
+    """Return the model coefficients of every accelerometer whose input axis turns in the vertical plane."""
     found: list[TextbookResult] = []
     for run in runs:
         angle = run.covariates["table_angle"] % (2 * np.pi)
         positions = len(np.unique(np.round(angle, 9)))
         gaps = np.diff(np.sort(angle), append=np.sort(angle)[0] + 2 * np.pi)
         if positions < 4 or gaps.max() > 1.5 * 2 * np.pi / positions:
-            found.append(Undetermined(run.name, f"{positions} positions are not spread evenly over the circle"))
+            found.append(Undetermined(run.name, f"{positions} positions are not evenly spaced over the circle"))
             continue
         for channel, output in measured(run, campaign, "accelerometer"):
             found += _of_channel(run, campaign, channel, output, positions)
@@ -58,12 +58,12 @@ def _of_channel(
 ) -> list[TextbookResult]:
     axes = [along_table(run, campaign, axis) for axis in channel.axes]
     if abs(axes[0][2]) > _ACROSS:
-        return []  # along the axis, or tilted out of the plane: not a tumble of this channel
+        return []  # along the axis of rotation, or oblique to it: not a tumble of this channel
     other = next((place for place in (1, 2) if abs(axes[place][2]) < _ACROSS), None)
     if other is None:
         return [Undetermined(run.name, f"{channel.name}: neither its output nor its pendulous axis lies in the plane")]
     force = components(run, campaign, channel)
-    # ψ is reckoned from the position in which the input axis points up, towards the table's own sense of rotation.
+    # ψ is measured from the position with the input axis up, in the table's sense of rotation.
     psi = np.arctan2(force[other], force[0])
     letter = "o" if other == 1 else "p"
     b, covariance = harmonics(psi, output, order_of(positions))
@@ -90,11 +90,11 @@ def _of_channel(
     if third:
         found.append(estimate("accel_cubic.cubic", 4 * b[5] * micro, 4 * sd[5] * micro, "ug/g^3"))
     else:
-        found.append(Undetermined(run.name, f"{channel.name}: {positions} points cannot tell K3 from K1"))
+        found.append(Undetermined(run.name, f"{channel.name}: {positions} points do not separate K3 from K1"))
     found.append(
         Undetermined(
             run.name,
-            f"{channel.name}: K_{letter}{letter} beside K0 and K2 (sin² + cos² = 1); the textbook takes it as zero",
+            f"{channel.name}: K_{letter}{letter} apart from K0 and K2 (sin² + cos² = 1); the textbook assumes zero",
         )
     )
     return found

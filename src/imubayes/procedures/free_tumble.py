@@ -1,8 +1,8 @@
-"""Free tumble: static poses of unknown attitude, the gyro carrying gravity from one to the next (P10).
+"""Free tumble: static poses of unknown attitude, with the gyros integrated between them (P10).
 
-In each pose |f| = g, which determines the accelerometers.  The rotation between two poses, integrated from the gyros,
-must carry the first attitude into the second, which determines the gyros' scale factors and misalignments.  A pose is a
-mounting of unknown rotation: its three angles are parameters (`pose_attitude`).
+In each pose |f| = g, which determines the accelerometers.  The rotation integrated from the gyros between two poses
+must map the first attitude to the second, which determines gyro scale factors and misalignments.  A pose is a mounting
+of unknown rotation: its three angles are parameters (`pose_attitude`).
 
 Source: Tedaldi, Pretto, Menegatti, "A robust and easy to implement method for IMU calibration without external
 equipments", ICRA 2014.
@@ -10,7 +10,7 @@ equipments", ICRA 2014.
 
 import numpy as np
 
-from imubayes.errors import InputError, Issue
+from imubayes.errors import input_error
 from imubayes.procedures.ambient import ambient_of
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.nominal_stimulus import Stimulus
@@ -19,13 +19,11 @@ from imubayes.run import Campaign, Run
 
 def _stimulus(run: Run, campaign: Campaign) -> Stimulus:
     if run.tumble is None:
-        raise InputError(
-            Issue(
-                "this free tumble has no rotations between its poses",
-                f"run '{run.name}'",
-                "a raw log of all channels with time_s",
-                "give the raw log, not means; the poses are found in it",
-            )
+        raise input_error(
+            "this free tumble has no rotations between its poses",
+            f"run '{run.name}'",
+            "a raw log of all channels with time_s",
+            "give the raw log, not means; the poses are found in it",
         )
     rows = np.arange(run.rows)
     zero = np.zeros(run.rows)

@@ -1,14 +1,11 @@
-"""Positions by direction: a gyro's axes along East, West, North, South, Up or Down (P5).
+"""Geographic tumble: static positions with a gyro's axes along East, West, North, South, Up or Down (P5).
 
-One axis carries ±1 g at a time, so that products of two components of gravity are never seen; the Earth's rate enters
-through the input axis.
-
-The textbook: at rest the output over the torquer's scale, less the Earth's rate on the input axis, is the drift
+The textbook takes the output at rest over the torquer scale factor, less the Earth rate along the input axis, as drift
 
     d = D_F + D_I f_I + D_O f_O + D_S f_S + D_II f_I² + D_OO f_O² + D_SS f_S²,
 
-where one of f_I, f_O, f_S is ±1 g and the others 0: the products of two never act.  With axis J up and down
-D_J = (d₊ − d₋)/2 and D_F + D_JJ = (d₊ + d₋)/2 (IEEE Std 517): D_F is never without a square.
+where one of f_I, f_O, f_S is ±1 g and the others 0: cross terms vanish.  With axis J up and down
+D_J = (d₊ − d₋)/2 and D_F + D_JJ = (d₊ + d₋)/2 (IEEE Std 517): D_F is determined only together with a square term.
 """
 
 from collections.abc import Sequence
@@ -30,35 +27,35 @@ _AXES = "ios"
 
 
 def geographic_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
-    """Return the first-order coefficients of every gyro, and its fixed drift with each square."""
+    """Return the g-sensitive drift coefficients of every gyro, and its fixed drift plus each g² coefficient."""
     found: list[TextbookResult] = []
     names = ", ".join(run.name for run in runs)
     for place, channel in enumerate(campaign.channels):
         if channel.kind != "gyro":
             continue
-        force, drift = _readings(campaign, runs, place, channel)
+        force, drift = _drift(campaign, runs, place, channel)
         if len(drift):
             found += _of_channel(channel.name, names, force, drift)
     return found
 
 
-def _readings(campaign: Campaign, runs: Sequence[Run], place: int, channel: Channel) -> tuple[np.ndarray, np.ndarray]:
+def _drift(campaign: Campaign, runs: Sequence[Run], place: int, channel: Channel) -> tuple[np.ndarray, np.ndarray]:
     """Return gravity along I, O and S in g, (n, 3), and the drift in deg/h, (n,), at every position."""
     forces, drifts = [], []
     for run in runs:
         assert run.attitude is not None
         output = run.observed[:, place]
-        there = np.isfinite(output)
-        axes = np.einsum("rij,kj->rki", run.attitude[there], channel.axes)
+        finite = np.isfinite(output)
+        axes = np.einsum("rij,kj->rki", run.attitude[finite], channel.axes)
         earth = axes[:, 0] @ earth_rate(campaign.site.latitude)
         forces.append(axes[:, :, 2])
-        drifts.append(((output[there] - channel.offset) / channel.scale_si - earth) / _DEGREE_PER_HOUR)
+        drifts.append(((output[finite] - channel.offset) / channel.scale_si - earth) / _DEGREE_PER_HOUR)
     return np.concatenate(forces), np.concatenate(drifts)
 
 
 def _of_channel(name: str, names: str, force: np.ndarray, drift: np.ndarray) -> list[TextbookResult]:
     found: list[TextbookResult] = []
-    # Each axis has an up and a down column: all positions together say how much readings scatter.
+    # One column per axis and sign: the residual variance is pooled over all positions.
     columns = [(axis, sign) for axis in range(3) for sign in (1, -1) if np.any(sign * force[:, axis] > _UP)]
     design = np.stack([(sign * force[:, axis] > _UP).astype(float) for axis, sign in columns], axis=1)
     value, covariance, _ = least_squares(design, drift)
@@ -75,7 +72,7 @@ def _of_channel(name: str, names: str, force: np.ndarray, drift: np.ndarray) -> 
             Estimate(f"gyro_g_sensitivity.d_{letter}[{name}]", names, (up - down) / 2, half, "deg/h/g", METHOD)
         )
         found.append(Estimate(square, names, (up + down) / 2, half, "deg/h", METHOD))
-    sentence = f"{name}: D_IO, D_OS and D_SI, since one axis alone carries gravity; D_F apart from D_II, D_OO and D_SS"
+    sentence = f"{name}: D_IO, D_OS and D_SI (only one axis sees gravity at a time); D_F apart from D_II, D_OO, D_SS"
     return [*found, Undetermined(names, sentence)]
 
 

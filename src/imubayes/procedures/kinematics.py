@@ -1,6 +1,6 @@
-"""Kinematics of a unit on a single-axis table, as drawn: the nodes of a run, and the nominal input of a channel.
+"""Nominal kinematics of a unit on a single-axis table: the nodes of a run, and the nominal input of a channel.
 
-Table and mounting are taken as they are specified; what is wrong with them is an effect.
+Table and mounting are taken as specified; their errors are effects.
 """
 
 import math
@@ -12,17 +12,17 @@ from imubayes.procedures.ambient import ambient_of
 from imubayes.procedures.nominal_stimulus import Stimulus
 from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table
 
-# A mean over a turn is the mean over equally spaced angles, exact for harmonics below their number.  About a
-# vertical axis gravity along an input axis varies by the tilt alone, so products up to the third are covered by 4;
-# about an inclined axis it swings by ±1 g and powers up to the fifth, times small harmonics, must average out.
+# The mean over a turn is taken at equally spaced angles, exact for harmonics below their number.  About a vertical
+# axis gravity along an input axis varies only with the tilt, so 4 nodes suffice for products up to the third order;
+# about an inclined axis it varies by ±1 g, and powers up to the fifth times low harmonics must average out.
 _NODES_VERTICAL, _NODES_INCLINED = 4, 12
 _VERTICAL_WITHIN = math.radians(1.0)
-# A partial turn is followed by Gauss–Legendre nodes: exact for polynomials of degree 9 over the arc.
+# A partial turn is integrated by Gauss–Legendre quadrature: exact for polynomials of degree 9 over the arc.
 _NODES_ARC = 5
 
 
 def _angle_nodes(angle: float, span: float, whole_turn_nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return table angles and weights that stand for one row."""
+    """Return the table angles and weights of the nodes of one row."""
     if math.isnan(angle):
         count = whole_turn_nodes
         return 2 * math.pi * np.arange(count) / count, np.full(count, 1 / count)
@@ -33,7 +33,7 @@ def _angle_nodes(angle: float, span: float, whole_turn_nodes: int) -> tuple[np.n
 
 
 def table_stimulus(run: Run, campaign: Campaign) -> Stimulus:
-    """Return the stimulus of a run on a single-axis table; without a table the unit stands level and still."""
+    """Return the stimulus of a run on a single-axis table; without a table the unit is level and at rest."""
     table = campaign.tables[run.table] if run.table is not None else None
     azimuth, elevation = (table.azimuth, table.elevation) if table else (0.0, math.pi / 2)
     vertical = abs(abs(elevation) - math.pi / 2) < _VERTICAL_WITHIN
@@ -77,7 +77,7 @@ def nominal_input(
 
     Parameters
     ----------
-    rate, angle : of the table, rad/s and rad; an angle that is NaN is averaged over the turn.
+    rate, angle : of the table, rad/s and rad; NaN angles denote means over whole turns.
     """
     to_level = table_to_local(table.azimuth, table.elevation)
     local = earth_rate(site.latitude) if channel.kind == "gyro" else np.array([0.0, 0.0, site.gravity])

@@ -1,4 +1,4 @@
-"""What a procedure makes of a run: the nominal stimulus at its nodes (NumPy alone, so that reading needs no JAX)."""
+"""Nominal stimulus of a run at its nodes (NumPy only, so that reading campaigns does not import JAX)."""
 
 from dataclasses import dataclass
 
@@ -15,9 +15,9 @@ class Stimulus:
     weight : shape (n,), sums to 1 over the nodes of a row.
     base, mounting : shape (n, 3, 3), nominal.
     table_angle, table_rate, table_acceleration : shape (n,).
-    reference_rate, reference_acceleration : shape (n, 3), body axes, zero where no reference rides along.
-    ambient : covariate name → shape (n,), those that the run supplies.
-    injected : whether a current is fed to the converter in the sensor's place.
+    reference_rate, reference_acceleration : shape (n, 3), body axes; zero without a reference gyro.
+    ambient : covariate name → shape (n,), the covariates of the run.
+    injected : whether a current replaces the sensor at the converter input.
     pose : shape (n,), static pose of a free tumble, else −1.
     driven : whether a gyro drives the table.
     """
@@ -38,12 +38,12 @@ class Stimulus:
 
     @property
     def referenced(self) -> bool:
-        """Whether a reference gyro rides along."""
+        """Whether a reference gyro measures the rate."""
         return bool(np.any(self.reference_rate != 0))
 
     @property
     def supplies(self) -> frozenset[str]:
-        """Names of what this run lets an effect see."""
+        """Names of the inputs that this run supplies to effects."""
         seen = set(self.ambient)
         # Between the poses of a free tumble the unit is turned by hand.
         if np.any(self.table_rate != 0) or np.any(self.pose >= 0) or self.referenced:

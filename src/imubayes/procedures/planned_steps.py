@@ -1,7 +1,7 @@
-"""What a plan says is done in a run, and the rows that follow from it before anything is measured.
+"""Steps of a planned run, and the rows that they give.
 
-Rows follow each other in time: a turning row lasts whole turns, so that what depends on the angle averages out, and
-steady rows are separated by the time that it takes to move on.
+Rows are consecutive in time: a turning row lasts whole turns, so that angle-dependent terms average out, and
+consecutive rows are separated by the time to reach the next rate or position.
 """
 
 import math
@@ -18,7 +18,7 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 class PlannedSteps(BaseModel):
-    """The keys of a planned run that say what is done; each procedure takes a few of them."""
+    """The keys of a planned run that define its steps; each procedure accepts some of them."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
@@ -51,7 +51,7 @@ class PlannedRows:
 
 
 def ramp_rows(steps: PlannedSteps) -> PlannedRows:
-    """Return the rows of a run at rest, over a ramp of temperature where there is one."""
+    """Return the rows of a run at rest, over a temperature ramp if one is planned."""
     if steps.rate_degC_per_h is None or steps.converter_temperature_degC is None:
         return PlannedRows(np.full(steps.rows or 1, steps.duration), {})
     low, high = steps.converter_temperature_degC
@@ -62,13 +62,13 @@ def ramp_rows(steps: PlannedSteps) -> PlannedRows:
 
 @dataclass(frozen=True)
 class PlanRules:
-    """What a procedure takes from a plan.
+    """The keys of planned runs of a procedure, and the rows that they give.
 
     Attributes
     ----------
-    one_of : keys of which a run has exactly one.
-    further : keys that it may have.
-    pause : time to the next rate or position, s.
+    one_of : alternatives, of which a run has exactly one.
+    further : optional keys.
+    pause : time to reach the next rate or position, s.
     rows : steps → rows.
     """
 
@@ -79,7 +79,7 @@ class PlanRules:
 
 
 def columns_of(steps: PlannedSteps, rules: PlanRules) -> dict[str, np.ndarray]:
-    """Return the columns of a run but for the outputs, in the units of the file; an angle is NaN over whole turns."""
+    """Return the columns of a run except the outputs, in the units of the file; angles are NaN over whole turns."""
     rows = rules.rows(steps)
     end = np.cumsum(rows.duration + rules.pause) - rules.pause
     centre = end - rows.duration / 2
@@ -93,7 +93,7 @@ def columns_of(steps: PlannedSteps, rules: PlanRules) -> dict[str, np.ndarray]:
 
 
 def whole_turns(rate: float, seconds: float) -> float:
-    """Return the shortest time of at least so many seconds that holds whole turns at a rate in deg/s."""
+    """Return the shortest duration of whole turns at a rate in deg/s that is at least `seconds`."""
     if rate == 0:
         return seconds
     turn = 360.0 / abs(rate)

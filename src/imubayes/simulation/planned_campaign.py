@@ -1,4 +1,4 @@
-"""A plan file becomes the campaign that it will be, with nothing read yet."""
+"""Read a plan file as the campaign that it describes, before any output is simulated."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,7 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from imubayes.campaign.build_run import build_run
-from imubayes.campaign.equipment import build_channels, build_mountings, build_site, build_tables, refuse_repeats
+from imubayes.campaign.equipment import (
+    build_channels,
+    build_mountings,
+    build_site,
+    build_tables,
+    check_references,
+    refuse_repeats,
+    require_current_scale,
+)
 from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.run_columns import known_columns
 from imubayes.campaign.toml_documents import Ledger, read_document
@@ -20,15 +28,15 @@ from imubayes.simulation.test_plan import PlanFile, PlannedRun
 
 @dataclass(frozen=True)
 class Plan:
-    """A plan that was read and found sound.
+    """A valid plan.
 
     Attributes
     ----------
     file : its content.
     path, model : the plan file, and the model file it names.
-    campaign : the planned runs, with 0 in the place of every output that will be recorded.
-    entries : what `campaign.toml` will say of each run.
-    columns : for each run the columns of its table but for the outputs, in the units of the file.
+    campaign : the planned runs, with 0 for every output to be recorded.
+    entries : the runs as entries of `campaign.toml`.
+    columns : for each run the columns of its table except the outputs, in the units of the file.
     """
 
     file: PlanFile
@@ -45,7 +53,7 @@ def read_plan(path: str | Path) -> Plan:
     Raises
     ------
     InputError
-        with everything that is wrong with the plan.
+        with every issue of the plan.
     """
     path = Path(path)
     document = read_document(path, PlanFile)
@@ -62,8 +70,8 @@ def read_plan(path: str | Path) -> Plan:
     entries = tuple(_entry(run, place) for place, run in enumerate(file.run))
     columns = tuple(_columns(run) for run in file.run)
     runs = tuple(
-        build_run(entry, one | _nothing_yet(run, one, channels), channels, site.gravity)
-        for entry, one, run in zip(entries, columns, file.run, strict=True)
+        build_run(entry, numbers | _zero_outputs(run, numbers, channels), channels, site.gravity)
+        for entry, numbers, run in zip(entries, columns, file.run, strict=True)
     )
     campaign = Campaign(file.name, site, channels, tables, mountings, runs, file.unit.serial)
     return Plan(file, path, path.parent / file.model, campaign, entries, columns)
@@ -76,12 +84,14 @@ def _columns(run: PlannedRun) -> dict[str, np.ndarray]:
 
 
 def recorded(run: PlannedRun, channels: tuple[Channel, ...]) -> list[str]:
-    """Return the channels that give a reading in a run: a current goes into those with a current output alone."""
+    """Return the channels recorded in a run: under current injection, only those with a current output."""
     injected = PROCEDURES[run.procedure].injected
-    return [one.name for one in channels if one.current_per_acceleration or not injected]
+    return [channel.name for channel in channels if channel.current_per_acceleration or not injected]
 
 
-def _nothing_yet(run: PlannedRun, columns: dict[str, np.ndarray], channels: tuple[Channel, ...]):
+def _zero_outputs(
+    run: PlannedRun, columns: dict[str, np.ndarray], channels: tuple[Channel, ...]
+) -> dict[str, np.ndarray]:
     return {name: np.zeros(len(columns["time_s"])) for name in recorded(run, channels)}
 
 
@@ -90,7 +100,7 @@ def _entry(run: PlannedRun, place: int) -> RunEntry:
     return RunEntry(
         name=run.name,
         procedure=run.procedure,
-        # A name need not be a good file name; the number keeps two of them apart.
+        # Names that differ only in characters not allowed in file names would collide without the number.
         file=f"runs/{plain}.csv" if plain == run.name else f"runs/{place:03d}-{plain}.csv",
         table=run.table,
         mounting=run.mounting,
@@ -103,9 +113,9 @@ def _check_channels(file: PlanFile, ledger: Ledger) -> None:
     for place, channel in enumerate(file.channel):
         if channel.name in known_columns():
             ledger.add(
-                f"the channel name '{channel.name}' already means something else in a run table",
+                f"the channel name '{channel.name}' is reserved for another column of run tables",
                 ("channel", place, "name"),
-                "a name that is no known column",
+                "a name that is not a known column",
                 "rename the channel",
             )
         if channel.noise is None:
@@ -113,13 +123,13 @@ def _check_channels(file: PlanFile, ledger: Ledger) -> None:
                 f"channel '{channel.name}' has no noise",
                 ("channel", place, "noise"),
                 "noise = standard deviation of one raw sample, output units",
-                "add 'noise': with no readings yet nothing else says how noisy the channel is",
+                "add 'noise': a plan has no samples to estimate it from",
             )
 
 
 def _check_runs(file: PlanFile, ledger: Ledger) -> None:
     refuse_repeats({place: run.name for place, run in enumerate(file.run)}, "run", ledger)
-    there = {"table": [one.name for one in file.table], "mounting": [one.name for one in file.mounting]}
+    names = {"table": [table.name for table in file.table], "mounting": [seat.name for seat in file.mounting]}
     plannable = [procedure.name for procedure in PROCEDURES.values() if procedure.plan]
     for place, run in enumerate(file.run):
         procedure = procedure_named(run.procedure)
@@ -139,30 +149,6 @@ def _check_runs(file: PlanFile, ledger: Ledger) -> None:
             )
         else:
             judge_steps(run, procedure.plan, place, ledger)
-        for section, names in there.items():
-            _check_reference(run, place, section, names, ledger)
-        if procedure.injected and not any(one.current_mA_per_g for one in file.channel):
-            ledger.add(
-                "a current is injected, and no channel says what its current stands for",
-                ("run", place, "procedure"),
-                "current_mA_per_g = … in a [[channel]]",
-                "add current_mA_per_g to the channel under test",
-            )
-
-
-def _check_reference(run: PlannedRun, place: int, section: str, there: list[str], ledger: Ledger) -> None:
-    name = getattr(run, section)
-    if name is None and procedure_named(run.procedure).needs_table:
-        ledger.add(
-            f"run '{run.name}' of procedure '{run.procedure}' has no '{section}'",
-            ("run", place, section),
-            ", ".join(there) or f"the name of a [[{section}]]",
-            f"say which {section} is to be used",
-        )
-    elif name is not None and name not in there:
-        ledger.add(
-            f"run '{run.name}' refers to the {section} '{name}', which is not in the plan",
-            ("run", place, section),
-            closest_first(name, there) or f"none is there: add a [[{section}]]",
-            f"correct the name, or add the {section}",
-        )
+        check_references(run, place, names, ledger)
+        if procedure.injected:
+            require_current_scale(file.channel, place, ledger)

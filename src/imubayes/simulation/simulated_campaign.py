@@ -1,11 +1,12 @@
-"""From a plan to a campaign folder with a truth file, whole or not at all.
+"""Simulate a plan into a campaign folder with a truth file, written atomically.
 
-The folder is made beside its place, read back as any campaign would be, and renamed into place.  Numbers are written
-with all their digits, so that what is fitted is what was simulated.
+The folder is written under a temporary name, validated by reading it back, and renamed.  Numbers are written with full
+precision, so that the fit sees exactly the simulated values.
 """
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import tomlkit
 from imubayes.atomic_files import new_folder
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign
 from imubayes.campaign.convert.campaign_writer import refuse_occupied
-from imubayes.errors import InputError, Issue
+from imubayes.errors import InputError
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.simulation.planned_campaign import Plan, read_plan, recorded
@@ -30,13 +31,13 @@ def simulate_plan(plan: Path, out: Path, seed: int | None = None) -> Path:
     Parameters
     ----------
     plan : the plan file.
-    out : the folder; must not exist or be empty.
-    seed : of the random numbers, in the place of the plan's own.
+    out : the folder; must not exist, or be empty.
+    seed : of the random streams; replaces the seed of the plan.
 
     Raises
     ------
     InputError
-        for anything in plan or model that cannot be used, and where the folder has something in it.
+        for every issue of plan and model, and if the folder is not empty.
     """
     refuse_occupied(out)
     read = read_plan(plan)
@@ -56,18 +57,18 @@ def _write(out: Path, plan: Plan, model: Model, done: Simulated, seed: int) -> N
             (draft / entry.file).write_text(_table(plan, done, place), encoding="utf-8")
         issues = inspect_campaign(draft).issues
         if issues:
-            raise InputError(Issue(p.what, p.where.replace(str(draft), str(out)), p.allowed, p.remedy) for p in issues)
+            raise InputError(replace(issue, where=issue.where.replace(str(draft), str(out))) for issue in issues)
 
 
 def _campaign_document(plan: Plan, seed: int) -> dict[str, Any]:
     file = plan.file
-    note = f"simulated from {plan.path.name} with seed {seed}; the true values stand in {TRUTH_FILE}"
+    note = f"simulated from {plan.path.name} with seed {seed}; true values in {TRUTH_FILE}"
     document: dict[str, Any] = {"format": 1, "name": file.name, "notes": [*file.notes, note]}
     for section in ("site", "unit"):
         document[section] = getattr(file, section).model_dump(exclude_unset=True, exclude_none=True)
-    for section, given in (("channel", file.channel), ("table", file.table), ("mounting", file.mounting)):
-        document[section] = [one.model_dump(exclude_unset=True, exclude_none=True) for one in given]
-    document["run"] = [one.model_dump(exclude_defaults=True, exclude_none=True) for one in plan.entries]
+    for section, entries in (("channel", file.channel), ("table", file.table), ("mounting", file.mounting)):
+        document[section] = [entry.model_dump(exclude_unset=True, exclude_none=True) for entry in entries]
+    document["run"] = [entry.model_dump(exclude_defaults=True, exclude_none=True) for entry in plan.entries]
     return {key: value for key, value in document.items() if value}
 
 
@@ -79,7 +80,7 @@ def _truth_document(plan: Plan, model: Model, done: Simulated, seed: int) -> dic
         "seed": seed,
         "parameters": done.parameters,
         "derived": done.derived,
-        "units": {f"{one.effect}.{one.field}": one.unit for one in scalars},
+        "units": {f"{parameter.effect}.{parameter.field}": parameter.unit for parameter in scalars},
     }
     if done.offsets:
         document["nuisance"] = {f"run_offset[{channel},{run}]": v for (channel, run), v in done.offsets.items()}
@@ -89,8 +90,9 @@ def _truth_document(plan: Plan, model: Model, done: Simulated, seed: int) -> dic
 def _table(plan: Plan, done: Simulated, place: int) -> str:
     """Return a run table as CSV text."""
     campaign = done.campaign
+    names = [channel.name for channel in campaign.channels]
     columns: Mapping[str, np.ndarray] = plan.columns[place] | {
-        name: campaign.runs[place].observed[:, [one.name for one in campaign.channels].index(name)]
+        name: campaign.runs[place].observed[:, names.index(name)]
         for name in recorded(plan.file.run[place], campaign.channels)
     }
     rows = zip(*([_cell(value) for value in column.tolist()] for column in columns.values()), strict=True)
@@ -98,7 +100,7 @@ def _table(plan: Plan, done: Simulated, place: int) -> str:
 
 
 def _cell(value: float) -> str:
-    """Write a number with all its digits, a whole one without a point, and nothing where there is none."""
+    """Return a number with full precision, an integer without a decimal point, and NaN as an empty cell."""
     if math.isnan(value):
         return ""
     return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)

@@ -1,12 +1,11 @@
-"""A plan: a campaign before it is measured, with the model that is to be believed.
+"""Schema of plan files: a campaign to be simulated, with the model that generates it.
 
-A plan describes site, unit, tables and mountings in the words of `campaign.toml`; each run says what shall be done
-instead of naming a file:
+A plan has the sections of `campaign.toml`; its runs give the steps of the procedure instead of a file:
 
     model = "../models/trihedral-imu.toml"     # relative to the plan
     seed = 1
 
-    [truth]                                    # optional; all else is drawn from the priors
+    [truth]                                    # optional; other values are drawn from the priors
     "gyro_scale_factor.scale[gx]" = 250.0
 
     [[run]]
@@ -36,7 +35,7 @@ from imubayes.procedures.planned_steps import PlannedSteps, Temperature
 
 
 class PlannedRun(PlannedSteps):
-    """One run of a plan; which of the steps a procedure takes stands in its record."""
+    """One run of a plan; the steps that a procedure accepts are in its `PlanRules`."""
 
     name: Name
     procedure: str

@@ -69,12 +69,12 @@ def pick_columns(table: TextTable, wanted: Mapping[str, str | int]) -> dict[str,
         elif str(source).isdigit() and 1 <= int(source) <= table.width:
             positions[target] = int(source) - 1
         else:
-            there = closest_first(str(source), table.names) if table.names else f"1 … {table.width}"
+            allowed = closest_first(str(source), table.names) if table.names else f"1 … {table.width}"
             issues.append(
                 Issue(
                     f"there is no column '{source}' for '{target}'",
                     f"{table.file}:1 (option columns)",
-                    there,
+                    allowed,
                     f"state the column of {target}: {target}=NAME or {target}=NUMBER",
                 )
             )
