@@ -159,6 +159,10 @@ class Campaign:
     notes: tuple[str, ...] = field(default=())
     folder: str = ""
 
+    def of_kind(self, kind: str) -> list[Channel]:
+        """Return the channels of a kind, in order."""
+        return [channel for channel in self.channels if channel.kind == kind]
+
     def only(self, *names: str) -> "Campaign":
-        """Return the campaign with the named runs alone, in their own order."""
+        """Return the campaign restricted to the named runs, in their original order."""
         return replace(self, runs=tuple(run for run in self.runs if run.name in names))

@@ -237,9 +237,9 @@ def test_the_servo_table_over_replicates(tmp_path):
             assert abs(found[name].value - true) < room, (name, found[name], true)
 
 
-def test_less_than_a_turn_is_said_not_to_tell(tmp_path):
+def test_less_than_a_turn_does_not_separate_constant_from_rotating_terms(tmp_path):
     campaign, _ = servo(tmp_path / "part", 1, {"part": 6.0})
-    assert any("turns do not tell" in one.sentence for one in classical(campaign) if isinstance(one, Undetermined))
+    assert any("not separable" in one.sentence for one in classical(campaign) if isinstance(one, Undetermined))
     assert not estimates(campaign, "D_O")
 
 

@@ -6,7 +6,7 @@ names must be unique.
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -24,6 +24,7 @@ SQUARENESS = math.sin(1 * DEGREE)  # output axes are orthogonalised if within 1 
 _ALLOWED_PER = {"gyro": ("deg/s", "deg/h", "rad/s"), "accelerometer": ("g", "m/s^2")}
 
 
+@runtime_checkable
 class RunReferences(Protocol):
     """What a run entry, recorded or planned, refers to."""
 

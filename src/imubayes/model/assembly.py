@@ -88,7 +88,7 @@ class Assembly:
         options = tuple(sorted(effect.spec.options.items()))
         layers = []
         for kind in kinds:
-            names = [channel.name for channel in grouping.campaign.channels if channel.kind == kind]
+            names = [channel.name for channel in grouping.campaign.of_kind(kind)]
             places: dict[str, Array] = {
                 field: self._places(effect, field, grouping, names) for field in effect.declared
             }
@@ -126,7 +126,7 @@ def assemble(effects: tuple[BoundEffect, ...], grouping: Grouping) -> Assembly:
 
 
 def _channels(campaign: Campaign, kind: str) -> Channels:
-    chosen = [channel for channel in campaign.channels if channel.kind == kind]
+    chosen = campaign.of_kind(kind)
     return Channels(
         axes=np.stack([channel.axes for channel in chosen]),
         scale=np.array([channel.scale_si for channel in chosen]),

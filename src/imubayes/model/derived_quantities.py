@@ -117,7 +117,7 @@ def derived_quantities(assembly: Assembly) -> DerivedQuantities:
     thermal_names: list[DerivedQuantity] = []
     pairs, thermal_pairs = {}, {}
     for kind in assembly.channels:
-        channels = [channel for channel in campaign.channels if channel.kind == kind]
+        channels = campaign.of_kind(kind)
         # The angle between two axes; of a redundant unit every pair, since none is special.
         couples = list(combinations(range(len(channels)), 2))
         names += _quantities_of_kind(channels, mountings, couples, campaign.site.gravity)

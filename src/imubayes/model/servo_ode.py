@@ -71,7 +71,7 @@ def bind_servos(assembly: Assembly) -> Servos | None:
     node = _nodes_in_row_order(nodes, indices)
     time, first = nodes.stimulus.ambient["time"][node], node[:, 0]
     seconds = time[:, -1] - time[:, 0]
-    gyros = [channel for channel in campaign.channels if channel.kind == "gyro"]
+    gyros = campaign.of_kind("gyro")
     driver = np.array([driving_channel(campaign, run) for run in runs])
     axes = np.stack([gyros[index].axes[0] * gyros[index].scale_si for index in driver])
     return Servos(

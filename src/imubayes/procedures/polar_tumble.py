@@ -1,8 +1,8 @@
-"""Polar-axis tumble: a gyro turned about an axis that points to the pole, position by position (P4).
+"""Polar-axis tumble: a gyro in static positions about an axis parallel to the Earth's axis (P4).
 
-The textbook, for a single-degree-of-freedom gyro with torque-rebalance readout.  The table axis points to the pole.
-With the output axis along it (O→Np) or against it (O→Sp) and the input axis in the table's plane the Earth's rate on
-the input axis is zero, and the readout, over the torquer's scale, is the drift
+The textbook treats a single-degree-of-freedom gyro with torque-rebalance readout.  With the output axis along (O→Np)
+or against (O→Sp) the table axis and the input axis in the plane of the table, the Earth rate along the input axis is
+zero, and the output over the torquer scale factor is the drift
 
     d = D_F + D_I f_I + D_O f_O + D_S f_S + D_II f_I² + D_OO f_O² + D_SS f_S²
             + D_IO f_I f_O + D_OS f_O f_S + D_SI f_S f_I.
@@ -15,9 +15,9 @@ So the five Fourier coefficients of the two sweeps are, + for N and − for S,
     S1 = −D_I cos L ∓ ½ D_IO sin 2L        C1 = ±D_S cos L + ½ D_OS sin 2L
     C2 = ½(D_SS − D_II) cos² L             S2 = ∓½ D_SI cos² L
 
-(IEEE Std 517).  Ten coefficients meet nine numbers, two of which are one: D_F + D_OO sin² L + ½(D_II + D_SS) cos² L is
-determined as a sum, D_II − D_SS as a difference.  With the input axis along the pole f_I = sin L joins: what is left
-then is D_F against D_II + D_OO + D_SS, since f_I² + f_O² + f_S² = 1 wherever the unit rests.
+(IEEE Std 517).  The ten coefficients are not all separable: D_F + D_OO sin² L + ½(D_II + D_SS) cos² L is determined
+only as a sum and D_II − D_SS as a difference.  A sweep with the input axis along the pole adds f_I = sin L and leaves
+only D_F and D_II + D_OO + D_SS inseparable, since f_I² + f_O² + f_S² = 1 g² in every static position.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ from imubayes.procedures.textbook import (
     harmonics,
     measured,
 )
-from imubayes.run import Campaign, Run
+from imubayes.run import Campaign, Channel, Run
 
 METHOD = "IEEE Std 517 polar-axis tumble"
 _ALONG = 0.999
@@ -53,12 +53,11 @@ class Sweep:
 
 
 def combined(north: Sequence[Any], south: Sequence[Any], c: Any, s: Any) -> dict[str, Any]:
-    """Return the drift coefficients, and the sum that stays together, of two sweeps.
+    """Return the drift coefficients of two sweeps, and the sum that they do not separate.
 
     Parameters
     ----------
-    north, south : B0, C1, S1, C2, S2 with the output axis to the north and to the south pole: numbers, or whatever else
-        can be added and divided.
+    north, south : B0, C1, S1, C2, S2 with the output axis to the north and to the south pole: numbers or symbols.
     c, s : cosine and sine of the latitude.
     """
     both = 2 * s * c
@@ -80,16 +79,16 @@ _JOINT = {
     "D_I": "gyro_g_sensitivity.d_i", "D_O": "gyro_g_sensitivity.d_o", "D_S": "gyro_g_sensitivity.d_s",
     "D_IO": "gyro_g2_sensitivity.d_io", "D_OS": "gyro_g2_sensitivity.d_os", "D_SI": "gyro_g2_sensitivity.d_si",
 }  # fmt: skip
-"""Textbook symbol → name in the joint fit."""
+"""Textbook symbol → parameter of the joint fit."""
 
 
 def polar_tumble_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
-    """Return the drift coefficients of every gyro that was swept with its output axis to both poles."""
+    """Return the drift coefficients of every gyro with sweeps for both directions of its output axis."""
     found: list[TextbookResult] = []
-    for channel in (one for one in campaign.channels if one.kind == "gyro"):
+    for channel in campaign.of_kind("gyro"):
         sweeps: dict[bool, Sweep] = {}
         for run in runs:
-            outputs = {one.name: output for one, output in measured(run, campaign, "gyro")}
+            outputs = {gyro.name: output for gyro, output in measured(run, campaign, "gyro")}
             toward_pole = float(along_table(run, campaign, channel.axes[1])[2])
             if channel.name not in outputs or abs(toward_pole) < _ALONG:
                 continue
@@ -107,7 +106,7 @@ def polar_tumble_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookR
     return found
 
 
-def _sweep(run: Run, campaign: Campaign, channel, output: np.ndarray) -> Sweep:
+def _sweep(run: Run, campaign: Campaign, channel: Channel, output: np.ndarray) -> Sweep:
     force = components(run, campaign, channel)
     north = along_table(run, campaign, channel.axes[1])[2] > 0
     psi = np.arctan2(-force[0], force[2] if north else -force[2])
@@ -118,10 +117,10 @@ def _sweep(run: Run, campaign: Campaign, channel, output: np.ndarray) -> Sweep:
 def _of_channel(campaign: Campaign, name: str, north: Sweep, south: Sweep) -> list[TextbookResult]:
     latitude = float(np.cos(campaign.site.latitude)), float(np.sin(campaign.site.latitude))
     values = combined(north.value.tolist(), south.value.tolist(), *latitude)
-    # The combinations are linear: what each Fourier coefficient's own error does to them, squared and summed.
-    nothing = [0.0] * 5
-    errors = [combined(error, nothing, *latitude) for error in np.diag(north.sd).tolist()]
-    errors += [combined(nothing, error, *latitude) for error in np.diag(south.sd).tolist()]
+    # The combinations are linear: propagate the standard deviation of each Fourier coefficient by itself.
+    zero = [0.0] * 5
+    errors = [combined(error, zero, *latitude) for error in np.diag(north.sd).tolist()]
+    errors += [combined(zero, error, *latitude) for error in np.diag(south.sd).tolist()]
     sd = {key: float(np.sqrt(sum(each[key] ** 2 for each in errors))) for key in values}
     runs = f"{north.run.name}, {south.run.name}"
     found: list[TextbookResult] = [
@@ -134,8 +133,8 @@ def _of_channel(campaign: Campaign, name: str, north: Sweep, south: Sweep) -> li
     found.append(
         Undetermined(
             runs,
-            f"{name}: D_F, D_OO and D_II + D_SS stand in one sum; a sweep with the input axis along the pole splits "
-            "it, but for D_F against D_II + D_OO + D_SS, which |f| = 1 g hides everywhere",
+            f"{name}: D_F, D_OO and D_II + D_SS apart from each other; a sweep with the input axis along the pole "
+            "separates them, except D_F from D_II + D_OO + D_SS (|f| = 1 g in every static position)",
         )
     )
     return found

@@ -1,11 +1,10 @@
-"""Rate table: the unit turns at constant rates about one axis (P1, P2).
+"""Rate table: constant rates about one axis (P1, P2).
 
-With the unit in a tilted fixture a channel sees Ω cos θ, so that one mounting determines the product k·cos θ·(1 + table
-rate error) and nothing apart; other mountings, tumble runs or a reference gyro separate the three.
+In a tilted fixture a channel sees Ω cos θ: one mounting determines only the product k·cos θ·(1 + table rate error);
+other mountings, tumble runs or a reference gyro separate the three.
 
-The textbook fits a straight line of output against table rate, per channel.
-
-With F̄_j the mean at the rate Ω_j and F̄_s, F̄_e the static records at start and end,
+The textbook fits a straight line of output against table rate, per channel.  With F̄_j the mean output at the rate Ω_j
+and F̄_s, F̄_e those of the static records at start and end,
 
     F_j = F̄_j − (F̄_s + F̄_e)/2,   F_j = k′ Ω_j + F_0 + ν_j,   k = k′/cos θ
 
@@ -25,19 +24,19 @@ from imubayes.run import Campaign, Channel, Run
 from imubayes.units import to_si
 
 METHOD = "IEEE Std 952 rate test"
-# An input axis this near to the plane of the table sees no rate worth evaluating.
+# Channels with |cos θ| below this are not evaluated.
 _LEAST_COSINE = 0.1
 _DEGREE = np.pi / 180
 
 
 def rate_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
-    """Return scale factor, zero-rate output, nonlinearity and asymmetry of every run, and how the runs repeat."""
+    """Return scale factor, zero-rate output, nonlinearity and asymmetry per run, and the repeatability over runs."""
     found: list[TextbookResult] = []
     scales: dict[tuple[str, str], list[tuple[Run, float, float]]] = defaultdict(list)
     for run in runs:
         rate = run.covariates["table_rate"]
         if len(np.unique(rate[rate != 0])) < 2:
-            found.append(Undetermined(run.name, "fewer than two rates: no straight line"))
+            found.append(Undetermined(run.name, "fewer than two rates: no straight line can be fitted"))
             continue
         for channel, output in measured(run, campaign, "gyro"):
             cosine = float(along_table(run, campaign, channel.axes[0])[2])
@@ -52,13 +51,13 @@ def rate_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
 
 
 def corrected(run_rate: np.ndarray, output: np.ndarray) -> np.ndarray:
-    """Return the outputs less the mean of the static records at start and end; as they are where there is none."""
+    """Return the outputs less the mean of the static records at start and end, if there are any, shape (R,)."""
     still = np.flatnonzero(run_rate == 0)
     return output - (output[still[0]] + output[still[-1]]) / 2 if len(still) else output
 
 
 def _scale(rate: np.ndarray, output: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:
-    """Return k′ and its sd, the residuals, and the outputs at the rates, all at rows that turn."""
+    """Return k′, its standard deviation, and the residuals and corrected outputs of the turning rows."""
     turning = rate != 0
     values = corrected(rate, output)[turning]
     fitted = line(rate[turning], values)
@@ -93,7 +92,7 @@ def _of_run(run: Run, channel: Channel, rate: np.ndarray, output: np.ndarray, co
         )  # fmt: skip
     still = rate == 0
     if still.any():
-        # What the textbook calls bias is the output at rest: with the Earth's rate in it.
+        # The bias of the textbook is the output at rest, which includes the Earth rate.
         zero = float(np.mean(output[still])) / slope * cosine / (_DEGREE / 3600)
         found.append(
             Estimate(
@@ -105,10 +104,10 @@ def _of_run(run: Run, channel: Channel, rate: np.ndarray, output: np.ndarray, co
 
 
 def _over_runs(channel: str, series: list[tuple[Run, float, float]]) -> list[TextbookResult]:
-    """Return repeatability of the scale factor over runs of one temperature, and its temperature sensitivity."""
+    """Return the repeatability of the scale factor at constant temperature, otherwise its temperature sensitivity."""
     names = ", ".join(run.name for run, _, _ in series)
-    k = np.array([one for _, one, _ in series])
-    temperature = np.array([one for _, _, one in series])
+    k = np.array([scale for _, scale, _ in series])
+    temperature = np.array([mean for _, _, mean in series])
     found: list[TextbookResult] = []
     if len(k) < 2:
         return found
@@ -125,7 +124,7 @@ def _over_runs(channel: str, series: list[tuple[Run, float, float]]) -> list[Tex
     found.append(
         Estimate(
             f"temperature_sensitivity[{channel}]", names, float(slopes[np.argmax(np.abs(slopes))]) * 1e6, float("nan"),
-            "ppm/degC", f"{METHOD}: largest change of K from the middle temperature, per degree",
+            "ppm/degC", f"{METHOD}: largest change of K from the median temperature, per degree",
         )
     )  # fmt: skip
     return found

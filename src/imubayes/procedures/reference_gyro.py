@@ -1,17 +1,16 @@
-"""Runs beside a reference gyro: the table need not hold its rate (P9).
+"""Comparison with a reference gyro: the table need not hold a constant rate (P9).
 
-The reference rides along with the unit and measures the inertial rate about the axes of the body, the Earth's with it.
-Its reading stands in the place of the true rate; that it is a reading is `reference_noise`, its scale, bias and
-alignment and the delay of its clock are effects.  The table says how the unit stands to gravity.
+The reference gyro turns with the unit and measures the inertial rate in body axes, including the Earth rate.  Its
+output is used as the true rate: its noise is `reference_noise`; its scale factor, bias, alignment and time delay are
+effects.  The table gives the attitude to gravity.
 
-The textbook matches speeds of a forward and a reverse run.  Laid over each other in time, the forward and the reverse
-run pass the same speed v at some instants.  There, with the readings E₊ and E₋ of a channel and r₊, r₋ of the reference
-along the channel's input axis,
+The textbook matches the speeds of a forward and a reverse run.  At some instants both runs have the same speed v.
+There, with the outputs E₊ and E₋ of a channel and r₊, r₋ of the reference along the channel's input axis,
 
     K = (E₊ − E₋)/(r₊ − r₋),   bias = (E₊ + E₋)/(2K) − (r₊ + r₋)/2,
 
-and for a channel across the axis of rotation (E₊ − E₋)/(2 K v) is its inclination towards it.  All that lies between
-those instants is left unused, and the reference, its clock and its seat are taken as exact.
+and for a channel perpendicular to the axis of rotation (E₊ − E₋)/(2 K v) is its inclination towards that axis.  Samples
+between those instants are not used; the reference, its clock and its mounting are taken as exact.
 """
 
 from collections import defaultdict
@@ -36,30 +35,30 @@ _DEGREE_PER_HOUR = np.pi / 180 / 3600
 
 
 def reference_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
-    """Return scale factor and bias of every gyro along an axis of rotation, and the inclination of those across."""
-    by_seat: dict[str, dict[bool, list[Run]]] = defaultdict(lambda: {True: [], False: []})
+    """Return scale factor and bias of gyros along an axis of rotation, and the inclination of perpendicular ones."""
+    by_mounting: dict[str, dict[bool, list[Run]]] = defaultdict(lambda: {True: [], False: []})
     for run in runs:
         if run.mounting is not None:
-            by_seat[run.mounting][float(np.mean(_speed(run, campaign))) > 0].append(run)
+            by_mounting[run.mounting][float(np.mean(_speed(run, campaign))) > 0].append(run)
     found: list[TextbookResult] = []
-    for ways in by_seat.values():
-        if not ways[True] or not ways[False]:
-            only = (ways[True] or ways[False])[0]
-            found.append(Undetermined(only.name, "turned one way only: there is nothing to match its speeds with"))
+    for forward_runs, reverse_runs in ((group[True], group[False]) for group in by_mounting.values()):
+        if not forward_runs or not reverse_runs:
+            only = (forward_runs or reverse_runs)[0]
+            found.append(Undetermined(only.name, "one direction of rotation only: no speeds to match"))
             continue
-        for forward, reverse in zip(ways[True], ways[False], strict=False):
+        for forward, reverse in zip(forward_runs, reverse_runs, strict=False):
             found += _of_pair(campaign, forward, reverse)
     return found
 
 
 def _speed(run: Run, campaign: Campaign) -> np.ndarray:
-    """Return the reference's rate about the table's axis, rad/s, shape (R,)."""
+    """Return the rate of the reference about the table axis, rad/s, shape (R,)."""
     assert run.mounting is not None
     return reference_rate(run) @ campaign.mountings[run.mounting].body_to_table[2]
 
 
 def matched(forward: np.ndarray, reverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where two speeds cross: the row before each crossing, and how far on to the next (0 … 1)."""
+    """Return where two speeds cross: the row before each crossing, and the fraction to the next row (0 … 1)."""
     count = min(len(forward), len(reverse))
     apart = forward[:count] - reverse[:count]
     before = np.flatnonzero(np.sign(apart[:-1]) * np.sign(apart[1:]) < 0)
@@ -70,12 +69,12 @@ def _of_pair(campaign: Campaign, forward: Run, reverse: Run) -> list[TextbookRes
     before, part = matched(np.abs(_speed(forward, campaign)), np.abs(_speed(reverse, campaign)))
     names = f"{forward.name}, {reverse.name}"
     if not len(before):
-        return [Undetermined(names, "the two runs never pass the same speed at the same time")]
+        return [Undetermined(names, "the two runs have no matched speeds")]
 
     def at(values: np.ndarray) -> np.ndarray:
         return values[before] * (1 - part) + values[before + 1] * part
 
-    opposite = {one.name: at(output) for one, output in measured(reverse, campaign, "gyro")}
+    opposite = {gyro.name: at(output) for gyro, output in measured(reverse, campaign, "gyro")}
     found: list[TextbookResult] = []
     for channel, output in measured(forward, campaign, "gyro"):
         if channel.name not in opposite:
@@ -91,12 +90,14 @@ def _of_pair(campaign: Campaign, forward: Run, reverse: Run) -> list[TextbookRes
 
 
 def _mean(values: np.ndarray) -> tuple[float, float]:
-    """Return the mean and its standard deviation; NaN for one value."""
+    """Return the mean and its standard deviation, NaN for a single value."""
     sd = float(np.std(values, ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else float("nan")
     return float(np.mean(values)), sd
 
 
-def _along(channel: Channel, names: str, plus, minus, forward, reverse) -> list[TextbookResult]:
+def _along(
+    channel: Channel, names: str, plus: np.ndarray, minus: np.ndarray, forward: np.ndarray, reverse: np.ndarray
+) -> list[TextbookResult]:
     per, unit = to_si(channel.per), f"{channel.output_unit} per {channel.per}"
     scale, scale_sd = _mean((plus - minus) / (forward - reverse))
     bias, bias_sd = _mean(((plus + minus) / (2 * scale) - (forward + reverse) / 2) / _DEGREE_PER_HOUR)
@@ -111,10 +112,11 @@ def _across(
     campaign: Campaign, run: Run, channel: Channel, names: str, inclination: np.ndarray
 ) -> list[TextbookResult]:
     """Return the inclination of an input axis towards an axis of rotation that lies along its O or S axis."""
-    place = next((one for one in (1, 2) if abs(along_table(run, campaign, channel.axes[one])[2]) > 1 - _ACROSS), None)
+    cosines = [along_table(run, campaign, axis)[2] for axis in channel.axes]
+    place = next((place for place in (1, 2) if abs(cosines[place]) > 1 - _ACROSS), None)
     if place is None:
         return []
-    sign = np.sign(along_table(run, campaign, channel.axes[place])[2])
+    sign = np.sign(cosines[place])
     value, sd = _mean(sign * inclination / channel.scale_si)
     arcsec = np.degrees(1.0) * 3600
     name = f"gyro_misalignment.toward_{'o' if place == 1 else 's'}[{channel.name}]"
@@ -122,17 +124,17 @@ def _across(
 
 
 def reference_rate(run: Run) -> np.ndarray:
-    """Return what the reference measured, body axes, rad/s, shape (R, 3)."""
+    """Return the rate measured by the reference, body axes, rad/s, shape (R, 3)."""
     return np.stack([run.covariates[name] for name in AXES], axis=1)
 
 
 def _axis(run: Run, campaign: Campaign) -> np.ndarray:
-    """Return the table's axis in body axes."""
+    """Return the table axis in body axes, shape (3,)."""
     return campaign.mountings[run.mounting].body_to_table[2] if run.mounting is not None else np.array([0.0, 0.0, 1.0])
 
 
 def _acceleration(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Return the slope of a cubic spline through the rates, (R, 3); differences would flatten what wanders fast."""
+    """Return the slope of a cubic spline through the rates, (R, 3); finite differences would smooth fast changes."""
     order = np.argsort(time, kind="stable")
     found = np.zeros_like(rate)
     if len(time) > 3 and np.all(np.diff(time[order]) > 0):
@@ -145,7 +147,7 @@ def _stimulus(run: Run, campaign: Campaign) -> Stimulus:
     nominal = table_stimulus(run, campaign)
     return replace(
         nominal,
-        # The reference knows better.
+        # The reference replaces the table as the source of the rate.
         table_rate=np.zeros_like(nominal.table_rate),
         table_acceleration=np.zeros_like(nominal.table_acceleration),
         reference_rate=rate[nominal.row],
@@ -157,7 +159,7 @@ def _stimulus(run: Run, campaign: Campaign) -> Stimulus:
 def _nominal_input(
     run: Run, channel: Channel, _site: Site, _table: Table | None, _mounting: Mounting | None
 ) -> np.ndarray | None:
-    """Return what the reference measured along the channel; accelerometers have none."""
+    """Return the rate measured by the reference along the channel; None for accelerometers."""
     return reference_rate(run) @ channel.axes[0] if channel.kind == "gyro" else None
 
 

@@ -1,19 +1,19 @@
-"""Servo table: the gyro's own output drives the table, so that it always reads nothing (P6).
+"""Servo table: a closed loop nulls the gyro output by driving the table (P6).
 
-What is recorded is the table's angle, over hours.  It follows the differential equation that the balance of the gyro's
-output gives: about the pole, dφ/dt = −ω_E·IA − d(f(φ)).
+The table angle is recorded over hours.  It follows the differential equation of the nulled output: about the polar
+axis, dφ/dt = −ω_E·IA − d(f(φ)).
 
-The textbook takes the drift from the table's own rate.  The gyro holds its input axis still, so that with IA along the
-axis of the table (c = ±1 the cosine between them) the table turns at
+The textbook derives the drift from the table rate.  With IA along the table axis (c = ±1 the cosine between them) the
+table turns at
 
     c dφ/dt = −ω_a c − d(f(φ)),
 
-ω_a being the Earth's rate along the axis.  Over blocks of the record −c Δφ/Δt − ω_a c is fitted by least squares with
+with ω_a the Earth rate along the axis.  Over blocks of the record −c Δφ/Δt − ω_a c is fitted by least squares with
 
     D + (D_O + D_IO f_I) f_O + (D_S + D_SI f_I) f_S + ½(D_OO − D_SS)(f_O² − f_S²) + D_OS f_O f_S + r (t − t̄),
 
-f_I being constant.  D is all that does not turn: D_F + D_I f_I + D_II f_I² + ½(D_OO + D_SS)(f_O² + f_S²).  In less than
-one turn the terms are not told apart, and the mean drift over the arc is all there is.
+f_I being constant.  D holds the constant terms: D_F + D_I f_I + D_II f_I² + ½(D_OO + D_SS)(f_O² + f_S²).  In less than
+one turn the terms are not separable; only the mean drift over the arc is returned.
 """
 
 import math
@@ -42,8 +42,8 @@ _ALONG = 0.99
 
 
 def servo_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
-    """Return the drift of the driving gyro from every record, with its harmonics where the record holds a turn."""
-    gyros = [channel for channel in campaign.channels if channel.kind == "gyro"]
+    """Return the drift of the driving gyro from every record, with its harmonics if the record covers a turn."""
+    gyros = campaign.of_kind("gyro")
     found: list[TextbookResult] = []
     for run in runs:
         channel = gyros[driving_channel(campaign, run)]
@@ -66,7 +66,9 @@ def _of_run(campaign: Campaign, run: Run, channel: Channel, cosine: float) -> li
     if turns < 1.0:
         return [
             Estimate(f"mean_drift[{channel.name}]", run.name, float(whole), half, "deg/h", METHOD),
-            Undetermined(run.name, f"{channel.name}: {turns:.2f} turns do not tell what turns from what does not"),
+            Undetermined(
+                run.name, f"{channel.name}: in {turns:.2f} turns constant and rotating terms are not separable"
+            ),
         ]
     middle, when = (angle[edges[1:]] + angle[edges[:-1]]) / 2, (time[edges[1:]] + time[edges[:-1]]) / 2
     _, f_o, f_s = components(run, campaign, channel, middle)
@@ -77,21 +79,21 @@ def _of_run(campaign: Campaign, run: Run, channel: Channel, cosine: float) -> li
     names = ("D", "D_O+D_IO·f_I", "D_S+D_SI·f_I", "D_OO-D_SS", "gyro_g2_sensitivity.d_os", "gyro_bias_drift.slope")
     units = ("deg/h", "deg/h/g", "deg/h/g", "deg/h/g^2", "deg/h/g^2", "deg/h/h")
     return [
-        Estimate(f"{name}[{channel.name}]", run.name, float(one), float(error), unit, METHOD)
-        for name, unit, one, error in zip(names, units, value, sd, strict=True)
+        Estimate(f"{name}[{channel.name}]", run.name, float(coefficient), float(error), unit, METHOD)
+        for name, unit, coefficient, error in zip(names, units, value, sd, strict=True)
     ]
 
 
 def driving_channel(campaign: Campaign, run: Run) -> int:
-    """Return the place among the gyros of the one that drives the table: the one most along its axis."""
+    """Return the index, among the gyros, of the one that drives the table: the one best aligned with its axis."""
     assert run.mounting is not None
     axis = campaign.mountings[run.mounting].body_to_table[2]
-    gyros = [channel for channel in campaign.channels if channel.kind == "gyro"]
+    gyros = campaign.of_kind("gyro")
     return int(np.argmax([abs(float(channel.axes[0] @ axis)) for channel in gyros])) if gyros else 0
 
 
 def turns_of(run: Run) -> float:
-    """Return the angle that a table has been driven through, in turns."""
+    """Return the range of the table angle, in turns."""
     return float(np.ptp(run.covariates["table_angle"])) / (2 * math.pi)
 
 

@@ -1,8 +1,8 @@
-"""What a textbook evaluation yields, and the straight line that most of them come down to (NumPy only).
+"""Results and common parts of textbook evaluations (NumPy only).
 
-Each procedure is evaluated by itself, with the fixture angle, the table and the temperature taken as exact: that is
-what the joint fit is compared with.  Standard deviations are the textbook's own, from the scatter about the fitted
-curve; what is wrong with its assumptions they do not contain.
+Each procedure is evaluated by itself, with fixture angles, table and temperature taken as exact, for comparison with
+the joint fit.  Standard deviations come from the residuals of the fitted curve (type A); they do not include the errors
+of these assumptions.
 """
 
 from dataclasses import dataclass
@@ -21,13 +21,13 @@ class Estimate:
 
     Attributes
     ----------
-    name : as the joint fit names the same quantity where it has it: `scale_factor[gx]`.
-    run : the run, or the runs, that it was made of.
-    value, sd, unit : with the standard uncertainty that the textbook states; NaN where it states none.
-    method : where the formula is from.
-    angle : name of the mounting angle that the formula takes as exact, empty where it takes none.
+    name : as in the joint fit if that has the quantity: `scale_factor[gx]`.
+    run : the run or runs evaluated.
+    value, sd, unit : with the textbook standard uncertainty; NaN if the textbook gives none.
+    method : source of the formula.
+    angle : name of the mounting angle that the formula takes as exact; empty if none.
     nominal : that angle, deg.
-    decision : what the textbook concludes from the number, in words; empty where nothing.
+    decision : textbook conclusion from the value; empty if none.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Undetermined:
-    """What a run cannot determine, and why, in a sentence."""
+    """Quantities that a run does not determine, with the reason, for display."""
 
     run: str
     sentence: str
@@ -87,12 +87,12 @@ def least_squares(design: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def measured(run: Run, campaign: Campaign, kind: str) -> list[tuple[Channel, np.ndarray]]:
-    """Return the channels of a kind that a run has readings of, with the readings less the nominal offset, (R,)."""
+    """Return the channels of a kind with complete outputs in a run, and these less the nominal offset, shape (R,)."""
     found = []
     for place, channel in enumerate(campaign.channels):
-        readings = run.observed[:, place]
-        if channel.kind == kind and np.isfinite(readings).all() and len(readings):
-            found.append((channel, readings - channel.offset))
+        output = run.observed[:, place]
+        if channel.kind == kind and np.isfinite(output).all() and len(output):
+            found.append((channel, output - channel.offset))
     return found
 
 
@@ -110,7 +110,7 @@ def up_in_table(run: Run, campaign: Campaign) -> np.ndarray:
 
 
 def components(run: Run, campaign: Campaign, channel: Channel, angle: np.ndarray | None = None) -> np.ndarray:
-    """Return the specific force along a channel's I, O and S axes, in g, shape (3, n); at each row where no angle."""
+    """Return the specific force along a channel's I, O and S axes at table angles (default: the rows), g, (3, n)."""
     angle = run.covariates["table_angle"] if angle is None else angle
     x, y, z = up_in_table(run, campaign)
     c, s = np.cos(angle), np.sin(angle)
@@ -133,7 +133,7 @@ def harmonics(psi: np.ndarray, output: np.ndarray, order: int) -> tuple[np.ndarr
     ----------
     psi : shape (n,), rad.
     output : shape (n,).
-    order : highest harmonic; at n = 2·order positions the last sine is zero everywhere and is left out.
+    order : highest harmonic; at n = 2·order positions the last sine vanishes and is omitted.
     """
     columns = [np.ones_like(psi)]
     for k in range(1, order + 1):
@@ -145,5 +145,5 @@ def harmonics(psi: np.ndarray, output: np.ndarray, order: int) -> tuple[np.ndarr
 
 
 def order_of(positions: int) -> int:
-    """Return the highest harmonic that so many positions over the circle determine: 2 for 4 points, 5 from 11 on."""
+    """Return the highest harmonic determined by that many positions over the circle: 2 for 4, at most 5."""
     return min(_MAX_HARMONIC, positions // 2)

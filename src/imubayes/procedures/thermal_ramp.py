@@ -1,4 +1,4 @@
-"""Thermal ramp: the unit at rest while sensor or converter change temperature (P8)."""
+"""Thermal ramp: the unit at rest while the temperature of sensor or converter varies (P8)."""
 
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.converter_ramp import converter_test
