@@ -5,11 +5,11 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from imubayes.criticism.diagnosis import _resembles
 from imubayes.criticism.equivalent_effects import equivalence_group
 from imubayes.criticism.projection import Projection, Strata
 from imubayes.criticism.score_test import Candidate, ScoreTest
 from imubayes.criticism.stepwise_search import Screening, SearchResult
+from imubayes.criticism.unexplained_structure import _rivals
 
 RATE = np.linspace(-1.0, 1.0, 201)
 
@@ -44,7 +44,7 @@ def test_what_could_do_most_of_what_the_leader_does(other, owners, expected):
     look = stub(Screening, projection=stub(Projection, strata=strata), candidates=(leader, second))
     # Asked only for a second group that shares a channel with the first.
     together = stub(Candidate, effect="second", owners=("gx",))
-    assert _resembles(stub(SearchResult, first=look), together, leader) is expected
+    assert _rivals(stub(SearchResult, first=look), together, leader) is expected
 
 
 @pytest.mark.parametrize(
