@@ -23,7 +23,7 @@ from imubayes.display.sheet import Sheet
 from imubayes.display.templates import render
 from imubayes.display.theme import Picture
 from imubayes.results.history_file import shown_place
-from imubayes.results.loop_files import Step
+from imubayes.results.loop_files import HistoryStep
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class PathSection:
     next: str
 
 
-def history_page(tree: Tree, paths: Mapping[str, Sequence[Step]]) -> str:
+def history_page(tree: Tree, paths: Mapping[str, Sequence[HistoryStep]]) -> str:
     """Return the page of the trees of models tried.
 
     Parameters
@@ -63,7 +63,7 @@ def _data(picture: Picture) -> str:
     return base64.b64encode(picture.png()).decode("ascii")
 
 
-def _path(tree: Tree, place: str, steps: Sequence[Step]) -> PathSection:
+def _path(tree: Tree, place: str, steps: Sequence[HistoryStep]) -> PathSection:
     nodes = [tree.nodes[each] for each in tree.path_to(place)]
     addition = steps[-1].addition if steps else None
     command = next_command(addition) if addition is not None else f"imubayes diagnose {shown_place(place)}"
@@ -80,7 +80,7 @@ def _errors(nodes: Sequence[Node]) -> Picture | None:
     return error_per_step_figure([node.title for node in nodes], series, rms_by_unit(nodes[-1].floor))
 
 
-def _section(step: Step) -> StepSection:
+def _section(step: HistoryStep) -> StepSection:
     node, addition = step.node, step.addition
     verdict = (node.verdict or "").replace("_", " ")
     if addition is None:

@@ -49,7 +49,7 @@ def _read[Kept: Record](file: Path, record: type[Kept]) -> Kept | None:
 
 
 @dataclass(frozen=True)
-class Step:
+class HistoryStep:
     """A step from one model to the next, as the result folders on both sides of it hold it; None for what is gone.
 
     Attributes
@@ -69,13 +69,13 @@ class Step:
     added_variable: pl.DataFrame | None
 
 
-def read_steps(tree: Tree, place: str) -> tuple[Step, ...]:
+def read_steps(tree: Tree, place: str) -> tuple[HistoryStep, ...]:
     """Return the steps from the first model to the one at a place."""
     steps = []
     for before, after in pairwise(map(Path, tree.path_to(place))):
         diagnosis = read_diagnosis(before)
         steps.append(
-            Step(
+            HistoryStep(
                 node=tree.nodes[str(after)],
                 addition=read_addition(after),
                 group=diagnosis.groups[0] if diagnosis is not None and diagnosis.groups else None,
