@@ -89,7 +89,7 @@ class Tumble:
     readings : shape (transitions, K, C); mean channel outputs over each step, output units, 0 where padded.
     coning : shape (transitions, K, 3); body rotation vector of each step less its mean rate times its length, in
         rad, from the nominal calibration: what averaging the rate over a step leaves out.
-    flagged : shape (poses,); True where the pose was disturbed and takes no part in the fit.
+    flagged : shape (poses,); True where the pose was disturbed and is excluded from the fit.
     """
 
     pose: np.ndarray

@@ -158,7 +158,7 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "header alone": (lines(RATES, lambda rows: rows[:1]), "empty_run", r"rates\.csv", "rows"),
     "semicolons": (lines(RATES, lambda rows: [row.replace(",", ";") for row in rows]), "separated by", r"rates\.csv:1", "commas"),
     "unknown column": (rename(RATES, "table_angle_deg", "table_angel_deg"), "table_angel_deg", r"rates\.csv, column", "table_angle_deg"),
-    "column twice": (rename(RATES, "gy", "gx"), "more than once", r"rates\.csv, header", "each used once"),
+    "column twice": (rename(RATES, "gy", "gx"), "is repeated", r"rates\.csv, header", "each used once"),
     "no channel in the table": (
         lambda f: write_csv(f / RATES, {"table_rate_deg_s": np.arange(3.0)}), "no channel", r"rates\.csv, header", "gx",
     ),

@@ -115,7 +115,7 @@ def test_a_run_without_any_reading_is_empty(small: Path) -> None:
     file.write_text(file.read_text().replace("nan", ""))
     (finding,) = [one for one in check_campaign(small) if one.name == "empty_run"]
     assert (finding.severity, finding.run) == ("error", "rates")
-    assert "no channel has a reading" in finding.what
+    assert "no channel has a value" in finding.what
 
 
 def test_coarse_converter_is_not_stuck(small: Path) -> None:

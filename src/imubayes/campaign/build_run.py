@@ -1,4 +1,4 @@
-"""From columns in the units of the file to a `Run` in SI."""
+"""Build a `Run` in SI from columns in the units of the file."""
 
 from collections.abc import Mapping, Sequence
 
@@ -29,16 +29,16 @@ def build_run(
     Parameters
     ----------
     entry : the run's entry in the campaign file.
-    numbers : column → shape (R,), in the units of the file; `samples` and `<channel>_sd` where known.
+    numbers : column → shape (R,), in the units of the file; `samples` and `<channel>_sd` if available.
     channels : all channels of the campaign.
     gravity : of the site, m/s².
-    notes : what the reduction did.
-    tumble : the moving part of a free tumble.
-    attitude : shape (R, 3, 3), where the rows name directions.
+    notes : from the reduction.
+    tumble : the rotations of a free tumble.
+    attitude : shape (R, 3, 3), if the rows give directions.
     """
     rows = len(next(iter(numbers.values())))
     unknown = np.full(rows, np.nan)
-    covariates, said = _covariates(entry, numbers, rows, gravity)
+    covariates, covariate_notes = _covariates(entry, numbers, rows, gravity)
     return Run(
         entry.name,
         entry.procedure,
@@ -51,12 +51,12 @@ def build_run(
         None if entry.start is None else entry.start.isoformat(),
         tumble,
         attitude,
-        (*notes, *said),
+        (*notes, *covariate_notes),
     )
 
 
 def unused_columns(layout: ColumnLayout, procedure: Procedure, run: str, where: str) -> list[Finding]:
-    """Name the columns that are understood but take no part in the rows."""
+    """Return a warning for known columns that are not used in the rows."""
     used = {"segment", *(DIRECTION_COLUMNS if procedure.by_direction else ())}
     unused = [name for name in TEXT_COLUMNS if layout.has(name) and name not in used]
     if not unused:
@@ -78,15 +78,15 @@ def _covariates(
     notes: list[str] = []
     procedure = PROCEDURES[entry.procedure]
     rate = covariates.setdefault("table_rate", np.zeros(rows))
-    # Beside a reference gyro nobody has written down how fast the table turns.
+    # With a reference gyro the table rate is not recorded, and any row may turn.
     turning = (rate != 0) | (not procedure.rate_recorded)
     angle = covariates.get("table_angle")
     if angle is None:
         if procedure.needs_table and not turning.all():
-            notes.append("no angle column: the table is taken to stand at angle 0 where it is at rest")
+            notes.append("no angle column: table angle 0 is assumed at rest")
         angle = np.full(rows, np.nan)
     elif np.any(np.isnan(angle) & ~turning):
-        notes.append(f"{np.sum(np.isnan(angle) & ~turning)} empty angles at rest are taken as 0")
+        notes.append(f"{np.sum(np.isnan(angle) & ~turning)} empty angles at rest are set to 0")
     covariates["table_angle"] = np.where(np.isnan(angle) & ~turning, 0.0, angle)
     span = covariates.get("table_angle_span", np.full(rows, np.nan))
     whole = np.where(np.isnan(covariates["table_angle"]), TURN, 0.0)
@@ -101,7 +101,7 @@ def _fill_temperature(
 ) -> None:
     values = covariates.get(name)
     if values is not None and np.isnan(values).all():
-        values = covariates.pop(name)
+        del covariates[name]
         values = None
     if values is None:
         if name == "temperature" and entry.temperature_degC is not None:
@@ -111,4 +111,4 @@ def _fill_temperature(
     if empty.any():
         axis = covariates.get("time", np.arange(rows, dtype=float))
         covariates[name] = np.where(empty, np.interp(axis, axis[~empty], values[~empty]), values)
-        notes.append(f"{np.sum(empty)} missing values of {name} are interpolated between their neighbours")
+        notes.append(f"{np.sum(empty)} missing values of {name} are interpolated linearly")

@@ -1,7 +1,7 @@
-"""One run: from its table file to rows in SI, with everything that is wrong with it.
+"""Load one run: from its table file to rows in SI, with all issues and findings.
 
-A run comes in one of three forms: rows that are means already (a `samples` column), a raw log of constant
-stimuli, which is reduced, or the raw log of a free tumble, whose motion matters too.
+A run table has one of three forms: rows of means (with a `samples` column), a raw log to be reduced, or the raw log of
+a free tumble, whose rotations are observations as well.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ from imubayes.run import Channel, Mounting, Run, Site, Table
 
 @dataclass(frozen=True)
 class Equipment:
-    """What a run is judged against."""
+    """The equipment that a run is checked against."""
 
     site: Site
     channels: tuple[Channel, ...]
@@ -37,7 +37,7 @@ class Equipment:
 
 @dataclass
 class Loaded:
-    """What came of one run: the run where it is usable, problems of the file, findings in the data."""
+    """Result of loading one run: the run if usable, issues of the file, findings in the data."""
 
     run: Run | None = None
     issues: list[Issue] = field(default_factory=list)
@@ -45,7 +45,7 @@ class Loaded:
 
     @property
     def failed(self) -> bool:
-        """Whether something is wrong that stops the campaign."""
+        """Whether an issue or error makes the campaign unusable."""
         return bool(self.issues) or any(finding.severity == "error" for finding in self.findings)
 
 
@@ -65,7 +65,7 @@ def load_run(file: Path, entry: RunEntry, channel_names: Sequence[str], equipmen
     file : the table.
     entry : the run's entry in the campaign file.
     channel_names : the channels that may have a column.
-    equipment : the campaign's equipment, or None where it is faulty; then only the file itself is judged.
+    equipment : of the campaign; None if invalid, in which case only the file itself is checked.
     """
     loaded = Loaded()
     try:
@@ -92,9 +92,9 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
     run, found = _rows_of(source, entry, equipment, survey)
     loaded.findings += found
     if run.rows == 0:
-        loaded.findings.append(_empty(entry, where, "no stretch of constant stimulus was found in the log"))
+        loaded.findings.append(_empty(entry, where, "no interval of constant stimulus was found in the log"))
     elif not procedure.driven and not np.isfinite(run.observed).any():
-        loaded.findings.append(_empty(entry, where, "no channel has a reading in any row"))
+        loaded.findings.append(_empty(entry, where, "no channel has a value in any row"))
     if loaded.failed:
         return
     table, mounting = equipment.tables.get(entry.table or ""), equipment.mountings.get(entry.mounting or "")
@@ -105,38 +105,35 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
 
 
 def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey: _Survey) -> tuple[Run, list[Finding]]:
-    """Return the rows of a run and the findings of its form: static poses, means, or a raw log to be reduced."""
+    """Return the run and its findings, according to its form: static poses, means, or a raw log to be reduced."""
     reduction = PROCEDURES[entry.procedure].reduction
     if reduction is Reduction.POSES:
         return _load_tumble(source, entry, equipment)
     gravity = equipment.site.gravity
     if source.layout.reduced:
         numbers = _whole(source)
-        named = _named(source, entry, equipment, range(survey.rows))
-        run = build_run(entry, numbers, equipment.channels, gravity, attitude=named)
+        attitude = _attitude(source, entry, equipment, range(survey.rows))
+        run = build_run(entry, numbers, equipment.channels, gravity, attitude=attitude)
         return run, _check_counts(numbers, source, entry)
     assert survey.blocks is not None
     where = str(source.file)
     found = check_log(survey.blocks, entry.name, where)
     rows = reduce_log(source, reduction, survey.rows, survey.blocks, survey.labelled)
-    named = _named(source, entry, equipment, rows.first)
+    attitude = _attitude(source, entry, equipment, rows.first)
     found += [_unsteady(entry, where, rows.unsteady)] if rows.unsteady else []
-    return build_run(entry, rows.numbers, equipment.channels, gravity, rows.notes, attitude=named), found
+    return build_run(entry, rows.numbers, equipment.channels, gravity, rows.notes, attitude=attitude), found
 
 
-def _named(source: TableSource, entry: RunEntry, equipment: Equipment, rows: Sequence[int]) -> np.ndarray | None:
-    """Return the attitude at the named directions of chosen rows; None where the procedure names none."""
+def _attitude(source: TableSource, entry: RunEntry, equipment: Equipment, rows: Sequence[int]) -> np.ndarray | None:
+    """Return the attitude given by the directions of the rows, (len(rows), 3, 3); None if rows give no directions."""
     return attitudes(source, rows, equipment.channels) if PROCEDURES[entry.procedure].by_direction else None
 
 
 def _survey(source: TableSource, entry: RunEntry) -> _Survey:
-    layout = source.layout
     poses = procedure_named(entry.procedure).reduction is Reduction.POSES
     monitor = Monitor(source, entry.name, all_move=poses)
-    labels = [name for name in ("segment", *DIRECTION_COLUMNS) if name in layout.texts]
-    tracker = SegmentTracker(labels) if labels and not layout.reduced else None
-    numbers = [name for name in layout.numbers if not name.endswith("_sd")]
-    builder = BlockBuilder(numbers) if not layout.reduced and not poses else None
+    tracker = None if source.layout.reduced else _segment_tracker(source)
+    builder = None if source.layout.reduced or poses else _block_builder(source)
     consumers = [consumer for consumer in (monitor, builder, tracker) if consumer is not None]
     for batch in source:
         if batch.rows:
@@ -144,6 +141,15 @@ def _survey(source: TableSource, entry: RunEntry) -> _Survey:
                 consumer.push(batch)
     blocks = builder.finish() if builder is not None and monitor.rows else None
     return _Survey(monitor.rows, blocks, None if tracker is None else tracker.spans(), monitor.findings())
+
+
+def _segment_tracker(source: TableSource) -> SegmentTracker | None:
+    labels = [name for name in ("segment", *DIRECTION_COLUMNS) if name in source.layout.texts]
+    return SegmentTracker(labels) if labels else None
+
+
+def _block_builder(source: TableSource) -> BlockBuilder:
+    return BlockBuilder([name for name in source.layout.numbers if not name.endswith("_sd")])
 
 
 def _whole(source: TableSource) -> dict[str, np.ndarray]:
@@ -155,7 +161,7 @@ def _load_tumble(source: TableSource, entry: RunEntry, equipment: Equipment) -> 
     layout = source.layout
     if layout.reduced:
         raise input_error(
-            "a free tumble is given as means, without the motion between its poses",
+            "a free tumble is given as means, without the rotations between its poses",
             f"{source.file}, column 'samples'",
             "a raw log: time_s and one column per channel",
             "give the raw log of the whole recording",
@@ -183,12 +189,12 @@ def _check_counts(numbers: dict[str, np.ndarray], source: TableSource, entry: Ru
 
 
 def _empty(entry: RunEntry, where: str, what: str) -> Finding:
-    allowed = "rows of readings; for a raw log, at least a second of constant stimulus"
+    allowed = "rows with outputs; for a raw log, at least one second of constant stimulus"
     return Finding("empty_run", "error", entry.name, what, where, allowed, "fill the table or remove the run")
 
 
 def _unsteady(entry: RunEntry, where: str, rows: tuple[int, ...]) -> Finding:
-    what = f"{len(rows)} labelled segments have a stimulus that changes inside"
+    what = f"the stimulus varies within {len(rows)} labelled segments"
     allowed = "one rate, one angle or rest per segment"
     remedy = "leave the label of transients empty"
     return Finding("segment_not_constant", "warning", entry.name, what, f"{where}, column 'segment'", allowed, remedy)

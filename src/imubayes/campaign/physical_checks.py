@@ -1,8 +1,7 @@
-"""Physical sanity of the reduced rows: the channels must follow the stimulus by about the nominal scale.
+"""Plausibility of the reduced rows: channels must respond to the stimulus with about their nominal scale factor.
 
-A wrong unit shows as a factor.  Each channel is regressed on its nominal input; a slope near 57.3 means
-degrees against radians, near 9.81 means g against m/s².  These checks look for mistakes of bookkeeping, by
-factors of two and more, and leave calibration to the fit.
+Each channel is regressed on its nominal input.  A slope near 57.3 means degrees for radians, near 9.81 g for m/s².
+These checks detect errors of units and assignment, factors of two and more; calibration is left to the fit.
 """
 
 import math
@@ -17,16 +16,16 @@ from imubayes.run import Channel, Mounting, Run, Site, Table
 
 DEGREE = math.pi / 180
 TURN = 2 * math.pi
-SAME_FACTOR = 0.05  # a slope this close to a unit's factor is that unit
-ORDINARY = (0.6, 1.6)  # slopes of a channel whose nominal scale is roughly right
-LEAST_SPREAD = {"gyro": 0.05 * DEGREE, "accelerometer": 0.5}
-FOLLOWS = 0.9  # squared correlation from which a slope is believed
+SAME_FACTOR = 0.05  # relative tolerance for identifying a slope with a unit factor
+ORDINARY = (0.6, 1.6)  # slopes consistent with the nominal scale factor
+LEAST_SPREAD = {"gyro": 0.05 * DEGREE, "accelerometer": 0.5}  # of the input, rad/s and m/s²
+FOLLOWS = 0.9  # least squared correlation for a slope to be used
 _RATE_FACTORS = {1 / DEGREE: "rad/s for deg/s", 3600.0: "deg/h for deg/s", 3600 / DEGREE: "rad/s for deg/h"}
 _ACCELERATION_FACTORS = {9.80665: "g and m/s² exchanged", 1000.0: "g and mg exchanged"}
 
 
 def check_log(blocks: BlockSurvey, run: str, where: str) -> list[Finding]:
-    """Check a raw log as surveyed: an angle column that stays below 2π while the table turns is in radians."""
+    """Check a surveyed raw log: an angle column that stays within 2π while the table turns is in radians."""
     if "table_angle_deg" not in blocks.mean or "table_rate_deg_s" not in blocks.mean or blocks.interval is None:
         return []
     swept = np.nansum(np.abs(blocks.mean["table_rate_deg_s"]) * blocks.count) * blocks.interval
@@ -40,9 +39,9 @@ def check_log(blocks: BlockSurvey, run: str, where: str) -> list[Finding]:
 def check_rows(
     run: Run, channels: Sequence[Channel], site: Site, table: Table | None, mounting: Mounting | None, where: str
 ) -> list[Finding]:
-    """Check the rows of one run against what the nominal numbers predict."""
+    """Check the rows of one run against the nominal stimulus and scale factors."""
     procedure = PROCEDURES[run.procedure]
-    found = _turns(run, where)
+    found = _partial_turns(run, where)
     if run.rows == 0:
         return found
     if radians := _angle_in_radians(run, where):
@@ -64,27 +63,27 @@ def check_rows(
 
 
 def _measured(run: Run, index: int, channel: Channel) -> np.ndarray:
-    """Return what a channel read, by its nominal scale, in rad/s or m/s²."""
+    """Return the output of a channel over its nominal scale factor, rad/s or m/s², shape (R,)."""
     return (run.observed[:, index] - channel.offset) / channel.scale_si
 
 
 def slope_findings(run: str, channel: Channel, slope: float, where: str) -> list[Finding]:
-    """Say what is wrong with a channel whose output moves by `slope` times the nominal."""
+    """Return the findings for a channel that responds with `slope` times its nominal scale factor."""
     place = f"{where}, column '{channel.name}'"
     factors = _RATE_FACTORS if channel.kind == "gyro" else _ACCELERATION_FACTORS
     expected = f"{channel.scale:g} {channel.output_unit} per {channel.per} (a slope of about 1)"
     meaning = next((text for factor, text in factors.items() if _is_factor(slope, factor)), "")
     if meaning:
         name = "rate_unit" if channel.kind == "gyro" else "acceleration_unit"
-        what = f"channel '{channel.name}' moves {abs(slope):.4g} times as much as its nominal scale says: {meaning}?"
+        what = f"channel '{channel.name}' responds with {abs(slope):.4g} times its nominal scale factor: {meaning}?"
         remedy = "correct 'scale' or 'per' of the channel, or convert the column"
         return [Finding(name, "error", run, what, place, expected, remedy)]
     if slope < 0:
-        what = f"channel '{channel.name}' moves against its nominal input (slope {slope:.3g})"
+        what = f"channel '{channel.name}' responds to its nominal input with reversed sign (slope {slope:.3g})"
         remedy = "check input_axis, the mounting and the sign of the rate"
         return [Finding("sign_reversed", "warning", run, what, place, expected, remedy)]
     if not ORDINARY[0] <= slope <= ORDINARY[1]:
-        what = f"channel '{channel.name}' moves {slope:.3g} times as much as its nominal scale says"
+        what = f"channel '{channel.name}' responds with {slope:.3g} times its nominal scale factor"
         remedy = "check scale, per, input_axis and the mounting"
         return [Finding("scale_far_from_nominal", "warning", run, what, place, expected, remedy)]
     return []
@@ -96,27 +95,27 @@ def _is_factor(slope: float, factor: float) -> bool:
 
 
 def _judge(run: Run, slopes: Sequence[tuple[Channel, float]], where: str, rate_recorded: bool) -> list[Finding]:
-    """One finding for the rate column where all gyros agree, otherwise one per channel."""
-    seen = [(channel, slope) for channel, slope in slopes if math.isfinite(slope)]
-    gyros = [slope for channel, slope in seen if channel.kind == "gyro"]
+    """Return one finding for the rate column if all gyros agree, otherwise one per channel."""
+    finite = [(channel, slope) for channel, slope in slopes if math.isfinite(slope)]
+    gyros = [slope for channel, slope in finite if channel.kind == "gyro"]
     if rate_recorded and len(gyros) > 1 and all(_is_factor(slope, 1 / DEGREE) for slope in gyros):
-        what = f"every gyro moves {abs(float(np.median(gyros))):.4g} times as much as the rate column says"
+        what = f"every gyro indicates {abs(float(np.median(gyros))):.4g} times the recorded rate"
         found = [
             Finding(
                 "rate_unit", "error", run.name, what, f"{where}, column 'table_rate_deg_s'",
                 "degrees per second", "convert the rate column from rad/s to deg/s, or correct the gyros' scale",
             )
         ]  # fmt: skip
-        seen = [(channel, slope) for channel, slope in seen if channel.kind != "gyro"]
+        finite = [(channel, slope) for channel, slope in finite if channel.kind != "gyro"]
     else:
         found = []
-    for channel, slope in seen:
+    for channel, slope in finite:
         found += slope_findings(run.name, channel, slope, where)
     return found
 
 
 def _slope(channel: Channel, stimulus: np.ndarray, measured: np.ndarray) -> float:
-    """Return the slope of the reading on its nominal input, NaN where the rows do not tell."""
+    """Return the slope of the measured on the nominal input; NaN if the rows do not determine it."""
     good = np.isfinite(stimulus) & np.isfinite(measured)
     x, y = stimulus[good], measured[good]
     if len(x) >= 3 and np.ptp(x) > LEAST_SPREAD[channel.kind]:
@@ -130,27 +129,27 @@ def _slope(channel: Channel, stimulus: np.ndarray, measured: np.ndarray) -> floa
 
 def _angle_in_radians(run: Run, where: str) -> Finding | None:
     degrees = run.covariates["table_angle"] / DEGREE
-    known = np.isfinite(degrees) & (run.covariates["table_angle_span"] == 0)
-    given = degrees[known]
-    if len(np.unique(given)) < 5 or np.max(np.abs(given)) > TURN * 1.01 or np.ptp(given) < 1.0:
+    static = np.isfinite(degrees) & (run.covariates["table_angle_span"] == 0)
+    angle = degrees[static]
+    if len(np.unique(angle)) < 5 or np.max(np.abs(angle)) > TURN * 1.01 or np.ptp(angle) < 1.0:
         return None
-    repeats = [
-        _harmonic_rest(given, values) < min(0.02, 0.05 * _harmonic_rest(given * DEGREE, values))
-        for values in run.observed[known].T
+    periodic = [
+        _unexplained(angle, values) < min(0.02, 0.05 * _unexplained(angle * DEGREE, values))
+        for values in run.observed[static].T
         if np.isfinite(values).all() and np.ptp(values) > 0
     ]
-    if not any(repeats):
+    if not any(periodic):
         return None
-    what = f"the angles reach {np.max(np.abs(given)):.4g} and the readings repeat with 2π of them"
+    what = f"the angles reach {np.max(np.abs(angle)):.4g} and the outputs are periodic in them with 2π"
     return _angle_finding(run.name, what, where)
 
 
-def _harmonic_rest(angle: np.ndarray, values: np.ndarray) -> float:
-    """Return the share of the variance that one sine wave of the angle leaves over."""
+def _unexplained(angle: np.ndarray, values: np.ndarray) -> float:
+    """Return the fraction of the variance not explained by the first harmonic of the angle."""
     design = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
     scaled = (values - values.mean()) / np.std(values)
-    rest = scaled - design @ np.linalg.lstsq(design, scaled, rcond=None)[0]
-    return float(rest @ rest) / len(values) + 1e-12
+    residual = scaled - design @ np.linalg.lstsq(design, scaled, rcond=None)[0]
+    return float(residual @ residual) / len(values) + 1e-12
 
 
 def _angle_finding(run: str, what: str, where: str) -> Finding:
@@ -166,9 +165,9 @@ def _stuck(run: Run, channel: Channel, stimulus: np.ndarray, observed: np.ndarra
     return [
         Finding(
             "stuck_channel", "error", run.name,
-            f"channel '{channel.name}' has the one value {y[0] + 0.0:g} in all {len(y)} rows while its input changes",
-            f"{where}, column '{channel.name}'", "readings that move with the input",
-            "check the channel; leave its cells empty where it cannot be used",
+            f"channel '{channel.name}' has the value {y[0] + 0.0:g} in all {len(y)} rows while its input varies",
+            f"{where}, column '{channel.name}'", "outputs that vary with the input",
+            "check the channel; leave unusable cells empty",
         )
     ]  # fmt: skip
 
@@ -185,15 +184,15 @@ def _saturated(run: Run, channel: Channel, stimulus: np.ndarray, observed: np.nd
                 Finding(
                     "saturated_channel", "error", run.name,
                     f"channel '{channel.name}' reads {extreme:g} in {level.sum()} rows of different input",
-                    f"{where}, column '{channel.name}'", "readings inside the range of the converter",
+                    f"{where}, column '{channel.name}'", "outputs within the range of the converter",
                     "leave the cells of the saturated rows empty",
                 )
             ]  # fmt: skip
     return []
 
 
-def _turns(run: Run, where: str) -> list[Finding]:
-    """Means at an unknown angle whose time to the neighbouring rows does not allow a full turn."""
+def _partial_turns(run: Run, where: str) -> list[Finding]:
+    """Return a warning for means at unknown angle over a time too short for a full turn."""
     span, angle = run.covariates["table_angle_span"], run.covariates["table_angle"]
     rate = np.abs(run.covariates["table_rate"])
     short = np.isnan(angle) & (span < TURN * 0.999)
@@ -217,12 +216,12 @@ def _turns(run: Run, where: str) -> list[Finding]:
 
 
 def _ratio(stimulus: np.ndarray, measured: np.ndarray) -> float:
-    """Return the median of measurement over nominal input, NaN where there is none."""
+    """Return the median ratio of measured to nominal input; NaN if there is none."""
     good = np.isfinite(measured) & (stimulus != 0)
     return float(np.median(measured[good] / stimulus[good])) if good.any() else math.nan
 
 
 def _current_finding(run: str, channel: Channel, ratio: float, where: str) -> Finding:
-    what = f"channel '{channel.name}' answers the current {ratio:.4g} times as much as it should: A for mA?"
+    what = f"channel '{channel.name}' responds with {ratio:.4g} times its nominal scale factor: A for mA?"
     remedy = "convert the column to mA, or correct current_mA_per_g"
     return Finding("current_unit", "error", run, what, f"{where}, column 'current_mA'", "milliamperes", remedy)

@@ -1,8 +1,8 @@
-"""The columns a run table may have, and what each becomes.
+"""The columns of run tables.
 
-The suffix of a column is its unit.  A column that is neither known nor a channel is refused with the closest
-known name, so that a misspelt `table_angle_degs` is not silently left out of the physics; columns that do not
-matter are listed under `ignore` in the run's entry.
+The suffix of a column is its unit.  A column that is neither known nor a channel is an error, reported with the closest
+known names, so that a misspelt `table_angle_degs` is not silently ignored; columns to be ignored are listed under
+`ignore` in the run's entry.
 """
 
 from collections.abc import Sequence
@@ -16,13 +16,13 @@ TEXT_COLUMNS = ("segment", "i_axis", "o_axis")
 
 
 def known_columns() -> tuple[str, ...]:
-    """Return the columns that mean something by their name."""
+    """Return the names of all columns with a fixed meaning."""
     return (*recorded_columns(), *TEXT_COLUMNS, "samples")
 
 
 @dataclass(frozen=True)
 class ColumnLayout:
-    """What the columns of one run table are.
+    """The columns of one run table, by role.
 
     Attributes
     ----------
@@ -40,19 +40,19 @@ class ColumnLayout:
     deviations: tuple[str, ...]
 
     def has(self, column: str) -> bool:
-        """Tell whether a column is read."""
+        """Return whether a column is read."""
         return column in self.numbers or column in self.texts
 
     @property
     def reduced(self) -> bool:
-        """Whether the rows are means of samples already."""
+        """Whether the rows are means of samples."""
         return "samples" in self.numbers
 
 
 def lay_out(
     header: Sequence[str], channels: Sequence[str], ignore: Sequence[str], procedure: Procedure, where: str
 ) -> tuple[ColumnLayout, list[Issue]]:
-    """Sort the columns of a table, and say what is wrong with them."""
+    """Return the column layout of a table, and the issues of its header."""
     deviation_names = {f"{channel}_sd": channel for channel in channels}
     known = (*known_columns(), *channels, *deviation_names)
     issues = _repeated(header, where)
@@ -87,7 +87,7 @@ def _repeated(header: Sequence[str], where: str) -> list[Issue]:
     repeats = {column for column in header if list(header).count(column) > 1}
     return [
         Issue(
-            f"column '{column}' is there more than once" if column else "a column has no name",
+            f"column '{column}' is repeated" if column else "a column has no name",
             f"{where}, header",
             "one name per column, each used once",
             "rename or remove the column",
@@ -104,7 +104,7 @@ def _missing(layout: ColumnLayout, channels: Sequence[str], procedure: Procedure
                 "no channel of the campaign has a column in this table",
                 f"{where}, header",
                 ", ".join(channels),
-                "name the columns of readings as the channels of campaign.toml",
+                "name the output columns after the channels of campaign.toml",
             )
         )
     issues += [

@@ -33,7 +33,7 @@ def add(
     channels
         Channels that the effects act on; by default those the diagnosis named, or all they can act on.
     sample
-        Sample the posterior; by default the Laplace approximation stands for it.
+        Sample the posterior; by default the Laplace approximation is used.
     seed
         Seed of the sampler.
     as_json

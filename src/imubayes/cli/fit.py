@@ -29,7 +29,7 @@ def fit(
     out
         Result folder to write.
     sample
-        Sample the posterior; with --no-sample the Laplace approximation stands for it.
+        Sample the posterior; with --no-sample the Laplace approximation is used.
     seed
         Seed of the sampler.
     resume

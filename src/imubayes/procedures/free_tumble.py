@@ -20,7 +20,7 @@ from imubayes.run import Campaign, Run
 def _stimulus(run: Run, campaign: Campaign) -> Stimulus:
     if run.tumble is None:
         raise input_error(
-            "this free tumble has no rotations between its poses",
+            "the free tumble has no rotations between its poses",
             f"run '{run.name}'",
             "a raw log of all channels with time_s",
             "give the raw log, not means; the poses are found in it",

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
@@ -10,7 +11,7 @@ import polars as pl
 from imubayes.covariates import shown
 from imubayes.inference.fit import Fit
 from imubayes.inference.nested_laplace import posterior_precision
-from imubayes.model.noise_covariance import group_sum, whiten, whitener
+from imubayes.model.noise_covariance import Whitener, group_sum, whiten, whitener
 from imubayes.model.problem import Problem
 from imubayes.model.robust_likelihood import pseudo_values
 from imubayes.records import finite
@@ -71,8 +72,8 @@ def _at_mode(problem: Problem, mode):
     return predicted, jnp.sqrt(jnp.sum(spread**2, axis=0)), noise_deviation(problem, by), whitened
 
 
-def noise_deviation(problem: Problem, by) -> jnp.ndarray:
-    """Return the standard deviation of each entry's noise, what runs have in common included, shape (E,)."""
+def noise_deviation(problem: Problem, by: Whitener) -> jax.Array:
+    """Return the standard deviation of the noise of each entry, including the part common to a run, shape (E,)."""
     weight = by.precision_root**2
     direction = group_sum(by.direction**2, problem.observations)
     # shrink = (1 − 1/√(1 + T|u|²))/|u|² solved for T
