@@ -185,7 +185,7 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "gyro in radians": (column(RATES, "gy", np.deg2rad), "rate_unit", r"rates\.csv, column 'gy'", "1000 pulse/s per deg/s"),
     "gyro per hour": (toml('per = "deg/s"', 'per = "deg/h"'), "rate_unit", r"rates\.csv, column 'gx'", "per deg/h"),
     "accelerometer in m/s²": (column(POSITIONS, "ax", lambda a: a * 9.80665), "acceleration_unit", r"column 'ax'", "per g"),
-    "stuck channel": (column(RATES, "gz", np.zeros_like), "stuck_channel", r"rates\.csv, column 'gz'", "move"),
+    "stuck channel": (column(RATES, "gz", np.zeros_like), "stuck_channel", r"rates\.csv, column 'gz'", "vary"),
     "saturated channel": (column(RATES, "gx", saturate), "saturated_channel", r"rates\.csv, column 'gx'", "range"),
     "means of a free tumble": (toml('procedure = "rate_table"', 'procedure = "free_tumble"'), "free tumble", r"rates\.csv", "raw log"),
     "free tumble at rest": (

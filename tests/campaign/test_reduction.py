@@ -14,6 +14,7 @@ from imubayes.campaign.reduction import block_survey as blocks_module
 from imubayes.campaign.reduction.span_means import accumulate
 from imubayes.campaign.run_columns import ColumnLayout
 from imubayes.campaign.run_tables import TableSource
+from imubayes.procedures import PROCEDURES
 
 
 def reduce_columns(tmp_path: Path, columns: dict, procedure: str = "rate_table"):
@@ -30,7 +31,8 @@ def reduce_columns(tmp_path: Path, columns: dict, procedure: str = "rate_table")
         rows += batch.rows
         if texts:
             tracker.push(batch)
-    return reduce_log(source, procedure, rows, builder.finish(), tracker.spans() if texts else None)
+    spans = tracker.spans() if texts else None
+    return reduce_log(source, PROCEDURES[procedure].reduction, rows, builder.finish(), spans)
 
 
 def rate_log(hz: float = 100.0, seed: int = 0, noise: float = 0.0) -> dict:
