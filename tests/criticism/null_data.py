@@ -38,9 +38,9 @@ def redrawn(fitted: Fit, seed: int, correlation: float = 0.0, change: np.ndarray
     variance, shared = np.zeros(len(group)), np.zeros(len(members))
     for layer in problem.noise:
         if issubclass(layer.noise, EntryNoise):
-            variance += np.asarray(layer.variances(values, problem.observations.entry))
+            variance += np.asarray(layer.entry_variances(values, problem.observations.entry))
         else:
-            shared += np.asarray(layer.variances(values, None))
+            shared += np.asarray(layer.shared_variances(values))
     noise = random.normal(size=len(group))
     for row in members:
         inside = row[row < len(group)]
