@@ -8,7 +8,17 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "imubayes"
 PAGE = ROOT / "ARCHITECTURE.md"
 BLOCK = re.compile(r"(?<=```mermaid\n).*?(?=```)", re.DOTALL)
-FOUNDATION = ("errors", "units", "types", "gather", "frames", "earth", "records", "presentation", "atomic_files")
+FOUNDATION = (
+    "errors",
+    "units",
+    "array_shapes",
+    "gather",
+    "rotations",
+    "earth",
+    "json_record",
+    "representation",
+    "atomic_files",
+)
 """Bottom-floor modules, which everything may use: one node, without arrows to it."""
 
 

@@ -8,11 +8,11 @@ from functools import cache
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table, Tumble
 from imubayes.earth import normal_gravity
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
-from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table, Tumble
 
 LATITUDE, HEIGHT = np.radians(34.25), 400.0
 GRAVITY = normal_gravity(LATITUDE, HEIGHT)

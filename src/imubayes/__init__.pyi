@@ -1,19 +1,19 @@
 from .api import Addition, Result, add, diagnose, export, fit, history, plant, read_result
+from .array_shapes import Scalar, vector3
 from .campaign import check_campaign, load_campaign
-from .criticism.diagnosis import Diagnosis
-from .display.comparison import compare
+from .campaign_data import Campaign
+from .criticism.diagnosis_record import Diagnosis
+from .display.model_against_measurement import compare
 from .effects.base import Effect, MotionEffect, Order, PlaceEffect, RecordEffect, SignalEffect, Stage
 from .effects.memory import Decay, Play
 from .errors import InputError
-from .frames import compose, cross, exponential, rotate
-from .inference.density_sampling import Samples, sample
 from .inference.ensemble_sampling import Settings
+from .inference.sample_user_density import Samples, sample
 from .model.model_file import load_model
 from .noise.base import Entry, EntryNoise, Noise, SeriesNoise, SharedNoise, TailNoise
-from .parameters.parameter import option, parameter, reference_temperature, time_constant
-from .run import Campaign
-from .stimulus import Ambient, Experience, Motion, Sample
-from .types import Scalar, vector3
+from .parameters.parameter_declarations import option, parameter, reference_temperature, time_constant
+from .rotations import compose, cross, exponential, rotate
+from .signal_path_state import Ambient, Experience, Motion, Sample
 from .units import dimension, to_si
 
 __version__: str

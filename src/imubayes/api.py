@@ -6,20 +6,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import imubayes.display.presentation  # noqa: F401  (records learn how to show themselves)
+import imubayes.display.registered_representations  # noqa: F401  (records learn how to show themselves)
 from imubayes.atomic_files import refuse_existing
 from imubayes.campaign import load_campaign
+from imubayes.campaign_data import Campaign
 from imubayes.criticism.addition import Refit, refit_with
 from imubayes.criticism.cross_validation import objection
-from imubayes.criticism.diagnosis import Diagnosis
+from imubayes.criticism.diagnose import judge
+from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.injection_recovery import Size, Trials, plant_effects
-from imubayes.criticism.judge import judge
 from imubayes.criticism.model_history import Tree
 from imubayes.errors import input_error
 from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.ensemble_sampling import Settings
-from imubayes.inference.fit import Fit
-from imubayes.inference.joint_fit import joint_fit
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import ModelSpec
@@ -28,7 +29,6 @@ from imubayes.results.folder_state import CHECKPOINT, claim, claim_new
 from imubayes.results.history_file import first_node, read_tree, remember, write_node
 from imubayes.results.loop_files import read_diagnosis, write_addition
 from imubayes.results.result import Result, read_result, result_of
-from imubayes.run import Campaign
 
 
 def fit(

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.types import Array, Int
+from imubayes.array_shapes import Array, Int
 
 
 def take(values: Array, places: Int[Array, "..."]) -> Array:

@@ -10,8 +10,8 @@ import pytest
 from small_files import DEGREE, EARTH, GRAVITY, write_csv
 
 from imubayes.campaign import FINDINGS, check_campaign, inspect_campaign, load_campaign
+from imubayes.campaign_data import Channel, Mounting, Site, Table
 from imubayes.procedures.kinematics import nominal_input
-from imubayes.run import Channel, Mounting, Site, Table
 
 Change = Callable[[dict], None]
 

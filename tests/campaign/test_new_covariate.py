@@ -10,13 +10,13 @@ from imubayes.criticism.residual_covariates import covariates
 from imubayes.criticism.term_library import library
 from imubayes.display.figures.panels import abscissa
 from imubayes.display.labels import covariates_of, numbers
-from imubayes.inference.fit import Fit
-from imubayes.inference.joint_fit import joint_fit
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.procedures import PROCEDURES
 from imubayes.results.residuals import residuals_of
-from imubayes.stimulus import Ambient
+from imubayes.signal_path_state import Ambient
 from imubayes.units import same_dimension
 
 HUMIDITY = Covariate("humidity", "humidity_pct", "%", "1", "relative humidity", symbol="H")

@@ -12,9 +12,9 @@ from scipy import stats
 from imubayes.covariates import ambient_names
 from imubayes.effects.base import MotionEffect, PlaceEffect, RecordEffect, Stage
 from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, SharedNoise, TailNoise
-from imubayes.parameters.parameter import declared_options, declared_parameters
+from imubayes.parameters.parameter_declarations import declared_options, declared_parameters
 from imubayes.parameters.priors import Prior, parse_prior
-from imubayes.stimulus import Ambient, Experience, Motion, Records, Sample
+from imubayes.signal_path_state import Ambient, Experience, Motion, Records, Sample
 from imubayes.units import dimension, to_si
 
 GRAVITY = 9.7966

@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.campaign_data import Campaign
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import Model, bind
 from imubayes.model.effect_registry import Registry
-from imubayes.model.nodes import join_nodes
+from imubayes.model.nodes_and_entries import join_nodes
 from imubayes.model.problem import predict
-from imubayes.run import Campaign
 from small_campaign import (
     campaign,
     driven_campaign,

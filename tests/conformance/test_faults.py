@@ -5,14 +5,14 @@ import laws
 import pytest
 import recover
 
+from imubayes.array_shapes import Scalar
 from imubayes.effects.base import Order, RecordEffect, SignalEffect, Stage
 from imubayes.effects.memory import Decay
 from imubayes.errors import InputError
 from imubayes.model.effect_registry import Registry
 from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, TailNoise
-from imubayes.parameters.parameter import option, parameter
-from imubayes.stimulus import Ambient, Sample
-from imubayes.types import Scalar
+from imubayes.parameters.parameter_declarations import option, parameter
+from imubayes.signal_path_state import Ambient, Sample
 
 
 class GyroTrend(SignalEffect):

@@ -18,7 +18,7 @@ from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
 from imubayes.noise.base import Noise
-from imubayes.parameters.parameter import declared_options, declared_parameters, named_in
+from imubayes.parameters.parameter_declarations import declared_options, declared_parameters, named_in
 
 MEMBERS = Registry().effects
 EFFECTS = {name: member for name, member in MEMBERS.items() if issubclass(member, Effect)}

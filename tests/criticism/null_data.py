@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.campaign import load_campaign
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model

@@ -14,10 +14,10 @@ from loop_results import CAMPAIGN, LACKING, lacking_model
 import imubayes.criticism.addition as addition_module
 from imubayes.api import Addition, Result, add, export, fit
 from imubayes.criticism.cross_validation import groups, objection, predict_left_out, summarise_gains
-from imubayes.criticism.diagnosis import EffectChoice
+from imubayes.criticism.diagnosis_record import EffectChoice
 from imubayes.criticism.warm_start import extend
 from imubayes.errors import InputError
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.inference.posterior_precision import linearise

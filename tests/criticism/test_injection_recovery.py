@@ -7,13 +7,13 @@ import pytest
 from loop_results import CAMPAIGN, lacking_model
 
 from imubayes.campaign import load_campaign
-from imubayes.criticism.diagnosis import Diagnosis, EffectGroup, RmsChange, Verdict
+from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, RmsChange, Verdict
 from imubayes.criticism.injection_recovery import Size, plant_effects, refitted
 from imubayes.criticism.warm_start import extend
 from imubayes.display.injection_report import injection_json
 from imubayes.errors import InputError
-from imubayes.inference.fit import Fit
-from imubayes.inference.joint_fit import joint_fit
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 
 

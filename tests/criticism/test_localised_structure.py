@@ -8,8 +8,8 @@ from null_data import fitted_to, redrawn
 from scipy import stats
 
 from imubayes.criticism.candidate_effects import candidate_responses
-from imubayes.criticism.judge import judge
-from imubayes.criticism.lack_of_fit import free_forms, project_forms, screen_structure
+from imubayes.criticism.diagnose import judge
+from imubayes.criticism.free_form_dependence import free_forms, project_forms, screen_structure
 from imubayes.criticism.localised_structure import STEP, features, scan_features
 from imubayes.criticism.multiple_testing import look_elsewhere
 from imubayes.criticism.projection import project

@@ -10,12 +10,12 @@ from null_data import fitted_to, redrawn, refitted, with_values
 import imubayes.criticism.stepwise_search as search_module
 from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.cross_validation import groups, predict_left_out
-from imubayes.criticism.judge import judge
+from imubayes.criticism.diagnose import judge
 from imubayes.criticism.noise_tests import screen_noise, to_entries
 from imubayes.criticism.outliers import consecutive
 from imubayes.criticism.projection import project
 from imubayes.display.diagnosis_report import diagnosis_json
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import linearise
 from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec

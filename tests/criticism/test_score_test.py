@@ -10,7 +10,7 @@ from scipy import stats
 import imubayes.criticism.stepwise_search as search_module
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import candidate_responses
-from imubayes.criticism.judge import judge
+from imubayes.criticism.diagnose import judge
 from imubayes.criticism.multiple_testing import look_elsewhere
 from imubayes.criticism.projection import project
 from imubayes.criticism.score_test import project_responses, screen

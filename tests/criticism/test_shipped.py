@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from null_data import fitted_to
 
-from imubayes.criticism.judge import judge
+from imubayes.criticism.diagnose import judge
 from imubayes.display.diagnosis_report import diagnosis_json
 
 ROOT = Path(__file__).parents[2]

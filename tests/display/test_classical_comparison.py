@@ -16,7 +16,7 @@ from imubayes.display.classical_comparison import (
     decision_sheet,
     undetermined_sheet,
 )
-from imubayes.display.sheet import terminal
+from imubayes.display.table_layout import terminal
 from imubayes.procedures.textbook import Estimate, Undetermined
 
 ROOT = Path(__file__).parents[2]

@@ -12,8 +12,8 @@ import synthetic_results as made
 import xarray as xr
 from PIL import Image
 
-from imubayes.display.comparison import Comparison, compare
 from imubayes.display.figure_selection import corner_choice
+from imubayes.display.model_against_measurement import Comparison, compare
 from imubayes.errors import InputError
 from imubayes.results.posterior_draws import draws_of
 

@@ -8,7 +8,7 @@ import pytest
 
 from imubayes.criticism.cross_validation import CrossValidation
 from imubayes.criticism.detectability import Absorber
-from imubayes.criticism.diagnosis import (
+from imubayes.criticism.diagnosis_record import (
     Amplitude,
     AskedEffect,
     CoefficientEstimate,
@@ -31,12 +31,12 @@ from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, Tr
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.display import diagnosis_report as shown
+from imubayes.display.figures.evidence_pictures import before_after, followed_covariate, save_evidence
 from imubayes.display.figures.history_steps import error_per_step_figure, history_figure
 from imubayes.display.figures.residual_evidence import added_variable_figure
-from imubayes.display.figures.save import before_after, followed_covariate, save_evidence
 from imubayes.display.history_table import history_json, history_sheet
 from imubayes.display.injection_report import injection_json, injection_report, injection_sheet
-from imubayes.display.report import print_report
+from imubayes.display.report_layout import print_report
 from imubayes.errors import InputError
 from imubayes.results.loop_files import read_diagnosis, write_diagnosis
 

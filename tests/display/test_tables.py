@@ -8,10 +8,10 @@ import pytest
 import synthetic_results as made
 from rich.console import Console
 
-from imubayes.display.fit_tables import fit_sheet, next_run_sheet, run_sheet, weak_sheet
-from imubayes.display.html import summary_html
+from imubayes.display.fit_quality_tables import fit_sheet, next_run_sheet, run_sheet, weak_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
-from imubayes.display.sheet import Sheet, terminal
+from imubayes.display.summary_html import summary_html
+from imubayes.display.table_layout import Sheet, terminal
 from imubayes.results.summary import RunSummary, Summary
 
 
@@ -167,6 +167,8 @@ def test_names_with_brackets_are_not_taken_for_markup(summary):
 
 
 def test_tables_do_without_matplotlib():
-    code = "import sys, imubayes.display.sheet, imubayes.display.html; print('matplotlib' in sys.modules)"
+    code = (
+        "import sys, imubayes.display.table_layout, imubayes.display.summary_html; print('matplotlib' in sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

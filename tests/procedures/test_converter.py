@@ -7,7 +7,7 @@ import pytest
 
 from imubayes.campaign import load_campaign
 from imubayes.procedures.classical import classical
-from imubayes.procedures.converter_ramp import converter_test
+from imubayes.procedures.converter_temperature import converter_test
 from imubayes.procedures.textbook import Estimate, Undetermined, line
 
 ROOT = Path(__file__).parents[2]

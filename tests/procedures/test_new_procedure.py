@@ -5,7 +5,7 @@ import pytest
 
 from imubayes.campaign import inspect_campaign, load_campaign
 from imubayes.display.figures.measurement import driver
-from imubayes.inference.joint_fit import joint_fit
+from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.procedures import PROCEDURES, Procedure, Reduction

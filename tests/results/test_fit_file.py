@@ -9,7 +9,7 @@ import pytest
 
 from imubayes.api import Result, fit
 from imubayes.errors import InputError
-from imubayes.inference.joint_fit import model_hash
+from imubayes.inference.run_fit import model_hash
 from imubayes.model.likelihood import residuals
 from imubayes.results.result import read_result
 

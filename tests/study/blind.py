@@ -98,7 +98,7 @@ def mode_from(declared: Any, z: np.ndarray, h: np.ndarray) -> Any:
     """Return the fit of a declared model, started from a point."""
     import jax.numpy as jnp
 
-    from imubayes.inference.fit import Fit
+    from imubayes.inference.fitted_model import Fit
     from imubayes.inference.posterior_mode import find_mode, message
 
     mode = find_mode(declared.problem, jnp.asarray(z), jnp.asarray(h))
@@ -107,7 +107,7 @@ def mode_from(declared: Any, z: np.ndarray, h: np.ndarray) -> Any:
 
 def diagnosed(fitted: Any, effect: str = "") -> Document:
     """Return what the diagnosis says, of all or of one effect, without the tail of the ranking."""
-    from imubayes.criticism.judge import judge
+    from imubayes.criticism.diagnose import judge
     from imubayes.display.diagnosis_report import diagnosis_json
 
     document = diagnosis_json(judge(fitted, effect=effect))
@@ -192,11 +192,11 @@ def start_worker() -> None:
     sys.path.insert(0, str(ROOT / "data" / "generators"))
     import jax
 
-    import imubayes.criticism.diagnosis
+    import imubayes.criticism.diagnosis_record
     import imubayes.results.summarise
 
     imubayes.results.summarise.next_runs = lambda *_: ()
-    imubayes.criticism.diagnosis.separating_run = lambda *_: None
+    imubayes.criticism.diagnosis_record.separating_run = lambda *_: None
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax-study"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

@@ -19,7 +19,7 @@ import numpy as np
 
 from imubayes.campaign import load_campaign
 from imubayes.inference.ensemble_sampling import Settings
-from imubayes.inference.joint_fit import joint_fit
+from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 

@@ -6,11 +6,11 @@ import numpy as np
 
 from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.findings import Finding
-from imubayes.campaign.geographic_directions import DIRECTION_COLUMNS
+from imubayes.campaign.named_directions import DIRECTION_COLUMNS
 from imubayes.campaign.run_columns import TEXT_COLUMNS, ColumnLayout
+from imubayes.campaign_data import Channel, Run, Tumble
 from imubayes.covariates import recorded
 from imubayes.procedures import PROCEDURES, Procedure
-from imubayes.run import Channel, Run, Tumble
 
 TURN = 2 * np.pi
 

@@ -28,9 +28,9 @@ from imubayes.campaign.run_columns import known_columns
 from imubayes.campaign.servo_angle import with_angles
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.campaign.valid_entries import Draft, draft_of
+from imubayes.campaign_data import Campaign, Channel, Run, Site
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.procedures import PROCEDURES, procedure_named
-from imubayes.run import Campaign, Channel, Run, Site
 from imubayes.units import STANDARD_GRAVITY
 
 CAMPAIGN_FILE = "campaign.toml"

@@ -12,10 +12,10 @@ import numpy as np
 
 from imubayes.campaign.file_schemas import ChannelEntry, MountingEntry, SiteEntry, TableEntry
 from imubayes.campaign.toml_documents import Ledger
+from imubayes.campaign_data import Channel, Mounting, Site, Table
 from imubayes.earth import normal_gravity
 from imubayes.errors import closest_first
 from imubayes.procedures import procedure_named
-from imubayes.run import Channel, Mounting, Site, Table
 from imubayes.units import to_si
 
 DEGREE, ARCMIN, ARCSEC, PPM, MILLIAMPERE = (to_si(unit) for unit in ("deg", "arcmin", "arcsec", "ppm", "mA"))

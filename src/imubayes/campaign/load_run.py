@@ -14,15 +14,15 @@ from imubayes.campaign.build_run import build_run, unused_columns
 from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.free_tumble import reduce_tumble
-from imubayes.campaign.geographic_directions import DIRECTION_COLUMNS, attitudes
+from imubayes.campaign.named_directions import DIRECTION_COLUMNS, attitudes
 from imubayes.campaign.physical_checks import check_log, check_rows
 from imubayes.campaign.reduction import BlockBuilder, BlockSurvey, SegmentTracker, Span, reduce_log
 from imubayes.campaign.run_columns import lay_out
 from imubayes.campaign.run_tables import TableSource, read_header
 from imubayes.campaign.stream_checks import Monitor
+from imubayes.campaign_data import Channel, Mounting, Run, Site, Table
 from imubayes.errors import InputError, Issue, input_error
 from imubayes.procedures import PROCEDURES, Reduction, procedure_named
-from imubayes.run import Channel, Mounting, Run, Site, Table
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.reduction import BlockSurvey
+from imubayes.campaign_data import Channel, Mounting, Run, Site, Table
 from imubayes.procedures import PROCEDURES
-from imubayes.run import Channel, Mounting, Run, Site, Table
 
 DEGREE = math.pi / 180
 TURN = 2 * math.pi

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from imubayes.campaign_data import Channel, Run, Table
 from imubayes.procedures import PROCEDURES
-from imubayes.run import Channel, Run, Table
 from imubayes.units import to_si
 
 ANGLE = "table_angle"

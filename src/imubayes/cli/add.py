@@ -48,7 +48,7 @@ def add(
         raise input_error("no effect is named", "command line", "imubayes effects lists them", "name one")
     from imubayes.api import add as add_effects
     from imubayes.display.addition_report import addition_report, next_command
-    from imubayes.display.report import print_report
+    from imubayes.display.report_layout import print_report
 
     with progress() as tell:
         addition = add_effects(to, effects, out, split(channels), sample=sample, seed=seed, progress=tell)

@@ -21,8 +21,8 @@ def classical(campaign: Path, *, result: Path | None = None, as_json: Json = Fal
     """
     from imubayes.campaign import load_campaign
     from imubayes.display.classical_comparison import classical_json, compare_classical
-    from imubayes.display.report import print_report
-    from imubayes.display.terminal import classical_report
+    from imubayes.display.fit_report import classical_report
+    from imubayes.display.report_layout import print_report
     from imubayes.errors import input_error
     from imubayes.procedures.classical import classical as evaluate
     from imubayes.results.fit_file import read_record

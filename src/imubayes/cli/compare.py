@@ -15,8 +15,8 @@ def compare(result: Path, *, parameters: list[str] | None = None) -> int:
     parameters
         Names for the corner plot; by default the mounting angles and scale factors that are determined least.
     """
-    from imubayes.display.comparison import compare as compare_result
-    from imubayes.display.comparison import print_comparison
+    from imubayes.display.model_against_measurement import compare as compare_result
+    from imubayes.display.model_against_measurement import print_comparison
 
     print_comparison(compare_result(result, parameters=parameters))
     return 0

@@ -33,8 +33,8 @@ def diagnose(
     start_jax()
     from imubayes.api import diagnose as find_missing
     from imubayes.display.diagnosis_report import diagnosis_json, diagnosis_report, effect_source
-    from imubayes.display.figures.save import save_evidence
-    from imubayes.display.report import print_report
+    from imubayes.display.figures.evidence_pictures import save_evidence
+    from imubayes.display.report_layout import print_report
     from imubayes.results.loop_files import write_diagnosis
 
     with progress() as tell:

@@ -43,8 +43,8 @@ def fit(
 
     start_jax()
     from imubayes.api import fit as fit_campaign
-    from imubayes.display.report import print_report
-    from imubayes.display.terminal import summary_report
+    from imubayes.display.fit_report import summary_report
+    from imubayes.display.report_layout import print_report
 
     with progress() as tell:
         result = fit_campaign(campaign, model, out, sample=sample, seed=seed, resume=resume, progress=tell)

@@ -40,7 +40,7 @@ def history(
     from imubayes.api import history as read
     from imubayes.atomic_files import refuse_existing
     from imubayes.display.history_table import history_json, history_report
-    from imubayes.display.report import print_report
+    from imubayes.display.report_layout import print_report
     from imubayes.results.history_file import select as select_node
 
     if export is not None:

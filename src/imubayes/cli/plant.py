@@ -51,7 +51,7 @@ def plant(
     from imubayes.api import plant as plant_effects
     from imubayes.criticism.injection_recovery import Size
     from imubayes.display.injection_report import injection_json, injection_report
-    from imubayes.display.report import print_report
+    from imubayes.display.report_layout import print_report
 
     with progress() as tell:
         trials = plant_effects(

@@ -9,7 +9,7 @@ _RECORDS = {
     "campaign": ("imubayes.campaign.file_schemas", "CampaignFile"),
     "model": ("imubayes.campaign.file_schemas", "ModelFile"),
     "plan": ("imubayes.simulation.test_plan", "PlanFile"),
-    "diagnosis": ("imubayes.criticism.diagnosis", "Diagnosis"),
+    "diagnosis": ("imubayes.criticism.diagnosis_record", "Diagnosis"),
     "addition": ("imubayes.results.addition", "Addition"),
     "history": ("imubayes.criticism.model_history", "Node"),
     "summary": ("imubayes.results.summary", "Summary"),

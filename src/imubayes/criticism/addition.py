@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.criticism.cross_validation import CrossValidation, cross_validate, objection, observed_delta_chi2
-from imubayes.criticism.diagnosis import CoefficientEstimate, Diagnosis, ScreenedEffect
+from imubayes.criticism.diagnosis_record import CoefficientEstimate, Diagnosis, ScreenedEffect
 from imubayes.criticism.warm_start import Extension, extend
 from imubayes.errors import InputError, Issue
-from imubayes.inference.fit import Fit
-from imubayes.inference.joint_fit import joint_fit
-from imubayes.records import Record, finite
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.run_fit import joint_fit
+from imubayes.json_record import Record, finite
 
 
 class Prediction(Record):

@@ -12,18 +12,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.campaign_data import Campaign
 from imubayes.effects.base import Effect, MotionEffect
 from imubayes.gather import on_device
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.model.assembly import assemble
 from imubayes.model.bound_effects import BoundEffect, NoChannelError, NotObservableError, bind_effect
 from imubayes.model.build_problem import build_problem
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.model_spec import EffectSpec
 from imubayes.model.problem import Problem, predict_from
-from imubayes.parameters.parameter import declared_parameters
+from imubayes.parameters.parameter_declarations import declared_parameters
 from imubayes.parameters.vector import Parameter
-from imubayes.run import Campaign
 
 
 @dataclass(frozen=True)

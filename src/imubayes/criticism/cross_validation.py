@@ -14,18 +14,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.diagnosis import RmsChange
+from imubayes.criticism.diagnosis_record import RmsChange
 from imubayes.criticism.warm_start import Extension
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.noise_marginal import slope
 from imubayes.inference.posterior_mode import find_mode, fit_at, mode_near
 from imubayes.inference.posterior_precision import Linearised, linearise
+from imubayes.json_record import Record, finite
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import residuals
 from imubayes.model.problem import masked
 from imubayes.model.robust_likelihood import has_heavy_tails
 from imubayes.parameters.vector import Layout
-from imubayes.records import Record, finite
 from imubayes.units import to_si
 
 _residuals = eqx.filter_jit(residuals)

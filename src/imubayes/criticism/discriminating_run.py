@@ -15,7 +15,7 @@ from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.score_test import Candidate
 from imubayes.inference.experiment_design import with_planned
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import ScoreTest, score_test
 from imubayes.criticism.term_library import Term, library
-from imubayes.records import Record, finite
+from imubayes.json_record import Record, finite
 
 # Sorts of terms that are chosen from many: penalised against plain ones.
 _ELABORATE = ("product", "wave")

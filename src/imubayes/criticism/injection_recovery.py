@@ -13,20 +13,20 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
+from imubayes.campaign_data import Campaign
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import searchable
-from imubayes.criticism.diagnosis import Diagnosis, Verdict
-from imubayes.criticism.judge import judge
+from imubayes.criticism.diagnose import judge
+from imubayes.criticism.diagnosis_record import Diagnosis, Verdict
 from imubayes.criticism.warm_start import extended, whitened
 from imubayes.errors import InputError, Issue
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode, message
 from imubayes.model.bind import Model, bind
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict
-from imubayes.parameters.parameter import Declared
-from imubayes.presentation import Presented
-from imubayes.run import Campaign
+from imubayes.parameters.parameter_declarations import Declared
+from imubayes.representation import Presented
 from imubayes.simulation.simulate import random_stream, simulate
 
 Screen = Callable[[Fit], Diagnosis]

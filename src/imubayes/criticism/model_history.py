@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from imubayes.criticism.cross_validation import CrossValidation
-from imubayes.criticism.diagnosis import EffectChoice, Verdict
-from imubayes.presentation import Presented
-from imubayes.records import Record
+from imubayes.criticism.diagnosis_record import EffectChoice, Verdict
+from imubayes.json_record import Record
+from imubayes.representation import Presented
 
 
 class ChannelRms(Record):

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.linalg
 
 from imubayes.criticism import thresholds
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Observations, Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values

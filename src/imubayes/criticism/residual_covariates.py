@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.covariates import Covariate, regressors
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.model.problem import Problem, row_means, signal_path, values_of
 
 

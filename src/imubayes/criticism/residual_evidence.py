@@ -7,7 +7,7 @@ import numpy as np
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
-from imubayes.criticism.lack_of_fit import Structure
+from imubayes.criticism.free_form_dependence import Structure
 from imubayes.criticism.projection import PRIOR, Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import Candidate, ProjectedResponse

@@ -9,7 +9,13 @@ import numpy as np
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses, candidate_responses
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
-from imubayes.criticism.lack_of_fit import ProjectedForm, Structure, free_forms, project_forms, screen_structure
+from imubayes.criticism.free_form_dependence import (
+    ProjectedForm,
+    Structure,
+    free_forms,
+    project_forms,
+    screen_structure,
+)
 from imubayes.criticism.localised_structure import FeatureScan, FeatureSet, features, scan_features
 from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
 from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, Prewhitening, prewhitening, screen_noise
@@ -17,7 +23,7 @@ from imubayes.criticism.outliers import clustered, consecutive, deletion_residua
 from imubayes.criticism.projection import Projection, orthonormal, project
 from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
 from imubayes.criticism.score_test import Candidate, ProjectedResponse, project_responses, screen
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.problem import masked
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.equivalent_effects import unexplained_chi2
-from imubayes.criticism.lack_of_fit import Structure
+from imubayes.criticism.free_form_dependence import Structure
 from imubayes.criticism.localised_structure import STEP
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.stepwise_search import SearchResult

@@ -12,12 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from imubayes.array_shapes import Array, Float
+from imubayes.campaign_data import Campaign
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import fitting_channels
-from imubayes.criticism.diagnosis import CoefficientEstimate
+from imubayes.criticism.diagnosis_record import CoefficientEstimate
 from imubayes.effects.base import MotionEffect
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import Linearised, linearise
+from imubayes.json_record import finite
 from imubayes.model.bind import Model, bind
 from imubayes.model.dry_run import dry_run
 from imubayes.model.effect_registry import EffectClass, Registry
@@ -25,12 +28,9 @@ from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
-from imubayes.parameters.parameter import Declared
+from imubayes.parameters.parameter_declarations import Declared
 from imubayes.parameters.priors import Normal
 from imubayes.parameters.vector import Layout, Parameter
-from imubayes.records import finite
-from imubayes.run import Campaign
-from imubayes.types import Array, Float
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 
 from imubayes.criticism.cross_validation import CrossValidation
-from imubayes.criticism.diagnosis import RmsChange
+from imubayes.criticism.diagnosis_record import RmsChange
 from imubayes.display.labels import pretty, readable
-from imubayes.display.report import Report
+from imubayes.display.report_layout import Report
 from imubayes.display.rounding import significant, value_and_sd
-from imubayes.display.sheet import Cell, Sheet
+from imubayes.display.table_layout import Cell, Sheet
 from imubayes.results.addition import Addition, RunRmsChange
 
 _VERDICTS = {

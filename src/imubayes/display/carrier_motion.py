@@ -7,13 +7,13 @@ import numpy as np
 import polars as pl
 
 from imubayes.atomic_files import write_text
+from imubayes.campaign_data import Campaign, Run
 from imubayes.display.figures.modulation import modulation_figure
 from imubayes.display.theme import Picture
 from imubayes.earth import earth_rate, table_to_local
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.procedures.rotation_modulation import Carrier, attenuation, carrier
 from imubayes.results.summary import Summary
-from imubayes.run import Campaign, Run
 from imubayes.units import to_si
 
 _BIASES = {"gyro": "gyro_bias.bias", "accelerometer": "accel_bias.bias"}

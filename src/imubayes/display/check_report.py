@@ -7,9 +7,9 @@ from rich.console import Console
 from rich.table import Table as Grid
 
 from imubayes.campaign import Inspection
+from imubayes.campaign_data import Campaign
 from imubayes.errors import InputError
 from imubayes.model.bind import Model
-from imubayes.run import Campaign
 
 
 def inspection_json(inspection: Inspection, model: Model | None) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from typing import Any
 
 from imubayes.display.labels import pretty
 from imubayes.display.rounding import significant, value_and_sd
-from imubayes.display.sheet import Cell, Sheet
+from imubayes.display.table_layout import Cell, Sheet
+from imubayes.json_record import finite
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined
-from imubayes.records import finite
 from imubayes.results.summary import Conformance, DerivedSummary, Quantity, Summary
 
 # A difference beyond so many combined standard deviations is one that the classical uncertainty does not cover.

@@ -5,17 +5,17 @@ from pathlib import Path
 from typing import Any
 
 from imubayes.criticism.detectability import ParameterBias
-from imubayes.criticism.diagnosis import (
+from imubayes.criticism.diagnosis_record import (
     Diagnosis,
     EffectGroup,
     RankedEffect,
     UndetectableEffect,
 )
-from imubayes.display.criticism_words import formula_source, step_text, structure_shape
 from imubayes.display.labels import listed, pretty
-from imubayes.display.report import Report
+from imubayes.display.report_layout import Report
 from imubayes.display.rounding import percent, significant, value_and_sd
-from imubayes.display.sheet import Cell, Sheet
+from imubayes.display.structure_words import formula_source, step_text, structure_shape
+from imubayes.display.table_layout import Cell, Sheet
 from imubayes.errors import InputError, Issue
 
 _MOST_NAMED, _MOST_RANKED, _MOST_STRUCTURES, _MOST_OUTLIERS = 3, 10, 6, 8

@@ -6,12 +6,12 @@ from rich.console import Console
 from rich.table import Column
 from rich.table import Table as Grid
 
+from imubayes.campaign_data import Campaign
 from imubayes.covariates import COVARIATES
 from imubayes.effects.base import Effect, MotionEffect
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.observability import observability
-from imubayes.parameters.parameter import declared_options, declared_parameters
-from imubayes.run import Campaign
+from imubayes.parameters.parameter_declarations import declared_options, declared_parameters
 
 
 def print_catalogue() -> None:

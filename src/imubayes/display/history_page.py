@@ -16,10 +16,10 @@ from imubayes.display.addition_report import (
     next_command,
     run_change_sheet,
 )
+from imubayes.display.figures.evidence_pictures import added_variable, before_after
 from imubayes.display.figures.history_steps import error_per_step_figure, history_figure
-from imubayes.display.figures.save import added_variable, before_after
 from imubayes.display.history_table import history_sheet
-from imubayes.display.sheet import Sheet
+from imubayes.display.table_layout import Sheet
 from imubayes.display.templates import render
 from imubayes.display.theme import Picture
 from imubayes.results.history_file import shown_place

@@ -5,9 +5,9 @@ from typing import Any
 
 from imubayes.criticism.model_history import Node, Tree, rms_by_unit
 from imubayes.display.labels import pretty, readable
-from imubayes.display.report import Report
+from imubayes.display.report_layout import Report
 from imubayes.display.rounding import ratio_text, significant
-from imubayes.display.sheet import Cell, Sheet
+from imubayes.display.table_layout import Cell, Sheet
 from imubayes.results.history_file import shown_place
 
 

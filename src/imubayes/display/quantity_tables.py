@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from imubayes.display.fit_tables import NOT_DETERMINED, alarm_of, more
+from imubayes.display.fit_quality_tables import NOT_DETERMINED, alarm_of, more
 from imubayes.display.labels import pretty
 from imubayes.display.rounding import percent, rounded, value_and_sd
-from imubayes.display.sheet import Cell, Sheet
+from imubayes.display.table_layout import Cell, Sheet
 from imubayes.results.summary import ParameterSummary, Quantity, Summary
 
 R_HAT, EFFECTIVE_SIZE = 1.01, 400.0

@@ -13,7 +13,7 @@ from imubayes.effects import (
     table,
 )
 from imubayes.effects.base import Effect, MotionEffect, Order, PlaceEffect, RecordEffect, SignalEffect, Stage
-from imubayes.parameters.parameter import named_in
+from imubayes.parameters.parameter_declarations import named_in
 
 FAMILIES = (table, reference_gyro, mounting, gyro_sensitivities, gyro_bias_and_scale, accelerometer, converter)
 EFFECTS: tuple[type[Effect], ...] = tuple(effect for family in FAMILIES for effect in named_in(family, Effect))

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from imubayes.array_shapes import Scalar
 from imubayes.effects.base import Order, SignalEffect
 from imubayes.effects.shared_formulas import (
     Accelerometer,
@@ -22,9 +23,8 @@ from imubayes.effects.shared_formulas import (
     ThirdOrderNonlinearity,
     WarmUp,
 )
-from imubayes.parameters.parameter import parameter, time_constant
-from imubayes.stimulus import Sample
-from imubayes.types import Scalar
+from imubayes.parameters.parameter_declarations import parameter, time_constant
+from imubayes.signal_path_state import Sample
 
 
 class AccelMisalignment(Accelerometer, Misalignment):

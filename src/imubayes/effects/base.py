@@ -28,11 +28,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from imubayes.array_shapes import Array, Float, Scalar
+from imubayes.campaign_data import Kind
 from imubayes.effects.memory import Decay, Play, inclusive_scan
 from imubayes.gather import take
-from imubayes.run import Kind
-from imubayes.stimulus import Ambient, Experience, Motion, Records, Sample, SignalPath
-from imubayes.types import Array, Float, Scalar
+from imubayes.signal_path_state import Ambient, Experience, Motion, Records, Sample, SignalPath
 
 
 class Stage(IntEnum):

@@ -1,5 +1,6 @@
 """Bias and scale factor of a gyro, over temperature and time, and its dead zone."""
 
+from imubayes.array_shapes import Scalar
 from imubayes.effects.base import Order, RecordEffect
 from imubayes.effects.memory import Play
 from imubayes.effects.shared_formulas import (
@@ -17,9 +18,8 @@ from imubayes.effects.shared_formulas import (
     ThermalRateBias,
     WarmUp,
 )
-from imubayes.parameters.parameter import parameter, time_constant
-from imubayes.stimulus import Ambient, Sample
-from imubayes.types import Scalar
+from imubayes.parameters.parameter_declarations import parameter, time_constant
+from imubayes.signal_path_state import Ambient, Sample
 
 
 class GyroBias(Gyro, ConstantBias):

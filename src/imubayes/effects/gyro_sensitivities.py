@@ -1,5 +1,6 @@
 """Effects of a gyro's inputs: input axis, acceleration sensitivity, scale factor nonlinearity, magnetic field."""
 
+from imubayes.array_shapes import Scalar
 from imubayes.effects.base import Order, SignalEffect
 from imubayes.effects.shared_formulas import (
     Gyro,
@@ -8,10 +9,9 @@ from imubayes.effects.shared_formulas import (
     SecondOrderNonlinearity,
     ThirdOrderNonlinearity,
 )
-from imubayes.frames import cross
-from imubayes.parameters.parameter import option, parameter
-from imubayes.stimulus import Sample
-from imubayes.types import Scalar
+from imubayes.parameters.parameter_declarations import option, parameter
+from imubayes.rotations import cross
+from imubayes.signal_path_state import Sample
 
 _TESLA_PER_UT = 1e-6
 

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from imubayes.types import Scalar, Scalars
+from imubayes.array_shapes import Scalar, Scalars
 
 
 class Decay(eqx.Module):

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 
+from imubayes.array_shapes import Scalar, vector3
 from imubayes.effects.base import MotionEffect, PlaceEffect, Stage
 from imubayes.effects.shared_formulas import BodyRotation
-from imubayes.frames import compose, cross, exponential
-from imubayes.parameters.parameter import parameter
-from imubayes.stimulus import Ambient, Experience, Motion
-from imubayes.types import Scalar, vector3
+from imubayes.parameters.parameter_declarations import parameter
+from imubayes.rotations import compose, cross, exponential
+from imubayes.signal_path_state import Ambient, Experience, Motion
 
 
 class TumbleHeading(MotionEffect):

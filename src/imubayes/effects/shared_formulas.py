@@ -9,12 +9,12 @@ from dataclasses import replace
 import equinox as eqx
 import jax.numpy as jnp
 
+from imubayes.array_shapes import Scalar, Vector3, vector3
 from imubayes.effects.base import Effect, MotionEffect, Order, RecordEffect, SignalEffect, Stage
 from imubayes.effects.memory import Decay
-from imubayes.frames import compose, exponential
-from imubayes.parameters.parameter import reference_temperature
-from imubayes.stimulus import Ambient, Motion, Sample
-from imubayes.types import Scalar, Vector3, vector3
+from imubayes.parameters.parameter_declarations import reference_temperature
+from imubayes.rotations import compose, exponential
+from imubayes.signal_path_state import Ambient, Motion, Sample
 
 Parameter = eqx.AbstractVar[Scalar]
 

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 
+from imubayes.array_shapes import Scalar, vector3
 from imubayes.effects.base import MotionEffect, Order, Stage
-from imubayes.frames import compose, exponential
-from imubayes.parameters.parameter import parameter
-from imubayes.stimulus import Ambient, Motion
-from imubayes.types import Scalar, vector3
+from imubayes.parameters.parameter_declarations import parameter
+from imubayes.rotations import compose, exponential
+from imubayes.signal_path_state import Ambient, Motion
 
 
 class TableAxisTilt(MotionEffect):

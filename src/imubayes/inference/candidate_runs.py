@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Mounting, Run, Table
 from imubayes.procedures import PROCEDURES
-from imubayes.run import Campaign, Mounting, Run, Table
 
 _HEAD_POSITIONS = 12
 _DEFAULT_RATES = (100.0, 30.0, 10.0, -100.0, -30.0, -10.0)  # deg/s

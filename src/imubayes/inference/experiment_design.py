@@ -14,12 +14,12 @@ import numpy as np
 
 from imubayes.effects.base import Effect, Stage
 from imubayes.inference.candidate_runs import CandidateRun, candidate_runs
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.identifiability import WeakDirection
 from imubayes.inference.posterior_precision import deviations, linearise, precision_of
+from imubayes.json_record import Record
 from imubayes.model.bind import Model, bind
 from imubayes.model.derived_quantities import derived_jacobian
-from imubayes.records import Record
 
 # A further run is proposed for quantities with less than this share from the data.
 _WANTED_SHARE = 0.5

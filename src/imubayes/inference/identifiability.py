@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from imubayes.records import Record
+from imubayes.json_record import Record
 
 # A direction is reported where the data contributed less than this share of the knowledge.
 WEAK_SHARE = 0.5

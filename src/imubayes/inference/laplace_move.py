@@ -12,10 +12,10 @@ import jax
 import numpy as np
 from emcee.moves import Move
 
+from imubayes.array_shapes import Array, Float
 from imubayes.inference.nested_laplace import NestedLaplace, to_normal, to_point
 from imubayes.model.likelihood import log_density
 from imubayes.model.problem import Problem
-from imubayes.types import Array, Float
 
 _to_point = eqx.filter_jit(
     lambda approximation, problem, normal: jax.vmap(lambda vector: to_point(approximation, problem, vector))(normal)

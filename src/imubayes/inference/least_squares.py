@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import lineax as lx
 import optimistix as optx
 
-from imubayes.types import Array, Bool, Float, Int, Scalar
+from imubayes.array_shapes import Array, Bool, Float, Int, Scalar
 
 # Damping at the start, against columns of unit length: nearly Gauss–Newton, short of leaping onto a plateau.
 _FIRST_DAMPING = 1e-2

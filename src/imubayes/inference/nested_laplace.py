@@ -19,13 +19,13 @@ import numpy as np
 from jax.scipy.linalg import solve_triangular
 from jax.scipy.special import ndtr, ndtri
 
+from imubayes.array_shapes import Array, Float
 from imubayes.inference.noise_marginal import slope
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import knowledge
 from imubayes.model.noise_covariance import inverse_covariance, whitener
 from imubayes.model.problem import Problem, predict_many, prior_widths
 from imubayes.noise.base import TailNoise
-from imubayes.types import Array, Float
 
 # A direction is weak where more than this share of its prior standard deviation is left; below it the ridge is
 # straight.

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.inference.posterior_precision import Linearised, log_marginal
 from imubayes.model.problem import Problem
-from imubayes.types import Array, Float, Scalar
 
 _MOST_STEPS = 60
 # A step is short where no h changes by this, in units of its prior.

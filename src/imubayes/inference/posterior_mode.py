@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Bool, Float, Int, Scalar
 from imubayes.inference.least_squares import GramCholesky, minimise
 from imubayes.inference.noise_marginal import Curvature, climb
 from imubayes.inference.posterior_precision import Linearised, knowledge, linearise
@@ -19,7 +20,6 @@ from imubayes.model.likelihood import log_normaliser, residuals_of
 from imubayes.model.noise_covariance import whiten
 from imubayes.model.problem import Problem, predict_many, prior_widths
 from imubayes.model.robust_likelihood import has_heavy_tails, least_squares_form, with_normal_noise
-from imubayes.types import Array, Bool, Float, Int, Scalar
 
 # A Newton decrement of 0.01 moves no estimate by more than a hundredth of its standard deviation.
 _DECREMENT = 1e-2

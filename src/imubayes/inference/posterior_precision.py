@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 
+from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.model.likelihood import log_normaliser, whitened
 from imubayes.model.noise_covariance import group_sum, whitener
 from imubayes.model.problem import Problem, predict_with_jacobian, prior_widths
 from imubayes.model.robust_likelihood import has_heavy_tails, pseudo_values
-from imubayes.types import Array, Float, Scalar
 
 
 class Linearised(eqx.Module):

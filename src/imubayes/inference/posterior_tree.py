@@ -10,15 +10,15 @@ import numpy as np
 import xarray
 from arviz_base import from_dict
 
+from imubayes.array_shapes import Array, Float
 from imubayes.inference.ensemble_sampling import Chains, burn_in
-from imubayes.inference.fit import Fit, Posterior, evenly_spaced
-from imubayes.inference.joint_fit import data_hash, model_hash
+from imubayes.inference.fitted_model import Fit, Posterior, evenly_spaced
+from imubayes.inference.run_fit import data_hash, model_hash
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import entry_log_likelihood
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import Problem, predict_many
-from imubayes.simulation.simulate import heavy_tailed
-from imubayes.types import Array, Float
+from imubayes.model.student_t import heavy_tailed
 
 # Predictions and likelihoods are kept for so many draws: enough for every check, and one percent of the space.
 _KEPT, _BATCH = 200, 20

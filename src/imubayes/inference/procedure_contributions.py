@@ -6,10 +6,10 @@ a quantity its variance is cᵀΛ⁻¹c for any sum that leaves something out.
 
 import numpy as np
 
-from imubayes.inference.fit import Fit, Posterior
+from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.posterior_precision import deviations, precision_of
+from imubayes.json_record import Record
 from imubayes.model.problem import prior_widths
-from imubayes.records import Record
 
 _QUANTITIES = ("mounting_angle[", "scale_factor[")
 

@@ -5,16 +5,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imubayes.array_shapes import Array
+from imubayes.campaign_data import Campaign
 from imubayes.earth import earth_rate
 from imubayes.effects.base import Effect, MotionEffect, RecordEffect, Stage
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping
-from imubayes.model.nodes import KINDS, NodeTable, records_of
+from imubayes.model.nodes_and_entries import KINDS, NodeTable, records_of
 from imubayes.model.signal_path import AddOffset, Broadcast, Channels, Convert, EffectLayer, Layer, Project, Resolve
 from imubayes.parameters.vector import Layout
-from imubayes.run import Campaign
-from imubayes.stimulus import Ambient, Motion, Nodes
-from imubayes.types import Array
+from imubayes.signal_path_state import Ambient, Motion, Nodes
 
 
 @dataclass(frozen=True)

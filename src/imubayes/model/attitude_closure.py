@@ -12,13 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float
 from imubayes.effects.base import Stage
-from imubayes.frames import compose, exponential, small_rotation
 from imubayes.gather import take
 from imubayes.model.assembly import Assembly
 from imubayes.model.signal_path import Channels, Layer, propagate
-from imubayes.stimulus import Ambient, Experience, Motion, Records, SignalPath
-from imubayes.types import Array, Float
+from imubayes.rotations import compose, exponential, small_rotation
+from imubayes.signal_path_state import Ambient, Experience, Motion, Records, SignalPath
 
 # Each round shrinks the error of the inverse by the size of the calibration errors: 3 % to the fourth is 1 ppm.
 _ROUNDS = 4

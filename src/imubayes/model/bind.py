@@ -11,24 +11,24 @@ from itertools import combinations
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float, Scalar
+from imubayes.campaign_data import Campaign
 from imubayes.errors import InputError, Issue, closest_first, input_error
 from imubayes.gather import on_device
 from imubayes.model.assembly import Assembly, assemble
 from imubayes.model.bound_effects import BoundEffect, NotObservableError, bind_effect
 from imubayes.model.build_problem import build_problem
+from imubayes.model.compile_cache_limit import clear_if_crowded
 from imubayes.model.dry_run import dry_run
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.grouping import Grouping
-from imubayes.model.jit_cache import clear_if_crowded
 from imubayes.model.likelihood import log_density
 from imubayes.model.model_spec import EffectSpec, ModelSpec
-from imubayes.model.nodes import Entries, NodeTable, join_entries, join_nodes, servo_runs
+from imubayes.model.nodes_and_entries import Entries, NodeTable, join_entries, join_nodes, servo_runs
 from imubayes.model.problem import Problem
 from imubayes.noise.base import EntryNoise
 from imubayes.parameters.vector import Layout
 from imubayes.procedures import PROCEDURES
-from imubayes.run import Campaign
-from imubayes.types import Array, Float, Scalar
 
 # Unknowns of the procedures themselves, added whether or not the model file lists them.
 _IMPLIED_BY_TUMBLE = ("pose_attitude", "tumble_heading", "rotation_closure")

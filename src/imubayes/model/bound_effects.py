@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign
 from imubayes.covariates import ambient_names
 from imubayes.effects.base import MotionEffect
 from imubayes.errors import InputError, Issue, closest_first
@@ -12,9 +13,8 @@ from imubayes.model.effect_registry import EffectClass, Registry, acts_on_channe
 from imubayes.model.grouping import Grouping
 from imubayes.model.model_spec import EffectSpec
 from imubayes.model.parameter_priors import hyper_fields, parameter_of
-from imubayes.parameters.parameter import Declared, declared_options, declared_parameters
+from imubayes.parameters.parameter_declarations import Declared, declared_options, declared_parameters
 from imubayes.parameters.vector import Parameter
-from imubayes.run import Campaign
 
 # An effect that needs one of these must be switched off in the runs without it.
 _GATES = ("injection", "reference", "driven")

@@ -7,7 +7,7 @@ from imubayes.model.assembly import Assembly
 from imubayes.model.attitude_closure import bind_transitions
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping, colour_columns
-from imubayes.model.nodes import nominal_rates, output_indices, reference_scales, time_ranks
+from imubayes.model.nodes_and_entries import nominal_rates, output_indices, reference_scales, time_ranks
 from imubayes.model.problem import NoiseLayer, Observations, Problem, Sparsity
 from imubayes.model.servo_ode import bind_servos
 from imubayes.noise.base import Entry, EntryNoise, Noise

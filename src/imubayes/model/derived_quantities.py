@@ -9,14 +9,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float, Int
+from imubayes.campaign_data import Channel
 from imubayes.effects.base import Effect, Order, RecordEffect, Stage
 from imubayes.gather import in_batches, on_device
 from imubayes.model.assembly import Assembly
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import RUN_AXES
-from imubayes.model.nodes import KINDS
+from imubayes.model.nodes_and_entries import KINDS
 from imubayes.model.problem import Problem, values_of
-from imubayes.model.sensitivities import (
+from imubayes.model.sensitive_axes import (
     DerivedQuantity,
     SensitivityInputs,
     angle_between,
@@ -25,8 +27,6 @@ from imubayes.model.sensitivities import (
     thermal_slopes,
 )
 from imubayes.model.signal_path import Layer
-from imubayes.run import Channel
-from imubayes.types import Array, Float, Int
 from imubayes.units import to_si
 
 # A relative slope is not determined by an input below this share of g.

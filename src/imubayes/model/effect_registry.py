@@ -11,7 +11,7 @@ from imubayes.effects import EFFECTS, Effect
 from imubayes.effects.base import MotionEffect
 from imubayes.errors import InputError, closest_first, input_error
 from imubayes.noise import NOISES, Noise
-from imubayes.parameters.parameter import declared_parameters
+from imubayes.parameters.parameter_declarations import declared_parameters
 
 EffectClass = type[Effect] | type[Noise]
 """The class of an effect or of a noise member; a model file lists both as effects."""

@@ -10,8 +10,8 @@ from itertools import product
 
 import numpy as np
 
-from imubayes.model.nodes import Entries, NodeTable
-from imubayes.run import Campaign
+from imubayes.campaign_data import Campaign
+from imubayes.model.nodes_and_entries import Entries, NodeTable
 
 Label = tuple[str, ...]
 RUN_AXES = ("run", "mounting", "table")

@@ -9,11 +9,11 @@ width is itself learnt.  Under heavy tails r is that of the equivalent least-squ
 import equinox as eqx
 import jax.numpy as jnp
 
+from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.model.noise_covariance import group_sum, inverse_covariance, noise_distribution, whiten, whitener
 from imubayes.model.problem import Problem, predict, prior_widths
 from imubayes.model.robust_likelihood import least_squares_form, pseudo_values
 from imubayes.model.student_t import deviance, log_determinant_correction, normaliser
-from imubayes.types import Array, Float, Scalar
 
 
 def whitened(problem: Problem, h: Float[Array, " H"], misfit: Float[Array, " E"]) -> Float[Array, " E"]:

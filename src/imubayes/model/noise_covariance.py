@@ -8,11 +8,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from imubayes.array_shapes import Array, Float, Int, Scalar
 from imubayes.gather import take
 from imubayes.model.problem import Observations, Problem
 from imubayes.model.student_t import fisher_information, log_determinant_correction
 from imubayes.noise.base import EntryNoise, SeriesNoise, SharedNoise, TailNoise
-from imubayes.types import Array, Float, Int, Scalar
 
 
 class Series(eqx.Module):

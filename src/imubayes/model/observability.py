@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
+from imubayes.campaign_data import Campaign, Run
 from imubayes.effects.base import Effect, Stage
 from imubayes.model.effect_registry import EffectClass, Registry, acts_on_channels
-from imubayes.model.nodes import join_nodes
-from imubayes.run import Campaign, Run
+from imubayes.model.nodes_and_entries import join_nodes
 
 
 @dataclass(frozen=True)

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Channel
 from imubayes.errors import input_error
 from imubayes.model.effect_registry import EffectClass
 from imubayes.model.model_spec import EffectSpec
 from imubayes.noise.base import Noise
-from imubayes.parameters.parameter import Declared, declared_parameters
+from imubayes.parameters.parameter_declarations import Declared, declared_parameters
 from imubayes.parameters.priors import LogNormal, Normal, Prior, parse_prior
 from imubayes.parameters.vector import Parameter
-from imubayes.run import Campaign, Channel
 from imubayes.units import to_si
 
 # Where neither the campaign nor the spread of raw samples gives the noise of a channel: a thousandth of what was

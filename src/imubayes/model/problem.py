@@ -11,14 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Bool, Float, Int
 from imubayes.gather import in_batches, take
 from imubayes.model.attitude_closure import Transitions, closing_rotations
 from imubayes.model.servo_ode import Servos, servo_angles
 from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
 from imubayes.noise.base import Entry, Noise
 from imubayes.parameters.vector import Priors
-from imubayes.stimulus import Nodes, SignalPath
-from imubayes.types import Array, Bool, Float, Int
+from imubayes.signal_path_state import Nodes, SignalPath
 
 # Batch size of predictions: larger batches would be mostly padding for the usual few points.
 _AT_ONCE = 8

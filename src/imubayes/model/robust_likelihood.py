@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from imubayes.array_shapes import Array, Float
 from imubayes.model.noise_covariance import (
     NoiseDistribution,
     Whitener,
@@ -28,7 +29,6 @@ from imubayes.model.student_t import (
     irls_weight,
 )
 from imubayes.noise.base import TailNoise
-from imubayes.types import Array, Float
 
 # Iterative reweighting gains a digit in two steps; the final Newton steps carry the derivatives.
 _REWEIGHTED, _NEWTON = 60, 2

@@ -15,9 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float
 from imubayes.effects.base import RecordEffect, Stage
 from imubayes.model.assembly import Assembly
-from imubayes.model.nodes import NodeTable, servo_runs
+from imubayes.model.nodes_and_entries import NodeTable, servo_runs
 from imubayes.model.signal_path import (
     Broadcast,
     Channels,
@@ -26,8 +27,7 @@ from imubayes.model.signal_path import (
     propagate,
 )
 from imubayes.procedures.servo_table import driving_channel, turns_of
-from imubayes.stimulus import Ambient, Motion, Nodes, SignalPath
-from imubayes.types import Array, Float
+from imubayes.signal_path_state import Ambient, Motion, Nodes, SignalPath
 
 # Fixed-point rounds; each shrinks the error of the null by the size of the calibration errors: 1 % to the fourth.
 _ROUNDS = 4

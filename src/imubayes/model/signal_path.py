@@ -16,11 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float, Matrix3, Vector3
 from imubayes.effects.base import Effect, Stage
-from imubayes.frames import rotate, rotate_back, turn_back_about_z
 from imubayes.gather import take
-from imubayes.stimulus import Ambient, Experience, Motion, Nodes, Sample, SignalPath
-from imubayes.types import Array, Float, Matrix3, Vector3
+from imubayes.rotations import rotate, rotate_back, turn_back_about_z
+from imubayes.signal_path_state import Ambient, Experience, Motion, Nodes, Sample, SignalPath
 
 
 class Channels(eqx.Module):

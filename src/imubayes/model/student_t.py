@@ -5,9 +5,10 @@ Lange, Little and Taylor, Robust statistical modeling using the t distribution (
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.special import gammaln
 
-from imubayes.types import Array, Float
+from imubayes.array_shapes import Array, Float
 
 # Below this a series is used; the first neglected term is its third power over 4.
 _SMALL = 1e-5
@@ -62,3 +63,11 @@ def _flattened(x: Float[Array, "..."], tail: Float[Array, "..."]) -> Float[Array
     small = grown < _SMALL
     safe = jnp.where(small, 1.0, grown)
     return (1 + tail) * jnp.where(small, 1 - grown / 2 + grown**2 / 3, jnp.log1p(safe) / safe)
+
+
+def heavy_tailed(tail: np.ndarray, stream: np.random.Generator) -> np.ndarray:
+    """Return the factors that turn normal variates into Student's t; `tail` is the inverse degrees of freedom."""
+    if not tail.any():
+        return np.ones(tail.shape)
+    degrees = 1 / np.where(tail > 0, tail, 1.0)
+    return np.where(tail > 0, np.sqrt(degrees / stream.chisquare(degrees)), 1.0)

@@ -5,7 +5,7 @@ A new component is one class with a `name` in `imubayes.noise.components`.
 
 from imubayes.noise import components
 from imubayes.noise.base import EntryNoise, Noise, SeriesNoise, SharedNoise, TailNoise
-from imubayes.parameters.parameter import named_in
+from imubayes.parameters.parameter_declarations import named_in
 
 NOISES: tuple[type[Noise], ...] = tuple(named_in(components, Noise))
 

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from imubayes.types import Scalar, Scalars
+from imubayes.array_shapes import Scalar, Scalars
 
 
 class Entry(eqx.Module):

@@ -1,8 +1,8 @@
 """The components of the noise, one class each, registered in the order of their definitions."""
 
+from imubayes.array_shapes import Scalar
 from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, SharedNoise, TailNoise
-from imubayes.parameters.parameter import parameter
-from imubayes.types import Scalar
+from imubayes.parameters.parameter_declarations import parameter
 
 
 class WhiteNoise(EntryNoise):

@@ -18,8 +18,8 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtr, ndtri
 from scipy import special
 
+from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.errors import InputError, closest_first, input_error
-from imubayes.types import Array, Float, Scalar
 from imubayes.units import same_dimension, to_si
 
 

@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float, Int
 from imubayes.gather import take
 from imubayes.parameters.priors import Prior
-from imubayes.types import Array, Float, Int
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Run
 from imubayes.covariates import ambient_names
-from imubayes.run import Campaign, Run
 
 # A temperature range below half a degree, or fewer rows than a line and its residual variance need, gives no usable
 # rate; windows widen until the noise of the slopes is a tenth of their size.

@@ -10,11 +10,11 @@ from enum import Enum, auto
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.procedures.kinematics import table_input, table_stimulus
 from imubayes.procedures.nominal_stimulus import Stimulus
 from imubayes.procedures.planned_steps import PlanRules
 from imubayes.procedures.textbook import TextbookResult
-from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table
 
 
 class Reduction(Enum):

@@ -1,8 +1,8 @@
 """Textbook estimates of a campaign, procedure by procedure, for comparison with the joint fit."""
 
+from imubayes.campaign_data import Campaign
 from imubayes.procedures import PROCEDURES
 from imubayes.procedures.textbook import TextbookResult
-from imubayes.run import Campaign
 
 
 def classical(campaign: Campaign) -> tuple[TextbookResult, ...]:

@@ -6,10 +6,10 @@ the gain drift of the converter from that of the sensor.
 
 import numpy as np
 
+from imubayes.campaign_data import Channel, Mounting, Run, Site, Table
 from imubayes.procedures.base import Procedure, Reduction
-from imubayes.procedures.converter_ramp import converter_test
+from imubayes.procedures.converter_temperature import converter_test
 from imubayes.procedures.planned_steps import RAMP_KEYS, PlanRules
-from imubayes.run import Channel, Mounting, Run, Site, Table
 
 
 def _nominal_input(

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
 from imubayes.procedures.textbook import (
@@ -31,7 +32,6 @@ from imubayes.procedures.textbook import (
     measured,
     order_of,
 )
-from imubayes.run import Campaign, Channel, Run
 from imubayes.units import to_si
 
 METHOD = "IEEE Std 1293 tumble test"

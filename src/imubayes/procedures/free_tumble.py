@@ -10,11 +10,11 @@ equipments", ICRA 2014.
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Run
 from imubayes.errors import input_error
 from imubayes.procedures.ambient import ambient_of
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.nominal_stimulus import Stimulus
-from imubayes.run import Campaign, Run
 
 
 def _stimulus(run: Run, campaign: Campaign) -> Stimulus:

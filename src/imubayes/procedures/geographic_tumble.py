@@ -13,12 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.earth import earth_rate
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.kinematics import table_stimulus
 from imubayes.procedures.nominal_stimulus import Stimulus
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, least_squares
-from imubayes.run import Campaign, Channel, Run
 
 METHOD = "IEEE Std 517 tumble in geographic positions"
 _DEGREE_PER_HOUR = np.pi / 180 / 3600

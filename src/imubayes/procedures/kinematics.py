@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.earth import earth_rate, table_to_local
 from imubayes.procedures.ambient import ambient_of
 from imubayes.procedures.nominal_stimulus import Stimulus
-from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table
 
 # The mean over a turn is taken at equally spaced angles, exact for harmonics below their number.  About a vertical
 # axis gravity along an input axis varies only with the tilt, so 4 nodes suffice for products up to the third order;

@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.textbook import (
     Estimate,
@@ -36,7 +37,6 @@ from imubayes.procedures.textbook import (
     harmonics,
     measured,
 )
-from imubayes.run import Campaign, Channel, Run
 
 METHOD = "IEEE Std 517 polar-axis tumble"
 _ALONG = 0.999

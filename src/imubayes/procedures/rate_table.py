@@ -17,10 +17,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.procedures.base import Procedure
 from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules, whole_turns
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, along_table, line, measured
-from imubayes.run import Campaign, Channel, Run
 from imubayes.units import to_si
 
 METHOD = "IEEE Std 952 rate test"

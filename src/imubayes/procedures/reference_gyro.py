@@ -20,11 +20,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.kinematics import table_stimulus
 from imubayes.procedures.nominal_stimulus import Stimulus
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, along_table, measured
-from imubayes.run import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.units import to_si
 
 AXES = ("reference_x", "reference_y", "reference_z")

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.earth import earth_rate
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.textbook import (
@@ -27,7 +28,6 @@ from imubayes.procedures.textbook import (
     least_squares,
     measured,
 )
-from imubayes.run import Campaign, Channel, Run
 
 METHOD = "rotation modulation"
 _UNITS = {"gyro": ("gyro_bias.bias", "deg/h", np.pi / 180 / 3600), "accelerometer": ("accel_bias.bias", "ug", None)}

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.earth import earth_rate
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.textbook import (
@@ -32,7 +33,6 @@ from imubayes.procedures.textbook import (
     components,
     least_squares,
 )
-from imubayes.run import Campaign, Channel, Run
 
 METHOD = "IEEE Std 517 servo table test"
 _DEGREE_PER_HOUR = np.pi / 180 / 3600

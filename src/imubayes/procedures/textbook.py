@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.earth import table_to_local
-from imubayes.run import Campaign, Channel, Run
 
 _MAX_HARMONIC = 5
 

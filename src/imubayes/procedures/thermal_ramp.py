@@ -1,7 +1,7 @@
 """Thermal ramp: the unit at rest while the temperature of sensor or converter varies (P8)."""
 
 from imubayes.procedures.base import Procedure, Reduction
-from imubayes.procedures.converter_ramp import converter_test
+from imubayes.procedures.converter_temperature import converter_test
 from imubayes.procedures.planned_steps import PlanRules
 
 THERMAL_RAMP = Procedure(

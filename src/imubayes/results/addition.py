@@ -8,11 +8,11 @@ from pydantic import PrivateAttr
 
 from imubayes.criticism.addition import Prediction, Refit
 from imubayes.criticism.cross_validation import CrossValidation
-from imubayes.criticism.diagnosis import CoefficientEstimate, EffectChoice, RmsChange
+from imubayes.criticism.diagnosis_record import CoefficientEstimate, EffectChoice, RmsChange
 from imubayes.criticism.model_history import ChannelRms
 from imubayes.criticism.warm_start import Extension
-from imubayes.presentation import Presented
-from imubayes.records import Record, finite
+from imubayes.json_record import Record, finite
+from imubayes.representation import Presented
 from imubayes.results.result import Result
 from imubayes.results.summary import Summary
 

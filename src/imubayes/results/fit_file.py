@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 
 from imubayes.campaign import load_campaign
+from imubayes.campaign_data import Campaign
 from imubayes.errors import InputError, Issue
-from imubayes.inference.fit import Fit
-from imubayes.inference.joint_fit import data_hash, model_hash
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.run_fit import data_hash, model_hash
+from imubayes.json_record import finite
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.parameters.vector import Layout
-from imubayes.records import finite
 from imubayes.results.folder_state import FIT, MODEL, way_back
-from imubayes.run import Campaign
 
 
 def fit_record(fit: Fit, folder: Path, seed: int) -> dict[str, Any]:

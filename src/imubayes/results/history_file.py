@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from imubayes.atomic_files import write_text
-from imubayes.criticism.diagnosis import Diagnosis
+from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, Tree, node_id
 from imubayes.errors import InputError, input_error
-from imubayes.inference.joint_fit import model_hash
+from imubayes.inference.run_fit import model_hash
 from imubayes.model.bind import Model
 from imubayes.results.addition import Addition, channel_rms
 from imubayes.results.fit_file import campaign_hash

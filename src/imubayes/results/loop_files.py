@@ -7,9 +7,9 @@ from pathlib import Path
 import polars as pl
 
 from imubayes.atomic_files import write_text
-from imubayes.criticism.diagnosis import Diagnosis, EffectGroup
+from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup
 from imubayes.criticism.model_history import Node, Tree
-from imubayes.records import Record
+from imubayes.json_record import Record
 from imubayes.results.addition import Addition
 from imubayes.results.folder_state import RESIDUALS
 

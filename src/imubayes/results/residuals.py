@@ -9,12 +9,12 @@ import numpy as np
 import polars as pl
 
 from imubayes.covariates import shown
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
+from imubayes.json_record import finite
 from imubayes.model.noise_covariance import Whitener, group_sum, whiten, whitener
 from imubayes.model.problem import Problem
 from imubayes.model.robust_likelihood import pseudo_values
-from imubayes.records import finite
 from imubayes.results.summary import RunSummary
 from imubayes.units import to_si
 

@@ -8,9 +8,9 @@ import polars as pl
 import xarray
 
 from imubayes.errors import InputError, Issue
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_tree import posterior_tree
-from imubayes.presentation import Presented
+from imubayes.representation import Presented
 from imubayes.results.fit_file import read_fit
 from imubayes.results.folder_state import POSTERIOR, damaged
 from imubayes.results.residuals import Residuals, residuals_of

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from imubayes.atomic_files import json_text, replacing_files
 from imubayes.errors import InputError, Issue
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_tree import posterior_tree
 from imubayes.model.model_spec import ModelSpec
 from imubayes.results.fit_file import fit_record

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from imubayes.inference.experiment_design import next_runs
-from imubayes.inference.fit import Fit
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.identifiability import (
     WeakDirection,
     confusions,
@@ -17,9 +17,9 @@ from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_tree import in_units
 from imubayes.inference.procedure_contributions import contributions
+from imubayes.json_record import finite
 from imubayes.model.derived_quantities import derived_jacobian
-from imubayes.procedures.converter_ramp import THRESHOLD
-from imubayes.records import finite
+from imubayes.procedures.converter_temperature import THRESHOLD
 from imubayes.results.residuals import Residuals
 from imubayes.results.summary import Conformance, DerivedSummary, ParameterSummary, Seconds, Summary
 

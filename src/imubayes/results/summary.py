@@ -8,7 +8,7 @@ from typing import Literal
 from imubayes.inference.experiment_design import NextRun
 from imubayes.inference.identifiability import WeakDirection
 from imubayes.inference.procedure_contributions import Contribution
-from imubayes.records import Record
+from imubayes.json_record import Record
 
 
 class Quantity(Record):

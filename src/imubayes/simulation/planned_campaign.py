@@ -18,11 +18,11 @@ from imubayes.campaign.equipment import (
 from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.run_columns import known_columns
 from imubayes.campaign.toml_documents import Ledger, read_document
+from imubayes.campaign_data import Campaign, Channel
 from imubayes.errors import InputError, closest_first
 from imubayes.procedures import PROCEDURES, Reduction, procedure_named
 from imubayes.procedures.planned_steps import columns_of
-from imubayes.run import Campaign, Channel
-from imubayes.simulation.planned_rows import judge_steps
+from imubayes.simulation.plan_checks import judge_steps
 from imubayes.simulation.test_plan import PlanFile, PlannedRun
 
 

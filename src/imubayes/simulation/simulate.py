@@ -17,14 +17,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float
+from imubayes.campaign_data import Campaign
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import derived_quantities
 from imubayes.model.noise_covariance import NoiseDistribution, Series, noise_distribution, whitener
 from imubayes.model.problem import Problem, predict, prior_widths, values_of
+from imubayes.model.student_t import heavy_tailed
 from imubayes.parameters.vector import Layout, Parameter
-from imubayes.run import Campaign
-from imubayes.types import Array, Float
 
 
 @dataclass(frozen=True)
@@ -161,14 +162,6 @@ def _with_noise(
         if common[index] > 0:
             offsets[names] = offset
     return observed, offsets
-
-
-def heavy_tailed(tail: np.ndarray, stream: np.random.Generator) -> np.ndarray:
-    """Return the factors that turn normal variates into Student's t; `tail` is the inverse degrees of freedom."""
-    if not tail.any():
-        return np.ones(tail.shape)
-    degrees = 1 / np.where(tail > 0, tail, 1.0)
-    return np.where(tail > 0, np.sqrt(degrees / stream.chisquare(degrees)), 1.0)
 
 
 def _in_series(series: Series | None, chosen: np.ndarray, independent: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imubayes.campaign.convert.nominal_calibration import Nominal, estimate_accelerometers, estimate_gyros, find_poses
+from imubayes.campaign.convert.estimated_calibration import Nominal, estimate_accelerometers, estimate_gyros, find_poses
 from imubayes.campaign.convert.recording_formats import ACCELEROMETERS, GYROS, SIX, Columns
 from imubayes.campaign.convert.recording_options import ConvertOptions
 from imubayes.errors import input_error

@@ -4,7 +4,7 @@
 motion between them, and `tumble_reduction` builds the rows of the run.
 """
 
-from imubayes.campaign.free_tumble.body_vectors import pose_means, record
+from imubayes.campaign.free_tumble.calibrated_recording import pose_means, record
 from imubayes.campaign.free_tumble.static_detection import Pose, Rest
 from imubayes.campaign.free_tumble.tumble_reduction import ReducedTumble, detect_poses, reduce_tumble
 

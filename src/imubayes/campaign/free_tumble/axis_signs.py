@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from imubayes.campaign.findings import Finding
-from imubayes.campaign.free_tumble.body_vectors import (
+from imubayes.campaign.free_tumble.calibrated_recording import (
     Recording,
     angle_between,
     body_vectors,
@@ -18,7 +18,7 @@ from imubayes.campaign.free_tumble.body_vectors import (
 )
 from imubayes.campaign.free_tumble.pose_transitions import step_edges
 from imubayes.campaign.free_tumble.static_detection import Pose
-from imubayes.run import Channel
+from imubayes.campaign_data import Channel
 
 # Nominal biases and scale factors propagate gravity to within a few degrees; a reversed axis misses by tens.
 _INCONSISTENT = np.deg2rad(20.0)

@@ -10,13 +10,19 @@ from scipy.spatial.transform import Rotation
 
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.free_tumble.axis_signs import check_axes
-from imubayes.campaign.free_tumble.body_vectors import Recording, angle_between, pose_means, record, rotation_between
+from imubayes.campaign.free_tumble.calibrated_recording import (
+    Recording,
+    angle_between,
+    pose_means,
+    record,
+    rotation_between,
+)
 from imubayes.campaign.free_tumble.magnitude_calibration import MagnitudeFit, fit_magnitude
 from imubayes.campaign.free_tumble.pose_transitions import padded, step_edges, step_means
 from imubayes.campaign.free_tumble.static_detection import Pose, find_rests, join_rests, variance_ratio
+from imubayes.campaign_data import Channel, Tumble
 from imubayes.covariates import recorded_columns
 from imubayes.errors import input_error
-from imubayes.run import Channel, Tumble
 
 MULTIPLES = (2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0)  # candidate thresholds, in variances at rest
 MOST_ROTATION = np.deg2rad(2.0)  # a static pose with a larger rotation by the gyros was disturbed

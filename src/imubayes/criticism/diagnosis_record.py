@@ -12,8 +12,8 @@ from imubayes.criticism.detectability import Absorber, ParameterBias
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.localised_structure import Step
 from imubayes.criticism.residual_evidence import ResidualEvidence
-from imubayes.presentation import Presented
-from imubayes.records import Record
+from imubayes.json_record import Record
+from imubayes.representation import Presented
 
 Verdict = Literal[
     "adequate",

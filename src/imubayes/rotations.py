@@ -7,7 +7,7 @@ operations; a batched 3 × 3 matrix product would become a library call.
 
 import jax.numpy as jnp
 
-from imubayes.types import Matrix3, Scalar, Vector3
+from imubayes.array_shapes import Matrix3, Scalar, Vector3
 
 # Below this angle² the series of sin(x)/x and (1 − cos x)/x² to x⁴ is exact to the last bit of a double.
 _SERIES_BELOW = 1e-4

@@ -18,11 +18,11 @@ from rich.console import Console, ConsoleOptions
 from imubayes.atomic_files import write_json
 from imubayes.display.classical_comparison import ClassicalComparison, compare_classical, discrepancy_sheet
 from imubayes.display.figure_selection import Plan, corner_choice, plan, runs_shown
-from imubayes.display.fit_tables import fit_sheet, run_sheet, weak_sheet
-from imubayes.display.html import summary_html
+from imubayes.display.fit_quality_tables import fit_sheet, run_sheet, weak_sheet
 from imubayes.display.labels import ordered
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
-from imubayes.display.sheet import SheetTable, terminal
+from imubayes.display.summary_html import summary_html
+from imubayes.display.table_layout import SheetTable, terminal
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.procedures.classical import classical
 from imubayes.results.fit_file import campaign_of

@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 
 from imubayes.covariates import shown
-from imubayes.criticism.diagnosis import EffectGroup
+from imubayes.criticism.diagnosis_record import EffectGroup
 from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.display.figures.residual_evidence import added_variable_figure, before_after_figure, evidence_figure
 from imubayes.display.labels import pretty

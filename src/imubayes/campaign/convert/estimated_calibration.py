@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from imubayes.campaign.free_tumble.body_vectors import angle_between
+from imubayes.campaign.free_tumble.calibrated_recording import angle_between
 from imubayes.campaign.free_tumble.static_detection import Rest, find_rests, initial_rest, variance_ratio
 from imubayes.errors import input_error
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from imubayes.display.goodness_of_fit import SIGNIFICANT, share_of_freedom, tail
 from imubayes.display.labels import pretty, readable
 from imubayes.display.rounding import percent, ratio_text, significant
-from imubayes.display.sheet import Cell, Sheet
+from imubayes.display.table_layout import Cell, Sheet
 from imubayes.results.summary import Contribution, NextRun, RunSummary, Summary
 
 NOT_DETERMINED = 0.1

@@ -9,8 +9,8 @@ each written for one node, and batched by vmap.
 import equinox as eqx
 import jax
 
+from imubayes.array_shapes import Array, Bool, Float, Int, Matrices, Scalars, Vectors
 from imubayes.covariates import ambient_names
-from imubayes.types import Array, Bool, Float, Int, Matrices, Scalars, Vectors
 
 
 class Ambient(eqx.Module):

@@ -1,6 +1,7 @@
 """How records present themselves in a terminal and in a notebook.
 
-Records stand below what displays them: `imubayes.display.presentation` registers the text and the HTML of each type.
+Records stand below what displays them: `imubayes.display.registered_representations` registers the text and the HTML
+of each type.
 """
 
 from functools import singledispatch

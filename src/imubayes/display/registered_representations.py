@@ -1,16 +1,16 @@
 """The text and HTML by which records present themselves in a terminal and a notebook, registered on import."""
 
-from imubayes.criticism.diagnosis import Diagnosis
+from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.injection_recovery import Trials
 from imubayes.criticism.model_history import Tree
 from imubayes.display.addition_report import addition_report
 from imubayes.display.diagnosis_report import diagnosis_report
+from imubayes.display.fit_report import summary_report
 from imubayes.display.history_table import history_report
-from imubayes.display.html import summary_html
 from imubayes.display.injection_report import injection_report
-from imubayes.display.report import report_html, report_text
-from imubayes.display.terminal import summary_report
-from imubayes.presentation import html_of, text_of
+from imubayes.display.report_layout import report_html, report_text
+from imubayes.display.summary_html import summary_html
+from imubayes.representation import html_of, text_of
 from imubayes.results.addition import Addition
 from imubayes.results.result import Result
 

@@ -6,9 +6,9 @@ from imubayes.display.classical_comparison import (
     decision_sheet,
     undetermined_sheet,
 )
-from imubayes.display.fit_tables import contribution_sheet, next_run_sheet, run_sheet, weak_sheet
+from imubayes.display.fit_quality_tables import contribution_sheet, next_run_sheet, run_sheet, weak_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
-from imubayes.display.report import Report
+from imubayes.display.report_layout import Report
 from imubayes.results.summary import Summary
 
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Kind
 from imubayes.covariates import ambient_names
 from imubayes.procedures import PROCEDURES
 from imubayes.procedures.nominal_stimulus import Stimulus
-from imubayes.run import Campaign, Kind
-from imubayes.stimulus import Ambient, Records
+from imubayes.signal_path_state import Ambient, Records
 
 # Sorted, because that is the order in which JAX walks through a dictionary.
 KINDS: tuple[Kind, ...] = ("accelerometer", "gyro")

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, components, line, measured
-from imubayes.run import Campaign, Channel, Run
 
 METHOD = "straight line against converter temperature"
 THRESHOLD = 0.1

@@ -6,8 +6,6 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from imubayes.model import jit_cache
-
 pytestmark = pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="counts memory maps as Linux does")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import Detectability, detectability
-from imubayes.criticism.diagnosis import (
+from imubayes.criticism.diagnosis_record import (
     MISSING,
     Amplitude,
     AskedEffect,
@@ -29,7 +29,7 @@ from imubayes.criticism.diagnosis import (
 from imubayes.criticism.discriminating_run import separating_run
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.formula_search import Formula, coefficient_unit, find_formula
-from imubayes.criticism.lack_of_fit import Structure, dominant_channel
+from imubayes.criticism.free_form_dependence import Structure, dominant_channel
 from imubayes.criticism.localised_structure import STEP
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, following_covariate, residual_evidence
@@ -44,8 +44,8 @@ from imubayes.criticism.unexplained_structure import (
 )
 from imubayes.effects.base import Effect
 from imubayes.errors import InputError, Issue
-from imubayes.inference.fit import Fit
-from imubayes.records import finite
+from imubayes.inference.fitted_model import Fit
+from imubayes.json_record import finite
 
 
 def judge(fit: Fit, result: str = "RESULT", effect: str = "") -> Diagnosis:

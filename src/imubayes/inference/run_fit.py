@@ -14,7 +14,7 @@ import numpy as np
 from imubayes.errors import InputError, Issue
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.ensemble_sampling import Chains, Settings, sample, walkers_for
-from imubayes.inference.fit import Fit, Posterior, evenly_spaced
+from imubayes.inference.fitted_model import Fit, Posterior, evenly_spaced
 from imubayes.inference.laplace_move import LaplaceProposal, LogDensity
 from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
 from imubayes.inference.posterior_mode import Mode, find_mode, fit_at, heights, message

@@ -1,6 +1,6 @@
 """A result as self-contained HTML for a notebook: no scripts, links or external styles; all text is escaped."""
 
-from imubayes.display.fit_tables import alarm_of, contribution_sheet, next_run_sheet, run_sheet, weak_sheet
+from imubayes.display.fit_quality_tables import alarm_of, contribution_sheet, next_run_sheet, run_sheet, weak_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.display.templates import render
 from imubayes.results.summary import Summary

@@ -8,8 +8,8 @@ import numpy as np
 
 from imubayes.campaign.free_tumble.pose_transitions import coning, rotation_over, step_means
 from imubayes.campaign.free_tumble.static_detection import Pose, Rest, initial_rest
+from imubayes.campaign_data import Channel
 from imubayes.errors import input_error
-from imubayes.run import Channel
 
 LEAST_ROWS = 100
 

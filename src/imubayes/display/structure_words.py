@@ -1,6 +1,6 @@
 """The wording of residual structure, and the source of an effect class for a formula that the catalogue lacks."""
 
-from imubayes.criticism.diagnosis import ResidualStructure
+from imubayes.criticism.diagnosis_record import ResidualStructure
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.localised_structure import Step
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from imubayes.campaign.run_tables import TableSource
+from imubayes.campaign_data import Channel
 from imubayes.errors import InputError, Issue
-from imubayes.run import Channel
 
 DIRECTIONS = {
     "E": (1.0, 0.0, 0.0),

@@ -7,7 +7,7 @@ from html import escape
 
 from rich.console import Console
 
-from imubayes.display.sheet import Sheet, sheet_html, terminal
+from imubayes.display.table_layout import Sheet, sheet_html, terminal
 
 
 @dataclass(frozen=True)
