@@ -225,7 +225,9 @@ def _new(old: Layout, model: Layout) -> np.ndarray:
     return np.array([name not in known for name in model.names], dtype=bool)
 
 
-def whitened(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
+def whitened(
+    problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]
+) -> tuple[Float[Array, " E"], Float[Array, "E P"], Float[Array, " P"]]:
     """Return whitened residual (E,), whitened Jacobian (E, P) and prior widths (P,)."""
     return _whitened(problem, linearise(problem, z), h)
 

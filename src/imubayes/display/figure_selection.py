@@ -92,16 +92,24 @@ def corner_choice(summary: Summary, most: int = MOST_CORNER) -> list[str]:
     Scale factor and mounting angle of one channel are separated only by combining runs, and only where the axis is
     inclined to the axis of rotation: the angles with the least from the data come first, each with its scale factor.
     """
-    derived = sorted((entry for entry in summary.derived if entry.sd), key=_from_data)
-    scales = [entry.name for entry in derived if _is_scale(entry.name)]
-    chosen = [name for angle in _angles(derived)[: most // 2] for name in (angle, _scale_of(angle)) if name]
-    chosen = list(dict.fromkeys(name for name in (*chosen, *scales) if not _is_scale(name) or name in scales))
+    chosen = _angles_with_scales(summary, most // 2)
     if len(chosen) < 2:
-        loose = [entry for entry in summary.parameters if entry.sd and not entry.nuisance and _from_data(entry) > 0.1]
-        chosen += [entry.name for entry in sorted(loose, key=_from_data)]
+        chosen += _least_determined(summary)
     kept = set(chosen[:most])
     in_order = [entry.name for entry in (*summary.parameters, *summary.derived) if entry.name in kept]
     return sorted(in_order, key=_is_scale)
+
+
+def _angles_with_scales(summary: Summary, most: int) -> list[str]:
+    derived = sorted((entry for entry in summary.derived if entry.sd), key=_from_data)
+    scales = [entry.name for entry in derived if _is_scale(entry.name)]
+    pairs = [name for angle in _angles(derived)[:most] for name in (angle, _scale_of(angle)) if name]
+    return list(dict.fromkeys(name for name in (*pairs, *scales) if not _is_scale(name) or name in scales))
+
+
+def _least_determined(summary: Summary) -> list[str]:
+    loose = [entry for entry in summary.parameters if entry.sd and not entry.nuisance and _from_data(entry) > 0.1]
+    return [entry.name for entry in sorted(loose, key=_from_data)]
 
 
 def _angles(derived: Sequence[Quantity]) -> list[str]:

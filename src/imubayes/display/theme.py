@@ -11,6 +11,7 @@ from functools import wraps
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -147,7 +148,7 @@ def panels(
     return found
 
 
-def legend_at(figure: Picture, left: float, top: float, handles: Sequence, **style) -> None:
+def legend_at(figure: Picture, left: float, top: float, handles: Sequence, **style: Any) -> None:
     """Put a legend with its upper left corner at a place in inches."""
     width, height = figure.get_size_inches()
     figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(left / width, top / height), **style)
@@ -160,12 +161,12 @@ def legend_above(figure: Picture, handles: Sequence) -> None:
     figure.legend(handles=handles, loc="upper right", bbox_to_anchor=corner, ncols=len(handles), columnspacing=1.2)
 
 
-def dot(colour: str, label: str, **style) -> Line2D:
+def dot(colour: str, label: str, **style: Any) -> Line2D:
     """Return the legend entry of points."""
     return Line2D([], [], linestyle="", **{"marker": "o", "color": colour, "markersize": 5, "label": label, **style})
 
 
-def at_runs(axes: Axes, x: np.ndarray, y: np.ndarray, runs: np.ndarray, signs: "RunSigns", **style) -> None:
+def at_runs(axes: Axes, x: np.ndarray, y: np.ndarray, runs: np.ndarray, signs: "RunSigns", **style: Any) -> None:
     """Draw points in the colour and marker of their run; `runs` holds a name per point."""
     for run in dict.fromkeys(runs.tolist()):
         colour, marker = signs.sign(run)

@@ -5,12 +5,14 @@ approximation, which only decides how often a proposal is taken.
 """
 
 import math
+from typing import Any
 
 import emcee
 import equinox as eqx
 import jax
 import numpy as np
 from emcee.moves import Move
+from emcee.state import State
 
 from imubayes.array_shapes import Array, Float
 from imubayes.inference.nested_laplace import NestedLaplace, to_normal, to_point
@@ -119,7 +121,7 @@ class LaplaceMove(Move):
             return self._known[1:]
         return self.proposal.to_normal(points)
 
-    def propose(self, model, state):
+    def propose(self, model: Any, state: Any) -> tuple[State, np.ndarray]:
         """Advance the whole ensemble; see `emcee.moves.Move`."""
         count = len(state.coords)
         normal, old_proposal = self._normal(state.coords)

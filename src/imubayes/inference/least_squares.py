@@ -29,7 +29,7 @@ _STEP_LEFT, _OFFSET_LEFT = 1e-5, 1e-4
 class GramCholesky(lx.AbstractLinearSolver[Any]):
     """Least squares through the Cholesky factor of AᵀA, columns scaled to unit length."""
 
-    def init(self, operator, options):
+    def init(self, operator: lx.AbstractLinearOperator, options: dict[str, Any]) -> tuple:
         matrix = operator.as_matrix()
         scale = jnp.sqrt(jnp.sum(matrix**2, axis=0))
         scale = jnp.where(scale > 0, scale, 1.0)
@@ -39,16 +39,16 @@ class GramCholesky(lx.AbstractLinearSolver[Any]):
         )[1]
         return jax.scipy.linalg.cho_factor(scaled.T @ scaled, lower=True)[0], scaled, scale, eqx.Partial(unravel)
 
-    def compute(self, state, vector, options):
+    def compute(self, state: tuple, vector: Any, options: dict[str, Any]) -> tuple:
         factor, scaled, scale, unravel = state
         flat, _ = jax.flatten_util.ravel_pytree(vector)
         solution = jax.scipy.linalg.cho_solve((factor, True), scaled.T @ flat) / scale
         return unravel(solution), lx.RESULTS.successful, {}
 
-    def transpose(self, state, options):
+    def transpose(self, state: tuple, options: dict[str, Any]) -> tuple:
         raise TypeError("the solver of a least-squares step is never transposed")
 
-    def conj(self, state, options):
+    def conj(self, state: tuple, options: dict[str, Any]) -> tuple:
         return state, options
 
     def assume_full_rank(self) -> bool:

@@ -19,7 +19,7 @@ import numpy as np
 from jax.scipy.linalg import solve_triangular
 from jax.scipy.special import ndtr, ndtri
 
-from imubayes.array_shapes import Array, Float
+from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.inference.noise_marginal import slope
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import knowledge
@@ -224,7 +224,9 @@ def _two_piece_inverse(value: Float[Array, " H"], left: Float[Array, " H"], righ
     return jnp.where(value < 0, low, high)
 
 
-def to_point(approximation: NestedLaplace, problem: Problem, normal: Float[Array, " PH"]):
+def to_point(
+    approximation: NestedLaplace, problem: Problem, normal: Float[Array, " PH"]
+) -> tuple[Float[Array, " PH"], Scalar]:
     """Return the point (θ, h), in z, that a standard normal vector stands for, and the log density of the proposal.
 
     Of random vectors the points are proposals.
@@ -238,7 +240,9 @@ def to_point(approximation: NestedLaplace, problem: Problem, normal: Float[Array
     return point, _log_density(approximation, factor, normal[:size], along)
 
 
-def to_normal(approximation: NestedLaplace, problem: Problem, point: Float[Array, " PH"]):
+def to_normal(
+    approximation: NestedLaplace, problem: Problem, point: Float[Array, " PH"]
+) -> tuple[Float[Array, " PH"], Scalar]:
     """Return the standard normal vector of a point, and the log density of the proposal there."""
     size = approximation.z.shape[0]
     z, h = point[:size], point[size:]

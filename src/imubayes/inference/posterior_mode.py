@@ -5,7 +5,7 @@ are found in turns, a few rounds of each, because θ hardly depends on the noise
 fit that did not converge says so in a sentence.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.array_shapes import Array, Bool, Float, Int, Scalar
-from imubayes.inference.least_squares import GramCholesky, minimise
+from imubayes.inference.least_squares import GramCholesky, LeastSquares, minimise
 from imubayes.inference.noise_marginal import Curvature, climb
 from imubayes.inference.posterior_precision import Linearised, knowledge, linearise
 from imubayes.model.likelihood import log_normaliser, residuals_of
@@ -56,7 +56,7 @@ class Mode(eqx.Module):
     converged: Bool[Array, ""]
 
 
-def linear_residual(problem: Problem, h: Float[Array, " H"]):
+def linear_residual(problem: Problem, h: Float[Array, " H"]) -> Callable:
     """Return the residual as a function of z, with the model linearised there as its second value.
 
     To whoever takes its derivative the residual is the linear function about the point, whose Jacobian uses the
@@ -75,7 +75,7 @@ def linear_residual(problem: Problem, h: Float[Array, " H"]):
     return residual
 
 
-def fit_parameters(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
+def fit_parameters(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> LeastSquares:
     """Return θ at given h, as a `LeastSquares` outcome with the model linearised there: Levenberg–Marquardt from z."""
     residual = linear_residual(problem, h)
 

@@ -56,15 +56,7 @@ def prior_posterior_figure(summary: Summary, names: Sequence[str] | None = None)
 
     The prior of an error is centred on 0; without a centre the left panel gives the estimate as a number.
     """
-    entries = {entry.name: entry for entry in (*summary.parameters, *summary.derived)}
-    wanted = [name for name in (names or mounting_quantities(summary)) if name in entries and _is_known(entries[name])]
-    if not wanted:
-        raise ValueError("no quantity with a prior and a posterior width was named")
-    chosen, caption = [entries[name] for name in wanted], _CAPTION
-    if len(chosen) > _MOST:
-        kept = sorted(chosen, key=_ratio, reverse=True)[:_MOST]
-        caption += f" Shown: the {_MOST} least determined of {len(chosen)}."
-        chosen = [entry for entry in chosen if entry in kept]
+    chosen, caption = _chosen(summary, names)
     title = "Mounting: prior and posterior" if names is None else "Prior and posterior"
     figure = picture(12.0, len(chosen) * 0.24 + 0.85, title, caption, alarm=alarm_of(summary))
     centred = any(map(_is_centred, chosen))
@@ -82,6 +74,20 @@ def prior_posterior_figure(summary: Summary, names: Sequence[str] | None = None)
     before = dot(QUIET, "before", markerfacecolor="white", markeredgewidth=1.0)
     legend_above(figure, [*bands, before, dot(BLUE, "after"), dot(VERMILION, "not determined")])
     return figure
+
+
+def _chosen(summary: Summary, names: Sequence[str] | None) -> tuple[list[Quantity], str]:
+    """Return the quantities to draw, at most `_MOST`, in order, and the caption."""
+    entries = {entry.name: entry for entry in (*summary.parameters, *summary.derived)}
+    wanted = [name for name in (names or mounting_quantities(summary)) if name in entries and _is_known(entries[name])]
+    if not wanted:
+        raise ValueError("no quantity with a prior and a posterior width was named")
+    chosen: list[Quantity] = [entries[name] for name in wanted]
+    if len(chosen) <= _MOST:
+        return chosen, _CAPTION
+    kept = sorted(chosen, key=_ratio, reverse=True)[:_MOST]
+    caption = f"{_CAPTION} Shown: the {_MOST} least determined of {len(chosen)}."
+    return [entry for entry in chosen if entry in kept], caption
 
 
 def _shifts(axes: Axes, chosen: Sequence[Quantity]) -> None:
