@@ -214,4 +214,4 @@ def test_a_fit_without_numbers_is_told_and_not_drawn(tmp_path, refused, capsys):
     summary = json.loads((out / "summary.json").read_text())
     assert summary["chi2"] is None
     assert not summary["converged"]
-    assert "no finite number" in refused("compare", out)
+    assert "predictions are not finite" in refused("compare", out)

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 import pytest
 
+from imubayes.model import compile_cache_limit
+
 pytestmark = pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="counts memory maps as Linux does")
 
 
@@ -14,7 +16,7 @@ def held() -> int:
 
 
 def test_a_fresh_process_is_far_from_the_limit():
-    assert not jit_cache.clear_if_crowded()
+    assert not compile_cache_limit.clear_if_crowded()
 
 
 def test_compiled_code_is_given_up(monkeypatch, tmp_path):
@@ -23,11 +25,11 @@ def test_compiled_code_is_given_up(monkeypatch, tmp_path):
     before = held()
     limit = tmp_path / "max_map_count"
     limit.write_text(f"{before}\n")
-    monkeypatch.setattr(jit_cache, "_MOST", limit)
-    assert jit_cache.clear_if_crowded()
+    monkeypatch.setattr(compile_cache_limit, "_MOST", limit)
+    assert compile_cache_limit.clear_if_crowded()
     assert held() < before - 30
 
 
 def test_another_system_is_left_alone(monkeypatch, tmp_path):
-    monkeypatch.setattr(jit_cache, "_MOST", tmp_path / "none")
-    assert not jit_cache.clear_if_crowded()
+    monkeypatch.setattr(compile_cache_limit, "_MOST", tmp_path / "none")
+    assert not compile_cache_limit.clear_if_crowded()
