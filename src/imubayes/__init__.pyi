@@ -9,6 +9,7 @@ from .effects.memory import Decay, Play
 from .errors import InputError
 from .inference.ensemble_sampling import Settings
 from .inference.sample_user_density import Samples, sample
+from .model.bind import Model, bind
 from .model.model_file import load_model
 from .noise.base import Entry, EntryNoise, Noise, SeriesNoise, SharedNoise, TailNoise
 from .parameters.parameter_declarations import option, parameter, reference_temperature, time_constant
@@ -29,6 +30,7 @@ __all__ = [
     "EntryNoise",
     "Experience",
     "InputError",
+    "Model",
     "Motion",
     "MotionEffect",
     "Noise",
@@ -47,6 +49,7 @@ __all__ = [
     "Stage",
     "TailNoise",
     "add",
+    "bind",
     "check_campaign",
     "compare",
     "compose",
