@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from imubayes.campaign import load_campaign
+from imubayes.criticism.residual_covariates import covariates
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import bind
@@ -51,6 +53,14 @@ def test_the_servo_table_is_integrated_to_the_truth(servo):
     found = scores(*servo)
     assert np.abs(found).max() < 4
     assert np.sqrt(np.mean(found**2)) < 1.5
+
+
+def test_the_angle_of_a_servo_table_has_no_input_axis(servo):
+    """Residuals of the angle are regressed on what the run recorded, not on rate or specific force of a channel."""
+    model, mode, _ = servo
+    found = covariates(Fit(model, np.asarray(mode.z), np.asarray(mode.h), converged=True))
+    assert "time_s" in {covariate.name for covariate in found}
+    assert not {covariate.name for covariate in found} & {"rate_i", "force_i"}
 
 
 def test_the_derivative_through_the_differential_equation(servo):

@@ -53,7 +53,10 @@ def _at_samples(fitted: Fit) -> Callable[[Covariate], np.ndarray]:
 
     def values(covariate: Covariate) -> np.ndarray:
         found = np.full(len(fitted.model.entries), np.nan)
-        found[: len(readout)] = np.asarray(means[covariate.name])[readout]
+        mean = np.asarray(means[covariate.name])
+        # The angles of a servo table follow the outputs of the channels and have no input axis.
+        of_channel = np.flatnonzero(readout < len(mean))
+        found[of_channel] = mean[readout[of_channel]]
         return found
 
     return values
