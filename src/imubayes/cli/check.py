@@ -20,7 +20,8 @@ def check(campaign: Path, *, model: Path | None = None, as_json: Json = False) -
         Print one JSON object on standard output.
     """
     from imubayes.campaign import inspect_campaign
-    from imubayes.display.check_report import inspection_json, print_inspection
+    from imubayes.display.check_report import check_record, check_report
+    from imubayes.display.report_layout import print_report
 
     inspection = inspect_campaign(campaign)
     declared = None
@@ -33,7 +34,7 @@ def check(campaign: Path, *, model: Path | None = None, as_json: Json = False) -
 
         declared = bind(read_model(model), inspection.campaign)
     if as_json:
-        print_json(inspection_json(inspection, declared))
+        print_json(check_record(inspection, declared).model_dump(mode="json"))
     else:
-        print_inspection(inspection, declared)
+        print_report(check_report(inspection, declared))
     return 0

@@ -1,74 +1,120 @@
-"""What `imubayes check` says: what is there, what is odd, and what a model would make of it."""
+"""The outcome of `imubayes check`: the runs, what the reduction did, the findings, and the size of a model."""
 
-from typing import Any
+from typing import Literal
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table as Grid
 
 from imubayes.campaign import Inspection
-from imubayes.campaign_data import Campaign
+from imubayes.campaign_data import Campaign, Run
+from imubayes.display.report_layout import Report
+from imubayes.display.table_layout import Cell, Sheet
 from imubayes.errors import InputError
+from imubayes.json_record import Record
 from imubayes.model.bind import Model
 
 
-def inspection_json(inspection: Inspection, model: Model | None) -> dict[str, Any]:
-    """Return the outcome of a check as one object; raises InputError where the campaign cannot be used."""
+class CheckedRun(Record):
+    """One run as reduced."""
+
+    name: str
+    procedure: str
+    rows: int
+    notes: tuple[str, ...]
+
+
+class CheckedFinding(Record):
+    """One finding, in its full text."""
+
+    name: str
+    severity: str
+    text: str
+
+
+class CheckedModel(Record):
+    """Size of a model bound to the campaign."""
+
+    name: str
+    parameters: int
+    noise_parameters: int
+    measured_values: int
+
+
+class Check(Record):
+    """What `imubayes check --json` prints."""
+
+    format: Literal[1] = 1
+    campaign: str
+    channels: tuple[str, ...]
+    runs: tuple[CheckedRun, ...]
+    findings: tuple[CheckedFinding, ...]
+    notes: tuple[str, ...]
+    model: CheckedModel | None
+
+
+def check_record(inspection: Inspection, model: Model | None) -> Check:
+    """Return the outcome of a check; raises InputError where the campaign cannot be used."""
     campaign = _usable(inspection)
-    found: dict[str, Any] = {
-        "format": 1,
-        "campaign": campaign.name,
-        "channels": [channel.name for channel in campaign.channels],
-        "runs": [
-            {"name": run.name, "procedure": run.procedure, "rows": run.rows, "notes": list(run.notes)}
-            for run in campaign.runs
-        ],
-        "findings": [
-            {"name": finding.name, "severity": finding.severity, "text": str(finding)}
+    return Check(
+        campaign=campaign.name,
+        channels=tuple(channel.name for channel in campaign.channels),
+        runs=tuple(
+            CheckedRun(name=run.name, procedure=run.procedure, rows=run.rows, notes=run.notes) for run in campaign.runs
+        ),
+        findings=tuple(
+            CheckedFinding(name=finding.name, severity=finding.severity, text=str(finding))
             for finding in inspection.findings
-        ],
-        "notes": list(campaign.notes),
-    }
-    if model is not None:
-        found["model"] = {
-            "name": model.spec.name,
-            "parameters": len(model.layout),
-            "noise_parameters": len(model.hyper_layout),
-            "measured_values": len(model.entries),
-        }
-    return found
+        ),
+        notes=campaign.notes,
+        model=None if model is None else _checked_model(model),
+    )
 
 
-def print_inspection(inspection: Inspection, model: Model | None) -> None:
-    """Print the outcome of a check; raises InputError where the campaign cannot be used."""
+def _checked_model(model: Model) -> CheckedModel:
+    return CheckedModel(
+        name=model.spec.name,
+        parameters=len(model.layout),
+        noise_parameters=len(model.hyper_layout),
+        measured_values=len(model.entries),
+    )
+
+
+def check_report(inspection: Inspection, model: Model | None) -> Report:
+    """Return the outcome of a check as a report; raises InputError where the campaign cannot be used."""
     campaign = _usable(inspection)
-    console = Console()
     site = campaign.site
-    console.print(
-        f"[bold]{campaign.name}[/bold]  {len(campaign.channels)} channels, {len(campaign.runs)} runs, "
+    heading = (
+        f"{campaign.name}  {len(campaign.channels)} channels, {len(campaign.runs)} runs, "
         f"latitude {np.degrees(site.latitude):.4f} deg, gravity {site.gravity:.5f} m/s²"
     )
-    grid = Grid("run", "procedure", "table", "mounting", "rows", "samples", "temperature °C", box=None)
-    for run in campaign.runs:
-        warmth = run.covariates.get("temperature")
-        span = "–" if warmth is None else f"{np.min(warmth):.1f} … {np.max(warmth):.1f}"
-        grid.add_row(
-            run.name, run.procedure, run.table or "–", run.mounting or "–", str(run.rows),
-            f"{np.sum(run.samples):.0f}", span,
-        )  # fmt: skip
-    console.print(grid)
-    for note in campaign.notes:
-        console.print(f"note: {note}", highlight=False, markup=False)
-    for run in campaign.runs:
-        for note in run.notes:
-            console.print(f"note: {run.name}: {note}", highlight=False, markup=False)
+    head = ("run", "procedure", "table", "mounting", "rows", "samples", "°C")
+    rows = [_run_row(run) for run in campaign.runs]
+    narrow = Sheet("Runs", (*head[:2], *head[4:]), [[*row[:2], *row[4:]] for row in rows], (0, 1))
+    sheet = Sheet("Runs", head, rows, (0, 1, 2, 3), narrow=narrow)
+    closing = [f"note: {note}" for note in campaign.notes]
+    closing += [f"note: {run.name}: {note}" for run in campaign.runs for note in run.notes]
     if model is not None:
-        console.print(
-            f"model '{model.spec.name}' fits this campaign: {len(model.layout)} parameters, "
-            f"{len(model.hyper_layout)} of noise, {len(model.entries)} measured values"
+        size = _checked_model(model)
+        closing.append(
+            f"model '{size.name}' fits this campaign: {size.parameters} parameters, {size.noise_parameters} of noise, "
+            f"{size.measured_values} measured values"
         )
-    warnings = [finding for finding in inspection.findings if finding.severity == "warning"]
-    console.print(f"{len(warnings)} warnings" if warnings else "nothing odd found")
+    warnings = sum(finding.severity == "warning" for finding in inspection.findings)
+    return Report([heading], [sheet], [*closing, f"{warnings} warnings" if warnings else "no findings"])
+
+
+def _run_row(run: Run) -> list[Cell]:
+    temperature = run.covariates.get("temperature")
+    ends = [] if temperature is None else [f"{np.min(temperature):.1f}", f"{np.max(temperature):.1f}"]
+    span = "\u00a0…\u00a0".join(dict.fromkeys(ends)) or "–"  # no line break within
+    texts = (
+        run.name,
+        run.procedure,
+        run.table or "–",
+        run.mounting or "–",
+        str(run.rows),
+        f"{np.sum(run.samples):.0f}",
+    )
+    return [Cell(text) for text in (*texts, span)]
 
 
 def _usable(inspection: Inspection) -> Campaign:
