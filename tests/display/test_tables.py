@@ -10,8 +10,9 @@ from rich.console import Console
 
 from imubayes.display.fit_quality_tables import fit_sheet, next_run_sheet, run_sheet, weak_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
+from imubayes.display.report_layout import Report, report_text
 from imubayes.display.summary_html import summary_html
-from imubayes.display.table_layout import Sheet, terminal
+from imubayes.display.table_layout import Cell, Sheet, terminal
 from imubayes.results.summary import RunSummary, Summary
 
 
@@ -172,3 +173,11 @@ def test_tables_do_without_matplotlib():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+def test_headings_wrap_before_a_cell_is_cut():
+    head = ("model", "residual / deg/h", "residual / µg", "Δ elpd")
+    row = [Cell("● └─ + gyro_scale_asymmetry"), Cell("2.14"), Cell("6.48"), Cell("+303.1 ± 88 (7/7 runs)")]
+    text = report_text(Report((), [Sheet("Models tried", head, [row])]), width=80)
+    assert "+303.1 ± 88 (7/7 runs)" in text
+    assert max(map(len, text.splitlines())) <= 80

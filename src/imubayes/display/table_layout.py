@@ -86,12 +86,14 @@ class SheetTable(Table):
 
     def _add_column(self, place: int, name: str, texts: Sequence[str], left: bool) -> None:
         widest = max(map(len, texts), default=0)
+        # A column of single words keeps them whole; its heading may wrap.
+        single = place > 0 and not any(" " in text for text in texts)
+        whole = max(widest, *map(len, name.split()), 0) if single else None
         self.add_column(
             Text(name),
             justify="left" if left else "right",
             overflow="fold",
-            no_wrap=place > 0 and not any(" " in text for text in texts),
-            min_width=min(widest, _LEAST_NAME) if place == 0 else None,
+            min_width=min(widest, _LEAST_NAME) if place == 0 else whole,
         )
         if place == 0 or any("±" in text for text in texts):
             self._unbroken[place] = max(widest, len(name))
