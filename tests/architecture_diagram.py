@@ -4,21 +4,13 @@ import ast
 import re
 from pathlib import Path
 
+from test_layering import FLOORS
+
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "imubayes"
 PAGE = ROOT / "ARCHITECTURE.md"
 BLOCK = re.compile(r"(?<=```mermaid\n).*?(?=```)", re.DOTALL)
-FOUNDATION = (
-    "errors",
-    "units",
-    "array_shapes",
-    "gather",
-    "rotations",
-    "earth",
-    "json_record",
-    "representation",
-    "atomic_files",
-)
+FOUNDATION = FLOORS[0]
 """Bottom-floor modules, which everything may use: one node, without arrows to it."""
 
 

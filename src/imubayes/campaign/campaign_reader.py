@@ -19,12 +19,12 @@ from imubayes.campaign.equipment import (
     build_tables,
     check_references,
     refuse_repeats,
+    refuse_reserved_names,
     require_current_scale,
 )
 from imubayes.campaign.file_schemas import CampaignFile, ModelFile, RunEntry
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.load_run import Equipment, Loaded, load_run
-from imubayes.campaign.run_columns import known_columns
 from imubayes.campaign.servo_angle import with_angles
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.campaign.valid_entries import Draft, draft_of
@@ -88,7 +88,7 @@ def inspect_campaign(path: str | Path) -> Inspection:
         return Inspection(None, error.issues, ())
     draft, ledger = draft_of(document.content), document.ledger
     equipment = _equipment(draft, ledger)
-    _check_channel_names(draft, ledger)
+    refuse_reserved_names(draft.channels, draft.names["channel"], ledger)
     _check_runs(draft, ledger)
     judge = None if ledger.issues else equipment
     loaded = [_load(file.parent / run.file, run, draft.names["channel"], judge) for run in draft.runs.values()]
@@ -165,18 +165,6 @@ def _campaign(
 def _load(file: Path, entry: RunEntry, names: Sequence[str], equipment: Equipment | None) -> Loaded:
     # A missing file has been reported with the line that names it.
     return load_run(file, entry, names, equipment) if file.is_file() else Loaded()
-
-
-def _check_channel_names(draft: Draft, ledger: Ledger) -> None:
-    taken = {*known_columns(), *(f"{name}_sd" for name in draft.names["channel"])}
-    for index, channel in draft.channels.items():
-        if channel.name in taken:
-            ledger.add(
-                f"the channel name '{channel.name}' is reserved for another column of run tables",
-                ("channel", index, "name"),
-                "a name that is neither a known column nor '<channel>_sd'",
-                "rename the channel and its column",
-            )
 
 
 def _check_runs(draft: Draft, ledger: Ledger) -> None:

@@ -11,6 +11,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from imubayes.campaign.file_schemas import ChannelEntry, MountingEntry, SiteEntry, TableEntry
+from imubayes.campaign.run_columns import known_columns
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.campaign_data import Channel, Mounting, Site, Table
 from imubayes.earth import normal_gravity
@@ -101,6 +102,22 @@ def refuse_repeats(names: Mapping[int, str], section: str, ledger: Ledger) -> No
                 f"rename one of the two {section}s",
             )
         first.setdefault(name, index)
+
+
+def refuse_reserved_names(channels: Mapping[int, ChannelEntry], names: Sequence[str], ledger: Ledger) -> None:
+    """Add an issue to the ledger for every channel named like another column of run tables.
+
+    `names` are the names of all channels, those of invalid entries included.
+    """
+    reserved = {*known_columns(), *(f"{name}_sd" for name in names)}
+    for index, channel in channels.items():
+        if channel.name in reserved:
+            ledger.add(
+                f"the channel name '{channel.name}' is reserved for another column of run tables",
+                ("channel", index, "name"),
+                "a name that is neither a known column nor '<channel>_sd'",
+                "rename the channel and its column",
+            )
 
 
 def check_references(run: RunReferences, index: int, names: Mapping[str, Sequence[str]], ledger: Ledger) -> None:

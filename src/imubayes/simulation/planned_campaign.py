@@ -13,10 +13,10 @@ from imubayes.campaign.equipment import (
     build_tables,
     check_references,
     refuse_repeats,
+    refuse_reserved_names,
     require_current_scale,
 )
 from imubayes.campaign.file_schemas import RunEntry
-from imubayes.campaign.run_columns import known_columns
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.campaign_data import Campaign, Channel
 from imubayes.errors import InputError, closest_first
@@ -110,14 +110,8 @@ def _entry(run: PlannedRun, place: int) -> RunEntry:
 
 
 def _check_channels(file: PlanFile, ledger: Ledger) -> None:
+    refuse_reserved_names(dict(enumerate(file.channel)), [channel.name for channel in file.channel], ledger)
     for place, channel in enumerate(file.channel):
-        if channel.name in known_columns():
-            ledger.add(
-                f"the channel name '{channel.name}' is reserved for another column of run tables",
-                ("channel", place, "name"),
-                "a name that is not a known column",
-                "rename the channel",
-            )
         if channel.noise is None:
             ledger.add(
                 f"channel '{channel.name}' has no noise",
