@@ -57,8 +57,10 @@ class Kind:
 
 _THERMAL = ("cycle", "gyros")
 _WARM = ("cycle", "gyros", "temperatures", "head")
-_CONVERTER = ("converter",)
+_CONVERTER = ("converter", "converter_cycle")
+_CYCLES = ("converter_cycle",)
 _TAU = between(4.0, 40.0)
+_PLAY = between(1.0, 6.0)
 _PHASE: Draw = lambda generator: float(generator.uniform(0, 360))  # noqa: E731
 
 CATALOGUE: dict[str, Kind] = {
@@ -72,6 +74,7 @@ CATALOGUE: dict[str, Kind] = {
     "gyro_bias_temperature_quadratic": Kind("gyro", {"curvature": 0.01}, templates=_WARM),
     "gyro_bias_temperature_rate": Kind("gyro", {"slope": 10.0}, templates=_THERMAL),
     "gyro_thermal_lag": Kind("gyro", {"coefficient": 1.0}, {"tau": _TAU}, _THERMAL),
+    "gyro_thermal_hysteresis": Kind("gyro", {"half_width": 10.0}, {"play": _PLAY}, ("cycle",)),
     "gyro_warm_up": Kind("gyro", {"amplitude": 10.0}, {"tau": _TAU}, _THERMAL),
     "gyro_scale_temperature": Kind("gyro", {"slope": 10.0}, templates=("temperatures", "gyros")),
     "gyro_scale_temperature_quadratic": Kind("gyro", {"curvature": 0.5}, templates=("temperatures", "gyros")),
@@ -87,6 +90,7 @@ CATALOGUE: dict[str, Kind] = {
     "accel_bias_temperature_quadratic": Kind("accelerometer", {"curvature": 0.5}, templates=_WARM),
     "accel_bias_temperature_rate": Kind("accelerometer", {"slope": 100.0}, templates=_THERMAL),
     "accel_thermal_lag": Kind("accelerometer", {"coefficient": 30.0}, {"tau": _TAU}, _THERMAL),
+    "accel_thermal_hysteresis": Kind("accelerometer", {"half_width": 300.0}, {"play": _PLAY}, ("cycle",)),
     "accel_warm_up": Kind("accelerometer", {"amplitude": 200.0}, {"tau": _TAU}, _THERMAL),
     "accel_scale_temperature": Kind("accelerometer", {"slope": 20.0}, templates=_WARM),
     "accel_scale_temperature_quadratic": Kind("accelerometer", {"curvature": 0.5}, templates=_WARM),
@@ -98,6 +102,12 @@ CATALOGUE: dict[str, Kind] = {
     "converter_offset_drift_quadratic": Kind("accelerometer", {"curvature": 0.02}, templates=_CONVERTER),
     "converter_nonlinearity": Kind("accelerometer", {"quadratic": 5e-4, "cubic": 2.5e-9}, templates=_CONVERTER),
     "converter_leakage": Kind("accelerometer", {"leakage": 1.0}, {"doubling": between(7.0, 14.0)}, _CONVERTER),
+    "converter_gain_temperature_rate": Kind("accelerometer", {"slope": 100.0}, templates=_CYCLES),
+    "converter_gain_lag": Kind("accelerometer", {"coefficient": 10.0}, {"tau": _TAU}, _CYCLES),
+    "converter_gain_hysteresis": Kind("accelerometer", {"half_width": 50.0}, {"play": _PLAY}, _CYCLES),
+    "converter_offset_temperature_rate": Kind("accelerometer", {"slope": 5.0}, templates=_CYCLES),
+    "converter_offset_lag": Kind("accelerometer", {"coefficient": 0.5}, {"tau": _TAU}, _CYCLES),
+    "converter_offset_hysteresis": Kind("accelerometer", {"half_width": 2.0}, {"play": _PLAY}, _CYCLES),
     "converter_dead_zone": Kind("accelerometer", {"half_width": 1.0}, templates=_CONVERTER),
     "lever_arm": Kind("accelerometer", {"x": 10.0, "y": 10.0, "z": 10.0}),
     "encoder_harmonic": Kind("head", {f"{part}_{n}": 3.0 for n in (1, 2) for part in ("sin", "cos")}),

@@ -5,6 +5,7 @@ Both are evaluated at instants spread evenly over the row, whose mean and varian
 the standard deviation of its raw samples.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
@@ -28,6 +29,7 @@ from sensor import (
     lever_arm_force,
 )
 
+THERMAL = ("drift", "drift_quadratic", "leakage", "temperature_rate", "lag", "hysteresis")
 INSTANTS_PER_RAMP = 12
 INSTANTS_PER_ARC = 24
 
@@ -85,7 +87,7 @@ class Plan:
         rows = [row for run in self.runs for row in run.rows]
         if effect == "injection_error":
             return any(row.current is not None for row in rows)
-        if effect.startswith("converter_") and ("drift" in effect or "leakage" in effect):
+        if effect.startswith("converter_") and effect.endswith(THERMAL):
             return any(row.converter_temperature is not None for row in rows)
         if effect.startswith(("reference_", "time_")):
             return any(run.procedure == "reference_gyro" for run in self.runs)
@@ -133,6 +135,11 @@ def _one(items, name):
     return next(item for item in items if item.name == name)
 
 
+def _spacing(run: Run) -> float:
+    """Time from the middle of one row to that of the next, s; 1 where a run has one row."""
+    return run.rows[1].time - run.rows[0].time if len(run.rows) > 1 else 1.0
+
+
 def lagged(time: np.ndarray, temperature: np.ndarray, tau: float) -> np.ndarray:
     """Temperature behind a first-order lag of `tau` (s) that starts in equilibrium, between rows along straight lines.
 
@@ -145,6 +152,15 @@ def lagged(time: np.ndarray, temperature: np.ndarray, tau: float) -> np.ndarray:
         differs = behind[row - 1] - temperature[row - 1] + trailing
         behind[row] = temperature[row] - trailing + differs * np.exp(-step / tau)
     return behind
+
+
+def place_in_loop(temperature: np.ndarray, play: float) -> np.ndarray:
+    """Where a temperature is in a loop that it drags along with a play of ±`play`, −1 … 1; 0 at the start."""
+    middle, place = temperature[0], np.zeros(len(temperature))
+    for index, now in enumerate(temperature):
+        middle = min(max(middle, now - play), now + play)
+        place[index] = (now - middle) / play
+    return place
 
 
 class Moments:
@@ -160,6 +176,7 @@ class Moments:
         self.run = self.run_of_row[self.row]
         self.angle = np.radians(np.concatenate([angle for angle, _ in parts]))
         self.converter = np.concatenate([converter for _, converter in parts])
+        self.converter_rate, self.time = self._of_ramps()
         self.rate = np.radians([row.rate for row in self.rows])[self.row]
         self.rate_rise = np.radians([row.rate_rise for row in self.rows])[self.row]
         injected = [0.0 if row.current is None else row.current for row in self.rows]
@@ -179,6 +196,32 @@ class Moments:
         size = max(len(angle), len(converter))
         return np.resize(angle, size), np.resize(converter, size)
 
+    def _of_ramps(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rate of the converter's temperature in °C/min, and time in s, of every instant; ramps have no gaps."""
+        lasts = np.concatenate([np.full(len(run.rows), _spacing(run)) for run in self.plan.runs])[self.row]
+        rise = np.array([row.converter_rise for row in self.rows])[self.row]
+        ramps = np.array([row.converter_temperature is not None for row in self.rows])[self.row]
+        first = (np.cumsum(self.count) - self.count)[self.row]
+        across = (np.arange(len(self.row)) - first + 0.5) / self.count[self.row] - 0.5
+        time = np.array([row.time for row in self.rows])[self.row] + np.where(ramps, across * lasts, 0.0)
+        return 60 * rise / lasts, time
+
+    def _along(self, memory: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        """Apply a function of time and temperature to the instants of each ramp of the converter; 0 elsewhere."""
+        found = np.zeros(len(self.row))
+        for index, run in enumerate(self.plan.runs):
+            if run.rows[0].converter_temperature is not None:
+                at = self.run == index
+                found[at] = memory(self.time[at], self.converter[at])
+        return found
+
+    def _converter_lag(self, tau_min: float) -> np.ndarray:
+        """Lagged minus true temperature of the converter."""
+        return self._along(lambda time, warmth: lagged(time, warmth, 60 * tau_min) - warmth)
+
+    def _converter_loop(self, play: float) -> np.ndarray:
+        return self._along(lambda _, warmth: place_in_loop(warmth, play))
+
     @cached_property
     def around(self) -> Surroundings:
         """What surrounds the unit at every instant."""
@@ -189,11 +232,15 @@ class Moments:
             temperature=np.array([row.temperature for row in self.rows])[self.row],
             temperature_rate=np.array([row.temperature_rate for row in self.rows])[self.row],
             lag=self._lag,
+            loop=self._loop,
             hours=hours[self.row],
             power_on_min=power_on[self.row],
             rate=self.rate,
             angle=self.angle,
             converter=self.converter,
+            converter_rate=self.converter_rate,
+            converter_lag=self._converter_lag,
+            converter_loop=self._converter_loop,
             run=self.run,
             progress=progress[self.row],
         )
@@ -213,6 +260,11 @@ class Moments:
             temperature = np.array([row.temperature for row in run.rows])
             lag.append(lagged(time, temperature, 60 * tau_min) - temperature)
         return np.concatenate(lag)[self.row]
+
+    def _loop(self, play: float) -> np.ndarray:
+        """Place of the sensor in its loop of hysteresis."""
+        runs = [np.array([row.temperature for row in run.rows]) for run in self.plan.runs]
+        return np.concatenate([place_in_loop(warmth, play) for warmth in runs])[self.row]
 
     def motion(self, values: Values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Body rate, specific force and the table's own rotation, each (instants, 3) in body axes."""

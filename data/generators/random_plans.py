@@ -87,8 +87,8 @@ def set_points(generator: np.random.Generator, minutes: np.ndarray, shape: str) 
     return ends[0] + (ends[1] - ends[0]) * np.interp(share, *knots)
 
 
-def thermal_rows(generator: np.random.Generator, rows: int, shape: str, seconds: float) -> list[Row]:
-    """Rows of `seconds` at rest while the chamber follows its set points; power is switched on at the start."""
+def followed(generator: np.random.Generator, rows: int, shape: str, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Temperatures at the ends of rows (rows + 1) and their means (rows) in a chamber that follows its set points."""
     grid = np.arange(rows * 60 + 1) * seconds / 60
     aim = set_points(generator, grid / 60, shape)
     temperature = np.empty_like(aim)
@@ -96,13 +96,18 @@ def thermal_rows(generator: np.random.Generator, rows: int, shape: str, seconds:
     fade = np.exp(-(grid[1] / 60) / CHAMBER_MINUTES)
     for k in range(1, len(aim)):
         temperature[k] = aim[k] + (temperature[k - 1] - aim[k]) * fade
-    edges = temperature[::60]
     means = [float(np.mean(temperature[60 * k : 60 * k + 61])) for k in range(rows)]
+    return temperature[::60], np.array(means)
+
+
+def thermal_rows(generator: np.random.Generator, rows: int, shape: str, seconds: float) -> list[Row]:
+    """Rows of `seconds` at rest while the chamber follows its set points; power is switched on at the start."""
+    edges, means = followed(generator, rows, shape, seconds)
     return [
         Row(
             (k + 0.5) * seconds,
             round(seconds * RAW_RATE),
-            round(means[k], 3),
+            round(float(means[k]), 3),
             temperature_rate=float(edges[k + 1] - edges[k]) / (seconds / 60),
             power_on=(k + 0.5) * seconds,
         )
@@ -122,6 +127,24 @@ def converter_rows(generator: np.random.Generator, rows: int, current: float | N
             25.0,
             converter_temperature=round(start + (k + 0.5) * rise, 4),
             converter_rise=rise,
+            current=current,
+        )
+        for k in range(rows)
+    ]
+
+
+def converter_cycle_rows(generator: np.random.Generator, rows: int, shape: str, current: float | None) -> list[Row]:
+    """The converter follows the set points of its chamber after a soak, the sensor is held."""
+    seconds = 120.0
+    edges, _ = followed(generator, rows, shape, seconds)
+    middle, rise = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+    return [
+        Row(
+            (k + 0.5) * seconds,
+            round(seconds * RAW_RATE),
+            25.0,
+            converter_temperature=round(float(middle[k]), 4),
+            converter_rise=float(rise[k]),
             current=current,
         )
         for k in range(rows)
@@ -190,6 +213,21 @@ def converter(generator: np.random.Generator) -> tuple[tuple[Channel, ...], Cont
     return WITH_CURRENT, content
 
 
+def converter_cycle(generator: np.random.Generator) -> tuple[tuple[Channel, ...], Content]:
+    """The same with converter temperatures up and down again, at one rate or two."""
+    names = _names(generator, 3, pyramid=True)
+    shapes = ["two rates", "cycle", "two cycles"]
+
+    def ramp(current: float | None) -> list[Row]:
+        return converter_cycle_rows(generator, 50, str(generator.choice(shapes)), current)
+
+    content: Content = [("thermal_ramp", "rate", name, ramp(None)) for name in names]
+    for current in (-1.2 * generator.uniform(2, 6), 1.2 * generator.uniform(6, 12)):
+        content.append(("current_injection", "rate", None, ramp(round(current, 3))))
+    content += [("dividing_head", "head", name, head_rows(generator, 12, 25.0)) for name in names[1:]]
+    return WITH_CURRENT, content
+
+
 def gyros(generator: np.random.Generator) -> tuple[tuple[Channel, ...], Content]:
     """Four gyros on a pyramid: rate table in three mountings at two temperatures, and a thermal run."""
     names, warm = _names(generator, 3, pyramid=False), generator.uniform(-20, 15)
@@ -203,6 +241,7 @@ def gyros(generator: np.random.Generator) -> tuple[tuple[Channel, ...], Content]
 
 TEMPLATES: dict[str, Callable[[np.random.Generator], tuple[tuple[Channel, ...], Content]]] = {
     "table": table, "temperatures": temperatures, "head": head, "cycle": cycle, "converter": converter, "gyros": gyros,
+    "converter_cycle": converter_cycle,
 }  # fmt: skip
 
 

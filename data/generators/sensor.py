@@ -61,8 +61,11 @@ class Channel:
         return self.scale / per[self.per]
 
 
-def no_lag(tau_min: float) -> float:
-    """The lag of a temperature that does not change."""
+Memory = Callable[[float], float | np.ndarray]
+
+
+def steady(size: float) -> float:
+    """The memory of a temperature that does not change."""
     return 0.0
 
 
@@ -74,21 +77,27 @@ class Surroundings:
     ----------
     temperature, temperature_rate : of the sensor, °C and °C/min.
     lag : time constant in min → lagged minus true temperature, °C.
+    loop : play in °C → place in the loop of a hysteresis, −1 … 1.
     hours : since the campaign began.
     power_on_min : since power-on; infinite where nobody knows.
     rate, angle : of the table, commanded, rad/s and rad.
     converter : temperature of the converter; the reference temperature where nobody measures it.
+    converter_rate, converter_lag, converter_loop : as above, of the converter.
     run, progress : index of the run, and how much of it is over (0 … 1).
     """
 
     temperature: float | np.ndarray = REFERENCE_TEMPERATURE
     temperature_rate: float | np.ndarray = 0.0
-    lag: Callable[[float], float | np.ndarray] = field(default=no_lag)
+    lag: Memory = field(default=steady)
+    loop: Memory = field(default=steady)
     hours: float | np.ndarray = 0.0
     power_on_min: float | np.ndarray = np.inf
     rate: float | np.ndarray = 0.0
     angle: float | np.ndarray = 0.0
     converter: float | np.ndarray = REFERENCE_TEMPERATURE
+    converter_rate: float | np.ndarray = 0.0
+    converter_lag: Memory = field(default=steady)
+    converter_loop: Memory = field(default=steady)
     run: int | np.ndarray = 0
     progress: float | np.ndarray = 0.0
 
@@ -120,6 +129,8 @@ def bias_over_temperature_and_time(kind: str, error: Callable[[str], float], aro
         bias = bias + slope * around.temperature_rate
     if coefficient := error(f"{kind}_thermal_lag.coefficient"):
         bias = bias + coefficient * around.lag(error(f"{kind}_thermal_lag.tau"))
+    if half_width := error(f"{kind}_thermal_hysteresis.half_width"):
+        bias = bias + half_width * around.loop(error(f"{kind}_thermal_hysteresis.play"))
     if amplitude := error(f"{kind}_warm_up.amplitude"):
         bias = bias + amplitude * np.exp(-around.power_on_min / error(f"{kind}_warm_up.tau"))
     if slope := error(f"{kind}_bias_drift.slope"):
@@ -223,6 +234,16 @@ def lever_arm_force(channel: Channel, values: Values, table_rate: np.ndarray, ri
     return np.cross(table_rate, np.cross(table_rate, arm)) + np.cross(rising, arm)
 
 
+def memories_of_the_converter(part: str, error: Callable[[str], float], around: Surroundings):
+    """What the way to the converter's present temperature adds to its gain (ppm) or offset (output units)."""
+    change = error(f"converter_{part}_temperature_rate.slope") * around.converter_rate
+    if coefficient := error(f"converter_{part}_lag.coefficient"):
+        change = change + coefficient * around.converter_lag(error(f"converter_{part}_lag.tau"))
+    if half_width := error(f"converter_{part}_hysteresis.half_width"):
+        change = change + half_width * around.converter_loop(error(f"converter_{part}_hysteresis.play"))
+    return change
+
+
 def converted(channel: Channel, values: Values, site: Site, signal, around: Surroundings) -> np.ndarray:
     """Output of the converter in output units."""
     error = errors_of(values, channel.name)
@@ -231,6 +252,7 @@ def converted(channel: Channel, values: Values, site: Site, signal, around: Surr
     gain = PPM * error("converter_gain_drift.slope") * warmer
     if curvature := error("converter_gain_drift_quadratic.curvature"):
         gain = gain + PPM * curvature * warmer**2
+    gain = gain + PPM * memories_of_the_converter("gain", error, around)
     if quadratic := error("converter_nonlinearity.quadratic"):
         gain = gain + PPM * quadratic * ideal
     if cubic := error("converter_nonlinearity.cubic"):
@@ -238,6 +260,7 @@ def converted(channel: Channel, values: Values, site: Site, signal, around: Surr
     output = ideal * (1 + gain) + error("converter_offset_drift.slope") * warmer
     if curvature := error("converter_offset_drift_quadratic.curvature"):
         output = output + curvature * warmer**2
+    output = output + memories_of_the_converter("offset", error, around)
     if leakage := error("converter_leakage.leakage"):
         output = output + leakage * (2 ** (warmer / error("converter_leakage.doubling")) - 1)
     if amplitude := error("converter_warm_up.amplitude"):

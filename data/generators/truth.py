@@ -58,6 +58,14 @@ UNITS = {
     "converter_leakage.leakage": "output", "converter_leakage.doubling": "degC",
     "converter_warm_up.amplitude": "output", "converter_warm_up.tau": "min",
     "converter_dead_zone.half_width": "output",
+    "converter_gain_temperature_rate.slope": "ppm/(degC/min)",
+    "converter_gain_lag.coefficient": "ppm/degC", "converter_gain_lag.tau": "min",
+    "converter_gain_hysteresis.half_width": "ppm", "converter_gain_hysteresis.play": "degC",
+    "converter_offset_temperature_rate.slope": "output/(degC/min)",
+    "converter_offset_lag.coefficient": "output/degC", "converter_offset_lag.tau": "min",
+    "converter_offset_hysteresis.half_width": "output", "converter_offset_hysteresis.play": "degC",
+    "gyro_thermal_hysteresis.half_width": "deg/h", "gyro_thermal_hysteresis.play": "degC",
+    "accel_thermal_hysteresis.half_width": "ug", "accel_thermal_hysteresis.play": "degC",
     **{f"encoder_harmonic.{part}_{order}": "arcsec" for order in (1, 2) for part in ("sin", "cos")},
     **{
         f"table_wobble.{axis}_{part}_{order}": "arcsec"

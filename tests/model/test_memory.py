@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from imubayes.campaign_data import Campaign
 from imubayes.effects.memory import Decay, Play, inclusive_scan
 from imubayes.model.bind import Model, bind
 from imubayes.model.problem import predict
@@ -69,6 +70,39 @@ def test_hysteresis_is_dragged_between_two_stops(run):
     np.testing.assert_allclose(found, 2.0 * np.array(expected), atol=1e-9)
     assert max(found) == pytest.approx(2.0)
     assert min(found) == pytest.approx(-2.0)
+
+
+def with_a_converter_of_its_own() -> Campaign:
+    """Return the campaign where the converter of one run takes a course apart from the sensor's."""
+    among = wide_campaign()
+    place = [run.name for run in among.runs].index("cycle-fast")
+    run = among.runs[place]
+    course = 30 + 15 * np.sin(np.arange(16) / 2)
+    other = replace(run, covariates=dict(run.covariates) | {"converter_temperature": course})
+    return replace(among, runs=(*among.runs[:place], other, *among.runs[place + 1 :]))
+
+
+def test_the_memory_of_a_converter_is_of_its_own_temperature():
+    among = with_a_converter_of_its_own()
+    run = next(one for one in among.runs if one.name == "cycle-fast")
+    time, course = run.covariates["time"], run.covariates["converter_temperature"]
+    one = bind(spec("converter_offset_lag"), among)
+    found = change("", "cycle-fast", "gy", one, coefficient=0.02, tau=12.0) * GYRO_SCALE * HOUR_DEGREE
+    np.testing.assert_allclose(found, 0.02 * (lagged(time, course, 720.0) - course), atol=2e-5)
+
+
+def test_hysteresis_of_a_converters_gain_multiplies_its_input():
+    among = with_a_converter_of_its_own()
+    run = next(one for one in among.runs if one.name == "cycle-fast")
+    middle, place = run.covariates["converter_temperature"][0], []
+    for now in run.covariates["converter_temperature"]:
+        middle = min(max(middle, now - 4.0), now + 4.0)
+        place.append((now - middle) / 4.0)
+    one = bind(spec("converter_gain_hysteresis"), among)
+    found = change("", "cycle-fast", "gy", one, half_width=50.0, play=4.0)
+    nominal = bind(spec("gyro_scale_factor"), among)
+    earth = change("", "cycle-fast", "gy", nominal, scale=1e6)
+    np.testing.assert_allclose(found, 50e-6 * earth * np.array(place), rtol=1e-9, atol=1e-9)
 
 
 def test_memory_does_not_hang_on_the_order_of_rows():

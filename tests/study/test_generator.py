@@ -168,6 +168,37 @@ def test_converter_with_injected_current(parameters, expected):
     assert np.isclose(found[0, 0], expected, rtol=1e-9, atol=1e-15)
 
 
+RAMP = tuple(
+    plans.Row(60.0 * k + 30, 10, 25.0, converter_temperature=20.5 + k, converter_rise=1.0, current=10.0)
+    for k in range(60)
+)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        # 5 g injected, converter at 1 °C/min for an hour: what is reached at its end, output in g
+        ({"converter_offset_temperature_rate.slope": 2e-4}, 2e-4),
+        ({"converter_offset_lag.coefficient": 1e-4, "converter_offset_lag.tau": 5.0}, -5e-4),
+        ({"converter_offset_hysteresis.half_width": 3e-4, "converter_offset_hysteresis.play": 2.0}, 3e-4),
+        ({"converter_gain_temperature_rate.slope": 20.0}, 5 * 20e-6),
+        ({"converter_gain_lag.coefficient": 10.0, "converter_gain_lag.tau": 5.0}, -5 * 50e-6),
+        ({"converter_gain_hysteresis.half_width": 30.0, "converter_gain_hysteresis.play": 2.0}, 5 * 30e-6),
+    ],
+)
+def test_converter_on_a_ramp(parameters, expected):
+    plan = replace(a_plan(*RAMP), channels=(AX,))
+    found = difference(plan, {f"{name}[ax]": value for name, value in parameters.items()})[:, 0]
+    assert np.isclose(found[-1], expected, rtol=1e-4)
+    if "rate" not in next(iter(parameters)):
+        assert 0 < found[0] / expected < 0.3, "there is nothing to remember where a run begins"
+
+
+def test_a_loop_is_entered_in_the_middle_and_left_at_either_end():
+    place = plans.place_in_loop(np.array([20.0, 21, 23, 30, 29, 26, 20, 22]), 2.0)
+    assert np.allclose(place, [0, 0.5, 1, 1, 0.5, -1, -1, 0])
+
+
 def test_autoregression_has_the_stated_spread_and_correlation():
     noise = plans.correlated(np.random.default_rng(1), 200_000, 2.0, 0.6)
     assert np.isclose(noise.std(), 2.0, rtol=0.02)

@@ -18,12 +18,13 @@ from imubayes.effects.shared_formulas import (
     ScaleAsymmetry,
     ScaleFactor,
     SecondOrderNonlinearity,
+    ThermalHysteresis,
     ThermalLag,
     ThermalRateBias,
     ThirdOrderNonlinearity,
     WarmUp,
 )
-from imubayes.parameters.parameter_declarations import parameter, time_constant
+from imubayes.parameters.parameter_declarations import parameter, thermal_play, time_constant
 from imubayes.signal_path_state import Sample
 
 
@@ -138,6 +139,14 @@ class AccelThermalLag(Accelerometer, ThermalLag):
     reference = "first-order lag, IEEE Std 1293 thermal model; time constants of minutes"
     coefficient: Scalar = parameter("ug/degC", "normal(0, 50 ug/degC)", (1, 300), "the bias per degree of lag")
     tau: Scalar = time_constant("the time constant of the lag")
+
+
+class AccelThermalHysteresis(Accelerometer, ThermalHysteresis):
+    name = "accel_thermal_hysteresis"
+    confused_with = "accel_thermal_lag, at one ramp rate; accel_bias_temperature, where all ramps are monotonic"
+    reference = "play operator, Visintin, Differential Models of Hysteresis, ch. III; IEEE Std 1293, thermal hysteresis"
+    half_width: Scalar = parameter("ug", "normal(0, 500 ug)", (1, 5000), "half the height of the loop")
+    play: Scalar = thermal_play()
 
 
 class AccelWarmUp(Accelerometer, WarmUp):

@@ -11,9 +11,15 @@ from imubayes.effects.shared_formulas import (
     LinearThermalScale,
     QuadraticThermalBias,
     QuadraticThermalScale,
+    ThermalHysteresis,
+    ThermalHysteresisScale,
+    ThermalLag,
+    ThermalLagScale,
+    ThermalRateBias,
+    ThermalRateScale,
     WarmUp,
 )
-from imubayes.parameters.parameter_declarations import parameter, reference_temperature, time_constant
+from imubayes.parameters.parameter_declarations import parameter, reference_temperature, thermal_play, time_constant
 from imubayes.signal_path_state import Sample
 
 
@@ -54,6 +60,54 @@ class ConverterGainDriftQuadratic(Converter, QuadraticThermalScale):
     curvature: Scalar = parameter(
         "ppm/degC^2", "normal(0, 2 ppm/degC^2)", (0.01, 5), "the gain change per degree squared"
     )
+
+
+class ConverterGainTemperatureRate(Converter, ThermalRateScale):
+    """Gain linear in the rate of converter temperature: signal · (1 + γ·dT_c/dt)."""
+
+    name = "converter_gain_temperature_rate"
+    order = Order.GAIN
+    needs = ("converter_temperature_rate",)
+    confused_with = "converter_gain_lag, where changes are slow against τ; converter_offset_temperature_rate, one input"
+    reference = "first-order lag of slow changes, gain drift times time constant: 100 ppm/degC and 10 min"
+    slope: Scalar = parameter(
+        "ppm/(degC/min)", "normal(0, 1000 ppm/(degC/min))", (1, 3000), "the gain change per temperature rate"
+    )
+
+
+class ConverterGainLag(Converter, ThermalLagScale):
+    """Gain linear in the thermal lag: signal · (1 + γ·(T_τ − T_c)) with dT_τ/dt = (T_c − T_τ)/τ.
+
+    T_τ = T_c where a run begins.  A converter whose gain follows its internal temperature alone has γ equal to its
+    gain drift.
+    """
+
+    name = "converter_gain_lag"
+    order = Order.GAIN
+    needs = ("converter_temperature", "converter_temperature_rate")
+    confused_with = "converter_gain_temperature_rate, where changes are slow against τ; converter_offset_lag, one input"
+    reference = "first-order thermal network between temperature sensor and converter; size of the gain drift"
+    coefficient: Scalar = parameter(
+        "ppm/degC", "normal(0, 100 ppm/degC)", (1, 100), "the gain change per degree of lag"
+    )
+    tau: Scalar = time_constant("the time constant of the lag")
+
+
+class ConverterGainHysteresis(Converter, ThermalHysteresisScale):
+    """Thermal hysteresis of gain: signal · (1 + h·m/w), m following T_c with play ±w: m ← clip(m + ΔT_c, −w, w).
+
+    Each run begins in the middle of the loop.
+    """
+
+    name = "converter_gain_hysteresis"
+    order = Order.GAIN
+    needs = ("converter_temperature", "converter_temperature_rate")
+    confused_with = "converter_gain_lag, at one ramp rate; converter_gain_drift, where all ramps are monotonic"
+    reference = (
+        "thermal hysteresis of voltage references, 10 to 200 ppm in data sheets; play operator, Visintin, ch. III"
+    )
+    half_width: Scalar = parameter("ppm", "normal(0, 100 ppm)", (1, 200), "half the height of the loop")
+    play: Scalar = thermal_play()
 
 
 class ConverterNonlinearity(Converter, SignalEffect):
@@ -97,6 +151,52 @@ class ConverterOffsetDriftQuadratic(Converter, QuadraticThermalBias):
     curvature: Scalar = parameter(
         "output/degC^2", "normal(0, 1e-5 scale/degC^2)", (1e-8, 1e-3), "the offset per degree squared"
     )
+
+
+class ConverterOffsetTemperatureRate(Converter, ThermalRateBias):
+    """Offset linear in the rate of converter temperature: signal + o·dT_c/dt."""
+
+    name = "converter_offset_temperature_rate"
+    order = Order.OFFSET
+    needs = ("converter_temperature_rate",)
+    confused_with = "converter_offset_lag, where changes are slow against τ; bias_drift, in a single monotonic ramp"
+    reference = "thermoelectric voltages across gradients; offset drift times time constant: 1e-4 scale/degC and 10 min"
+    slope: Scalar = parameter(
+        "output/(degC/min)", "normal(0, 1e-3 scale/(degC/min))", (1e-6, 0.1), "the offset per temperature rate"
+    )
+
+
+class ConverterOffsetLag(Converter, ThermalLag):
+    """Offset linear in the thermal lag: signal + o·(T_τ − T_c) with dT_τ/dt = (T_c − T_τ)/τ.
+
+    T_τ = T_c where a run begins.  A converter whose offset follows its internal temperature alone has o equal to its
+    offset drift.
+    """
+
+    name = "converter_offset_lag"
+    order = Order.OFFSET
+    needs = ("converter_temperature", "converter_temperature_rate")
+    confused_with = "converter_offset_temperature_rate, where changes are slow against τ; converter_gain_lag, one input"
+    reference = "first-order thermal network between temperature sensor and converter; size of the offset drift"
+    coefficient: Scalar = parameter(
+        "output/degC", "normal(0, 1e-4 scale/degC)", (1e-6, 1e-2), "the offset per degree of lag"
+    )
+    tau: Scalar = time_constant("the time constant of the lag")
+
+
+class ConverterOffsetHysteresis(Converter, ThermalHysteresis):
+    """Thermal hysteresis of offset: signal + h·m/w, m following T_c with play ±w: m ← clip(m + ΔT_c, −w, w).
+
+    Each run begins in the middle of the loop.
+    """
+
+    name = "converter_offset_hysteresis"
+    order = Order.OFFSET
+    needs = ("converter_temperature", "converter_temperature_rate")
+    confused_with = "converter_offset_lag, at one ramp rate; converter_offset_drift, where all ramps are monotonic"
+    reference = "play operator, Visintin, Differential Models of Hysteresis, ch. III; offset drift over a few degrees"
+    half_width: Scalar = parameter("output", "normal(0, 1e-3 scale)", (1e-6, 0.1), "half the height of the loop")
+    play: Scalar = thermal_play()
 
 
 class ConverterLeakage(Converter, SignalEffect):

@@ -1,8 +1,6 @@
 """Bias and scale factor of a gyro, over temperature and time, and its dead zone."""
 
 from imubayes.array_shapes import Scalar
-from imubayes.effects.base import Order, RecordEffect
-from imubayes.effects.memory import Play
 from imubayes.effects.shared_formulas import (
     BiasDrift,
     ConstantBias,
@@ -14,12 +12,12 @@ from imubayes.effects.shared_formulas import (
     QuadraticThermalScale,
     RunBias,
     ScaleFactor,
+    ThermalHysteresis,
     ThermalLag,
     ThermalRateBias,
     WarmUp,
 )
-from imubayes.parameters.parameter_declarations import parameter, time_constant
-from imubayes.signal_path_state import Ambient, Sample
+from imubayes.parameters.parameter_declarations import parameter, thermal_play, time_constant
 
 
 class GyroBias(Gyro, ConstantBias):
@@ -60,33 +58,12 @@ class GyroThermalLag(Gyro, ThermalLag):
     tau: Scalar = time_constant("the time constant of the lag")
 
 
-class GyroThermalHysteresis(Gyro, RecordEffect):
-    """Thermal hysteresis of bias: signal + h·m/w, where m follows T with play ±w: m ← clip(m + ΔT, −w, w).
-
-    After more than 2w of warming the bias is h above the middle of the loop, after as much cooling h below it, at any
-    ramp rate; each run begins in the middle.
-    """
-
+class GyroThermalHysteresis(Gyro, ThermalHysteresis):
     name = "gyro_thermal_hysteresis"
-    order = Order.BIAS
-    needs = ("temperature", "temperature_rate")
     confused_with = "gyro_thermal_lag, at one ramp rate; gyro_bias_temperature, where all ramps are monotonic"
     reference = "play operator, Visintin, Differential Models of Hysteresis, ch. III; IEEE Std 952, thermal hysteresis"
     half_width: Scalar = parameter("deg/h", "normal(0, 10 deg/h)", (0.01, 50), "half the height of the loop")
-    play: Scalar = parameter(
-        "degC",
-        "lognormal(3 degC, 0.7)",
-        (0.5, 20),
-        "the play w, half the width of the loop",
-        null=3.0,
-        shape=(0.5, 1.5, 3.0, 6.0, 12.0),
-    )
-
-    def carry(self, before: Ambient, now: Ambient, seconds: Scalar) -> Play:
-        return Play(now.temperature - before.temperature, -self.play, self.play)
-
-    def apply(self, signal: Scalar, sample: Sample, memory: Scalar) -> Scalar:
-        return signal + self.half_width * memory / self.play
+    play: Scalar = thermal_play()
 
 
 class GyroWarmUp(Gyro, WarmUp):

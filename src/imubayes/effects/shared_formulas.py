@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from imubayes.array_shapes import Scalar, Vector3, vector3
 from imubayes.effects.base import Effect, MotionEffect, Order, RecordEffect, SignalEffect, Stage
-from imubayes.effects.memory import Decay
+from imubayes.effects.memory import Decay, Play
 from imubayes.parameters.parameter_declarations import reference_temperature
 from imubayes.rotations import compose, exponential
 from imubayes.signal_path_state import Ambient, Motion, Sample
@@ -24,8 +24,13 @@ class Device(Effect):
 
     @staticmethod
     @abstractmethod
-    def temperature(sample: Sample) -> Scalar:
+    def temperature(ambient: Ambient) -> Scalar:
         """Return the device's temperature, °C."""
+
+    @staticmethod
+    @abstractmethod
+    def temperature_rate(ambient: Ambient) -> Scalar:
+        """Return the rate of the device's temperature, °C/s."""
 
 
 class Sensor(Device):
@@ -34,8 +39,12 @@ class Sensor(Device):
     stage = Stage.SENSOR
 
     @staticmethod
-    def temperature(sample: Sample) -> Scalar:
-        return sample.ambient.temperature
+    def temperature(ambient: Ambient) -> Scalar:
+        return ambient.temperature
+
+    @staticmethod
+    def temperature_rate(ambient: Ambient) -> Scalar:
+        return ambient.temperature_rate
 
     @staticmethod
     @abstractmethod
@@ -69,8 +78,12 @@ class Converter(Device):
     stage = Stage.CONVERTER
 
     @staticmethod
-    def temperature(sample: Sample) -> Scalar:
-        return sample.ambient.converter_temperature
+    def temperature(ambient: Ambient) -> Scalar:
+        return ambient.converter_temperature
+
+    @staticmethod
+    def temperature_rate(ambient: Ambient) -> Scalar:
+        return ambient.converter_temperature_rate
 
 
 class Misalignment(Sensor, SignalEffect):
@@ -155,7 +168,7 @@ class LinearThermalBias(Device, SignalEffect):
     reference_degC: float = reference_temperature()
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
-        return signal + self.slope * (self.temperature(sample) - self.reference_degC)
+        return signal + self.slope * (self.temperature(sample.ambient) - self.reference_degC)
 
 
 class QuadraticThermalBias(Device, SignalEffect):
@@ -168,10 +181,10 @@ class QuadraticThermalBias(Device, SignalEffect):
     reference_degC: float = reference_temperature()
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
-        return signal + self.curvature * (self.temperature(sample) - self.reference_degC) ** 2
+        return signal + self.curvature * (self.temperature(sample.ambient) - self.reference_degC) ** 2
 
 
-class ThermalRateBias(SignalEffect):
+class ThermalRateBias(Device, SignalEffect):
     """Bias linear in the rate of sensor temperature: signal + c·dT/dt, a measure of gradients inside the sensor."""
 
     order = Order.BIAS
@@ -180,10 +193,24 @@ class ThermalRateBias(SignalEffect):
     slope: Parameter
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
-        return signal + self.slope * sample.ambient.temperature_rate
+        return signal + self.slope * self.temperature_rate(sample.ambient)
 
 
-class ThermalLag(RecordEffect):
+class TemperatureLag(Device, RecordEffect):
+    """Base of effects of the thermal lag T − T_τ, which is their memory: dT_τ/dt = (T − T_τ)/τ, T_τ = T at the start.
+
+    T is linear between two instants, for which the lag is exact.
+    """
+
+    needs = ("temperature", "temperature_rate")
+    coefficient: Parameter
+    tau: Parameter
+
+    def carry(self, before: Ambient, now: Ambient, seconds: Scalar) -> Decay:
+        return Decay.lag(self.temperature(now) - self.temperature(before), seconds / self.tau)
+
+
+class ThermalLag(TemperatureLag):
     """Bias linear in the thermal lag: signal + c·(T_τ − T) with dT_τ/dt = (T − T_τ)/τ, and T_τ = T where a run begins.
 
     A sensor whose bias follows the internal temperature alone has c equal to its linear temperature coefficient of
@@ -191,16 +218,37 @@ class ThermalLag(RecordEffect):
     """
 
     order = Order.BIAS
-    needs = ("temperature", "temperature_rate")
     confused_with = "bias_temperature_rate, where changes are slow against τ; bias_drift, in a single monotonic ramp"
-    coefficient: Parameter
-    tau: Parameter
-
-    def carry(self, before: Ambient, now: Ambient, seconds: Scalar) -> Decay:
-        return Decay.lag(now.temperature - before.temperature, seconds / self.tau)
 
     def apply(self, signal: Scalar, sample: Sample, memory: Scalar) -> Scalar:
         return signal - self.coefficient * memory
+
+
+class TemperaturePlay(Device, RecordEffect):
+    """Base of effects of thermal hysteresis; their memory m follows T with play ±w: m ← clip(m + ΔT, −w, w).
+
+    Each run begins in the middle of the loop.
+    """
+
+    needs = ("temperature", "temperature_rate")
+    half_width: Parameter
+    play: Parameter
+
+    def carry(self, before: Ambient, now: Ambient, seconds: Scalar) -> Play:
+        return Play(self.temperature(now) - self.temperature(before), -self.play, self.play)
+
+
+class ThermalHysteresis(TemperaturePlay):
+    """Thermal hysteresis of bias: signal + h·m/w, where m follows T with play ±w: m ← clip(m + ΔT, −w, w).
+
+    After more than 2w of warming the bias is h above the middle of the loop, after as much cooling h below it, at any
+    ramp rate; each run begins in the middle.
+    """
+
+    order = Order.BIAS
+
+    def apply(self, signal: Scalar, sample: Sample, memory: Scalar) -> Scalar:
+        return signal + self.half_width * memory / self.play
 
 
 class ScaleFactor(SignalEffect):
@@ -223,7 +271,7 @@ class LinearThermalScale(Device, SignalEffect):
     reference_degC: float = reference_temperature()
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
-        return signal * (1 + self.slope * (self.temperature(sample) - self.reference_degC))
+        return signal * (1 + self.slope * (self.temperature(sample.ambient) - self.reference_degC))
 
 
 class QuadraticThermalScale(Device, SignalEffect):
@@ -236,7 +284,43 @@ class QuadraticThermalScale(Device, SignalEffect):
     reference_degC: float = reference_temperature()
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
-        return signal * (1 + self.curvature * (self.temperature(sample) - self.reference_degC) ** 2)
+        return signal * (1 + self.curvature * (self.temperature(sample.ambient) - self.reference_degC) ** 2)
+
+
+class ThermalRateScale(Device, SignalEffect):
+    """Scale factor linear in the rate of temperature: signal · (1 + c·dT/dt), a measure of gradients in the device."""
+
+    order = Order.SCALE
+    needs = ("temperature_rate",)
+    slope: Parameter
+
+    def apply(self, signal: Scalar, sample: Sample) -> Scalar:
+        return signal * (1 + self.slope * self.temperature_rate(sample.ambient))
+
+
+class ThermalLagScale(TemperatureLag):
+    """Scale factor linear in the thermal lag: signal · (1 + c·(T_τ − T)) with dT_τ/dt = (T − T_τ)/τ.
+
+    T_τ = T where a run begins.  A device whose scale factor follows the internal temperature alone has c equal to its
+    linear temperature coefficient.
+    """
+
+    order = Order.SCALE
+
+    def apply(self, signal: Scalar, sample: Sample, memory: Scalar) -> Scalar:
+        return signal * (1 - self.coefficient * memory)
+
+
+class ThermalHysteresisScale(TemperaturePlay):
+    """Thermal hysteresis of scale factor: signal · (1 + h·m/w), m following T with play ±w: m ← clip(m + ΔT, −w, w).
+
+    Each run begins in the middle of the loop.
+    """
+
+    order = Order.SCALE
+
+    def apply(self, signal: Scalar, sample: Sample, memory: Scalar) -> Scalar:
+        return signal * (1 + self.half_width * memory / self.play)
 
 
 class ScaleAsymmetry(Sensor, SignalEffect):

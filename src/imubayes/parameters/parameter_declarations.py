@@ -59,6 +59,13 @@ def time_constant(meaning: str) -> Any:
     return parameter("min", "lognormal(10 min, 1.0)", (0.5, 120), meaning, null=600.0, shape=shape)
 
 
+def thermal_play() -> Any:
+    """Declare a field as the play w of a thermal hysteresis, half the width of its loop, with a scan grid."""
+    shape = (0.5, 1.5, 3.0, 6.0, 12.0)
+    meaning = "the play w, half the width of the loop"
+    return parameter("degC", "lognormal(3 degC, 0.7)", (0.5, 20), meaning, null=3.0, shape=shape)
+
+
 def option(default: float, meaning: str) -> Any:
     """Declare a field of an effect as a fixed setting that a model file may change, such as a reference."""
     # By keyword, so that a shared formula can declare it before the parameters of the effects.
