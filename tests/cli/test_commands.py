@@ -208,7 +208,7 @@ def test_without_injected_current_gain_and_offset_are_not_separated(copy, tmp_pa
     assert weak
     assert weak[0]["from_data"] < 0.2
     best = [one for one in summary["next_runs"] if one["quantity"] == "converter_gain_drift.slope[ax]"]
-    assert "current_injection" in best[0]["run"]
+    assert best[0]["run"]["procedure"] == "current_injection"
 
 
 def test_help_has_an_example_for_every_command(capsys):

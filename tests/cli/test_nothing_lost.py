@@ -150,7 +150,7 @@ def test_history_overwrites_no_file(result, tmp_path, refused):
 def test_a_damaged_result_is_not_called_interrupted(result, refused):
     begun(result, 5)
     (result / "fit.json").write_text("{")
-    assert "run the fit again" in refused("diagnose", result)
+    assert "run `imubayes fit` again with this folder as --out" in refused("diagnose", result)
 
 
 def test_export_leaves_another_effect_of_that_name_alone(tmp_path, refused):

@@ -27,7 +27,7 @@ def answer(verdict: Verdict, *effects: str) -> Diagnosis:
     rms = RmsChange(channel="ax", before=2.0, after=1.0, unit="ug")
     group = EffectGroup(
         effects=effects, channels=("ax",), delta_chi2=50.0, dof=1, p_global=0.01, candidates=(), residual=rms,
-        covariate=None, separating_run="",
+        covariate=None,
     )  # fmt: skip
     return Diagnosis(verdict=verdict, p_global=0.01, groups=(group,) if effects else ())
 

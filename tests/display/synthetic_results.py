@@ -7,6 +7,7 @@ import numpy as np
 import polars as pl
 import xarray as xr
 
+from imubayes.inference.candidate_runs import RunDesign
 from imubayes.results.residuals import Residuals
 from imubayes.results.summary import (
     DerivedSummary,
@@ -233,7 +234,8 @@ def summary_of(residuals: pl.DataFrame, parameters=None, derived=None, **more) -
         parameters, derived = trihedral_quantities()
     runs = run_entries(residuals)
     weak = WeakDirection(combination="all mounting_error.z together", from_data=0.02)
-    candidate = NextRun(run="dividing head in mounting 'pyramid'", quantity="mounting_angle[gx,pyramid]",
+    design = RunDesign(procedure="dividing_head", mounting="pyramid", positions=12)
+    candidate = NextRun(run=design, quantity="mounting_angle[gx,pyramid]",
                         sd_before=3.6e-4, sd_after=2.1e-4, unit="deg")  # fmt: skip
     return Summary(
         campaign="trihedral-imu", model="trihedral-imu", converged=True, message="", sampled=True,

@@ -38,6 +38,7 @@ from imubayes.display.history_table import history_json, history_sheet
 from imubayes.display.injection_report import injection_json, injection_report, injection_sheet
 from imubayes.display.report_layout import print_report
 from imubayes.errors import InputError
+from imubayes.inference.candidate_runs import RunDesign
 from imubayes.results.loop_files import read_diagnosis, write_diagnosis
 
 PNG = b"\x89PNG"
@@ -58,7 +59,7 @@ def diagnosis(verdict: Verdict = "equivalent_effects", terms: tuple[FormulaTerm,
         effects=tuple(each.effect for each in ranked), channels=("gx",), delta_chi2=98.4, dof=1, p_global=1e-18,
         candidates=members, residual=RmsChange(channel="gx", before=2.8, after=1.5, unit="deg/h"),
         covariate=CovariateLabel(name="rate_i", unit="deg/s", phrase="rate along the input axis"),
-        separating_run="one run at −300 deg/s",
+        discriminating_run=RunDesign(procedure="rate_table", table="rate", mounting="x-up", max_rate_deg_s=300.0),
     )  # fmt: skip
     hidden = UndetectableEffect(
         effect="accel_quadratic", absorbed_by=(Absorber("run offsets", 0.93),), reason="absorbed", unit="ug/g^2"
@@ -86,7 +87,7 @@ def test_the_answer_comes_first(capsys):
     assert lines[0].startswith("gyro_scale_asymmetry is missing on gx. The residual of gx depends on rate along")
     assert "Δχ² 98.4" in lines[1]
     assert "p = 1e-18 corrected for 40 looks" in lines[1]
-    assert "one run at −300 deg/s" in lines[2]
+    assert "Discriminating run: rate_table on 'rate' in mounting 'x-up'" in lines[2]
     assert lines[3] == "next: imubayes add gyro_scale_asymmetry --to R --out R-gyro_scale_asymmetry"
     assert "93 % run offsets" in out
     assert "lever_arm (turning)" in " ".join(out.split())
@@ -156,6 +157,9 @@ def test_the_json_has_the_sentence_and_the_next_command():
     facts = shown.diagnosis_json(diagnosis())
     assert facts["sentence"].startswith("gyro_scale_asymmetry is missing")
     assert facts["next"].startswith("imubayes add gyro_scale_asymmetry")
+    group = facts["groups"][0]
+    assert group["separating_run"] == "rate_table on 'rate' in mounting 'x-up', rates to ±300 deg/s"
+    assert group["discriminating_run"]["max_rate_deg_s"] == 300.0
     assert json.dumps(facts)
 
 

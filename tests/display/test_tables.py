@@ -11,8 +11,10 @@ from rich.console import Console
 from imubayes.display.fit_quality_tables import fit_sheet, next_run_sheet, run_sheet, weak_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.display.report_layout import Report, report_text
+from imubayes.display.run_design_words import run_design_text
 from imubayes.display.summary_html import summary_html
 from imubayes.display.table_layout import Cell, Sheet, terminal
+from imubayes.inference.candidate_runs import RunDesign, TemperatureProfile
 from imubayes.results.summary import RunSummary, Summary
 
 
@@ -144,6 +146,48 @@ def test_weak_directions_and_next_runs(summary):
     assert "every combination" in words_of(weak_sheet(changed(summary, weak_directions=())))
 
 
+@pytest.mark.parametrize(
+    ("design", "text"),
+    [
+        (
+            RunDesign(procedure="rate_table", table="rate", mounting="x-up", repeated=True, max_rate_deg_s=300.0),
+            "another run: rate_table on 'rate' in mounting 'x-up', rates to ±300 deg/s",
+        ),
+        (
+            RunDesign(procedure="dividing_head", table="head", mounting="x-up", another_table=True, positions=12),
+            "dividing_head on another table than 'head' in mounting 'x-up', 12 positions",
+        ),
+        (
+            RunDesign(
+                procedure="current_injection", current_mA=12.0, specific_force_g=10.0,
+                temperature=TemperatureProfile(
+                    covariate="converter_temperature", form="ramp", low_degC=15.0, high_degC=45.0
+                ),
+            ),
+            "current_injection, current 12 mA (10 g), converter temperature ramped from 15 to 45 degC",
+        ),
+        (
+            RunDesign(
+                procedure="thermal_ramp",
+                temperature=TemperatureProfile(
+                    covariate="temperature", form="cycle", low_degC=-10.0, high_degC=40.0, hours=2.0
+                ),
+            ),
+            "thermal_ramp, temperature cycled within 2 h from -10 to 40 degC, held, and back three times slower",
+        ),
+    ],
+)  # fmt: skip
+def test_a_run_that_could_be_made_in_words(design, text):
+    assert run_design_text(design) == text
+
+
+def test_a_summary_whose_next_runs_are_sentences_is_still_read(summary):
+    stored = summary.model_dump(mode="json")
+    assert Summary.model_validate(stored).next_runs == summary.next_runs
+    stored["next_runs"][0]["run"] = "dividing_head in mounting 'pyramid'"
+    assert Summary.model_validate(stored) == summary.model_copy(update={"next_runs": ()})
+
+
 def test_html_is_escaped_and_self_contained(summary):
     hostile = "<script>alert('&')</script>"
     summary = changed(
@@ -153,7 +197,7 @@ def test_html_is_escaped_and_self_contained(summary):
         runs={"name": hostile, "channel": "<b>"},
         notes=(hostile,),
         weak_directions={"combination": hostile},
-        next_runs={"run": hostile},
+        next_runs={"run": RunDesign(procedure="rate_table", mounting=hostile)},
     )
     page = summary_html(summary)
     assert "<script" not in page

@@ -76,7 +76,10 @@ def test_a_campaign_that_is_gone_is_refused(copy):
     assert "is not at" in refused(copy / "result")
 
 
-@pytest.mark.parametrize(("text", "said"), [("{", "damaged"), ('{"format": 1}', "lacks"), (None, "holds no fit")])
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("{", "cannot be read: Invalid JSON"), ('{"format": 1}', "key data_hash"), (None, "holds no fit")],
+)
 def test_a_damaged_record_is_refused(copy, text, said):
     file = copy / "result" / "fit.json"
     file.unlink()

@@ -192,11 +192,11 @@ def start_worker() -> None:
     sys.path.insert(0, str(ROOT / "data" / "generators"))
     import jax
 
-    import imubayes.criticism.diagnosis_record
+    import imubayes.criticism.diagnose
     import imubayes.results.summarise
 
     imubayes.results.summarise.next_runs = lambda *_: ()
-    imubayes.criticism.diagnosis_record.separating_run = lambda *_: None
+    imubayes.criticism.diagnose.discriminating_run = lambda *_: None
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax-study"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

@@ -25,11 +25,11 @@ def classical(campaign: Path, *, result: Path | None = None, as_json: Json = Fal
     from imubayes.display.report_layout import print_report
     from imubayes.errors import input_error
     from imubayes.procedures.classical import classical as evaluate
-    from imubayes.results.fit_file import read_record
+    from imubayes.results.fit_file import read_fit_record
     from imubayes.results.result import read_result
 
     loaded = load_campaign(campaign)
-    if result is not None and read_record(result)["data_hash"] != loaded.digest:
+    if result is not None and read_fit_record(result).data_hash != loaded.digest:
         raise input_error(
             f"the result is not of the campaign '{loaded.name}' as it is now",
             str(result),

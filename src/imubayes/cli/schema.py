@@ -12,6 +12,7 @@ _RECORDS = {
     "diagnosis": ("imubayes.criticism.diagnosis_record", "Diagnosis"),
     "addition": ("imubayes.results.addition", "Addition"),
     "history": ("imubayes.criticism.model_history", "Node"),
+    "fit": ("imubayes.results.fit_file", "FitRecord"),
     "summary": ("imubayes.results.summary", "Summary"),
 }
 """Kind of file → module and name of its pydantic record."""
@@ -25,7 +26,7 @@ def schema(kind: str) -> int:
     Parameters
     ----------
     kind
-        campaign (campaign.toml), model, plan; summary, diagnosis, addition, or history (JSON files of a result).
+        campaign (campaign.toml), model, plan; summary, fit, diagnosis, addition, or history (JSON files of a result).
     """
     if kind not in _RECORDS:
         allowed = closest_first(kind, _RECORDS)

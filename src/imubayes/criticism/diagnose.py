@@ -26,7 +26,7 @@ from imubayes.criticism.diagnosis_record import (
     UndetectableEffect,
     Verdict,
 )
-from imubayes.criticism.discriminating_run import separating_run
+from imubayes.criticism.discriminating_run import discriminating_run
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.formula_search import Formula, coefficient_unit, find_formula
 from imubayes.criticism.free_form_dependence import Structure, dominant_channel
@@ -186,7 +186,7 @@ def _evidence(found: SearchResult, group: EquivalenceGroup) -> ResidualEvidence:
 
 
 def _group(fit: Fit, group: EquivalenceGroup, evidence: ResidualEvidence) -> EffectGroup:
-    leader, separation = group.leader, separating_run(fit, group)
+    leader = group.leader
     before, after, unit = evidence.rms
     return EffectGroup(
         effects=group.effects,
@@ -207,7 +207,7 @@ def _group(fit: Fit, group: EquivalenceGroup, evidence: ResidualEvidence) -> Eff
         ),
         residual=RmsChange(channel=evidence.channel, before=before, after=after, unit=unit),
         covariate=_label(evidence.covariate) if evidence.covariate is not None else None,
-        separating_run=separation.sentence if separation is not None else "",
+        discriminating_run=discriminating_run(fit, group),
     )
 
 

@@ -12,6 +12,7 @@ from imubayes.criticism.detectability import Absorber, ParameterBias
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.localised_structure import Step
 from imubayes.criticism.residual_evidence import ResidualEvidence
+from imubayes.inference.candidate_runs import RunDesign
 from imubayes.json_record import Record
 from imubayes.representation import Presented
 
@@ -111,7 +112,7 @@ class EffectGroup(Record):
     candidates : one per effect.
     residual : rms of the channel that shows it best, before and after adding the first.
     covariate : what that residual depends on; None where no single covariate explains it.
-    separating_run : the feasible run that distinguishes them best; empty where there is none.
+    discriminating_run : the feasible run that distinguishes them best; None where there is none.
     """
 
     effects: tuple[str, ...]
@@ -122,7 +123,7 @@ class EffectGroup(Record):
     candidates: tuple[GroupMember, ...]
     residual: RmsChange
     covariate: CovariateLabel | None
-    separating_run: str
+    discriminating_run: RunDesign | None = None
 
 
 class NearestEffect(Record):

@@ -5,7 +5,6 @@ all runs, the new one included; the run that makes the smallest of these largest
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,19 +13,12 @@ from imubayes.criticism.candidate_effects import Response, candidate_responses
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.score_test import Candidate
+from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import with_planned
 from imubayes.inference.fitted_model import Fit
 
 
-@dataclass(frozen=True)
-class SeparatingRun:
-    """A run that distinguishes a group: what it is, and the least χ² by which its members would then differ."""
-
-    sentence: str
-    difference: float
-
-
-def separating_run(fitted: Fit, group: EquivalenceGroup) -> SeparatingRun | None:
+def discriminating_run(fitted: Fit, group: EquivalenceGroup) -> RunDesign | None:
     """Return the run that best distinguishes the members of a group; None where no feasible run does."""
     if len(group.members) < 2:
         return None
@@ -44,9 +36,7 @@ def separating_run(fitted: Fit, group: EquivalenceGroup) -> SeparatingRun | None
         for place in range(len(planned))
     ]
     best = int(np.argmax(differences))
-    if differences[best] < thresholds.DISTINGUISHABLE_CHI2:
-        return None
-    return SeparatingRun(planned[best].sentence, differences[best])
+    return planned[best].design if differences[best] >= thresholds.DISTINGUISHABLE_CHI2 else None
 
 
 def _whitened(

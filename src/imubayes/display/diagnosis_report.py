@@ -14,6 +14,7 @@ from imubayes.criticism.diagnosis_record import (
 from imubayes.display.labels import listed, pretty
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import percent, significant, value_and_sd
+from imubayes.display.run_design_words import run_design_text
 from imubayes.display.structure_words import formula_source, step_text, structure_shape
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.errors import InputError, Issue
@@ -42,7 +43,8 @@ def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
         each.model_dump(mode="json") | {"shape": structure_shape(each), "python": formula_source(each)}
         for each in found.structure
     ]
-    shown = {"sentence": sentence(found), "structure": structure, "next": next_command(found)}
+    groups = [group.model_dump(mode="json") | {"separating_run": _run_text(group)} for group in found.groups]
+    shown = {"sentence": sentence(found), "groups": groups, "structure": structure, "next": next_command(found)}
     return found.model_dump(mode="json") | shown
 
 
@@ -191,8 +193,12 @@ def _relation(p: float) -> str:
 def _discriminating_run(group: EffectGroup) -> list[str]:
     if len(group.effects) < 2:
         return []
-    run = f" Discriminating run: {group.separating_run}." if group.separating_run else ""
+    run = f" Discriminating run: {_run_text(group)}." if group.discriminating_run is not None else ""
     return [f"Indistinguishable in these runs: {', '.join(group.effects)}.{run}"]
+
+
+def _run_text(group: EffectGroup) -> str:
+    return run_design_text(group.discriminating_run) if group.discriminating_run is not None else ""
 
 
 def chance_text(p: float | None) -> str:

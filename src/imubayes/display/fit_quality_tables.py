@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from imubayes.display.goodness_of_fit import SIGNIFICANT, share_of_freedom, tail
 from imubayes.display.labels import pretty, readable
 from imubayes.display.rounding import percent, ratio_text, significant
+from imubayes.display.run_design_words import run_design_text
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.results.summary import Contribution, NextRun, RunSummary, Summary
 
@@ -141,7 +142,7 @@ def _leading_contributions(summary: Summary) -> list[Contribution]:
 
 def next_run_sheet(summary: Summary) -> Sheet:
     """Return the candidate runs, the most informative first."""
-    rows = [(Cell(run.run), Cell(run.quantity), Cell(_narrowing(run))) for run in summary.next_runs]
+    rows = [(Cell(run_design_text(run.run)), Cell(run.quantity), Cell(_narrowing(run))) for run in summary.next_runs]
     note = "" if rows else "No candidate run was ranked."
     return Sheet("Most informative next runs", ("next run", "quantity", "sd now → after"), rows, (0, 1, 2), "", note)
 

@@ -2,10 +2,12 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from imubayes.campaign_data import Campaign, Mounting, Run, Table
+from imubayes.json_record import Record
 from imubayes.procedures import PROCEDURES
 
 _HEAD_POSITIONS = 12
@@ -17,6 +19,7 @@ _STANDARD = {
     "z-up": np.eye(3),
 }
 _INJECTED_G, _RAMP = 10.0, (15.0, 45.0)
+_TEMPERATURES = ("temperature", "converter_temperature")
 # A temperature counts as changed in a run where it moves by this much, degC.
 _CHANGED = 2.0
 # A cycle: up at the fastest slope seen, a hold, down at a third of it, a hold; shares of the time against the range.
@@ -24,11 +27,54 @@ _CYCLE = ((0.0, 0.15, 0.45, 0.9, 1.0), (0.0, 1.0, 1.0, 0.0, 0.0))
 _CYCLE_ROWS = 60
 
 
+class TemperatureProfile(Record):
+    """Course of a temperature in a run between `low_degC` and `high_degC`.
+
+    Attributes
+    ----------
+    covariate : name of the temperature.
+    form : up once (``ramp``), or up, held, and down three times slower (``cycle``).
+    hours : duration; None where it is free.
+    """
+
+    covariate: str
+    form: Literal["ramp", "cycle"]
+    low_degC: float
+    high_degC: float
+    hours: float | None = None
+
+
+class RunDesign(Record):
+    """What an engineer sets to make a run; None for what the procedure does not set.
+
+    Attributes
+    ----------
+    procedure, table, mounting : names.
+    repeated : whether the campaign has a run on this table in this mounting already.
+    another_table : whether it is to be made on another table of the kind of `table`, which has errors of its own.
+    max_rate_deg_s : largest magnitude of the table rate.
+    positions : number of table angles, equally spaced over a turn.
+    current_mA, specific_force_g : injected current, and the specific force that gives it.
+    temperature : the temperature that is varied.
+    """
+
+    procedure: str
+    table: str | None = None
+    mounting: str | None = None
+    repeated: bool = False
+    another_table: bool = False
+    max_rate_deg_s: float | None = None
+    positions: int | None = None
+    current_mA: float | None = None
+    specific_force_g: float | None = None
+    temperature: TemperatureProfile | None = None
+
+
 @dataclass(frozen=True)
 class CandidateRun:
-    """A run that could be made: a sentence for the engineer, and the run itself."""
+    """A run that could be made: its design, and the run itself, without observations."""
 
-    sentence: str
+    design: RunDesign
     run: Run
 
 
@@ -43,12 +89,11 @@ def candidate_runs(campaign: Campaign, elsewhere: bool = False) -> tuple[Campaig
     others = _other_tables(campaign) if elsewhere else {}
     tables = {**campaign.tables, **{other.name: other for other in others.values()}}
     used = {(run.table, run.mounting) for run in campaign.runs}
-    found = []
-    for table in campaign.tables.values():
-        for mounting in mountings.values():
-            run, sentence = _planned(campaign, table, mounting)
-            again = "another run: " if (table.name, mounting.name) in used else ""
-            found.append(CandidateRun(again + sentence, run))
+    found = [
+        _planned(campaign, table, mounting, repeated=(table.name, mounting.name) in used)
+        for table in campaign.tables.values()
+        for mounting in mountings.values()
+    ]
     for original, other in others.items():
         seen = [mounting for mounting in campaign.mountings.values() if (original, mounting.name) in used]
         found.extend(_on(other, campaign.tables[original], campaign, mounting) for mounting in seen)
@@ -78,40 +123,37 @@ def _other_tables(campaign: Campaign) -> dict[str, Table]:
 
 def _on(table: Table, original: Table, campaign: Campaign, mounting: Mounting) -> CandidateRun:
     """Return a run on another table, as it is made on the one there is."""
-    run, sentence = _planned(campaign, original, mounting)
-    run = replace(run, name=f"{run.name} elsewhere", table=table.name)
-    return CandidateRun(sentence.replace(f"on '{original.name}'", f"on another table than '{original.name}'"), run)
+    planned = _planned(campaign, original, mounting)
+    run = replace(planned.run, name=f"{planned.run.name} elsewhere", table=table.name)
+    return CandidateRun(planned.design.model_copy(update={"another_table": True}), run)
 
 
 def _cycles(campaign: Campaign) -> list[CandidateRun]:
     """Return a thermal cycle with two slopes and holds, in place of the first run of each kind of temperature."""
     found = []
-    for name, words in (("temperature", "temperature"), ("converter_temperature", "converter temperature")):
+    for name in _TEMPERATURES:
         runs = [run for run in campaign.runs if name in run.covariates and "time" in run.covariates]
         changed = [run for run in runs if np.ptp(run.covariates[name]) > _CHANGED and run.tumble is None]
         if changed:
-            found.append(_cycle(campaign, changed[0], name, words))
+            found.append(_cycle(campaign, changed[0], name))
     return found
 
 
-def _cycle(campaign: Campaign, run: Run, name: str, words: str) -> CandidateRun:
+def _cycle(campaign: Campaign, run: Run, name: str) -> CandidateRun:
     low, high = float(run.covariates[name].min()), float(run.covariates[name].max())
     duration = float(np.ptp(run.covariates["time"]))
     time = np.linspace(0.0, duration, _CYCLE_ROWS)
     covariates = {"time": time} | _still(_CYCLE_ROWS)
-    for other in ("temperature", "converter_temperature", "current"):
+    for other in (*_TEMPERATURES, "current"):
         if other in run.covariates:
             covariates[other] = np.full(_CYCLE_ROWS, float(np.median(run.covariates[other])))
     if "power_on" in run.covariates:
         covariates["power_on"] = time + float(run.covariates["power_on"].min())
     covariates[name] = low + (high - low) * np.interp(time / duration, *_CYCLE)
     planned = _empty_run(campaign, f"candidate {name} cycle", run.procedure, run.table, run.mounting, covariates)
-    where = f" in mounting '{run.mounting}'" if run.mounting is not None else ""
-    sentence = (
-        f"{run.procedure}{where}, {words} cycled within {duration / 3600:.2g} h from {low:.3g} to {high:.3g} degC, "
-        "held, and back three times slower"
-    )
-    return CandidateRun(sentence, planned)
+    profile = TemperatureProfile(covariate=name, form="cycle", low_degC=low, high_degC=high, hours=duration / 3600)
+    design = RunDesign(procedure=run.procedure, table=run.table, mounting=run.mounting, temperature=profile)
+    return CandidateRun(design, planned)
 
 
 def _still(count: int) -> dict[str, np.ndarray]:
@@ -132,8 +174,12 @@ def _injections(campaign: Campaign) -> list[CandidateRun]:
         "current": np.full(count, current),
     }
     run = _empty_run(campaign, "candidate injection", "current_injection", None, None, covariates)
-    sentence = f"current_injection of {current * 1e3:.3g} mA ({_INJECTED_G:g} g) over a converter ramp of "
-    return [CandidateRun(sentence + f"{_RAMP[1] - _RAMP[0]:g} degC", run)]
+    low, high = _RAMP
+    ramp = TemperatureProfile(covariate="converter_temperature", form="ramp", low_degC=low, high_degC=high)
+    design = RunDesign(
+        procedure=run.procedure, current_mA=current * 1e3, specific_force_g=_INJECTED_G, temperature=ramp
+    )
+    return [CandidateRun(design, run)]
 
 
 def _empty_run(
@@ -153,29 +199,28 @@ def _empty_run(
     )
 
 
-def _planned(campaign: Campaign, table: Table, mounting: Mounting) -> tuple[Run, str]:
+def _planned(campaign: Campaign, table: Table, mounting: Mounting, repeated: bool = False) -> CandidateRun:
+    """Return a run at the rates of a rate table, or in positions about an inclined axis."""
+    place = {"table": table.name, "mounting": mounting.name, "repeated": repeated}
     if table.elevation > _VERTICAL:
         rates = _rates(campaign, table)
         rate = np.array([0.0, *rates, 0.0])
         angle = np.where(rate == 0, 0.0, np.nan)
-        procedure, what = "rate_table", f"rates to ±{max(map(abs, rates)):.0f} deg/s"
+        design = RunDesign(procedure="rate_table", max_rate_deg_s=max(map(abs, rates)), **place)
     else:
         rate = np.zeros(_HEAD_POSITIONS)
         angle = 2 * np.pi * np.arange(_HEAD_POSITIONS) / _HEAD_POSITIONS
-        procedure, what = "dividing_head", f"{_HEAD_POSITIONS} positions"
-        rates = []
+        design = RunDesign(procedure="dividing_head", positions=_HEAD_POSITIONS, **place)
     rate = np.radians(rate)
     count = len(rate)
     covariates = {"time": np.arange(count, dtype=float), "table_rate": rate, "table_angle": angle}
     covariates["table_angle_span"] = np.zeros(count)
-    for name in ("temperature", "converter_temperature"):
+    for name in _TEMPERATURES:
         known = [run.covariates[name].mean() for run in campaign.runs if name in run.covariates]
         if known:
             covariates[name] = np.full(count, float(np.median(known)))
-    run = _empty_run(
-        campaign, f"candidate {table.name} {mounting.name}", procedure, table.name, mounting.name, covariates
-    )
-    return run, f"{procedure} on '{table.name}' in mounting '{mounting.name}', {what}"
+    name = f"candidate {table.name} {mounting.name}"
+    return CandidateRun(design, _empty_run(campaign, name, design.procedure, table.name, mounting.name, covariates))
 
 
 def _rates(campaign: Campaign, table: Table) -> list[float]:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import Effect, Stage
-from imubayes.inference.candidate_runs import CandidateRun, candidate_runs
+from imubayes.inference.candidate_runs import CandidateRun, RunDesign, candidate_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.identifiability import WeakDirection
 from imubayes.inference.posterior_precision import deviations, linearise, precision_of
@@ -31,7 +31,7 @@ _USEFUL = 0.9
 class NextRun(Record):
     """A run that would narrow a quantity: expected standard deviation before and after it."""
 
-    run: str
+    run: RunDesign
     quantity: str
     sd_before: float
     sd_after: float
@@ -113,7 +113,7 @@ def rank(fit: Fit, quantities: Sequence[str]) -> list[list[NextRun]]:
     for row, quantity in enumerate(quantities):
         lines = [
             NextRun(
-                run=candidate.sentence,
+                run=candidate.design,
                 quantity=quantity,
                 sd_before=float(sd_before[row]),
                 sd_after=float(after[row]),

@@ -4,11 +4,10 @@ The data stay in the campaign folder; a result says where that was and what its 
 has moved is found and one that has changed is noticed.
 """
 
-import json
 import math
 import os
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
@@ -17,27 +16,57 @@ from imubayes.campaign_data import Campaign
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import data_hash, model_hash
-from imubayes.json_record import finite
+from imubayes.json_record import Record, finite
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.parameters.vector import Layout
-from imubayes.results.folder_state import FIT, MODEL, way_back
+from imubayes.results.folder_state import FIT, MODEL, read_record, way_back
 
 
-def fit_record(fit: Fit, folder: Path, seed: int) -> dict[str, Any]:
+class CampaignPlaces(Record):
+    """Folder of a campaign as given, whole, and as seen from the result; None where it has none."""
+
+    given: str | None = None
+    absolute: str | None = None
+    from_result: str | None = None
+
+
+class FitRecord(Record):
+    """The contents of `fit.json`.
+
+    Attributes
+    ----------
+    campaign : where the data were.
+    data_hash, model_hash : identify campaign and model.
+    z, h : parameters and hyperparameters at the mode by name, on the scale of the layout; None for a non-finite value.
+    converged, message : of the fit.
+    seed : of the sampler.
+    """
+
+    format: Literal[1] = 1
+    campaign: CampaignPlaces
+    data_hash: str
+    model_hash: str
+    z: dict[str, float | None]
+    h: dict[str, float | None]
+    converged: bool
+    message: str
+    seed: int
+
+
+def fit_record(fit: Fit, folder: Path, seed: int) -> FitRecord:
     """Return the contents of `fit.json` of a result in `folder`."""
     model = fit.model
-    return {
-        "format": 1,
-        "campaign": _places(model.campaign, folder),
-        "data_hash": campaign_hash(model),
-        "model_hash": model_hash(model),
-        "z": _by_name(model.layout, fit.z),
-        "h": _by_name(model.hyper_layout, fit.h),
-        "converged": fit.converged,
-        "message": fit.message,
-        "seed": seed,
-    }
+    return FitRecord(
+        campaign=_places(model.campaign, folder),
+        data_hash=campaign_hash(model),
+        model_hash=model_hash(model),
+        z=_by_name(model.layout, fit.z),
+        h=_by_name(model.hyper_layout, fit.h),
+        converged=fit.converged,
+        message=fit.message,
+        seed=seed,
+    )
 
 
 def campaign_hash(model: Model) -> str:
@@ -45,13 +74,12 @@ def campaign_hash(model: Model) -> str:
     return model.campaign.digest or data_hash(model)
 
 
-def _places(campaign: Campaign, folder: Path) -> dict[str, str | None]:
-    """Return the campaign's folder as given, whole, and as seen from the result; nothing where it has none."""
+def _places(campaign: Campaign, folder: Path) -> CampaignPlaces:
     if not campaign.folder:
-        return dict.fromkeys(("given", "absolute", "from_result"))
+        return CampaignPlaces()
     absolute = Path(campaign.folder).resolve()
     from_result = os.path.relpath(absolute, folder.resolve())
-    return {"given": campaign.folder, "absolute": str(absolute), "from_result": from_result}
+    return CampaignPlaces(given=campaign.folder, absolute=str(absolute), from_result=from_result)
 
 
 def _by_name(layout: Layout, z: np.ndarray) -> dict[str, float | None]:
@@ -59,27 +87,11 @@ def _by_name(layout: Layout, z: np.ndarray) -> dict[str, float | None]:
     return {name: finite(value) for name, value in zip(layout.names, numbers, strict=True)}
 
 
-def read_record(folder: str | Path) -> dict[str, Any]:
+def read_fit_record(folder: str | Path) -> FitRecord:
     """Return `fit.json` of a result folder; raises InputError where there is none or it is damaged."""
     file = Path(folder) / FIT
-    try:
-        record = json.loads(file.read_text(encoding="utf-8"))
-        missing = {"campaign", "data_hash", "model_hash", "z", "h", "converged", "message", "seed"} - set(record)
-        if missing:
-            raise ValueError(f"it lacks {', '.join(sorted(missing))}")
-        wrong = [key for key in ("campaign", "z", "h") if not isinstance(record[key], dict)]
-        if wrong or record.get("format") != 1:
-            raise ValueError(f"its {wrong[0] if wrong else 'format'} is not what a fit writes")
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(
-            Issue(
-                "this result holds no fit" if not file.is_file() else f"the record of the fit is damaged ({error})",
-                str(file),
-                "a folder written by `imubayes fit … --out FOLDER`",
-                way_back(Path(folder)),
-            )
-        ) from None
-    return record
+    allowed = "a folder written by `imubayes fit … --out FOLDER`"
+    return read_record(file, FitRecord, Issue("this result holds no fit", str(file), allowed, way_back(Path(folder))))
 
 
 def read_fit(folder: str | Path) -> Fit:
@@ -95,10 +107,10 @@ def read_fit(folder: str | Path) -> Fit:
         where the folder holds no fit, the campaign is gone, or campaign or model are not those that were fit.
     """
     folder = Path(folder)
-    record = read_record(folder)
-    found = load_campaign(_folder(record, folder))
+    record = read_fit_record(folder)
+    found = load_campaign(_folder(record.campaign, folder))
     model = bind(read_model(folder / MODEL), found)
-    if campaign_hash(model) != record["data_hash"]:
+    if campaign_hash(model) != record.data_hash:
         raise InputError(
             Issue(
                 f"the campaign '{found.name}' is no longer the one that was fitted",
@@ -108,8 +120,8 @@ def read_fit(folder: str | Path) -> Fit:
                 f"{folder / MODEL} --out FOLDER`",
             )
         )
-    z, h = _in_order(model.layout, record["z"], folder), _in_order(model.hyper_layout, record["h"], folder)
-    if model_hash(model) != record["model_hash"]:
+    z, h = _in_order(model.layout, record.z, folder), _in_order(model.hyper_layout, record.h, folder)
+    if model_hash(model) != record.model_hash:
         raise InputError(
             Issue(
                 "the model is no longer the one that was fitted",
@@ -119,30 +131,27 @@ def read_fit(folder: str | Path) -> Fit:
                 f"`imubayes fit CAMPAIGN --model {folder / MODEL} --out ANOTHER`",
             )
         )
-    return Fit(model, z, h, bool(record["converged"]), str(record["message"]))
+    return Fit(model, z, h, record.converged, record.message)
 
 
 def campaign_of(folder: str | Path) -> Campaign | None:
     """Return the campaign of a result folder, read again; None where it is gone or no longer what was fit."""
     try:
-        record = read_record(folder)
-        found = load_campaign(_folder(record, Path(folder)))
+        record = read_fit_record(folder)
+        found = load_campaign(_folder(record.campaign, Path(folder)))
     except InputError:
         return None
-    return found if found.digest == record["data_hash"] else None
+    return found if found.digest == record.data_hash else None
 
 
-def _folder(record: dict[str, Any], folder: Path) -> Path:
+def _folder(places: CampaignPlaces, folder: Path) -> Path:
     """Return the first place that holds a campaign: where it was, or as far from the result as it was."""
-    places = record["campaign"]
-    roots = {"absolute": Path(), "given": Path(), "from_result": folder}
-    candidates = [root / places[key] for key, root in roots.items() if places.get(key)]
+    roots = ((Path(), places.absolute), (Path(), places.given), (folder, places.from_result))
+    candidates = [root / place for root, place in roots if place]
     for place in candidates:
         if (place / "campaign.toml").is_file():
             return place
-    what = (
-        f"the campaign is not at '{places['given']}' any more" if candidates else "the campaign was never in a folder"
-    )
+    what = f"the campaign is not at '{places.given}' any more" if candidates else "the campaign was never in a folder"
     raise InputError(
         Issue(
             what,

@@ -2,13 +2,18 @@
 
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.inference.checkpoint import steps_in
+from imubayes.json_record import Record
 
 SUMMARY, FIT, MODEL = "summary.json", "fit.json", "model.toml"
 RESIDUALS, POSTERIOR, CHECKPOINT = "residuals.parquet", "posterior.nc", "checkpoint.h5"
 AGAIN = "run `imubayes fit` again with this folder as --out"
 _NEEDED = (SUMMARY, RESIDUALS)
+# Faults of a damaged record that are listed.
+_MOST_FAULTS = 3
 
 
 def claim(folder: Path, resume: bool = False) -> None:
@@ -93,7 +98,28 @@ def _only_begun(folder: Path) -> bool:
     return (folder / CHECKPOINT).is_file() and not (folder / SUMMARY).is_file()
 
 
-def damaged(file: Path, reason: object) -> Issue:
+def damaged(file: Path, reason: object, key: str = "") -> Issue:
     """Return the issue of a file that is there but cannot be read."""
     detail = " ".join(str(reason).split())[:200]
-    return Issue(f"{file.name} cannot be read: {detail}", str(file), "a whole file, as the fit wrote it", AGAIN)
+    where = f"{file}, key {key}" if key else str(file)
+    return Issue(f"{file.name} cannot be read: {detail}", where, "a whole file, as the fit wrote it", AGAIN)
+
+
+def read_record[Kept: Record](file: Path, record: type[Kept], absent: Issue | None = None) -> Kept:
+    """Read a JSON file of a result folder as its typed record.
+
+    Raises
+    ------
+    InputError
+        with its first faults where it cannot be read; `absent` where there is no such file.
+    """
+    if absent is not None and not file.is_file():
+        raise InputError(absent)
+    try:
+        return record.model_validate_json(file.read_bytes())
+    except OSError as error:
+        raise InputError(damaged(file, error)) from error
+    except ValidationError as error:
+        faults = error.errors()[:_MOST_FAULTS]
+        issues = [damaged(file, fault["msg"], ".".join(map(str, fault["loc"]))) for fault in faults]
+        raise InputError(issues) from error

@@ -9,11 +9,12 @@ import numpy as np
 from imubayes.atomic_files import write_text
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, Tree, node_id
-from imubayes.errors import InputError, input_error
+from imubayes.errors import InputError, Issue, input_error
 from imubayes.inference.run_fit import model_hash
 from imubayes.model.bind import Model
 from imubayes.results.addition import Addition, channel_rms
 from imubayes.results.fit_file import campaign_hash
+from imubayes.results.folder_state import read_record
 from imubayes.results.residuals import INPUT_UNIT
 from imubayes.results.result import read_result
 from imubayes.results.summary import Summary
@@ -93,16 +94,9 @@ def write_node(folder: Path, node: Node) -> None:
 def read_node(folder: Path) -> Node:
     """Return the node of a result folder; raises InputError where there is none or it is damaged."""
     file = folder / HISTORY
-    try:
-        return Node.model_validate_json(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        what = f"the history is damaged ({error})" if file.is_file() else "this result has no history"
-        raise input_error(
-            what,
-            str(file),
-            "a folder written by `imubayes fit` or `imubayes add`",
-            "correct the path, or run the fit again",
-        ) from None
+    allowed = "a folder written by `imubayes fit` or `imubayes add`"
+    remedy = "correct the path, or run the fit again"
+    return read_record(file, Node, Issue("this result has no history", str(file), allowed, remedy))
 
 
 def join(parent: Path, child: Path, node: Node) -> None:

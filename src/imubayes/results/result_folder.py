@@ -8,7 +8,6 @@ from pathlib import Path
 
 import polars as pl
 import tomlkit
-from pydantic import ValidationError
 
 from imubayes.atomic_files import json_text, replacing_files
 from imubayes.errors import InputError, Issue
@@ -16,12 +15,19 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_tree import posterior_tree
 from imubayes.model.model_spec import ModelSpec
 from imubayes.results.fit_file import fit_record
-from imubayes.results.folder_state import AGAIN, FIT, MODEL, POSTERIOR, RESIDUALS, SUMMARY, damaged, missing
+from imubayes.results.folder_state import (
+    AGAIN,
+    FIT,
+    MODEL,
+    POSTERIOR,
+    RESIDUALS,
+    SUMMARY,
+    damaged,
+    missing,
+    read_record,
+)
 from imubayes.results.residuals import COLUMNS, Residuals
 from imubayes.results.summary import Summary
-
-# Faults of a damaged summary that are listed.
-_MOST_FAULTS = 3
 
 
 def write_result(folder: Path, fit: Fit, summary: Summary, residuals: Residuals, seed: int = 0) -> None:
@@ -31,7 +37,7 @@ def write_result(folder: Path, fit: Fit, summary: Summary, residuals: Residuals,
     """
     with replacing_files(folder, last=SUMMARY) as scratch:
         (scratch / SUMMARY).write_text(json_text(summary.model_dump(mode="json")), encoding="utf-8")
-        (scratch / FIT).write_text(json_text(fit_record(fit, folder, seed)), encoding="utf-8")
+        (scratch / FIT).write_text(json_text(fit_record(fit, folder, seed).model_dump(mode="json")), encoding="utf-8")
         residuals.table.write_parquet(scratch / RESIDUALS)
         (scratch / MODEL).write_text(model_text(fit.model.spec), encoding="utf-8")
         for file in fit.model.spec.files:
@@ -81,7 +87,10 @@ def read_summary_and_residuals(folder: Path) -> tuple[Summary, Residuals]:
     issues = missing(folder)
     if issues:
         raise InputError(issues)
-    summary = _read_summary(folder / SUMMARY, issues)
+    try:
+        summary = read_record(folder / SUMMARY, Summary)
+    except InputError as error:
+        summary, issues = None, [*error.issues]
     residuals = _read_residuals(folder / RESIDUALS, issues)
     if summary is not None and summary.sampled and not (folder / POSTERIOR).is_file():
         where = str(folder / POSTERIOR)
@@ -89,20 +98,6 @@ def read_summary_and_residuals(folder: Path) -> tuple[Summary, Residuals]:
     if issues or summary is None or residuals is None:
         raise InputError(issues)
     return summary, residuals
-
-
-def _read_summary(file: Path, issues: list[Issue]) -> Summary | None:
-    """Return the summary; None where it cannot be used, with the reasons added to the issues."""
-    try:
-        return Summary.model_validate_json(file.read_bytes())
-    except OSError as error:
-        issues.append(damaged(file, error))
-    except ValidationError as error:
-        for fault in error.errors()[:_MOST_FAULTS]:
-            key = ".".join(map(str, fault["loc"]))
-            where = f"{file}, key {key}" if key else str(file)
-            issues.append(Issue(f"the summary cannot be read: {fault['msg']}", where, "a summary of format 1", AGAIN))
-    return None
 
 
 def _read_residuals(file: Path, issues: list[Issue]) -> Residuals | None:

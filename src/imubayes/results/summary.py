@@ -3,7 +3,9 @@
 Numbers are in datasheet units.  A number that a fit without convergence, or without sampling, does not have is None.
 """
 
-from typing import Literal
+from typing import Any, Literal
+
+from pydantic import field_validator
 
 from imubayes.inference.experiment_design import NextRun
 from imubayes.inference.identifiability import WeakDirection
@@ -99,3 +101,9 @@ class Summary(Record):
     contributions: tuple[Contribution, ...]
     notes: tuple[str, ...]
     seconds: Seconds
+
+    @field_validator("next_runs", mode="before")
+    @classmethod
+    def _designs(cls, runs: Any) -> Any:
+        """Leave out the next runs of earlier versions, which are sentences."""
+        return [run for run in runs if not (isinstance(run, dict) and isinstance(run.get("run"), str))]
