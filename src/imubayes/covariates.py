@@ -2,7 +2,8 @@
 
 An entry holds every fact about a covariate: its column in run tables and results, the unit there and in SI, the words
 and the symbol it is shown by, and whether effects see it, figures show it and diagnosis regresses residuals on it.
-Adding a covariate is adding an entry.  In a unit, g is the gravity of the site.
+Adding a covariate is adding an entry.  In a unit, g is the gravity of the site.  Beside covariates, effects need
+conditions of a run, such as a table that turns; they are registered at the end.
 """
 
 from collections.abc import Iterable
@@ -70,11 +71,6 @@ class Covariate:
     def needed(self) -> tuple[str, ...]:
         """What a run must supply for it."""
         return (self.name,) if self.needs is None else self.needs
-
-    @property
-    def remedy(self) -> str:
-        """What brings it into a run, in words."""
-        return self.source or self.column
 
 
 def _sample_axes() -> Iterable[Covariate]:
@@ -172,3 +168,27 @@ def regressors() -> tuple[Covariate, ...]:
     order = {"sample": 0, "recorded": 1, "derived": 2}
     chosen = [covariate for covariate in COVARIATES.values() if covariate.regressor]
     return tuple(sorted(chosen, key=lambda covariate: (order[covariate.origin], covariate.si != "degC")))
+
+
+CONDITIONS: dict[str, str] = {
+    "turning": "a run that turns",
+    "commanded": "a table that turns at a commanded rate",
+    "acceleration": "table_acceleration_deg_s2 that is not 0",
+    "reference": "a reference gyro that rides along",
+    "injection": "a run of procedure current_injection",
+    "driven": "a table that the gyro drives",
+    "table": "a run on a table",
+    "mounting": "a run in a mounting",
+    "pose": "a free tumble",
+    "free tumble": "a free tumble",
+    "gyro": "a gyro",
+    "accelerometer": "an accelerometer",
+}
+"""Condition of a run or unit that an effect may need → what fulfils it, in words."""
+
+
+def remedy(need: str) -> str:
+    """Return what brings a covariate or condition into a run, in words."""
+    if need in COVARIATES:
+        return COVARIATES[need].source or COVARIATES[need].column
+    return CONDITIONS.get(need, need)

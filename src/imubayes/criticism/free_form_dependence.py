@@ -20,6 +20,7 @@ from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import ScoreTest, generalised_least_squares, score_test
 from imubayes.criticism.term_library import levels
+from imubayes.units import to_si
 
 
 @dataclass(frozen=True)
@@ -117,8 +118,8 @@ def _courses(projection: Projection, channel: str, here: np.ndarray) -> list[Fre
 def _form(covariate: ResidualCovariate, rows: np.ndarray) -> tuple[str, np.ndarray]:
     """Return the name and basis, (n, columns), of the free form in a covariate over some rows."""
     values = covariate.values[rows]
-    if covariate.name == "table_angle_deg":
-        orders, angle = range(1, thresholds.HARMONICS + 1), np.radians(values)
+    if covariate.periodic:
+        orders, angle = range(1, thresholds.HARMONICS + 1), values * to_si(covariate.unit)
         basis = np.stack([f(order * angle) for order in orders for f in (np.sin, np.cos)], axis=1)
         return f"harmonics to {thresholds.HARMONICS}", basis
     level = levels(values)

@@ -22,23 +22,26 @@ class ResidualCovariate:
     unit : of the values.
     values : shape (E,), NaN where the run does not say.
     phrase : for a sentence: "… changes with <phrase>".
+    periodic : whether it is an angle.
     """
 
     name: str
     unit: str
     values: np.ndarray
     phrase: str
+    periodic: bool = False
 
 
 def covariates(fitted: Fit) -> list[ResidualCovariate]:
     """Return every covariate that some run has and that takes more than one value."""
     values = {"sample": _at_samples(fitted), "recorded": _recorded(fitted), "derived": _derived(fitted)}
     gravity = fitted.model.campaign.site.gravity
-    found = [
-        ResidualCovariate(each.column, each.unit, values[each.origin](each) / each.factor(gravity), each.phrase)
-        for each in regressors()
-    ]
-    return [each for each in found if _varies(each.values)]
+    found = []
+    for entry in regressors():
+        known = values[entry.origin](entry) / entry.factor(gravity)
+        if _varies(known):
+            found.append(ResidualCovariate(entry.column, entry.unit, known, entry.phrase, entry.periodic))
+    return found
 
 
 def _varies(values: np.ndarray) -> bool:

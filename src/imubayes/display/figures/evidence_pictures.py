@@ -73,7 +73,7 @@ def followed_covariate(own: pl.DataFrame, change: np.ndarray, named: str | None 
             continue
         x = own[covariate.column].cast(pl.Float64).fill_null(float("nan")).to_numpy()
         share = _share(x, change) + (2.0 if covariate.column == named else 0.0)
-        share -= _TIME_LAST if covariate.column in ("time_s", "power_on_s") else 0.0
+        share -= _TIME_LAST if covariate.si == "s" else 0.0
         if share > best:
             best, found = share, (x, f"{covariate.phrase} / {pretty(covariate.unit)}")
     return found or (np.arange(own.height, dtype=float), "row, in the order of the runs")
