@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from imubayes.procedures.polar_tumble import combined
+from imubayes.procedures.estimable_functions import estimable, rank
+from imubayes.procedures.polar_tumble import COEFFICIENTS, drift_terms, standard_combinations
 from imubayes.procedures.textbook import harmonics, order_of
 
 PHI, LATITUDE = sp.symbols("phi L", real=True)
@@ -30,24 +31,62 @@ def fourier(signal, angle, order):
     return [sp.simplify(mean), *(sp.simplify(sp.integrate(sp.expand(signal * w), around) / sp.pi) for w in waves)]
 
 
-def test_polar_tumble_combinations_give_back_the_drift_coefficients():
-    names = "D_F D_I D_O D_S D_II D_OO D_SS D_IO D_OS D_SI"
-    d_f, d_i, d_o, d_s, d_ii, d_oo, d_ss, d_io, d_os, d_si = sp.symbols(names)
-    x, y, z = up_in_table(LATITUDE)
-    sweeps = {}
-    # Columns of the mounting are I, O and S = I × O in table axes.
-    for pole, (f_i, f_o, f_s) in {"north": (x, z, -y), "south": (x, -z, y)}.items():
-        drift = d_f + d_i * f_i + d_o * f_o + d_s * f_s + d_ii * f_i**2 + d_oo * f_o**2 + d_ss * f_s**2
-        drift += d_io * f_i * f_o + d_os * f_o * f_s + d_si * f_s * f_i
-        sweeps[pole] = fourier(sp.expand(drift), PHI, 2)
-    found = combined(sweeps["north"], sweeps["south"], C, S)
-    expected = {
-        "D_I": d_i, "D_O": d_o, "D_S": d_s, "D_IO": d_io, "D_OS": d_os, "D_SI": d_si, "D_II-D_SS": d_ii - d_ss,
-        "D_F+D_OO·sin²L+½(D_II+D_SS)·cos²L": d_f + d_oo * S**2 + (d_ii + d_ss) * C**2 / 2,
-    }  # fmt: skip
-    assert found.keys() == expected.keys()
-    for name, value in expected.items():
-        assert sp.simplify(found[name] - value) == 0, name
+# Columns of the mounting are I, O and S = I × O in table axes; the specific force along them.
+SEATS = {
+    "O→Np": lambda x, y, z: (x, z, -y),
+    "O→Sp": lambda x, y, z: (x, -z, y),
+    "S→Np": lambda x, y, z: (x, y, z),
+    "S→Sp": lambda x, y, z: (y, x, -z),
+    "I→Np": lambda x, y, z: (z, x, y),
+}
+
+
+def drift_of(force, coefficients):
+    d_f, d_i, d_o, d_s, d_ii, d_oo, d_ss, d_io, d_os, d_si = coefficients
+    i, o, s = force
+    drift = d_f + d_i * i + d_o * o + d_s * s + d_ii * i**2 + d_oo * o**2 + d_ss * s**2
+    return drift + d_io * i * o + d_os * o * s + d_si * s * i
+
+
+def test_polar_sweeps_north_and_south_have_the_harmonics_of_the_docstring():
+    coefficients = sp.symbols("D_F D_I D_O D_S D_II D_OO D_SS D_IO D_OS D_SI")
+    d_f, d_i, d_o, d_s, d_ii, d_oo, d_ss, d_io, d_os, d_si = coefficients
+    for seat, sign in (("O→Np", 1), ("O→Sp", -1)):
+        # At this mounting f_I = −cos L sin φ.
+        force = SEATS[seat](*up_in_table(LATITUDE))
+        b0, c1, s1, c2, s2 = fourier(sp.expand(drift_of(force, coefficients)), PHI, 2)
+        half = sp.Rational(1, 2)
+        expected = {
+            b0: d_f + sign * d_o * S + d_oo * S**2 + half * (d_ii + d_ss) * C**2,
+            s1: -d_i * C - sign * half * d_io * sp.sin(2 * LATITUDE),
+            c1: sign * d_s * C + half * d_os * sp.sin(2 * LATITUDE),
+            c2: half * (d_ss - d_ii) * C**2,
+            s2: -sign * half * d_si * C**2,
+        }
+        for found, wanted in expected.items():
+            assert sp.simplify(sp.expand_trig(found - wanted)) == 0
+
+
+@pytest.mark.parametrize("seats", [("O→Np", "O→Sp"), ("S→Np", "S→Sp"), ("O→Np",), tuple(SEATS)])
+def test_what_is_called_estimable_is_what_the_harmonics_determine(seats):
+    """The rank is that of the exact Fourier coefficients, and every combination lies in their span."""
+    latitude, angle = 0.6, np.arange(8) * np.pi / 4
+    rows, exact = [], []
+    for seat in seats:
+        force = SEATS[seat](*(sp.lambdify((PHI, LATITUDE), one)(angle, latitude) for one in up_in_table(LATITUDE)))
+        rows.append(drift_terms(np.stack([np.broadcast_to(one, angle.shape) for one in force])))
+        # Terms of the second order at most: eight positions give their Fourier coefficients exactly.
+        exact += [np.mean(wave[:, None] * rows[-1], axis=0) for wave in map(np.exp, 1j * np.outer([0, 1, 2], angle))]
+    exact = np.concatenate([np.real(exact), np.imag(exact)])
+    found = estimable(np.concatenate(rows), COEFFICIENTS, standard_combinations(latitude))
+    weights = np.array([one.weights for one in found])
+    assert len(found) == np.linalg.matrix_rank(exact, tol=1e-9) == rank(np.concatenate(rows))
+    assert np.linalg.matrix_rank(weights) == len(found)
+    assert np.linalg.matrix_rank(np.concatenate([exact, weights]), tol=1e-9) == len(found)
+    if seats == ("O→Np", "O→Sp"):
+        assert {one.symbol for one in found if not one.single} == {"D_II-D_SS", "D_F+D_OO·sin²L+½(D_II+D_SS)·cos²L"}
+    if len(seats) == 5:
+        assert {one.symbol for one in found if not one.single} == {"D_II-D_SS", "D_II-D_OO", "D_F+D_II"}
 
 
 def test_the_earth_rate_on_an_input_axis_across_the_pole_is_zero():

@@ -103,6 +103,7 @@ def _json(compared: ComparedEstimate) -> dict[str, Any]:
         "run": estimate.run,
         "value": estimate.value,
         "sd": finite(estimate.sd),
+        "uncertainty": estimate.uncertainty if math.isfinite(estimate.sd) else "",
         "unit": estimate.unit,
         "method": estimate.method,
         "decision": estimate.decision,

@@ -15,134 +15,328 @@ So the five Fourier coefficients of the two sweeps are, + for N and − for S,
     S1 = −D_I cos L ∓ ½ D_IO sin 2L        C1 = ±D_S cos L + ½ D_OS sin 2L
     C2 = ½(D_SS − D_II) cos² L             S2 = ∓½ D_SI cos² L
 
-(IEEE Std 517).  The ten coefficients are not all separable: D_F + D_OO sin² L + ½(D_II + D_SS) cos² L is determined
-only as a sum and D_II − D_SS as a difference.  A sweep with the input axis along the pole adds f_I = sin L and leaves
-only D_F and D_II + D_OO + D_SS inseparable, since f_I² + f_O² + f_S² = 1 g² in every static position.
+(IEEE Std 517).  Sweeps with the spin axis (S→Np, S→Sp) or the input axis (I→Np, I→Sp) along the pole have the same form
+with the axes exchanged; where the input axis sees a component of the Earth rate, that is subtracted.
+
+Every sweep gives its coefficients by least squares, and all sweeps of a gyro together determine what is estimable of
+the ten drift coefficients: each Fourier coefficient is a linear function of them.  For one sweep O→Np and one O→Sp this
+is the textbook's half sum and half difference.  Two sweeps leave D_F + D_OO sin² L + ½(D_II + D_SS) cos² L as a sum and
+D_II − D_SS as a difference.  Sweeps with another axis along the pole separate these, except D_F from
+D_II + D_OO + D_SS, since f_I² + f_O² + f_S² = 1 g² in every static position.
+
+Sweeps in the same mounting at the same temperature are repetitions.  The scatter of their Fourier coefficients gives
+the repeatability of a drift coefficient, that of one determination by one sweep in each mounting, and replaces the
+scatter within the sweeps where it is larger (Birge).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from imubayes.campaign_data import Campaign, Channel, Run
+from imubayes.earth import earth_rate, table_to_local
 from imubayes.procedures.base import Procedure, Reduction
+from imubayes.procedures.estimable_functions import Combination, estimable, rank
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,
     Undetermined,
-    along_table,
+    by_temperature,
     components,
-    harmonics,
-    measured,
+    names_of,
 )
 
 METHOD = "IEEE Std 517 polar-axis tumble"
-_ALONG = 0.999
+COEFFICIENTS = ("D_F", "D_I", "D_O", "D_S", "D_II", "D_OO", "D_SS", "D_IO", "D_OS", "D_SI")
 _DEGREE_PER_HOUR = np.pi / 180 / 3600
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """Fourier coefficients B0, C1, S1, C2, S2 of one sweep, rad/s, with standard deviations."""
-
-    run: Run
-    value: np.ndarray
-    sd: np.ndarray
-
-
-def combined(north: Sequence[Any], south: Sequence[Any], c: Any, s: Any) -> dict[str, Any]:
-    """Return the drift coefficients of two sweeps, and the sum that they do not separate.
-
-    Parameters
-    ----------
-    north, south : B0, C1, S1, C2, S2 with the output axis to the north and to the south pole: numbers or symbols.
-    c, s : cosine and sine of the latitude.
-    """
-    both = 2 * s * c
-    (b_n, c1_n, s1_n, c2_n, s2_n), (b_s, c1_s, s1_s, c2_s, s2_s) = north, south
-    return {
-        "D_I": -(s1_n + s1_s) / (2 * c),
-        "D_O": (b_n - b_s) / (2 * s),
-        "D_S": (c1_n - c1_s) / (2 * c),
-        "D_IO": -(s1_n - s1_s) / both,
-        "D_OS": (c1_n + c1_s) / both,
-        "D_SI": -(s2_n - s2_s) / c**2,
-        "D_II-D_SS": -(c2_n + c2_s) / c**2,
-        "D_F+D_OO·sin²L+½(D_II+D_SS)·cos²L": (b_n + b_s) / 2,
-    }
-
-
-_UNITS = {"D_I": "deg/h/g", "D_O": "deg/h/g", "D_S": "deg/h/g", "D_F+D_OO·sin²L+½(D_II+D_SS)·cos²L": "deg/h"}
+_AXES = "IOS"
+_TOLERANCE = 1e-9
+_LARGEST_CONDITION = 1e3
 _JOINT = {
+    "D_F": "gyro_bias.bias",
     "D_I": "gyro_g_sensitivity.d_i", "D_O": "gyro_g_sensitivity.d_o", "D_S": "gyro_g_sensitivity.d_s",
+    "D_II": "gyro_g2_sensitivity.d_ii", "D_OO": "gyro_g2_sensitivity.d_oo", "D_SS": "gyro_g2_sensitivity.d_ss",
     "D_IO": "gyro_g2_sensitivity.d_io", "D_OS": "gyro_g2_sensitivity.d_os", "D_SI": "gyro_g2_sensitivity.d_si",
 }  # fmt: skip
 """Textbook symbol → parameter of the joint fit."""
 
 
-def polar_tumble_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
-    """Return the drift coefficients of every gyro with sweeps for both directions of its output axis."""
-    found: list[TextbookResult] = []
-    for channel in campaign.of_kind("gyro"):
-        sweeps: dict[bool, Sweep] = {}
-        for run in runs:
-            outputs = {gyro.name: output for gyro, output in measured(run, campaign, "gyro")}
-            toward_pole = float(along_table(run, campaign, channel.axes[1])[2])
-            if channel.name not in outputs or abs(toward_pole) < _ALONG:
-                continue
-            if len(run.covariates["table_angle"]) % 4:
-                found.append(Undetermined(run.name, "the number of positions is not a multiple of 4"))
-                continue
-            sweeps[toward_pole > 0] = _sweep(run, campaign, channel, outputs[channel.name])
-        if len(sweeps) < 2:
-            if sweeps:
-                only = next(iter(sweeps.values())).run.name
-                missing = f"{channel.name}: a sweep with its output axis to the other pole is needed"
-                found.append(Undetermined(only, missing))
-            continue
-        found += _of_channel(campaign, channel.name, sweeps[True], sweeps[False])
+@dataclass(frozen=True)
+class Sweep:
+    """The Fourier coefficients of one sweep as a linear function of the ten drift coefficients.
+
+    Attributes
+    ----------
+    run : the sweep.
+    kept : which of B0, C1, S1, C2, S2 its positions determine; four positions leave out one of the second harmonics.
+    value : shape (m,), those coefficients in deg/h.
+    design : shape (m, 10), their dependence on the drift coefficients.
+    shape : shape (m, m), covariance of `value` for unit variance of a position.
+    squares, freedom : sum of the squared residuals, (deg/h)², and its degrees of freedom.
+    """
+
+    run: Run
+    kept: list[int]
+    value: np.ndarray
+    design: np.ndarray
+    shape: np.ndarray
+    squares: float
+    freedom: int
+
+
+def drift_terms(force: np.ndarray) -> np.ndarray:
+    """Return the terms of the drift coefficients at specific forces along I, O and S in g, (3, n) → (n, 10)."""
+    i, o, s = force
+    return np.stack([np.ones_like(i), i, o, s, i * i, o * o, s * s, i * o, o * s, s * i], axis=1)
+
+
+def standard_combinations(latitude: float) -> dict[str, np.ndarray]:
+    """Return the combinations of drift coefficients that textbooks quote for polar sweeps, symbol → weights (10,)."""
+    sine, cosine = np.sin(latitude), np.cos(latitude)
+    place = {name: index for index, name in enumerate(COEFFICIENTS)}
+
+    def weights(**terms: float) -> np.ndarray:
+        found = np.zeros(len(COEFFICIENTS))
+        for name, weight in terms.items():
+            found[place[name]] = weight
+        return found
+
+    found = {
+        "D_II-D_SS": weights(D_II=1, D_SS=-1),
+        "D_II-D_OO": weights(D_II=1, D_OO=-1),
+        "D_OO-D_SS": weights(D_OO=1, D_SS=-1),
+        "D_F+D_II": weights(D_F=1, D_II=1),
+        "D_F+D_OO": weights(D_F=1, D_OO=1),
+        "D_F+D_SS": weights(D_F=1, D_SS=1),
+    }
+    for along, y, z in ("OIS", "SIO", "IOS"):
+        square = {f"D_{along * 2}": sine**2, f"D_{y * 2}": cosine**2 / 2, f"D_{z * 2}": cosine**2 / 2}
+        name = f"D_{along * 2}·sin²L+½(D_{y * 2}+D_{z * 2})·cos²L"
+        found[f"D_F+{name}"] = weights(D_F=1, **square)
+        for sign, text in ((1, "+"), (-1, "-")):
+            found[f"D_F{text}D_{along}·sinL+{name}"] = weights(D_F=1, **square, **{f"D_{along}": sign * sine})
+            for other in (y, z):
+                cross = next(n for n in ("D_IO", "D_OS", "D_SI") if along in n[2:] and other in n[2:])
+                found[f"D_{other}{text}{cross}·sinL"] = weights(**{f"D_{other}": 1, cross: sign * sine})
     return found
 
 
-def _sweep(run: Run, campaign: Campaign, channel: Channel, output: np.ndarray) -> Sweep:
-    force = components(run, campaign, channel)
-    north = along_table(run, campaign, channel.axes[1])[2] > 0
-    psi = np.arctan2(-force[0], force[2] if north else -force[2])
-    value, covariance = harmonics(psi, output / channel.scale_si, 2)
-    return Sweep(run, value, np.sqrt(np.diag(covariance)))
+def polar_tumble_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
+    """Return what the sweeps of every gyro determine of its drift coefficients, temperature by temperature."""
+    found: list[TextbookResult] = []
+    for place, channel in enumerate(campaign.channels):
+        for group in by_temperature(runs) if channel.kind == "gyro" else ():
+            sweeps: list[Sweep] = []
+            for run in group:
+                sweep = _sweep(run, campaign, channel, run.observed[:, place])
+                if sweep is None:
+                    found.append(Undetermined(run.name, f"{channel.name}: {_TOO_FEW}"))
+                else:
+                    sweeps.append(sweep)
+            if sweeps:
+                found += _of_channel(campaign, channel, sweeps)
+    return found
 
 
-def _of_channel(campaign: Campaign, name: str, north: Sweep, south: Sweep) -> list[TextbookResult]:
-    latitude = float(np.cos(campaign.site.latitude)), float(np.sin(campaign.site.latitude))
-    values = combined(north.value.tolist(), south.value.tolist(), *latitude)
-    # The combinations are linear: propagate the standard deviation of each Fourier coefficient by itself.
-    zero = [0.0] * 5
-    errors = [combined(error, zero, *latitude) for error in np.diag(north.sd).tolist()]
-    errors += [combined(zero, error, *latitude) for error in np.diag(south.sd).tolist()]
-    sd = {key: float(np.sqrt(sum(each[key] ** 2 for each in errors))) for key in values}
-    runs = f"{north.run.name}, {south.run.name}"
+_TOO_FEW = "its positions do not determine the first two harmonics; 4 or more evenly spaced over the circle do"
+
+
+def _sweep(run: Run, campaign: Campaign, channel: Channel, output: np.ndarray) -> Sweep | None:
+    """Return the Fourier coefficients of a sweep; None where its positions do not determine them."""
+    there = np.isfinite(output)
+    angle = run.covariates["table_angle"][there]
+    waves = _waves(angle)
+    kept = next((kept for kept in _HARMONICS if _determined(waves[:, kept])), None)
+    if kept is None:
+        return None
+    force = components(run, campaign, channel, angle)
+    signal = (output[there] - channel.offset) / channel.scale_si - _earth(run, campaign, channel, angle)
+    drift = signal / _DEGREE_PER_HOUR
+    inverse = np.linalg.pinv(waves[:, kept])
+    residual = drift - waves[:, kept] @ (inverse @ drift)
+    return Sweep(
+        run, kept, inverse @ drift, inverse @ drift_terms(force), inverse @ inverse.T,
+        float(residual @ residual), len(drift) - len(kept),
+    )  # fmt: skip
+
+
+# Four positions determine one of the second harmonics.
+_HARMONICS = ([0, 1, 2, 3, 4], [0, 1, 2, 3], [0, 1, 2, 4])
+
+
+def _waves(angle: np.ndarray) -> np.ndarray:
+    """Return the terms of B0, C1, S1, C2, S2 at table angles, (n,) → (n, 5)."""
+    columns = [np.ones_like(angle), np.cos(angle), np.sin(angle), np.cos(2 * angle), np.sin(2 * angle)]
+    return np.stack(columns, axis=1)
+
+
+def _determined(waves: np.ndarray) -> bool:
+    return len(waves) >= waves.shape[1] and bool(np.linalg.cond(waves) < _LARGEST_CONDITION)
+
+
+def _earth(run: Run, campaign: Campaign, channel: Channel, angle: np.ndarray) -> np.ndarray:
+    """Return the Earth rate along the input axis at table angles, rad/s, (n,)."""
+    assert run.table is not None
+    assert run.mounting is not None
+    table = campaign.tables[run.table]
+    x, y, z = table_to_local(table.azimuth, table.elevation).T @ earth_rate(campaign.site.latitude)
+    c, s = np.cos(angle), np.sin(angle)
+    in_table = np.stack([c * x + s * y, c * y - s * x, np.full_like(angle, z)])
+    return campaign.mountings[run.mounting].body_to_table @ channel.axes[0] @ in_table
+
+
+def _of_channel(campaign: Campaign, channel: Channel, sweeps: Sequence[Sweep]) -> list[TextbookResult]:
+    design = np.concatenate([sweep.design for sweep in sweeps])
+    # A first or second harmonic of n positions has twice the variance of their mean.
+    weight = np.concatenate([1 / np.diag(sweep.shape) for sweep in sweeps])
+    solve = np.linalg.pinv(design * np.sqrt(weight)[:, None], rcond=_TOLERANCE) * np.sqrt(weight)
+    coefficients = solve @ np.concatenate([sweep.value for sweep in sweeps])
+    scatter = Scatter.of(campaign, sweeps)
+    covariance = solve @ scatter.covariance(sweeps) @ solve.T
+    runs = names_of([sweep.run for sweep in sweeps])
+    combinations = estimable(design, COEFFICIENTS, standard_combinations(campaign.site.latitude))
     found: list[TextbookResult] = [
         Estimate(
-            f"{_JOINT.get(key, key)}[{name}]", runs, value / _DEGREE_PER_HOUR,
-            sd[key] / _DEGREE_PER_HOUR, _UNITS.get(key, "deg/h/g^2"), METHOD,
+            f"{_JOINT.get(each.symbol, each.symbol)}[{channel.name}]", runs, float(each.weights @ coefficients),
+            float(np.sqrt(each.weights @ covariance @ each.weights)), _unit(each), METHOD,
+            uncertainty=scatter.evaluation,
         )
-        for key, value in values.items()
+        for each in combinations
     ]  # fmt: skip
-    found.append(
-        Undetermined(
-            runs,
-            f"{name}: D_F, D_OO and D_II + D_SS apart from each other; a sweep with the input axis along the pole "
-            "separates them, except D_F from D_II + D_OO + D_SS (|f| = 1 g in every static position)",
-        )
-    )
+    found += _repeatability(channel, runs, sweeps, scatter, combinations)
+    return [*found, *_advice(campaign, channel, runs, design, combinations)]
+
+
+def _unit(combination: Combination) -> str:
+    """Return the unit of a combination; terms of several orders are a drift rate at 1 g."""
+    orders = {len(COEFFICIENTS[place]) - 2 for place in np.flatnonzero(combination.weights)}
+    fixed = bool(combination.weights[0])
+    return "deg/h" if fixed else {1: "deg/h/g", 2: "deg/h/g^2"}[min(orders)]
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Scatter within and between the sweeps of a gyro.
+
+    Attributes
+    ----------
+    within : variance of a position, (deg/h)², pooled over the sweeps; NaN without degrees of freedom.
+    between : shape (5, 5), covariance of the Fourier coefficients of repeated sweeps, pooled; None without repetitions.
+    freedom : degrees of freedom of `between`.
+    evaluation : how the standard uncertainty is evaluated.
+    """
+
+    within: float
+    between: np.ndarray | None
+    freedom: int
+    evaluation: str
+
+    @classmethod
+    def of(cls, campaign: Campaign, sweeps: Sequence[Sweep]) -> "Scatter":
+        """Return the scatter of sweeps, those in the same mounting being repetitions."""
+        freedom = sum(sweep.freedom for sweep in sweeps)
+        within = sum(sweep.squares for sweep in sweeps) / freedom if freedom else float("nan")
+        text = f"type A: residuals of the sweeps, {freedom} degrees of freedom"
+        total, repeated = np.zeros((5, 5)), 0
+        for group in _in_same_mounting(campaign, sweeps):
+            values = np.array([sweep.value for sweep in group if len(sweep.kept) == 5])
+            if len(values) > 1:
+                total += (values - values.mean(axis=0)).T @ (values - values.mean(axis=0))
+                repeated += len(values) - 1
+        if not repeated:
+            return cls(within, None, 0, text)
+        text += f", or the scatter between repeated sweeps, {repeated}, where it is larger"
+        return cls(within, total / repeated, repeated, text)
+
+    def covariance(self, sweeps: Sequence[Sweep]) -> np.ndarray:
+        """Return the covariance of the Fourier coefficients of all sweeps."""
+        blocks = [self._of_sweep(sweep) for sweep in sweeps]
+        size = sum(len(block) for block in blocks)
+        found, place = np.zeros((size, size)), 0
+        for block in blocks:
+            found[place : place + len(block), place : place + len(block)] = block
+            place += len(block)
+        return found
+
+    def _of_sweep(self, sweep: Sweep) -> np.ndarray:
+        within = self.within * sweep.shape
+        if self.between is None:
+            return within
+        between = np.diag(self.between)[sweep.kept]
+        if not np.isfinite(self.within):
+            return np.diag(between)
+        inflation = np.sqrt(np.maximum(1.0, between / np.maximum(np.diag(within), np.finfo(float).tiny)))
+        return within * np.outer(inflation, inflation)
+
+
+def _in_same_mounting(campaign: Campaign, sweeps: Iterable[Sweep]) -> list[list[Sweep]]:
+    groups: dict[tuple[str | None, bytes], list[Sweep]] = {}
+    for sweep in sweeps:
+        assert sweep.run.mounting is not None
+        seat = np.round(campaign.mountings[sweep.run.mounting].body_to_table, 6) + 0.0
+        groups.setdefault((sweep.run.table, seat.tobytes()), []).append(sweep)
+    return list(groups.values())
+
+
+def _repeatability(
+    channel: Channel, runs: str, sweeps: Sequence[Sweep], scatter: Scatter, combinations: Sequence[Combination]
+) -> list[TextbookResult]:
+    """Return the standard deviation of single determinations, by one sweep in each mounting."""
+    if scatter.between is None:
+        return []
+    first = {sweep.design.round(9).tobytes(): sweep for sweep in sweeps if len(sweep.kept) == 5}.values()
+    solve = np.linalg.pinv(np.concatenate([sweep.design for sweep in first]), rcond=_TOLERANCE)
+    covariance = solve @ np.kron(np.eye(len(first)), scatter.between) @ solve.T
+    found: list[TextbookResult] = []
+    for each in combinations:
+        spread = float(np.sqrt(max(each.weights @ covariance @ each.weights, 0.0)))
+        found.append(
+            Estimate(
+                f"repeatability({each.symbol})[{channel.name}]", runs, spread, spread / np.sqrt(2 * scatter.freedom),
+                _unit(each), f"{METHOD}: standard deviation of one determination",
+                uncertainty=f"type A: {scatter.freedom} degrees of freedom between repeated sweeps",
+            )
+        )  # fmt: skip
+    return found
+
+
+def _advice(
+    campaign: Campaign, channel: Channel, runs: str, design: np.ndarray, combinations: Sequence[Combination]
+) -> list[TextbookResult]:
+    """Return what the sweeps do not separate, and the sweep that would separate most of it."""
+    single = {each.symbol for each in combinations if each.single}
+    together = [name for name in COEFFICIENTS if name not in single]
+    if not together:
+        return []
+    before, standard = rank(design), standard_combinations(campaign.site.latitude)
+    best, gained = "", before
+    for text, sweep in _possible_sweeps(campaign.site.latitude).items():
+        reached = rank(np.concatenate([design, sweep]))
+        if reached > gained:
+            best, gained, further = text, reached, np.concatenate([design, sweep])
+    sentence = f"{channel.name}: {', '.join(together)} apart from each other; "
+    if not best:
+        return [Undetermined(runs, f"{sentence}no sweep separates them, since |f| = 1 g in every static position")]
+    after = [each.symbol for each in estimable(further, COEFFICIENTS, standard)]
+    new = [symbol for symbol in after if symbol not in {each.symbol for each in combinations}]
+    return [Undetermined(runs, f"{sentence}a sweep {best} would determine {', '.join(new)}")]
+
+
+def _possible_sweeps(latitude: float) -> dict[str, np.ndarray]:
+    """Return the drift terms over a sweep with each axis along the pole, in words → (n, 10)."""
+    angle = np.arange(8) * np.pi / 4
+    plane, found = np.cos(latitude) * np.stack([np.cos(angle), np.sin(angle)]), {}
+    for place, letter in enumerate(_AXES):
+        for sign, pole in ((1, "Np"), (-1, "Sp")):
+            force = np.insert(plane, place, sign * np.sin(latitude), axis=0)
+            found[f"{letter}→{pole}"] = drift_terms(force)
     return found
 
 
 POLAR_TUMBLE = Procedure(
     name="polar_tumble",
-    reference="IEEE Std 517, tumble test with the output axis parallel to the Earth's axis",
+    reference="IEEE Std 517, tumble test with an axis of the gyro parallel to the Earth's axis",
     columns=(("table_angle_deg",),),
     needs_table=True,
     reduction=Reduction.AT_REST,

@@ -5,6 +5,7 @@ the joint fit.  Standard deviations come from the residuals of the fitted curve 
 of these assumptions.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,10 @@ import numpy as np
 from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.earth import table_to_local
 
+RESIDUALS = "type A: residuals of the fitted curve"
 _MAX_HARMONIC = 5
+# Tests at temperatures closer than this are tests at the same temperature.
+_SAME_TEMPERATURE = 5.0
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,7 @@ class Estimate:
     angle : name of the mounting angle that the formula takes as exact; empty if none.
     nominal : that angle, deg.
     decision : textbook conclusion from the value; empty if none.
+    uncertainty : how the standard uncertainty was evaluated (GUM).
     """
 
     name: str
@@ -39,6 +44,7 @@ class Estimate:
     angle: str = ""
     nominal: float = float("nan")
     decision: str = ""
+    uncertainty: str = RESIDUALS
 
 
 @dataclass(frozen=True)
@@ -147,3 +153,36 @@ def harmonics(psi: np.ndarray, output: np.ndarray, order: int) -> tuple[np.ndarr
 def order_of(positions: int) -> int:
     """Return the highest harmonic determined by that many positions over the circle: 2 for 4, at most 5."""
     return min(_MAX_HARMONIC, positions // 2)
+
+
+def temperature_of(run: Run) -> float:
+    """Return the mean sensor temperature of a run, °C; NaN if not recorded."""
+    return float(np.mean(run.covariates.get("temperature", np.array([np.nan]))))
+
+
+def by_temperature(runs: Sequence[Run]) -> list[list[Run]]:
+    """Return the runs in groups at the same temperature, the coldest first; those without one are the last group."""
+    groups: list[list[Run]] = []
+    last = float("-inf")
+    for run in sorted(runs, key=lambda run: (np.isnan(temperature_of(run)), temperature_of(run))):
+        here = temperature_of(run)
+        if groups and (here - last < _SAME_TEMPERATURE or (np.isnan(here) and np.isnan(last))):
+            groups[-1].append(run)
+        else:
+            groups.append([run])
+        last = here
+    return groups
+
+
+def standard_deviation(values: Sequence[float] | np.ndarray) -> tuple[float, float]:
+    """Return the standard deviation of repeated values and its standard uncertainty, s/√(2(n − 1)) for normal scatter.
+
+    Source: JCGM 100:2008, E.4.3.
+    """
+    spread = float(np.std(values, ddof=1))
+    return spread, spread / np.sqrt(2 * (len(values) - 1))
+
+
+def names_of(runs: Sequence[Run]) -> str:
+    """Return the names of runs, as an estimate from several of them quotes them."""
+    return ", ".join(run.name for run in runs)
