@@ -35,7 +35,8 @@ PLUGINS = ("procedures", "effects", "noise")
 # What the plug-ins of a package build on; all other modules of such a package are plug-ins.
 FOUNDATIONS = (
     "base", "memory", "shared_formulas",
-    "ambient", "classical", "converter_temperature", "kinematics", "nominal_stimulus", "planned_steps", "textbook",
+    "ambient", "classical", "converter_temperature", "estimable_functions",
+    "kinematics", "nominal_stimulus", "planned_steps", "textbook",
 )  # fmt: skip
 MOST_LINES = 500
 

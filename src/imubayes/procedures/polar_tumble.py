@@ -310,7 +310,7 @@ def _advice(
     if not together:
         return []
     before, standard = rank(design), standard_combinations(campaign.site.latitude)
-    best, gained = "", before
+    best, gained, further = "", before, design
     for text, sweep in _possible_sweeps(campaign.site.latitude).items():
         reached = rank(np.concatenate([design, sweep]))
         if reached > gained:
