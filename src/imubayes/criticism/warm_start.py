@@ -1,7 +1,8 @@
-"""A model with one effect more, and where its fit begins: the old mode, and what the data say of the new beforehand.
+"""A model with effects added, and the start of its refit: the mode before, and one-step estimates of what is new.
 
-About the old mode the model is linear.  With the old columns projected out, the new coefficients follow from one small
-system (the score test's one-step estimate): the refit starts there, and what it was expected to find is known before.
+The model is linearised about the mode before.  With its columns projected out, the new coefficients follow from one
+small linear system (the one-step estimate of the score test).  The refit starts there, and its Δχ² and coefficients are
+predicted before it is made.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,16 +40,17 @@ class Extension:
 
     Attributes
     ----------
-    model : as declared.
-    z, h : where the fit begins, shapes (P,) and (H,).
-    null : shape (P,), the old mode with the new parameters at their nulls.
-    new : shape (P,), True for the parameters that the old model did not have.
-    delta_chi2 : expected drop of chi² at the old noise scales; None where the gradient at the null does not tell.
-    coefficients : expected, with uncertainty; empty where the gradient does not tell.
-    asked : shape (K,), z of the new parameters that the data alone ask for, 0 where they do not say.
-    widened : prior that was made wider for what the data ask for, by ``effect.parameter``, as written.
-    residual, added : shape (E,), whitened residual and what the new effect would explain, both with everything taken
-        out that the old model can explain: the added-variable plot, of slope 1 where the expectation is right.
+    model : with the effects added, bound.
+    z, h : start of the fit, shapes (P,) and (H,).
+    null : shape (P,), the mode before, with the new parameters at their null values.
+    new : shape (P,), True for the parameters that the model before did not have.
+    delta_chi2 : predicted drop of χ² at the noise scales before; None where the gradient at the null values vanishes.
+    coefficients : predicted, with uncertainty; empty where the gradient vanishes.
+    asked : shape (K,), estimates of the new parameters in z from the data alone, without prior; 0 where they are not
+        determined.
+    widened : priors that were widened for these estimates, by ``effect.parameter``, as written in a model file.
+    residual, added : shape (E,), whitened residual and the part explained by the new effect, both projected off the
+        model before: the added-variable plot, of slope 1 where the prediction is right.
     """
 
     model: Model
@@ -71,10 +73,10 @@ def extended(
 
     Parameters
     ----------
-    spec : the model so far.
+    spec : the model before.
     effects : names of effects or noise members.
-    channels : for effects that act on channels; without them all that the effect can act on and has not yet.
-    campaign, registry : to know which channels these are.
+    channels : for effects that act on channels; where None, all that the effect can act on and does not act on yet.
+    campaign, registry : determine which channels these are.
 
     Raises
     ------
@@ -97,13 +99,13 @@ def _channels(
         return None
     fitting = fitting_channels(member, campaign)
     if channels is not None:
-        # Of channels for several effects each takes its own kind; where none fits, the model's reader says so.
+        # Each of several effects takes the channels of its kind; where none fits, binding the model raises.
         return tuple(name for name in channels if name in fitting) or tuple(channels)
     taken = {
         name
-        for one in spec.effects
-        if one.name == member.name
-        for name in (one.channels if one.channels is not None else fitting)
+        for entry in spec.effects
+        if entry.name == member.name
+        for name in (entry.channels if entry.channels is not None else fitting)
     }
     return tuple(name for name in fitting if name not in taken) or None
 
@@ -115,15 +117,16 @@ def extend(
     shape: Mapping[str, float] | None = None,
     hints: Mapping[str, float] | None = None,
 ) -> Extension:
-    """Return a fitted model with effects added, and where to begin its fit.
+    """Return the model of a fit with effects added, and the start of its refit.
 
     Parameters
     ----------
-    before : the fit so far.
+    before : the fit before.
     effects, channels : what is added (see `extended`).
-    shape : parameter name → value in its unit at which the rest is expanded, such as a time constant that was
-        scanned; a name without its label stands for all labels.
-    hints : parameter name → first value in its unit, for coefficients and noise scales whose null has no gradient.
+    shape : parameter name → value in its unit about which the model is linearised, such as a scanned time constant; a
+        name without its label stands for all labels.
+    hints : parameter name → start value in its unit, for coefficients and noise scales without a gradient at the null
+        value.
 
     Raises
     ------
@@ -137,7 +140,7 @@ def extend(
     if not wider:
         return found
     kept = len(spec.effects) - len(effects)
-    added = [replace(one, prior=wider.get(one.name, {})) for one in spec.effects[kept:]]
+    added = [replace(entry, prior=wider.get(entry.name, {})) for entry in spec.effects[kept:]]
     spec = replace(spec, effects=(*spec.effects[:kept], *added))
     widened = {f"{name}.{field}": text for name, priors in wider.items() for field, text in priors.items()}
     return replace(_extension(before, spec, registry, shape or {}, hints or {}), widened=widened)
@@ -160,12 +163,12 @@ def _extension(
 
 
 def _without_new(before: Fit, model: Model, new: np.ndarray) -> float | None:
-    """Return χ² of the fit so far where what is new acts already where the expansion begins, None where it does not.
+    """Return χ² of the fit before where the new effect is not null at the point of linearisation, else None.
 
-    The width of a dead zone cannot be zero: its prior excludes that, and the expansion begins at the prior's middle.
+    The width of a dead zone cannot be zero: its prior excludes that, and the model is linearised at the prior median.
     """
-    parameters = [one for one, is_new in zip(model.layout.parameters, new, strict=True) if is_new]
-    acts = [one for one in parameters if _null(model, one) is None and not _declared(model, one).shape]
+    parameters = [each for each, is_new in zip(model.layout.parameters, new, strict=True) if is_new]
+    acts = [each for each in parameters if _null(model, each) is None and not _declared(model, each).shape]
     if not acts or model.hyper_layout.names != before.model.hyper_layout.names:
         return None
     parts = whitened(before.model.problem, jnp.asarray(before.z), jnp.asarray(before.h))
@@ -174,16 +177,16 @@ def _without_new(before: Fit, model: Model, new: np.ndarray) -> float | None:
 
 
 def _wider(extension: Extension) -> dict[str, dict[str, str]]:
-    """Return priors, by effect and parameter, that hold what the data ask for where the usual ones would forbid it.
+    """Return wider priors, by effect and parameter, where the estimate from the data alone lies far outside the prior.
 
-    A prior says what is usual before anything was measured.  What was measured says otherwise beyond doubt here, and a
-    refit held back by the prior would show that the effect is not missing.  What a certificate states stands.
+    The default prior covers typical sizes.  A refit held back by it would understate an effect that the data determine.
+    Priors from a certificate of the equipment are not widened.
     """
     wanted: dict[str, dict[str, str]] = {}
     places = np.flatnonzero(extension.new)
-    # The largest comes last, and stands.
-    for one in np.argsort(np.abs(extension.asked)).tolist():
-        parameter, z = extension.model.layout.parameters[int(places[one])], abs(float(extension.asked[one]))
+    # Labels share one prior: the largest estimate comes last and sets it.
+    for number in np.argsort(np.abs(extension.asked)).tolist():
+        parameter, z = extension.model.layout.parameters[int(places[number])], abs(float(extension.asked[number]))
         declared = _declared(extension.model, parameter)
         about_zero = isinstance(parameter.prior, Normal) and float(parameter.prior.mean) == 0
         if z > thresholds.UNUSUAL_PRIOR_SD and about_zero and not declared.equipment and not declared.spread:
@@ -199,28 +202,28 @@ def _rounded_up(value: float) -> float:
 
 
 def _declared(model: Model, parameter: Parameter) -> Declared:
-    return next(one.declared for one in model.assembly.effects if one.name == parameter.effect)[parameter.field]
+    return next(bound.declared for bound in model.assembly.effects if bound.name == parameter.effect)[parameter.field]
 
 
 def _given(parameter: Parameter, values: Mapping[str, float]) -> float | None:
-    """Return z of a value that is given by full name or without its label."""
+    """Return z of the value given for a parameter, by its full name or without label; None where there is none."""
     value = values.get(parameter.name, values.get(f"{parameter.effect}.{parameter.field}"))
     return None if value is None else parameter.z_at(value)
 
 
 def _nulls(model: Model) -> np.ndarray:
-    """Return z of each parameter's null, 0 where its prior excludes that."""
-    found = [_null(model, one) for one in model.layout.parameters]
+    """Return z of the null value of each parameter; 0 where its prior excludes that."""
+    found = [_null(model, parameter) for parameter in model.layout.parameters]
     return np.array([0.0 if z is None else z for z in found])
 
 
 def _null(model: Model, parameter: Parameter) -> float | None:
-    """Return z of a parameter's null, None where its prior excludes that."""
+    """Return z of the null value of a parameter; None where its prior excludes that."""
     return parameter.z_at(_declared(model, parameter).null / parameter.factor)
 
 
 def _new(old: Layout, model: Layout) -> np.ndarray:
-    """Return which places of a layout another one lacks, shape (P,) bool."""
+    """Return which parameters of `model` the layout `old` lacks, shape (P,) bool."""
     known = set(old.names)
     return np.array([name not in known for name in model.names], dtype=bool)
 
@@ -262,12 +265,12 @@ def _first_step(
         if blind:
             z[place] = _away_from_null(model, place, null[place], hints)
     tells = bool(count) and not flat.all()
-    # Counted from χ² without what is new, which is that of the place where the expansion begins if nothing acts there.
+    # Δχ² refers to the model before; its χ² is that at the point of linearisation where the new effect is null there.
     without = float(right @ right) if without is None else without
     drop = float(2 * drive @ step - step @ squares @ step) + without - float(left @ left)
     sd = np.sqrt(np.diag(covariance))
     if tells and flat.any():
-        # A time constant that was scanned lies beside its true value: with its coefficient it has a gradient.
+        # A scanned time constant lies near its true value and has a gradient once its coefficient is not zero.
         z, sd, drop, flat = _second_step(model, z, h, new, (sd, drop, flat), without)
     return Extension(
         model, z, h, null, new, drop if tells else None,
@@ -277,7 +280,7 @@ def _first_step(
 
 
 def _without_prior(squares: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """Return the step in z, (K,), that the data alone ask for; 0 where they say nothing beyond doubt."""
+    """Return the step in z, (K,), without prior; 0 where the data do not determine it."""
     values, axes = np.linalg.eigh(squares)
     told = values > max(thresholds.SINGULAR * float(values.max(initial=0.0)), thresholds.NO_GRADIENT)
     inverse = (axes[:, told] / values[told]) @ axes[:, told].T
@@ -293,12 +296,14 @@ def _second_step(
     first: tuple[np.ndarray, float, np.ndarray],
     before: float,
 ) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """Return z, the deviations and the drop of χ² after one step more of all parameters; the first where it is no gain.
+    """Return z, standard deviations, drop of χ² and which new parameters have no gradient, after a second step.
+
+    All parameters are moved; where that does not reduce χ², the first step is returned.
 
     Parameters
     ----------
-    first : deviations, drop and which new parameters had no gradient.
-    before : χ² without what is new.
+    first : standard deviations, drop, and which new parameters had no gradient.
+    before : χ² of the model before.
     """
 
     def at(point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
@@ -318,11 +323,11 @@ def _second_step(
 
 
 def _away_from_null(model: Model, place: int, null: float, hints: Mapping[str, float]) -> float:
-    """Return where a parameter without a gradient begins: as given, or at the least that is met in practice."""
+    """Return the start of a parameter without gradient: as given, or the lower end of its typical range."""
     parameter = model.layout.parameters[place]
     declared = _declared(model, parameter)
     if declared.shape:
-        return null  # a time constant has no gradient while its coefficient is zero, and stands where it was put
+        return null  # a time constant has no gradient while its coefficient is zero, and keeps its scanned value
     hint = _given(parameter, hints)
     if hint is not None:
         return hint
@@ -339,7 +344,7 @@ def _coefficients(
     for place, width, blind in zip(np.flatnonzero(new).tolist(), sd.tolist(), flat.tolist(), strict=True):
         parameter = layout.parameters[place]
         if not blind:
-            # The width in the unit: a secant over one standard deviation to each side.
+            # The standard deviation in the unit: a secant over one standard deviation to each side.
             low, here, high = (
                 float(parameter.prior.value(jnp.asarray(z[place] + side * width))) for side in (-1, 0, 1)
             )

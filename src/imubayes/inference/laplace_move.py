@@ -1,7 +1,7 @@
 """The emcee move that proposes from the nested Laplace approximation.
 
-An independence proposal with exact Metropolis–Hastings weights: the posterior stays exact whatever the quality of the
-approximation, which only decides how often a proposal is taken.
+An independence proposal with exact Metropolis–Hastings weights: whatever the quality of the approximation, the chain
+has the posterior as its stationary distribution; the quality decides the acceptance alone.
 """
 
 import math
@@ -27,7 +27,7 @@ _to_normal = eqx.filter_jit(
 )
 
 
-# All walkers at once would not fit into the cache of a core.
+# Points per vectorised block: larger blocks exceed the cache of a core.
 _MOST_IN_BLOCK = 16
 
 
@@ -40,12 +40,12 @@ def _log_density(problem: Problem, points: Float[Array, "n PH"], block: int) -> 
 class LogDensity:
     """The log density of a problem for many points at once, in z.
 
-    Points are handed to the compiled function in batches of one size, so that it is compiled once.  What is not a
-    number counts as impossible; +∞ is an error, since a sampler would take it for the best of all points.
+    Points are evaluated in batches of fixed size, so that the function is compiled once.  NaN counts as zero density;
+    +∞ raises FloatingPointError, since a walker would never leave such a point.
     """
 
     def __init__(self, problem: Problem, batch: int):
-        # Blocks of nearly the largest size that leave next to none of the last one unused.
+        # Blocks of nearly the largest size, with little padding in the last.
         blocks = math.ceil(batch / _MOST_IN_BLOCK)
         self.problem, self.block = problem, math.ceil(batch / blocks)
         self.batch = blocks * self.block
@@ -88,22 +88,22 @@ class LaplaceProposal:
 
 
 class LaplaceMove(Move):
-    """Move every walker within the coordinates of the proposal, where the posterior nearly is standard normal.
+    """Move every walker in the coordinates of the proposal, where the posterior is close to standard normal.
 
     u′ = √(1 − β²) u + β ξ leaves the standard normal invariant (preconditioned Crank–Nicolson, Cotter et al. 2013), so
-    a move is taken with probability min(1, w′/w), w = posterior over proposal.  β = 1 is an independent draw; smaller
-    steps free a walker from where the proposal is far too thin.  Which walkers take a short step is drawn anew each
-    time, whatever their state.
+    a move is accepted with probability min(1, w′/w), w = posterior over proposal.  β = 1 is an independent draw;
+    smaller steps free a walker from a place where the density of the proposal is far too low.  The walkers that take a
+    short step are drawn anew in each step, independently of their state.
 
     Parameters
     ----------
     proposal : map and log density, see `LaplaceProposal`.
     short_step : β of the short steps, above 0, at most 1.
-    short_share : share of walkers that take one.
+    short_share : share of walkers that take a short step.
 
     Attributes
     ----------
-    proposed, taken : numbers of independent draws.
+    proposed, taken : numbers of independent draws proposed and accepted.
     """
 
     def __init__(self, proposal: LaplaceProposal, short_step: float, short_share: float):
@@ -112,11 +112,11 @@ class LaplaceMove(Move):
         self.forget()
 
     def forget(self) -> None:
-        """Forget the normal vectors of the walkers; a run that is resumed begins without them, too."""
+        """Discard the cached normal vectors of the walkers, as in a run that is resumed."""
         self._known: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def _normal(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return `to_normal` of the walkers; where no other move has come between it is known from the last step."""
+        """Return `to_normal` of the walkers, from the last step unless another move has changed them since."""
         if self._known is not None and np.array_equal(self._known[0], points):
             return self._known[1:]
         return self.proposal.to_normal(points)
@@ -131,7 +131,7 @@ class LaplaceMove(Move):
         new, _ = model.compute_log_prob_fn(points)
         with np.errstate(invalid="ignore"):
             ratio = (new - new_proposal) - (state.log_prob - old_proposal)
-        # A walker at zero density takes whatever is possible; nothing impossible is ever taken.
+        # A walker at zero density accepts any point of positive density; a point of zero density is never accepted.
         ratio = np.where(np.isneginf(state.log_prob), np.inf, ratio)
         ratio = np.where(np.isneginf(new) | np.isnan(ratio), -np.inf, ratio)
         accepted = np.log(model.random.uniform(size=count)) < ratio

@@ -1,9 +1,9 @@
-"""Nonlinear least squares: Levenberg–Marquardt (optimistix), in two kinds.
+"""Nonlinear least squares: Levenberg–Marquardt (optimistix) with two kinds of damping and linear algebra.
 
-For bare least squares the damping is Marquardt's: each parameter is measured by the length of its column of the
-Jacobian, so that neither the units of the parameters nor those of the data matter, and the linear algebra is QR.
-`GramCholesky` works on the column-scaled normal equations: half the digits, a tenth of the time.  It is for problems
-whose prior keeps the matrix well conditioned and gives all parameters one scale.
+Without a prior the damping is Marquardt's: each parameter is scaled by the norm of its column of the Jacobian, so that
+the result depends neither on the units of the parameters nor on those of the data; the linear algebra is QR.
+`GramCholesky` solves the column-scaled normal equations, with half the digits in a tenth of the time.  It is for
+problems with a prior, which keeps the matrix well conditioned and gives all parameters one scale.
 """
 
 from collections.abc import Callable
@@ -18,11 +18,11 @@ import optimistix as optx
 
 from imubayes.array_shapes import Array, Bool, Float, Int, Scalar
 
-# Damping at the start, against columns of unit length: nearly Gauss–Newton, short of leaping onto a plateau.
+# Initial damping, relative to columns of unit norm: nearly Gauss–Newton, without a leap onto a plateau.
 _FIRST_DAMPING = 1e-2
-# Relative change of the cost that is rounding: residuals are small differences of large readings.
+# Relative change of the cost that is rounding: residuals are small differences of large observations.
 _ROUNDING = 1e-11
-# The step left that still counts as arrived: against each parameter, or as a share of the residual.
+# Largest remaining Gauss–Newton step at a minimum: relative to each parameter, or as a share of the residual norm.
 _STEP_LEFT, _OFFSET_LEFT = 1e-5, 1e-4
 
 
@@ -56,7 +56,7 @@ class GramCholesky(lx.AbstractLinearSolver[Any]):
 
 
 class _Factorised(eqx.Module):
-    """The Jacobian at the last accepted point: J = Q·upper·diag(scale), with Qᵀ·residual and |residual|."""
+    """The Jacobian at the last accepted point, J = Q·upper·diag(scale), with Qᵀ·residual and ‖residual‖."""
 
     scale: Float[Array, " P"]
     upper: Float[Array, "P P"]
@@ -67,8 +67,8 @@ class _Factorised(eqx.Module):
 class _ScaledDescent(optx.AbstractDescent[Any, Any, _Factorised]):
     """The damped step: the least-squares solution of [J; √λ·diag(scale)] δ = [−r; 0] (Marquardt 1963).
 
-    The scale of a parameter never falls (Moré 1978), so that one whose column vanishes far from the minimum is not let
-    go.  One QR at an accepted point serves every damping tried there.
+    The scale of a parameter never decreases (Moré 1978), so that a parameter stays damped where its column vanishes far
+    from the minimum.  One QR per accepted point serves all dampings tried there.
     """
 
     def init(self, y, f_info_struct):
@@ -95,7 +95,7 @@ class _ScaledLevenbergMarquardt(optx.AbstractGaussNewton[Any, Any, Any]):
     atol: float
     norm: Callable = optx.max_norm
     descent: optx.AbstractDescent = _ScaledDescent()
-    # A step is good when it brings three quarters of what the linear model promised (Moré 1978).
+    # The damping is reduced after a step that achieves three quarters of the predicted reduction (Moré 1978).
     search: optx.AbstractSearch = optx.ClassicalTrustRegion(
         high_cutoff=0.75, low_cutoff=1e-4, high_constant=3.0, low_constant=0.25
     )
@@ -103,10 +103,10 @@ class _ScaledLevenbergMarquardt(optx.AbstractGaussNewton[Any, Any, Any]):
 
 
 class _UpToRounding(optx.AbstractSearch[Any, Any, Any, Any]):
-    """The trust region of Levenberg–Marquardt, which takes a step that changes the cost by rounding alone.
+    """The trust region of Levenberg–Marquardt, which also accepts steps that change the cost by rounding alone.
 
-    At the minimum the cost only flickers.  Where every step is refused for that, and only an accepted step can end the
-    search, it wanders on with ever shorter ones.
+    Convergence is tested after accepted steps only.  At the minimum the cost changes by rounding errors; were steps
+    rejected for these, the search would go on with ever shorter ones.
     """
 
     region: optx.ClassicalTrustRegion = optx.ClassicalTrustRegion()
@@ -134,10 +134,10 @@ class LeastSquares(eqx.Module):
 
     Attributes
     ----------
-    value : shape (P,), where it ended.
-    aux : what the residual gave beside its value there, see `minimise`.
-    steps : number of steps taken.
-    successful : whether it ended at a minimum.
+    value : shape (P,), the end point.
+    aux : second return value of the residual there, see `minimise`.
+    steps : number of steps.
+    successful : whether the end point is a minimum.
     """
 
     value: Float[Array, " P"]
@@ -155,22 +155,22 @@ def minimise(
     linear_solver: lx.AbstractLinearSolver | None = None,
     has_aux: bool = False,
 ) -> LeastSquares:
-    """Return the minimum of ½ |residual(x, arguments)|².
+    """Return the minimum of ½ ‖residual(x, arguments)‖².
 
     Parameters
     ----------
     residual : differentiable function of x, shape (P,), and arguments.
-    guess : where to begin, shape (P,).
+    guess : start, shape (P,).
     tolerance : relative and absolute, of x and of the residual.
-    most_steps : after so many steps the outcome is not successful.
+    most_steps : limit of the number of steps; a fit that reaches it is not successful.
     linear_solver : of the damped step with one scale for all parameters; None for scaled damping by QR.  In that case
-        success means that the undamped step still to go is small against the parameters or their standard errors,
-        whatever ended the steps: a plateau, where damping stops the steps, is not a minimum.
-    has_aux : whether the residual returns a pair, the second of which is handed back as it was at the last point taken.
+        success means that the remaining undamped step is small compared with the parameters or their standard errors,
+        whatever ended the iteration: a plateau, where damping makes the steps short, is not a minimum.
+    has_aux : whether the residual returns a pair; its second member at the last accepted point is returned as `aux`.
     """
     pair = residual if has_aux else lambda x, given: (residual(x, given), None)
     if linear_solver is None:
-        # Relative to its own size at the start, a residual has no unit.
+        # Divided by its norm at the start, the residual has no unit.
         size = jnp.linalg.norm(pair(guess, arguments)[0])
         size = jnp.where(jnp.isfinite(size) & (size > 0), size, 1.0)
 
@@ -185,7 +185,7 @@ def minimise(
         solver = _NormalEquationsLevenbergMarquardt(tolerance, tolerance, descent=descent)
         solution = _descended(pair, solver, guess, arguments, most_steps)
         value, successful = solution.value, solution.result == optx.RESULTS.successful
-    # The solution's own `aux` is of the point before.
+    # `solution.aux` belongs to the previous point.
     return LeastSquares(value, solution.state.aux, solution.stats["num_steps"], successful)
 
 
@@ -196,10 +196,10 @@ def _descended(pair: Callable, solver: optx.AbstractGaussNewton, guess, argument
 def _arrived(
     at: _Factorised, value: Float[Array, " P"], tolerance: float
 ) -> tuple[Float[Array, " P"], Bool[Array, ""]]:
-    """Return the end point and whether it is a minimum, by the Gauss–Newton step that is left; a small one is taken."""
+    """Return the end point and whether it is a minimum, by the remaining Gauss–Newton step, which is made if small."""
     left = jax.scipy.linalg.solve_triangular(at.upper, at.rotated) / at.scale
     small = jnp.max(jnp.abs(left) / (tolerance + jnp.abs(value))) < _STEP_LEFT
-    # Bates & Watts' relative offset: the part of the residual that the parameters could still take away.
+    # Relative offset (Bates & Watts 1981): the share of the residual that the parameters could still explain.
     flat = jnp.linalg.norm(at.rotated) < _OFFSET_LEFT * at.length
     perfect = at.length < tolerance
     return jnp.where(small, value - left, value), jnp.all(jnp.isfinite(left)) & (small | flat | perfect)
@@ -208,7 +208,7 @@ def _arrived(
 def covariance(jacobian: Float[Array, "E P"], variance: Scalar | float = 1.0) -> Float[Array, "P P"]:
     """Return variance · (JᵀJ)⁻¹ from the QR of the column-scaled Jacobian.
 
-    (JᵀJ)⁻¹ formed directly squares the condition number, which loses all digits on badly scaled problems.
+    Forming JᵀJ squares the condition number, which loses all digits in badly scaled problems.
     """
     scale = jnp.sqrt(jnp.sum(jacobian**2, axis=0))
     scale = jnp.where(scale > 0, scale, 1.0)

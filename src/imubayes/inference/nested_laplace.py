@@ -1,15 +1,15 @@
-"""The curved nested Laplace approximation: a proposal that nearly is the posterior.
+"""The curved nested Laplace approximation: a proposal close to the posterior.
 
-Three things make the plain normal about the mode useless in fifty dimensions, and each has its remedy here.
-The width of all θ depends on the noise scales: h is drawn first, from its Laplace marginal, and θ given h.  The
-marginal of a noise scale is skewed: each of its axes has its own width to the left and to the right (Rue, Martino &
+A normal distribution about the mode is a poor proposal in fifty dimensions for three reasons, each with its remedy.
+The width of all θ depends on the noise scales: h is drawn first, from its Laplace marginal, then θ given h.  The
+marginal of a noise scale is skewed: each of its axes has one width on the left and one on the right (Rue, Martino &
 Chopin 2009, § 6.5).  The few directions that the data leave to the prior are curved ridges: along them the strong
 directions are bent by half the second derivative, δ → δ + ½ Σ_ij w_i w_j A_ij with w the weak coordinates (geodesic
-acceleration, Transtrum & Sethna 2011).  The bend leaves w alone, so its determinant is 1 and it is undone by
-subtraction: the proposal's density is exact, whatever its quality.
+acceleration, Transtrum & Sethna 2011).  The bend does not change w, so its determinant is 1 and it is inverted by
+subtraction: the density of the proposal is exact, whatever its quality.
 
-With scales d_j = log s_j(h)/s_j(ĥ), precision and gradient are Σ_j exp(−2 d_j) of blocks stored once, exact for
-independent noise and right to first order otherwise; each block is positive semidefinite.
+With d_j = log s_j(h)/s_j(ĥ), precision and gradient are sums of stored blocks with weights exp(−2 d_j), exact for
+independent noise and correct to first order otherwise; each block is positive semidefinite.
 """
 
 import equinox as eqx
@@ -27,12 +27,13 @@ from imubayes.model.noise_covariance import inverse_covariance, whitener
 from imubayes.model.problem import Problem, predict_many, prior_widths
 from imubayes.noise.base import TailNoise
 
-# A direction is weak where more than this share of its prior standard deviation is left; below it the ridge is
+# A direction is weak where its posterior standard deviation exceeds this share of the prior's; below, a ridge is
 # straight.
 _WEAK_SD = 0.03
-# Second derivatives are taken over pairs: 60 directions make 1830 of them.
+# Second derivatives are taken over pairs of directions: 60 directions have 1830 pairs.
 _MOST_WEAK = 60
-# The marginal of h is followed along each axis as far as its value has dropped by about 1, where half the mass lies.
+# Distance from the mode at which the width of the marginal of h is measured, in standard deviations: a normal drops
+# by about 1 there.
 _PROBE = 1.4
 
 
@@ -44,9 +45,9 @@ class NestedLaplace(eqx.Module):
     z, h : the mode.
     hyper_axes : shape (H, H), columns are the axes of the marginal of h.
     left, right : shape (H,), standard deviations along each axis below and above the mode.
-    blocks : shape (H, P, P), precision that shrinks with each scale.
-    gradients : shape (H, P), gradient blocks.
-    fixed, fixed_gradient : the part of precision and gradient that no scale changes, shapes (P, P) and (P,).
+    blocks : shape (H, P, P), the parts of the precision that scale with each noise scale.
+    gradients : shape (H, P), the same of the gradient.
+    fixed, fixed_gradient : the parts of precision and gradient that no noise scale changes, shapes (P, P) and (P,).
     weak : shape (P, K), orthonormal weak directions.
     bend : shape (K, K, P), acceleration along pairs of weak directions.
     """
@@ -98,7 +99,7 @@ def split_by_scale(problem: Problem, mode: Mode) -> PrecisionBlocks:
     )
     log_slope = jnp.diagonal(slopes) / problem.hyper_priors.values(mode.h)
     blocks, gradients = jax.vmap(per_scale)(jnp.diag(1 / log_slope))
-    # How heavy a tail is says little of θ, and more freedom is not more precision everywhere.
+    # A tail parameter shapes the distribution and does not scale the precision of θ.
     scales = _is_scale(problem)
     blocks, gradients = scales[:, None, None] * blocks, scales[:, None] * gradients
     whole, gradient = data_part(mode.h)
@@ -108,7 +109,7 @@ def split_by_scale(problem: Problem, mode: Mode) -> PrecisionBlocks:
 
 
 def _is_scale(problem: Problem) -> Float[Array, " H"]:
-    """Return 1 for a hyperparameter that scales the noise, 0 for one that shapes its law."""
+    """Return 1 for a hyperparameter that scales the noise, 0 for one that shapes its distribution."""
     found = jnp.ones(len(problem.hyper_priors.order))
     for layer in problem.noise:
         if issubclass(layer.noise, TailNoise):
@@ -122,8 +123,8 @@ def bends(
 ) -> Float[Array, "K K P"]:
     """Return the acceleration along every pair of weak directions.
 
-    The second derivatives are secants over one posterior standard deviation to each side, which is where the
-    proposal goes; the derivative at the mode itself would serve it less.
+    The second derivatives are central differences over one posterior standard deviation to each side, the range of the
+    proposal, rather than the derivatives at the mode.
 
     Parameters
     ----------
@@ -137,7 +138,7 @@ def bends(
     pairs, middle = steps[rows] + steps[columns], np.asarray(mode.z)
     centre = np.asarray(problem.observations.value - mode.about.misfit)
     whole = predict_many(problem, middle + pairs) + predict_many(problem, middle - pairs) - 2 * centre
-    # ∂²f[a, b] = ½ (∂²f[a + b, a + b] − ∂²f[a, a] − ∂²f[b, b]); the pair (a, a) went along 2a, four times its own.
+    # ∂²f[a, b] = ½ (∂²f[a + b, a + b] − ∂²f[a, a] − ∂²f[b, b]); the difference for (a, a) is along 2a: 4 ∂²f[a, a].
     own, far = whole[rows == columns] / 4, np.asarray(reach)
     mixed = 0.5 * (whole - own[rows] - own[columns]) / (far[rows] * far[columns])[:, None]
     acceleration = -np.asarray(_pulled(problem, mode, mixed)) @ np.asarray(inverse)
@@ -175,13 +176,13 @@ def _split_normal(problem: Problem, mode: Mode):
     """Return axes of the marginal of h with a standard deviation for each side."""
     at, h = mode.marginal, np.asarray(mode.h)
     eigenvalues, axes = np.linalg.eigh(np.asarray(at.information))
-    # Where the marginal is flatter than the prior the Laplace width would be boundless; the prior has width 1.
+    # Where the marginal is flatter than the prior, the Laplace width is unbounded; the prior has width 1.
     deviation = 1 / np.sqrt(np.maximum(eigenvalues, 1.0))
 
     def side(axis: int, sign: float) -> float:
         step = sign * _PROBE * deviation[axis]
         drop = float(at.value - slope(problem, mode.about, h + step * axes[:, axis]).value)
-        # A normal drops by ½·_PROBE²; the width that would give the drop found here, within a factor of 2.
+        # A normal drops by ½·_PROBE²: the width that gives the measured drop, limited to a factor of 2.
         ratio = np.clip(_PROBE / np.sqrt(2 * max(drop, 1e-3)), 0.5, 2.0)
         return float(deviation[axis] * ratio)
 
@@ -210,7 +211,7 @@ def _two_piece(normal: Float[Array, " H"], left: Float[Array, " H"], right: Floa
     """Return two-piece normal variables from standard normal ones, by their distribution functions."""
     share = left / (left + right)
     below = ndtr(normal) < share
-    # Each side is used from its own tail, so that no digits are lost far out.
+    # Each side is computed from its own tail probability, which keeps all digits far out.
     low = left * ndtri(jnp.where(below, ndtr(normal) / share, 1.0) / 2)
     high = -right * ndtri(jnp.where(below, 1.0, ndtr(-normal) / (1 - share)) / 2)
     return jnp.where(below, low, high)
@@ -227,9 +228,9 @@ def _two_piece_inverse(value: Float[Array, " H"], left: Float[Array, " H"], righ
 def to_point(
     approximation: NestedLaplace, problem: Problem, normal: Float[Array, " PH"]
 ) -> tuple[Float[Array, " PH"], Scalar]:
-    """Return the point (θ, h), in z, that a standard normal vector stands for, and the log density of the proposal.
+    """Return the point (θ, h), in z, of a standard normal vector, and the log density of the proposal there.
 
-    Of random vectors the points are proposals.
+    The points of random vectors are proposals.
     """
     size = approximation.z.shape[0]
     along = _two_piece(normal[size:], approximation.left, approximation.right)
@@ -250,7 +251,7 @@ def to_normal(
     left, right = approximation.left, approximation.right
     factor, mean = _conditional(approximation, problem, h)
     bent = z - approximation.z
-    # The bend does not change the weak coordinates, so those of the bent step undo it.
+    # The bend does not change the weak coordinates, so it is computed from the bent step and subtracted.
     whitened = factor.T @ (bent - _bent(approximation, bent) - mean)
     density = _log_density(approximation, factor, whitened, along)
     return jnp.concatenate([whitened, _two_piece_inverse(along, left, right)]), density

@@ -1,8 +1,8 @@
-"""The noise scales: the mode of their Laplace marginal, θ integrated out of the model linearised about a point.
+"""The mode of the noise scales: their Laplace marginal, with θ integrated out of the linearised model, is maximised.
 
-Newton steps whose curvature is measured once, by differences of the gradient, and then learnt from the steps
-themselves.  Where they have become short it is measured anew, and only what that calls the mode is one.  The second
-derivative of the marginal as a program takes longer to compile than all these gradients take to run.
+Quasi-Newton steps: the Hessian is computed once, by differences of the gradient, then updated from the steps.  When the
+steps have become short it is computed anew, and convergence is judged by that Hessian alone.  Automatic second
+derivatives of the marginal would take longer to compile than all these gradients take to evaluate.
 """
 
 import equinox as eqx
@@ -15,25 +15,25 @@ from imubayes.inference.posterior_precision import Linearised, log_marginal
 from imubayes.model.problem import Problem
 
 _MOST_STEPS = 60
-# A step is short where no h changes by this, in units of its prior.
+# A step is short where no component of h changes by this much, in prior standard deviations.
 _SHORT = 1e-3
-# Half the distance of the gradients that are subtracted: it leaves six digits of the curvature.
+# Half the distance of the central differences of the gradient: six digits of the curvature.
 _APART = 1e-3
-# What counts as no step down, and the shortest part of a step that is tried.
+# A decrease below this is rounding; shortest fraction of a step that is tried.
 _ROUNDING, _SHORTEST = 1e-9, 1e-3
-# A pair of step and change of slope that are nearly orthogonal would blow the learnt curvature up.
+# The rank-one update is skipped where step and secant error are this close to orthogonal: its denominator vanishes.
 _TELLING = 1e-8
 
 
 class Slope(eqx.Module):
-    """The Laplace marginal of h at one point: log p(y, h) and its gradient (H,)."""
+    """The Laplace marginal of h at a point: log p(y, h) and its gradient (H,)."""
 
     value: Scalar
     gradient: Float[Array, " H"]
 
 
 class Curvature(eqx.Module):
-    """The Laplace marginal of h at one point: value, gradient (H,) and the negative of its Hessian (H, H)."""
+    """The Laplace marginal of h at a point: log p(y, h), its gradient (H,) and its negative Hessian (H, H)."""
 
     value: Scalar
     gradient: Float[Array, " H"]
@@ -47,7 +47,7 @@ def slope(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Slope:
 
 
 def curvature(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Curvature:
-    """Return value, gradient and curvature of the Laplace marginal of h, the last by central differences."""
+    """Return value, gradient and negative Hessian of the Laplace marginal of h, the latter by central differences."""
     here = slope(problem, about, h)
     rows = []
     for axis in np.eye(len(h)):
@@ -60,13 +60,13 @@ def curvature(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Cur
 def climb(
     problem: Problem, about: Linearised, h: Float[Array, " H"], information: Float[Array, "H H"] | None = None
 ) -> tuple[Float[Array, " H"], Curvature]:
-    """Return the mode of the Laplace marginal of h, and the curvature there.
+    """Return the mode of the Laplace marginal of h, and value, gradient and negative Hessian there.
 
     Parameters
     ----------
-    problem, about : the model linearised about θ.
-    h : shape (H,), where to begin.
-    information : shape (H, H), the curvature to begin with, where one is known of a point nearby.
+    problem, about : the model, and its linearisation about θ.
+    h : shape (H,), the start.
+    information : shape (H, H), negative Hessian at the start, or at a point nearby; computed where None.
     """
     measured = information is None
     at = curvature(problem, about, h) if information is None else _with(slope(problem, about, h), information)
@@ -90,12 +90,12 @@ def _with(here: Slope, information: Float[Array, "H H"]) -> Curvature:
 
 
 def _newton_step(at: Curvature) -> np.ndarray:
-    """Return a step up the marginal: Newton's, with every curvature made positive and no longer than 1 per axis."""
+    """Return the ascent step: Newton's, with absolute eigenvalues, at most 1 along each eigenvector."""
     information, gradient = np.asarray(at.information), np.asarray(at.gradient)
     if not (np.all(np.isfinite(information)) and np.all(np.isfinite(gradient))):
         return np.full(len(gradient), np.nan)
     eigenvalues, axes = np.linalg.eigh(information)
-    # Far from the mode the marginal may be flat or convex; the prior's own curvature, 1, is then the measure.
+    # Far from the mode the marginal may be flat or convex; the prior has curvature 1, which sets the scale.
     step = axes.T @ gradient / np.maximum(np.abs(eigenvalues), 0.1)
     return axes @ np.clip(step, -1.0, 1.0)
 
@@ -103,7 +103,7 @@ def _newton_step(at: Curvature) -> np.ndarray:
 def _ahead(
     problem: Problem, about: Linearised, h: Float[Array, " H"], at: Curvature, step: np.ndarray
 ) -> tuple[Slope | None, float]:
-    """Return the marginal at the end of a step, cut where it led down, and its length; None where all of it does."""
+    """Return the marginal after a step, shortened until it does not descend, and its length; None where all do."""
     length = 1.0
     while length > _SHORTEST:
         ahead = slope(problem, about, h + length * step)
@@ -114,9 +114,9 @@ def _ahead(
 
 
 def _learnt(at: Curvature, taken: np.ndarray, gradient: Float[Array, " H"]) -> Float[Array, "H H"]:
-    """Return the curvature after a step, by the symmetric rank-one update (Conn, Gould & Toint 1991).
+    """Return the negative Hessian after a step, by the symmetric rank-one update (Conn, Gould & Toint 1991).
 
-    Unlike BFGS it may become indefinite, as the marginal itself is far from its mode.
+    Unlike that of BFGS it may be indefinite, as is the Hessian of the marginal far from its mode.
     """
     lacking = np.asarray(at.gradient) - np.asarray(gradient) - np.asarray(at.information) @ taken
     along = float(lacking @ taken)
