@@ -60,10 +60,18 @@ def exact_outputs(design: Plan, values: Values, moves: list[Move], times: np.nda
     return total
 
 
-def generate(folder: Path, seed: int) -> dict[str, float]:
-    """Write the campaign into `folder`; return the true parameters and derived quantities."""
+def generate(
+    folder: Path, seed: int, hidden: Values | None = None, full_scale: dict[str, float] | None = None
+) -> dict[str, float]:
+    """Write the campaign into `folder`; return the true parameters and derived quantities.
+
+    Parameters
+    ----------
+    hidden : further true values, of effects that the shipped model lacks.
+    full_scale : kind of channel → largest output, where the converter clips.
+    """
     folder, design = Path(folder), plan()
-    values = design.draw(seed)
+    values = design.draw(seed) | (hidden or {})
     moves, end = hand_moves(POSES, FIRST_REST, truth.stream(seed, "moves"))
     times = np.arange(round(end * SAMPLE_RATE)) / SAMPLE_RATE
     outputs = exact_outputs(design, values, moves, times)
@@ -71,7 +79,8 @@ def generate(folder: Path, seed: int) -> dict[str, float]:
     for channel, exact in zip(design.channels, outputs.T, strict=True):
         noise = truth.stream(seed, f"noise/{channel.name}").normal(size=len(times))
         sigma = values[f"white_noise.sigma[{channel.name}]"]
-        columns[channel.name] = np.round(exact + sigma * noise, DECIMALS[channel.kind])
+        limit = (full_scale or {}).get(channel.kind, np.inf)
+        columns[channel.name] = np.round(np.clip(exact + sigma * noise, -limit, limit), DECIMALS[channel.kind])
     (folder / "runs").mkdir(parents=True, exist_ok=True)
     polars.DataFrame(columns).write_parquet(folder / "runs" / "tumble.parquet", compression="zstd")
 

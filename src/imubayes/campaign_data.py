@@ -11,6 +11,8 @@ from typing import Literal
 
 import numpy as np
 
+from imubayes.parameters.unit_grades import Grade
+
 Kind = Literal["gyro", "accelerometer", "angle"]
 
 
@@ -158,6 +160,7 @@ class Campaign:
     digest: str = ""
     notes: tuple[str, ...] = field(default=())
     folder: str = ""
+    grade: Grade | None = None
 
     def of_kind(self, kind: str) -> list[Channel]:
         """Return the channels of a kind, in order."""

@@ -10,12 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from loop_results import CAMPAIGN, LACKING, lacking_model
+from scipy import stats
 
 import imubayes.criticism.addition as addition_module
 from imubayes.api import Addition, Result, add, export, fit
 from imubayes.criticism.cross_validation import groups, objection, predict_left_out, summarise_gains
-from imubayes.criticism.diagnosis_record import EffectChoice
-from imubayes.criticism.warm_start import extend
+from imubayes.criticism.diagnosis_record import CoefficientEstimate, EffectChoice
+from imubayes.criticism.warm_start import _contradicting, extend
 from imubayes.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
@@ -23,6 +24,8 @@ from imubayes.inference.posterior_mode import find_mode
 from imubayes.inference.posterior_precision import linearise
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import masked
+from imubayes.parameters.priors import Normal
+from imubayes.parameters.vector import Parameter
 from imubayes.results.history_file import read_node, read_tree, select
 from imubayes.results.result import read_result
 
@@ -140,6 +143,30 @@ def test_a_prior_gives_way_to_what_was_measured_beyond_doubt(first):
     (one,) = found.coefficients
     assert one.value == pytest.approx(drift, rel=0.01)
     assert found.widened == {f"{LACKING}.slope": f"normal(0, 1000 {one.unit})"}
+
+
+@pytest.mark.parametrize(("sd", "prior"), [(12.0, {f"{LACKING}.slope": "normal(0, 50 output/degC)"}), (18.0, {})])
+def test_what_was_diagnosed_is_within_reach_of_the_refit(first, sd, prior):
+    """50 ± 12 contradicts 0 ± 2 at four standard deviations; 50 ± 18 does not at three."""
+    estimate = CoefficientEstimate(name=f"{LACKING}.slope[ax]", value=50.0, sd=sd, unit="output/degC")
+    assert extend(first.fit, [LACKING], estimates=[estimate]).widened == prior
+
+
+@pytest.mark.parametrize("sizes", [(0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (2.0, 2.5, 2.2), (2.4, 0.5, 0.1), (3.1, 0.0, 0.0)])
+def test_many_coefficients_contradict_their_prior_together(sizes):
+    """The prior predictive distribution of the estimates, by its whole covariance."""
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(3, 3))
+    squares = 1e-4 * (root @ root.T + 3 * np.eye(3))  # each determined to some hundred prior standard deviations
+    covariance = np.linalg.inv(squares)
+    estimate = np.array(sizes) * np.sqrt(1 + np.diag(covariance))
+    priors = [Parameter("effect", f"c{k}", ("a",), "ppm", 1e-6, Normal(0.0, 2e-6)) for k in range(3)]
+    found = _contradicting(priors, np.zeros(3), squares, squares @ estimate)
+    score = estimate @ np.linalg.solve(np.eye(3) + covariance, estimate)
+    together = stats.chi2.sf(score, 3) < 2 * stats.norm.sf(3)
+    expected = (np.array(sizes) > 3) | (together & (estimate > 3))
+    np.testing.assert_allclose(found, np.where(expected, 2e-6 * estimate, 0.0), rtol=1e-9, atol=1e-20)
+    assert found.any() == (max(sizes) > 3 or sizes[1] > 2), "the cases are on either side"
 
 
 def test_an_effect_that_does_not_exist_is_refused(first, tmp_path):

@@ -159,6 +159,7 @@ def _campaign(
         _digest([file, *(file.parent / run.file for run in entry.run)]),
         (*entry.notes, *noise_notes, *(str(finding) for finding in findings)),
         str(file.parent),
+        entry.unit.grade,
     )
 
 

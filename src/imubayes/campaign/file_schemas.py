@@ -11,6 +11,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from imubayes.parameters.unit_grades import Grade
+
 _NAME, _COLUMN_NAME = r"^[^\s\[\],][^\[\],]*$", r"^[A-Za-z_][A-Za-z0-9_.\-]*$"
 Name = Annotated[str, Field(min_length=1, pattern=_NAME)]
 ColumnName = Annotated[str, Field(min_length=1, pattern=_COLUMN_NAME)]
@@ -36,6 +38,7 @@ class UnitEntry(_Entry):
 
     serial: str = ""
     description: str = ""
+    grade: Grade | None = Field(default=None, description="to which default priors belong; from the noise where absent")
 
 
 class ChannelEntry(_Entry):

@@ -16,7 +16,7 @@ from imubayes.campaign.findings import Finding
 from imubayes.campaign.free_tumble import reduce_tumble
 from imubayes.campaign.named_directions import DIRECTION_COLUMNS, attitudes
 from imubayes.campaign.physical_checks import check_log, check_rows
-from imubayes.campaign.reduction import BlockBuilder, BlockSurvey, SegmentTracker, Span, reduce_log
+from imubayes.campaign.reduction import BlockBuilder, BlockSurvey, Limits, SegmentTracker, Span, reduce_log
 from imubayes.campaign.run_columns import lay_out
 from imubayes.campaign.run_tables import TableSource, read_header
 from imubayes.campaign.stream_checks import Monitor
@@ -55,6 +55,7 @@ class _Survey:
     blocks: BlockSurvey | None
     labelled: list[Span] | None
     findings: list[Finding]
+    limits: Limits
 
 
 def load_run(file: Path, entry: RunEntry, channel_names: Sequence[str], equipment: Equipment | None) -> Loaded:
@@ -108,7 +109,7 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     """Return the run and its findings, according to its form: static poses, means, or a raw log to be reduced."""
     reduction = PROCEDURES[entry.procedure].reduction
     if reduction is Reduction.POSES:
-        return _load_tumble(source, entry, equipment)
+        return _load_tumble(source, entry, equipment, survey.limits)
     gravity = equipment.site.gravity
     if source.layout.reduced:
         numbers = _whole(source)
@@ -118,7 +119,7 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     assert survey.blocks is not None
     where = str(source.file)
     found = check_log(survey.blocks, entry.name, where)
-    rows = reduce_log(source, reduction, survey.rows, survey.blocks, survey.labelled)
+    rows = reduce_log(source, reduction, survey.rows, survey.blocks, survey.labelled, survey.limits)
     attitude = _attitude(source, entry, equipment, rows.first)
     found += [_unsteady(entry, where, rows.unsteady)] if rows.unsteady else []
     return build_run(entry, rows.numbers, equipment.channels, gravity, rows.notes, attitude=attitude), found
@@ -140,7 +141,8 @@ def _survey(source: TableSource, entry: RunEntry) -> _Survey:
             for consumer in consumers:
                 consumer.push(batch)
     blocks = builder.finish() if builder is not None and monitor.rows else None
-    return _Survey(monitor.rows, blocks, None if tracker is None else tracker.spans(), monitor.findings())
+    labelled = None if tracker is None else tracker.spans()
+    return _Survey(monitor.rows, blocks, labelled, monitor.findings(), monitor.limits())
 
 
 def _segment_tracker(source: TableSource) -> SegmentTracker | None:
@@ -157,7 +159,9 @@ def _whole(source: TableSource) -> dict[str, np.ndarray]:
     return {name: np.concatenate([batch.numbers[name] for batch in batches]) for name in source.layout.numbers}
 
 
-def _load_tumble(source: TableSource, entry: RunEntry, equipment: Equipment) -> tuple[Run, list[Finding]]:
+def _load_tumble(
+    source: TableSource, entry: RunEntry, equipment: Equipment, limits: Limits
+) -> tuple[Run, list[Finding]]:
     layout = source.layout
     if layout.reduced:
         raise input_error(
@@ -167,7 +171,7 @@ def _load_tumble(source: TableSource, entry: RunEntry, equipment: Equipment) -> 
             "give the raw log of the whole recording",
         )
     reduced = reduce_tumble(
-        _whole(source), equipment.channels, equipment.site.gravity, entry.initial_rest_s, source.file
+        _whole(source), equipment.channels, equipment.site.gravity, entry.initial_rest_s, source.file, limits
     )
     run = build_run(entry, reduced.numbers, equipment.channels, equipment.site.gravity, reduced.notes, reduced.tumble)
     findings = [replace(finding, run=entry.name) for finding in reduced.findings]

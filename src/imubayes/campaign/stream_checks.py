@@ -15,6 +15,7 @@ GAP_STEPS = 10.0  # a time step of this many sampling intervals is a gap
 STUCK_RUN = 300  # raw samples of one value; coarse converters repeat tens of times at rest
 COARSE_CODES = 100  # a channel that spans fewer codes than this repeats values for lack of resolution
 PLATEAU_RUN = 5  # consecutive raw samples at the extreme
+PLATEAU_RATIO = 3  # so many times longer than any run of one value inside the range, which coarse converters repeat
 KELVIN_ABOVE = 150.0
 TEMPERATURES = ("temperature_degC", "converter_temperature_degC")
 MUST_BE_FILLED = ("time_s", "table_rate_deg_s", "current_mA", "samples")
@@ -36,7 +37,7 @@ class _Tally:
 
 @dataclass
 class _Repeat:
-    """Longest run of one value in a channel, and the longest runs at its extremes."""
+    """Longest run of one value in a channel, the longest runs at its extremes, and the longest between these."""
 
     value: float = np.nan
     length: int = 0
@@ -46,6 +47,7 @@ class _Repeat:
     high: float = -np.inf
     at_low: int = 0
     at_high: int = 0
+    inside: int = 0
     present: int = 0
     quantum: float = np.inf
 
@@ -74,12 +76,28 @@ class _Repeat:
         """Whether the channel only toggles between a few codes of its converter."""
         return self.high - self.low < COARSE_CODES * self.quantum
 
+    def plateaus(self, all_move: bool) -> list[tuple[float, int]]:
+        """Return the extremes at which the channel is clipped, and the length of the longest run there.
+
+        Parameters
+        ----------
+        all_move : whether the input always changes; elsewhere a coarse converter repeats a value at rest.
+        """
+        if not self.changed or self.coarse:
+            return []
+        least = PLATEAU_RUN if all_move else max(PLATEAU_RUN, PLATEAU_RATIO * self.inside + 1)
+        return [(value, n) for value, n in ((self.low, self.at_low), (self.high, self.at_high)) if n >= least]
+
     def _extremes(self, heads: np.ndarray, lengths: np.ndarray) -> None:
         low, high = float(heads.min()), float(heads.max())
         if low < self.low:
+            self.inside = max(self.inside, self.at_low)
             self.low, self.at_low = low, 0
         if high > self.high:
+            self.inside = max(self.inside, self.at_high)
             self.high, self.at_high = high, 0
+        between = (heads != self.low) & (heads != self.high)
+        self.inside = max(self.inside, int(lengths[between].max(initial=0)))
         self.at_low = max(self.at_low, int(lengths[heads == self.low].max(initial=0)))
         self.at_high = max(self.at_high, int(lengths[heads == self.high].max(initial=0)))
 
@@ -136,6 +154,13 @@ class Monitor:
         """Return the findings of all batches so far."""
         found = [*self._cell_findings(), *self._time_findings()]
         return found if self.source.layout.reduced else [*found, *self._channel_findings()]
+
+    def limits(self) -> dict[str, tuple[float, ...]]:
+        """Return the values at which channels of a raw log are clipped, by channel."""
+        if self.source.layout.reduced:
+            return {}
+        found = {name: seen.plateaus(self.all_move) for name, seen in self._repeats.items()}
+        return {name: tuple(value for value, _ in plateaus) for name, plateaus in found.items() if plateaus}
 
     def _follow_time(self, batch: RowBatch) -> None:
         time = batch.numbers["time_s"]
@@ -196,9 +221,12 @@ class Monitor:
                 found.append(self._about_channel("stuck_channel", "error" if self.all_move else "warning", name, what))
             if not seen.changed or seen.coarse:
                 continue
-            plateaus = [(v, n) for v, n in ((seen.low, seen.at_low), (seen.high, seen.at_high)) if n >= PLATEAU_RUN]
+            plateaus = seen.plateaus(self.all_move)
             for value, length in plateaus:
-                what = f"channel '{name}' stays at its extreme {value:g} over {length} consecutive samples"
+                what = (
+                    f"channel '{name}' is clipped: it stays at its extreme {value:g} over {length} consecutive "
+                    "samples; means and turns that hold such samples are left out"
+                )
                 found.append(self._about_channel("saturated_channel", "warning", name, what))
             if seen.longest >= STUCK_RUN and not plateaus:
                 what = f"channel '{name}' keeps one value over {seen.longest} samples"

@@ -89,7 +89,8 @@ def refit_with(
     for line in screened:
         shape |= {name if "." in name else f"{line.effect}.{name}": value for name, value in line.shape.items()}
         hints |= {each.name: each.value for each in line.coefficients if each.value is not None}
-    extension = extend(before, effects, channels, shape, hints)
+    estimates = [each for line in screened for each in line.coefficients]
+    extension = extend(before, effects, channels, shape, hints, estimates)
     progress("fitting")
     fit = joint_fit(extension.model, None, start=(extension.z, extension.h), progress=progress)
     delta_chi2 = observed_delta_chi2(before, extension, fit) if fit.converged else float("nan")

@@ -161,9 +161,9 @@ LOOK_TAIL = 0.01
 # A new coefficient whose squared whitened column is below this in prior units has no gradient at its null (it enters as
 # β² or |β|), and combinations this much weaker than the strongest are not determined.  Numerical.
 NO_GRADIENT, SINGULAR = 1e-14, 1e-9
-# A prior is widened where the estimate without it exceeds so many prior standard deviations and so many of its own.
-# Convention: 3 σ is unusual under the prior, 5 σ is determined to one fifth or better.
-UNUSUAL_PRIOR_SD, DETERMINED_SD = 3.0, 5.0
+# A prior contradicts the data where the estimate lies so many standard deviations of its prior predictive distribution
+# from the prior mean.  Convention (0.3 %): it is widened in an addition.  Larger lets a prior decide against the data.
+PRIOR_CONFLICT_SD = 3.0
 # A refit that loses more χ² than this is refused: a larger model cannot fit worse but for its new priors.  Derived.
 REFIT_LOSS = -0.5
 # A gain in log predictive density helps if it exceeds so many standard errors (convention) and this value.  Derived: a

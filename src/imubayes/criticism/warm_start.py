@@ -7,10 +7,13 @@ predicted before it is made.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import stats
 from scipy.linalg import solve_triangular
 
 from imubayes.array_shapes import Array, Float
@@ -30,7 +33,7 @@ from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
 from imubayes.parameters.parameter_declarations import Declared
-from imubayes.parameters.priors import Normal
+from imubayes.parameters.priors import HalfNormal, Normal, Prior, rounded_width
 from imubayes.parameters.vector import Layout, Parameter
 
 
@@ -46,8 +49,8 @@ class Extension:
     new : shape (P,), True for the parameters that the model before did not have.
     delta_chi2 : predicted drop of χ² at the noise scales before; None where the gradient at the null values vanishes.
     coefficients : predicted, with uncertainty; empty where the gradient vanishes.
-    asked : shape (K,), estimates of the new parameters in z from the data alone, without prior; 0 where they are not
-        determined.
+    asked : shape (K,), estimates of the new parameters from the data alone, SI, where they contradict the prior; 0
+        elsewhere.
     widened : priors that were widened for these estimates, by ``effect.parameter``, as written in a model file.
     residual, added : shape (E,), whitened residual and the part explained by the new effect, both projected off the
         model before: the added-variable plot, of slope 1 where the prediction is right.
@@ -116,6 +119,7 @@ def extend(
     channels: Sequence[str] | None = None,
     shape: Mapping[str, float] | None = None,
     hints: Mapping[str, float] | None = None,
+    estimates: Sequence[CoefficientEstimate] = (),
 ) -> Extension:
     """Return the model of a fit with effects added, and the start of its refit.
 
@@ -127,6 +131,7 @@ def extend(
         name without its label stands for all labels.
     hints : parameter name → start value in its unit, for coefficients and noise scales without a gradient at the null
         value.
+    estimates : of new coefficients, by a diagnosis; priors are widened for these, too.
 
     Raises
     ------
@@ -136,7 +141,7 @@ def extend(
     registry = before.model.registry.without_files()
     spec = extended(before.model.spec, effects, channels, before.model.campaign, registry)
     found = _extension(before, spec, registry, shape or {}, hints or {})
-    wider = _wider(found)
+    wider = _wider(found, {estimate.name: estimate for estimate in estimates})
     if not wider:
         return found
     kept = len(spec.effects) - len(effects)
@@ -167,8 +172,7 @@ def _without_new(before: Fit, model: Model, new: np.ndarray) -> float | None:
 
     The width of a dead zone cannot be zero: its prior excludes that, and the model is linearised at the prior median.
     """
-    parameters = [each for each, is_new in zip(model.layout.parameters, new, strict=True) if is_new]
-    acts = [each for each in parameters if _null(model, each) is None and not _declared(model, each).shape]
+    acts = [each for each in _chosen(model, new) if _null(model, each) is None and not _declared(model, each).shape]
     if not acts or model.hyper_layout.names != before.model.hyper_layout.names:
         return None
     parts = whitened(before.model.problem, jnp.asarray(before.z), jnp.asarray(before.h))
@@ -176,29 +180,43 @@ def _without_new(before: Fit, model: Model, new: np.ndarray) -> float | None:
     return float(residual @ residual + np.sum((before.z / widths) ** 2))
 
 
-def _wider(extension: Extension) -> dict[str, dict[str, str]]:
-    """Return wider priors, by effect and parameter, where the estimate from the data alone lies far outside the prior.
+def _wider(extension: Extension, estimates: Mapping[str, CoefficientEstimate]) -> dict[str, dict[str, str]]:
+    """Return wider priors, by effect and parameter, where the estimate from the data alone contradicts the prior.
 
     The default prior covers typical sizes.  A refit held back by it would understate an effect that the data determine.
     Priors from a certificate of the equipment are not widened.
     """
     wanted: dict[str, dict[str, str]] = {}
-    places = np.flatnonzero(extension.new)
+    parameters = _chosen(extension.model, extension.new)
+    asked_of = [
+        max(abs(asked), _diagnosed(parameter, estimates.get(parameter.name)))
+        for parameter, asked in zip(parameters, extension.asked.tolist(), strict=True)
+    ]
     # Labels share one prior: the largest estimate comes last and sets it.
-    for number in np.argsort(np.abs(extension.asked)).tolist():
-        parameter, z = extension.model.layout.parameters[int(places[number])], abs(float(extension.asked[number]))
+    for parameter, asked in sorted(zip(parameters, asked_of, strict=True), key=lambda pair: pair[1]):
         declared = _declared(extension.model, parameter)
-        about_zero = isinstance(parameter.prior, Normal) and float(parameter.prior.mean) == 0
-        if z > thresholds.UNUSUAL_PRIOR_SD and about_zero and not declared.equipment and not declared.spread:
-            width = _rounded_up(z * parameter.prior_sd)
-            wanted.setdefault(parameter.effect, {})[parameter.field] = f"normal(0, {width:g} {parameter.unit})"
+        family = _about_zero(parameter.prior)
+        if asked and family and not declared.equipment and not declared.spread:
+            width = f"{rounded_width(asked / parameter.factor):g} {parameter.unit}"
+            text = f"normal(0, {width})" if family == "normal" else f"halfnormal({width})"
+            wanted.setdefault(parameter.effect, {})[parameter.field] = text
     return wanted
 
 
-def _rounded_up(value: float) -> float:
-    """Return the next 1, 2 or 5 times a power of ten."""
-    decade = 10.0 ** np.floor(np.log10(value))
-    return float(next(step * decade for step in (1, 2, 5, 10) if step * decade >= value))
+def _diagnosed(parameter: Parameter, estimate: CoefficientEstimate | None) -> float:
+    """Return the size of a diagnosed estimate, SI, where the prior contradicts it; 0 elsewhere."""
+    if estimate is None or estimate.value is None or not _about_zero(parameter.prior):
+        return 0.0
+    spread = np.hypot(_about(parameter.prior, 0.0)[2], (estimate.sd or 0.0) * parameter.factor)
+    size = abs(estimate.value * parameter.factor)
+    return size if size > thresholds.PRIOR_CONFLICT_SD * spread else 0.0
+
+
+def _about_zero(prior: Prior) -> Literal["normal", "halfnormal", ""]:
+    """Return the family of a prior whose width alone says what is usual; empty for any other."""
+    if isinstance(prior, HalfNormal):
+        return "halfnormal"
+    return "normal" if isinstance(prior, Normal) and float(prior.mean) == 0 else ""
 
 
 def _declared(model: Model, parameter: Parameter) -> Declared:
@@ -220,6 +238,12 @@ def _nulls(model: Model) -> np.ndarray:
 def _null(model: Model, parameter: Parameter) -> float | None:
     """Return z of the null value of a parameter; None where its prior excludes that."""
     return parameter.z_at(_declared(model, parameter).null / parameter.factor)
+
+
+def _chosen(model: Model, new: np.ndarray) -> list[Parameter]:
+    """Return the parameters at the places that are True."""
+    pairs = zip(model.layout.parameters, new.tolist(), strict=True)
+    return [parameter for parameter, is_new in pairs if is_new]
 
 
 def _new(old: Layout, model: Layout) -> np.ndarray:
@@ -275,17 +299,49 @@ def _first_step(
     return Extension(
         model, z, h, null, new, drop if tells else None,
         _coefficients(model.layout, z, new, sd, flat) if tells else (),
-        _without_prior(squares, drive) + null[new], left[:entries], (across @ step)[:entries],
+        _contradicting(_chosen(model, new), null[new], squares, drive), left[:entries], (across @ step)[:entries],
     )  # fmt: skip
 
 
-def _without_prior(squares: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """Return the step in z, (K,), without prior; 0 where the data do not determine it."""
+def _contradicting(
+    parameters: Sequence[Parameter], null: np.ndarray, squares: np.ndarray, drive: np.ndarray
+) -> np.ndarray:
+    """Return the estimates from the data alone, (K,) in SI, of parameters whose prior they contradict; 0 elsewhere.
+
+    The prior predictive distribution of an estimate has the variance of the prior plus that of the estimate (Evans and
+    Moshonov 2006, prior–data conflict).  Each is compared by itself, and all together by their χ² over the directions
+    that the data determine: of many coefficients none may be beyond doubt alone.
+
+    Parameters
+    ----------
+    parameters : the new ones, K of them.
+    null : shape (K,), z about which the model is linear.
+    squares, drive : shapes (K, K) and (K,), of the projected whitened columns in z.
+    """
     values, axes = np.linalg.eigh(squares)
     told = values > max(thresholds.SINGULAR * float(values.max(initial=0.0)), thresholds.NO_GRADIENT)
-    inverse = (axes[:, told] / values[told]) @ axes[:, told].T
-    step = inverse @ drive
-    return np.where(np.abs(step) > thresholds.DETERMINED_SD * np.sqrt(np.diag(inverse)), step, 0.0)
+    if not told.any():
+        return np.zeros(len(parameters))
+    along = (axes[:, told].T @ drive) / values[told]
+    step = axes[:, told] @ along
+    variance = np.sum(axes[:, told] ** 2 / values[told], axis=1)
+    first, slope, width = np.array(
+        [_about(parameter.prior, z) for parameter, z in zip(parameters, null, strict=True)]
+    ).T
+    estimate = first + slope * step
+    beyond = thresholds.PRIOR_CONFLICT_SD
+    alone = np.abs(estimate) > beyond * np.sqrt(width**2 + slope**2 * variance)
+    score = float(np.sum((along + axes[:, told].T @ null) ** 2 / (1 + 1 / values[told])))
+    together = stats.chi2.sf(score, int(told.sum())) < 2 * stats.norm.sf(beyond)
+    return np.where(alone | (together & (np.abs(estimate) > beyond * width)), estimate, 0.0)
+
+
+def _about(prior: Prior, z: float) -> tuple[float, float, float]:
+    """Return value, slope by z and width of a prior at z, in SI; a width without end where it is not about zero."""
+    value, slope = jax.jvp(prior.value, (jnp.asarray(float(z)),), (jnp.asarray(1.0),))
+    family = _about_zero(prior)
+    scale = prior.scale if isinstance(prior, HalfNormal) else prior.sd()
+    return float(value), float(slope), float(scale) if family else np.inf
 
 
 def _second_step(

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from imubayes.criticism.cross_validation import CrossValidation
 from imubayes.criticism.diagnosis_record import RmsChange
 from imubayes.display.labels import pretty, readable
+from imubayes.display.prior_conflicts import conflict_line
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
@@ -40,6 +41,7 @@ def addition_lines(addition: Addition) -> list[str]:
             f"Prior widened: {name} ~ {prior}; the estimate lies outside the typical range."
             for name, prior in addition.widened.items()
         ),
+        *(conflict_line(conflict) for conflict in addition.prior_conflicts),
         *([addition.message] if addition.message else []),
         f"Δχ² predicted {significant(predicted)}, observed {significant(observed)}, at the noise scales of the model "
         "before.",

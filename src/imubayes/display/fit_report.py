@@ -7,6 +7,7 @@ from imubayes.display.classical_comparison import (
     undetermined_sheet,
 )
 from imubayes.display.fit_quality_tables import contribution_sheet, next_run_sheet, run_sheet, weak_sheet
+from imubayes.display.prior_conflicts import conflict_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.display.report_layout import Report
 from imubayes.results.summary import Summary
@@ -16,7 +17,12 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     """Return a summary; nuisance parameters, such as attitudes of poses, and single runs only where `verbose`."""
     sheets = [parameter_sheet(summary, nuisance=verbose), derived_sheet(summary)]
     sheets += [run_sheet(summary)] if verbose else []
-    sheets += [weak_sheet(summary), next_run_sheet(summary), contribution_sheet(summary)]
+    sheets += [
+        weak_sheet(summary),
+        conflict_sheet(summary.prior_conflicts),
+        next_run_sheet(summary),
+        contribution_sheet(summary),
+    ]
     chi2 = "–" if summary.chi2 is None else f"{summary.chi2:.1f}"
     closing = (
         f"chi2 {chi2} for {summary.dof:.0f} degrees of freedom; "

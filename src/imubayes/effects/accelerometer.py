@@ -34,8 +34,12 @@ class AccelMisalignment(Accelerometer, Misalignment):
     name = "accel_misalignment"
     confused_with = "mounting error common to all axes"
     reference = "IEEE Std 1293, δ_o and δ_p"
-    toward_o: Scalar = parameter("arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward O")
-    toward_p: Scalar = parameter("arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward P")
+    toward_o: Scalar = parameter(
+        "arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward O", coarse=(700, 4000)
+    )
+    toward_p: Scalar = parameter(
+        "arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward P", coarse=(700, 4000)
+    )
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return self.misaligned(signal, sample, self.toward_o, self.toward_p)
@@ -45,14 +49,14 @@ class AccelQuadratic(Accelerometer, SecondOrderNonlinearity):
     name = "accel_quadratic"
     confused_with = "K_oo and K_pp, and a second harmonic of the dividing head"
     reference = "IEEE Std 1293, K2"
-    quadratic: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K2")
+    quadratic: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K2", coarse=(500, 3000))
 
 
 class AccelCubic(Accelerometer, ThirdOrderNonlinearity):
     name = "accel_cubic"
     confused_with = "K1, in a 1 g field of few positions; a third harmonic of the dividing head"
     reference = "IEEE Std 1293, K3"
-    cubic: Scalar = parameter("ug/g^3", "normal(0, 20 ug/g^3)", (0.1, 20), "the coefficient K3")
+    cubic: Scalar = parameter("ug/g^3", "normal(0, 20 ug/g^3)", (0.1, 20), "the coefficient K3", coarse=(200, 1000))
 
 
 class AccelOddQuadratic(Accelerometer, SignalEffect):
@@ -62,7 +66,9 @@ class AccelOddQuadratic(Accelerometer, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "K1 and K3, in a 1 g field"
     reference = "IEEE Std 1293, K_oq"
-    odd_quadratic: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the odd quadratic coefficient K_oq")
+    odd_quadratic: Scalar = parameter(
+        "ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the odd quadratic coefficient K_oq", coarse=(500, 3000)
+    )
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return signal + self.odd_quadratic * sample.force[0] * jnp.abs(sample.force[0])
@@ -75,8 +81,8 @@ class AccelCrossCoupling(Accelerometer, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "a second harmonic of the dividing head; mounting error, to second order"
     reference = "IEEE Std 1293, K_ip and K_io"
-    k_ip: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K_ip")
-    k_io: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K_io")
+    k_ip: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K_ip", coarse=(500, 3000))
+    k_io: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K_io", coarse=(500, 3000))
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         a_i, a_o, a_p = sample.force[0], sample.force[1], sample.force[2]
@@ -93,8 +99,8 @@ class AccelCrossAxisQuadratic(Accelerometer, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "bias and K2, in a 1 g field; a second harmonic of the dividing head"
     reference = "IEEE Std 1293, K_oo and K_pp"
-    k_oo: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K_oo")
-    k_pp: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K_pp")
+    k_oo: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K_oo", coarse=(500, 3000))
+    k_pp: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 50), "the coefficient K_pp", coarse=(500, 3000))
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return signal + self.k_oo * sample.force[1] ** 2 + self.k_pp * sample.force[2] ** 2
@@ -104,40 +110,46 @@ class AccelScaleAsymmetry(Accelerometer, ScaleAsymmetry):
     name = "accel_scale_asymmetry"
     confused_with = "bias and K2, in a 1 g field of few positions"
     reference = "IEEE Std 1293, scale factor asymmetry K1'"
-    asymmetry: Scalar = parameter("ppm", "normal(0, 100 ppm)", (1, 300), "half the scale factor difference")
+    asymmetry: Scalar = parameter(
+        "ppm", "normal(0, 100 ppm)", (1, 300), "half the scale factor difference", coarse=(1000, 3000)
+    )
 
 
 class AccelBias(Accelerometer, ConstantBias):
     name = "accel_bias"
     confused_with = "K2 and K_oo, K_pp in a 1 g tumble"
     reference = "IEEE Std 1293, K0"
-    bias: Scalar = parameter("ug", "normal(0, 20 mg)", (50, 2000), "the constant offset K0")
+    bias: Scalar = parameter("ug", "normal(0, 20 mg)", (50, 2000), "the constant offset K0", coarse=(20000, 60000))
 
 
 class AccelBiasTemperature(Accelerometer, LinearThermalBias):
     name = "accel_bias_temperature"
     reference = "IEEE Std 1293, bias temperature sensitivity"
-    slope: Scalar = parameter("ug/degC", "normal(0, 100 ug/degC)", (1, 100), "the bias per degree")
+    slope: Scalar = parameter("ug/degC", "normal(0, 100 ug/degC)", (1, 100), "the bias per degree", coarse=(300, 1000))
 
 
 class AccelBiasTemperatureQuadratic(Accelerometer, QuadraticThermalBias):
     name = "accel_bias_temperature_quadratic"
     reference = "IEEE Std 1293, bias temperature sensitivity"
-    curvature: Scalar = parameter("ug/degC^2", "normal(0, 5 ug/degC^2)", (0.01, 20), "the bias per degree squared")
+    curvature: Scalar = parameter(
+        "ug/degC^2", "normal(0, 5 ug/degC^2)", (0.01, 20), "the bias per degree squared", coarse=(10, 30)
+    )
 
 
 class AccelBiasTemperatureRate(Accelerometer, ThermalRateBias):
     name = "accel_bias_temperature_rate"
     reference = "IEEE Std 1293, bias thermal-transient sensitivity"
     slope: Scalar = parameter(
-        "ug/(degC/min)", "normal(0, 100 ug/(degC/min))", (1, 500), "the bias per temperature rate"
+        "ug/(degC/min)", "normal(0, 100 ug/(degC/min))", (1, 500), "the bias per temperature rate", coarse=(300, 1000)
     )
 
 
 class AccelThermalLag(Accelerometer, ThermalLag):
     name = "accel_thermal_lag"
     reference = "first-order lag, IEEE Std 1293 thermal model; time constants of minutes"
-    coefficient: Scalar = parameter("ug/degC", "normal(0, 50 ug/degC)", (1, 300), "the bias per degree of lag")
+    coefficient: Scalar = parameter(
+        "ug/degC", "normal(0, 50 ug/degC)", (1, 300), "the bias per degree of lag", coarse=(300, 1000)
+    )
     tau: Scalar = time_constant("the time constant of the lag")
 
 
@@ -145,21 +157,25 @@ class AccelThermalHysteresis(Accelerometer, ThermalHysteresis):
     name = "accel_thermal_hysteresis"
     confused_with = "accel_thermal_lag, at one ramp rate; accel_bias_temperature, where all ramps are monotonic"
     reference = "play operator, Visintin, Differential Models of Hysteresis, ch. III; IEEE Std 1293, thermal hysteresis"
-    half_width: Scalar = parameter("ug", "normal(0, 500 ug)", (1, 5000), "half the height of the loop")
+    half_width: Scalar = parameter(
+        "ug", "normal(0, 500 ug)", (1, 5000), "half the height of the loop", coarse=(2000, 5000)
+    )
     play: Scalar = thermal_play()
 
 
 class AccelWarmUp(Accelerometer, WarmUp):
     name = "accel_warm_up"
     reference = "IEEE Std 1293, turn-on transient and warm-up"
-    amplitude: Scalar = parameter("ug", "normal(0, 500 ug)", (5, 2000), "the excess bias at power-on")
+    amplitude: Scalar = parameter(
+        "ug", "normal(0, 500 ug)", (5, 2000), "the excess bias at power-on", coarse=(2000, 5000)
+    )
     tau: Scalar = time_constant("the time constant")
 
 
 class AccelBiasDrift(Accelerometer, BiasDrift):
     name = "accel_bias_drift"
     reference = "IEEE Std 1293, bias trend"
-    slope: Scalar = parameter("ug/h", "normal(0, 10 ug/h)", (0.01, 50), "the change of bias per hour")
+    slope: Scalar = parameter("ug/h", "normal(0, 10 ug/h)", (0.01, 50), "the change of bias per hour", coarse=(50, 300))
 
 
 class AccelVibrationRectification(Accelerometer, SignalEffect):
@@ -170,7 +186,9 @@ class AccelVibrationRectification(Accelerometer, SignalEffect):
     needs = ("vibration",)
     confused_with = "the bias, where vibration is the same in all runs"
     reference = "IEEE Std 1293, vibration rectification coefficient; 1 … 100 µg/g²"
-    rectification: Scalar = parameter("ug/g^2", "normal(0, 50 ug/g^2)", (1, 500), "the bias per mean-square vibration")
+    rectification: Scalar = parameter(
+        "ug/g^2", "normal(0, 50 ug/g^2)", (1, 500), "the bias per mean-square vibration", coarse=(200, 500)
+    )
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return signal + self.rectification * sample.ambient.vibration**2
@@ -181,7 +199,12 @@ class AccelRunBias(Accelerometer, RunBias):
     reference = "IEEE Std 1293, bias repeatability"
     offset: Scalar = parameter("ug", "normal(0, 50 ug)", (1, 200), "the run's own offset", spread="spread")
     spread: Scalar = parameter(
-        "ug", "lognormal(50 ug, 1.0)", (1, 200), "the run-to-run standard deviation", per=("channel",)
+        "ug",
+        "lognormal(50 ug, 1.0)",
+        (1, 200),
+        "the run-to-run standard deviation",
+        per=("channel",),
+        coarse=(300, 1000),
     )
 
 
@@ -189,20 +212,24 @@ class AccelScaleFactor(Accelerometer, ScaleFactor):
     name = "accel_scale_factor"
     confused_with = "K3 in a 1 g field"
     reference = "IEEE Std 1293, K1"
-    scale: Scalar = parameter("ppm", "normal(0, 2000 ppm)", (10, 300), "the relative scale factor error")
+    scale: Scalar = parameter(
+        "ppm", "normal(0, 2000 ppm)", (10, 300), "the relative scale factor error", coarse=(5000, 20000)
+    )
 
 
 class AccelScaleTemperature(Accelerometer, LinearThermalScale):
     name = "accel_scale_temperature"
     reference = "IEEE Std 1293, scale factor temperature sensitivity"
-    slope: Scalar = parameter("ppm/degC", "normal(0, 100 ppm/degC)", (10, 100), "the scale change per degree")
+    slope: Scalar = parameter(
+        "ppm/degC", "normal(0, 100 ppm/degC)", (10, 100), "the scale change per degree", coarse=(100, 300)
+    )
 
 
 class AccelScaleTemperatureQuadratic(Accelerometer, QuadraticThermalScale):
     name = "accel_scale_temperature_quadratic"
     reference = "IEEE Std 1293, scale factor temperature sensitivity"
     curvature: Scalar = parameter(
-        "ppm/degC^2", "normal(0, 1 ppm/degC^2)", (0.01, 2), "the scale change per degree squared"
+        "ppm/degC^2", "normal(0, 1 ppm/degC^2)", (0.01, 2), "the scale change per degree squared", coarse=(3, 10)
     )
 
 
@@ -210,4 +237,6 @@ class AccelDeadZone(Accelerometer, DeadZone):
     name = "accel_dead_zone"
     confused_with = "the bias, where the input axis points up in all runs"
     reference = "IEEE Std 1293, dead band and threshold"
-    half_width: Scalar = parameter("ug", "halfnormal(20 ug)", (0.1, 100), "half the width of the zone")
+    half_width: Scalar = parameter(
+        "ug", "halfnormal(20 ug)", (0.1, 100), "half the width of the zone", coarse=(200, 1000)
+    )

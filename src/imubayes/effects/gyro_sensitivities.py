@@ -22,8 +22,12 @@ class GyroMisalignment(Gyro, Misalignment):
     name = "gyro_misalignment"
     confused_with = "mounting error common to all axes"
     reference = "IEEE Std 952, input axis misalignment"
-    toward_o: Scalar = parameter("arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward O")
-    toward_s: Scalar = parameter("arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward S")
+    toward_o: Scalar = parameter(
+        "arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward O", coarse=(700, 4000)
+    )
+    toward_s: Scalar = parameter(
+        "arcsec", "normal(0, 200 arcsec)", (10, 200), "the misalignment toward S", coarse=(700, 4000)
+    )
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return self.misaligned(signal, sample, self.toward_o, self.toward_s)
@@ -36,9 +40,15 @@ class GyroGSensitivity(Gyro, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "levelling error and Earth rate components"
     reference = "IEEE Std 517, D_I, D_O, D_S"
-    d_i: Scalar = parameter("deg/h/g", "normal(0, 100 deg/h/g)", (1, 576), "the drift per g along the input axis")
-    d_o: Scalar = parameter("deg/h/g", "normal(0, 100 deg/h/g)", (1, 576), "the drift per g along the output axis")
-    d_s: Scalar = parameter("deg/h/g", "normal(0, 100 deg/h/g)", (1, 576), "the drift per g along the spin axis")
+    d_i: Scalar = parameter(
+        "deg/h/g", "normal(0, 100 deg/h/g)", (1, 576), "the drift per g along the input axis", coarse=(200, 500)
+    )
+    d_o: Scalar = parameter(
+        "deg/h/g", "normal(0, 100 deg/h/g)", (1, 576), "the drift per g along the output axis", coarse=(200, 500)
+    )
+    d_s: Scalar = parameter(
+        "deg/h/g", "normal(0, 100 deg/h/g)", (1, 576), "the drift per g along the spin axis", coarse=(200, 500)
+    )
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         force = sample.force
@@ -55,12 +65,24 @@ class GyroG2Sensitivity(Gyro, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "the bias: D_II, D_OO and D_SS together, in a 1 g field; table_axis_tilt"
     reference = "IEEE Std 517, D_II … D_SI; 0.01 … 20 deg/h/g²"
-    d_ii: Scalar = parameter("deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along I")
-    d_oo: Scalar = parameter("deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along O")
-    d_ss: Scalar = parameter("deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along S")
-    d_io: Scalar = parameter("deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along I and O")
-    d_os: Scalar = parameter("deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along O and S")
-    d_si: Scalar = parameter("deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along S and I")
+    d_ii: Scalar = parameter(
+        "deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along I", coarse=(30, 100)
+    )
+    d_oo: Scalar = parameter(
+        "deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along O", coarse=(30, 100)
+    )
+    d_ss: Scalar = parameter(
+        "deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along S", coarse=(30, 100)
+    )
+    d_io: Scalar = parameter(
+        "deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along I and O", coarse=(30, 100)
+    )
+    d_os: Scalar = parameter(
+        "deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along O and S", coarse=(30, 100)
+    )
+    d_si: Scalar = parameter(
+        "deg/h/g^2", "normal(0, 10 deg/h/g^2)", (0.01, 20), "the drift per g² along S and I", coarse=(30, 100)
+    )
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         f_i, f_o, f_s = sample.force[0], sample.force[1], sample.force[2]
@@ -73,7 +95,9 @@ class GyroScaleAsymmetry(Gyro, ScaleAsymmetry):
     needs = ("turning",)
     confused_with = "gyro_scale_quadratic, where few rates are tested; a bias, at one rate"
     reference = "IEEE Std 952, asymmetry error; 10 … 300 ppm"
-    asymmetry: Scalar = parameter("ppm", "normal(0, 100 ppm)", (10, 300), "half the scale factor difference")
+    asymmetry: Scalar = parameter(
+        "ppm", "normal(0, 100 ppm)", (10, 300), "half the scale factor difference", coarse=(1000, 3000)
+    )
 
 
 class GyroScaleQuadratic(Gyro, SecondOrderNonlinearity):
@@ -86,7 +110,9 @@ class GyroScaleQuadratic(Gyro, SecondOrderNonlinearity):
     needs = ("turning",)
     confused_with = "gyro_scale_asymmetry, where few rates are tested; g-sensitivity to centripetal acceleration"
     reference = "IEEE Std 952, scale factor nonlinearity; 25 … 50 ppm at 200 … 400 °/s"
-    quadratic: Scalar = parameter("ppm/(deg/s)", "normal(0, 1 ppm/(deg/s))", (0.01, 1), "the coefficient K2")
+    quadratic: Scalar = parameter(
+        "ppm/(deg/s)", "normal(0, 1 ppm/(deg/s))", (0.01, 1), "the coefficient K2", coarse=(5, 20)
+    )
 
 
 class GyroScaleCubic(Gyro, ThirdOrderNonlinearity):
@@ -99,7 +125,9 @@ class GyroScaleCubic(Gyro, ThirdOrderNonlinearity):
     needs = ("turning",)
     confused_with = "the scale factor, over a narrow range of rates; saturation near full scale"
     reference = "IEEE Std 952, scale factor nonlinearity; 25 … 50 ppm at 200 … 400 °/s"
-    cubic: Scalar = parameter("ppm/(deg/s)^2", "normal(0, 0.005 ppm/(deg/s)^2)", (1e-5, 1e-2), "the coefficient K3")
+    cubic: Scalar = parameter(
+        "ppm/(deg/s)^2", "normal(0, 0.005 ppm/(deg/s)^2)", (1e-5, 1e-2), "the coefficient K3", coarse=(0.05, 1)
+    )
 
 
 class GyroScaleGDependence(Gyro, SignalEffect):
@@ -110,7 +138,9 @@ class GyroScaleGDependence(Gyro, SignalEffect):
     needs = ("turning",)
     confused_with = "the scale factor, where the angle between input axis and gravity is constant"
     reference = "IEEE Std 952, scale factor acceleration sensitivity; 1 … 100 ppm/g"
-    dependence: Scalar = parameter("ppm/g", "normal(0, 50 ppm/g)", (1, 100), "the relative change of scale per g")
+    dependence: Scalar = parameter(
+        "ppm/g", "normal(0, 50 ppm/g)", (1, 100), "the relative change of scale per g", coarse=(200, 1000)
+    )
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
         return signal + self.dependence * sample.force[0] * sample.rate[0]
@@ -127,9 +157,15 @@ class GyroMagneticSensitivity(Gyro, SignalEffect):
     order = Order.SENSITIVITY
     confused_with = "g-sensitivity and misalignment: field, gravity and Earth rate are nearly coplanar"
     reference = "IEEE Std 952, magnetic sensitivity; 1 … 50 deg/h/gauss without a shield"
-    m_i: Scalar = parameter("deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along I")
-    m_o: Scalar = parameter("deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along O")
-    m_s: Scalar = parameter("deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along S")
+    m_i: Scalar = parameter(
+        "deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along I", coarse=(200, 1000)
+    )
+    m_o: Scalar = parameter(
+        "deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along O", coarse=(200, 1000)
+    )
+    m_s: Scalar = parameter(
+        "deg/h/gauss", "normal(0, 20 deg/h/gauss)", (0.1, 50), "the drift per gauss along S", coarse=(200, 1000)
+    )
     north_uT: float = option(25.0, "the field towards true North, µT")
     east_uT: float = option(0.0, "the field towards East, µT")
     up_uT: float = option(-40.0, "the field upwards, µT; negative in the northern hemisphere")

@@ -8,6 +8,7 @@ from imubayes.campaign_data import Campaign, Channel
 from imubayes.errors import input_error
 from imubayes.model.effect_registry import EffectClass
 from imubayes.model.model_spec import EffectSpec
+from imubayes.model.unit_grade import grade_of
 from imubayes.noise.base import Noise
 from imubayes.parameters.parameter_declarations import Declared, declared_parameters
 from imubayes.parameters.priors import LogNormal, Normal, Prior, parse_prior
@@ -44,12 +45,14 @@ def parameter_of(
     """
     declared = declared_parameters(effect_class)[field]
     gravity, where = campaign.site.gravity, f"{spec.where}, prior of {field}"
-    units = _channel_units(_representative_channel(effect_class, label, campaign), campaign)
+    channel = _representative_channel(effect_class, label, campaign)
+    units = _channel_units(channel, campaign)
     if field in spec.prior:
         prior = parse_prior(spec.prior[field], declared.unit, gravity, where, units.si)
         _check_family(prior, field, declared, where, field in hyper_fields(effect_class))
     else:
-        prior = parse_prior(declared.prior, declared.unit, gravity, where, units.si)
+        usual = declared.prior_of(grade_of(campaign, channel.kind)) if channel is not None else declared.prior
+        prior = parse_prior(usual, declared.unit, gravity, where, units.si)
         prior = _from_equipment(declared.equipment, label, campaign, prior)
         if not units.noise_known and isinstance(prior, LogNormal) and "noise" in declared.prior:
             prior = LogNormal(prior.median, _UNKNOWN_NOISE_LOG_SD)

@@ -6,6 +6,8 @@ from typing import Any
 
 import equinox as eqx
 
+from imubayes.parameters.unit_grades import Grade, graded_prior
+
 
 @dataclass(frozen=True)
 class Declared:
@@ -24,6 +26,8 @@ class Declared:
     spread : name of the effect's parameter that is this one's standard deviation, learnt from the data.
     shape : for a nonlinear parameter that is not identified while the effect's coefficient is zero (a time constant,
         a limit): the grid, in `unit`, of the profile scan.
+    coarse : width of the default prior for an industrial and for a consumer unit, in `unit`; None where it is the same
+        for all grades.
     """
 
     unit: str
@@ -35,6 +39,11 @@ class Declared:
     per: tuple[str, ...] | None = None
     spread: str = ""
     shape: tuple[float, ...] = ()
+    coarse: tuple[float, float] | None = None
+
+    def prior_of(self, grade: Grade) -> str:
+        """Return the default prior for a grade of unit, as written in a model file."""
+        return graded_prior(self.prior, self.unit, self.coarse, grade)
 
 
 def parameter(
@@ -47,9 +56,10 @@ def parameter(
     per: tuple[str, ...] | None = None,
     spread: str = "",
     shape: tuple[float, ...] = (),
+    coarse: tuple[float, float] | None = None,
 ) -> Any:
     """Declare a field of an effect as a parameter; see `Declared` for the arguments."""
-    declared = Declared(unit, prior, typical, meaning, equipment, null, per, spread, shape)
+    declared = Declared(unit, prior, typical, meaning, equipment, null, per, spread, shape, coarse)
     return eqx.field(metadata={"parameter": declared})
 
 

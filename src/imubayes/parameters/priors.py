@@ -39,6 +39,12 @@ class Prior(eqx.Module):
         """Return the prior's standard deviation; infinite where it has none."""
 
 
+def rounded_width(value: float) -> float:
+    """Return the next 1, 2 or 5 times a power of ten: the width of a prior with room for a value above 0."""
+    decade = 10.0 ** math.floor(math.log10(value))
+    return next(step * decade for step in (1, 2, 5, 10) if step * decade >= value)
+
+
 Number = float | Float[Array, "..."]
 Refuse = Callable[[str, str], InputError]  # what is wrong, what is allowed → the error
 

@@ -11,6 +11,7 @@ from imubayes.criticism.cross_validation import CrossValidation
 from imubayes.criticism.diagnosis_record import CoefficientEstimate, EffectChoice, RmsChange
 from imubayes.criticism.model_history import ChannelRms
 from imubayes.criticism.warm_start import Extension
+from imubayes.inference.prior_agreement import PriorConflict
 from imubayes.json_record import Record, finite
 from imubayes.representation import Presented
 from imubayes.results.result import Result
@@ -51,6 +52,7 @@ class Addition(Presented, Record):
     widened : priors widened because the estimate lies outside the typical range, by ``effect.parameter``.
     taken, message : whether the refit converged and is no worse than the fit before, and why not.
     predicted, observed : Δχ² and coefficients before and after the refit.
+    prior_conflicts : new parameters whose prior disagrees with the data.
     held_out : cross-validation; None where there was none.
     runs, channels : residual rms in input units; empty where the refit is not taken.
     parent, folder : result folders before and after; None where there are none.
@@ -65,6 +67,7 @@ class Addition(Presented, Record):
     message: str
     predicted: Prediction
     observed: Observation
+    prior_conflicts: tuple[PriorConflict, ...] = ()
     held_out: CrossValidation | None
     runs: tuple[RunRmsChange, ...]
     channels: tuple[RmsChange, ...]
@@ -107,12 +110,9 @@ def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
         predicted=refit.predicted,
         observed=Observation(
             delta_chi2=finite(refit.delta_chi2),
-            coefficients=tuple(
-                CoefficientEstimate(name=parameter.name, value=parameter.mean, sd=parameter.sd, unit=parameter.unit)
-                for parameter in after.parameters
-                if parameter.name in fresh
-            ),
+            coefficients=_estimates(after, fresh),
         ),
+        prior_conflicts=tuple(conflict for conflict in after.prior_conflicts if conflict.name in fresh),
         held_out=refit.held_out,
         runs=_by_run(before, after) if taken else (),
         channels=_by_channel(before, after) if taken else (),
@@ -123,6 +123,14 @@ def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
         folder=folder,
     )
     return addition.with_result(refitted)
+
+
+def _estimates(summary: Summary, names: set[str]) -> tuple[CoefficientEstimate, ...]:
+    return tuple(
+        CoefficientEstimate(name=parameter.name, value=parameter.mean, sd=parameter.sd, unit=parameter.unit)
+        for parameter in summary.parameters
+        if parameter.name in names
+    )
 
 
 def _by_run(before: Summary, after: Summary) -> tuple[RunRmsChange, ...]:

@@ -16,6 +16,7 @@ from imubayes.inference.identifiability import (
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_tree import in_units
+from imubayes.inference.prior_agreement import prior_conflicts
 from imubayes.inference.procedure_contributions import contributions
 from imubayes.json_record import finite
 from imubayes.model.derived_quantities import derived_jacobian
@@ -56,6 +57,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0) -> Summ
         dof=round(dof, 1),
         log_evidence=_log_evidence(mode) if usable else None,
         weak_directions=tuple(weak),
+        prior_conflicts=prior_conflicts(model, fit.z, precision) if precision is not None else (),
         next_runs=next_runs(fit, weak, shares) if usable else (),
         contributions=contributions(fit),
         notes=(*model.campaign.notes, *(f"{run.name}: {note}" for run in model.campaign.runs for note in run.notes)),

@@ -9,6 +9,7 @@ from pydantic import field_validator
 
 from imubayes.inference.experiment_design import NextRun
 from imubayes.inference.identifiability import WeakDirection
+from imubayes.inference.prior_agreement import PriorConflict
 from imubayes.inference.procedure_contributions import Contribution
 from imubayes.json_record import Record
 
@@ -97,6 +98,7 @@ class Summary(Record):
     dof: float
     log_evidence: float | None
     weak_directions: tuple[WeakDirection, ...]
+    prior_conflicts: tuple[PriorConflict, ...] = ()
     next_runs: tuple[NextRun, ...]
     contributions: tuple[Contribution, ...]
     notes: tuple[str, ...]

@@ -73,7 +73,8 @@ def read_plan(path: str | Path) -> Plan:
         build_run(entry, numbers | _zero_outputs(run, numbers, channels), channels, site.gravity)
         for entry, numbers, run in zip(entries, columns, file.run, strict=True)
     )
-    campaign = Campaign(file.name, site, channels, tables, mountings, runs, file.unit.serial)
+    unit = file.unit
+    campaign = Campaign(file.name, site, channels, tables, mountings, runs, unit.serial, grade=unit.grade)
     return Plan(file, path, path.parent / file.model, campaign, entries, columns)
 
 

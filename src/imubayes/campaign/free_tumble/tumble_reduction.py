@@ -1,7 +1,7 @@
 """Reduction of a free tumble: raw log of a hand-held unit → static poses and the transitions between them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from imubayes.campaign.free_tumble.calibrated_recording import (
 from imubayes.campaign.free_tumble.magnitude_calibration import MagnitudeFit, fit_magnitude
 from imubayes.campaign.free_tumble.pose_transitions import padded, step_edges, step_means
 from imubayes.campaign.free_tumble.static_detection import Pose, find_rests, join_rests, variance_ratio
+from imubayes.campaign.reduction import Limits, clipping_note
 from imubayes.campaign_data import Channel, Tumble
 from imubayes.covariates import recorded_columns
 from imubayes.errors import input_error
@@ -55,6 +56,7 @@ def reduce_tumble(
     gravity: float,
     initial_seconds: float | None,
     file: Path,
+    limits: Limits | None = None,
 ) -> ReducedTumble:
     """Reduce the raw log of a free tumble.
 
@@ -65,11 +67,12 @@ def reduce_tumble(
     gravity : local gravity, m/s².
     initial_seconds : length of the initial rest, where stated.
     file : named in errors.
+    limits : channel → values at which it is clipped; transitions and poses that hold such samples are left out.
 
     Raises
     ------
     InputError
-        if channels are missing, or fewer than four static poses are found.
+        if channels are missing, fewer than four static poses are found, or a gyro is clipped in every transition.
     """
     recording = record(numbers, channels, initial_seconds, file)
     detection = detect_poses(recording, gravity)
@@ -83,10 +86,63 @@ def reduce_tumble(
     rotated = np.array([rotation_within(recording, pose) for pose in detection.poses])
     flagged = (rotated > MOST_ROTATION) | detection.fit.outliers
     good = [pose for pose, bad in zip(detection.poses, flagged, strict=True) if not bad]
-    tumble = _tumble(recording, detection, flagged)
-    notes = _notes(recording, detection, flagged, rotated, tumble)
+    clipped = _clipped(recording, channels, limits or {})
+    whole = _tumble(recording, detection, flagged)
+    tumble, lost = _without_clipped(whole, recording, detection.poses, channels, clipped, limits or {}, file)
+    notes = (*_notes(recording, detection, flagged, rotated, whole), *lost)
     findings = _findings(recording, detection, gravity, file) or check_axes(recording, good, channels, file)
-    return ReducedTumble(_rows(numbers, channels, good), tumble, notes, tuple(findings))
+    rows = _rows(numbers, channels, good)
+    for index, channel in enumerate(channels):
+        spoilt = np.array([clipped[pose.indices(), index].any() for pose in good])
+        if spoilt.any():
+            rows[channel.name] = np.where(spoilt, np.nan, rows[channel.name])
+            rows[f"{channel.name}_sd"] = np.where(spoilt, np.nan, rows[f"{channel.name}_sd"])
+            notes = (
+                *notes,
+                clipping_note(channel.name, (limits or {})[channel.name], int(spoilt.sum()), len(good), "poses"),
+            )
+    return ReducedTumble(rows, tumble, notes, tuple(findings))
+
+
+def _clipped(recording: Recording, channels: Sequence[Channel], limits: Limits) -> np.ndarray:
+    """Return which samples are at the limit of their channel, shape (N, C)."""
+    return np.stack(
+        [np.isin(recording.readings[:, i], limits.get(channel.name, ())) for i, channel in enumerate(channels)], axis=1
+    )
+
+
+def _without_clipped(
+    tumble: Tumble,
+    recording: Recording,
+    poses: Sequence[Pose],
+    channels: Sequence[Channel],
+    clipped: np.ndarray,
+    limits: Limits,
+    file: Path,
+) -> tuple[Tumble, tuple[str, ...]]:
+    """Return the tumble without the transitions in which a gyro is clipped, and notes on these.
+
+    The heading of a pose beyond such a transition is known by its first estimate alone.
+    """
+    spans = [slice(poses[a].stop - 1, poses[b].start + 1) for a, b in zip(tumble.start, tumble.stop, strict=True)]
+    gyros = [index for index, channel in enumerate(channels) if channel.kind == "gyro"]
+    spoilt = np.array([clipped[span].any(axis=0) for span in spans]).reshape(len(spans), len(channels))
+    kept = ~spoilt[:, gyros].any(axis=1)
+    if not kept.any():
+        names = ", ".join(f"'{channels[index].name}'" for index in gyros if spoilt[:, index].any())
+        raise input_error(
+            f"{names}: clipped in every transition between the poses",
+            str(file),
+            "turns within the range of the gyros",
+            "turn more slowly, or choose a larger range",
+        )
+    notes = tuple(
+        clipping_note(channels[i].name, limits[channels[i].name], int(spoilt[:, i].sum()), len(spans), "transitions")
+        for i in gyros
+        if spoilt[:, i].any()
+    )
+    left = {name: getattr(tumble, name)[kept] for name in ("start", "stop", "step", "readings", "coning")}
+    return replace(tumble, **left), notes
 
 
 def detect_poses(recording: Recording, gravity: float) -> Detection:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign.reduction.block_survey import BlockSurvey
+from imubayes.campaign.reduction.clipping import Limits, clipped_spans, clipping_note
 from imubayes.campaign.reduction.constant_spans import (
     BIN_KELVIN,
     BIN_SECONDS,
@@ -45,7 +46,12 @@ class Rows:
 
 
 def reduce_log(
-    source: TableSource, reduction: Reduction, rows: int, blocks: BlockSurvey, labelled: Sequence[Span] | None
+    source: TableSource,
+    reduction: Reduction,
+    rows: int,
+    blocks: BlockSurvey,
+    labelled: Sequence[Span] | None,
+    limits: Limits | None = None,
 ) -> Rows:
     """Reduce a raw log to one row per span of constant stimulus.
 
@@ -56,6 +62,7 @@ def reduce_log(
     rows : number of raw rows.
     blocks : its survey.
     labelled : spans from the `segment` column, where there is one.
+    limits : channel → values at which it is clipped; means that hold such samples are left out.
     """
     layout = source.layout
     by_temperature = reduction is Reduction.BINNED
@@ -75,7 +82,20 @@ def reduce_log(
         note = f"no 'samples' and no 'time_s' column: each of the {rows} rows counts as one sample"
         return Rows(numbers, first, (), (note,))
     unsteady = _unsteady(columns, reduced) if labelled is not None else ()
-    return Rows(numbers, first, unsteady, _account(rows, reduced, how))
+    lost = _leave_out_clipped(numbers, clipped_spans(source, spans, limits), limits) if limits and spans else ()
+    return Rows(numbers, first, unsteady, (*_account(rows, reduced, how), *lost))
+
+
+def _leave_out_clipped(
+    numbers: dict[str, np.ndarray], clipped: dict[str, np.ndarray], limits: Limits
+) -> tuple[str, ...]:
+    """Empty the cells of clipped means; return notes on them."""
+    for name, rows in clipped.items():
+        numbers[name] = np.where(rows, np.nan, numbers[name])
+        numbers[f"{name}_sd"] = np.where(rows, np.nan, numbers[f"{name}_sd"])
+    return tuple(
+        clipping_note(name, limits[name], int(rows.sum()), len(rows), "means") for name, rows in clipped.items()
+    )
 
 
 def _columns(columns: list[str], layout: ColumnLayout, reduced: list[Row]) -> dict[str, np.ndarray]:

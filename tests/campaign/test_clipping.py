@@ -1,0 +1,87 @@
+"""What holds clipped samples is left out and reported; what only repeats a code of a coarse converter is kept."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow.csv as pacsv
+import pytest
+from small_files import GRAVITY, write_csv
+from tumble_files import NAMES, channels, tumble_log
+
+from imubayes.campaign import check_campaign, load_campaign
+from imubayes.campaign.free_tumble import reduce_tumble
+from imubayes.campaign.stream_checks import _Repeat
+from imubayes.errors import InputError
+
+LIMIT = 80_000.0
+
+
+def test_means_with_clipped_samples_are_left_out(small: Path) -> None:
+    whole = load_campaign(small).runs[-1]
+    file = small / "runs/raw.csv"
+    table = pacsv.read_csv(file)
+    columns = {name: table.column(name).to_numpy().copy() for name in table.column_names}
+    columns["gz"] = np.minimum(columns["gz"], LIMIT)
+    write_csv(file, columns)
+    campaign = load_campaign(small)
+    run, gz = campaign.runs[-1], [channel.name for channel in campaign.channels].index("gz")
+    beyond = whole.observed[:, gz] > LIMIT
+    assert 0 < beyond.sum() < run.rows
+    np.testing.assert_array_equal(np.isnan(run.observed[:, gz]), beyond)
+    np.testing.assert_array_equal(np.isnan(run.sample_sd[:, gz]), beyond)
+    np.testing.assert_array_equal(run.observed[~beyond], whole.observed[~beyond])
+    np.testing.assert_array_equal(np.delete(run.observed, gz, axis=1), np.delete(whole.observed, gz, axis=1))
+    assert f"'gz' is clipped at 80000: {beyond.sum()} of {run.rows} means left out" in run.notes
+    (finding,) = check_campaign(small)
+    assert (finding.name, finding.severity) == ("saturated_channel", "warning")
+    assert "clipped" in finding.what
+
+
+def seen(*parts: np.ndarray) -> _Repeat:
+    repeat = _Repeat()
+    for part in parts:
+        repeat.add(part)
+    return repeat
+
+
+@pytest.mark.parametrize("cut", [1, 40, 90, 130])
+def test_a_plateau_at_the_limit_is_clipping_and_a_steady_input_of_a_coarse_converter_is_none(cut: int) -> None:
+    ramp = np.arange(120.0)
+    clipped = np.concatenate([ramp, np.full(40, 120.0), ramp[::-1]])
+    assert seen(*np.split(clipped, [cut])).plateaus(all_move=False) == [(120.0, 40)]
+    steady = np.concatenate([np.full(30, 0.0), ramp[1:], np.full(40, 120.0), ramp[::-1], np.full(35, -3.0)])
+    assert seen(*np.split(steady, [cut])).plateaus(all_move=False) == []
+    assert seen(*np.split(steady, [cut])).plateaus(all_move=True) == [(-3.0, 35), (120.0, 40)]
+
+
+def clipped_tumble(limit: float) -> dict[str, np.ndarray]:
+    columns, _ = tumble_log()
+    return columns | {name: np.clip(columns[name], -limit, limit) for name in NAMES[3:]}
+
+
+def limits_of(columns: dict[str, np.ndarray], limit: float) -> dict[str, tuple[float, ...]]:
+    found = {name: tuple(side for side in (-limit, limit) if (columns[name] == side).any()) for name in NAMES[3:]}
+    return {name: sides for name, sides in found.items() if sides}
+
+
+def test_turns_in_which_a_gyro_is_clipped_are_left_out() -> None:
+    whole = reduce_tumble(tumble_log()[0], channels(), GRAVITY, None, Path("log.csv")).tumble
+    fastest = np.sort(np.abs(whole.readings[:, :, 3:]).max(axis=(1, 2)))
+    limit = float(0.5 * (fastest[-3] + fastest[-4]))
+    columns = clipped_tumble(limit)
+    reduced = reduce_tumble(columns, channels(), GRAVITY, None, Path("log.csv"), limits_of(columns, limit))
+    kept = np.abs(whole.readings[:, :, 3:]).max(axis=(1, 2)) < limit
+    # A sample may be clipped where the mean of its step is not.
+    assert set(reduced.tumble.start) <= set(whole.start[kept])
+    assert len(reduced.tumble.start) >= kept.sum() - 2
+    assert len(reduced.tumble.step) == len(reduced.tumble.readings) == len(reduced.tumble.start)
+    assert any("is clipped at" in note and "transitions left out" in note for note in reduced.notes)
+    place = list(whole.start).index(reduced.tumble.start[0])
+    width = reduced.tumble.step.shape[1]
+    np.testing.assert_array_equal(reduced.tumble.readings[0], whole.readings[place][:width])
+
+
+def test_a_tumble_clipped_throughout_is_refused() -> None:
+    columns = clipped_tumble(0.05)
+    with pytest.raises(InputError, match="clipped in every transition"):
+        reduce_tumble(columns, channels(), GRAVITY, None, Path("log.csv"), limits_of(columns, 0.05))

@@ -1,0 +1,90 @@
+"""Default priors by grade of unit."""
+
+from dataclasses import replace
+
+import pytest
+
+from imubayes.campaign_data import Campaign
+from imubayes.effects import EFFECTS
+from imubayes.model.bind import bind
+from imubayes.model.unit_grade import grade_of
+from imubayes.parameters.parameter_declarations import declared_parameters
+from imubayes.parameters.priors import HalfNormal, LogNormal, Normal, Prior, parse_prior
+from imubayes.parameters.unit_grades import GRADES, graded_prior
+from small_campaign import ACCEL_SCALE, DEGREE, GRAVITY, GYRO_SCALE, campaign, spec
+
+COARSE = {
+    f"{effect.name}.{field}": declared
+    for effect in EFFECTS
+    for field, declared in declared_parameters(effect).items()
+    if declared.coarse is not None
+}
+
+
+@pytest.mark.parametrize(
+    ("prior", "expected"),
+    [
+        ("normal(0, 20 mg)", "normal(0, 300 ug)"),
+        ("halfnormal(20 ug)", "halfnormal(300 ug)"),
+        ("lognormal(50 ug, 1.0)", "lognormal(300 ug, 1.0)"),
+    ],
+)
+def test_a_coarser_prior_keeps_its_family(prior, expected):
+    assert graded_prior(prior, "ug", (100.0, 300.0), "consumer") == expected
+    assert graded_prior(prior, "ug", (100.0, 300.0), "industrial") == expected.replace("300", "100")
+    assert {graded_prior(prior, "ug", (100.0, 300.0), grade) for grade in ("tactical", "navigation")} == {prior}
+    assert {graded_prior(prior, "ug", None, grade) for grade in GRADES} == {prior}
+
+
+def width(prior: Prior) -> float:
+    """Return what a grade changes of a prior."""
+    if isinstance(prior, Normal):
+        assert prior.mean == 0
+        return float(prior.deviation)
+    assert isinstance(prior, HalfNormal | LogNormal)
+    return float(prior.scale if isinstance(prior, HalfNormal) else prior.median)
+
+
+@pytest.mark.parametrize(("name", "declared"), COARSE.items(), ids=COARSE)
+def test_a_coarser_unit_has_a_wider_prior(name, declared):
+    texts = [declared.prior_of(grade) for grade in ("tactical", "industrial", "consumer")]
+    fine, coarser, coarsest = (width(parse_prior(text, declared.unit, GRAVITY, name)) for text in texts)
+    assert 0 < fine <= coarser <= coarsest
+    assert fine < coarsest
+
+
+def with_noise(gyro: float, accelerometer: float) -> Campaign:
+    """Return the campaign with a sample noise in deg/s and mg."""
+    sizes = {"gyro": gyro * DEGREE * GYRO_SCALE, "accelerometer": accelerometer * 1e-3 * GRAVITY * ACCEL_SCALE}
+    among = campaign()
+    return replace(among, channels=tuple(replace(one, noise=sizes[one.kind]) for one in among.channels))
+
+
+@pytest.mark.parametrize(
+    ("gyro", "accelerometer", "grades"),
+    [
+        (0.008, 0.1, ("tactical", "tactical")),
+        (0.03, 0.5, ("industrial", "industrial")),
+        (0.1, 2.0, ("consumer", "consumer")),
+        (0.1, 0.1, ("consumer", "tactical")),
+    ],
+)
+def test_the_grade_follows_from_the_noise(gyro, accelerometer, grades):
+    among = with_noise(gyro, accelerometer)
+    assert (grade_of(among, "gyro"), grade_of(among, "accelerometer")) == grades
+    assert grade_of(replace(among, grade="navigation"), "gyro") == "navigation"
+
+
+def test_a_default_prior_is_that_of_the_grade_and_a_written_one_stands():
+    def sd(among: Campaign, name: str = "gyro_scale_cubic", **prior: str) -> float:
+        model = spec(name)
+        written = replace(model, effects=(replace(model.effects[0], prior=prior), *model.effects[1:]))
+        return bind(written, among).layout.parameters[0].prior_sd
+
+    plain = with_noise(0.008, 0.1)
+    assert sd(plain) == pytest.approx(0.005)
+    assert sd(replace(plain, grade="consumer")) == pytest.approx(1.0)
+    assert sd(with_noise(0.1, 0.1)) == pytest.approx(1.0)
+    assert sd(with_noise(0.1, 0.1), cubic="normal(0, 0.2 ppm/(deg/s)^2)") == pytest.approx(0.2)
+    # A fact of the equipment belongs to no grade.
+    assert sd(replace(plain, grade="consumer"), "mounting_error") == sd(plain, "mounting_error")
