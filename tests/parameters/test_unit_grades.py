@@ -64,7 +64,7 @@ def with_noise(gyro: float, accelerometer: float) -> Campaign:
     ("gyro", "accelerometer", "grades"),
     [
         (0.008, 0.1, ("tactical", "tactical")),
-        (0.03, 0.5, ("industrial", "industrial")),
+        (0.03, 0.7, ("industrial", "industrial")),
         (0.1, 2.0, ("consumer", "consumer")),
         (0.1, 0.1, ("consumer", "tactical")),
     ],

@@ -83,14 +83,8 @@ def refit_with(
                 "mend what kept the fit from converging, fit again, then add",
             )
         )
-    lines = [diagnosis.estimate(effect) for effect in effects] if diagnosis is not None else []
-    screened = [line for line in lines if isinstance(line, ScreenedEffect)]
-    shape, hints = {}, {}
-    for line in screened:
-        shape |= {name if "." in name else f"{line.effect}.{name}": value for name, value in line.shape.items()}
-        hints |= {each.name: each.value for each in line.coefficients if each.value is not None}
-    estimates = [each for line in screened for each in line.coefficients]
-    extension = extend(before, effects, channels, shape, hints, estimates)
+    screened = _screened(effects, diagnosis)
+    extension = _extended(before, effects, channels, screened)
     progress("fitting")
     fit = joint_fit(extension.model, None, start=(extension.z, extension.h), progress=progress)
     delta_chi2 = observed_delta_chi2(before, extension, fit) if fit.converged else float("nan")
@@ -98,6 +92,23 @@ def refit_with(
     unseen = None if against else cross_validate(before, fit, progress)
     known = screened[0] if len(effects) == 1 and screened else None
     return Refit(before, extension, fit, delta_chi2, against, unseen, _prediction(extension, known))
+
+
+def _screened(effects: Sequence[str], diagnosis: Diagnosis | None) -> list[ScreenedEffect]:
+    """Return what a diagnosis says of effects."""
+    lines = [diagnosis.estimate(effect) for effect in effects] if diagnosis is not None else []
+    return [line for line in lines if isinstance(line, ScreenedEffect)]
+
+
+def _extended(
+    before: Fit, effects: Sequence[str], channels: Sequence[str] | None, screened: Sequence[ScreenedEffect]
+) -> Extension:
+    shape, hints = {}, {}
+    for line in screened:
+        shape |= {name if "." in name else f"{line.effect}.{name}": value for name, value in line.shape.items()}
+        hints |= {each.name: each.value for each in line.coefficients if each.value is not None}
+    estimates = [each for line in screened for each in line.coefficients]
+    return extend(before, effects, channels, shape, hints, estimates)
 
 
 def _prediction(extension: Extension, screened: ScreenedEffect | None) -> Prediction:

@@ -11,6 +11,8 @@ from imubayes.display.table_layout import Cell, Sheet
 from imubayes.errors import InputError
 from imubayes.json_record import Record
 from imubayes.model.bind import Model
+from imubayes.model.unit_grade import grade_of
+from imubayes.parameters.unit_grades import Grade
 
 
 class CheckedRun(Record):
@@ -30,6 +32,14 @@ class CheckedFinding(Record):
     text: str
 
 
+class CheckedGrade(Record):
+    """Grade of the channels of one kind, to which default priors belong; whether the campaign states it."""
+
+    kind: str
+    grade: Grade
+    stated: bool
+
+
 class CheckedModel(Record):
     """Size of a model bound to the campaign."""
 
@@ -45,6 +55,7 @@ class Check(Record):
     format: Literal[1] = 1
     campaign: str
     channels: tuple[str, ...]
+    grades: tuple[CheckedGrade, ...]
     runs: tuple[CheckedRun, ...]
     findings: tuple[CheckedFinding, ...]
     notes: tuple[str, ...]
@@ -57,6 +68,7 @@ def check_record(inspection: Inspection, model: Model | None) -> Check:
     return Check(
         campaign=campaign.name,
         channels=tuple(channel.name for channel in campaign.channels),
+        grades=_grades(campaign),
         runs=tuple(
             CheckedRun(name=run.name, procedure=run.procedure, rows=run.rows, notes=run.notes) for run in campaign.runs
         ),
@@ -67,6 +79,22 @@ def check_record(inspection: Inspection, model: Model | None) -> Check:
         notes=campaign.notes,
         model=None if model is None else _checked_model(model),
     )
+
+
+def _grades(campaign: Campaign) -> tuple[CheckedGrade, ...]:
+    kinds = dict.fromkeys(channel.kind for channel in campaign.channels if channel.kind != "angle")
+    stated = campaign.grade is not None
+    return tuple(CheckedGrade(kind=kind, grade=grade_of(campaign, kind), stated=stated) for kind in kinds)
+
+
+def _grade_lines(campaign: Campaign) -> list[str]:
+    """Return which grade default priors belong to, where it is stated or coarser than tactical."""
+    grades = _grades(campaign)
+    if all(found.grade == "tactical" and not found.stated for found in grades):
+        return []
+    each = ", ".join(f"{found.kind}s {found.grade}" for found in grades)
+    origin = "as stated" if grades[0].stated else "from the noise of the channels; 'grade' under [unit] states it"
+    return [f"grade of the default priors: {each} ({origin})"]
 
 
 def _checked_model(model: Model) -> CheckedModel:
@@ -92,6 +120,7 @@ def check_report(inspection: Inspection, model: Model | None) -> Report:
     sheet = Sheet("Runs", head, rows, (0, 1, 2, 3), narrow=narrow)
     closing = [f"note: {note}" for note in campaign.notes]
     closing += [f"note: {run.name}: {note}" for run in campaign.runs for note in run.notes]
+    closing += _grade_lines(campaign)
     if model is not None:
         size = _checked_model(model)
         closing.append(

@@ -70,6 +70,9 @@ def print_effect(effect: str) -> None:
         if declared.shape:
             tried = ", ".join(f"{value:g}" for value in declared.shape)
             console.print(f"diagnose scans {name} over {tried} {declared.unit}", highlight=False)
+        if declared.coarse is not None:
+            wider = ", ".join(f"{declared.prior_of(grade)} ({grade})" for grade in ("industrial", "consumer"))
+            console.print(f"default prior of {name} for a coarser unit: {wider}", highlight=False)
     for setting, default in declared_options(member).items():
         console.print(f"setting: {setting} = {default:g}")
     console.print(f"\nneeds: {', '.join(member.needs) or 'nothing special'}", highlight=False)

@@ -70,8 +70,7 @@ def prior_conflicts(model: Model, z: np.ndarray, precision: np.ndarray) -> tuple
     """
     variance = np.diag(np.linalg.inv(precision))
     informed = 1 - variance
-    with np.errstate(invalid="ignore"):
-        distance = np.where(informed > _LEAST_FROM_DATA, np.abs(z) / np.sqrt(informed), 0.0)
+    distance = np.where(informed > _LEAST_FROM_DATA, np.abs(z) / np.sqrt(np.maximum(informed, _LEAST_FROM_DATA)), 0.0)
     found = []
     for place in np.argsort(-distance).tolist():
         parameter = model.layout.parameters[place]

@@ -2,7 +2,7 @@
 
 Noise tells the technologies apart better than anything else that is known before a fit: one raw sample of a MEMS gyro
 for consumers scatters by 0.05 to 0.3 deg/s, of an industrial one by 0.02 to 0.05 deg/s, of a ring-laser, fibre-optic or
-tactical MEMS gyro by less; one of their accelerometers by more than 1 mg, by 0.3 to 1 mg, and by less.
+tactical MEMS gyro by less; one of their accelerometers by more than 1 mg, by 0.5 to 1 mg, and by less.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from imubayes.units import to_si
 # Least standard deviation of one raw sample, rad/s and m/s², of a consumer and of an industrial unit.
 LEAST_NOISE: dict[str, tuple[float, float]] = {
     "gyro": (to_si("deg/s") * 0.05, to_si("deg/s") * 0.02),
-    "accelerometer": (to_si("mg"), 0.3 * to_si("mg")),
+    "accelerometer": (to_si("mg"), 0.5 * to_si("mg")),
 }
 
 

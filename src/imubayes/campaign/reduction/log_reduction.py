@@ -82,14 +82,15 @@ def reduce_log(
         note = f"no 'samples' and no 'time_s' column: each of the {rows} rows counts as one sample"
         return Rows(numbers, first, (), (note,))
     unsteady = _unsteady(columns, reduced) if labelled is not None else ()
-    lost = _leave_out_clipped(numbers, clipped_spans(source, spans, limits), limits) if limits and spans else ()
+    lost = _leave_out_clipped(numbers, source, spans, limits or {})
     return Rows(numbers, first, unsteady, (*_account(rows, reduced, how), *lost))
 
 
 def _leave_out_clipped(
-    numbers: dict[str, np.ndarray], clipped: dict[str, np.ndarray], limits: Limits
+    numbers: dict[str, np.ndarray], source: TableSource, spans: Sequence[Span], limits: Limits
 ) -> tuple[str, ...]:
     """Empty the cells of clipped means; return notes on them."""
+    clipped = clipped_spans(source, spans, limits) if limits and spans else {}
     for name, rows in clipped.items():
         numbers[name] = np.where(rows, np.nan, numbers[name])
         numbers[f"{name}_sd"] = np.where(rows, np.nan, numbers[f"{name}_sd"])
