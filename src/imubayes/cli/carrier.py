@@ -17,15 +17,25 @@ def carrier(campaign: Path, run: str, *, out: Path, result: Path | None = None) 
     out
         The table to write (CSV); a picture of the turning bias goes beside it.
     result
-        Result folder of a fit of the same campaign, whose biases are subtracted first.
+        Result folder of a fit of the same campaign, whose fitted errors are taken out first.
     """
     from imubayes.campaign import load_campaign
-    from imubayes.display.carrier_motion import fitted_biases, rotating_run, write_carrier
+    from imubayes.display.carrier_motion import carrier_sheet, rotating_run, write_carrier
+    from imubayes.display.report_layout import Report, print_report
+    from imubayes.results.carrier_estimate import estimate_carrier
+    from imubayes.results.corrected_outputs import corrected_run
+    from imubayes.results.fit_file import refuse_other_data
     from imubayes.results.result import read_result
 
     loaded = load_campaign(campaign)
     chosen = rotating_run(loaded, run)
-    biases = None if result is None else fitted_biases(loaded, read_result(result).summary)
-    for file in write_carrier(out, loaded, chosen, biases):
+    corrected = None
+    if result is not None:
+        refuse_other_data(result, loaded)
+        fitted = read_result(result)
+        corrected = corrected_run(loaded, chosen, fitted.residuals, fitted.summary)
+    found = estimate_carrier(loaded, chosen, corrected)
+    for file in write_carrier(out, loaded, chosen, found):
         print(f"wrote {file}")
+    print_report(Report((), [carrier_sheet(found, loaded, chosen)]))
     return 0

@@ -23,19 +23,13 @@ def classical(campaign: Path, *, result: Path | None = None, as_json: Json = Fal
     from imubayes.display.classical_comparison import classical_json, compare_classical
     from imubayes.display.fit_report import classical_report
     from imubayes.display.report_layout import print_report
-    from imubayes.errors import input_error
     from imubayes.procedures.classical import classical as evaluate
-    from imubayes.results.fit_file import read_fit_record
+    from imubayes.results.fit_file import refuse_other_data
     from imubayes.results.result import read_result
 
     loaded = load_campaign(campaign)
-    if result is not None and read_fit_record(result).data_hash != loaded.digest:
-        raise input_error(
-            f"the result is not of the campaign '{loaded.name}' as it is now",
-            str(result),
-            f"the result of a fit of {campaign}",
-            "name the result that belongs to it, or fit the campaign as it is now",
-        )
+    if result is not None:
+        refuse_other_data(result, loaded)
     comparison = compare_classical(evaluate(loaded), None if result is None else read_result(result).summary)
     if as_json:
         print_json(classical_json(comparison))

@@ -1,6 +1,5 @@
 """The motion of the carrier of a rotating unit, as a table and a figure."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +8,16 @@ import polars as pl
 from imubayes.atomic_files import write_text
 from imubayes.campaign_data import Campaign, Run
 from imubayes.display.figures.modulation import modulation_figure
+from imubayes.display.labels import pretty
+from imubayes.display.rounding import value_and_sd
+from imubayes.display.table_layout import Cell, Sheet
 from imubayes.display.theme import Picture
 from imubayes.earth import earth_rate, table_to_local
 from imubayes.errors import InputError, Issue, closest_first
-from imubayes.procedures.rotation_modulation import Carrier, attenuation, carrier
-from imubayes.results.summary import Summary
-from imubayes.units import to_si
+from imubayes.procedures.rotation_modulation import attenuation, carrier
+from imubayes.results.carrier_estimate import CarrierEstimate
 
-_BIASES = {"gyro": "gyro_bias.bias", "accelerometer": "accel_bias.bias"}
+_ROUNDING = 1e-9
 
 
 def rotating_run(campaign: Campaign, name: str) -> Run:
@@ -37,22 +38,39 @@ def rotating_run(campaign: Campaign, name: str) -> Run:
     )
 
 
-def fitted_biases(campaign: Campaign, summary: Summary) -> dict[str, float]:
-    """Return the estimated bias of each channel, rad/s or m/s²."""
-    channel_of = {f"{_BIASES[channel.kind]}[{channel.name}]": channel.name for channel in campaign.channels}
-    return {
-        channel_of[parameter.name]: parameter.mean * to_si(parameter.unit, campaign.site.gravity)
-        for parameter in summary.parameters
-        if parameter.name in channel_of and parameter.mean is not None
-    }
-
-
-def carrier_table(motion: Carrier, gravity: float) -> pl.DataFrame:
-    """Return the motion of a carrier as a table in deg/s and g."""
+def carrier_table(found: CarrierEstimate, gravity: float) -> pl.DataFrame:
+    """Return the motion of a carrier as a table in deg/s and g; with uncertainties where it is corrected."""
+    motion = found.motion
     columns = {"time_s": motion.time, "table_angle_deg": np.degrees(motion.angle)}
     columns |= {f"rate_{axis}_deg_s": np.degrees(motion.rate[:, place]) for place, axis in enumerate("xyz")}
     columns |= {f"force_{axis}_g": motion.force[:, place] / gravity for place, axis in enumerate("xyz")}
+    if found.corrected:
+        rate, force = np.degrees(found.row_sd["gyro"]), found.row_sd["accelerometer"] / gravity
+        columns |= {f"rate_{axis}_sd_deg_s": rate[:, place] for place, axis in enumerate("xyz")}
+        columns |= {f"force_{axis}_sd_g": force[:, place] for place, axis in enumerate("xyz")}
     return pl.DataFrame(columns)
+
+
+def carrier_sheet(found: CarrierEstimate, campaign: Campaign, run: Run) -> Sheet:
+    """Return the mean motion of the carrier over a run, beside that of a carrier at rest."""
+    assert run.table is not None
+    table = campaign.tables[run.table]
+    to_table = table_to_local(table.azimuth, table.elevation).T
+    hour, gravity = np.degrees(1.0) * 3600, campaign.site.gravity
+    rest = {"gyro": to_table @ earth_rate(campaign.site.latitude) * hour, "accelerometer": to_table @ [0.0, 0.0, 1.0]}
+    rows = []
+    for kind, factor, unit in (("gyro", hour, "deg/h"), ("accelerometer", 1 / gravity, "g")):
+        for place, axis in enumerate(("x, across the axis", "y, across the axis", "z, along the axis")):
+            if not np.isfinite(found.mean[kind][place]):
+                continue
+            value, sd = value_and_sd(found.mean[kind][place] * factor, found.mean_sd[kind][place] * factor)
+            name = "rate" if kind == "gyro" else "specific force"
+            nominal = f"{rest[kind][place]:.6g}" if abs(rest[kind][place]) > _ROUNDING else "0"
+            rows.append((Cell(f"{name} {axis}"), Cell(value), Cell(sd), Cell(nominal), Cell(pretty(unit))))
+    taken = "Every fitted error is taken out; the sd contains noise, run offset and the uncertainty of the calibration."
+    note = taken if found.corrected else "As recorded, errors of the unit included; the sd is that of the noise alone."
+    head = ("mean over the run", "value", "sd", "carrier at rest", "unit")
+    return Sheet(f"Motion of the carrier: {run.name}", head, rows, (0, 4), "", note)
 
 
 def modulation_picture(campaign: Campaign, run: Run) -> Picture | None:
@@ -74,8 +92,8 @@ def modulation_picture(campaign: Campaign, run: Run) -> Picture | None:
     return modulation_figure(total / (2 * np.pi), felt[:, :2], mean, along, expected, "deg/h", run.name)
 
 
-def write_carrier(file: Path, campaign: Campaign, run: Run, biases: Mapping[str, float] | None) -> list[Path]:
+def write_carrier(file: Path, campaign: Campaign, run: Run, found: CarrierEstimate) -> list[Path]:
     """Write the table of the motion of a carrier, and the figure beside it; return the files."""
-    write_text(file, carrier_table(carrier(campaign, run, biases), campaign.site.gravity).write_csv())
+    write_text(file, carrier_table(found, campaign.site.gravity).write_csv())
     drawn = modulation_picture(campaign, run)
     return [file, *([] if drawn is None else [drawn.save(file.with_suffix(".png"))])]

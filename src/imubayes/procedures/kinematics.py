@@ -70,6 +70,26 @@ def table_input(
     return nominal_input(channel, table, mounting, site, rate, angle)
 
 
+def nominal_outputs(campaign: Campaign, run: Run) -> np.ndarray:
+    """Return what an ideal unit would read in a run on a table, mean over each row, output units, shape (R, C)."""
+    found = [channel.scale_si * mean_input(campaign, run, channel) + channel.offset for channel in campaign.channels]
+    return np.stack(found, axis=1)
+
+
+def mean_input(campaign: Campaign, run: Run, channel: Channel) -> np.ndarray:
+    """Return the nominal input of a channel, mean over the arc of each row, rad/s or m/s², shape (R,).
+
+    Over an arc s about an angle, a rotating vector is shortened by sin(s/2)/(s/2).
+    """
+    assert run.table is not None
+    assert run.mounting is not None
+    equipment = campaign.tables[run.table], campaign.mountings[run.mounting], campaign.site
+    rate, angle = run.covariates["table_rate"], run.covariates["table_angle"]
+    whole = nominal_input(channel, *equipment, rate, np.full(run.rows, np.nan))
+    there = nominal_input(channel, *equipment, rate, angle)
+    return whole + (there - whole) * np.sinc(run.covariates["table_angle_span"] / (2 * np.pi))
+
+
 def nominal_input(
     channel: Channel, table: Table, mounting: Mounting, site: Site, rate: np.ndarray, angle: np.ndarray
 ) -> np.ndarray:

@@ -26,7 +26,7 @@ import numpy as np
 
 from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.procedures.base import Procedure
-from imubayes.procedures.kinematics import nominal_input
+from imubayes.procedures.kinematics import mean_input
 from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules, whole_turns
 from imubayes.procedures.textbook import (
     Estimate,
@@ -140,7 +140,7 @@ def _line(series: Series) -> list[TextbookResult]:
 def _bias(series: Series, campaign: Campaign) -> list[TextbookResult]:
     """Return the bias, the Earth rate taken out, and the output at rest, which includes it."""
     run, name = series.run, series.channel.name
-    known = series.rate * series.cosine + earth_along(series, campaign)
+    known = mean_input(campaign, series.run, series.channel)
     fitted = line(known, series.output)
     freedom = len(known) - 2
     bias = fitted.intercept / fitted.slope
@@ -166,18 +166,6 @@ def _bias(series: Series, campaign: Campaign) -> list[TextbookResult]:
             )
         )  # fmt: skip
     return found
-
-
-def earth_along(series: Series, campaign: Campaign) -> np.ndarray:
-    """Return the Earth rate along the input axis, mean over each row, rad/s, shape (R,)."""
-    run = series.run
-    assert run.table is not None
-    assert run.mounting is not None
-    equipment = campaign.tables[run.table], campaign.mountings[run.mounting], campaign.site
-    angle, rest = run.covariates["table_angle"], np.zeros(run.rows)
-    whole = nominal_input(series.channel, *equipment, rest, np.full(run.rows, np.nan))
-    there = nominal_input(series.channel, *equipment, rest, angle)
-    return whole + (there - whole) * np.sinc(run.covariates["table_angle_span"] / (2 * np.pi))
 
 
 def _shape(series: Series) -> list[TextbookResult]:

@@ -4,88 +4,161 @@ The reference gyro turns with the unit and measures the inertial rate in body ax
 output is used as the true rate: its noise is `reference_noise`; its scale factor, bias, alignment and time delay are
 effects.  The table gives the attitude to gravity.
 
-The textbook matches the speeds of a forward and a reverse run.  At some instants both runs have the same speed v.
-There, with the outputs E₊ and E₋ of a channel and r₊, r₋ of the reference along the channel's input axis,
+The textbook matches the speeds of forward and reverse rotation.  Both reach a speed v of the table, each at an instant
+of its own; between two rows speed and output are taken as linear.  There, with the outputs E₊ and E₋ of a channel and
+r₊, r₋ of the reference along the channel's input axis,
 
     K = (E₊ − E₋)/(r₊ − r₋),   bias = (E₊ + E₋)/(2K) − (r₊ + r₋)/2,
 
-and for a channel perpendicular to the axis of rotation (E₊ − E₋)/(2 K v) is its inclination towards that axis.  Samples
-between those instants are not used; the reference, its clock and its mounting are taken as exact.
+and for a channel perpendicular to the axis of rotation ((E₊ − E₋)/K − (r₊ − r₋))/(2v) is its inclination towards that
+axis, K being nominal.  All forward and reverse runs of a mounting at one temperature are matched together, and every
+row takes part in one match at most, so that matches are independent.  The reference, its clock and its mounting are
+taken as exact.
 """
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.earth import earth_rate
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.kinematics import table_stimulus
 from imubayes.procedures.nominal_stimulus import Stimulus
-from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, along_table, measured
+from imubayes.procedures.textbook import (
+    Estimate,
+    TextbookResult,
+    Undetermined,
+    along_table,
+    axial,
+    by_temperature,
+    names_of,
+)
 from imubayes.units import to_si
 
 AXES = ("reference_x", "reference_y", "reference_z")
 
 METHOD = "matched speeds beside a reference gyro"
+_SCATTER = "type A: scatter over the instants"
 _ALONG, _ACROSS = 0.5, 0.05
+# Speeds within a part in a thousand are the same: the estimates contain the rates of both runs, not their mean.
+_SAME_SPEED = 1e-3
 _DEGREE_PER_HOUR = np.pi / 180 / 3600
 
 
 def reference_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
     """Return scale factor and bias of gyros along an axis of rotation, and the inclination of perpendicular ones."""
-    by_mounting: dict[str, dict[bool, list[Run]]] = defaultdict(lambda: {True: [], False: []})
+    by_mounting: dict[str, list[Run]] = defaultdict(list)
     for run in runs:
         if run.mounting is not None:
-            by_mounting[run.mounting][float(np.mean(_speed(run, campaign))) > 0].append(run)
+            by_mounting[run.mounting].append(run)
     found: list[TextbookResult] = []
-    for forward_runs, reverse_runs in ((group[True], group[False]) for group in by_mounting.values()):
-        if not forward_runs or not reverse_runs:
-            only = (forward_runs or reverse_runs)[0]
-            found.append(Undetermined(only.name, "one direction of rotation only: no speeds to match"))
-            continue
-        for forward, reverse in zip(forward_runs, reverse_runs, strict=False):
-            found += _of_pair(campaign, forward, reverse)
+    for mounted in by_mounting.values():
+        for group in by_temperature(mounted):
+            found += _of_group(campaign, group)
     return found
 
 
 def _speed(run: Run, campaign: Campaign) -> np.ndarray:
-    """Return the rate of the reference about the table axis, rad/s, shape (R,)."""
+    """Return the rate of the table from the reference, less the Earth rate along the axis, rad/s, shape (R,)."""
     assert run.mounting is not None
-    return reference_rate(run) @ campaign.mountings[run.mounting].body_to_table[2]
+    inertial = reference_rate(run) @ campaign.mountings[run.mounting].body_to_table[2]
+    return inertial - (axial(run, campaign, earth_rate(campaign.site.latitude)) if run.table is not None else 0.0)
 
 
-def matched(forward: np.ndarray, reverse: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where two speeds cross: the row before each crossing, and the fraction to the next row (0 … 1)."""
-    count = min(len(forward), len(reverse))
-    apart = forward[:count] - reverse[:count]
-    before = np.flatnonzero(np.sign(apart[:-1]) * np.sign(apart[1:]) < 0)
-    return before, apart[before] / (apart[before] - apart[before + 1])
+@dataclass(frozen=True)
+class Steps:
+    """Pairs of successive rows in one sense of rotation, each row in one pair at most.
+
+    Attributes
+    ----------
+    speed : shape (n, 2), rad/s, positive.
+    reference : shape (n, 2, 3), rate measured by the reference, body axes, rad/s.
+    output : shape (n, 2, C), channel outputs less the nominal offset.
+    """
+
+    speed: np.ndarray
+    reference: np.ndarray
+    output: np.ndarray
+
+    def at(self, values: np.ndarray, step: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        """Return what was recorded at a speed within each of the named steps, by linear interpolation."""
+        first, last = self.speed[step, 0], self.speed[step, 1]
+        flat = first == last
+        part = np.clip(np.where(flat, 0.5, (speed - first) / np.where(flat, 1.0, last - first)), 0.0, 1.0)
+        part = part.reshape(-1, *[1] * (values.ndim - 2))
+        return values[step, 0] * (1 - part) + values[step, 1] * part
 
 
-def _of_pair(campaign: Campaign, forward: Run, reverse: Run) -> list[TextbookResult]:
-    before, part = matched(np.abs(_speed(forward, campaign)), np.abs(_speed(reverse, campaign)))
-    names = f"{forward.name}, {reverse.name}"
-    if not len(before):
-        return [Undetermined(names, "the two runs have no matched speeds")]
+def steps_of(campaign: Campaign, runs: Sequence[Run], sign: float) -> Steps:
+    """Return the steps of runs that rotate in a sense, +1 forward or −1 reverse."""
+    speed, reference, output = [], [], []
+    offset = np.array([channel.offset for channel in campaign.channels])
+    for run in runs:
+        order = np.argsort(run.covariates["time"], kind="stable")
+        turning = sign * _speed(run, campaign)[order]
+        pairs = np.arange(run.rows // 2 * 2).reshape(-1, 2)
+        pairs = pairs[(turning[pairs] > 0).all(axis=1)]
+        speed.append(turning[pairs])
+        reference.append(reference_rate(run)[order][pairs])
+        output.append((run.observed - offset)[order][pairs])
+    return Steps(np.concatenate(speed), np.concatenate(reference), np.concatenate(output))
 
-    def at(values: np.ndarray) -> np.ndarray:
-        return values[before] * (1 - part) + values[before + 1] * part
 
-    opposite = {gyro.name: at(output) for gyro, output in measured(reverse, campaign, "gyro")}
+def matched(forward: np.ndarray, reverse: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return steps forward and reverse that pass the same speed, and that speed, (m,) each.
+
+    Parameters
+    ----------
+    forward, reverse : speeds at both ends of every step, (n, 2).
+    """
+    ends = [np.sort(speeds, axis=1) for speeds in (forward, reverse)]
+    ranked = [np.argsort(each.sum(axis=1), kind="stable").tolist() for each in ends]
+    found: list[tuple[int, int, float]] = []
+    i = j = 0
+    while i < len(ranked[0]) and j < len(ranked[1]):
+        one, other = ranked[0][i], ranked[1][j]
+        low = max(ends[0][one, 0], ends[1][other, 0])
+        high = min(ends[0][one, 1], ends[1][other, 1])
+        together = low <= high + _SAME_SPEED * abs(high)
+        if together:
+            found.append((one, other, (low + high) / 2))
+        lower = ends[0][one, 1] < ends[1][other, 0]
+        i, j = i + (together or lower), j + (together or not lower)
+    table = np.array(found, dtype=float).reshape(-1, 3)
+    return table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2]
+
+
+def _of_group(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
+    names = names_of(runs)
+    forward, reverse = (steps_of(campaign, runs, sign) for sign in (1.0, -1.0))
+    if not len(forward.speed) or not len(reverse.speed):
+        return [Undetermined(names, "one direction of rotation only: no speeds to match")]
+    ahead, back, speed = matched(forward.speed, reverse.speed)
+    if not len(speed):
+        spans = [np.degrees([steps.speed.min(), steps.speed.max()]) for steps in (forward, reverse)]
+        text = ", ".join(
+            f"{way} {span[0]:.4g} … {span[1]:.4g} °/s" for way, span in zip(("forward", "reverse"), spans, strict=True)
+        )
+        return [Undetermined(names, f"no speed is common to both directions: {text}")]
     found: list[TextbookResult] = []
-    for channel, output in measured(forward, campaign, "gyro"):
-        if channel.name not in opposite:
+    outputs = forward.at(forward.output, ahead, speed), reverse.at(reverse.output, back, speed)
+    rates = forward.at(forward.reference, ahead, speed), reverse.at(reverse.reference, back, speed)
+    for place, channel in enumerate(campaign.channels):
+        there = np.isfinite(outputs[0][:, place]) & np.isfinite(outputs[1][:, place])
+        if channel.kind != "gyro" or not there.any():
             continue
-        plus, minus = at(output), opposite[channel.name]
-        cosine = float(along_table(forward, campaign, channel.axes[0])[2])
+        plus, minus = (each[there, place] for each in outputs)
+        r_plus, r_minus = (each[there] @ channel.axes[0] for each in rates)
+        cosine = float(along_table(runs[0], campaign, channel.axes[0])[2])
         if abs(cosine) > _ALONG:
-            rates = [at(reference_rate(run) @ channel.axes[0]) for run in (forward, reverse)]
-            found += _along(channel, names, plus, minus, *rates)
+            found += _along(channel, names, plus, minus, r_plus, r_minus)
         elif abs(cosine) < _ACROSS:
-            found += _across(campaign, forward, channel, names, (plus - minus) / (2 * at(_speed(forward, campaign))))
+            inclination = ((plus - minus) / channel.scale_si - (r_plus - r_minus)) / (2 * speed[there])
+            found += _across(campaign, runs[0], channel, names, inclination)
     return found
 
 
@@ -103,8 +176,10 @@ def _along(
     bias, bias_sd = _mean(((plus + minus) / (2 * scale) - (forward + reverse) / 2) / _DEGREE_PER_HOUR)
     method = f"{METHOD}: {len(plus)} instants"
     return [
-        Estimate(f"scale_factor[{channel.name}]", names, scale * per, scale_sd * per, unit, method),
-        Estimate(f"gyro_bias.bias[{channel.name}]", names, bias, bias_sd, "deg/h", method),
+        Estimate(
+            f"scale_factor[{channel.name}]", names, scale * per, scale_sd * per, unit, method, uncertainty=_SCATTER
+        ),
+        Estimate(f"gyro_bias.bias[{channel.name}]", names, bias, bias_sd, "deg/h", method, uncertainty=_SCATTER),
     ]
 
 
@@ -116,11 +191,11 @@ def _across(
     place = next((place for place in (1, 2) if abs(cosines[place]) > 1 - _ACROSS), None)
     if place is None:
         return []
-    sign = np.sign(cosines[place])
-    value, sd = _mean(sign * inclination / channel.scale_si)
+    value, sd = _mean(np.sign(cosines[place]) * inclination)
     arcsec = np.degrees(1.0) * 3600
     name = f"gyro_misalignment.toward_{'o' if place == 1 else 's'}[{channel.name}]"
-    return [Estimate(name, names, value * arcsec, sd * arcsec, "arcsec", METHOD)]
+    method = f"{METHOD}: {len(inclination)} instants"
+    return [Estimate(name, names, value * arcsec, sd * arcsec, "arcsec", method, uncertainty=_SCATTER)]
 
 
 def reference_rate(run: Run) -> np.ndarray:

@@ -2,8 +2,9 @@
 
 Of the bias ε of a channel at the angle θ from the axis of rotation, the component ε cos θ along the axis is not
 modulated.  The component ε sin θ turns with the unit: over the angle Φ its mean is ε sin θ · |sin(Φ/2)|/(Φ/2), zero
-over whole turns.  The bias is estimated by least squares from the outputs at table angles φ and rates Ω, forward and
-reverse,
+over whole turns.  The same holds for the errors of scale factor and input axes times the rate of rotation: in a run at
+constant rate they act like a bias.  The bias is estimated by least squares from the outputs at table angles φ and rates
+Ω, forward and reverse,
 
     E/K = ε + w_a cos θ + s Ω cos θ + A cos φ + B sin φ,
 
@@ -11,7 +12,7 @@ with w_a the Earth rate (for accelerometers the specific force) along the axis; 
 perpendicular to the axis.  θ is nominal and taken as exact.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,7 @@ from imubayes.procedures.textbook import (
     axial,
     least_squares,
     measured,
+    names_of,
 )
 
 METHOD = "rotation modulation"
@@ -41,7 +43,8 @@ _ROUNDING = 1e-12
 def modulation_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
     """Return the bias of every channel per mounting, with its modulated and unmodulated components.
 
-    `left_in_plane` is the residual of the modulated biases of a kind after the angle that a run has swept.
+    `left_in_plane` is what remains of the modulated errors of a kind after the angle that a run has swept: of biases,
+    and of the errors of scale factor and input axes times the rate.
     """
     found: list[TextbookResult] = []
     for mounting in dict.fromkeys(run.mounting for run in runs):
@@ -54,22 +57,20 @@ def modulation_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookRes
 def _of_kind(campaign: Campaign, runs: Sequence[Run], kind: str) -> list[TextbookResult]:
     name, unit, factor = _UNITS[kind]
     factor = factor or 1e-6 * campaign.site.gravity
-    names = ", ".join(run.name for run in runs)
+    names = names_of(runs)
     found: list[TextbookResult] = []
-    biases: list[tuple[Channel, float]] = []
     for channel in campaign.of_kind(kind):
         bias, sd = _bias(campaign, runs, channel)
         if not np.isfinite(bias):
             found.append(Undetermined(names, f"{channel.name}: its bias is not separable from its input"))
             continue
         cosine = float(along_table(runs[0], campaign, channel.axes[0])[2])
-        biases.append((channel, bias))
         parts = ((name, 1.0), ("modulated", np.sqrt(1 - cosine**2)), ("unmodulated", cosine))
         found += [
             Estimate(f"{part}[{channel.name}]", names, bias * share / factor, sd * abs(share) / factor, unit, METHOD)
             for part, share in parts
         ]
-    return found + [estimate for run in runs for estimate in _left(campaign, run, biases, kind, unit, factor)]
+    return found + [estimate for run in runs for estimate in _left(campaign, run, kind, unit, factor)]
 
 
 def _bias(campaign: Campaign, runs: Sequence[Run], channel: Channel) -> tuple[float, float]:
@@ -123,31 +124,78 @@ def left_after(angle: float) -> float:
     return share if share > _ROUNDING else 0.0
 
 
-def _left(
-    campaign: Campaign, run: Run, biases: Sequence[tuple[Channel, float]], kind: str, unit: str, factor: float
-) -> list[TextbookResult]:
+def _left(campaign: Campaign, run: Run, kind: str, unit: str, factor: float) -> list[TextbookResult]:
     angle = swept(run)
-    if len(biases) < 3 or angle < _LEAST_ARC or run.mounting is None:
+    if run.mounting is None or angle < _LEAST_ARC:
         return []
-    bias = campaign.mountings[run.mounting].body_to_table @ bias_vector(biases)
-    in_plane, along = float(np.hypot(bias[0], bias[1])), abs(float(bias[2]))
+    error, covariance = constant_error(campaign, run, kind)
+    if not np.isfinite(error).all():
+        return []
+    in_plane, along = float(np.hypot(error[0], error[1])), abs(float(error[2]))
+    direction = np.array([*error[:2] / max(in_plane, np.finfo(float).tiny), 0.0])
+    in_plane_sd = float(np.sqrt(direction @ covariance @ direction))
     turns = angle / _TURN
     whole = np.floor(turns + 1e-6)
-    nan = float("nan")
+    part, part_whole = left_after(angle), left_after(_TURN * whole)
     return [
-        Estimate(f"{name}[{kind}]", run.name, value / factor, nan, unit, f"{METHOD}: {condition}")
-        for name, value, condition in (
-            ("left_in_plane", in_plane * left_after(angle), f"across the axis, after {turns:.2f} turns"),
-            ("left_in_plane_whole", in_plane * left_after(_TURN * whole), f"across the axis, after {whole:.0f} turns"),
-            ("left_along_axis", along, "along the axis, after any number of turns"),
+        Estimate(f"{name}[{kind}]", run.name, value / factor, sd / factor, unit, f"{METHOD}: {condition}")
+        for name, value, sd, condition in (
+            ("left_in_plane", in_plane * part, in_plane_sd * part, f"across the axis, after {turns:.2f} turns"),
+            (
+                "left_in_plane_whole", in_plane * part_whole, in_plane_sd * part_whole,
+                f"across the axis, after {whole:.0f} turns",
+            ),
+            ("left_along_axis", along, float(np.sqrt(covariance[2, 2])), "along the axis, after any number of turns"),
         )
+    ]  # fmt: skip
+
+
+def constant_error(campaign: Campaign, run: Run, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the error vector of a kind that is constant in the unit during a run, and its covariance.
+
+    It is the bias together with the errors of scale factor and input axes times the rate.  In table axes at table angle
+    0, SI, (3,) and (3, 3); NaN for fewer than three channels.
+    """
+    places, to_table = to_table_axes(campaign, run, kind)
+    if len(places) < 3:
+        return np.full(3, np.nan), np.full((3, 3), np.nan)
+    fits = [_constant_and_rotating(campaign, run, place) for place in places]
+    constant = np.array([value[0] for value, _, _ in fits])
+    variance = np.diag([covariance[0, 0] for _, covariance, _ in fits])
+    return to_table @ constant, to_table @ variance @ to_table.T
+
+
+def noise_of(campaign: Campaign, run: Run, places: Sequence[int]) -> np.ndarray:
+    """Return the scatter of a row about a constant and a rotating term, of each channel, SI, (n,)."""
+    found = []
+    for place in places:
+        value, _, residual = _constant_and_rotating(campaign, run, place)
+        freedom = len(residual) - len(value)
+        found.append(np.sqrt(float(residual @ residual) / freedom) if freedom > 0 else float("nan"))
+    return np.array(found)
+
+
+def _constant_and_rotating(campaign: Campaign, run: Run, place: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return constant, cosine and sine of a channel's output less its nominal input along the axis, SI."""
+    channel = campaign.channels[place]
+    angle, mean = run.covariates["table_angle"], attenuation(run)
+    design = np.stack([np.ones_like(angle), mean * np.cos(angle), mean * np.sin(angle)], axis=1)
+    axial_input = _axial(campaign, run, channel.kind) + (run.covariates["table_rate"] if channel.kind == "gyro" else 0)
+    cosine = float(along_table(run, campaign, channel.axes[0])[2])
+    signal = (run.observed[:, place] - channel.offset) / channel.scale_si
+    return least_squares(design, signal - axial_input * cosine)
+
+
+def to_table_axes(campaign: Campaign, run: Run, kind: str) -> tuple[list[int], np.ndarray]:
+    """Return the n channels of a kind with complete outputs, and the matrix to turning table axes, (3, n)."""
+    assert run.mounting is not None
+    places = [
+        place
+        for place, channel in enumerate(campaign.channels)
+        if channel.kind == kind and np.isfinite(run.observed[:, place]).all()
     ]
-
-
-def bias_vector(biases: Sequence[tuple[Channel, float]]) -> np.ndarray:
-    """Return the bias vector in body axes from the biases of three or more channels, shape (3,)."""
-    axes = np.stack([channel.axes[0] for channel, _ in biases])
-    return np.linalg.pinv(axes) @ np.array([bias for _, bias in biases])
+    axes = np.array([campaign.channels[place].axes[0] for place in places]).reshape(-1, 3)
+    return places, campaign.mountings[run.mounting].body_to_table @ np.linalg.pinv(axes)
 
 
 @dataclass(frozen=True)
@@ -167,17 +215,10 @@ class Carrier:
     force: np.ndarray
 
 
-def carrier(campaign: Campaign, run: Run, biases: Mapping[str, float] | None = None) -> Carrier:
-    """Return the rate and specific force of the carrier, demodulated by the recorded table angle and rate.
-
-    Parameters
-    ----------
-    biases : channel → bias to subtract first, rad/s or m/s².
-    """
-    assert run.mounting is not None
-    body_to_table = campaign.mountings[run.mounting].body_to_table
+def carrier(campaign: Campaign, run: Run) -> Carrier:
+    """Return the rate and specific force of the carrier, demodulated by the recorded table angle and rate."""
     angle = run.covariates["table_angle"]
-    found = {kind: _vector(campaign, run, kind, biases or {}) @ body_to_table.T for kind in ("gyro", "accelerometer")}
+    found = {kind: _vector(campaign, run, kind) for kind in ("gyro", "accelerometer")}
     found["gyro"][:, 2] -= run.covariates["table_rate"]
     c, s, mean = np.cos(angle), np.sin(angle), attenuation(run)
     for vector in found.values():
@@ -187,13 +228,14 @@ def carrier(campaign: Campaign, run: Run, biases: Mapping[str, float] | None = N
     return Carrier(time, angle, found["gyro"], found["accelerometer"])
 
 
-def _vector(campaign: Campaign, run: Run, kind: str, biases: Mapping[str, float]) -> np.ndarray:
-    """Return the vector measured by the channels of a kind, body axes, (R, 3); NaN for fewer than three."""
-    channels = measured(run, campaign, kind)
-    if len(channels) < 3:
+def _vector(campaign: Campaign, run: Run, kind: str) -> np.ndarray:
+    """Return the vector measured by a kind, turning table axes, SI, (R, 3); NaN for fewer than three channels."""
+    places, to_table = to_table_axes(campaign, run, kind)
+    if len(places) < 3:
         return np.full((run.rows, 3), np.nan)
-    signal = [output / channel.scale_si - biases.get(channel.name, 0.0) for channel, output in channels]
-    return np.stack(signal, axis=1) @ np.linalg.pinv(np.stack([channel.axes[0] for channel, _ in channels])).T
+    channels = [campaign.channels[place] for place in places]
+    offset, scale = (np.array([getattr(channel, name) for channel in channels]) for name in ("offset", "scale_si"))
+    return (run.observed[:, places] - offset) / scale @ to_table.T
 
 
 ROTATION_MODULATION = Procedure(

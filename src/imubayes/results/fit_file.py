@@ -94,6 +94,17 @@ def read_fit_record(folder: str | Path) -> FitRecord:
     return read_record(file, FitRecord, Issue("this result holds no fit", str(file), allowed, way_back(Path(folder))))
 
 
+def refuse_other_data(folder: str | Path, campaign: Campaign) -> None:
+    """Raise InputError where a result folder is not of a campaign as it is now."""
+    if read_fit_record(folder).data_hash != campaign.digest:
+        raise input_error(
+            f"the result is not of the campaign '{campaign.name}' as it is now",
+            str(folder),
+            f"the result of a fit of {campaign.folder or campaign.name}",
+            "name the result that belongs to it, or fit the campaign as it is now",
+        )
+
+
 def read_fit(folder: str | Path) -> Fit:
     """Return the fit of a result folder, its campaign read again and its model declared; nothing is refit.
 
