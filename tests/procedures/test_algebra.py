@@ -9,7 +9,6 @@ import sympy as sp
 
 from imubayes.procedures.estimable_functions import estimable, rank
 from imubayes.procedures.polar_tumble import COEFFICIENTS, drift_terms, standard_combinations
-from imubayes.procedures.textbook import harmonics, order_of
 
 PHI, LATITUDE = sp.symbols("phi L", real=True)
 C, S = sp.cos(LATITUDE), sp.sin(LATITUDE)
@@ -115,17 +114,3 @@ def test_tumble_harmonics_are_those_of_the_docstring():
     assert sp.simplify(s2 - k_ix / 2) == 0
     assert sp.simplify(c3 - k3 / 4) == 0
     assert bent == [8 / (3 * sp.pi), 8 / (15 * sp.pi), -8 / (105 * sp.pi)]
-
-
-@pytest.mark.parametrize(("positions", "order"), [(4, 2), (8, 4), (12, 5), (24, 5)])
-def test_harmonics_are_read_off_exactly_at_every_number_of_positions(positions, order):
-    assert order_of(positions) == order
-    psi = 0.3 * (positions > 4) + 2 * np.pi * np.arange(positions) / positions
-    true = np.random.default_rng(1).normal(size=1 + 2 * order)
-    if positions == 2 * order and positions == 4:
-        true[-1] = 0.0
-    waves = [np.ones_like(psi)] + [f(k * psi) for k in range(1, order + 1) for f in (np.cos, np.sin)]
-    kept = 2 * order if positions == 2 * order else 1 + 2 * order
-    output = sum(a * wave for a, wave in zip(true[:kept], waves[:kept], strict=True))
-    found, _ = harmonics(psi, np.asarray(output), order)
-    np.testing.assert_allclose(found, true[:kept], atol=1e-12)

@@ -12,10 +12,15 @@ has the harmonics (over K1)
     C2 = (K2 − K_xx)/2                S2 = K_ix/2
     C3 = K3/4 + 8/(15π) K_oq          C5 = −8/(105π) K_oq
 
-(IEEE Std 1293, multipoint tumble).  As sin² + cos² = 1, K_xx is not separable; like the textbook, assume K_xx = 0.
+(IEEE Std 1293, multipoint tumble).  At n positions harmonics k and n − k are not distinct, and the series of K_oq does
+not end; hence the coefficients are fitted directly, by least squares with these terms.  As sin² + cos² = 1, K_xx is not
+separable; like the textbook, assume K_xx = 0.  Of K1, K3 and K_oq the positions determine as many as there are
+different |a_i| > 0; those beyond, K_oq first, are assumed zero as well.  Every assumption is named.  In a 1 g field the
+three are strongly correlated; their sum in C1, which the positions determine best, is given beside them.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,14 +33,20 @@ from imubayes.procedures.textbook import (
     Undetermined,
     along_table,
     components,
-    harmonics,
+    least_squares,
     measured,
-    order_of,
 )
 from imubayes.units import to_si
 
 METHOD = "IEEE Std 1293 tumble test"
 _ACROSS = 0.05
+_LARGEST_CONDITION = 1e4
+_UNITS = {"K0": "ug", "K2": "ug/g^2", "K3": "ug/g^3", "K_oq": "ug/g^2"}
+_JOINT = {
+    "K0": "accel_bias.bias", "K2": "accel_quadratic.quadratic", "K3": "accel_cubic.cubic",
+    "K_oq": "accel_odd_quadratic.odd_quadratic",
+}  # fmt: skip
+"""Textbook symbol → parameter of the joint fit."""
 
 
 def tumble_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
@@ -53,6 +64,38 @@ def tumble_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]
     return found
 
 
+@dataclass(frozen=True)
+class Terms:
+    """The terms of the model that a set of positions separates.
+
+    Attributes
+    ----------
+    names : K1 first; δ and K_ix stand for the axis in the plane of rotation.
+    design : shape (R, len(names)).
+    assumed : the terms assumed zero.
+    """
+
+    names: tuple[str, ...]
+    design: np.ndarray
+    assumed: tuple[str, ...]
+
+
+def separable_terms(a: np.ndarray, x: np.ndarray) -> Terms:
+    """Return the terms separated by positions with the specific forces a along the input axis and x across, g, (R,)."""
+    columns = {
+        "K1": a, "K0": np.ones_like(a), "δ": x, "K2": a**2, "K_ix": a * x, "K3": a**3, "K_oq": a * np.abs(a),
+    }  # fmt: skip
+    kept: list[str] = []
+    assumed = ["K_xx"]
+    for name in columns:
+        design = np.stack([columns[each] for each in (*kept, name)], axis=1)
+        if np.linalg.cond(design) < _LARGEST_CONDITION and len(a) >= design.shape[1]:
+            kept.append(name)
+        else:
+            assumed.append(name)
+    return Terms(tuple(kept), np.stack([columns[name] for name in kept], axis=1), tuple(assumed))
+
+
 def _of_channel(
     run: Run, campaign: Campaign, channel: Channel, output: np.ndarray, positions: int
 ) -> list[TextbookResult]:
@@ -63,45 +106,76 @@ def _of_channel(
     if other is None:
         return [Undetermined(run.name, f"{channel.name}: neither its output nor its pendulous axis lies in the plane")]
     force = components(run, campaign, channel)
-    # ψ is measured from the position with the input axis up, in the table's sense of rotation.
-    psi = np.arctan2(force[other], force[0])
     letter = "o" if other == 1 else "p"
-    b, covariance = harmonics(psi, output, order_of(positions))
-    sd = np.sqrt(np.diag(covariance))
+    terms = separable_terms(force[0], force[other])
+    value, covariance, _ = least_squares(terms.design, output)
+    k1 = float(value[0])
+    # Coefficients are relative to K1, whose own uncertainty does not matter to them.
+    relative = dict(zip(terms.names, value / k1, strict=True))
+    spread = dict(zip(terms.names, np.sqrt(np.diag(covariance)) / abs(k1), strict=True))
     gravity, per = campaign.site.gravity, to_si(channel.per, campaign.site.gravity)
-    third = positions > 6
-    k1 = b[1] - 3 * b[5] if third else b[1]
-    scale = abs(k1)
     unit = f"{channel.output_unit} per {channel.per}"
-    micro = 1e6 / scale
-
-    def estimate(name: str, value: float, uncertainty: float, of: str) -> Estimate:
-        return Estimate(f"{name}[{channel.name}]", run.name, float(value), float(uncertainty), of, METHOD)
-
-    k1_sd = float(np.hypot(sd[1], 3 * sd[5])) if third else float(sd[1])
+    names = {"δ": (f"accel_misalignment.toward_{letter}", "arcsec"), "K_ix": (_cross(letter), "ug/g^2")}
+    names |= {symbol: (_JOINT[symbol], _UNITS[symbol]) for symbol in _JOINT}
+    freedom = len(output) - len(terms.names)
+    evaluation = f"type A: residuals of the fitted terms, {freedom} degrees of freedom"
     found: list[TextbookResult] = [
-        estimate("scale_factor", k1 / gravity * per, k1_sd / gravity * per, unit),
-        estimate("accel_bias.bias", (b[0] - b[3]) * micro, np.hypot(sd[0], sd[3]) * micro, "ug"),
-        estimate(f"accel_misalignment.toward_{letter}", _arcsec(b[2] / k1), _arcsec(sd[2] / scale), "arcsec"),
-        estimate("accel_quadratic.quadratic", 2 * b[3] * micro, 2 * sd[3] * micro, "ug/g^2"),
-    ]
-    if len(b) > 4:
-        found.append(estimate(f"accel_cross_coupling.k_i{letter}", 2 * b[4] * micro, 2 * sd[4] * micro, "ug/g^2"))
-    if third:
-        found.append(estimate("accel_cubic.cubic", 4 * b[5] * micro, 4 * sd[5] * micro, "ug/g^3"))
-    else:
-        found.append(Undetermined(run.name, f"{channel.name}: {positions} points do not separate K3 from K1"))
-    found.append(
-        Undetermined(
-            run.name,
-            f"{channel.name}: K_{letter}{letter} apart from K0 and K2 (sin² + cos² = 1); the textbook assumes zero",
+        Estimate(
+            f"scale_factor[{channel.name}]", run.name, k1 / gravity * per, spread["K1"] * abs(k1) / gravity * per,
+            unit, METHOD, uncertainty=evaluation,
         )
+    ]  # fmt: skip
+    for symbol in terms.names[1:]:
+        name, of = names[symbol]
+        factor = np.degrees(1.0) * 3600 if of == "arcsec" else 1e6
+        found.append(
+            Estimate(
+                f"{name}[{channel.name}]", run.name, float(relative[symbol] * factor), float(spread[symbol] * factor),
+                of, METHOD, uncertainty=evaluation,
+            )
+        )  # fmt: skip
+    found += _first_harmonic(run, channel, terms, value, covariance, per / gravity)
+    return [*found, Undetermined(run.name, _left_open(channel.name, letter, terms, positions))]
+
+
+_FIRST_HARMONIC = {"K1": ("K1", 1.0), "K3": ("¾K3", 0.75), "K_oq": ("8/(3π)K_oq", 8 / (3 * np.pi))}
+
+
+def _first_harmonic(
+    run: Run, channel: Channel, terms: Terms, value: np.ndarray, covariance: np.ndarray, factor: float
+) -> list[TextbookResult]:
+    """Return the sum of the odd terms in the first harmonic, which is determined far better than each of them."""
+    if "K3" not in terms.names:
+        return []
+    weights = np.array([_FIRST_HARMONIC.get(name, ("", 0.0))[1] for name in terms.names])
+    symbol = "+".join(text for name, (text, _) in _FIRST_HARMONIC.items() if name in terms.names)
+    return [
+        Estimate(
+            f"{symbol}[{channel.name}]", run.name, float(weights @ value) * factor,
+            float(np.sqrt(weights @ covariance @ weights)) * factor, f"{channel.output_unit} per {channel.per}",
+            f"{METHOD}: amplitude of the first harmonic",
+        )
+    ]  # fmt: skip
+
+
+def _cross(letter: str) -> str:
+    return f"accel_cross_coupling.k_i{letter}"
+
+
+def _left_open(name: str, letter: str, terms: Terms, positions: int) -> str:
+    """Return which terms are not determined, and what is assumed of them."""
+    written = {"K_xx": f"K_{letter}{letter}", "K_ix": f"K_i{letter}"}
+    reasons = {
+        "K_xx": f"K_{letter}{letter} apart from K0 and K2 (sin² + cos² = 1)",
+        "K3": f"K3 apart from K1 ({positions} positions)",
+        "K_oq": f"K_oq apart from K1 and K3 ({positions} positions)",
+    }
+    reason = "; ".join(
+        reasons.get(symbol, f"{written.get(symbol, symbol)} ({positions} positions)") for symbol in terms.assumed
     )
-    return found
-
-
-def _arcsec(angle: float) -> float:
-    return float(np.degrees(angle) * 3600)
+    perpendicular = "p" if letter == "o" else "o"
+    beyond = f"δ_{perpendicular}, K_i{perpendicular} and K_{perpendicular * 2} (no specific force along that axis)"
+    return f"{name}: {reason}; the textbook assumes zero. Nor {beyond}"
 
 
 def _planned_rows(steps: PlannedSteps) -> PlannedRows:

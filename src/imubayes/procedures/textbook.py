@@ -14,7 +14,6 @@ from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.earth import table_to_local
 
 RESIDUALS = "type A: residuals of the fitted curve"
-_MAX_HARMONIC = 5
 # Tests at temperatures closer than this are tests at the same temperature.
 _SAME_TEMPERATURE = 5.0
 
@@ -130,29 +129,6 @@ def axial(run: Run, campaign: Campaign, vector: np.ndarray) -> float:
     assert run.table is not None
     table = campaign.tables[run.table]
     return float(table_to_local(table.azimuth, table.elevation)[:, 2] @ vector)
-
-
-def harmonics(psi: np.ndarray, output: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return B0, C1, S1, C2, S2, … by least squares, and their covariance.
-
-    Parameters
-    ----------
-    psi : shape (n,), rad.
-    output : shape (n,).
-    order : highest harmonic; at n = 2·order positions the last sine vanishes and is omitted.
-    """
-    columns = [np.ones_like(psi)]
-    for k in range(1, order + 1):
-        columns += [np.cos(k * psi), np.sin(k * psi)]
-    if len(psi) == 2 * order:
-        columns.pop()
-    coefficients, covariance, _ = least_squares(np.stack(columns, axis=1), output)
-    return coefficients, covariance
-
-
-def order_of(positions: int) -> int:
-    """Return the highest harmonic determined by that many positions over the circle: 2 for 4, at most 5."""
-    return min(_MAX_HARMONIC, positions // 2)
 
 
 def temperature_of(run: Run) -> float:
