@@ -59,7 +59,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Table:
-    """A single-axis table; angles in rad, rate uncertainty as a ratio; all uncertainties are one sigma."""
+    """A single-axis table; angles in rad, rate uncertainty as a ratio; all uncertainties are one sigma, 0 is exact."""
 
     name: str
     azimuth: float
@@ -71,7 +71,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Mounting:
-    """How the unit sits on a table: nominal body_to_table (3, 3), seat uncertainty per angle in rad."""
+    """How the unit sits on a table: nominal body_to_table (3, 3), seat uncertainty per angle in rad, 0 exact."""
 
     name: str
     body_to_table: np.ndarray
@@ -147,7 +147,8 @@ class Campaign:
     """One unit, its equipment and its runs.
 
     `digest` identifies the data (SHA-256 of files as read), `folder` is where they were read; both empty where the
-    campaign came from no files.
+    campaign came from no files.  `delta_k_threshold` is the Δk up to which the 1 g line of a converter applies to all
+    inputs, as a ratio; None for the default.
     """
 
     name: str
@@ -161,6 +162,7 @@ class Campaign:
     notes: tuple[str, ...] = field(default=())
     folder: str = ""
     grade: Grade | None = None
+    delta_k_threshold: float | None = None
 
     def of_kind(self, kind: str) -> list[Channel]:
         """Return the channels of a kind, in order."""

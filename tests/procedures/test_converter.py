@@ -29,7 +29,7 @@ def test_delta_k_is_near_the_truth_and_decided(campaign):
 def test_the_threshold_decides(campaign):
     runs = [run for run in campaign.runs if "converter_temperature" in run.covariates]
     generous = [one for one in converter_test(campaign, runs, threshold=2.0) if isinstance(one, Estimate)]
-    assert all("line applies" in one.decision for one in generous if one.name.startswith("delta_k"))
+    assert all("line applies" in one.decision for one in generous if one.name.startswith("delta_k["))
 
 
 def test_a_converter_that_stays_cold_is_said(campaign):

@@ -160,6 +160,7 @@ def _campaign(
         (*entry.notes, *noise_notes, *(str(finding) for finding in findings)),
         str(file.parent),
         entry.unit.grade,
+        None if (percent := entry.evaluation.delta_k_threshold_percent) is None else percent / 100,
     )
 
 

@@ -18,6 +18,7 @@ Name = Annotated[str, Field(min_length=1, pattern=_NAME)]
 ColumnName = Annotated[str, Field(min_length=1, pattern=_COLUMN_NAME)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
@@ -59,23 +60,23 @@ class ChannelEntry(_Entry):
 
 
 class TableEntry(_Entry):
-    """A single-axis table: direction of its axis, and one-sigma uncertainties."""
+    """A single-axis table: direction of its axis, and one-sigma uncertainties; 0 means exact."""
 
     name: Name
     azimuth_deg: Degrees = 0.0
     elevation_deg: float = Field(ge=-90, le=90)
-    axis_uncertainty_arcsec: Positive | None = None
-    rate_uncertainty_ppm: Positive | None = None
-    angle_uncertainty_arcsec: Positive | None = None
+    axis_uncertainty_arcsec: NotNegative | None = None
+    rate_uncertainty_ppm: NotNegative | None = None
+    angle_uncertainty_arcsec: NotNegative | None = None
 
 
 class MountingEntry(_Entry):
-    """Mounting of the unit on a table: a preset, or the rows of `body_to_table`."""
+    """Mounting of the unit on a table: a preset, or the rows of `body_to_table`; an uncertainty of 0 means exact."""
 
     name: Name
     preset: Literal["trihedral", "aligned"] | None = None
     body_to_table: Annotated[list[Vector], Field(min_length=3, max_length=3)] | None = None
-    uncertainty_arcmin: Positive | None = None
+    uncertainty_arcmin: NotNegative | None = None
 
     @model_validator(mode="after")
     def _one_of_two(self) -> "MountingEntry":
@@ -98,6 +99,12 @@ class RunEntry(_Entry):
     ignore: list[str] = []
 
 
+class EvaluationEntry(_Entry):
+    """Limits of the classical evaluation and of the decisions made from a fit."""
+
+    delta_k_threshold_percent: Positive | None = None
+
+
 class CampaignFile(_Entry):
     """`campaign.toml`."""
 
@@ -106,6 +113,7 @@ class CampaignFile(_Entry):
     notes: list[str] = []
     site: SiteEntry
     unit: UnitEntry = UnitEntry()
+    evaluation: EvaluationEntry = EvaluationEntry()
     channel: list[ChannelEntry] = Field(min_length=1)
     table: list[TableEntry] = []
     mounting: list[MountingEntry] = []
@@ -158,6 +166,7 @@ class ModelFile(_Entry):
     format: Literal[1]
     name: Name
     files: list[str] = []
+    delta_k_threshold_percent: Positive | None = None
     effect: list[EffectEntry] = Field(min_length=1)
 
 
@@ -179,6 +188,7 @@ FORMS = {
     "prior": 'texts by parameter: { bias = "normal(0, 10 deg/h)" }',
     "site": "a table [site]",
     "unit": "a table [unit]",
+    "evaluation": "a table [evaluation]",
     "optional": "true or false, without quotes",
 }
 """Key → form of its value, where the type alone does not describe it."""

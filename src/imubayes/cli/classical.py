@@ -5,7 +5,9 @@ from pathlib import Path
 from imubayes.cli.options import Json, print_json
 
 
-def classical(campaign: Path, *, result: Path | None = None, as_json: Json = False) -> int:
+def classical(
+    campaign: Path, *, result: Path | None = None, delta_k_threshold: float | None = None, as_json: Json = False
+) -> int:
     """Evaluate each run by the classical method of its procedure, and compare with the joint fit.
 
     Example: imubayes classical data/trihedral-imu --result results/trihedral-imu
@@ -16,6 +18,9 @@ def classical(campaign: Path, *, result: Path | None = None, as_json: Json = Fal
         Folder with campaign.toml.
     result
         Result folder of a fit of the same campaign, to compare with.
+    delta_k_threshold
+        Largest Δk in percent at which the 1 g line of a converter applies to another input; by default that of the
+        fitted model, then that of the campaign, then 10.
     as_json
         Print one JSON object on standard output.
     """
@@ -23,14 +28,23 @@ def classical(campaign: Path, *, result: Path | None = None, as_json: Json = Fal
     from imubayes.display.classical_comparison import classical_json, compare_classical
     from imubayes.display.fit_report import classical_report
     from imubayes.display.report_layout import print_report
+    from imubayes.errors import input_error
     from imubayes.procedures.classical import classical as evaluate
     from imubayes.results.fit_file import refuse_other_data
     from imubayes.results.result import read_result
 
     loaded = load_campaign(campaign)
+    if delta_k_threshold is not None and not delta_k_threshold > 0:
+        raise input_error(
+            f"a threshold of {delta_k_threshold:g} %", "--delta-k-threshold", "a percentage above 0", "correct it"
+        )
+    summary = None
     if result is not None:
         refuse_other_data(result, loaded)
-    comparison = compare_classical(evaluate(loaded), None if result is None else read_result(result).summary)
+        summary = read_result(result).summary
+    fitted = None if summary is None else summary.delta_k_threshold
+    percent = fitted if delta_k_threshold is None else delta_k_threshold
+    comparison = compare_classical(evaluate(loaded, None if percent is None else percent / 100), summary)
     if as_json:
         print_json(classical_json(comparison))
     else:

@@ -5,7 +5,7 @@ effect that no run can show, two that exclude each other) is collected and repor
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ from imubayes.campaign_data import Campaign
 from imubayes.errors import InputError, Issue, closest_first, input_error
 from imubayes.gather import on_device
 from imubayes.model.assembly import Assembly, assemble
-from imubayes.model.bound_effects import BoundEffect, NotObservableError, bind_effect
+from imubayes.model.bound_effects import BoundEffect, ExactEquipmentError, NotObservableError, bind_effect
 from imubayes.model.build_problem import build_problem
 from imubayes.model.compile_cache_limit import clear_if_crowded
 from imubayes.model.dry_run import dry_run
@@ -130,6 +130,8 @@ def _bind_effects(spec: ModelSpec, grouping: Grouping, registry: Registry) -> tu
     for entry in spec.effects:
         try:
             effects.append(bind_effect(entry, grouping, registry))
+        except ExactEquipmentError:
+            continue  # the effect is known to be absent
         except NotObservableError as error:
             issues.extend(() if entry.optional else error.issues)
         except InputError as error:
@@ -177,7 +179,7 @@ def _with_implied(spec: ModelSpec, campaign: Campaign) -> ModelSpec:
     listed = {effect.name for effect in spec.effects}
     where = f"{spec.where}: implied by the procedure"
     implied = tuple(EffectSpec(name, where=where) for name in names if name not in listed)
-    return ModelSpec(spec.name, spec.effects + implied, spec.files, spec.where)
+    return replace(spec, effects=spec.effects + implied)
 
 
 def _conflicts(effects: Sequence[BoundEffect]) -> list[Issue]:

@@ -12,7 +12,7 @@ from imubayes.errors import InputError, Issue, closest_first
 from imubayes.model.effect_registry import EffectClass, Registry, acts_on_channels
 from imubayes.model.grouping import Grouping
 from imubayes.model.model_spec import EffectSpec
-from imubayes.model.parameter_priors import hyper_fields, parameter_of
+from imubayes.model.parameter_priors import exact_by_equipment, hyper_fields, parameter_of
 from imubayes.parameters.parameter_declarations import Declared, declared_options, declared_parameters
 from imubayes.parameters.vector import Parameter
 
@@ -24,6 +24,10 @@ _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
 
 class NotObservableError(InputError):
     """No run of the campaign supplies what the effect needs."""
+
+
+class ExactEquipmentError(NotObservableError):
+    """The campaign states that the equipment has no such error."""
 
 
 class NoChannelError(NotObservableError):
@@ -88,6 +92,15 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry) -> Bou
         per = sharing if declaration.per is None else declaration.per
         made[name] = settings.parameters(name, per, grouping.labels(per, labelled, sorted(runs)))
     settings.raise_issues()
+    if declared and not any(made.values()):
+        raise ExactEquipmentError(
+            Issue(
+                f"the campaign states that '{spec.name}' is zero: an uncertainty of 0 means exact",
+                spec.where,
+                "an uncertainty above 0 in campaign.toml, or a prior in the model",
+                "leave the effect out, or state the uncertainty",
+            )
+        )
     hyper = hyper_fields(effect_class)
     return BoundEffect(
         spec=spec,
@@ -204,6 +217,8 @@ class _Settings:
         made = []
         for label in labels:
             axes = dict(zip(per, label, strict=True))
+            if exact_by_equipment(self.spec, self.effect_class, name, axes, self.campaign):
+                continue
             try:
                 made.append(parameter_of(self.spec, self.effect_class, name, axes, self.campaign))
             except InputError as error:

@@ -27,6 +27,7 @@ from imubayes.model.sensitive_axes import (
     thermal_slopes,
 )
 from imubayes.model.signal_path import Layer
+from imubayes.procedures.converter_temperature import NEAR_ONE_G
 from imubayes.units import to_si
 
 # A relative slope is not determined by an input below this share of g.
@@ -173,19 +174,32 @@ def _thermal_runs(assembly: Assembly) -> _ThermalRuns:
 def _thermal_comparisons(
     assembly: Assembly, channels: Sequence[Channel], thermal: _ThermalRuns
 ) -> list[tuple[int, int, int]]:
-    """Return the runs whose thermal slope is compared with that at the input nearest 1 g: (channel, run, base)."""
+    """Return the runs whose thermal slope is compared with that at 1 g: (channel, run, base).
+
+    As classically, an injected current is compared with the injected current nearest 1 g, if that is within 10 % of it.
+    """
     if not thermal.runs:
         return []
     campaign, rows = assembly.grouping.campaign, []
     for column, channel in enumerate(channels):
         in_g = np.abs(thermal.inputs[channel.kind][:, column]) / campaign.site.gravity
-        base = int(np.argmin(np.abs(in_g - 1)))
+        injected = np.asarray(assembly.nodes.injected)[thermal.nodes] > 0
+        sensed = _nearest_1_g(in_g, ~injected)
+        by_current = _nearest_1_g(in_g, injected)
+        close = by_current is not None and abs(in_g[by_current] - 1) <= NEAR_ONE_G
         index = campaign.channels.index(channel)
         for place, run in enumerate(thermal.runs):
             measured = np.isfinite(campaign.runs[run].observed[:, index]).any()
+            base = by_current if (injected[place] and close) or sensed is None else sensed
+            assert base is not None
             if place != base and in_g[place] > _LEAST_INPUT_G and measured:
                 rows.append((column, place, base))
     return rows
+
+
+def _nearest_1_g(inputs: np.ndarray, among: np.ndarray) -> int | None:
+    """Return the place of the input nearest 1 g among some; None where there is none."""
+    return int(np.argmin(np.where(among, np.abs(inputs - 1), np.inf))) if among.any() else None
 
 
 def _mounting_nodes(assembly: Assembly) -> tuple[list[str], np.ndarray]:

@@ -33,7 +33,9 @@ def spec_of_file(file: ModelFile, path: Path) -> ModelSpec:
         )
         for place, entry in enumerate(file.effect)
     )
-    return ModelSpec(file.name, effects, tuple(str(path.parent / name) for name in file.files), str(path))
+    percent = file.delta_k_threshold_percent
+    own = tuple(str(path.parent / name) for name in file.files)
+    return ModelSpec(file.name, effects, own, str(path), None if percent is None else percent / 100)
 
 
 load_model = read_model  # the public name

@@ -30,9 +30,14 @@ class EffectSpec:
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """A model: a name and its effects; `files` are sources of the user's own effects, as given."""
+    """A model: a name and its effects; `files` are sources of the user's own effects, as given.
+
+    `delta_k_threshold` is the Δk up to which the 1 g line of a converter applies to all inputs, as a ratio; None for
+    that of the campaign.
+    """
 
     name: str
     effects: tuple[EffectSpec, ...]
     files: tuple[str, ...] = ()
     where: str = "model"
+    delta_k_threshold: float | None = None

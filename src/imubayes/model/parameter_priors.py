@@ -106,12 +106,26 @@ def _channel_units(channel: Channel | None, campaign: Campaign) -> _ChannelUnits
     return _ChannelUnits({"noise": _UNKNOWN_NOISE_SHARE * float(spread), "scale": scale}, noise_known=False)
 
 
+def exact_by_equipment(
+    spec: EffectSpec, effect_class: EffectClass, field: str, label: dict[str, str], campaign: Campaign
+) -> bool:
+    """Return whether the campaign states that a parameter is zero: an uncertainty of 0, and no prior in the model."""
+    stated = _stated(declared_parameters(effect_class)[field].equipment, label, campaign)
+    return stated == 0 and field not in spec.prior
+
+
 def _from_equipment(fact: str, label: dict[str, str], campaign: Campaign, default: Prior) -> Prior:
     """Return the prior that the campaign's own statement about its equipment implies, else the default."""
+    stated = _stated(fact, label, campaign)
+    return default if stated is None else Normal(0.0, stated)
+
+
+def _stated(fact: str, label: dict[str, str], campaign: Campaign) -> float | None:
+    """Return the uncertainty that the campaign states of its equipment, SI; None where it states none."""
     stated = None
     if fact == "seat" and "mounting" in label:
         stated = campaign.mountings[label["mounting"]].uncertainty
     elif fact in ("axis", "rate") and "table" in label:
         table = campaign.tables[label["table"]]
         stated = table.axis_uncertainty if fact == "axis" else table.rate_uncertainty
-    return default if stated is None else Normal(0.0, stated)
+    return stated

@@ -1,28 +1,78 @@
 """Converter of an accelerometer over temperature: a line per input, and whether one line serves all inputs (P8).
 
 For each input (1 g, 1/√3 g in the trihedral mounting, a current equivalent to several g) the output is linear in the
-converter temperature.  With k the relative slope at the input nearest 1 g and k′ that at another input,
-Δk = |k′ − k|/|k|; up to the threshold the 1 g line applies, above it the input needs its own line.
+converter temperature, D = f(T) = D₀ + s T, with its slope s and its intercept D₀ at 0 °C.  With k the slope per unit of
+input at 1 g and k′ that at another input, Δk = |k′ − k|/|k|.  An injected current is compared with the injected
+current that stands for 1 g, where there is one: the sensor is in neither.  Δk of the raw slopes s, not divided by the
+input, is given beside it: it is zero for a drift of the offset alone.
+
+Up to the threshold the 1 g line applies, above it the input needs its own line.  Both slopes are uncertain.  The
+decision follows the probability that Δk does not exceed the threshold, for Student t distributed slopes; between 5 %
+and 95 % there is none (JCGM 106, guard bands).
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from imubayes.campaign_data import Campaign, Channel, Run
-from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, components, line, measured
+from imubayes.procedures.textbook import Estimate, Line, TextbookResult, Undetermined, components, line, measured
 
 METHOD = "straight line against converter temperature"
 THRESHOLD = 0.1
-"""Default Δk up to which the 1 g line applies to all inputs."""
+"""Default Δk up to which the 1 g line applies to all inputs; a campaign, a model or an option sets another."""
+NEAR_ONE_G = 0.1
+"""Largest relative difference from 1 g of an injected current that stands for 1 g."""
 _LEAST_INPUT = 0.1
 _LEAST_RAMP = 2.0
+_SURE = 0.95
+_DRAWS = 20_000
 
 
-def converter_test(campaign: Campaign, runs: Sequence[Run], threshold: float = THRESHOLD) -> list[TextbookResult]:
-    """Return the relative slope, Δk and the decision for each input."""
+@dataclass(frozen=True)
+class ThermalLine:
+    """The line of one channel in one run.
+
+    Attributes
+    ----------
+    run, channel : what was measured.
+    input : nominal, g.
+    fitted : output against converter temperature in °C, recorded output units.
+    """
+
+    run: Run
+    channel: Channel
+    input: float
+    fitted: Line
+
+    @property
+    def injected(self) -> bool:
+        """Whether a current replaced the sensor."""
+        return "current" in self.run.covariates
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the residuals."""
+        return len(self.fitted.residual) - 2
+
+    def draws(self, generator: np.random.Generator, raw: bool) -> np.ndarray:
+        """Return draws of the slope, raw or per unit of input, shape (_DRAWS,)."""
+        scatter = generator.standard_t(self.freedom, _DRAWS) if self.freedom > 0 else np.full(_DRAWS, np.nan)
+        return (self.fitted.slope + self.fitted.slope_sd * scatter) / (1.0 if raw else self.input)
+
+
+def converter_test(campaign: Campaign, runs: Sequence[Run], threshold: float | None = None) -> list[TextbookResult]:
+    """Return line, relative slope, Δk and the decision for each input.
+
+    Parameters
+    ----------
+    threshold : of Δk; that of the campaign where None.
+    """
+    if threshold is None:
+        threshold = THRESHOLD if campaign.delta_k_threshold is None else campaign.delta_k_threshold
     found: list[TextbookResult] = []
-    slopes: dict[str, list[tuple[float, Run, float, float]]] = {}
+    lines: dict[str, list[ThermalLine]] = {}
     for run in runs:
         temperature = run.covariates.get("converter_temperature")
         if temperature is None or np.ptp(temperature) < _LEAST_RAMP:
@@ -32,14 +82,26 @@ def converter_test(campaign: Campaign, runs: Sequence[Run], threshold: float = T
             level = _input(run, campaign, channel)
             if abs(level) < _LEAST_INPUT:
                 continue
-            fitted = line(temperature - temperature.mean(), output)
-            nominal = level * channel.scale_si * campaign.site.gravity
-            slope, sd = fitted.slope / nominal * 1e6, abs(fitted.slope_sd / nominal) * 1e6
-            found.append(Estimate(f"thermal_slope[{channel.name},{run.name}]", run.name, slope, sd, "ppm/degC", METHOD))
-            slopes.setdefault(channel.name, []).append((level, run, slope, sd))
-    for channel, each in slopes.items():
-        found += _decisions(channel, each, threshold)
+            fitted = ThermalLine(run, channel, level, line(temperature, output + channel.offset))
+            found += _line(fitted, campaign)
+            lines.setdefault(channel.name, []).append(fitted)
+    for each in lines.values():
+        for one in each:
+            base = base_of(one, each)
+            if base is not one:
+                found += _comparison(one, base, threshold)
     return found
+
+
+def base_of(line: ThermalLine, lines: Sequence[ThermalLine]) -> ThermalLine:
+    """Return the line at 1 g that a line is compared with: of injected currents the injected 1 g, if there is one."""
+
+    def away(other: ThermalLine) -> float:
+        return abs(abs(other.input) - 1)
+
+    injected = [other for other in lines if other.injected and away(other) <= NEAR_ONE_G]
+    sensed = [other for other in lines if not other.injected]
+    return min((injected if line.injected else sensed) or lines, key=away)
 
 
 def _input(run: Run, campaign: Campaign, channel: Channel) -> float:
@@ -52,19 +114,62 @@ def _input(run: Run, campaign: Campaign, channel: Channel) -> float:
     return float(np.mean(components(run, campaign, channel)[0]))
 
 
-def _decisions(channel: str, each: list[tuple[float, Run, float, float]], threshold: float) -> list[TextbookResult]:
-    base = min(each, key=lambda slope: abs(abs(slope[0]) - 1))
+def _line(one: ThermalLine, campaign: Campaign) -> list[TextbookResult]:
+    fitted, place, unit = one.fitted, f"{one.channel.name},{one.run.name}", one.channel.output_unit
+    nominal = one.input * one.channel.scale_si * campaign.site.gravity * 1e-6
+    sd, text = abs(fitted.slope_sd / nominal), f"type A: residuals of the line, {one.freedom} degrees of freedom"
+    method = f"{METHOD}: D = f(T)"
+    return [
+        Estimate(
+            f"slope[{place}]", one.run.name, fitted.slope, fitted.slope_sd, f"{unit}/degC", method, uncertainty=text
+        ),
+        Estimate(
+            f"intercept[{place}]", one.run.name, fitted.intercept, fitted.intercept_sd, unit,
+            f"{method}, at 0 °C", uncertainty=text,
+        ),
+        Estimate(
+            f"thermal_slope[{place}]", one.run.name, fitted.slope / nominal, sd, "ppm/degC", METHOD, uncertainty=text
+        ),
+    ]  # fmt: skip
+
+
+def _comparison(one: ThermalLine, base: ThermalLine, threshold: float) -> list[TextbookResult]:
+    """Return Δk with the decision, and Δk of the raw slopes."""
     found: list[TextbookResult] = []
-    for level, run, slope, sd in each:
-        if run is base[1]:
-            continue
-        delta = abs(slope - base[2]) / abs(base[2])
-        spread = float(np.hypot(sd, slope / base[2] * base[3])) / abs(base[2])
-        decision = f"the {base[0]:.3g} g line applies" if delta <= threshold else f"{level:.3g} g needs its own line"
+    for name, raw in (("delta_k", False), ("delta_k_raw", True)):
+        slopes = [each.fitted.slope / (1.0 if raw else each.input) for each in (one, base)]
+        errors = [each.fitted.slope_sd / (1.0 if raw else abs(each.input)) for each in (one, base)]
+        delta = abs(slopes[0] - slopes[1]) / abs(slopes[1])
+        spread = float(np.hypot(errors[0], slopes[0] / slopes[1] * errors[1])) / abs(slopes[1])
+        method = f"{METHOD}: of the raw slopes" if raw else METHOD
         found.append(
             Estimate(
-                f"delta_k[{channel},{run.name}]", f"{run.name}, {base[1].name}", delta * 100, spread * 100, "%",
-                METHOD, decision=f"threshold {threshold * 100:g} %: {decision}",
+                f"{name}[{one.channel.name},{one.run.name}]", f"{one.run.name}, {base.run.name}", delta * 100,
+                spread * 100, "%", method, decision="" if raw else decided(one, base, threshold),
+                uncertainty="type A: residuals of both lines",
             )
         )  # fmt: skip
     return found
+
+
+def within_threshold(one: ThermalLine, base: ThermalLine, threshold: float) -> float:
+    """Return the probability that Δk does not exceed a threshold; NaN where a line has no degrees of freedom."""
+    generator = np.random.default_rng(0)
+    own, reference = one.draws(generator, raw=False), base.draws(generator, raw=False)
+    if not (np.isfinite(own).all() and np.isfinite(reference).all()):
+        return float("nan")
+    return float(np.mean(np.abs(own - reference) <= threshold * np.abs(reference)))
+
+
+def decided(one: ThermalLine, base: ThermalLine, threshold: float) -> str:
+    """Return the decision between the 1 g line and a line of its own."""
+    probability = within_threshold(one, base, threshold)
+    kind = "injected " if base.injected else ""
+    if probability >= _SURE:
+        text = f"the {kind}{base.input:.3g} g line applies"
+    elif probability <= 1 - _SURE:
+        text = f"{one.input:.3g} g needs its own line"
+    else:
+        text = "not decided by these data"
+    chance = "" if np.isnan(probability) else f", P(Δk ≤ {threshold * 100:g} %) = {probability:.2g}"
+    return f"threshold {threshold * 100:g} %: {text}{chance}"

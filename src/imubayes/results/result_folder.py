@@ -55,6 +55,8 @@ def model_text(spec: ModelSpec) -> str:
     document["name"] = spec.name
     if spec.files:
         document["files"] = [Path(file).name for file in spec.files]
+    if spec.delta_k_threshold is not None:
+        document["delta_k_threshold_percent"] = 100 * spec.delta_k_threshold
     effects = tomlkit.aot()
     for effect in spec.effects:
         entry = tomlkit.table()

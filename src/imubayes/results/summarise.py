@@ -104,9 +104,11 @@ def _diagnostics(fit: Fit, place: int) -> dict[str, Any]:
 
 def _derived(fit: Fit) -> tuple[DerivedSummary, ...]:
     lines = []
+    limits = (fit.model.spec.delta_k_threshold, fit.model.campaign.delta_k_threshold, THRESHOLD)
+    limit = 100 * next(each for each in limits if each is not None)
     for place, name in enumerate(fit.derived.names):
         # What the textbook decides by a number without uncertainty: whether the 1 g line may stand for this input.
-        threshold = 100 * THRESHOLD if name.name.startswith("delta_k[") else None
+        threshold = limit if name.name.startswith("delta_k[") else None
         found: dict[str, Any] = {}
         draws = None
         if fit.posterior is not None:

@@ -104,6 +104,11 @@ class Summary(Record):
     notes: tuple[str, ...]
     seconds: Seconds
 
+    @property
+    def delta_k_threshold(self) -> float | None:
+        """The threshold of Δk in percent; None where the fit has no Δk."""
+        return next((each.within.threshold for each in self.derived if each.within is not None), None)
+
     @field_validator("next_runs", mode="before")
     @classmethod
     def _designs(cls, runs: Any) -> Any:
