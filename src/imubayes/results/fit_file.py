@@ -13,7 +13,7 @@ import numpy as np
 
 from imubayes.campaign import load_campaign
 from imubayes.campaign_data import Campaign
-from imubayes.errors import InputError, Issue
+from imubayes.errors import InputError, Issue, input_error
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import data_hash, model_hash
 from imubayes.json_record import Record, finite
