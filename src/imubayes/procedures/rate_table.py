@@ -51,7 +51,7 @@ _DEGREE_PER_HOUR = _DEGREE / 3600
 
 
 @dataclass(frozen=True)
-class Series:
+class RateSeries:
     """One channel in one run.
 
     Attributes
@@ -101,7 +101,7 @@ class Series:
 def rate_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
     """Return k′, F₀, scale factor, bias, nonlinearity and asymmetry per run, and the repeatability over runs."""
     found: list[TextbookResult] = []
-    over: dict[tuple[str, str], list[Series]] = defaultdict(list)
+    over: dict[tuple[str, str], list[RateSeries]] = defaultdict(list)
     for run in runs:
         rate = run.covariates["table_rate"]
         if len(np.unique(rate[rate != 0])) < 2:
@@ -110,7 +110,7 @@ def rate_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
         for channel, output in measured(run, campaign, "gyro"):
             cosine = float(along_table(run, campaign, channel.axes[0])[2])
             if abs(cosine) > _LEAST_COSINE:
-                series = Series(run, channel, rate, output, cosine)
+                series = RateSeries(run, channel, rate, output, cosine)
                 found += [*_line(series), *_bias(series, campaign), *_shape(series)]
                 over[channel.name, str(run.mounting)].append(series)
     for each in over.values():
@@ -118,7 +118,7 @@ def rate_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
     return found
 
 
-def _line(series: Series) -> list[TextbookResult]:
+def _line(series: RateSeries) -> list[TextbookResult]:
     """Return k′, F₀ and the scale factor."""
     channel, run, fitted = series.channel, series.run, series.fitted
     factor, unit = to_si(channel.per), f"{channel.output_unit} per {channel.per}"
@@ -137,7 +137,7 @@ def _line(series: Series) -> list[TextbookResult]:
     ]  # fmt: skip
 
 
-def _bias(series: Series, campaign: Campaign) -> list[TextbookResult]:
+def _bias(series: RateSeries, campaign: Campaign) -> list[TextbookResult]:
     """Return the bias, the Earth rate taken out, and the output at rest, which includes it."""
     run, name = series.run, series.channel.name
     known = mean_input(campaign, series.run, series.channel)
@@ -168,7 +168,7 @@ def _bias(series: Series, campaign: Campaign) -> list[TextbookResult]:
     return found
 
 
-def _shape(series: Series) -> list[TextbookResult]:
+def _shape(series: RateSeries) -> list[TextbookResult]:
     """Return nonlinearity and asymmetry of the scale factor."""
     run, name, values = series.run, series.channel.name, series.corrected
     turning, largest = series.rate[series.turning], float(np.abs(values).max())
@@ -193,7 +193,7 @@ def _shape(series: Series) -> list[TextbookResult]:
     return found
 
 
-def _repeatability(each: Sequence[Series]) -> list[TextbookResult]:
+def _repeatability(each: Sequence[RateSeries]) -> list[TextbookResult]:
     """Return K_r at every temperature, pooled over them, and over all series."""
     found: list[TextbookResult] = []
     name = each[0].channel.name
@@ -220,13 +220,13 @@ def _repeatability(each: Sequence[Series]) -> list[TextbookResult]:
 _WITH = " at all temperatures, the change with temperature included"
 
 
-def _relative(each: Sequence[Series]) -> np.ndarray:
+def _relative(each: Sequence[RateSeries]) -> np.ndarray:
     """Return the relative deviations of the scale factors of series from their mean."""
     k = np.array([series.scale[0] for series in each])
     return k / np.mean(k) - 1
 
 
-def _spread(name: str, each: Sequence[Series], value: float, sd: float, where: str) -> Estimate:
+def _spread(name: str, each: Sequence[RateSeries], value: float, sd: float, where: str) -> Estimate:
     return Estimate(
         name, names_of([series.run for series in each]), value * 1e6, sd * 1e6, "ppm",
         f"{METHOD}: K_r, standard deviation of k over {len(each)} series{where}",
@@ -234,7 +234,7 @@ def _spread(name: str, each: Sequence[Series], value: float, sd: float, where: s
     )  # fmt: skip
 
 
-def _sensitivity(each: Sequence[Series]) -> list[TextbookResult]:
+def _sensitivity(each: Sequence[RateSeries]) -> list[TextbookResult]:
     """Return the temperature sensitivity of the scale factor over series at several temperatures."""
     temperature = np.array([temperature_of(series.run) for series in each])
     if len(each) < 2 or not np.isfinite(temperature).all() or np.ptp(temperature) < _LEAST_RANGE:
