@@ -12,7 +12,7 @@ INSTALL = $(UV) pip install --quiet --compile-bytecode --python $(BIN)/python
 
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: help setup demo test test-fast laws study bench data lock clean
+.PHONY: help setup demo test types tests test-fast laws study bench data lock clean
 .DEFAULT_GOAL := help
 
 help:
@@ -31,11 +31,17 @@ demo: $(READY)
 	$(BIN)/imubayes fit data/trihedral-imu --model models/trihedral-imu.toml --out results/trihedral-imu
 	$(BIN)/imubayes compare results/trihedral-imu
 
+# Types are checked beside the tests: pyright keeps only one core busy.
 test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	@$(MAKE) --no-print-directory -j 2 types tests
+
+types: $(READY)
 	$(BIN)/pyright
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+tests: $(READY)
+	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder
 
 test-fast: $(READY)
 	$(BIN)/pytest -n 2 -m "not slow and not compiled"

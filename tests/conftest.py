@@ -1,5 +1,6 @@
 """Tests run strict: double precision, no silent promotion of rank or type, shapes and types checked at every call."""
 
+import gc
 import os
 from importlib import import_module
 from pathlib import Path
@@ -43,6 +44,9 @@ COMPILED = (
     "study",
 )
 
+# Imports and tracing create millions of objects that stay, and looking for garbage among them takes time.
+gc.set_threshold(100_000)
+
 # What is imported from within a module under the hook is looked for as if it, too, had been compiled under it, and is
 # compiled anew: some 1400 modules, so they come first.
 for package in (
@@ -67,10 +71,14 @@ for package in (
 install_import_hook("imubayes", "strict_types.checked")
 
 
+def _compiled_plainly(config) -> bool:
+    return "not slow" in config.option.markexpr
+
+
 def pytest_configure(config):
-    # Most of what is tested runs once, so that compiling is what takes time.  The long studies, and the commands that
-    # are run as a user would run them, are compiled as a user has them.
-    jax.config.update("jax_disable_most_optimizations", "not slow" in config.option.markexpr)
+    # Most of what is tested runs once, so that compiling is what takes time.  The long studies are compiled as a user
+    # has them.
+    jax.config.update("jax_disable_most_optimizations", _compiled_plainly(config))
     # Two test processes share the cache: an entry that is still being written is compiled again.
     config.addinivalue_line("filterwarnings", "ignore:Error (reading|writing) persistent compilation cache:UserWarning")
     # Aliases of other packages, such as rich's, are still written in the old way.
@@ -79,11 +87,17 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(items):
-    """Heavy tests first, so that none is left over at the end; a file stays with one process, for its fixtures."""
+    """Heavy tests first, so that none is left over at the end; a group stays with one process, for what it shares.
+
+    A group is a file, or several files whose tests fit the same campaign.
+    """
     for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(item.location[0]))
         if _weight(item) < len(COMPILED):
             item.add_marker("compiled")
     items.sort(key=_weight)
+    gc.freeze()
 
 
 def _weight(item) -> int:
@@ -93,6 +107,7 @@ def _weight(item) -> int:
 
 
 @pytest.fixture(scope="session")
-def compile_cache() -> dict[str, str]:
-    """Environment for commands run as a user would: the package from this tree, compiled code kept between tests."""
-    return os.environ | {"PYTHONPATH": str(Path(__file__).parents[1] / "src")}
+def command_environment(pytestconfig) -> dict[str, str]:
+    """Environment of a process of its own: the package from this tree, compiled like the tests and into their cache."""
+    source, plainly = str(Path(__file__).parents[1] / "src"), str(int(_compiled_plainly(pytestconfig)))
+    return os.environ | {"PYTHONPATH": source, "JAX_DISABLE_MOST_OPTIMIZATIONS": plainly}

@@ -6,11 +6,14 @@ Made of records, not of files: these tests are about the floors below the reader
 from dataclasses import replace
 from functools import cache
 
+import jax.numpy as jnp
 import numpy as np
 
 from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table, Tumble
 from imubayes.earth import normal_gravity
+from imubayes.effects.base import Effect
 from imubayes.model.bind import Model, bind
+from imubayes.model.effect_registry import Registry
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
 
@@ -250,6 +253,40 @@ def simulated(model: Model, z: np.ndarray, seed: int) -> Campaign:
         if not closing:
             runs[run].observed[row, channel] = value + noise[channel] / np.sqrt(samples) * rng.standard_normal()
     return replace(model.campaign, runs=tuple(runs))
+
+
+@cache
+def whole_catalogue() -> Model:
+    """Return all effects that the wide campaign can show in one model, compiled once for the tests of each of them."""
+    elsewhere = {"reference", "driven", "directions"}
+    effects = [one for one in Registry().effects.values() if issubclass(one, Effect) and not one.nuisance]
+    return bind(spec(*(one.name for one in effects if not elsewhere & set(one.needs))), wide_campaign())
+
+
+@cache
+def at_null() -> np.ndarray:
+    """Return z of all effects on the wide campaign at their nulls, shapes at the middle of their priors."""
+    one = whole_catalogue()
+    declared = {effect.name: effect.declared for effect in one.assembly.effects}
+    truth = np.array([float(p.prior.value(jnp.asarray(0.0))) / p.factor for p in one.layout.parameters])
+    for place, parameter in enumerate(one.layout.parameters):
+        if not declared[parameter.name.partition(".")[0]][parameter.field].shape:
+            truth[place] = 1e-12 if truth[place] else 0.0
+    return one.layout.z_of(truth)
+
+
+def predicted_with(name: str, label: str, **values: float) -> np.ndarray:
+    """Return what every entry of the wide campaign reads with one effect at work on what is labelled, output units.
+
+    All others are in the model, at their nulls.  What is not given is at the middle of its prior.
+    """
+    one, z = whole_catalogue(), at_null().copy()
+    for place, parameter in enumerate(one.layout.parameters):
+        if parameter.name.startswith(f"{name}.") and parameter.label in ((label,), ("head",), ("rate",), ("all",)):
+            z[place] = (
+                parameter.prior.z(values[parameter.field] * parameter.factor) if parameter.field in values else 0.0
+            )
+    return np.asarray(predict(one.problem, jnp.asarray(z)))
 
 
 @cache

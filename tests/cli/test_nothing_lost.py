@@ -10,6 +10,8 @@ import pytest
 from imubayes.cli.main import run
 from imubayes.inference.checkpoint import steps_in
 
+pytestmark = pytest.mark.xdist_group("accel-channel")
+
 ROOT = Path(__file__).parents[2]
 CAMPAIGN, MODEL = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml"
 PARTS = ("error: ", "  where:   ", "  do:      ")
@@ -56,7 +58,7 @@ def begun(folder: Path, steps: int) -> Path:
 
 
 def with_own_effect(folder: Path, returned: str) -> Path:
-    """The model with an effect of the user's own beside it."""
+    """A small model with an effect of the user's own, whose file is beside it."""
     (folder / "mine.py").write_text(
         "import jax.numpy as jnp\n"
         "from imubayes import Order, Scalar, SignalEffect, Stage, parameter\n\n\n"
@@ -68,9 +70,8 @@ def with_own_effect(folder: Path, returned: str) -> Path:
         "    def apply(self, signal, sample):\n"
         f"        return {returned}\n"
     )
-    first, effects = MODEL.read_text().split("[[effect]]", 1)
-    own = f'{first}files = ["mine.py"]\n[[effect]]{effects}\n[[effect]]\nname = "mine"\n'
-    (folder / "model.toml").write_text(own)
+    effects = "".join(f'\n[[effect]]\nname = "{name}"\n' for name in ("accel_bias", "mine", "white_noise"))
+    (folder / "model.toml").write_text(f'format = 1\nname = "own"\nfiles = ["mine.py"]\n{effects}')
     return folder / "model.toml"
 
 

@@ -3,6 +3,7 @@ member that breaks it."""
 
 import re
 from collections.abc import Callable
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -105,13 +106,21 @@ def record(seed: int, **fixed: float) -> Records:
 
 def acted(member: type, values: dict, *state):
     """Return what the effect makes of its first argument."""
-    effect = instance(member, values)
     if not issubclass(member, RecordEffect):
-        return effect.apply(*state)
-    signal, samples, before = state
-    columns = {field: jnp.asarray(value, dtype=float).reshape(1, 1) for field, value in values.items()}
-    memory = member.memories(lambda chosen: member(**chosen), columns, before)[:, 0]
-    return jax.vmap(effect.apply)(signal, samples, memory)
+        return instance(member, values).apply(*state)
+    return _over_a_record(member)({field: jnp.asarray(value, dtype=float) for field, value in values.items()}, *state)
+
+
+@cache
+def _over_a_record(member: type) -> Callable:
+    """Return `acted` of an effect with a memory, compiled: its scan over the record would be compiled at every call."""
+
+    def act(values, signal, samples, before):
+        columns = {field: value.reshape(1, 1) for field, value in values.items()}
+        memory = member.memories(lambda chosen: member(**chosen), columns, before)[:, 0]
+        return jax.vmap(instance(member, values).apply)(signal, samples, memory)
+
+    return jax.jit(act)
 
 
 def moved(member: type, values: dict, state: tuple) -> list[np.ndarray]:
@@ -183,12 +192,16 @@ def gradients_are_finite(member: type) -> None:
     def total(values, first, rest):
         return sum(jnp.sum(leaf * leaf) for leaf in jax.tree.leaves(acted(member, values, first, *rest)))
 
-    derivatives = jax.jit(lambda *at: (jax.grad(total, argnums=(0, 1))(*at), jax.hessian(total)(*at)))
+    def both(values, first, rest):
+        gradient = jax.grad(total, argnums=(0, 1))(values, first, rest)
+        return gradient[0], gradient
+
+    derivatives = jax.jit(jax.jacfwd(both, has_aux=True))
     for seed in range(6):
         values = null_values(member) if seed == 0 else drawn_values(member, seed)
         values = {field: jnp.asarray(value, dtype=float) for field, value in values.items()}
         first, *rest = states(member, seed, still=seed == 1)
-        gradient, second = derivatives(values, first, rest)
+        second, gradient = derivatives(values, first, rest)
         for leaf in jax.tree.leaves(gradient):
             assert np.all(np.isfinite(leaf)), f"{member.name}: gradient {leaf}"
         for leaf in jax.tree.leaves(second):

@@ -31,8 +31,15 @@ class Recovered:
     """How far off the fit was, in posterior standard deviations, and these in units of the prior's."""
 
     converged: bool
+    names: tuple[str, ...]
     scores: np.ndarray
     deviations: np.ndarray
+
+    def of(self, effect: str) -> "Recovered":
+        """Return what was found of one effect."""
+        own = [place for place, name in enumerate(self.names) if name.startswith(f"{effect}.")]
+        names = tuple(self.names[place] for place in own)
+        return Recovered(self.converged, names, self.scores[own], self.deviations[own])
 
 
 def declared_alone(member: type, registry: Registry | None = None) -> Model:
@@ -55,14 +62,18 @@ def shown_by(member: type) -> Campaign:
     return campaign() if plain else wide_campaign()
 
 
-def recover(member: type, registry: Registry | None = None, seed: int = 5) -> Recovered:
-    model = declared_alone(member, registry)
+def recover(member: type, registry: Registry | None = None) -> Recovered:
+    return recovered(declared_alone(member, registry), registry)
+
+
+def recovered(model: Model, registry: Registry | None = None, seed: int = 5) -> Recovered:
     size, hypers = model.problem.size
     truth = np.clip(np.random.default_rng(seed).normal(size=size), -2, 2)
     again = bind(model.spec, simulated(model, truth, seed), registry)
     mode = find_mode(again.problem, jnp.zeros(size), jnp.zeros(hypers))
     deviations = standard_deviations(again, mode)
-    return Recovered(bool(mode.converged), (np.asarray(mode.z) - truth) / deviations, deviations)
+    scores = (np.asarray(mode.z) - truth) / deviations
+    return Recovered(bool(mode.converged), again.layout.names, scores, deviations)
 
 
 def standard_deviations(model: Model, mode) -> np.ndarray:

@@ -19,6 +19,7 @@ from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.problem import predict
 from imubayes.noise.base import Noise
 from imubayes.parameters.parameter_declarations import declared_options, declared_parameters, named_in
+from small_campaign import spec, whole_catalogue, wide_campaign
 
 MEMBERS = Registry().effects
 EFFECTS = {name: member for name, member in MEMBERS.items() if issubclass(member, Effect)}
@@ -47,22 +48,31 @@ def test_law_of_noise(name, law):
     law(NOISES[name])
 
 
-# One of every base, stage and kind at every run of the tests; the others, which are built alike, by `make study`.
-RECOVERED = {
+# One of every base, stage and kind at every run of the tests, in one model; each effect alone by `make study`.
+RECOVERED = (
     "table_axis_tilt", "table_wobble", "lever_arm", "gyro_scale_asymmetry", "gyro_thermal_lag", "accel_misalignment",
     "accel_warm_up", "converter_gain_drift",
-}  # fmt: skip
+)  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "name", [name if name in RECOVERED else pytest.param(name, marks=pytest.mark.slow) for name in EFFECTS]
-)
-def test_simulate_recover(name):
+@pytest.fixture(scope="module")
+def together_recovered() -> recover.Recovered:
+    return recover.recovered(bind(spec(*RECOVERED), wide_campaign()))
+
+
+@pytest.mark.parametrize("name", RECOVERED)
+def test_simulate_recover(together_recovered, name):
+    recover.is_recovered(together_recovered.of(name))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EFFECTS)
+def test_simulate_recover_alone(name):
     recover.is_recovered(recover.recover(EFFECTS[name]))
 
 
 def test_the_recovered_exist():
-    assert set(EFFECTS) >= RECOVERED
+    assert set(EFFECTS) >= set(RECOVERED)
 
 
 GATED = [n for n, m in EFFECTS.items() if {*ambient_names(), "injection", "reference", "driven"} & set(m.needs)]
@@ -70,9 +80,11 @@ GATED = [n for n, m in EFFECTS.items() if {*ambient_names(), "injection", "refer
 
 @pytest.mark.parametrize("name", GATED)
 def test_nothing_reaches_a_run_that_lacks_what_is_needed(name):
-    model = recover.declared_alone(EFFECTS[name])
-    size = model.problem.size[0]
-    here, there = (np.asarray(predict(model.problem, jnp.full(size, z))) for z in (0.3, -0.5))
+    model = whole_catalogue()
+    if name not in {effect.name for effect in model.assembly.effects}:
+        model = recover.declared_alone(EFFECTS[name])
+    own = np.array([parameter.name.startswith(f"{name}.") for parameter in model.layout.parameters])
+    here, there = (np.asarray(predict(model.problem, jnp.asarray(z * own))) for z in (0.3, -0.5))
     change = there - here
     needed = set(EFFECTS[name].needs) & {*ambient_names(), "injection", "reference", "driven"}
     lacking = [i for i, supplied in enumerate(model.nodes.supplies) if not needed <= supplied]

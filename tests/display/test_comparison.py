@@ -111,8 +111,8 @@ def test_what_an_earlier_comparison_drew_goes_and_the_rest_stays(single: Path):
     assert not any(name.endswith(".part") for name in names)
 
 
-def test_chosen_parameters(trihedral: Path, tmp_path: Path):
-    folder = Path(shutil.copytree(trihedral, tmp_path / "copy", ignore=shutil.ignore_patterns("figures")))
+def test_chosen_parameters(tmp_path: Path):
+    folder = made.trihedral_folder(tmp_path / "sampled", temperatures=(25,), channels=("gx",))
     assert "corner.png" in {path.name for path in compare(folder, ["gyro_bias.bias[gx]", "accel_bias.bias"]).pictures}
     with pytest.raises(InputError) as caught:
         compare(folder, ["gyro_bias.bais[gx]", "humidity"])

@@ -10,8 +10,11 @@ import h5py
 import numpy as np
 import pytest
 
+from imubayes.api import Settings, fit
 from imubayes.errors import InputError
 from imubayes.inference.checkpoint import Checkpoint
+
+pytestmark = pytest.mark.xdist_group("accel-channel")
 
 ROOT = Path(__file__).parents[2]
 STEPS = 60
@@ -24,14 +27,17 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 import imubayes
 imubayes.fit(
-    "data/accel-channel", "models/accel-channel.toml", sys.argv[1], seed=3, resume=sys.argv[2] == "resume",
-    settings=imubayes.Settings(least_steps=int(sys.argv[4]), most_steps=int(sys.argv[4])),
+    "data/accel-channel", "models/accel-channel.toml", sys.argv[1], seed=3,
+    settings=imubayes.Settings(least_steps=int(sys.argv[2]), most_steps=int(sys.argv[2])),
 )
 """
 
 
-def command(out: Path, resume: bool, cache: Path) -> list[str]:
-    return [sys.executable, "-c", SCRIPT, str(out), "resume" if resume else "new", str(cache), str(STEPS)]
+def fitted(out: Path, resume: bool = False) -> None:
+    """The same fit as that of the script, in this process."""
+    settings = Settings(least_steps=STEPS, most_steps=STEPS)
+    paths = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml", out
+    fit(*paths, seed=3, resume=resume, settings=settings)
 
 
 def chain(folder: Path) -> np.ndarray:
@@ -47,18 +53,19 @@ def steps_done(folder: Path) -> int:
         return 0
 
 
-def test_killed_and_resumed_is_the_same_chain(tmp_path, compile_cache):
-    cache, environment = Path(compile_cache["XDG_CACHE_HOME"]) / "imubayes" / "compiled", compile_cache
+def test_killed_and_resumed_is_the_same_chain(tmp_path, command_environment):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    subprocess.run(command(whole, False, cache), cwd=ROOT, env=environment, check=True)
-    process = subprocess.Popen(command(killed, False, cache), cwd=ROOT, env=environment)
+    fitted(whole)
+    cache = Path(command_environment["XDG_CACHE_HOME"]) / "imubayes" / "compiled"
+    words = [sys.executable, "-c", SCRIPT, str(killed), str(STEPS), str(cache)]
+    process = subprocess.Popen(words, cwd=ROOT, env=command_environment)
     while not 0 < steps_done(killed) < STEPS and process.poll() is None:
         time.sleep(0.002)
     process.send_signal(signal.SIGKILL)
     process.wait()
     done = steps_done(killed)
     assert 0 < done < STEPS, "the kill came too late to mean anything"
-    subprocess.run(command(killed, True, cache), cwd=ROOT, env=environment, check=True)
+    fitted(killed, resume=True)
     np.testing.assert_array_equal(chain(killed), chain(whole))
     assert len(np.unique(chain(whole)[:, -1])) > 1000
 

@@ -1,15 +1,20 @@
 """What effects of the catalogue make of a recorded row, against kinematics and formulas of plain NumPy."""
 
-from functools import cache
-
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imubayes.model.bind import Model, bind
-from imubayes.model.problem import predict
-from small_campaign import ACCEL_SCALE, ARCSEC, DEGREE, GRAVITY, GYRO_SCALE, LATITUDE, spec, wide_campaign
+from small_campaign import (
+    ACCEL_SCALE,
+    ARCSEC,
+    DEGREE,
+    GRAVITY,
+    GYRO_SCALE,
+    LATITUDE,
+    predicted_with,
+    whole_catalogue,
+    wide_campaign,
+)
 
 EARTH = 15.041067 * DEGREE / 3600
 HOUR = DEGREE / 3600
@@ -18,25 +23,14 @@ UP = EARTH * np.sin(LATITUDE)
 UG = 1e-6 * GRAVITY
 
 
-@cache
-def model(name: str) -> Model:
-    return bind(spec(name), wide_campaign())
-
-
 def outputs(name: str, run: str, channel: str, **values: float) -> np.ndarray:
     """Return what a channel reads in each row of a run, in SI; values are of the table's or the channel's own."""
-    one = model(name)
-    truth = np.array([float(p.prior.value(jnp.asarray(0.0))) / p.factor for p in one.layout.parameters])
-    for place, parameter in enumerate(one.layout.parameters):
-        if parameter.label in ((channel,), ("head",), ("rate",), ("all",)):
-            truth[place] = values.get(parameter.field, truth[place])
-        elif not one.assembly.effects[0].declared[parameter.field].shape:
-            truth[place] = 1e-12 if truth[place] else 0.0
-    predicted = np.asarray(predict(one.problem, jnp.asarray(one.layout.z_of(truth))))
+    one = whole_catalogue()
+    found = predicted_with(name, channel, **values)
     runs, channels = [r.name for r in one.campaign.runs], [c.name for c in one.campaign.channels]
     chosen = (one.entries.run == runs.index(run)) & (one.entries.channel == channels.index(channel))
     offset = one.campaign.channels[channels.index(channel)].offset
-    return (predicted[chosen] - offset) / (GYRO_SCALE if channel[0] == "g" else ACCEL_SCALE)
+    return (found[chosen] - offset) / (GYRO_SCALE if channel[0] == "g" else ACCEL_SCALE)
 
 
 def local_to_body(angle: np.ndarray, wobble: np.ndarray, mounting: np.ndarray) -> Rotation:
@@ -93,13 +87,11 @@ def test_a_wobble_turns_the_axis():
 def test_a_wobble_that_goes_round_with_the_table_is_a_mounting_error():
     given = {"x_cos_1": 30.0, "y_sin_1": 30.0, "x_sin_1": 0.0, "y_cos_1": 0.0}
     wobbled = outputs("table_wobble", "head-flat-20", "az", **given)
-    seated = model("mounting_error")
-    truth = np.zeros(len(seated.layout))
-    truth[seated.layout.index("mounting_error.x[flat]")] = 30.0
-    predicted = np.asarray(predict(seated.problem, jnp.asarray(seated.layout.z_of(truth)))) / ACCEL_SCALE
-    names = [r.name for r in seated.campaign.runs]
-    chosen = (seated.entries.run == names.index("head-flat-20")) & (seated.entries.channel == 5)
-    np.testing.assert_allclose(wobbled, predicted[chosen], atol=1e-6 * UG)
+    seated = predicted_with("mounting_error", "flat", x=30.0) / ACCEL_SCALE
+    entries = whole_catalogue().entries
+    names = [r.name for r in wide_campaign().runs]
+    chosen = (entries.run == names.index("head-flat-20")) & (entries.channel == 5)
+    np.testing.assert_allclose(wobbled, seated[chosen], atol=1e-6 * UG)
 
 
 def test_a_time_skew_turns_the_table_on():

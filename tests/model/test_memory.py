@@ -7,30 +7,26 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from imubayes.campaign_data import Campaign
 from imubayes.effects.memory import Decay, Play, inclusive_scan
 from imubayes.model.bind import Model, bind
 from imubayes.model.problem import predict
 from imubayes.procedures.ambient import rate_of_change
-from small_campaign import DEGREE, GYRO_SCALE, spec, tumble_campaign, wide_campaign
+from small_campaign import DEGREE, GYRO_SCALE, predicted_with, spec, tumble_campaign, whole_catalogue, wide_campaign
 
 HOUR_DEGREE = DEGREE / 3600
 
 
-@cache
-def model(name: str) -> Model:
-    return bind(spec(name), wide_campaign())
-
-
 def change(name: str, run: str, channel: str, one: Model | None = None, **values: float) -> np.ndarray:
-    """Return what an effect adds to a gyro in each row of a run, deg/h."""
-    one = one or model(name)
-    still = np.array([p.prior.value(jnp.asarray(0.0)) / p.factor for p in one.layout.parameters])
-    moved = still.copy()
-    for place, parameter in enumerate(one.layout.parameters):
-        if parameter.label == (channel,):
-            moved[place] = values[parameter.field]
-    there, here = (predict(one.problem, jnp.asarray(one.layout.z_of(one_of))) for one_of in (moved, still))
+    """Return what an effect adds to a gyro in each row of a run, deg/h; among all effects unless a model is given."""
+    if one is None:
+        one = whole_catalogue()
+        there, here = predicted_with(name, channel, **values), predicted_with(name, "")
+    else:
+        moved = np.zeros(len(one.layout))
+        for place, parameter in enumerate(one.layout.parameters):
+            if parameter.name.startswith(f"{name}.") and parameter.label == (channel,):
+                moved[place] = parameter.prior.z(values[parameter.field] * parameter.factor)
+        there, here = (predict(one.problem, jnp.asarray(z)) for z in (moved, 0.0 * moved))
     names, channels = [r.name for r in one.campaign.runs], [c.name for c in one.campaign.channels]
     chosen = (one.entries.run == names.index(run)) & (one.entries.channel == channels.index(channel))
     return np.asarray(there - here)[chosen] / GYRO_SCALE / HOUR_DEGREE
@@ -72,36 +68,37 @@ def test_hysteresis_is_dragged_between_two_stops(run):
     assert min(found) == pytest.approx(-2.0)
 
 
-def with_a_converter_of_its_own() -> Campaign:
-    """Return the campaign where the converter of one run takes a course apart from the sensor's."""
+@cache
+def with_a_converter_of_its_own() -> Model:
+    """Return a model of a campaign where the converter of one run takes a course apart from the sensor's."""
     among = wide_campaign()
     place = [run.name for run in among.runs].index("cycle-fast")
     run = among.runs[place]
     course = 30 + 15 * np.sin(np.arange(16) / 2)
     other = replace(run, covariates=dict(run.covariates) | {"converter_temperature": course})
-    return replace(among, runs=(*among.runs[:place], other, *among.runs[place + 1 :]))
+    among = replace(among, runs=(*among.runs[:place], other, *among.runs[place + 1 :]))
+    return bind(spec("converter_offset_lag", "converter_gain_hysteresis", "gyro_scale_factor"), among)
 
 
 def test_the_memory_of_a_converter_is_of_its_own_temperature():
-    among = with_a_converter_of_its_own()
-    run = next(one for one in among.runs if one.name == "cycle-fast")
+    one = with_a_converter_of_its_own()
+    run = next(one for one in one.campaign.runs if one.name == "cycle-fast")
     time, course = run.covariates["time"], run.covariates["converter_temperature"]
-    one = bind(spec("converter_offset_lag"), among)
-    found = change("", "cycle-fast", "gy", one, coefficient=0.02, tau=12.0) * GYRO_SCALE * HOUR_DEGREE
+    found = (
+        change("converter_offset_lag", "cycle-fast", "gy", one, coefficient=0.02, tau=12.0) * GYRO_SCALE * HOUR_DEGREE
+    )
     np.testing.assert_allclose(found, 0.02 * (lagged(time, course, 720.0) - course), atol=2e-5)
 
 
 def test_hysteresis_of_a_converters_gain_multiplies_its_input():
-    among = with_a_converter_of_its_own()
-    run = next(one for one in among.runs if one.name == "cycle-fast")
+    one = with_a_converter_of_its_own()
+    run = next(one for one in one.campaign.runs if one.name == "cycle-fast")
     middle, place = run.covariates["converter_temperature"][0], []
     for now in run.covariates["converter_temperature"]:
         middle = min(max(middle, now - 4.0), now + 4.0)
         place.append((now - middle) / 4.0)
-    one = bind(spec("converter_gain_hysteresis"), among)
-    found = change("", "cycle-fast", "gy", one, half_width=50.0, play=4.0)
-    nominal = bind(spec("gyro_scale_factor"), among)
-    earth = change("", "cycle-fast", "gy", nominal, scale=1e6)
+    found = change("converter_gain_hysteresis", "cycle-fast", "gy", one, half_width=50.0, play=4.0)
+    earth = change("gyro_scale_factor", "cycle-fast", "gy", one, scale=1e6)
     np.testing.assert_allclose(found, 50e-6 * earth * np.array(place), rtol=1e-9, atol=1e-9)
 
 
@@ -111,14 +108,14 @@ def test_memory_does_not_hang_on_the_order_of_rows():
     run, mixed = among.runs[place], np.random.default_rng(1).permutation(16)
     other = replace(run, covariates={name: values[mixed] for name, values in run.covariates.items()})
     shuffled = bind(spec("gyro_thermal_lag"), replace(among, runs=(*among.runs[:place], other)))
-    found = change("", "cycle-fast", "gy", shuffled, coefficient=3.0, tau=12.0)
+    found = change("gyro_thermal_lag", "cycle-fast", "gy", shuffled, coefficient=3.0, tau=12.0)
     plain = change("gyro_thermal_lag", "cycle-fast", "gy", coefficient=3.0, tau=12.0)
     np.testing.assert_allclose(found, plain[mixed], atol=1e-9)
 
 
 def test_a_run_does_not_remember_the_one_before():
     alone = bind(spec("gyro_thermal_lag"), wide_campaign().only("cycle-slow"))
-    found = change("", "cycle-slow", "gy", alone, coefficient=3.0, tau=12.0)
+    found = change("gyro_thermal_lag", "cycle-slow", "gy", alone, coefficient=3.0, tau=12.0)
     np.testing.assert_allclose(
         found, change("gyro_thermal_lag", "cycle-slow", "gy", coefficient=3.0, tau=12.0), atol=1e-9
     )

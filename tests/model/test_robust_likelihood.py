@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +22,9 @@ from imubayes.model.robust_likelihood import pseudo_values, run_offsets, with_no
 from imubayes.simulation.simulate import simulate
 from small_campaign import campaign, simulated, spec
 
+# One program instead of a hundred operations that are each compiled by themselves.
+density, known = eqx.filter_jit(log_density), eqx.filter_jit(knowledge)
+law = eqx.filter_jit(entry_log_likelihood)
 EFFECTS = ("gyro_bias", "gyro_scale_factor", "accel_bias", "accel_scale_factor", "mounting_error")
 
 
@@ -84,8 +88,8 @@ def test_without_offsets_the_density_is_that_of_scipy():
     misfit, scale, degrees = scaled_laws(model, z, h)
     expected = stats.t(degrees, scale=scale).logpdf(misfit)
     prior = stats.norm.logpdf(np.concatenate([z, h])).sum()
-    assert float(log_density(model.problem, z, h)) == pytest.approx(expected.sum() + prior, rel=1e-10)
-    np.testing.assert_allclose(entry_log_likelihood(model.problem, jnp.asarray(misfit), h).entry, expected, rtol=1e-8)
+    assert float(density(model.problem, z, h)) == pytest.approx(expected.sum() + prior, rel=1e-10)
+    np.testing.assert_allclose(law(model.problem, jnp.asarray(misfit), h).entry, expected, rtol=1e-8)
 
 
 def test_offsets_of_runs_are_integrated_out():
@@ -94,7 +98,7 @@ def test_offsets_of_runs_are_integrated_out():
     z, h = at.z, at.h
     misfit, scale, degrees = scaled_laws(model, z, h)
     spread = of_entries(model, h, "run_scatter.tau")
-    found = np.asarray(entry_log_likelihood(model.problem, jnp.asarray(misfit), h).group)
+    found = np.asarray(law(model.problem, jnp.asarray(misfit), h).group)
     left = []
     for group, mine in enumerate(found):
         own = np.flatnonzero(np.asarray(model.problem.observations.group) == group)
@@ -107,15 +111,15 @@ def test_offsets_of_runs_are_integrated_out():
     assert np.sqrt(np.mean(np.square(left))) < 0.1
     assert np.max(np.abs(left)) < 0.4
     prior = stats.norm.logpdf(np.concatenate([z, h])).sum()
-    assert float(log_density(model.problem, z, h)) == pytest.approx(found.sum() + prior, rel=1e-10)
+    assert float(density(model.problem, z, h)) == pytest.approx(found.sum() + prior, rel=1e-10)
 
 
 @pytest.mark.parametrize("noise", [("white_noise", "outliers"), ("white_noise", "run_scatter", "outliers")])
 def test_pseudo_values_have_the_slope_of_the_density(noise):
     model = spoilt(noise)
     z, h = point(model, 5)
-    found = knowledge(model.problem, linearise(model.problem, z), h)
-    slope = jax.grad(lambda one: -0.5 * jnp.sum(residuals(model.problem, one, h) ** 2))(z)
+    found = known(model.problem, linearise(model.problem, z), h)
+    slope = jax.jit(jax.grad(lambda one: -0.5 * jnp.sum(residuals(model.problem, one, h) ** 2)))(z)
     np.testing.assert_allclose(found.gradient - z, slope, rtol=1e-6, atol=1e-6 * float(jnp.abs(slope).max()))
 
 
@@ -124,7 +128,7 @@ def test_the_marginal_of_the_noise_has_the_derivatives_it_states():
     h, step = at.h + 0.1, 1e-4
     marginal = jax.jit(lambda one: log_marginal(model.problem, at.about, one))
     ahead = [(marginal(h + step * seed) - marginal(h - step * seed)) / (2 * step) for seed in jnp.eye(len(h))]
-    np.testing.assert_allclose(jax.grad(marginal)(h), ahead, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(jax.jit(jax.grad(marginal))(h), ahead, rtol=1e-4, atol=1e-4)
 
 
 def test_what_is_whitened_scatters_by_one_under_its_own_law():
@@ -147,11 +151,11 @@ def test_many_degrees_of_freedom_are_a_normal_law():
     normal = with_normal_noise(model.problem)
     whole = jnp.concatenate([h, jnp.zeros(6)])
     constant = stats.norm.logpdf(np.zeros(6)).sum()
-    expected = float(log_density(plain.problem, z, h))
-    assert float(log_density(normal, z, whole)) == pytest.approx(expected + constant, rel=1e-12)
+    expected = float(density(plain.problem, z, h))
+    assert float(density(normal, z, whole)) == pytest.approx(expected + constant, rel=1e-12)
     # z of 15 in a log-normal prior of 0.8 is some millions of degrees of freedom.
     far = jnp.concatenate([h, jnp.full(6, 15.0)])
-    assert float(log_density(model.problem, z, far)) == pytest.approx(expected + constant - 3 * 15.0**2, abs=0.05)
+    assert float(density(model.problem, z, far)) == pytest.approx(expected + constant - 3 * 15.0**2, abs=0.05)
 
 
 def test_readings_that_are_far_off_pull_on_nothing():
@@ -162,7 +166,7 @@ def test_readings_that_are_far_off_pull_on_nothing():
     truth = 0.3 * np.random.default_rng(1).normal(size=size)
 
     def deviations(problem, mode: Mode) -> np.ndarray:
-        precision = knowledge(problem, mode.about, mode.h).precision + jnp.eye(size)
+        precision = known(problem, mode.about, mode.h).precision + jnp.eye(size)
         return np.sqrt(np.diag(np.linalg.inv(precision)))
 
     sd = deviations(model.problem, heavy)
@@ -174,13 +178,15 @@ def test_readings_that_are_far_off_pull_on_nothing():
 def test_an_offset_is_not_dragged_along_by_one_reading():
     model = spoilt(WITH_OFFSETS)
     _, h = point(model, 5)
-    law = noise_distribution(model.problem, h)
+    noise = noise_distribution(model.problem, h)
     misfit = np.zeros(len(model.entries))
     offsets = []
     for far in (0.0, 30.0, 3000.0):
-        misfit[0] = far * float(jnp.sqrt(law.squared_scale[0]))
-        offsets.append(float(run_offsets(model.problem, law, jnp.asarray(misfit))[model.problem.observations.group[0]]))
-    scale = float(jnp.sqrt(law.squared_scale[0]))
+        misfit[0] = far * float(jnp.sqrt(noise.squared_scale[0]))
+        offsets.append(
+            float(run_offsets(model.problem, noise, jnp.asarray(misfit))[model.problem.observations.group[0]])
+        )
+    scale = float(jnp.sqrt(noise.squared_scale[0]))
     assert offsets[0] == pytest.approx(0.0, abs=1e-12)
     assert abs(offsets[1]) < 0.3 * scale
     assert abs(offsets[2]) < abs(offsets[1])

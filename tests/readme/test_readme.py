@@ -1,5 +1,6 @@
 """The README does what it says: its commands run as written, its effect is fitted, its pictures are there."""
 
+import json
 import re
 import shlex
 import subprocess
@@ -8,6 +9,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
+
+from imubayes.cli.main import run
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "README.md").read_text()
@@ -26,24 +29,39 @@ def test_there_are_commands():
 
 # What takes long is run by `make study`: the fit of a whole qualification compiles for a minute.
 LONG = ("Procedures",)
+# Other tests fit the same campaigns: they share one process with those here.
+GROUPS = {"The main job": "trihedral-imu", "The loop": "hidden campaigns"}
 
 
-@pytest.mark.parametrize(
-    "heading", [pytest.param(one, marks=pytest.mark.slow) if one in LONG else one for one in COMMANDS]
-)
-def test_commands_run_as_written(heading, tmp_path, compile_cache):
-    """Those of a section, in order, in a folder that looks like the repository."""
-    told: list[str] = []
+def section(heading: str):
+    """Return the section as a parameter, marked as slow or with its group."""
+    if heading in LONG:
+        return pytest.param(heading, marks=pytest.mark.slow)
+    group = next((name for start, name in GROUPS.items() if heading.startswith(start)), heading)
+    return pytest.param(heading, marks=pytest.mark.xdist_group(group))
+
+
+@pytest.fixture
+def like_the_repository(tmp_path, monkeypatch) -> Path:
+    """A working directory with the repository's data and models, for what is written relative to it."""
     for name in ("data", "models"):
         (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("heading", [section(heading) for heading in COMMANDS])
+def test_commands_run_as_written(heading, like_the_repository, capsys):
+    """Those of a section, in order, in a folder that looks like the repository."""
+    told: list[str] = []
     for command in COMMANDS[heading]:
-        words = [sys.executable, "-m", "imubayes.cli.main", *shlex.split(command)[1:]]
-        done = subprocess.run(words, cwd=tmp_path, env=compile_cache, capture_output=True, text=True)
-        assert done.returncode == 0, f"{command}\n{done.stderr}"
+        status = run(shlex.split(command)[1:])
+        said = capsys.readouterr()
+        assert status == 0, f"{command}\n{said.err}"
         if command.startswith("imubayes diagnose"):
-            told.append(re.sub(r"\s+", " ", done.stdout))
+            told.append(re.sub(r"\s+", " ", said.out))
         if "--out" in command:
-            out = tmp_path / command.split("--out ")[1].split()[0]
+            out = Path(command.split("--out ")[1].split()[0])
             assert out.is_file() if out.suffix else (out / "summary.json").is_file()
     if told:
         # What the README shows is what the command prints.
@@ -52,7 +70,16 @@ def test_commands_run_as_written(heading, tmp_path, compile_cache):
         for line in shown[1].splitlines():
             assert re.sub(r"\s+", " ", line.strip()) in told[0]
         assert "The model explains the data" in told[1]
-        assert (tmp_path / "results" / "history.html").is_file()
+        assert Path("results", "history.html").is_file()
+
+
+def test_a_command_runs_in_a_process_of_its_own(like_the_repository, command_environment):
+    """As a user starts it; the others run in this process, which is spared the start."""
+    command = next(one for commands in COMMANDS.values() for one in commands if one.startswith("imubayes check"))
+    words = [sys.executable, "-m", "imubayes.cli.main", *shlex.split(command)[1:]]
+    done = subprocess.run(words, env=command_environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "trihedral-imu" in done.stdout
 
 
 def test_pictures_are_there():
@@ -60,30 +87,32 @@ def test_pictures_are_there():
         assert (ROOT / name).is_file()
 
 
-def test_python_runs_as_written(compile_cache):
+@pytest.mark.xdist_group("accel-channel")
+def test_python_runs_as_written(like_the_repository, capsys):
     code = next(block for block in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL) if "imubayes.fit" in block)
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=compile_cache, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert "converter_gain_drift" in done.stdout
+    exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
+    assert "converter_gain_drift" in capsys.readouterr().out
 
 
-def test_the_users_effect_is_fitted(tmp_path, compile_cache):
+@pytest.mark.xdist_group("hidden campaigns")
+def test_the_users_effect_is_fitted(tmp_path, capsys):
     """The class of the README, in one file beside the model, is fitted and finds nothing in data without it."""
     code = next(block for block in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL) if "SignalEffect" in block)
     assert len(code.strip().splitlines()) <= 18
     (tmp_path / "my_effect.py").write_text(code)
-    model = (ROOT / "models" / "redundant-imu.toml").read_text()
+    model = (ROOT / "models" / "hidden-effects.toml").read_text()
     name = re.search(r'name = "(gyro_\w+)"', code)
     assert name is not None
     first = model.index("[[effect]]")
     added = f'[[effect]]\nname = "{name[1]}"\n\n'
     mine = tmp_path / "mine.toml"
     mine.write_text(model[:first] + 'files = ["my_effect.py"]\n\n' + added + model[first:])
-    words = ["fit", str(ROOT / "data" / "redundant-imu"), "--model", str(mine), "--out", str(tmp_path / "out")]
-    words = [sys.executable, "-m", "imubayes.cli.main", *words, "--no-sample", "--json-output"]
-    done = subprocess.run(words, cwd=ROOT, env=compile_cache, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert f"{name[1]}.asymmetry[g1]" in done.stdout
+    words = ["fit", str(ROOT / "data" / "hidden-none"), "--model", str(mine), "--out", str(tmp_path / "out")]
+    assert run([*words, "--no-sample", "--json-output"]) == 0
+    found = {one["name"]: one for one in json.loads(capsys.readouterr().out)["parameters"]}
+    for channel in ("gx", "gy", "gz"):
+        asymmetry = found[f"{name[1]}.asymmetry[{channel}]"]
+        assert abs(asymmetry["mean"]) < 4 * asymmetry["sd"]
     assert tomllib.loads((tmp_path / "out" / "model.toml").read_text())["files"] == ["my_effect.py"]
     assert (tmp_path / "out" / "my_effect.py").read_text() == code
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.localised_structure import FeatureScan
@@ -64,5 +64,6 @@ def look_elsewhere(scores: Sequence[ScoreTest], scans: Sequence[FeatureScan] = (
 def _least_p(chi2: np.ndarray, freedom: np.ndarray) -> np.ndarray:
     """Return the smallest p-value of each draw, (draws,), over scores (draws, F) with freedom (F,)."""
     # Among equal degrees of freedom the largest score has the smallest p.
-    each = [stats.chi2.sf(chi2[:, freedom == dof].max(axis=1), dof) for dof in np.unique(freedom[freedom > 0]).tolist()]
+    known = np.unique(freedom[freedom > 0])
+    each = [special.chdtrc(dof, chi2[:, freedom == dof].max(axis=1)) for dof in known]
     return np.min([np.ones(len(chi2)), *each], axis=0)

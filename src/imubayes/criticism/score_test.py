@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy import special, stats
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Coefficient, Response, ShapeScan
@@ -158,7 +158,7 @@ def score_test(
     total, count = float(weighted.sum()), span.shape[1]
     finite = np.where(judged, freedom, 1e9)
     denominator = total**2 / max(float(np.sum(weighted**2 / finite)), _SMALLEST) if total > 0 else 1.0
-    p = float(stats.f.sf(total / count, count, denominator)) if count else 1.0
+    p = float(special.fdtrc(count, denominator, total / count)) if count else 1.0
     # Where the scale is estimated: half the degrees of freedom times the logarithm of what the scatter shrank by.
     shrank = np.log1p(drop / np.where(judged, freedom * variance, 1.0))
     gain = float(np.sum(np.where(judged, freedom * shrank, drop))) / 2
