@@ -78,7 +78,7 @@ def test_missing_values_are_left_out(tmp_path: Path):
 
 
 def test_a_fit_that_failed_is_still_shown(tmp_path: Path):
-    residuals = made.trihedral_residuals(temperatures=(25,))
+    residuals = made.trihedral_residuals(temperatures=(25,), channels=("gx",))
     parameters, derived = made.trihedral_quantities()
     parameters, derived = made.without_estimates(parameters), made.without_estimates(derived)
     more = {"converged": False, "message": "The fit did not converge.", "sampled": False}

@@ -1,5 +1,6 @@
 """Least squares: what is found, what is flagged, and what the covariance keeps."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
@@ -8,6 +9,8 @@ import pytest
 
 from imubayes.inference.least_squares import GramCholesky, covariance, minimise
 
+# One program instead of a hundred operations that are each compiled by themselves.
+solved = eqx.filter_jit(minimise)
 TIME = jnp.linspace(0.0, 4.0, 30)
 
 
@@ -20,7 +23,7 @@ OBSERVED = decay(jnp.array([3.0, 0.8, -1.0]), 0.0)
 
 @pytest.mark.parametrize("solver", [None, GramCholesky(), lx.QR()])
 def test_the_minimum_is_found(solver):
-    found = minimise(decay, jnp.array([1.0, 0.3, 0.0]), OBSERVED, linear_solver=solver)
+    found = solved(decay, jnp.array([1.0, 0.3, 0.0]), OBSERVED, linear_solver=solver)
     assert bool(found.successful)
     np.testing.assert_allclose(found.value, [3.0, 0.8, -1.0], rtol=1e-8)
 
@@ -28,7 +31,7 @@ def test_the_minimum_is_found(solver):
 def test_a_linear_problem_is_solved_to_the_last_digits():
     matrix = np.random.default_rng(1).normal(size=(20, 4)) * np.array([1e-6, 1.0, 1e3, 1e8])
     right = np.random.default_rng(2).normal(size=20)
-    found = minimise(lambda x, _: jnp.asarray(matrix) @ x - right, jnp.zeros(4))
+    found = solved(lambda x, _: jnp.asarray(matrix) @ x - right, jnp.zeros(4))
     assert bool(found.successful)
     sizes = np.linalg.norm(matrix, axis=0)
     np.testing.assert_allclose(found.value, np.linalg.lstsq(matrix / sizes, right, rcond=None)[0] / sizes, rtol=1e-10)
@@ -37,20 +40,20 @@ def test_a_linear_problem_is_solved_to_the_last_digits():
 @pytest.mark.parametrize("units", [1e-12, 1e-6, 1e9])
 def test_units_of_data_and_parameters_do_not_matter(units):
     scales = jnp.array([units, 1 / units, 1.0])
-    plain = minimise(decay, jnp.array([1.0, 0.3, 0.1]), OBSERVED)
-    scaled = minimise(lambda x, o: units * decay(x / scales, o), jnp.array([1.0, 0.3, 0.1]) * scales, OBSERVED)
+    plain = solved(decay, jnp.array([1.0, 0.3, 0.1]), OBSERVED)
+    scaled = solved(lambda x, o: units * decay(x / scales, o), jnp.array([1.0, 0.3, 0.1]) * scales, OBSERVED)
     assert bool(scaled.successful)
     np.testing.assert_allclose(scaled.value / scales, plain.value, rtol=1e-8)
 
 
 def test_a_minimum_at_zero_is_a_minimum():
-    found = minimise(lambda x, _: jnp.stack([x[0], 10 * (x[1] - x[0] ** 2)]), jnp.array([1.0, 3.0]))
+    found = solved(lambda x, _: jnp.stack([x[0], 10 * (x[1] - x[0] ** 2)]), jnp.array([1.0, 3.0]))
     assert bool(found.successful)
     np.testing.assert_allclose(found.value, 0.0, atol=1e-8)
 
 
 def test_a_residual_that_stays_is_no_hindrance():
-    found = minimise(lambda x, _: jnp.array([1.0, -1.0, 5.0]) - x[0] ** 2, jnp.array([3.0]))
+    found = solved(lambda x, _: jnp.array([1.0, -1.0, 5.0]) - x[0] ** 2, jnp.array([3.0]))
     assert bool(found.successful)
     np.testing.assert_allclose(found.value**2, 5 / 3, rtol=1e-9)
 
@@ -65,18 +68,18 @@ def test_a_residual_that_stays_is_no_hindrance():
     ],
 )
 def test_what_has_no_minimum_is_flagged(residual, guess):
-    assert not bool(minimise(residual, jnp.array(guess)).successful)
+    assert not bool(solved(residual, jnp.array(guess)).successful)
 
 
 def test_too_few_steps_are_flagged():
-    assert not bool(minimise(decay, jnp.array([1.0, 3.0, 0.0]), OBSERVED, most_steps=2).successful)
+    assert not bool(solved(decay, jnp.array([1.0, 3.0, 0.0]), OBSERVED, most_steps=2).successful)
 
 
 def test_a_step_into_nowhere_is_taken_back():
     def residual(x, _):
         return jnp.stack([jnp.log(x[0]) - 1.0, 0.1 * (x[0] - jnp.e)])
 
-    found = minimise(residual, jnp.array([20.0]))
+    found = solved(residual, jnp.array([20.0]))
     assert bool(found.successful)
     assert float(found.value[0]) == pytest.approx(np.e, rel=1e-9)
 
@@ -84,7 +87,7 @@ def test_a_step_into_nowhere_is_taken_back():
 def test_many_problems_are_solved_in_one_vmap():
     truths = jnp.array([[3.0, 0.8, -1.0], [1.0, 2.0, 0.5], [-2.0, 0.5, 3.0]])
     observed = jax.vmap(lambda x: decay(x, 0.0))(truths)
-    found = jax.jit(jax.vmap(lambda one: minimise(decay, jnp.array([1.0, 1.0, 0.1]), one)))(observed)
+    found = jax.jit(jax.vmap(lambda one: solved(decay, jnp.array([1.0, 1.0, 0.1]), one)))(observed)
     assert bool(found.successful.all())
     np.testing.assert_allclose(found.value, truths, rtol=1e-7)
 
