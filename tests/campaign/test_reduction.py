@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 
@@ -255,20 +256,18 @@ def test_merged_blocks_find_the_same_spans(monkeypatch: pytest.MonkeyPatch) -> N
         assert abs(a.stop - b.stop) <= 40
 
 
-WRITE_LOG = """
-import sys
-import numpy as np, pyarrow as pa, pyarrow.parquet as pq, pyarrow.csv as pacsv
-file, rows = sys.argv[1], int(sys.argv[2])
-rng = np.random.default_rng(0)
-schema = pa.schema([(n, pa.float64()) for n in ("time_s", "table_rate_deg_s", "gx", "gy", "gz", "ax", "ay", "az")])
-with (pq.ParquetWriter if file.endswith("parquet") else pacsv.CSVWriter)(file, schema) as writer:
-    for start in range(0, rows, 100_000):
-        time = (start + np.arange(100_000)) / 1000.0
-        rate = 10.0 * np.mod(np.floor(time / 50.0), 7) * (np.mod(time, 50.0) > 1.0)
-        noise = np.round(rng.normal(size=(6, len(time))), 3)
-        columns = [time, rate, noise[0], noise[1], 1000 * rate + noise[2], noise[3], noise[4], 20000 + noise[5]]
-        writer.write_table(pa.table([pa.array(c) for c in columns], schema=schema))
-"""
+def write_log(file: Path, rows: int) -> None:
+    rng = np.random.default_rng(0)
+    names = ("time_s", "table_rate_deg_s", "gx", "gy", "gz", "ax", "ay", "az")
+    schema = pa.schema([(name, pa.float64()) for name in names])
+    with (pq.ParquetWriter if file.suffix == ".parquet" else pacsv.CSVWriter)(file, schema) as writer:
+        for start in range(0, rows, 100_000):
+            time = (start + np.arange(100_000)) / 1000.0
+            rate = 10.0 * np.mod(np.floor(time / 50.0), 7) * (np.mod(time, 50.0) > 1.0)
+            noise = np.round(rng.normal(size=(6, len(time))), 3)
+            columns = [time, rate, noise[0], noise[1], 1000 * rate + noise[2], noise[3], noise[4], 20000 + noise[5]]
+            writer.write_table(pa.table([pa.array(column) for column in columns], schema=schema))
+
 
 LOAD_LOG = """
 import resource, sys
@@ -292,7 +291,7 @@ def test_memory_does_not_grow_with_the_log(small: Path, form: str) -> None:
     toml.write_text(head + last)
     grown = []
     for rows in (300_000, 1_500_000):
-        python(WRITE_LOG, str(small / f"runs/raw.{form}"), str(rows))
+        write_log(small / "runs" / f"raw.{form}", rows)
         found, samples, megabytes = map(int, python(LOAD_LOG, str(small)).split())
         assert found == rows // 50_000
         assert samples > 0.8 * rows

@@ -39,7 +39,7 @@ def test_every_family_is_checked():
 @pytest.mark.parametrize("family", CASES)
 def test_quantiles_are_those_of_scipy(family):
     prior, known = CASES[family]
-    found = jax.vmap(prior.value)(jnp.asarray(Z))
+    found = jax.jit(jax.vmap(prior.value))(jnp.asarray(Z))
     # Each half by the tail that keeps its digits.
     expected = np.where(Z < 0, known.ppf(stats.norm.cdf(Z)), known.isf(stats.norm.sf(Z)))
     np.testing.assert_allclose(found, expected, rtol=2e-9, atol=1e-12)
@@ -48,7 +48,7 @@ def test_quantiles_are_those_of_scipy(family):
 @pytest.mark.parametrize("family", CASES)
 def test_z_undoes_value(family):
     prior, _ = CASES[family]
-    values = np.asarray(jax.vmap(prior.value)(jnp.asarray(Z)))
+    values = np.asarray(jax.jit(jax.vmap(prior.value))(jnp.asarray(Z)))
     np.testing.assert_allclose([prior.z(value) for value in values], Z, atol=1e-8)
 
 
@@ -64,8 +64,8 @@ def test_the_standard_deviation_is_that_of_scipy(family):
 @pytest.mark.parametrize("family", CASES)
 def test_value_rises_smoothly(family):
     prior, _ = CASES[family]
-    slope = jax.vmap(jax.grad(prior.value))(jnp.asarray(Z))
-    curvature = jax.vmap(jax.grad(jax.grad(prior.value)))(jnp.asarray(Z))
+    slope = jax.jit(jax.vmap(jax.grad(prior.value)))(jnp.asarray(Z))
+    curvature = jax.jit(jax.vmap(jax.grad(jax.grad(prior.value))))(jnp.asarray(Z))
     assert np.all(np.isfinite(slope))
     assert np.all(np.asarray(slope) > 0)
     assert np.all(np.isfinite(curvature))
