@@ -167,6 +167,11 @@ def measured() -> Model:
     return bind(plain.spec, replace(among, runs=(replace(among.runs[0], observed=observed), *among.runs[1:])))
 
 
+@cache
+def tumbling() -> Model:
+    return bind(spec("gyro_bias", "accel_misalignment"), tumble_campaign())
+
+
 def test_the_sparse_derivative_is_the_dense_one():
     model = measured()
     z, _ = point(model, 3)
@@ -178,7 +183,7 @@ def test_the_sparse_derivative_is_the_dense_one():
 
 
 def test_the_sparse_derivative_of_a_tumble_is_the_dense_one():
-    model = bind(spec("gyro_bias", "accel_bias", "accel_scale_factor", "accel_misalignment"), tumble_campaign())
+    model = tumbling()
     z, _ = point(model, 3)
     dense = jax.jit(jax.jacfwd(lambda one: predict(model.problem, one)))(z)
     sparse = eqx.filter_jit(predict_with_jacobian)(model.problem, z)[1]
@@ -201,7 +206,7 @@ def test_the_whitener_is_a_root_of_the_inverse_covariance():
 
 @pytest.mark.parametrize("kind", ["tables", "tumble"])
 def test_the_log_density_is_that_of_scipy(kind):
-    model = measured() if kind == "tables" else bind(spec("gyro_bias"), tumble_campaign())
+    model = measured() if kind == "tables" else tumbling()
     z, h = point(model, 6)
     misfit = np.asarray(model.problem.observations.value - predict(model.problem, z))
     data = stats.multivariate_normal(np.zeros(len(misfit)), covariance(model, np.asarray(h))).logpdf(misfit)

@@ -106,8 +106,8 @@ def test_offsets_of_runs_are_integrated_out():
         top = stats.t(degrees[own], scale=scale[own]).logpdf(0).sum()
         offset = np.linspace(-8 * tau, 8 * tau, 4001)
         readings = stats.t(degrees[own], scale=scale[own]).logpdf(misfit[own] - offset[:, None]).sum(axis=1)
-        density = np.exp(readings - top) * stats.norm(scale=tau).pdf(offset)
-        left.append(mine - np.log(np.trapezoid(density, offset)) - top)
+        both = np.exp(readings - top) * stats.norm(scale=tau).pdf(offset)
+        left.append(mine - np.log(np.trapezoid(both, offset)) - top)
     assert np.sqrt(np.mean(np.square(left))) < 0.1
     assert np.max(np.abs(left)) < 0.4
     prior = stats.norm.logpdf(np.concatenate([z, h])).sum()
