@@ -9,6 +9,7 @@ import jax
 import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
+from xdist.scheduler import LoadScopeScheduling
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -44,6 +45,32 @@ COMPILED = (
     "reference",
     "study",
 )
+
+# Tests that fit the same campaign run in one process, for what they share; other tests stay with their file.
+README = "readme/test_readme.py::test_"
+GROUPS = {
+    "trihedral-imu": (f"{README}commands_run_as_written[The main job", "results/test_posterior.py"),
+    "hidden": (
+        f"{README}commands_run_as_written[The loop",
+        f"{README}the_users_effect",
+        "criticism/test_outliers.py",
+        "criticism/test_shipped.py",
+        "criticism/test_dead_zone.py",
+    ),
+    "desk-imu": (f"{README}commands_run_as_written[An IMU",),
+    "accel-channel": (
+        f"{README}python_runs_as_written",
+        "criticism/test_cross_validation.py",
+        "criticism/test_score_test.py",
+        "criticism/test_localised_structure.py",
+        "criticism/test_injection_recovery.py",
+        "criticism/test_user_effect.py",
+        "cli/",
+        "inference/test_resume.py",
+        "results/test_fit_file.py",
+        "procedures/test_converters.py",
+    ),
+}
 
 # Imports and tracing create millions of objects that stay, and looking for garbage among them takes time.
 gc.set_threshold(100_000)
@@ -87,14 +114,23 @@ def pytest_configure(config):
     config.addinivalue_line("markers", "compiled: compiles a model; left out by `make test-fast`")
 
 
-def pytest_collection_modifyitems(items):
-    """Heavy tests first, so that none is left over at the end; a group stays with one process, for what it shares.
+class Scheduling(LoadScopeScheduling):
+    """One group of tests after the other to the next free process."""
 
-    A group is a file, or several files whose tests fit the same campaign.
-    """
+    def _split_scope(self, nodeid: str) -> str:
+        test = nodeid.removeprefix("tests/")
+        mine = (group for group, parts in GROUPS.items() if test.startswith(parts))
+        return next(mine, test.partition("::")[0])
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    return Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
+
+
+def pytest_collection_modifyitems(items):
+    """Heavy tests first, so that none is left over at the end."""
     for item in items:
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(item.location[0]))
         if _weight(item) < len(COMPILED):
             item.add_marker("compiled")
     items.sort(key=_weight)

@@ -9,8 +9,6 @@ import pytest
 
 from imubayes.cli.main import run
 
-pytestmark = pytest.mark.xdist_group("accel-channel")
-
 ROOT = Path(__file__).parents[2]
 PARTS = ("error: ", "  where:   ", "  do:      ")
 

@@ -10,8 +10,6 @@ import pytest
 
 from imubayes.cli.main import run
 
-pytestmark = pytest.mark.xdist_group("accel-channel")
-
 ROOT = Path(__file__).parents[2]
 LACKING = "converter_offset_drift"
 

@@ -10,8 +10,6 @@ import pytest
 from imubayes.cli.main import run
 from imubayes.inference.checkpoint import steps_in
 
-pytestmark = pytest.mark.xdist_group("accel-channel")
-
 ROOT = Path(__file__).parents[2]
 CAMPAIGN, MODEL = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml"
 PARTS = ("error: ", "  where:   ", "  do:      ")

@@ -29,8 +29,6 @@ from imubayes.parameters.vector import Parameter
 from imubayes.results.history_file import read_node, read_tree, select
 from imubayes.results.result import read_result
 
-pytestmark = pytest.mark.xdist_group("accel-channel")
-
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory) -> Path:

@@ -10,8 +10,6 @@ from imubayes.criticism.cross_validation import observed_delta_chi2
 from imubayes.criticism.warm_start import extend
 from imubayes.model.problem import predict
 
-pytestmark = pytest.mark.xdist_group("hidden campaigns")
-
 HALF_WIDTH = 60.0  # ug, three times the standard deviation of its prior
 GRAVITY = 9.80665
 

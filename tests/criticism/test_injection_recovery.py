@@ -16,8 +16,6 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 
-pytestmark = pytest.mark.xdist_group("accel-channel")
-
 
 @pytest.fixture(scope="module")
 def fitted() -> Fit:

@@ -17,8 +17,6 @@ from imubayes.criticism.residual_covariates import covariates
 from imubayes.criticism.score_test import score_test
 from imubayes.display.diagnosis_report import diagnosis_json
 
-pytestmark = pytest.mark.xdist_group("accel-channel")
-
 
 @pytest.fixture(scope="module")
 def projection():

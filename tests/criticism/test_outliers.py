@@ -21,8 +21,6 @@ from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec
 from imubayes.model.noise_covariance import noise_distribution
 
-pytestmark = pytest.mark.xdist_group("hidden campaigns")
-
 
 @pytest.fixture(scope="module")
 def whole():

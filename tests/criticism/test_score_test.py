@@ -17,8 +17,6 @@ from imubayes.criticism.score_test import project_responses, screen
 from imubayes.criticism.stepwise_search import search
 from imubayes.display.diagnosis_report import diagnosis_json
 
-pytestmark = pytest.mark.xdist_group("accel-channel")
-
 
 @pytest.fixture(scope="module")
 def fitted():

@@ -9,8 +9,6 @@ from null_data import fitted_to
 from imubayes.criticism.diagnose import judge
 from imubayes.display.diagnosis_report import diagnosis_json
 
-pytestmark = pytest.mark.xdist_group("hidden campaigns")
-
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS = sorted(folder.name for folder in (ROOT / "data").glob("hidden-*"))
 

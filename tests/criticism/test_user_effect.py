@@ -10,8 +10,6 @@ import pytest
 from imubayes.api import add, diagnose, fit
 from imubayes.display.diagnosis_report import diagnosis_json
 
-pytestmark = pytest.mark.xdist_group("accel-channel")
-
 ROOT = Path(__file__).parents[2]
 SOURCE = '''
 """A regulator that comes on when the converter is warm."""

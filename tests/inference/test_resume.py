@@ -14,8 +14,6 @@ from imubayes.api import Settings, fit
 from imubayes.errors import InputError
 from imubayes.inference.checkpoint import Checkpoint
 
-pytestmark = pytest.mark.xdist_group("accel-channel")
-
 ROOT = Path(__file__).parents[2]
 STEPS = 60
 SCRIPT = """

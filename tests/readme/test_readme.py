@@ -29,16 +29,6 @@ def test_there_are_commands():
 
 # What takes long is run by `make study`: the fit of a whole qualification compiles for a minute.
 LONG = ("Procedures",)
-# Other tests fit the same campaigns: they share one process with those here.
-GROUPS = {"The main job": "trihedral-imu", "The loop": "hidden campaigns"}
-
-
-def section(heading: str):
-    """Return the section as a parameter, marked as slow or with its group."""
-    if heading in LONG:
-        return pytest.param(heading, marks=pytest.mark.slow)
-    group = next((name for start, name in GROUPS.items() if heading.startswith(start)), heading)
-    return pytest.param(heading, marks=pytest.mark.xdist_group(group))
 
 
 @pytest.fixture
@@ -50,7 +40,9 @@ def like_the_repository(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("heading", [section(heading) for heading in COMMANDS])
+@pytest.mark.parametrize(
+    "heading", [pytest.param(one, marks=pytest.mark.slow) if one in LONG else one for one in COMMANDS]
+)
 def test_commands_run_as_written(heading, like_the_repository, capsys):
     """Those of a section, in order, in a folder that looks like the repository."""
     told: list[str] = []
@@ -87,14 +79,12 @@ def test_pictures_are_there():
         assert (ROOT / name).is_file()
 
 
-@pytest.mark.xdist_group("accel-channel")
 def test_python_runs_as_written(like_the_repository, capsys):
     code = next(block for block in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL) if "imubayes.fit" in block)
     exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
     assert "converter_gain_drift" in capsys.readouterr().out
 
 
-@pytest.mark.xdist_group("hidden campaigns")
 def test_the_users_effect_is_fitted(tmp_path, capsys):
     """The class of the README, in one file beside the model, is fitted and finds nothing in data without it."""
     code = next(block for block in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL) if "SignalEffect" in block)

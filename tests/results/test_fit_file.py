@@ -13,8 +13,6 @@ from imubayes.inference.run_fit import model_hash
 from imubayes.model.likelihood import residuals
 from imubayes.results.result import read_result
 
-pytestmark = pytest.mark.xdist_group("accel-channel")
-
 ROOT = Path(__file__).parents[2]
 
 

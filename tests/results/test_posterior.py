@@ -12,8 +12,6 @@ from imubayes.api import Result, fit
 from imubayes.results.posterior_draws import draws_of
 from imubayes.results.result import read_result
 
-pytestmark = pytest.mark.xdist_group("trihedral-imu")
-
 ROOT = Path(__file__).parents[2]
 SCALE = "gyro_scale_factor.scale"
 
