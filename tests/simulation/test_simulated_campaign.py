@@ -219,7 +219,7 @@ def test_rows_are_what_the_plan_says(plan: Path):
 
 
 BAD_PLANS = [
-    ('procedure = "dividing_head"', 'procedure = "free_tumble"', "free tumble", "rate_table"),
+    ('procedure = "dividing_head"', 'procedure = "free_tumble"', "'positions' does not apply", "poses"),
     ('procedure = "dividing_head"', 'procedure = "divided_head"', "cannot be simulated", "dividing_head"),
     ("positions = 8", "rates_deg_s = [10.0]", "does not apply", "positions"),
     ("positions = 8", "", "has no 'positions'", "angles_deg"),

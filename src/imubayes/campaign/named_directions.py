@@ -31,18 +31,29 @@ def attitudes(source: TableSource, rows: Sequence[int], channels: Sequence[Chann
     InputError
         for a letter that is not a direction, or parallel input and output axes.
     """
-    reference = next((channel for channel in channels if channel.kind == "gyro"), channels[0])
     letters = {name: [text for batch in source for text in batch.texts[name]] for name in DIRECTION_COLUMNS}
     found, issues = [], []
     for row in rows:
         pair = [letters[name][row] or "" for name in DIRECTION_COLUMNS]
         issues += _judge(pair, source.place(row))
         if not issues:
-            i, o = (np.array(DIRECTIONS[letter]) for letter in pair)
-            found.append(np.stack([i, o, np.cross(i, o)], axis=1) @ reference.axes)
+            found.append(attitude_of(pair, channels))
     if issues:
         raise InputError(issues)
     return np.array(found).reshape(-1, 3, 3)
+
+
+def attitude_of(pair: Sequence[str], channels: Sequence[Channel]) -> np.ndarray:
+    """Return the rotation from body to local level with input and output axis in two directions, shape (3, 3)."""
+    reference = next((channel for channel in channels if channel.kind == "gyro"), channels[0])
+    i, o = (np.array(DIRECTIONS[letter]) for letter in pair)
+    return np.stack([i, o, np.cross(i, o)], axis=1) @ reference.axes
+
+
+def perpendicular(pair: Sequence[str]) -> bool:
+    """Return whether two letters are perpendicular directions."""
+    first, second = (np.array(DIRECTIONS.get(letter, (np.nan,) * 3)) for letter in pair)
+    return bool(abs(first @ second) < 0.5)
 
 
 def _judge(pair: Sequence[str], where: str) -> list[Issue]:
@@ -56,7 +67,7 @@ def _judge(pair: Sequence[str], where: str) -> list[Issue]:
         for name, letter in zip(DIRECTION_COLUMNS, pair, strict=True)
         if letter not in DIRECTIONS
     ]
-    if unknown or abs(np.dot(DIRECTIONS[pair[0]], DIRECTIONS[pair[1]])) < 0.5:
+    if unknown or perpendicular(pair):
         return unknown
     return [
         Issue(

@@ -26,7 +26,7 @@ import numpy as np
 
 from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.procedures.base import Procedure, Reduction
-from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
+from imubayes.procedures.planned_steps import PlanRules, position_rows
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,
@@ -178,11 +178,6 @@ def _left_open(name: str, letter: str, terms: Terms, positions: int) -> str:
     return f"{name}: {reason}; the textbook assumes zero. Nor {beyond}"
 
 
-def _planned_rows(steps: PlannedSteps) -> PlannedRows:
-    angle = np.array(steps.angles_deg or 360.0 * np.arange(steps.positions or 0) / (steps.positions or 1))
-    return PlannedRows(np.full(len(angle), steps.duration), {"table_angle_deg": angle})
-
-
 DIVIDING_HEAD = Procedure(
     name="dividing_head",
     reference="IEEE Std 1293, multipoint tumble test",
@@ -190,6 +185,6 @@ DIVIDING_HEAD = Procedure(
     needs_table=True,
     reduction=Reduction.AT_REST,
     abscissae=("table_angle", "time"),
-    plan=PlanRules(("positions", "angles_deg"), ("converter_temperature_degC",), 10.0, _planned_rows),
+    plan=PlanRules(("positions", "angles_deg"), ("converter_temperature_degC",), 10.0, position_rows),
     evaluate=tumble_test,
 )

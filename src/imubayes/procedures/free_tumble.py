@@ -8,16 +8,66 @@ Source: Tedaldi, Pretto, Menegatti, "A robust and easy to implement method for I
 equipments", ICRA 2014.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from imubayes.campaign_data import Campaign, Run
 from imubayes.errors import input_error
 from imubayes.procedures.ambient import ambient_of
 from imubayes.procedures.base import Procedure, Reduction
+from imubayes.procedures.kinematics import table_stimulus
 from imubayes.procedures.nominal_stimulus import Stimulus
+from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
+
+_SAMPLING, _FIRST_REST, _REST, _MOVE = 100.0, 15.0, 4.0, 2.0  # Hz and s
+_AXES = ("reference_x", "reference_y", "reference_z")
+
+
+def _planned_rows(steps: PlannedSteps) -> PlannedRows:
+    """Return raw samples of a unit that rests in poses spread over the sphere and is turned from one to the next."""
+    poses = steps.poses or 1
+    generator = np.random.default_rng(poses)
+    attitude = [np.eye(3)]
+    blocks, rates = [np.repeat(attitude[0][None], round(_FIRST_REST * _SAMPLING), axis=0)], []
+    rates.append(np.zeros((len(blocks[0]), 3)))
+    share = (np.arange(round(_MOVE * _SAMPLING)) + 0.5) / round(_MOVE * _SAMPLING)
+    # The smoothest course from rest to rest: third derivative of least mean square.
+    course, speed = 10 * share**3 - 15 * share**4 + 6 * share**5, 30 * share**2 * (1 - share) ** 2 / _MOVE
+    for _ in range(poses - 1):
+        axis = generator.normal(size=3)
+        turn = generator.uniform(np.pi / 3, np.pi) * axis / np.linalg.norm(axis)
+        moving = attitude[-1] @ rotation_matrices(course[:, None] * turn)
+        attitude.append(attitude[-1] @ rotation_matrices(turn[None])[0])
+        blocks += [moving, np.repeat(attitude[-1][None], round(_REST * _SAMPLING), axis=0)]
+        rates += [speed[:, None] * turn, np.zeros((len(blocks[-1]), 3))]
+    rate = np.degrees(np.concatenate(rates))
+    motion = {f"{name}_deg_s": rate[:, place] for place, name in enumerate(_AXES)}
+    return PlannedRows(np.full(len(rate), 1 / _SAMPLING), {}, np.concatenate(blocks), motion, sampled=True)
+
+
+def rotation_matrices(vectors: np.ndarray) -> np.ndarray:
+    """Return the rotations by vectors, (n, 3) rad → (n, 3, 3), by Rodrigues' formula."""
+    angle = np.linalg.norm(vectors, axis=1)
+    x, y, z = (vectors / np.where(angle == 0, 1.0, angle)[:, None]).T
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+    sine, rest = np.sin(angle)[:, None, None], 1 - np.cos(angle)[:, None, None]
+    return np.eye(3) + sine * cross + rest * (cross @ cross)
+
+
+def _in_motion(run: Run, campaign: Campaign) -> Stimulus:
+    """Return the stimulus of a planned tumble, whose motion is known at every sample."""
+    assert run.attitude is not None
+    still = table_stimulus(run, campaign)
+    rate = np.stack([run.covariates[name] for name in _AXES], axis=1)
+    at_rest = np.zeros_like(still.table_angle)
+    return replace(still, base=run.attitude[still.row], table_angle=at_rest, reference_rate=rate[still.row])
 
 
 def _stimulus(run: Run, campaign: Campaign) -> Stimulus:
+    if run.attitude is not None:
+        return _in_motion(run, campaign)
     if run.tumble is None:
         raise input_error(
             "the free tumble has no rotations between its poses",
@@ -50,5 +100,6 @@ FREE_TUMBLE = Procedure(
     reduction=Reduction.POSES,
     abscissae=("row",),
     row_name="pose",
+    plan=PlanRules(("poses",), (), 0.0, _planned_rows),
     kinematics=_stimulus,
 )

@@ -18,6 +18,7 @@ from imubayes.earth import earth_rate
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.kinematics import table_stimulus
 from imubayes.procedures.nominal_stimulus import Stimulus
+from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, least_squares
 
 METHOD = "IEEE Std 517 tumble in geographic positions"
@@ -82,6 +83,15 @@ def _stimulus(run: Run, campaign: Campaign) -> Stimulus:
     return replace(still, base=run.attitude[still.row], table_angle=np.zeros_like(still.table_angle))
 
 
+def _planned_rows(steps: PlannedSteps) -> PlannedRows:
+    """Return static positions named by the directions of the input and the output axis."""
+    named = steps.directions or []
+    columns = {name: np.array([pair[place : place + 1] for pair in named]) for place, name in enumerate(_COLUMNS)}
+    return PlannedRows(np.full(len(named), steps.duration), columns)
+
+
+_COLUMNS = ("i_axis", "o_axis")
+
 GEOGRAPHIC_TUMBLE = Procedure(
     name="geographic_tumble",
     reference="IEEE Std 517, tumble test in geographic positions",
@@ -90,5 +100,6 @@ GEOGRAPHIC_TUMBLE = Procedure(
     by_direction=True,
     abscissae=("row",),
     kinematics=_stimulus,
+    plan=PlanRules(("directions",), (), 60.0, _planned_rows),
     evaluate=geographic_test,
 )

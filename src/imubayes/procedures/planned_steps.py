@@ -6,11 +6,13 @@ consecutive rows are separated by the time to reach the next rate or position.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
+
+from imubayes.campaign_data import Mounting, Site, Table
 
 SECONDS_PER_ROW = 60.0
 Temperature = Annotated[float, Field(ge=-150, le=150)]
@@ -29,6 +31,11 @@ class PlannedSteps(BaseModel):
     rows: Annotated[int, Field(ge=1, le=100_000)] | None = None
     rate_degC_per_h: Positive | None = None
     current_mA: float | None = None
+    turns: Positive | None = None
+    arc_deg: Annotated[float, Field(gt=0, le=90)] | None = None
+    directions: Annotated[list[str], Field(min_length=1)] | None = None
+    hours: Annotated[float, Field(gt=0, le=1000)] | None = None
+    poses: Annotated[int, Field(ge=9, le=200)] | None = None
     samples: Annotated[int, Field(ge=1)] = 1200
     seconds_per_row: Positive | None = None
 
@@ -44,10 +51,22 @@ STEP_KEYS = tuple(key for key in PlannedSteps.model_fields if key not in ("sampl
 
 @dataclass(frozen=True)
 class PlannedRows:
-    """Columns of a planned run in the units of the file, shape (R,) each, and the duration of each row, s."""
+    """The rows of a planned run.
+
+    Attributes
+    ----------
+    duration : shape (R,), s.
+    columns : shape (R,) each, in the units of the file; letters where a column is a direction.
+    attitude : shape (R, 3, 3), body → local level, of a unit turned by hand; None on a table.
+    motion : columns that the simulation needs and no instrument records.
+    sampled : whether rows are raw samples, without `samples`.
+    """
 
     duration: np.ndarray
     columns: dict[str, np.ndarray]
+    attitude: np.ndarray | None = None
+    motion: dict[str, np.ndarray] = field(default_factory=dict)
+    sampled: bool = False
 
 
 def ramp_rows(steps: PlannedSteps) -> PlannedRows:
@@ -70,17 +89,24 @@ class PlanRules:
     further : optional keys.
     pause : time to reach the next rate or position, s.
     rows : steps → rows.
+    nominal : columns, site, table and mounting → further columns that the nominal motion gives; None for none.
     """
 
     one_of: tuple[str, ...]
     further: tuple[str, ...] = ()
     pause: float = 0.0
     rows: Callable[[PlannedSteps], PlannedRows] = ramp_rows
+    nominal: Callable[[dict[str, np.ndarray], Site, Table, Mounting], dict[str, np.ndarray]] | None = None
 
 
-def columns_of(steps: PlannedSteps, rules: PlanRules) -> dict[str, np.ndarray]:
+def position_rows(steps: PlannedSteps) -> PlannedRows:
+    """Return the rows of static positions: evenly spaced over the circle, or at the planned angles."""
+    angle = np.array(steps.angles_deg or 360.0 * np.arange(steps.positions or 0) / (steps.positions or 1))
+    return PlannedRows(np.full(len(angle), steps.duration), {"table_angle_deg": angle})
+
+
+def columns_of(steps: PlannedSteps, rules: PlanRules, rows: PlannedRows) -> dict[str, np.ndarray]:
     """Return the columns of a run except the outputs, in the units of the file; angles are NaN over whole turns."""
-    rows = rules.rows(steps)
     end = np.cumsum(rows.duration + rules.pause) - rules.pause
     centre = end - rows.duration / 2
     columns = {"time_s": np.round(centre, 6)} | rows.columns
@@ -89,7 +115,7 @@ def columns_of(steps: PlannedSteps, rules: PlanRules) -> dict[str, np.ndarray]:
         columns["converter_temperature_degC"] = low + (high - low) * centre / end[-1]
     if steps.current_mA is not None:
         columns["current_mA"] = np.full(len(centre), steps.current_mA)
-    return columns | {"samples": np.full(len(centre), float(steps.samples))}
+    return columns | ({} if rows.sampled else {"samples": np.full(len(centre), float(steps.samples))})
 
 
 def whole_turns(rate: float, seconds: float) -> float:

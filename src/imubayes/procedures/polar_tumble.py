@@ -38,6 +38,7 @@ from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.earth import earth_rate, table_to_local
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.estimable_functions import Combination, estimable, rank
+from imubayes.procedures.planned_steps import PlanRules, position_rows
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,
@@ -341,5 +342,6 @@ POLAR_TUMBLE = Procedure(
     needs_table=True,
     reduction=Reduction.AT_REST,
     abscissae=("table_angle", "time"),
+    plan=PlanRules(("positions", "angles_deg"), ("converter_temperature_degC",), 10.0, position_rows),
     evaluate=polar_tumble_test,
 )

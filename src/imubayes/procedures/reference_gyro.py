@@ -24,10 +24,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.earth import earth_rate
+from imubayes.earth import earth_rate, table_to_local
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.kinematics import table_stimulus
 from imubayes.procedures.nominal_stimulus import Stimulus
+from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,
@@ -238,6 +239,34 @@ def _nominal_input(
     return reference_rate(run) @ channel.axes[0] if channel.kind == "gyro" else None
 
 
+_SECONDS_PER_ROW = 2.0
+
+
+def _planned_rows(steps: PlannedSteps) -> PlannedRows:
+    """Return rows whose speeds pass the planned rates in turn, linearly; one rate is held."""
+    rows, rates = steps.rows or 1, steps.rates_deg_s or []
+    seconds = steps.seconds_per_row or _SECONDS_PER_ROW
+    place = (np.arange(rows) + 0.5) / rows * (len(rates) - 1)
+    rate = np.interp(place, np.arange(len(rates)), rates)
+    span = rate * seconds
+    columns = {"table_angle_deg": (np.cumsum(span) - span / 2) % 360.0, "table_angle_span_deg": span}
+    return PlannedRows(np.full(rows, seconds), columns)
+
+
+def _nominal_columns(
+    columns: dict[str, np.ndarray], site: Site, table: Table, mounting: Mounting
+) -> dict[str, np.ndarray]:
+    """Return what an ideal reference measures: the rotation of the table and the Earth rate, mean over each row."""
+    angle, span = np.radians(columns["table_angle_deg"]), np.radians(columns["table_angle_span_deg"])
+    seconds = np.gradient(columns["time_s"]) if len(angle) > 1 else np.full(len(angle), _SECONDS_PER_ROW)
+    x, y, z = table_to_local(table.azimuth, table.elevation).T @ earth_rate(site.latitude)
+    short = np.sinc(span / (2 * np.pi))
+    c, s = short * np.cos(angle), short * np.sin(angle)
+    turning = np.stack([c * x + s * y, c * y - s * x, z + span / seconds], axis=1)
+    felt = np.degrees(turning @ mounting.body_to_table)
+    return {f"{name}_deg_s": felt[:, place] for place, name in enumerate(AXES)}
+
+
 REFERENCE_GYRO = Procedure(
     name="reference_gyro",
     reference="IEEE Std 952, comparison with a reference gyro; errors in variables: Fuller (1987)",
@@ -249,5 +278,6 @@ REFERENCE_GYRO = Procedure(
     abscissae=("time",),
     kinematics=_stimulus,
     nominal_input=_nominal_input,
+    plan=PlanRules(("rates_deg_s",), ("rows",), 0.0, _planned_rows, _nominal_columns),
     evaluate=reference_test,
 )

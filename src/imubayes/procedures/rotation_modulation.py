@@ -20,6 +20,7 @@ import numpy as np
 from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.earth import earth_rate
 from imubayes.procedures.base import Procedure, Reduction
+from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,
@@ -238,6 +239,24 @@ def _vector(campaign: Campaign, run: Run, kind: str) -> np.ndarray:
     return (run.observed[:, places] - offset) / scale @ to_table.T
 
 
+_ARC, _TURNS = 15.0, 1.0
+
+
+def _planned_rows(steps: PlannedSteps) -> PlannedRows:
+    """Return consecutive arcs over the planned number of turns, at each rate in turn."""
+    arc, turns = steps.arc_deg or _ARC, steps.turns or _TURNS
+    rates = np.repeat(steps.rates_deg_s or [], max(1, round(turns * 360 / arc)))
+    span = np.sign(rates) * arc
+    columns = {
+        "table_rate_deg_s": rates,
+        "table_angle_deg": (np.cumsum(span) - span / 2) % 360.0,
+        "table_angle_span_deg": span,
+    }
+    # A row at rest lasts as long as the shortest row is planned to last.
+    duration = np.where(rates == 0, steps.duration, arc / np.where(rates == 0, 1.0, np.abs(rates)))
+    return PlannedRows(duration, columns)
+
+
 ROTATION_MODULATION = Procedure(
     name="rotation_modulation",
     reference="Levinson and Majure, accuracy enhancement by rotation, AGARD 1987; Groves § 5",
@@ -245,5 +264,6 @@ ROTATION_MODULATION = Procedure(
     needs_table=True,
     reduction=Reduction.FOLLOWED,
     abscissae=("table_angle", "table_rate", "time"),
+    plan=PlanRules(("rates_deg_s",), ("turns", "arc_deg", "converter_temperature_degC"), 0.0, _planned_rows),
     evaluate=modulation_test,
 )

@@ -21,9 +21,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Run
-from imubayes.earth import earth_rate
+from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
+from imubayes.earth import earth_rate, table_to_local
 from imubayes.procedures.base import Procedure, Reduction
+from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,
@@ -97,6 +98,24 @@ def turns_of(run: Run) -> float:
     return float(np.ptp(run.covariates["table_angle"])) / (2 * math.pi)
 
 
+_SECONDS_PER_READING = 60.0
+
+
+def _planned_rows(steps: PlannedSteps) -> PlannedRows:
+    """Return readings of the angle at equal intervals; the angle itself is simulated."""
+    seconds = steps.seconds_per_row or _SECONDS_PER_READING
+    rows = max(2, round((steps.hours or 1.0) * _HOUR / seconds))
+    return PlannedRows(np.full(rows, seconds), {"table_angle_deg": np.zeros(rows)})
+
+
+def _nominal_columns(
+    columns: dict[str, np.ndarray], site: Site, table: Table, _mounting: Mounting
+) -> dict[str, np.ndarray]:
+    """Return the angle of a table that keeps the nulled gyro from turning with the Earth: dφ/dt = −ω_a."""
+    along = float(table_to_local(table.azimuth, table.elevation)[:, 2] @ earth_rate(site.latitude))
+    return {"table_angle_deg": -np.degrees(along) * columns["time_s"]}
+
+
 SERVO_TABLE = Procedure(
     name="servo_table",
     reference="IEEE Std 517, servo table test",
@@ -106,5 +125,6 @@ SERVO_TABLE = Procedure(
     reduction=Reduction.FOLLOWED,
     driven=True,
     abscissae=("time", "table_angle"),
+    plan=PlanRules(("hours",), (), 0.0, _planned_rows, _nominal_columns),
     evaluate=servo_test,
 )

@@ -1,5 +1,6 @@
 """Validate the steps of planned runs: complete, consistent and applicable to the procedure."""
 
+from imubayes.campaign.named_directions import perpendicular
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.procedures.planned_steps import STEP_KEYS, PlanRules
 from imubayes.simulation.test_plan import PlannedRun
@@ -26,8 +27,20 @@ def judge_steps(run: PlannedRun, rules: PlanRules, place: int, ledger: Ledger) -
             ", or ".join(one_of),
             "give exactly one of these keys",
         )
-    if "rows" in further:
+    if "rate_degC_per_h" in further:
         _judge_ramp(run, place, ledger)
+    elif "rows" in further and run.rows is None:
+        ledger.add(
+            f"the number of rows of run '{run.name}' is not given", ("run", place, "rows"), "rows = …", "add 'rows'"
+        )
+    for index, pair in enumerate(run.directions or ()):
+        if len(pair) != 2 or not perpendicular(pair):
+            ledger.add(
+                f"'{pair}' does not name two perpendicular directions",
+                ("run", place, "directions", index),
+                "two of the letters E W N S U D: the input axis, then the output axis, such as 'EN'",
+                "correct the letters",
+            )
 
 
 def _judge_ramp(run: PlannedRun, place: int, ledger: Ledger) -> None:

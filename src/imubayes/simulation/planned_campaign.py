@@ -1,5 +1,6 @@
 """Read a plan file as the campaign that it describes, before any output is simulated."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,11 +18,13 @@ from imubayes.campaign.equipment import (
     require_current_scale,
 )
 from imubayes.campaign.file_schemas import RunEntry
+from imubayes.campaign.named_directions import attitude_of
+from imubayes.campaign.servo_angle import with_angles
 from imubayes.campaign.toml_documents import Ledger, read_document
-from imubayes.campaign_data import Campaign, Channel
+from imubayes.campaign_data import Campaign, Channel, Mounting, Site, Table
 from imubayes.errors import InputError, closest_first
-from imubayes.procedures import PROCEDURES, Reduction, procedure_named
-from imubayes.procedures.planned_steps import columns_of
+from imubayes.procedures import PROCEDURES, procedure_named
+from imubayes.procedures.planned_steps import PlannedRows, columns_of
 from imubayes.simulation.plan_checks import judge_steps
 from imubayes.simulation.test_plan import PlanFile, PlannedRun
 
@@ -68,26 +71,51 @@ def read_plan(path: str | Path) -> Plan:
     _check_runs(file, ledger)
     ledger.stop_if_any()
     entries = tuple(_entry(run, place) for place, run in enumerate(file.run))
-    columns = tuple(_columns(run) for run in file.run)
+    planned = [_rows(run) for run in file.run]
+    columns = tuple(_columns(run, rows, site, tables, mountings) for run, rows in zip(file.run, planned, strict=True))
     runs = tuple(
-        build_run(entry, numbers | _zero_outputs(run, numbers, channels), channels, site.gravity)
-        for entry, numbers, run in zip(entries, columns, file.run, strict=True)
-    )
+        build_run(
+            entry, numbers | rows.motion | _zero_outputs(run, numbers, channels), channels, site.gravity,
+            attitude=_attitude(run, rows, channels),
+        )
+        for entry, numbers, run, rows in zip(entries, columns, file.run, planned, strict=True)
+    )  # fmt: skip
+    channels, runs = with_angles(channels, runs, tables)
     unit = file.unit
     campaign = Campaign(file.name, site, channels, tables, mountings, runs, unit.serial, grade=unit.grade)
     return Plan(file, path, path.parent / file.model, campaign, entries, columns)
 
 
-def _columns(run: PlannedRun) -> dict[str, np.ndarray]:
+def _rows(run: PlannedRun) -> PlannedRows:
     rules = PROCEDURES[run.procedure].plan
     assert rules is not None
-    return columns_of(run, rules)
+    return rules.rows(run)
+
+
+def _columns(
+    run: PlannedRun, rows: PlannedRows, site: Site, tables: Mapping[str, Table], mountings: Mapping[str, Mounting]
+) -> dict[str, np.ndarray]:
+    rules = PROCEDURES[run.procedure].plan
+    assert rules is not None
+    columns = columns_of(run, rules, rows)
+    if rules.nominal is None:
+        return columns
+    assert run.table is not None
+    assert run.mounting is not None
+    return columns | rules.nominal(columns, site, tables[run.table], mountings[run.mounting])
+
+
+def _attitude(run: PlannedRun, rows: PlannedRows, channels: Sequence[Channel]) -> np.ndarray | None:
+    if run.directions is None:
+        return rows.attitude
+    return np.stack([attitude_of(pair, channels) for pair in run.directions])
 
 
 def recorded(run: PlannedRun, channels: tuple[Channel, ...]) -> list[str]:
-    """Return the channels recorded in a run: under current injection, only those with a current output."""
-    injected = PROCEDURES[run.procedure].injected
-    return [channel.name for channel in channels if channel.current_per_acceleration or not injected]
+    """Return the channels recorded in a run: under current injection those with a current output, none by a servo."""
+    procedure = PROCEDURES[run.procedure]
+    unit = [channel for channel in channels if channel.kind != "angle" and not procedure.driven]
+    return [channel.name for channel in unit if channel.current_per_acceleration or not procedure.injected]
 
 
 def _zero_outputs(
@@ -128,14 +156,7 @@ def _check_runs(file: PlanFile, ledger: Ledger) -> None:
     plannable = [procedure.name for procedure in PROCEDURES.values() if procedure.plan]
     for place, run in enumerate(file.run):
         procedure = procedure_named(run.procedure)
-        if procedure.reduction is Reduction.POSES:
-            ledger.add(
-                f"run '{run.name}' is a free tumble, which cannot be planned: its rotations are made by hand",
-                ("run", place, "procedure"),
-                ", ".join(plannable),
-                "plan the poses as a dividing_head run, or record a tumble and fit it",
-            )
-        elif procedure.plan is None:
+        if procedure.plan is None:
             ledger.add(
                 f"procedure '{run.procedure}' of run '{run.name}' cannot be simulated",
                 ("run", place, "procedure"),

@@ -16,9 +16,11 @@ import tomlkit
 from imubayes.atomic_files import new_folder
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign
 from imubayes.campaign.convert.campaign_writer import refuse_occupied
+from imubayes.campaign.servo_angle import ANGLE
 from imubayes.errors import InputError
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
+from imubayes.procedures import PROCEDURES
 from imubayes.simulation.planned_campaign import Plan, read_plan, recorded
 from imubayes.simulation.simulate import Simulated, simulate
 
@@ -95,12 +97,16 @@ def _table(plan: Plan, done: Simulated, place: int) -> str:
         name: campaign.runs[place].observed[:, names.index(name)]
         for name in recorded(plan.file.run[place], campaign.channels)
     }
+    if PROCEDURES[plan.file.run[place].procedure].driven:
+        columns = columns | {"table_angle_deg": campaign.runs[place].observed[:, names.index(ANGLE)]}
     rows = zip(*([_cell(value) for value in column.tolist()] for column in columns.values()), strict=True)
     return "".join(",".join(cells) + "\n" for cells in ([*columns], *rows))
 
 
-def _cell(value: float) -> str:
+def _cell(value: float | str) -> str:
     """Return a number with full precision, an integer without a decimal point, and NaN as an empty cell."""
+    if isinstance(value, str):
+        return value
     if math.isnan(value):
         return ""
     return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
