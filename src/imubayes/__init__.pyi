@@ -1,4 +1,4 @@
-from .api import Addition, Result, add, diagnose, export, fit, history, plant, read_result
+from .api import Addition, CalibratedInputs, Result, add, apply, diagnose, export, fit, history, plant, read_result
 from .array_shapes import Scalar, vector3
 from .campaign import check_campaign, load_campaign
 from .campaign_data import Campaign
@@ -22,6 +22,7 @@ __version__: str
 __all__ = [
     "Addition",
     "Ambient",
+    "CalibratedInputs",
     "Campaign",
     "Decay",
     "Diagnosis",
@@ -49,6 +50,7 @@ __all__ = [
     "Stage",
     "TailNoise",
     "add",
+    "apply",
     "bind",
     "check_campaign",
     "compare",

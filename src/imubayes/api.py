@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import polars as pl
+
 import imubayes.display.registered_representations  # noqa: F401  (records learn how to show themselves)
 from imubayes.atomic_files import refuse_existing
 from imubayes.campaign import load_campaign
@@ -25,6 +27,7 @@ from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import ModelSpec
 from imubayes.results.addition import Addition, added_variable, addition_of
+from imubayes.results.apply_calibration import CalibratedInputs, apply_calibration, read_readings
 from imubayes.results.folder_state import CHECKPOINT, claim, claim_new
 from imubayes.results.history_file import first_node, read_tree, remember, write_node
 from imubayes.results.loop_files import read_diagnosis, write_addition
@@ -173,6 +176,26 @@ def _sampled(refit: Refit, folder: Path | None, seed: int, tell: Callable[[str],
     return replace(refit, fit=fit, objection=objection(fit, refit.delta_chi2))
 
 
+def apply(result: Result | str | Path, readings: pl.DataFrame | str | Path) -> CalibratedInputs:
+    """Return the inputs of a calibrated unit from its outputs, with uncertainty.
+
+    Parameters
+    ----------
+    result : a fit of the unit, or its folder.
+    readings : a table, or a CSV or Parquet file: a column per channel in output units, and
+        `converter_temperature_degC` and `temperature_degC` where the model depends on them.
+
+    Raises
+    ------
+    InputError
+        for a result without a posterior, and a table that cannot be read or lacks what the model needs.
+    """
+    found = result if isinstance(result, Result) else read_result(result)
+    if isinstance(readings, pl.DataFrame):
+        return apply_calibration(found, readings)
+    return apply_calibration(found, read_readings(Path(readings)), str(readings))
+
+
 def history(*folders: str | Path) -> Tree:
     """Return the tree of models tried that result folders stand in."""
     return read_tree(folders)
@@ -238,4 +261,16 @@ def export(folder: str | Path, file: str | Path) -> str:
     return chosen
 
 
-__all__ = ["Addition", "Result", "add", "diagnose", "export", "fit", "history", "plant", "read_result"]
+__all__ = [
+    "Addition",
+    "CalibratedInputs",
+    "Result",
+    "add",
+    "apply",
+    "diagnose",
+    "export",
+    "fit",
+    "history",
+    "plant",
+    "read_result",
+]

@@ -9,6 +9,7 @@ import cyclopts
 
 from imubayes import __version__
 from imubayes.cli.add import add
+from imubayes.cli.apply import apply
 from imubayes.cli.carrier import carrier
 from imubayes.cli.check import check
 from imubayes.cli.classical import classical
@@ -24,7 +25,7 @@ from imubayes.errors import InputError, Issue, closest_first
 
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 _COLLECTION_THRESHOLD = 100_000
-_COMMANDS = (check, fit, compare, classical, carrier, diagnose, add, history, plant, effects, simulate, schema)
+_COMMANDS = (check, fit, compare, classical, carrier, apply, diagnose, add, history, plant, effects, simulate, schema)
 
 app = cyclopts.App(
     name="imubayes",

@@ -127,7 +127,9 @@ def classical_sheet(estimates: Sequence[ComparedEstimate]) -> Sheet:
     head, title = ("quantity", "run", "classical", "sd", *columns, "unit"), "Classical estimates, run by run"
     note = "The classical sd is the scatter about the fitted curve; errors of its assumptions are not contained."
     if not with_joint:
-        return Sheet(title, head, rows, (0, 1), "", note)
+        few = [row[:3] for row in few]
+        narrow = Sheet(title, ("quantity", "run", "classical ± sd"), few, (0, 1), "", note)
+        return Sheet(title, head, rows, (0, 1), "", note, narrow=narrow)
     narrow = Sheet(title, ("quantity", "run", "classical ± sd", "joint ± sd"), few, (0, 1), "", note)
     return Sheet(title, head, rows, (0, 1, 7), "", note, narrow=narrow)
 
@@ -186,5 +188,8 @@ def _probability(within: Conformance | None) -> str:
 
 def undetermined_sheet(comparison: ClassicalComparison) -> Sheet:
     """Return what cannot be determined classically from these runs."""
-    rows = [(Cell(finding.run), Cell(finding.sentence)) for finding in comparison.undetermined]
+    runs: dict[str, list[str]] = {}
+    for finding in comparison.undetermined:
+        runs.setdefault(finding.sentence, []).append(finding.run)
+    rows = [(Cell(", ".join(dict.fromkeys(names))), Cell(sentence)) for sentence, names in runs.items()]
     return Sheet("Not determined classically", ("run", "reason"), rows, (0, 1))

@@ -12,6 +12,7 @@ from rich.text import Text
 from imubayes.display.templates import render
 
 _LEAST_NAME = 16
+_MOST_WORD = 24
 _STYLES = {"bad": "bold red", "weak": "yellow", "dim": "dim", "": ""}
 
 
@@ -89,6 +90,9 @@ class SheetTable(Table):
         # A column of single words keeps them whole; its heading may wrap.
         single = place > 0 and not any(" " in text for text in texts)
         whole = max(widest, *map(len, name.split()), 0) if single else None
+        if left and place > 0 and not single:
+            # Lists of names wrap between the names: names cut in two are not told apart.
+            whole = min(max((len(word) for text in texts for word in text.split()), default=0), _MOST_WORD)
         self.add_column(
             Text(name),
             justify="left" if left else "right",

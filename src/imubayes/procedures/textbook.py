@@ -147,7 +147,7 @@ def by_temperature(runs: Sequence[Run]) -> list[list[Run]]:
         else:
             groups.append([run])
         last = here
-    return groups
+    return [[run for run in runs if any(run is other for other in group)] for group in groups]
 
 
 def standard_deviation(values: Sequence[float] | np.ndarray) -> tuple[float, float]:

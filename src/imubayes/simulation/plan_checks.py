@@ -33,6 +33,10 @@ def judge_steps(run: PlannedRun, rules: PlanRules, place: int, ledger: Ledger) -
         ledger.add(
             f"the number of rows of run '{run.name}' is not given", ("run", place, "rows"), "rows = …", "add 'rows'"
         )
+    _judge_directions(run, place, ledger)
+
+
+def _judge_directions(run: PlannedRun, place: int, ledger: Ledger) -> None:
     for index, pair in enumerate(run.directions or ()):
         if len(pair) != 2 or not perpendicular(pair):
             ledger.add(

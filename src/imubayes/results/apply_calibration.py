@@ -1,0 +1,224 @@
+"""Readings of a calibrated unit, and the temperature of its converter, turned into inputs with uncertainty.
+
+The fitted model is inverted at draws of its posterior: the mean over the draws is the input, their standard deviation
+the uncertainty of the calibration, in which the correlations of all parameters are contained.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import polars as pl
+
+from imubayes.array_shapes import Array, Float
+from imubayes.campaign_data import Campaign, Channel
+from imubayes.covariates import COVARIATES
+from imubayes.errors import InputError, Issue, closest_first
+from imubayes.inference.fitted_model import Fit
+from imubayes.model.bind import Model
+from imubayes.model.inverse_response import Conditions, inputs_of
+from imubayes.model.problem import Problem, values_of
+from imubayes.model.sensitive_axes import REFERENCE_TEMPERATURE, SensitivityInputs
+from imubayes.results.posterior_draws import complete, draws_of, thinned
+from imubayes.results.result import Result
+from imubayes.units import to_si
+
+_MOST_DRAWS = 200
+_ROWS_AT_ONCE = 500
+_TEMPERATURES = ("temperature", "converter_temperature")
+
+
+@dataclass(frozen=True)
+class CalibratedInputs:
+    """Inputs along the axes of the channels that were read.
+
+    Attributes
+    ----------
+    table : the readings, and for each channel its input, the standard uncertainty of the calibration, and that of the
+        row: with the white noise of its samples.  In the input unit of the channel, named in the column.
+    notes : what was assumed, one sentence each.
+    """
+
+    table: pl.DataFrame
+    notes: tuple[str, ...] = ()
+
+
+def apply_calibration(result: Result, readings: pl.DataFrame, where: str = "readings") -> CalibratedInputs:
+    """Return the inputs of a calibrated unit from its outputs.
+
+    Parameters
+    ----------
+    result : a fit of the unit that converged.
+    readings : a column per channel in output units; `converter_temperature_degC` and `temperature_degC` where the model
+        depends on them; `samples` where rows are means.
+    where : place of the readings, for errors.
+
+    Raises
+    ------
+    InputError
+        where there are no posterior draws, or columns are missing or not numeric.
+    """
+    fit = result.fit
+    campaign = fit.model.campaign
+    channels = [channel for channel in campaign.channels if channel.name in readings.columns]
+    _check(readings, campaign, channels, fit.model, where)
+    points = _draws(result)
+    temperatures, notes = _temperatures(readings, campaign)
+    outputs = {
+        kind: np.stack([_numbers(readings, channel.name, 0.0) for channel in campaign.of_kind(kind)], axis=1)
+        for kind in fit.derived.derivation.inputs.channels
+    }
+    mean, spread = _inverted(fit, points, outputs, temperatures)
+    samples = _numbers(readings, "samples", 1.0)
+    sigmas = {parameter.name: parameter.mean or 0.0 for parameter in result.summary.parameters}
+    columns: list[pl.Series] = []
+    for channel in channels:
+        place = campaign.of_kind(channel.kind).index(channel)
+        white = sigmas.get(f"white_noise.sigma[{channel.name}]", 0.0) / abs(channel.scale_si) / np.sqrt(samples)
+        found, own = mean[channel.kind][:, place], spread[channel.kind][:, place]
+        columns += _columns(channel, campaign.site.gravity, found, own, white)
+    return CalibratedInputs(readings.with_columns(columns), tuple(notes))
+
+
+def _columns(
+    channel: Channel, gravity: float, found: np.ndarray, calibration: np.ndarray, noise: np.ndarray
+) -> list[pl.Series]:
+    """Return the columns of one channel, in its input unit."""
+    factor, unit = to_si(channel.per, gravity), channel.per.replace("^", "").replace("/", "_")
+    values = {"": found, "_calibration_sd": calibration, "_sd": np.hypot(calibration, noise)}
+    return [pl.Series(f"{channel.name}{name}_{unit}", each / factor) for name, each in values.items()]
+
+
+def read_readings(file: Path) -> pl.DataFrame:
+    """Read a table of readings, CSV or Parquet.
+
+    Raises
+    ------
+    InputError
+        where the file is missing or no such table.
+    """
+    try:
+        return pl.read_parquet(file) if file.suffix == ".parquet" else pl.read_csv(file, infer_schema_length=None)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        fault = "there is no such file" if not file.is_file() else f"the file is no table: {str(error).splitlines()[0]}"
+        raise InputError(
+            Issue(fault, str(file), "a CSV or Parquet table with a header", "give the path of the readings")
+        ) from error
+
+
+def _numbers(readings: pl.DataFrame, name: str, otherwise: float) -> np.ndarray:
+    """Return a column as numbers, shape (R,); a constant where it is not given."""
+    given = name in readings.columns
+    return readings[name].cast(pl.Float64).to_numpy() if given else np.full(readings.height, otherwise)
+
+
+def _check(readings: pl.DataFrame, campaign: Campaign, channels: Sequence[Channel], model: Model, where: str) -> None:
+    """Raise InputError with everything that is wrong with the columns of readings."""
+    issues = [*_missing(readings, model, where), *_not_numeric(readings, channels, where)]
+    if not channels:
+        names = [channel.name for channel in campaign.channels if channel.kind != "angle"]
+        allowed = closest_first(next(iter(readings.columns), ""), names)
+        issues.append(Issue("no column is a channel of the unit", where, allowed, "name the columns like the channels"))
+    if issues:
+        raise InputError(issues)
+
+
+def _missing(readings: pl.DataFrame, model: Model, where: str) -> list[Issue]:
+    """Return an issue for every temperature that the model depends on and the readings lack."""
+    needed = {need for effect in model.assembly.effects for need in effect.effect_class.needs}
+    return [
+        Issue(
+            f"the model depends on the {name.replace('_', ' ')}, which is not given",
+            f"{where}, header",
+            f"a column '{COVARIATES[name].column}'",
+            "add the column",
+        )
+        for name in _TEMPERATURES
+        if name in needed and COVARIATES[name].column not in readings.columns
+    ]
+
+
+def _not_numeric(readings: pl.DataFrame, channels: Sequence[Channel], where: str) -> list[Issue]:
+    used = [*(channel.name for channel in channels), "samples", *(COVARIATES[name].column for name in _TEMPERATURES)]
+    return [
+        Issue(f"column '{name}' is not numeric", f"{where}, column '{name}'", "numbers in every row", "correct it")
+        for name in used
+        if name in readings.columns and not readings[name].dtype.is_numeric()
+    ]
+
+
+def _temperatures(readings: pl.DataFrame, campaign: Campaign) -> tuple[np.ndarray, list[str]]:
+    """Return the temperatures of sensor and converter, shape (R, 2), and what to know of them."""
+    found, notes = [], []
+    for name in _TEMPERATURES:
+        column = COVARIATES[name].column
+        if column not in readings.columns:
+            found.append(np.full(readings.height, REFERENCE_TEMPERATURE))
+            continue
+        values = readings[column].cast(pl.Float64).to_numpy()
+        known = [run.covariates[name] for run in campaign.runs if name in run.covariates]
+        if known and len(values):
+            low, high = (float(each(np.concatenate(known))) for each in (np.min, np.max))
+            beyond = int(np.sum((values < low) | (values > high)))
+            if beyond:
+                notes.append(f"{beyond} rows are outside the calibrated range of {column}, {low:.4g} … {high:.4g} °C")
+        found.append(values)
+    return np.stack(found, axis=1), notes
+
+
+def _draws(result: Result) -> np.ndarray:
+    """Return draws of the parameters in z, shape (S, P).
+
+    Raises
+    ------
+    InputError
+        where the fit did not converge, so that there are none.
+    """
+    layout = result.fit.model.layout
+    found = thinned(complete(draws_of(result.posterior, layout.names)), _MOST_DRAWS)
+    values = np.stack([found[name] for name in layout.names], axis=1)
+    return np.stack([layout.z_of(row) for row in values])
+
+
+@eqx.filter_jit
+def _invert(
+    inputs: SensitivityInputs, problem: Problem, points: Float[Array, "S P"], outputs, temperatures: Float[Array, "R 2"]
+):
+    """Return mean and standard deviation over the draws of the inputs of every row, kind → (R, C)."""
+    values = jax.vmap(lambda z: values_of(problem, z))(points)
+
+    def of_row(row, at):
+        return jax.vmap(lambda each: inputs_of(inputs, each, row, Conditions(at[0], at[1])))(values)
+
+    found = jax.vmap(of_row)(outputs, temperatures)
+    return jax.tree.map(lambda each: each.mean(axis=1), found), jax.tree.map(lambda each: each.std(axis=1), found)
+
+
+def _inverted(
+    fit: Fit, points: np.ndarray, outputs: dict[str, np.ndarray], temperatures: np.ndarray
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    inputs, problem = fit.derived.derivation.inputs, fit.model.problem
+    rows = len(temperatures)
+    size = min(_ROWS_AT_ONCE, max(rows, 1))
+    blocks = math.ceil(rows / size)
+    means, spreads = [], []
+    for block in range(blocks):
+        # All blocks have one size, so that one program serves all: the last is padded with its last row.
+        chosen = np.minimum(np.arange(block * size, (block + 1) * size), rows - 1)
+        mean, spread = _invert(
+            inputs, problem, jnp.asarray(points), {kind: jnp.asarray(y[chosen]) for kind, y in outputs.items()},
+            jnp.asarray(temperatures[chosen]),
+        )  # fmt: skip
+        means.append(mean)
+        spreads.append(spread)
+    return _joined(means, rows), _joined(spreads, rows)
+
+
+def _joined(blocks: list[dict[str, Array]], rows: int) -> dict[str, np.ndarray]:
+    kinds = blocks[0] if blocks else {}
+    return {kind: np.concatenate([np.asarray(block[kind]) for block in blocks])[:rows] for kind in kinds}

@@ -1,0 +1,68 @@
+"""Output and converter temperature to acceleration, on readings written down from the truth of the shipped campaign."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from imubayes.api import apply, fit
+from imubayes.errors import InputError
+
+ROOT = Path(__file__).parents[2]
+TRUTH = tomllib.loads((ROOT / "data" / "accel-channel" / "truth.toml").read_text())["parameters"]
+
+
+def readings(acceleration, temperature):
+    """Outputs in pulse/s of the true unit: bias and scale factor, then gain and offset drift of the converter."""
+    warmer = temperature - 25.0
+    sensed = (1 + 1e-6 * TRUTH["accel_scale_factor.scale[ax]"]) * (acceleration + 1e-6 * TRUTH["accel_bias.bias[ax]"])
+    gain = 1 + 1e-6 * TRUTH["converter_gain_drift.slope[ax]"] * warmer
+    output = 20000.0 * sensed * gain + TRUTH["converter_offset_drift.slope[ax]"] * warmer
+    return pl.DataFrame({"ax": output, "converter_temperature_degC": temperature})
+
+
+@pytest.fixture(scope="module")
+def result():
+    return fit(ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml", sample=False)
+
+
+def test_the_acceleration_is_found_within_its_uncertainty(result):
+    acceleration = np.repeat([0.5, 0.75, 1.0], 4)
+    temperature = np.tile([15.0, 25.0, 35.0, 45.0], 3)
+    found = apply(result, readings(acceleration, temperature)).table
+    score = (found["ax_g"].to_numpy() - acceleration) / found["ax_calibration_sd_g"].to_numpy()
+    assert np.abs(score).max() < 4
+    # Fault planted: the nominal scale alone is off by thousands of µg, far beyond the uncertainty.
+    assert (np.abs(found["ax"].to_numpy() / 20000 - acceleration) > 5 * found["ax_calibration_sd_g"].to_numpy()).any()
+    # At 1 g scale factor and bias are known together far better than either alone.
+    alone = next(one.sd for one in result.summary.parameters if one.name == "accel_bias.bias[ax]")
+    at_1_g = found.filter(pl.col("converter_temperature_degC") == 25.0)["ax_calibration_sd_g"].to_numpy()[-1]
+    assert at_1_g < 1e-6 * alone
+
+
+def test_the_row_has_the_noise_of_its_samples(result):
+    one = readings(np.array([1.0, 1.0]), np.array([25.0, 25.0])).with_columns(samples=pl.Series([1, 100]))
+    found = apply(result, one).table
+    white = found["ax_sd_g"].to_numpy() ** 2 - found["ax_calibration_sd_g"].to_numpy() ** 2
+    assert white[0] == pytest.approx(100 * white[1], rel=1e-6)
+    assert np.sqrt(white[0]) == pytest.approx(TRUTH["white_noise.sigma[ax]"] / 20000, rel=0.1)
+
+
+def test_temperatures_beyond_the_calibration_are_noted(result):
+    assert apply(result, readings(np.ones(2), np.array([25.0, 80.0]))).notes
+    assert not apply(result, readings(np.ones(2), np.array([25.0, 26.0]))).notes
+
+
+def test_bad_readings_are_refused(result, tmp_path):
+    table = readings(np.ones(2), np.array([25.0, 26.0]))
+    for bad, what in (
+        (table.drop("ax"), "no column is a channel"),
+        (table.drop("converter_temperature_degC"), "depends on the converter temperature"),
+        (table.with_columns(ax=pl.Series(["x", "y"])), "not numeric"),
+    ):
+        with pytest.raises(InputError, match=what):
+            apply(result, bad)
+    with pytest.raises(InputError, match="no such file"):
+        apply(result, tmp_path / "missing.csv")
