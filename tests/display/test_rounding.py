@@ -19,7 +19,7 @@ from imubayes.display.rounding import concise, percent, ratio_text, significant,
         (5, 1, ("5.0", "1.0")),
         (3.2e-7, 1.4e-8, ("3.20e-07", "0.14e-07")),
         (0.0, 0.5, ("0.00", "0.50")),
-        (2.34567891, 0.0, ("2.34568", "0.00000")),  # no uncertainty: six digits
+        (2.34567891, 0.0, ("2.34568", "0")),  # no uncertainty: six digits
         (None, None, ("–", "–")),
         (math.nan, 1.0, ("–", "1.0")),
     ],
@@ -66,3 +66,10 @@ def test_significant_digits(value, digits, expected):
 )
 def test_ratio(value, expected):
     assert ratio_text(value) == expected
+
+
+def test_a_number_that_nothing_changes_has_no_digits_of_rounding():
+    """A nominal scale factor over thousands of equal draws: 0.0100000000000000054 ± 3.5e-18 says nothing."""
+    assert value_and_sd(0.0100000000000000054, 3.5e-18) == ("0.0100000", "0")
+    assert value_and_sd(0.0, 0.0)[1] == "0"
+    assert value_and_sd(1.0, 1e-9) != ("1.0000", "0")

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from imubayes.display.fit_quality_tables import NOT_DETERMINED, alarm_of, more
 from imubayes.display.labels import pretty
-from imubayes.display.rounding import percent, rounded, value_and_sd
+from imubayes.display.rounding import is_exact, percent, rounded, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.results.summary import ParameterSummary, Quantity, Summary
 
@@ -64,13 +64,16 @@ def _short(entry: Quantity) -> tuple[Cell, ...]:
 
 
 def _from_data(entry: Quantity) -> Cell:
-    if entry.from_data is None and entry.prior_sd == 0:
+    if entry.from_data is None and (entry.prior_sd == 0 or is_exact(entry.mean, entry.prior_sd)):
         return Cell("fixed by the model", "dim")
     share = percent(entry.from_data)
     return Cell(f"{share}, not determined", "weak") if is_undetermined(entry) else Cell(share)
 
 
 def _estimate(entry: Quantity) -> tuple[Cell, ...]:
+    if is_exact(entry.mean, entry.sd):
+        mean, sd = value_and_sd(entry.mean, entry.sd)
+        return Cell(entry.name), Cell(mean), Cell(sd), Cell(""), Cell(pretty(entry.unit)), _from_data(entry)
     mean, sd, low, high = rounded((entry.mean, entry.sd, entry.q025, entry.q975), entry.sd)
     mood = "weak" if is_undetermined(entry) else ""
     numbers = (Cell(mean, mood), Cell(sd, mood), Cell(f"{low} … {high}", mood))

@@ -13,6 +13,8 @@ from sciform import Formatter
 NO_NUMBER = "–"
 # Outside of these sizes a power of ten is split off.
 _SMALLEST, _LARGEST = 1e-5, 1e8
+# Means and standard deviations over thousands of equal draws differ from them by some units in the last place.
+_ROUNDING_ERROR = 1e-12
 
 
 def _decade(value: float, digits: int = 1) -> int:
@@ -48,8 +50,15 @@ def _unsigned_zero(text: str) -> str:
     return text.removeprefix("-") if float(text) == 0 else text
 
 
+def is_exact(value: float | None, sd: float | None) -> bool:
+    """Return whether an uncertainty is only the rounding of the arithmetic: that of a number which nothing changes."""
+    return value is not None and sd is not None and 0 <= sd <= _ROUNDING_ERROR * abs(value)
+
+
 def value_and_sd(value: float | None, sd: float | None) -> tuple[str, str]:
     """Return estimate and standard uncertainty as text: (12.3456, 0.0213) → ("12.346", "0.021")."""
+    if value is not None and is_exact(value, sd):
+        return rounded((value,), None)[0], "0"
     estimate, uncertainty = rounded((value, sd), sd)
     return estimate, uncertainty
 
