@@ -2,6 +2,9 @@
 
 At the mode the precision of the parameters is the prior's plus a sum over runs, JᵀΣ⁻¹J of each.  With the gradient c of
 a quantity its variance is cᵀΛ⁻¹c for any sum that leaves something out.
+
+That holds for quantities that are linear in the parameters over the posterior.  An angle near zero is not: as a length
+it has no gradient there, and is left out: a linear variance would contradict its posterior.
 """
 
 import numpy as np
@@ -12,6 +15,8 @@ from imubayes.json_record import Record
 from imubayes.model.problem import prior_widths
 
 _QUANTITIES = ("mounting_angle[", "scale_factor[")
+# Least share of the posterior variance that a linear function of the parameters explains.
+_LINEAR = 0.9
 
 
 class ProcedureShare(Record):
@@ -32,7 +37,7 @@ class Contribution(Record):
 
 
 def contributions(fit: Fit) -> tuple[Contribution, ...]:
-    """Return for each mounting angle and scale factor its uncertainty by procedure.
+    """Return for each mounting angle and scale factor that is linear in the parameters its uncertainty by procedure.
 
     Empty where the fit did not converge or there is one procedure alone.  `alone` is the standard deviation from the
     prior and the runs of one procedure, `without` that from all others; both in the unit of the quantity, with the
@@ -48,7 +53,9 @@ def contributions(fit: Fit) -> tuple[Contribution, ...]:
     information = [
         precision_of(model.problem, fit.mode.about, fit.mode.h, of_run == place) for place in range(len(procedures))
     ]
-    gradients = _gradients(fit.posterior, len(fit.z), chosen)
+    gradients, linear = _gradients(fit.posterior, len(fit.z), chosen)
+    chosen = [place for place, is_linear in zip(chosen, linear, strict=True) if is_linear]
+    gradients = gradients[linear]
     together = prior + sum(information)
     alone = [deviations(gradients, prior + own) for own in information]
     without = [deviations(gradients, together - own) for own in information]
@@ -66,8 +73,10 @@ def contributions(fit: Fit) -> tuple[Contribution, ...]:
     )
 
 
-def _gradients(posterior: Posterior, size: int, chosen: list[int]) -> np.ndarray:
-    """Return the slope of derived quantities on z, (n, P), by regression of the draws: they are nearly linear in it."""
+def _gradients(posterior: Posterior, size: int, chosen: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the slope of derived quantities on z, (n, P), by regression of the draws, and whether it explains them."""
     z, values = posterior.points[posterior.derived_rows, :size], posterior.derived[:, chosen]
-    slopes, *_ = np.linalg.lstsq(z - z.mean(axis=0), values - values.mean(axis=0))
-    return slopes.T
+    centred, about = z - z.mean(axis=0), values - values.mean(axis=0)
+    slopes, *_ = np.linalg.lstsq(centred, about)
+    explained = 1 - np.var(about - centred @ slopes, axis=0) / np.maximum(np.var(about, axis=0), np.finfo(float).tiny)
+    return slopes.T, explained > _LINEAR
