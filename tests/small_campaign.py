@@ -176,6 +176,24 @@ def driven_campaign() -> Campaign:
     )  # fmt: skip
 
 
+def directed_campaign() -> Campaign:
+    """Return a campaign with a fine gyro at rest in positions named by directions, beside a run on a table."""
+    toward = {"E": (1, 0, 0), "W": (-1, 0, 0), "N": (0, 1, 0), "S": (0, -1, 0), "U": (0, 0, 1), "D": (0, 0, -1)}
+    pairs = ("EN", "ES", "EU", "ED", "WU", "WD", "UE", "UW", "DE", "NU", "ND", "SU", "SE")
+    along, across = (np.array([toward[pair[k]] for pair in pairs], dtype=float) for k in (0, 1))
+    gyro = replace(channels()[0], per="deg/h", noise=1e-4)
+    at_rest = np.zeros((len(pairs), 1))
+    run = Run(
+        "positions", "geographic_tumble", None, None,
+        {name: np.zeros(len(pairs)) for name in ("table_rate", "table_angle", "table_angle_span")},
+        at_rest, np.full(len(pairs), 400), np.full_like(at_rest, np.nan),
+        attitude=np.stack([along, across, np.cross(along, across)], axis=2) @ gyro.axes,
+    )  # fmt: skip
+    plain = campaign()
+    beside = replace(plain.runs[0], observed=plain.runs[0].observed[:, :1], sample_sd=plain.runs[0].sample_sd[:, :1])
+    return replace(plain, name="directed", channels=(gyro,), runs=(run, beside))
+
+
 def _injection(name: str, multiple: float) -> Run:
     run = _run(
         name, "current_injection", None, None, 4,

@@ -93,6 +93,11 @@ class Plan:
             return any(run.procedure == "reference_gyro" for run in self.runs)
         if effect == "table_rate_error":
             return any(row.rate for run in self.runs for row in run.rows if run.procedure != "reference_gyro")
+        directed = any(row.axes is not None for row in rows)
+        if effect.startswith("station_"):
+            return directed
+        if effect == "gyro_scale_factor" and directed:
+            return True  # the Earth rate is the input
         if effect in ("lever_arm", "gyro_scale_factor", "gyro_scale_temperature"):
             return any(row.rate for row in rows) or any(run.procedure == "free_tumble" for run in self.runs)
         return True
@@ -273,7 +278,9 @@ class Moments:
             at = self.run == index
             if run.rows[0].axes is not None:
                 stand = np.stack([named_attitude(*row.axes, self.plan.channels[0].axes) for row in run.rows])
-                local = stand[self.row[at] - self.row[at].min()]
+                station = [values.get(f"station_level.{axis}[all]", 0.0) for axis in ("east", "north")]
+                station = rotation(np.array([*station, values.get("station_heading.heading[all]", 0.0)]) * ARCSEC)
+                local = station @ stand[self.row[at] - self.row[at].min()]
                 for whole, vector in zip(felt, (self.plan.site.earth_rate, self.plan.site.upward_force), strict=False):
                     whole[at] = np.einsum("j,kji->ki", vector, local)
                 continue

@@ -71,6 +71,7 @@ UNITS = {
         f"table_wobble.{axis}_{part}_{order}": "arcsec"
         for order in (1, 2) for axis in "xy" for part in ("cos", "sin")
     },
+    "station_heading.heading": "arcsec", "station_level.east": "arcsec", "station_level.north": "arcsec",
     **{f"reference_alignment.{axis}": "arcsec" for axis in "xyz"},
     **{f"reference_scale_factor.{axis}": "ppm" for axis in "xyz"},
     **{f"reference_bias.{axis}": "deg/h" for axis in "xyz"},
@@ -130,7 +131,7 @@ def _applies(effect: dict, channel: Channel) -> bool:
         return channel.kind == "gyro"
     if effect["name"].startswith(("accel_", "lever_arm")):
         return channel.kind == "accelerometer"
-    return not effect["name"].startswith(("reference_", "time_"))
+    return not effect["name"].startswith(("reference_", "time_", "station_"))
 
 
 def effects_of(model: str | Path) -> list[dict]:
@@ -183,8 +184,8 @@ def equipment_spreads(
 
 
 def of_reference(effects: Iterable[dict], tables: Iterable[str], seed: int) -> dict[str, float]:
-    """Draw a value for every parameter of a reference gyro, which belongs to no channel, and of its clock."""
-    labels = {"reference": ("all",), "time": tuple(tables)}
+    """Draw a value for every parameter of a reference gyro and its clock, and of the station: of no channel."""
+    labels = {"reference": ("all",), "station": ("all",), "time": tuple(tables)}
     names = {
         f"{effect['name']}.{parameter}": (labels[effect["name"].split("_")[0]], prior)
         for effect in effects

@@ -23,7 +23,7 @@ OWN = {"noise": 0.5, "scale": 1000.0}
 # What "nothing" is for a covariate: the effect's own reference for temperatures, long ago for power-on, 0 for all else.
 TEMPERATURES = ("temperature", "converter_temperature")
 LONG_AGO = 1e12
-GATES = ("turning", "commanded", "acceleration", "injection", "reference", "driven")
+GATES = ("turning", "commanded", "acceleration", "injection", "reference", "driven", "directions")
 INSTANTS = 24  # of a record, two runs
 
 
@@ -212,7 +212,7 @@ def silent_without_its_covariate(member: type) -> None:
     """Where what it needs is absent, or at the reference, the effect changes nothing, whatever its values."""
     reference = next((v for name, v in declared_options(member).items() if name.startswith("reference")), 0.0)
     for need in member.needs:
-        if need in ("injection", "reference", "driven", "table_angle"):
+        if need in ("injection", "reference", "driven", "directions", "table_angle"):
             continue  # known or not, without a value that is none: `test_registry` shows that nothing gets by
         nothing = {"power_on": LONG_AGO} | dict.fromkeys(TEMPERATURES, reference)
         fixed = {} if need in GATES else {need: nothing.get(need, 0.0)}

@@ -14,6 +14,7 @@ from imubayes.model.nodes_and_entries import join_nodes
 from imubayes.model.problem import predict
 from small_campaign import (
     campaign,
+    directed_campaign,
     driven_campaign,
     referenced_campaign,
     simulated,
@@ -51,7 +52,8 @@ def declared_alone(member: type, registry: Registry | None = None) -> Model:
 
 def shown_by(member: type) -> Campaign:
     """Return the small campaign whose runs supply what a member needs."""
-    for need, among in (("reference", referenced_campaign), ("driven", driven_campaign)):
+    special = {"reference": referenced_campaign, "driven": driven_campaign, "directions": directed_campaign}
+    for need, among in special.items():
         if need in member.needs:
             return among()
     if member.nuisance:

@@ -75,7 +75,9 @@ def test_the_recovered_exist():
     assert set(EFFECTS) >= set(RECOVERED)
 
 
-GATED = [n for n, m in EFFECTS.items() if {*ambient_names(), "injection", "reference", "driven"} & set(m.needs)]
+GATED = [
+    n for n, m in EFFECTS.items() if {*ambient_names(), "injection", "reference", "driven", "directions"} & set(m.needs)
+]
 
 
 @pytest.mark.parametrize("name", GATED)
@@ -86,7 +88,7 @@ def test_nothing_reaches_a_run_that_lacks_what_is_needed(name):
     own = np.array([parameter.name.startswith(f"{name}.") for parameter in model.layout.parameters])
     here, there = (np.asarray(predict(model.problem, jnp.asarray(z * own))) for z in (0.3, -0.5))
     change = there - here
-    needed = set(EFFECTS[name].needs) & {*ambient_names(), "injection", "reference", "driven"}
+    needed = set(EFFECTS[name].needs) & {*ambient_names(), "injection", "reference", "driven", "directions"}
     lacking = [i for i, supplied in enumerate(model.nodes.supplies) if not needed <= supplied]
     assert np.any(change != 0)
     assert not np.any(change[np.isin(model.entries.run, lacking)])

@@ -28,6 +28,45 @@ class TumbleHeading(MotionEffect):
         return replace(motion, base=compose(exponential(vector3(zero, zero, self.heading)), motion.base))
 
 
+class StationHeading(MotionEffect):
+    """Error ψ of the station's north: C_nb = Rz(ψ) · C_nb,nominal, in positions set by directions.
+
+    5 arcmin of it change the Earth rate along an axis that points east by 0.0013 · Ω cos L, 0.012 deg/h at 56°.
+    """
+
+    name = "station_heading"
+    stage = Stage.STAND
+    per = ()
+    needs = ("directions",)
+    confused_with = "gyro_misalignment, where the axis always points east with the same axis up"
+    reference = "IEEE Std 517, alignment of the test station to north; 5 arcsec … 5 arcmin"
+    heading: Scalar = parameter("arcsec", "normal(0, 5 arcmin)", (1, 600), "the rotation about the vertical")
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        zero = jnp.zeros_like(self.heading)
+        return replace(motion, base=compose(exponential(vector3(zero, zero, self.heading)), motion.base))
+
+
+class StationLevel(MotionEffect):
+    """Error of the station's level: C_nb = exp([east, north, 0]×) · C_nb,nominal, in positions set by directions.
+
+    It tilts the Earth rate and gravity alike: 1 arcmin is 0.0003 · Ω along a horizontal axis.
+    """
+
+    name = "station_level"
+    stage = Stage.STAND
+    per = ()
+    needs = ("directions",)
+    confused_with = "station_heading, where the axis is never vertical; gyro_misalignment, in few positions"
+    reference = "IEEE Std 517, levelling of the test station; 1 arcsec … 5 arcmin"
+    east: Scalar = parameter("arcsec", "normal(0, 1 arcmin)", (1, 300), "the rotation about east")
+    north: Scalar = parameter("arcsec", "normal(0, 1 arcmin)", (1, 300), "the rotation about north")
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        tilt = exponential(vector3(self.east, self.north, jnp.zeros_like(self.east)))
+        return replace(motion, base=compose(tilt, motion.base))
+
+
 class MountingError(BodyRotation):
     """Small rotation of the body in its fixture: C_tb = C_tb,nominal · exp([δ]×), δ in body axes.
 

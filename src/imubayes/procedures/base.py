@@ -76,4 +76,5 @@ class Procedure:
 
     def stimulus(self, run: Run, campaign: Campaign) -> Stimulus:
         """Return the nominal stimulus of a run, at the nodes of its rows."""
-        return replace(self.kinematics(run, campaign), injected=self.injected, driven=self.driven)
+        found = self.kinematics(run, campaign)
+        return replace(found, injected=self.injected, driven=self.driven, directed=self.by_direction)

@@ -20,6 +20,7 @@ class Stimulus:
     injected : whether a current replaces the sensor at the converter input.
     pose : shape (n,), static pose of a free tumble, else −1.
     driven : whether a gyro drives the table.
+    directed : whether the attitude is set by directions of the site, north and the vertical.
     """
 
     row: np.ndarray
@@ -35,6 +36,7 @@ class Stimulus:
     injected: bool
     pose: np.ndarray
     driven: bool = False
+    directed: bool = False
 
     @property
     def referenced(self) -> bool:
@@ -58,4 +60,6 @@ class Stimulus:
             seen.add("injection")
         if self.driven:
             seen.add("driven")
+        if self.directed:
+            seen.add("directions")
         return frozenset(seen)
