@@ -177,6 +177,7 @@ CONDITIONS: dict[str, str] = {
     "reference": "a reference gyro that rides along",
     "injection": "a run of procedure current_injection",
     "driven": "a table that the gyro drives",
+    "directions": "positions named by directions of the site (i_axis, o_axis)",
     "table": "a run on a table",
     "mounting": "a run in a mounting",
     "pose": "a free tumble",

@@ -17,7 +17,7 @@ from imubayes.parameters.parameter_declarations import Declared, declared_option
 from imubayes.parameters.vector import Parameter
 
 # An effect that needs one of these must be switched off in the runs without it.
-_GATES = ("injection", "reference", "driven")
+_GATES = ("injection", "reference", "driven", "directions")
 _SHARING = {"channel": ("channel",), "all": (), "run": ("channel", "run"), "mounting": ("channel", "mounting")}
 _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
 
