@@ -111,7 +111,6 @@ class GyroRunBias(Gyro, RunBias):
 
 class GyroScaleFactor(Gyro, ScaleFactor):
     name = "gyro_scale_factor"
-    needs = ("turning",)
     confused_with = "mounting angle and table rate error, in one mounting"
     reference = "IEEE Std 952, scale factor S"
     scale: Scalar = parameter(
