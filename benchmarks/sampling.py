@@ -190,9 +190,7 @@ def _laplace_covariance(problem: Problem, mode, approximation: NestedLaplace) ->
     size, hyper_size = problem.size
     covariance = np.zeros((size + hyper_size, size + hyper_size))
     covariance[:size, :size] = np.linalg.inv(np.asarray(posterior_precision(problem, mode)))
-    width = 0.5 * np.asarray(approximation.left + approximation.right)
-    axes = np.asarray(approximation.hyper_axes)
-    covariance[size:, size:] = (axes * width**2) @ axes.T
+    covariance[size:, size:] = approximation.hyper_covariance()
     return covariance
 
 

@@ -84,7 +84,7 @@ def log_kurtosis(projection: Projection, entries: np.ndarray, chosen: np.ndarray
     return np.log(fourth / len(here))
 
 
-_KINDS: tuple[tuple[str, Callable], ...] = (
+KINDS: tuple[tuple[str, Callable], ...] = (
     ("correlated_noise", correlation),
     ("run_scatter", run_offsets),
     ("rate_proportional_noise", input_proportionality),
@@ -92,8 +92,16 @@ _KINDS: tuple[tuple[str, Callable], ...] = (
 )
 
 
-def screen_noise(projection: Projection, seed: int = 1) -> list[NoiseCandidate]:
-    """Return the noise candidates on each kind of channel, the most significant first."""
+def screen_noise(
+    projection: Projection, seed: int = 1, kinds: Sequence[tuple[str, Callable]] = KINDS
+) -> list[NoiseCandidate]:
+    """Return the noise candidates on each kind of channel, the most significant first.
+
+    Parameters
+    ----------
+    seed : of the simulated white noise.
+    kinds : names and statistics; a statistic takes projection, entries (E, columns) and groups (G,) bool.
+    """
     model = projection.fitted.model
     rows = len(projection.residual)
     draws = np.random.default_rng(seed).normal(
@@ -104,7 +112,7 @@ def screen_noise(projection: Projection, seed: int = 1) -> list[NoiseCandidate]:
     found = []
     for kind in dict.fromkeys(channel.kind for channel in model.campaign.channels):
         names = tuple(channel.name for channel in model.campaign.channels if channel.kind == kind)
-        for effect, statistic in _KINDS:
+        for effect, statistic in kinds:
             chosen = _groups(projection, names, effect)
             if not chosen.any():
                 continue

@@ -118,6 +118,20 @@ MARKOV_NEARLY = 1.0
 # A projected direction with less than this share of its squared length in a channel is ignored there.  Numerical.
 DIRECTION_HELD_MIN = 0.1
 
+# ---- Noise at the end of a fit (noise_assumptions) -------------------------------------------------------------------
+# Probability that a fit with the noise of its model is said to have another, all tests together.  Design value: half of
+# the 1 % that is asked for, since the tails of the tests are those of a Pearson III distribution.
+FALSE_ALARM_INTERVALS = 0.005
+# Lowest frequencies of each run that count as slow.  Convention: fewer find only drifts, more lose them in the rest.
+SLOW_MODES = 4
+# Step of the output over its noise above which rounding is not smoothed by noise.  Derived: with noise σ of which the
+# step q makes q²/12, q > 2σ leaves true noise below 0.41 q, whose rounding error follows the input (Widrow & Kollár
+# 2008).
+COARSE_STEP = 2.0
+# Outputs lie on a grid where this share of them coincide, their distances are multiples of a step to this share of it,
+# and the step is above this rounding of the largest output.  Numerical.
+COINCIDENT_SHARE, GRID_SHARE, GRID_ROUNDING = 0.2, 1e-3, 1e-12
+
 # ---- Free forms (lack_of_fit) ----------------------------------------------------------------------------------------
 # One value per level up to so many levels, otherwise a cubic spline of so many columns; fewer rows have no form.
 # Convention: more columns follow narrower structure at the cost of power for broad structure.

@@ -6,6 +6,7 @@ What did not converge is said first, in red.
 import math
 from collections.abc import Iterable, Sequence
 
+from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.goodness_of_fit import SIGNIFICANT, share_of_freedom, tail
 from imubayes.display.labels import pretty, readable
 from imubayes.display.rounding import percent, ratio_text, significant
@@ -15,13 +16,6 @@ from imubayes.results.summary import Contribution, NextRun, RunSummary, Summary
 
 NOT_DETERMINED = 0.1
 _MOST_CONTRIBUTIONS = 6
-
-
-def alarm_of(summary: Summary) -> str:
-    """Return the warning that precedes everything else; empty where the fit converged."""
-    if summary.converged:
-        return ""
-    return f"NOT CONVERGED. {summary.message.strip() or 'The numbers below must not be used.'}"
 
 
 def run_sheet(summary: Summary, most: int | None = None) -> Sheet:

@@ -6,6 +6,7 @@ from imubayes.display.classical_comparison import (
     decision_sheet,
     undetermined_sheet,
 )
+from imubayes.display.fit_cautions import alarm_of, notices
 from imubayes.display.fit_quality_tables import contribution_sheet, next_run_sheet, run_sheet, weak_sheet
 from imubayes.display.prior_conflicts import conflict_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
@@ -29,7 +30,9 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
         f"fit {summary.seconds.fit:.1f} s, sampling {summary.seconds.sample:.1f} s; "
         f"intervals are {summary.interval}; uncertainty is the {summary.uncertainty}"
     )
-    return Report((), sheets, (closing,))
+    # A warning stands on the first line, above the first table; nothing comes before it.
+    said = notices(summary)
+    return Report((), sheets, (*said, closing)) if alarm_of(summary) else Report(said, sheets, (closing,))
 
 
 def classical_report(comparison: ClassicalComparison) -> Report:

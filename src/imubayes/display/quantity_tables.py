@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from imubayes.display.fit_quality_tables import NOT_DETERMINED, alarm_of, more
+from imubayes.display.fit_cautions import alarm_of
+from imubayes.display.fit_quality_tables import NOT_DETERMINED, more
 from imubayes.display.labels import pretty
 from imubayes.display.rounding import is_exact, percent, rounded, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet

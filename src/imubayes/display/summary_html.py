@@ -1,6 +1,7 @@
 """A result as self-contained HTML for a notebook: no scripts, links or external styles; all text is escaped."""
 
-from imubayes.display.fit_quality_tables import alarm_of, contribution_sheet, next_run_sheet, run_sheet, weak_sheet
+from imubayes.display.fit_cautions import alarm_of, notices
+from imubayes.display.fit_quality_tables import contribution_sheet, next_run_sheet, run_sheet, weak_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.display.templates import render
 from imubayes.results.summary import Summary
@@ -16,4 +17,4 @@ def summary_html(summary: Summary) -> str:
         (summary.contributions, contribution_sheet),
     )
     sheets = [parameter_sheet(summary), *(sheet(summary) for content, sheet in optional if content)]
-    return render("summary", summary=summary, alarm=alarm_of(summary), sheets=sheets)
+    return render("summary", summary=summary, alarm=alarm_of(summary), notices=notices(summary), sheets=sheets)

@@ -3,6 +3,9 @@
 Four ensembles, each of its own seed, begin from fits that were started far apart in the prior, so that a second
 mode, where there is one, is found by one of them and shows as disagreement.  They advance in blocks; after each
 block the checkpoint is replaced as a whole and convergence is judged.
+
+How long a chain has to be follows from the importance weights of its proposal: a walker stays for as many steps as the
+weight of its place, so the chain takes several times the largest weight found (`imubayes.inference.proposal_weights`).
 """
 
 import math
@@ -15,27 +18,28 @@ from emcee.backends import HDFBackend
 from emcee.moves import DEMove, StretchMove
 
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.convergence import Convergence, diagnose
-from imubayes.inference.laplace_move import LaplaceMove, LaplaceProposal
+from imubayes.inference.convergence import PROPOSED_EFFECTIVE_SIZE, Convergence, diagnose
+from imubayes.inference.laplace_move import LaplaceMove
+from imubayes.inference.proposal_weights import BatchedDensity, WeighedProposal
 
 # The safety net for what is not Gaussian takes this share of the steps.  DESnookerMove of emcee 3.1.6 is biased.
 _STRETCH_SHARE = _DE_SHARE = 0.02
 # Short steps of the Laplace move, and the share of them; where independent draws are mostly refused, half of all.
 # In ten steps two walkers of three take a short one: it frees those few from which independent draws rarely lead.
 _SHORT_STEP, _SHORT_SHARE, _SHORT_SHARE_HARD = 0.3, 0.1, 0.5
-_HARD_ACCEPTANCE, _TRIAL = 0.5, 256
+_HARD_ACCEPTANCE = 0.5
 _FEWEST_WALKERS = 64
 _BURN_IN, _BLOCK = 5, 5
 # So many draws of all ensembles together are taken even where fewer would do, and so many steps.
 _LEAST_DRAWS, _LEAST_STEPS = 6000, 10
+# Draws beyond the effective size asked for, so that the first judgement mostly is the last.
+_MARGIN = 1.1
+# So many times the largest importance weight: a walker leaves the place where the proposal is thinnest that often.
+_STAYS = 3
 # A chain longer than this did not begin where it should; a quarter of it is then left out.
 _LONG = 60
 # Largest size of all chains together, in numbers: 400 MB.
 _MOST_NUMBERS = 50_000_000
-
-
-# Points (n, D) → log densities (n,).
-BatchedDensity = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,7 @@ def sample(
     names: Sequence[str],
     settings: Settings,
     checkpoint: Checkpoint,
-    proposal: LaplaceProposal | None = None,
+    weighed: WeighedProposal | None = None,
     progress: Callable[[int, str], None] | None = None,
 ) -> Chains:
     """Sample until converged, or until the longest chain allowed.
@@ -94,28 +98,27 @@ def sample(
     starts : for each ensemble its first points, shape (walkers, D).
     names : of the D parameters.
     checkpoint : created or checked before; where it holds steps, they are continued.
-    proposal : the Laplace proposal; None for stretch and DE moves alone.
+    weighed : the Laplace proposal with its importance weights; None for stretch and DE moves alone.
     progress : called with the number of steps done and a word on convergence.
     """
-    hard = proposal is not None and expected_acceptance(log_density, proposal, settings.seed) < _HARD_ACCEPTANCE
+    hard = weighed is not None and weighed.acceptance < _HARD_ACCEPTANCE
     short_share = _SHORT_SHARE_HARD if hard else _SHORT_SHARE
     walkers, dimensions = starts[0].shape
     ensembles = []
     for number, start in enumerate(starts):
-        move = LaplaceMove(proposal, _SHORT_STEP, short_share) if proposal is not None else None
+        move = LaplaceMove(weighed.proposal, _SHORT_STEP, short_share) if weighed is not None else None
         state = _state(number, start, settings, checkpoint)
         ensembles.append(_Ensemble(_sampler(log_density, walkers, dimensions, move), move, state))
-    least, most = _lengths(len(starts), walkers, dimensions, settings)
+    least, most = _lengths(len(starts), walkers, dimensions, settings, weighed)
     tell = progress or (lambda steps, word: None)
-    taken, block = checkpoint.steps, _BLOCK
+    taken = checkpoint.steps
     while True:
         if taken >= least:
-            chains = _judged(checkpoint, names)
+            chains = _judged(checkpoint, names, weighed)
             tell(taken, chains.diagnosis.message or "converged")
-            if chains.diagnosis.converged or taken >= most:
+            if chains.diagnosis.settled or taken >= most:
                 return chains
-            block = max(_BLOCK, taken // 4)
-        steps = min(block, (least if taken < least else most) - taken)
+        steps = min(max(_BLOCK, taken // 4), (least if taken < least else most) - taken)
         with checkpoint.block() as backends:
             for ensemble, backend in zip(ensembles, backends, strict=True):
                 ensemble.advance(steps, backend)
@@ -123,11 +126,18 @@ def sample(
         tell(taken, "")
 
 
-def _lengths(ensembles: int, walkers: int, dimensions: int, settings: Settings) -> tuple[int, int]:
+def _lengths(
+    ensembles: int, walkers: int, dimensions: int, settings: Settings, weighed: WeighedProposal | None
+) -> tuple[int, int]:
     """Return the fewest and the most steps that each ensemble takes, burn-in included."""
     memory = _MOST_NUMBERS // (ensembles * walkers * dimensions)
     most = min(settings.most_steps + _BURN_IN if settings.most_steps else memory, memory)
-    enough = settings.least_steps or max(_LEAST_STEPS, math.ceil(_LEAST_DRAWS / (ensembles * walkers)))
+    draws, stays = float(_LEAST_DRAWS), 0.0
+    if weighed is not None:
+        # Independent proposals taken with probability a: the integrated autocorrelation time is about 2/a − 1.
+        accepted = max(weighed.acceptance, _HARD_ACCEPTANCE)
+        draws, stays = _MARGIN * PROPOSED_EFFECTIVE_SIZE * (2 / accepted - 1), _STAYS * weighed.largest
+    enough = settings.least_steps or math.ceil(max(_LEAST_STEPS, draws / (ensembles * walkers), stays))
     return min(enough + _BURN_IN, most), most
 
 
@@ -157,19 +167,6 @@ def _sampler(
     return emcee.EnsembleSampler(walkers, dimensions, log_density, moves=moves, vectorize=True)
 
 
-def expected_acceptance(log_density: BatchedDensity, proposal: LaplaceProposal, seed: int) -> float:
-    """Return the share of independent proposals that would be taken, from importance weights of a few draws."""
-    points, density = proposal.to_point(np.random.RandomState(seed).normal(size=(_TRIAL, proposal.dimensions)))
-    log_weight = log_density(points) - density
-    log_weight = log_weight[np.isfinite(log_weight)]
-    if not log_weight.size:
-        return 0.0
-    weight = np.exp(log_weight - log_weight.max())
-    # E[min(1, w′/w)] under w-weighted current points and unweighted proposals
-    taken = np.minimum(weight[:, None], weight[None, :]).mean(axis=1).sum() / weight.sum()
-    return float(taken * log_weight.size / _TRIAL)
-
-
 def _state(number: int, start: np.ndarray, settings: Settings, checkpoint: Checkpoint) -> emcee.State:
     """Return where an ensemble stands: its last checkpoint, or its start with a random stream of its own."""
     if checkpoint.steps:
@@ -186,10 +183,10 @@ def burn_in(steps: int) -> int:
     return min(max(_BURN_IN, steps // 4 if steps > _LONG else 0), max(steps - 2, 0))
 
 
-def _judged(checkpoint: Checkpoint, names: Sequence[str]) -> Chains:
+def _judged(checkpoint: Checkpoint, names: Sequence[str], weighed: WeighedProposal | None) -> Chains:
     points, log_density = checkpoint.chains()
     first = burn_in(points.shape[1])
     points, log_density = points[:, first:], log_density[:, first:]
     moved = np.any(np.diff(points, axis=1) != 0, axis=-1)
     acceptance = float(moved.mean()) if moved.size else math.nan
-    return Chains(points, log_density, acceptance, diagnose(points, log_density, names))
+    return Chains(points, log_density, acceptance, diagnose(points, log_density, names, weighed))

@@ -1,15 +1,14 @@
 """The curved nested Laplace approximation: a proposal close to the posterior.
 
 A normal distribution about the mode is a poor proposal in fifty dimensions for three reasons, each with its remedy.
-The width of all θ depends on the noise scales: h is drawn first, from its Laplace marginal, then θ given h.  The
-marginal of a noise scale is skewed: each of its axes has one width on the left and one on the right (Rue, Martino &
-Chopin 2009, § 6.5).  The few directions that the data leave to the prior are curved ridges: along them the strong
-directions are bent by half the second derivative, δ → δ + ½ Σ_ij w_i w_j A_ij with w the weak coordinates (geodesic
-acceleration, Transtrum & Sethna 2011).  The bend does not change w, so its determinant is 1 and it is inverted by
-subtraction: the density of the proposal is exact, whatever its quality.
-
-With d_j = log s_j(h)/s_j(ĥ), precision and gradient are sums of stored blocks with weights exp(−2 d_j), exact for
-independent noise and correct to first order otherwise; each block is positive semidefinite.
+The width of all θ depends on the noise scales: h is drawn first, from its Laplace marginal, then θ given h, with the
+precision that θ has at that h (`imubayes.inference.conditional_precision`).  The marginal of a noise scale is skewed;
+that of a scatter between few runs is as wide as its prior and may have a second mode: it is evaluated along each of its
+axes and drawn from as tabulated (Rue, Martino & Chopin 2009, § 3.1).  The few directions that the data leave to the
+prior are curved ridges: along them the strong directions are bent by half the second derivative,
+δ → δ + ½ Σ_ij w_i w_j A_ij with w the weak coordinates (geodesic acceleration, Transtrum & Sethna 2011).  The bend does
+not change w, so its determinant is 1 and it is inverted by subtraction: the density of the proposal is exact, whatever
+its quality.
 """
 
 import equinox as eqx
@@ -17,24 +16,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import solve_triangular
-from jax.scipy.special import ndtr, ndtri
 
 from imubayes.array_shapes import Array, Float, Scalar
-from imubayes.inference.noise_marginal import slope
+from imubayes.inference.conditional_precision import PrecisionBlocks, conditional, precision_blocks
 from imubayes.inference.posterior_mode import Mode
-from imubayes.inference.posterior_precision import knowledge
+from imubayes.inference.posterior_precision import knowledge, log_marginal
+from imubayes.inference.tabulated_density import TabulatedDensity, from_normal, log_density, tabulate
+from imubayes.inference.tabulated_density import to_normal as to_standard
 from imubayes.model.noise_covariance import inverse_covariance, whitener
 from imubayes.model.problem import Problem, predict_many, prior_widths
-from imubayes.noise.base import TailNoise
 
 # A direction is weak where its posterior standard deviation exceeds this share of the prior's; below, a ridge is
 # straight.
 _WEAK_SD = 0.03
 # Second derivatives are taken over pairs of directions: 60 directions have 1830 pairs.
 _MOST_WEAK = 60
-# Distance from the mode at which the width of the marginal of h is measured, in standard deviations: a normal drops
-# by about 1 there.
-_PROBE = 1.4
+# Where the marginal of h is evaluated along each axis, in units of its width at the mode.
+_PROBES = np.array([-8.0, -6.0, -4.5, -3.5, -2.7, -2.0, -1.3, -0.6, 0.0, 0.6, 1.3, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0, 11.0])
+# Another maximum counts where it is less than this below the highest, and this above what lies between.
+_HOPELESS, _APART = 15.0, 0.1
+# Log density, relative to the mode, where the marginal is not finite.
+_NOWHERE = -200.0
 
 
 class NestedLaplace(eqx.Module):
@@ -43,11 +45,10 @@ class NestedLaplace(eqx.Module):
     Attributes
     ----------
     z, h : the mode.
-    hyper_axes : shape (H, H), columns are the axes of the marginal of h.
-    left, right : shape (H,), standard deviations along each axis below and above the mode.
-    blocks : shape (H, P, P), the parts of the precision that scale with each noise scale.
-    gradients : shape (H, P), the same of the gradient.
-    fixed, fixed_gradient : the parts of precision and gradient that no noise scale changes, shapes (P, P) and (P,).
+    hyper_axes : shape (H, H), columns are the axes of the marginal of h: unit lower triangular, the identity where
+        the scales are independent.
+    along : the marginal along each axis, from the mode.
+    blocks : precision of θ given h.
     weak : shape (P, K), orthonormal weak directions.
     bend : shape (K, K, P), acceleration along pairs of weak directions.
     """
@@ -55,14 +56,28 @@ class NestedLaplace(eqx.Module):
     z: Float[Array, " P"]
     h: Float[Array, " H"]
     hyper_axes: Float[Array, "H H"]
-    left: Float[Array, " H"]
-    right: Float[Array, " H"]
-    blocks: Float[Array, "H P P"]
-    gradients: Float[Array, "H P"]
-    fixed: Float[Array, "P P"]
-    fixed_gradient: Float[Array, " P"]
+    along: TabulatedDensity
+    blocks: PrecisionBlocks
     weak: Float[Array, "P K"]
     bend: Float[Array, "K K P"]
+
+    def hyper_covariance(self) -> np.ndarray:
+        """Return the covariance (H, H) of the marginal of h."""
+        axes = np.asarray(self.hyper_axes)
+        return (axes * self.along.sd() ** 2) @ axes.T
+
+    def other_modes(self) -> list[np.ndarray]:
+        """Return h (H,) at the other maxima of the marginal along its axes that hold some of the mass."""
+        found = []
+        tables = zip(np.asarray(self.along.knots), np.asarray(self.along.log_density), strict=True)
+        for axis, (knots, height) in enumerate(tables):
+            inside = np.flatnonzero((height[1:-1] > height[:-2]) & (height[1:-1] >= height[2:])) + 1
+            highest = int(np.argmax(height))
+            for place in inside:
+                between = height[min(place, highest) : max(place, highest) + 1].min()
+                if place != highest and height[place] > max(height[highest] - _HOPELESS, between + _APART):
+                    found.append(np.asarray(self.h) + knots[place] * np.asarray(self.hyper_axes)[:, axis])
+        return found
 
 
 @eqx.filter_jit
@@ -70,52 +85,6 @@ def posterior_precision(problem: Problem, mode: Mode) -> Float[Array, "P P"]:
     """Return the Gauss–Newton precision of θ at the mode, in z."""
     known = knowledge(problem, mode.about, mode.h)
     return known.precision + jnp.diag(prior_widths(problem, mode.h) ** -2)
-
-
-class PrecisionBlocks(eqx.Module):
-    """Precision and gradient at the mode, split by noise scale, with the eigenvectors of the whole precision."""
-
-    blocks: Float[Array, "H P P"]
-    gradients: Float[Array, "H P"]
-    fixed: Float[Array, "P P"]
-    fixed_gradient: Float[Array, " P"]
-    eigenvalues: Float[Array, " P"]
-    eigenvectors: Float[Array, "P P"]
-
-
-def split_by_scale(problem: Problem, mode: Mode) -> PrecisionBlocks:
-    """Return the blocks of precision and gradient that belong to each noise scale."""
-
-    def data_part(h):
-        known = knowledge(problem, mode.about, h)
-        return known.precision, known.gradient
-
-    def per_scale(direction):
-        _, (precision, gradient) = jax.jvp(data_part, (mode.h,), (direction,))
-        return -0.5 * precision, -0.5 * gradient
-
-    slopes = jax.vmap(lambda seed: jax.jvp(problem.hyper_priors.values, (mode.h,), (seed,))[1])(
-        jnp.eye(mode.h.shape[0])
-    )
-    log_slope = jnp.diagonal(slopes) / problem.hyper_priors.values(mode.h)
-    blocks, gradients = jax.vmap(per_scale)(jnp.diag(1 / log_slope))
-    # A tail parameter shapes the distribution and does not scale the precision of θ.
-    scales = _is_scale(problem)
-    blocks, gradients = scales[:, None, None] * blocks, scales[:, None] * gradients
-    whole, gradient = data_part(mode.h)
-    prior_precision = prior_widths(problem, mode.h) ** -2
-    values, vectors = jnp.linalg.eigh(whole + jnp.diag(prior_precision))
-    return PrecisionBlocks(blocks, gradients, whole - blocks.sum(0), gradient - gradients.sum(0), values, vectors)
-
-
-def _is_scale(problem: Problem) -> Float[Array, " H"]:
-    """Return 1 for a hyperparameter that scales the noise, 0 for one that shapes its distribution."""
-    found = jnp.ones(len(problem.hyper_priors.order))
-    for layer in problem.noise:
-        if issubclass(layer.noise, TailNoise):
-            for place in layer.places.values():
-                found = found.at[place].min(1 - layer.acts)
-    return found
 
 
 def bends(
@@ -154,49 +123,42 @@ def _pulled(problem: Problem, mode: Mode, changes: Float[Array, "n E"]) -> Float
     return jax.vmap(lambda change: mode.about.jacobian.T @ inverse_covariance(problem, by, change)[0])(changes)
 
 
-_split_by_scale = eqx.filter_jit(split_by_scale)
-
-
 def nested_laplace(problem: Problem, mode: Mode) -> NestedLaplace:
     """Return the proposal about a mode."""
-    split = _split_by_scale(problem, mode)
-    count = min(int(jnp.sum(split.eigenvalues < _WEAK_SD**-2)), _MOST_WEAK)
-    weak, strong = split.eigenvectors[:, :count], split.eigenvectors[:, count:]
-    inverse = (strong / split.eigenvalues[None, count:]) @ strong.T
+    eigenvalues, eigenvectors = np.linalg.eigh(np.asarray(posterior_precision(problem, mode)))
+    count = min(int(np.sum(eigenvalues < _WEAK_SD**-2)), _MOST_WEAK)
+    weak, strong = eigenvectors[:, :count], eigenvectors[:, count:]
+    inverse = jnp.asarray((strong / eigenvalues[None, count:]) @ strong.T)
     size = mode.z.shape[0]
-    reach = split.eigenvalues[:count] ** -0.5
+    reach = jnp.asarray(eigenvalues[:count] ** -0.5)
+    weak = jnp.asarray(weak)
     bend = bends(problem, mode, weak, reach, inverse) if count else jnp.zeros((0, 0, size))
-    axes, left, right = _split_normal(problem, mode)
-    return NestedLaplace(
-        mode.z, mode.h, axes, left, right, split.blocks, split.gradients, split.fixed, split.fixed_gradient, weak, bend
-    )
+    axes, along = _marginal(problem, mode)
+    return NestedLaplace(mode.z, mode.h, axes, along, precision_blocks(problem, mode), weak, bend)
 
 
-def _split_normal(problem: Problem, mode: Mode):
-    """Return axes of the marginal of h with a standard deviation for each side."""
-    at, h = mode.marginal, np.asarray(mode.h)
-    eigenvalues, axes = np.linalg.eigh(np.asarray(at.information))
+@eqx.filter_jit
+def _log_marginals(problem: Problem, mode: Mode, h: Float[Array, "n H"]) -> Float[Array, " n"]:
+    return jax.lax.map(lambda point: log_marginal(problem, mode.about, point), h)
+
+
+def _marginal(problem: Problem, mode: Mode) -> tuple[Float[Array, "H H"], TabulatedDensity]:
+    """Return axes of the marginal of h, and the marginal along each."""
+    eigenvalues, vectors = np.linalg.eigh(np.asarray(mode.marginal.information))
     # Where the marginal is flatter than the prior, the Laplace width is unbounded; the prior has width 1.
-    deviation = 1 / np.sqrt(np.maximum(eigenvalues, 1.0))
-
-    def side(axis: int, sign: float) -> float:
-        step = sign * _PROBE * deviation[axis]
-        drop = float(at.value - slope(problem, mode.about, h + step * axes[:, axis]).value)
-        # A normal drops by ½·_PROBE²: the width that gives the measured drop, limited to a factor of 2.
-        ratio = np.clip(_PROBE / np.sqrt(2 * max(drop, 1e-3)), 0.5, 2.0)
-        return float(deviation[axis] * ratio)
-
-    left, right = (np.array([side(axis, sign) for axis in range(len(h))]) for sign in (-1.0, 1.0))
-    return jnp.asarray(axes), jnp.asarray(left), jnp.asarray(right)
+    factor = np.linalg.cholesky((vectors / np.maximum(eigenvalues, 1.0)) @ vectors.T)
+    deviation = np.diagonal(factor)
+    axes = factor / deviation
+    knots = deviation[:, None] * _PROBES
+    points = np.asarray(mode.h) + knots[..., None] * axes.T[:, None, :]
+    values = np.asarray(_log_marginals(problem, mode, jnp.asarray(points.reshape(-1, len(axes))))).reshape(knots.shape)
+    values = np.nan_to_num(values - float(mode.marginal.value), nan=_NOWHERE, neginf=_NOWHERE, posinf=_NOWHERE)
+    return jnp.asarray(axes), tabulate(knots, np.maximum(values, _NOWHERE), deviation)
 
 
 def _conditional(approximation: NestedLaplace, problem: Problem, h: Float[Array, " H"]):
     """Return Cholesky factor of the precision of θ given h, and its mean less ẑ."""
-    values = problem.hyper_priors.values
-    shrink = (values(approximation.h) / values(h)) ** 2
-    prior_precision = prior_widths(problem, h) ** -2
-    precision = jnp.tensordot(shrink, approximation.blocks, 1) + approximation.fixed + jnp.diag(prior_precision)
-    gradient = shrink @ approximation.gradients + approximation.fixed_gradient - prior_precision * approximation.z
+    precision, gradient = conditional(approximation.blocks, problem, h)
     factor = jnp.linalg.cholesky(precision)
     step = solve_triangular(factor, gradient, lower=True)
     return factor, solve_triangular(factor.T, step, lower=False)
@@ -207,24 +169,6 @@ def _bent(approximation: NestedLaplace, delta: Float[Array, " P"]) -> Float[Arra
     return 0.5 * jnp.einsum("i,j,ijp->p", weak, weak, approximation.bend)
 
 
-def _two_piece(normal: Float[Array, " H"], left: Float[Array, " H"], right: Float[Array, " H"]) -> Float[Array, " H"]:
-    """Return two-piece normal variables from standard normal ones, by their distribution functions."""
-    share = left / (left + right)
-    below = ndtr(normal) < share
-    # Each side is computed from its own tail probability, which keeps all digits far out.
-    low = left * ndtri(jnp.where(below, ndtr(normal) / share, 1.0) / 2)
-    high = -right * ndtri(jnp.where(below, 1.0, ndtr(-normal) / (1 - share)) / 2)
-    return jnp.where(below, low, high)
-
-
-def _two_piece_inverse(value: Float[Array, " H"], left: Float[Array, " H"], right: Float[Array, " H"]):
-    """Return the standard normal variables of two-piece normal ones."""
-    share = left / (left + right)
-    low = ndtri(2 * share * ndtr(jnp.minimum(value, 0.0) / left))
-    high = -ndtri(2 * (1 - share) * ndtr(-jnp.maximum(value, 0.0) / right))
-    return jnp.where(value < 0, low, high)
-
-
 def to_point(
     approximation: NestedLaplace, problem: Problem, normal: Float[Array, " PH"]
 ) -> tuple[Float[Array, " PH"], Scalar]:
@@ -233,7 +177,7 @@ def to_point(
     The points of random vectors are proposals.
     """
     size = approximation.z.shape[0]
-    along = _two_piece(normal[size:], approximation.left, approximation.right)
+    along = from_normal(approximation.along, normal[size:])
     h = approximation.h + approximation.hyper_axes @ along
     factor, mean = _conditional(approximation, problem, h)
     delta = mean + solve_triangular(factor.T, normal[:size], lower=False)
@@ -247,21 +191,18 @@ def to_normal(
     """Return the standard normal vector of a point, and the log density of the proposal there."""
     size = approximation.z.shape[0]
     z, h = point[:size], point[size:]
-    along = approximation.hyper_axes.T @ (h - approximation.h)
-    left, right = approximation.left, approximation.right
+    axes = approximation.hyper_axes
+    along = solve_triangular(axes, h - approximation.h, lower=True, unit_diagonal=True) if h.size else h
     factor, mean = _conditional(approximation, problem, h)
     bent = z - approximation.z
     # The bend does not change the weak coordinates, so it is computed from the bent step and subtracted.
     whitened = factor.T @ (bent - _bent(approximation, bent) - mean)
     density = _log_density(approximation, factor, whitened, along)
-    return jnp.concatenate([whitened, _two_piece_inverse(along, left, right)]), density
+    return jnp.concatenate([whitened, to_standard(approximation.along, along)]), density
 
 
 def _log_density(approximation: NestedLaplace, factor, whitened: Float[Array, " P"], along: Float[Array, " H"]):
-    left, right = approximation.left, approximation.right
-    width = jnp.where(along < 0, left, right)
-    # A two-piece normal has density √(2/π)/(left + right) at its mode.
-    hyper = -0.5 * jnp.sum((along / width) ** 2) - jnp.sum(jnp.log(0.5 * (left + right)))
+    hyper = jnp.sum(log_density(approximation.along, along))
     log_determinant = jnp.sum(jnp.log(jnp.diagonal(factor)))
-    constant = 0.5 * jnp.log(2 * jnp.pi) * (whitened.shape[0] + along.shape[0])
+    constant = 0.5 * jnp.log(2 * jnp.pi) * whitened.shape[0]
     return hyper - 0.5 * jnp.sum(whitened**2) + log_determinant - constant

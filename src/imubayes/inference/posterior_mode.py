@@ -202,6 +202,12 @@ def fit_at(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Fl
     return _fit_parameters(problem, z, h).value
 
 
+def log_evidence(mode: Mode) -> float:
+    """Return the Laplace estimate of log p(y), h integrated out as well."""
+    _, log_determinant = np.linalg.slogdet(np.asarray(mode.marginal.information))
+    return float(mode.marginal.value + 0.5 * len(mode.h) * np.log(2 * np.pi) - 0.5 * log_determinant)
+
+
 def message(mode: Mode) -> str:
     """Return the sentence that says how the fit ended; empty when it converged."""
     if bool(mode.converged):

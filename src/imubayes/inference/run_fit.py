@@ -17,7 +17,8 @@ from imubayes.inference.ensemble_sampling import Chains, Settings, sample, walke
 from imubayes.inference.fitted_model import Fit, Posterior, evenly_spaced
 from imubayes.inference.laplace_move import LaplaceProposal, LogDensity
 from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
-from imubayes.inference.posterior_mode import Mode, find_mode, fit_at, heights, message
+from imubayes.inference.posterior_mode import Mode, find_mode, fit_at, heights, log_evidence, message
+from imubayes.inference.proposal_weights import WeighedProposal, weigh
 from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import evaluate_derived
 from imubayes.model.problem import Problem
@@ -26,6 +27,8 @@ from imubayes.model.problem import Problem
 # they are out of the running whatever their width.
 _SAME, _HOPELESS = 0.5, 30.0
 _DISPERSED = 3
+# Draws whose importance weights judge the proposal, of all ensembles together.
+_TRIAL = 4000
 _PRIOR_DRAWS, _LAPLACE_DRAWS, _DERIVED_DRAWS = 2000, 4000, 4000
 
 Progress = Callable[[str], None]
@@ -70,14 +73,15 @@ def joint_fit(
         fit = Fit(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged), message(mode), mode)
         if not fit.converged:
             return replace(fit, seconds={"fit": time.perf_counter() - clock})
-        approximation = nested_laplace(problem, mode)
+        mode, approximation = _highest(problem, mode, nested_laplace(problem, mode), others)
+        fit = replace(fit, z=np.asarray(mode.z), h=np.asarray(mode.h), mode=mode)
         proposal = LaplaceProposal(approximation, problem)
         seconds = {"fit": time.perf_counter() - clock}
         clock = time.perf_counter()
         if sampling is not None and file is not None:
             if not resume:
                 file.create()
-            chains = _sampled(model, proposal, _starts(proposal, mode, others, file, sampling), sampling, file, tell)
+            chains = _sampled(model, proposal, mode, others, sampling, file, tell)
             points = chains.points.reshape(-1, chains.points.shape[-1])
             fit = replace(fit, converged=chains.diagnosis.converged, message=chains.diagnosis.message)
         else:
@@ -90,7 +94,8 @@ def joint_fit(
 def _sampled(
     model: Model,
     proposal: LaplaceProposal,
-    starts: list[np.ndarray],
+    mode: Mode,
+    others: list[np.ndarray],
     sampling: Settings,
     file: Checkpoint,
     tell: Progress,
@@ -99,8 +104,11 @@ def _sampled(
         tell(f"sampling: {steps} steps" + (f" ({word})" if word else ""))
 
     names = model.layout.names + model.hyper_layout.names
-    density = LogDensity(model.problem, walkers_for(sum(model.problem.size), sampling) // 2)
-    return sample(density, starts, names, sampling, file, proposal, report)
+    density = LogDensity(model.problem, file.walkers // 2)
+    count = max(_TRIAL, file.walkers * sampling.ensembles) // sampling.ensembles
+    weighed = weigh(density, proposal, sampling.ensembles, count, sampling.seed)
+    starts = _starts(proposal, weighed, mode, others, file, sampling)
+    return sample(density, starts, names, sampling, file, weighed, report)
 
 
 def _require_double_precision() -> None:
@@ -169,15 +177,45 @@ def _best_start(
     return mode, others
 
 
+def _highest(
+    problem: Problem, mode: Mode, approximation: NestedLaplace, others: list[np.ndarray]
+) -> tuple[Mode, NestedLaplace]:
+    """Return the mode of most evidence among those that the marginal of the noise scales shows, and the proposal there.
+
+    Where runs are few the scatter between them may as well be small, with their offsets taken for parameters, as large.
+    The proposal holds both; θ of those passed over is added to `others`.
+    """
+    for h in approximation.other_modes():
+        again = find_mode(problem, mode.z, jnp.asarray(h))
+        if bool(again.converged) and log_evidence(again) > log_evidence(mode):
+            others.append(np.asarray(mode.z))
+            mode, approximation = again, nested_laplace(problem, again)
+        elif bool(again.converged):
+            others.append(np.asarray(again.z))
+    return mode, approximation
+
+
 def _starts(
-    proposal: LaplaceProposal, mode: Mode, others: list[np.ndarray], file: Checkpoint, sampling: Settings
+    proposal: LaplaceProposal,
+    weighed: WeighedProposal | None,
+    mode: Mode,
+    others: list[np.ndarray],
+    file: Checkpoint,
+    sampling: Settings,
 ) -> list[np.ndarray]:
-    """Return the first points of each ensemble: about the mode, or about another place a dispersed fit ended at."""
+    """Return the first points of each ensemble: of the posterior by importance resampling.
+
+    Where a dispersed fit ended at another place, an ensemble begins about that.
+    """
     starts = []
     for ensemble in range(sampling.ensembles):
-        random = np.random.RandomState(np.random.SeedSequence([sampling.seed, ensemble, 7]).generate_state(4))
-        points = proposal.draw(random, file.walkers)
+        random = np.random.RandomState(np.random.SeedSequence([sampling.seed, ensemble, 8]).generate_state(4))
+        if weighed is not None:
+            points = weighed.resampled(ensemble, file.walkers, random)
+        else:
+            points = proposal.draw(random, file.walkers)
         if 0 < ensemble <= len(others):
+            points = points.copy()
             points[:, : len(mode.z)] += others[ensemble - 1] - np.asarray(mode.z)
         starts.append(points)
     return starts

@@ -13,8 +13,9 @@ from arviz_base import from_dict
 
 from imubayes.errors import InputError, Issue
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.ensemble_sampling import BatchedDensity, Chains, Settings, walkers_for
+from imubayes.inference.ensemble_sampling import Chains, Settings, walkers_for
 from imubayes.inference.ensemble_sampling import sample as sample_ensembles
+from imubayes.inference.proposal_weights import BatchedDensity
 
 # Starts are wider than the target is said to be, so that a second mode nearby is met by one of the ensembles.
 _OVERDISPERSION = 2.0

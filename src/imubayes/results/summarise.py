@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from imubayes.criticism.noise_assumptions import noise_violations
 from imubayes.inference.experiment_design import next_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.identifiability import (
@@ -14,13 +15,14 @@ from imubayes.inference.identifiability import (
     weak_directions,
 )
 from imubayes.inference.nested_laplace import posterior_precision
-from imubayes.inference.posterior_mode import Mode
+from imubayes.inference.posterior_mode import log_evidence
 from imubayes.inference.posterior_tree import in_units
 from imubayes.inference.prior_agreement import prior_conflicts
 from imubayes.inference.procedure_contributions import contributions
 from imubayes.json_record import finite
 from imubayes.model.derived_quantities import derived_jacobian
 from imubayes.procedures.converter_temperature import THRESHOLD
+from imubayes.results.prior_scatter import prior_scatter
 from imubayes.results.residuals import Residuals
 from imubayes.results.summary import Conformance, DerivedSummary, ParameterSummary, Seconds, Summary
 
@@ -41,6 +43,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0) -> Summ
     parameters, derived = _parameters(fit), _derived(fit)
     shares = {quantity.name: quantity.from_data for quantity in (*derived, *parameters)}
     chains = fit.posterior.chains if fit.posterior is not None else None
+    violations = noise_violations(fit) if usable else ()
     return Summary(
         campaign=model.campaign.name,
         model=model.spec.name,
@@ -50,12 +53,16 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0) -> Summ
         interval="95 % equal-tailed",
         uncertainty="standard deviation of the joint posterior distribution (GUM, type A and B combined)",
         acceptance=None if chains is None else chains.acceptance,
+        pareto_k=None if chains is None else chains.diagnosis.pareto_k,
+        intervals_valid=fit.converged and not violations,
+        noise_violations=violations,
+        prior_scatter=prior_scatter(fit),
         parameters=parameters,
         derived=derived,
         runs=residuals.by_run_and_channel(),
         chi2=finite(residuals.chi2),
         dof=round(dof, 1),
-        log_evidence=_log_evidence(mode) if usable else None,
+        log_evidence=log_evidence(mode) if usable else None,
         weak_directions=tuple(weak),
         prior_conflicts=prior_conflicts(model, fit.z, precision) if precision is not None else (),
         next_runs=next_runs(fit, weak, shares) if usable else (),
@@ -144,9 +151,3 @@ def _weak(fit: Fit, precision: np.ndarray) -> list[WeakDirection]:
     found = weak_directions(precision, model.layout.names, hidden)
     # A combination of nuisance parameters alone, such as the heading of a tumble, is of no interest.
     return confusions(prior, posterior, along, names, pairs) + [weak for weak in found if shown & {*weak.quantities}]
-
-
-def _log_evidence(mode: Mode) -> float:
-    """Return the Laplace estimate of log p(y), h integrated out as well."""
-    _, log_determinant = np.linalg.slogdet(np.asarray(mode.marginal.information))
-    return float(mode.marginal.value + 0.5 * len(mode.h) * np.log(2 * np.pi) - 0.5 * log_determinant)

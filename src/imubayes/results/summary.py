@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import field_validator
 
+from imubayes.criticism.noise_assumptions import NoiseViolation
 from imubayes.inference.experiment_design import NextRun
 from imubayes.inference.identifiability import WeakDirection
 from imubayes.inference.prior_agreement import PriorConflict
@@ -71,6 +72,23 @@ class RunSummary(Record):
     unit: str
 
 
+class PriorScatter(Record):
+    """A noise scale that the data hardly tell, and what rests on its prior.
+
+    Attributes
+    ----------
+    scale : name of the scale, ``run_scatter.tau[ax]``.
+    from_data : share of the information on it contributed by the data.
+    parameters : those whose posterior standard deviation follows the scale, the strongest first.
+    factor : of the first of them, its standard deviation at the highest fifth of the scale over that at the lowest.
+    """
+
+    scale: str
+    from_data: float
+    parameters: tuple[str, ...]
+    factor: float
+
+
 class Seconds(Record):
     """Time spent, s."""
 
@@ -80,7 +98,15 @@ class Seconds(Record):
 
 
 class Summary(Record):
-    """Everything `summary.json` says of a fit (format 1)."""
+    """Everything `summary.json` says of a fit (format 1).
+
+    Attributes
+    ----------
+    intervals_valid : whether the fit converged and its noise is what the model assumes.
+    noise_violations : how the noise is not, the clearest first.
+    prior_scatter : noise scales known from their priors alone, on which intervals rest.
+    pareto_k : tail index of the importance weights of the sampler's proposal; None without sampling.
+    """
 
     format: Literal[1] = 1
     campaign: str
@@ -91,6 +117,10 @@ class Summary(Record):
     interval: str
     uncertainty: str
     acceptance: float | None
+    pareto_k: float | None = None
+    intervals_valid: bool = True
+    noise_violations: tuple[NoiseViolation, ...] = ()
+    prior_scatter: tuple[PriorScatter, ...] = ()
     parameters: tuple[ParameterSummary, ...]
     derived: tuple[DerivedSummary, ...]
     runs: tuple[RunSummary, ...]

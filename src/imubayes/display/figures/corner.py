@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import gaussian_filter
 
-from imubayes.display.fit_quality_tables import alarm_of
+from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.labels import pretty, readable, shortened
 from imubayes.display.rounding import concise
 from imubayes.display.theme import BLUE, INK, QUIET, SMALL, Picture, panels, picture, themed

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from matplotlib.axes import Axes
 
-from imubayes.display.fit_quality_tables import NOT_DETERMINED, alarm_of
+from imubayes.display.fit_cautions import alarm_of
+from imubayes.display.fit_quality_tables import NOT_DETERMINED
 from imubayes.display.labels import shortened
 from imubayes.display.quantity_tables import is_nuisance
 from imubayes.display.rounding import percent

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
 from imubayes.display.figures.panels import set_decades
-from imubayes.display.fit_quality_tables import alarm_of
+from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.labels import pretty, shortened
 from imubayes.display.quantity_tables import is_nuisance
 from imubayes.display.rounding import concise, significant

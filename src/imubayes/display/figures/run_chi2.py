@@ -3,7 +3,7 @@
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch, Rectangle
 
-from imubayes.display.fit_quality_tables import alarm_of
+from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.goodness_of_fit import SIGNIFICANT, share_of_freedom, tail, worst_channels, worst_first
 from imubayes.display.labels import shortened
 from imubayes.display.rounding import NO_NUMBER, ratio_text

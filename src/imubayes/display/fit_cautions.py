@@ -1,0 +1,50 @@
+"""What has to be known before the numbers of a fit are used, in sentences."""
+
+from imubayes.display.rounding import percent, significant
+from imubayes.results.summary import NoiseViolation, PriorScatter, Summary
+
+_WORDS = {
+    "autocorrelation": "the residuals are autocorrelated",
+    "low_frequency": "the residuals drift within runs",
+    "scatter_between_runs": "runs scatter more than the noise within them",
+    "grows_with_input": "the noise grows with the input",
+    "heavy_tails": "the noise has heavy tails or outliers",
+    "quantisation": "the output is quantised too coarsely for its noise",
+}
+_MOST_NAMED = 3
+
+
+def alarm_of(summary: Summary) -> str:
+    """Return the warning that precedes everything else; empty where the intervals of the fit can be trusted."""
+    if not summary.converged:
+        return f"NOT CONVERGED. {summary.message.strip() or 'The numbers below must not be used.'}"
+    if summary.noise_violations:
+        kinds = dict.fromkeys(violation.kind for violation in summary.noise_violations)
+        causes = "; ".join(_violation(summary.noise_violations, kind) for kind in kinds)
+        return f"DO NOT TRUST THE INTERVALS: {causes}. `imubayes diagnose` looks for the cause."
+    return ""
+
+
+def _violation(violations: tuple[NoiseViolation, ...], kind: str) -> str:
+    own = [violation for violation in violations if violation.kind == kind]
+    channels = list(dict.fromkeys(channel for violation in own for channel in violation.channels))
+    named = ", ".join(channels[:_MOST_NAMED]) + (" …" if len(channels) > _MOST_NAMED else "")
+    if own[0].step is not None:
+        return f"{_WORDS[kind]} ({named}: a step is {significant(own[0].step)} times the noise)"
+    chance = min(violation.p for violation in own if violation.p is not None)
+    return f"{_WORDS[kind]} ({named}, p = {chance:.1g})"
+
+
+def notices(summary: Summary) -> tuple[str, ...]:
+    """Return what the intervals rest on besides the data."""
+    return tuple(map(_rests_on_prior, summary.prior_scatter))
+
+
+def _rests_on_prior(found: PriorScatter) -> str:
+    names = ", ".join(found.parameters[:_MOST_NAMED])
+    more = " and others" if len(found.parameters) > _MOST_NAMED else ""
+    return (
+        f"{found.scale} is known mostly from its prior ({percent(found.from_data)} from the data), and the "
+        f"intervals of {names}{more} depend on it: the sd is {significant(found.factor)} times larger at the upper end "
+        "of that prior than at the lower. More runs, or a prior from experience, would settle it."
+    )

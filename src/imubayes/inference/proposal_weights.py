@@ -1,0 +1,100 @@
+"""How well a proposal covers the posterior, from importance weights of independent draws.
+
+A chain of independent proposals stays as long at a point as its weight w = posterior/proposal is large, and where w is
+large it rarely comes: a short chain that looks converged may never have seen such a place.  The weights of draws tell
+it before the chain does.  Their tail has the index k̂ of a generalised Pareto distribution: above 0.7 no number of
+draws that is practical represents the posterior (Vehtari, Simpson, Gelman, Yao & Gabry 2024).  The largest weight is
+the number of steps for which a walker stays where it was found, and so the measure of how long a chain has to be.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from arviz_stats.base.array import array_stats
+
+from imubayes.inference.laplace_move import LaplaceProposal
+
+# Weights that differ by less are those of the posterior itself, and have no tail.
+_ALIKE = 1e-6
+
+# Points (n, D) → log densities (n,).
+BatchedDensity = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class WeighedProposal:
+    """A proposal, and draws of it with their importance weights.
+
+    Attributes
+    ----------
+    proposal : what was drawn from.
+    points : shape (pools, n, D), independent draws of the proposal.
+    weight : shape (pools, n), posterior over proposal, of mean 1; 0 where the posterior density is 0.
+    pareto_k : tail index of the weights.
+    """
+
+    proposal: LaplaceProposal
+    points: np.ndarray
+    weight: np.ndarray
+    pareto_k: float
+
+    @property
+    def largest(self) -> float:
+        """The largest weight: the steps for which a walker stays at that point."""
+        return float(self.weight.max())
+
+    @property
+    def acceptance(self) -> float:
+        """Share of independent proposals that are taken: E[min(1, w′/w)], current points w-weighted."""
+        weight = self.weight[0]
+        return float(np.minimum(weight[:, None], weight[None, :]).mean() / weight.mean()) if weight.any() else 0.0
+
+    def resampled(self, pool: int, count: int, random: np.random.RandomState) -> np.ndarray:
+        """Return draws of a pool by importance resampling, (count, D): nearly draws of the posterior."""
+        share = self.weight[pool] / self.weight[pool].sum()
+        # Systematic: each point as often as its weight says, to within one.
+        at = np.searchsorted(np.cumsum(share), (random.uniform() + np.arange(count)) / count)
+        return self.points[pool][random.permutation(np.minimum(at, len(share) - 1))]
+
+    def moments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return mean (D,) and standard deviation (D,) of the posterior, and the relative error of the latter (D,)."""
+        weight = (self.weight / self.weight.sum()).reshape(-1)
+        points = self.points.reshape(len(weight), -1)
+        mean = weight @ points
+        square = (points - mean) ** 2
+        variance = weight @ square
+        error = np.sqrt(weight**2 @ (square - variance) ** 2)
+        return mean, np.sqrt(variance), 0.5 * error / variance
+
+
+def weigh(
+    log_density: BatchedDensity, proposal: LaplaceProposal, pools: int, count: int, seed: int
+) -> WeighedProposal | None:
+    """Return `count` weighted draws of a proposal in each of several pools.
+
+    None where no draw of a pool is possible.
+    """
+    points, log_weights = [], []
+    for pool in range(pools):
+        random = np.random.RandomState(np.random.SeedSequence([seed, pool, 7]).generate_state(4))
+        drawn, density = proposal.to_point(random.normal(size=(count, proposal.dimensions)))
+        points.append(drawn)
+        with np.errstate(invalid="ignore"):
+            log_weights.append(log_density(drawn) - density)
+    log_weight = np.stack(log_weights)
+    log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
+    best = log_weight.max()
+    weight = np.exp(log_weight - best) if np.isfinite(best) else np.zeros_like(log_weight)
+    if not weight.any(axis=1).all():
+        return None
+    return WeighedProposal(proposal, np.stack(points), weight / weight.mean(), pareto_k(log_weight.reshape(-1)))
+
+
+def pareto_k(log_weight: np.ndarray) -> float:
+    """Return the tail index of importance weights from their logarithms (n,)."""
+    finite = log_weight[np.isfinite(log_weight)]
+    if np.ptp(finite) < _ALIKE:
+        return 0.0
+    # ArviZ takes the negative, as of log likelihoods that are left out.
+    return float(array_stats.psislw(-finite)[1])

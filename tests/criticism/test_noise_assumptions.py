@@ -1,0 +1,76 @@
+"""Whether the intervals of a fit can be trusted: white noise raises no alarm, other noise does."""
+
+import numpy as np
+import pytest
+from null_data import fitted_to, redrawn, with_values
+
+from imubayes.criticism.noise_assumptions import grid_step, noise_violations
+from imubayes.inference.fitted_model import Fit
+
+
+@pytest.fixture(scope="module")
+def whole() -> Fit:
+    return fitted_to("accel-channel", "accel-channel")
+
+
+def noise_sd(fit: Fit) -> np.ndarray:
+    """Return the standard deviation of the noise of each row, from the residuals of its neighbours alone."""
+    values = fit.model.entries.value
+    return np.full(len(values), float(np.median(np.abs(np.diff(values, 2))) / (0.6745 * np.sqrt(6))))
+
+
+def kinds(fit: Fit) -> set[str]:
+    return {violation.kind for violation in noise_violations(fit)}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_white_noise_raises_no_alarm(whole, seed):
+    assert not kinds(redrawn(whole, seed))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_autocorrelation(whole, seed):
+    assert "autocorrelation" in kinds(redrawn(whole, seed, correlation=0.6))
+
+
+def test_a_random_walk(whole):
+    group = np.asarray(whole.model.problem.observations.group)
+    steps = np.random.default_rng(4).normal(size=len(group))
+    walk = np.zeros(len(group))
+    for each in np.unique(group):
+        walk[group == each] = np.cumsum(steps[group == each])
+    assert kinds(redrawn(whole, 1, change=walk * noise_sd(whole))) & {"autocorrelation", "low_frequency"}
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_outliers(whole, seed):
+    random = np.random.default_rng(seed)
+    sd = noise_sd(whole)
+    hit = np.where(random.uniform(size=len(sd)) < 0.05, 10 * random.normal(size=len(sd)), 0.0)
+    assert "heavy_tails" in kinds(redrawn(whole, seed, change=hit * sd))
+
+
+def test_a_coarse_output(whole):
+    fresh = redrawn(whole, 3)
+    step = 6 * float(noise_sd(whole)[0])
+    coarse = with_values(fresh, np.round(fresh.model.entries.value / step) * step)
+    found = [violation for violation in noise_violations(coarse) if violation.kind == "quantisation"]
+    assert found
+    assert found[0].channels == ("ax",)
+    # Rounded to far less than the noise an output is no worse.
+    fine = step / 100
+    assert not kinds(with_values(fresh, np.round(fresh.model.entries.value / fine) * fine))
+
+
+@pytest.mark.parametrize(
+    ("values", "step"),
+    [
+        (np.array([0.0, 0.5, 0.5, 2.0, 2.0, 1.0, 0.5]), 0.5),
+        (np.array([0.1, 0.2, 0.3, 0.4, 0.5]), 0.0),
+        (np.array([1.0, 1.0, 1.0]), 0.0),
+        (np.array([0.0, 0.3, 0.3, 1.0, 1.0, 1.0]), 0.0),
+    ],
+    ids=["grid", "all different", "constant", "no common step"],
+)
+def test_the_step_of_a_grid(values, step):
+    assert grid_step(values) == pytest.approx(step)

@@ -1,0 +1,57 @@
+"""What a reader has to know before the numbers stands on the first line."""
+
+import json
+
+import pytest
+import synthetic_results as made
+
+from imubayes.criticism.noise_assumptions import NoiseViolation
+from imubayes.display.fit_cautions import alarm_of, notices
+from imubayes.display.fit_report import summary_report
+from imubayes.display.report_layout import report_text
+from imubayes.display.summary_html import summary_html
+from imubayes.results.summary import PriorScatter, Summary
+
+GAIN = "injection_error.gain[ax]"
+VIOLATIONS = (
+    NoiseViolation(kind="quantisation", channels=("ax",), step=3.1),
+    NoiseViolation(kind="autocorrelation", channels=("gx", "gy"), p=3e-7),
+)
+SCATTER = PriorScatter(scale="run_scatter.tau[ax]", from_data=0.02, parameters=(GAIN,), factor=3.5)
+
+
+@pytest.fixture(scope="module")
+def plain() -> Summary:
+    return made.summary_of(made.trihedral_residuals())
+
+
+def test_nothing_is_said_of_a_sound_fit(plain):
+    assert alarm_of(plain) == ""
+    assert notices(plain) == ()
+
+
+def test_intervals_that_cannot_be_trusted_are_said_on_the_first_line(plain):
+    flawed = plain.model_copy(update={"intervals_valid": False, "noise_violations": VIOLATIONS})
+    text = " ".join(report_text(summary_report(flawed), width=400).split())
+    assert text.startswith("DO NOT TRUST THE INTERVALS: the output is quantised too coarsely for its noise (ax: a step")
+    assert "the residuals are autocorrelated (gx, gy, p = 3e-07)" in text
+    assert summary_html(flawed).index("DO NOT TRUST") < summary_html(flawed).index("<table")
+    document = json.loads(flawed.model_dump_json())
+    assert document["intervals_valid"] is False
+    assert document["noise_violations"][1] == {
+        "kind": "autocorrelation",
+        "channels": ["gx", "gy"],
+        "p": 3e-7,
+        "step": None,
+    }
+
+
+def test_what_rests_on_a_prior_is_said_first_unless_a_warning_is(plain):
+    resting = plain.model_copy(update={"prior_scatter": (SCATTER,)})
+    first = report_text(summary_report(resting), width=400).splitlines()[0]
+    assert first.startswith("run_scatter.tau[ax] is known mostly from its prior (2 % from the data)")
+    assert f"{GAIN} depend on it" in first
+    flawed = resting.model_copy(update={"intervals_valid": False, "noise_violations": VIOLATIONS})
+    text = report_text(summary_report(flawed), width=400)
+    assert text.startswith("DO NOT TRUST")
+    assert "is known mostly from its prior" in text

@@ -1,0 +1,60 @@
+"""What the data know of θ at noise scales far from the mode: blocks against the whole Jacobian."""
+
+from functools import cache
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from imubayes.inference.conditional_precision import conditional, precision_blocks
+from imubayes.inference.nested_laplace import nested_laplace
+from imubayes.inference.posterior_mode import Mode, find_mode
+from imubayes.inference.posterior_precision import knowledge
+from imubayes.inference.tabulated_density import tabulate
+from imubayes.model.bind import Model, bind
+from imubayes.model.problem import prior_widths
+from small_campaign import campaign, simulated, spec
+
+
+@cache
+def made() -> Model:
+    plain = bind(spec("gyro_bias", noise=("white_noise", "run_scatter")), campaign())
+    rng = np.random.default_rng(3)
+    return bind(plain.spec, simulated(plain, rng.normal(size=plain.problem.size[0]), 4))
+
+
+@cache
+def mode() -> Mode:
+    return find_mode(made().problem, *(jnp.zeros(size) for size in made().problem.size))
+
+
+@pytest.mark.parametrize("far", [0.0, -4.0, 4.0])
+def test_precision_and_gradient_follow_the_scatter_between_runs(far):
+    problem = made().problem
+    scatter = np.array([parameter.effect == "run_scatter" for parameter in made().hyper_layout.parameters])
+    assert scatter.any()
+    h = mode().h + far * scatter + np.where(scatter, 0.0, 0.1 * far)
+    precision, gradient = conditional(precision_blocks(problem, mode()), problem, h)
+    known = knowledge(problem, mode().about, h)
+    weight = prior_widths(problem, h) ** -2
+    scale = np.sqrt(np.diag(np.asarray(precision)))
+    expected = known.precision + jnp.diag(weight)
+    np.testing.assert_allclose(precision / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-9)
+    np.testing.assert_allclose(gradient / scale, (known.gradient - weight * mode().z) / scale, atol=1e-7)
+    if far > 0:
+        # What no longer shrinks is a tenth and less of what a precision fixed at the mode would claim.
+        at_mode = knowledge(problem, mode().about, mode().h).precision
+        assert np.min(np.diag(np.asarray(known.precision)) / np.diag(np.asarray(at_mode))) < 0.1
+
+
+def test_a_second_mode_of_a_scale_is_named():
+    approximation = nested_laplace(made().problem, mode())
+    assert approximation.other_modes() == []
+    count = len(mode().h)
+    knots = np.tile(np.linspace(-8.0, 8.0, 33), (count, 1))
+    heights = -0.5 * knots**2
+    heights[0] = np.logaddexp(heights[0], -1.0 - 2 * (knots[0] - 5) ** 2)
+    both = eqx.tree_at(lambda known: known.along, approximation, tabulate(knots, heights, np.ones(count)))
+    (other,) = both.other_modes()
+    assert other[0] == pytest.approx(float(mode().h[0]) + 5, abs=0.2)

@@ -1,0 +1,45 @@
+"""Tabulated densities against SciPy's distributions."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from imubayes.inference.tabulated_density import from_normal, log_density, tabulate, to_normal
+
+KNOTS = np.linspace(-8, 8, 33)
+
+
+def table_of(density, knots: np.ndarray = KNOTS):
+    return tabulate(knots[None], density(knots)[None], np.ones(1))
+
+
+def test_a_skewed_density():
+    table = table_of(lambda x: np.maximum(stats.skewnorm.logpdf(x, 3.0), -200.0))
+    at = np.array([-0.5, 0.0, 0.7, 1.5, 3.0])
+    normal = np.array([np.asarray(to_normal(table, np.array([x])))[0] for x in at])
+    np.testing.assert_allclose(stats.norm.cdf(normal), stats.skewnorm.cdf(at, 3.0), atol=5e-3)
+    np.testing.assert_allclose(table.sd(), stats.skewnorm.std(3.0), rtol=1e-2)
+
+
+def test_two_modes_keep_their_masses():
+    table = table_of(lambda x: np.logaddexp(np.log(0.8) - 0.5 * (x + 3) ** 2, np.log(0.2) - 0.5 * (x - 3) ** 2))
+    u = stats.norm.ppf((np.arange(4000) + 0.5) / 4000)
+    draws = np.array([np.asarray(from_normal(table, np.array([each])))[0] for each in u[::20]])
+    assert np.mean(draws > 0) == pytest.approx(0.2, abs=0.01)
+
+
+@pytest.mark.parametrize("normal", [-12.0, -5.0, -1.0, -1e-9, 0.0, 0.3, 4.0, 9.0])
+def test_the_map_is_undone_far_out_too(normal):
+    table = table_of(lambda x: -0.5 * (x - 1) ** 2 - np.log1p(np.exp(-x)))
+    there = from_normal(table, np.array([normal]))
+    np.testing.assert_allclose(np.asarray(to_normal(table, there))[0], normal, rtol=1e-6, atol=1e-6)
+
+
+def test_the_density_is_the_derivative_of_the_map():
+    table = table_of(lambda x: -0.5 * np.abs(x) ** 1.5)
+    for normal in (-9.0, -2.0, 0.4, 6.0):
+        step = 1e-5
+        low, high = (float(np.asarray(from_normal(table, np.array([normal + s])))[0]) for s in (-step, step))
+        middle = from_normal(table, np.array([normal]))
+        expected = stats.norm.logpdf(normal) - np.log((high - low) / (2 * step))
+        assert float(np.asarray(log_density(table, middle))[0]) == pytest.approx(expected, abs=1e-4)
