@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from imubayes.criticism.noise_assumptions import noise_violations
+from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.experiment_design import next_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.identifiability import (
@@ -49,11 +50,9 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0) -> Summ
         model=model.spec.name,
         converged=fit.converged,
         message=fit.message,
-        sampled=chains is not None,
         interval="95 % equal-tailed",
         uncertainty="standard deviation of the joint posterior distribution (GUM, type A and B combined)",
-        acceptance=None if chains is None else chains.acceptance,
-        pareto_k=None if chains is None else chains.diagnosis.pareto_k,
+        **_sampling(chains),
         intervals_valid=fit.converged and not violations,
         noise_violations=violations,
         prior_scatter=prior_scatter(fit),
@@ -70,6 +69,13 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0) -> Summ
         notes=(*model.campaign.notes, *(f"{run.name}: {note}" for run in model.campaign.runs for note in run.notes)),
         seconds=Seconds(load=load_seconds, **fit.seconds),
     )
+
+
+def _sampling(chains: Chains | None) -> dict[str, Any]:
+    """Return what is said of the sampling; nothing was sampled where there are no chains."""
+    if chains is None:
+        return {"sampled": False, "acceptance": None}
+    return {"sampled": True, "acceptance": chains.acceptance, "pareto_k": chains.diagnosis.pareto_k}
 
 
 def _parameters(fit: Fit) -> tuple[ParameterSummary, ...]:
