@@ -39,6 +39,7 @@ def test_tumbles_of_a_gyro(name, tmp_path):
         assert one.value == pytest.approx(truth[one.name], abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_servo_table(tmp_path):
     campaign, found, truth = simulated("servo-table", tmp_path)
     assert campaign.channels[-1].kind == "angle"
@@ -47,6 +48,7 @@ def test_a_servo_table(tmp_path):
     assert slope.value == pytest.approx(truth[slope.name], abs=5 * slope.sd + 1e-3)
 
 
+@pytest.mark.slow
 def test_a_rotation(tmp_path):
     campaign, found, truth = simulated("rotation-modulation", tmp_path)
     assert len(campaign.runs) == 3
