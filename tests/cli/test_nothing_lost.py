@@ -56,7 +56,7 @@ def begun(folder: Path, steps: int) -> Path:
 
 
 def with_own_effect(folder: Path, returned: str) -> Path:
-    """A small model with an effect of the user's own, whose file is beside it."""
+    """The model with an effect of the user's own beside it."""
     (folder / "mine.py").write_text(
         "import jax.numpy as jnp\n"
         "from imubayes import Order, Scalar, SignalEffect, Stage, parameter\n\n\n"
@@ -68,8 +68,9 @@ def with_own_effect(folder: Path, returned: str) -> Path:
         "    def apply(self, signal, sample):\n"
         f"        return {returned}\n"
     )
-    effects = "".join(f'\n[[effect]]\nname = "{name}"\n' for name in ("accel_bias", "mine", "white_noise"))
-    (folder / "model.toml").write_text(f'format = 1\nname = "own"\nfiles = ["mine.py"]\n{effects}')
+    first, effects = MODEL.read_text().split("[[effect]]", 1)
+    own = f'{first}files = ["mine.py"]\n[[effect]]{effects}\n[[effect]]\nname = "mine"\n'
+    (folder / "model.toml").write_text(own)
     return folder / "model.toml"
 
 
