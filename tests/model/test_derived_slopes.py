@@ -28,3 +28,13 @@ def test_slopes_and_batches_are_those_of_one_quantity_at_a_time():
     largest = np.maximum(np.abs(slopes).max(axis=1, keepdims=True), 1e-30)
     np.testing.assert_allclose(found / largest, slopes / largest, rtol=1e-6, atol=1e-7)
     assert evaluate_derived(derived, problem, np.zeros((0, points.shape[1]))).shape == (0, len(values))
+
+
+def test_slopes_are_compared_where_the_model_has_a_drift_of_the_converter():
+    """Without one both slopes are zero, and their relative difference is not a number."""
+    names = {
+        effect: [one.name for one in derived_quantities(bind(spec(effect), campaign()).assembly).names]
+        for effect in ("accel_bias", "converter_gain_drift")
+    }
+    assert not [name for name in names["accel_bias"] if name.startswith("delta_k")]
+    assert {"delta_k[ax,inject]", "delta_k[ax,inject-low]"} & set(names["converter_gain_drift"])

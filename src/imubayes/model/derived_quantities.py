@@ -157,18 +157,26 @@ def _quantities_of_kind(
 
 @dataclass(frozen=True)
 class _ThermalRuns:
-    """Runs with a converter temperature: their indices, a node of each, and kind → nominal input in SI, (T, C)."""
+    """Runs with a converter temperature: their indices, a node of each, and kind → nominal input in SI, (T, C).
+
+    `drifting` are the channels whose output depends on that temperature in the model; without one there are no runs.
+    """
 
     runs: list[int]
     nodes: np.ndarray
     inputs: dict[str, np.ndarray]
+    drifting: frozenset[str]
 
 
 def _thermal_runs(assembly: Assembly) -> _ThermalRuns:
     nodes = assembly.grouping.nodes
+    felt = [effect for effect in assembly.effects if "converter_temperature" in effect.effect_class.needs]
+    drifting = frozenset(channel for effect in felt for channel in effect.channels)
     runs = [index for index, supplied in enumerate(nodes.supplies) if "converter_temperature" in supplied]
+    runs = runs if drifting else []
     first = np.array([int(np.argmax(nodes.run == run)) for run in runs], dtype=int)
-    return _ThermalRuns(runs, first, {kind: _nominal_inputs(assembly, kind, first) for kind in assembly.channels})
+    inputs = {kind: _nominal_inputs(assembly, kind, first) for kind in assembly.channels}
+    return _ThermalRuns(runs, first, inputs, drifting)
 
 
 def _thermal_comparisons(
@@ -182,6 +190,8 @@ def _thermal_comparisons(
         return []
     campaign, rows = assembly.grouping.campaign, []
     for column, channel in enumerate(channels):
+        if channel.name not in thermal.drifting:
+            continue
         in_g = np.abs(thermal.inputs[channel.kind][:, column]) / campaign.site.gravity
         injected = np.asarray(assembly.nodes.injected)[thermal.nodes] > 0
         sensed = _nearest_1_g(in_g, ~injected)
