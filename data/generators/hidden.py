@@ -20,6 +20,8 @@ from simulate import write_simulated
 
 PLAIN, FULL = "hidden-effects", "hidden-effects-thermal"
 SMALLEST, LARGEST, LEAST_OF_TWO = 36.0, 2000.0, 80.0
+LARGE = 1e6
+"""Largest S of the campaigns with a large effect, whose S begins where that of the others ends."""
 MOST = 30.0
 """Largest size that counts as sensible, in units of the typical one."""
 LEAST_SHOWN = 0.003
@@ -231,7 +233,9 @@ def scaled(effect: Values, factor: float) -> dict[str, float]:
     return {name: value if name.split("[")[0] in shapes else factor * value for name, value in effect.items()}
 
 
-def sized(sight: Sight, effect: Values, aim: float, also: np.ndarray | None = None) -> tuple[dict[str, float], float]:
+def sized(
+    sight: Sight, effect: Values, aim: float, also: np.ndarray | None = None, largest: float = LARGEST
+) -> tuple[dict[str, float], float]:
     """Scale an effect until S past the baseline and `also` is `aim`; return it and S.
 
     Where the baseline could take most of it for noise the size grows until enough is left to be seen.
@@ -251,7 +255,7 @@ def sized(sight: Sight, effect: Values, aim: float, also: np.ndarray | None = No
     here = scaled(effect, factor)
     reached = sight.detectability(here, also)
     if (
-        not (0.9 * aim < reached < 1.1 * LARGEST)
+        not (0.9 * aim < reached < 1.1 * largest)
         or factor >= MOST
         or sight.detectability(here) / np.sum(sight.shift(here) ** 2) < LEAST_SHOWN
     ):
@@ -334,11 +338,13 @@ def noise_of(kind: str, plan: Plan, values: Values, generator: np.random.Generat
     return changed
 
 
-def _one_catalogued(sight: Sight, effect: str, generator: np.random.Generator, aim: float) -> tuple[Planted, ...]:
+def _one_catalogued(
+    sight: Sight, effect: str, generator: np.random.Generator, aim: float, largest: float = LARGEST
+) -> tuple[Planted, ...]:
     where = places(sight.moments.plan, CATALOGUE[effect].on, generator)
     if not where:
         raise CannotShowError
-    values, _ = sized(sight, unit_effect(sight.moments.plan, effect, where, generator), aim)
+    values, _ = sized(sight, unit_effect(sight.moments.plan, effect, where, generator), aim, largest=largest)
     return (planted(sight, effect, where, values, None),)
 
 
@@ -397,7 +403,7 @@ def _constant_temperature(plan: Plan) -> Plan:
     return replace(plan, runs=runs)
 
 
-KINDS = ("hidden", "null-white", "null-ar1", "null-runs", "outside", "offsets", "two")
+KINDS = ("hidden", "null-white", "null-ar1", "null-runs", "outside", "offsets", "two", "large")
 
 
 def random_campaign(
@@ -463,6 +469,8 @@ def _plant(kind: str, plan: Plan, values: Values, names: tuple[str, ...], genera
     if not names:
         return ()
     sight = look(plan, values)
+    if kind == "large":
+        return _one_catalogued(sight, names[0], generator, between(LARGEST, LARGE)(generator), LARGE)
     least = LEAST_OF_TWO if kind == "two" else SMALLEST
     aims = [between(least, LARGEST)(generator) for _ in names]
     if kind == "outside":

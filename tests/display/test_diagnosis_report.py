@@ -28,10 +28,16 @@ from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.injection_recovery import Size, Trial, Trials
 from imubayes.criticism.localised_structure import Step
 from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, Tree, node_id
+from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.display import diagnosis_report as shown
-from imubayes.display.figures.evidence_pictures import before_after, followed_covariate, save_evidence
+from imubayes.display.figures.evidence_pictures import (
+    before_after,
+    followed_covariate,
+    save_evidence,
+    save_recorded_noise,
+)
 from imubayes.display.figures.history_steps import error_per_step_figure, history_figure
 from imubayes.display.figures.residual_evidence import added_variable_figure
 from imubayes.display.history_table import history_json, history_sheet
@@ -173,6 +179,40 @@ def test_the_picture_of_the_evidence(tmp_path, with_covariate):
     runs, at = np.repeat(["a", "b", "c"], 20), rate if with_covariate else explained
     evidence = ResidualEvidence("gx", "gyro_scale_asymmetry", covariate, at, runs, residual, explained, "deg/s")
     assert save_evidence(tmp_path, evidence).read_bytes()[:4] == PNG
+
+
+def comparison(channel: str, ratio: float, p: float) -> NoiseComparison:
+    return NoiseComparison(channel, 8 * ratio, 8.0, "samples", ratio, 0.05 * ratio, p, False, "pulse/s")
+
+
+def test_noise_that_disagrees_with_its_record_is_told():
+    compared = (comparison("ax", 2.14, 1e-40), comparison("ay", 1.02, 0.4), comparison("az", 0.6, 1.0))
+    found = diagnosis("adequate").model_copy(update={"recorded_noise": compared})
+    assert "fitted noise of ax is 2.14 ± 0.11 times the recorded noise" in shown.sentence(found)
+    assert "1 more channel disagrees" in shown.sentence(found)
+    assert [row[0].text for row in shown.recorded_noise_sheet(found).rows] == ["ax", "az"]
+    agreeing = found.model_copy(update={"recorded_noise": compared[1:2]})
+    assert "recorded noise" not in shown.sentence(agreeing)
+
+
+def test_excess_scatter_without_a_name_is_a_verdict_on_the_noise():
+    found = diagnosis("noise_model").model_copy(update={"recorded_noise": (comparison("ax", 2.14, 1e-40),)})
+    assert "scatter from row to row" in shown.sentence(found)
+    assert "2.14 ± 0.11" in shown.sentence(found)
+    assert shown.next_command(found) == "imubayes compare R"
+
+
+def test_the_picture_of_the_recorded_noise(tmp_path):
+    scatter, runs = np.random.default_rng(0).normal(size=60), np.repeat(["a", "b", "c"], 20)
+    record = RecordedNoise(
+        (comparison("ax", 2.14, 1e-40), comparison("ay", 1.0, 0.5)), np.repeat("ax", 60), runs, scatter
+    )
+    assert save_recorded_noise(tmp_path, record).read_bytes()[:4] == PNG
+
+
+def test_more_that_remains_is_said_beside_the_first_effect():
+    assert "diagnose again" not in shown.sentence(diagnosis())
+    assert "diagnose again" in shown.sentence(diagnosis().model_copy(update={"more_remains": True}))
 
 
 def residual_table(size: float) -> pl.DataFrame:

@@ -32,8 +32,9 @@ LINES = ROOT / ".cache" / "blind" / "campaigns.jsonl"
 REPORT = ROOT / "benchmarks" / "results" / "blind_study.md"
 COUNTS = {
     "hidden": 300, "null-white": 100, "null-ar1": 100, "null-runs": 100, "outside": 60, "offsets": 24, "two": 40,
+    "large": 60,
 }  # fmt: skip
-FIRST_SEEDS = dict.fromkeys(COUNTS, 1001) | {"outside": 5001, "two": 2001, "null-ar1": 3001}
+FIRST_SEEDS = dict.fromkeys(COUNTS, 1001) | {"outside": 5001, "two": 2001, "null-ar1": 3001, "large": 9101}
 """Campaigns of smaller seeds were looked at while thresholds, ranking and rules were set."""
 ADDED = 10
 """Every so manieth campaign with one hidden effect is gone on with: the effect is added and the refit judged."""

@@ -92,7 +92,7 @@ def judged(line: Line) -> str:
     said = verdict if group is None else f"{verdict} {'|'.join(group['effects'])} {','.join(group['channels'])}"
     if kind.startswith("null"):
         return "alarm: " + said if false_alarm(kind, document) else "ok"
-    if kind == "hidden":
+    if kind in ("hidden", "large"):
         return "ok" if group is not None and names_it(planted[0], group) else said
     if kind == "outside":
         # A group says that the catalogue has the cause, whatever structure stands beside it.
@@ -144,6 +144,18 @@ class Tally:
     def wrong_names(self) -> tuple[int, int]:
         """Campaigns with something outside the catalogue that got a single, wrong name."""
         return self.share([verdict.startswith("wrong name") for verdict in self.verdicts])
+
+    @property
+    def wrong_single_names(self) -> tuple[int, int]:
+        """Campaigns with an effect of the catalogue that got a single, wrong name, with nothing said to remain."""
+        return self.share(
+            [
+                verdict != "ok"
+                and line["document"]["verdict"] == "missing_effect"
+                and not line["document"].get("more_remains", False)
+                for line, verdict in zip(self.lines, self.verdicts, strict=True)
+            ]
+        )
 
     @property
     def failures(self) -> list[tuple[Line, str]]:
@@ -216,11 +228,13 @@ def _cells(hits: int, count: int) -> str:
 
 def report(lines: Sequence[Line], command: str = COMMAND) -> str:
     """Return the table of the study."""
-    hidden, outside = of_kind(lines, "hidden"), of_kind(lines, "outside")
+    hidden, outside, large = (of_kind(lines, kind) for kind in ("hidden", "outside", "large"))
     alarmed = {kind: of_kind(lines, kind).ok for kind in NULLS}
     pooled = of_kind(lines, *NULLS).ok
     rows = [
         ("right group first, one hidden effect", "≥ 95 %", hidden.ok),
+        ("right group first, one large effect", "≥ 95 %", large.ok),
+        ("a single, wrong name for one large effect", "≤ 2 %", large.wrong_single_names),
         *(
             (f"alarms without hidden effect, {kind.removeprefix('null-')}", "5 ± 2 %", (count - fine, count))
             for kind, (fine, count) in alarmed.items()
@@ -242,8 +256,8 @@ def report(lines: Sequence[Line], command: str = COMMAND) -> str:
         f"{max(line['readings'] for line in whole)} readings, drawn by `data/generators/hidden.py`, which shares no "
         "code with the package: plan, unit, noise, effect, channels, size and sign. The true size of each hidden "
         "effect is such that the readings show it with S = 36 … 2000 past everything that the model absorbs "
-        "(80 … 2000 for each of two), and with at least 36 left where the spread of noise and run offsets is taken for "
-        "larger than it is. Intervals are 95 % after Wilson.", "",
+        "(80 … 2000 for each of two, 2000 … 10⁶ for a large one), and with at least 36 left where the spread of noise "
+        "and run offsets is taken for larger than it is. Intervals are 95 % after Wilson.", "",
         "| question | wanted | found | share | interval |", "| --- | --- | --- | --- | --- |",
         *(f"| {name} | {wanted} | {_cells(*share)} |" for name, wanted, share in rows), "",
         f"A first group holds {np.mean(sizes) if sizes else 0:.2f} names on average, at most {max(sizes, default=0)}. "

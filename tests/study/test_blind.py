@@ -50,6 +50,8 @@ WAVE = LAG | {"effect": "outside_temperature_wave"}
         (False, line("hidden", explained(group("gyro_bias_drift"), group("gyro_thermal_lag")), LAG)),
         (False, line("hidden", explained(group("gyro_thermal_lag", channels=("gy",))), LAG)),
         (False, line("hidden", EMPTY, LAG)),
+        (True, line("large", explained(group("gyro_thermal_lag")), LAG)),
+        (False, line("large", shape("time_s"), LAG)),
         (True, line("hidden", explained(group("encoder_harmonic", channels=("head",))), ENCODER)),
         (False, line("hidden", explained(group("gyro_thermal_lag")), LAG, converged=False)),
         (True, line("null-white", EMPTY)),
@@ -85,6 +87,14 @@ def test_a_wrong_name_is_told_from_silence():
     )
     assert wrong.ok == (0, 2)
     assert wrong.wrong_names == (1, 2)
+
+
+def test_a_wrong_name_with_more_said_to_remain_is_not_confirmed():
+    named = explained(group("gyro_bias_drift"))
+    told = named | {"more_remains": True}
+    tally = judging.of_kind([line("large", named, LAG), line("large", told, LAG), line("large", EMPTY, LAG)], "large")
+    assert tally.ok == (0, 3)
+    assert tally.wrong_single_names == (1, 3)
 
 
 def test_planted_faults_of_the_diagnosis_are_seen():
@@ -143,6 +153,8 @@ def test_blind_study():
         return found[0] / found[1]
 
     assert share(judging.of_kind(lines, "hidden").ok) >= 0.95
+    assert share(judging.of_kind(lines, "large").ok) >= 0.95
+    assert share(judging.of_kind(lines, "large").wrong_single_names) <= 0.02
     assert 0.03 <= 1 - share(judging.of_kind(lines, *judging.NULLS).ok) <= 0.07
     for kind in judging.NULLS:
         fine, count = judging.of_kind(lines, kind).ok

@@ -33,14 +33,16 @@ def diagnose(
     start_jax()
     from imubayes.api import diagnose as find_missing
     from imubayes.display.diagnosis_report import diagnosis_json, diagnosis_report, effect_source
-    from imubayes.display.figures.evidence_pictures import save_evidence
+    from imubayes.display.figures.evidence_pictures import save_evidence, save_recorded_noise
     from imubayes.display.report_layout import print_report
     from imubayes.results.loop_files import write_diagnosis
 
     with progress() as tell:
         tell("looking for what is missing")
         found = find_missing(result, effect)
-    picture = save_evidence(result, found.evidence) if found.evidence is not None else None
+    pictures = [save_evidence(result, found.evidence)] if found.evidence is not None else []
+    if found.disagreeing_noise and found.scatter is not None:
+        pictures.append(save_recorded_noise(result, found.scatter))
     if not effect:
         write_diagnosis(result, found)
     if python:
@@ -48,5 +50,5 @@ def diagnose(
     elif as_json:
         print_json(diagnosis_json(found))
     else:
-        print_report(diagnosis_report(found, picture))
+        print_report(diagnosis_report(found, pictures))
     return 1 if found.verdict == "not_converged" else 0

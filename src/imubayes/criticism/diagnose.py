@@ -1,6 +1,7 @@
 """From a converged fit to its diagnosis: the search, the verdict, and everything that supports it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from imubayes.criticism.discriminating_run import discriminating_run
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.formula_search import Formula, coefficient_unit, find_formula
 from imubayes.criticism.free_form_dependence import Structure, dominant_channel
+from imubayes.criticism.large_effects import remainder_of_leader
 from imubayes.criticism.localised_structure import STEP
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, following_covariate, residual_evidence
@@ -68,28 +70,43 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "") -> Diagnosis:
         message = fit.message or "The fit did not converge."
         return Diagnosis(verdict="not_converged", message=message, result=result)
     found = search(fit)
-    if effect:
-        return _asked(effect, found, result)
-    unexplained = unexplained_structure(found)
+    return _asked(effect, found, result) if effect else _diagnosis(fit, found, result)
+
+
+def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
+    found, unexplained = _with_large_effect_fitted(found)
     verdict = _verdict(found, unexplained)
+    open_question = verdict == "unexplained_structure"
     evidence = [_evidence(found, group) for group in found.groups]
     grouped = zip(found.groups, evidence, strict=True) if verdict in MISSING else ()
     diagnosis = Diagnosis(
         verdict=verdict,
         result=result,
         p_global=_best(found),
-        groups=tuple(_group(fit, group, residual) for group, residual in grouped),
+        groups=tuple(_group(fit, found, group, residual) for group, residual in grouped),
         ranking=_ranking(found),
         noise=_noise(found),
         undetectable=_undetectable(found),
-        nearest=_nearest(found) if verdict == "unexplained_structure" else (),
+        nearest=_nearest(found) if open_question else (),
         structure=_structures(found, unexplained),
         looks=found.look_elsewhere.looks,
         outliers=_outliers(found),
         suggested=_suggested(found, verdict),
-        strongest=_strongest(found) if verdict == "unexplained_structure" else None,
+        strongest=_strongest(found) if open_question else None,
+        recorded_noise=found.record.comparisons,
+        more_remains=verdict in MISSING and bool(found.remaining or found.groups[1:]),
     )
-    return diagnosis.with_evidence(evidence[0] if evidence else None)
+    return diagnosis.with_evidence(evidence[0] if evidence else None, found.record)
+
+
+def _with_large_effect_fitted(found: SearchResult) -> tuple[SearchResult, Sequence[Significant]]:
+    """Return the outcome with the structure that no effect explains, after a refit where a large effect is doubted."""
+    unexplained = unexplained_structure(found)
+    left = remainder_of_leader(found) if unexplained else None
+    if left is None or not left.small:
+        return found, unexplained
+    # What else the linear search found beside a large effect is its curvature, or waits until it is fitted.
+    return replace(found, groups=found.groups[:1], remaining=left.structures), []
 
 
 def _refuse_unknown(effect: str, fit: Fit) -> None:
@@ -115,7 +132,7 @@ def _verdict(found: SearchResult, unexplained: Sequence[Significant]) -> Verdict
         return "unexplained_structure"
     if found.groups:
         return "missing_effect" if len(found.groups[0].members) == 1 else "equivalent_effects"
-    return "noise_model" if found.adopted else "adequate"
+    return "noise_model" if found.adopted or found.record.excessive else "adequate"
 
 
 def _asked(effect: str, found: SearchResult, result: str) -> Diagnosis:
@@ -124,7 +141,7 @@ def _asked(effect: str, found: SearchResult, result: str) -> Diagnosis:
     known = next((each for each in _detectabilities(found) if each.effect == effect), None)
     best = min((line.p_global for line in lines), default=1.0)
     undetectable: tuple[UndetectableEffect, ...] = ()
-    if best < thresholds.FALSE_ALARM_EFFECT:
+    if best < thresholds.FALSE_ALARM:
         verdict: Verdict = "missing_effect"
     elif known is not None and not known.undetectable:
         verdict = "adequate"
@@ -144,7 +161,8 @@ def _asked(effect: str, found: SearchResult, result: str) -> Diagnosis:
 
 
 def _best(found: SearchResult) -> float:
-    return found.look_elsewhere(min((candidate.p for candidate in found.first.candidates), default=1.0))
+    best = min((candidate.p for candidate in found.first.candidates), default=1.0)
+    return found.against_budget(found.look_elsewhere(best))
 
 
 def _ranking(found: SearchResult) -> tuple[RankedEffect, ...]:
@@ -155,7 +173,7 @@ def _ranking(found: SearchResult) -> tuple[RankedEffect, ...]:
             delta_chi2=candidate.delta_chi2,
             dof=candidate.dof,
             p=candidate.p,
-            p_global=found.look_elsewhere(candidate.p),
+            p_global=found.against_budget(found.look_elsewhere(candidate.p)),
             within_runs=candidate.score.within_runs,
             shape=dict(candidate.scan.shape),
             coefficients=_coefficients(candidate),
@@ -185,7 +203,7 @@ def _evidence(found: SearchResult, group: EquivalenceGroup) -> ResidualEvidence:
     return residual_evidence(projection, found.responses, response, leader, channel, covariate)
 
 
-def _group(fit: Fit, group: EquivalenceGroup, evidence: ResidualEvidence) -> EffectGroup:
+def _group(fit: Fit, found: SearchResult, group: EquivalenceGroup, evidence: ResidualEvidence) -> EffectGroup:
     leader = group.leader
     before, after, unit = evidence.rms
     return EffectGroup(
@@ -193,7 +211,7 @@ def _group(fit: Fit, group: EquivalenceGroup, evidence: ResidualEvidence) -> Eff
         channels=leader.owners,
         delta_chi2=leader.delta_chi2,
         dof=leader.dof,
-        p_global=group.p,
+        p_global=found.against_budget(group.p),
         candidates=tuple(
             GroupMember(
                 effect=member.effect,
@@ -287,7 +305,7 @@ def _structure(found: SearchResult, structure: Structure, p: float, formula: For
         channel=structure.channel,
         covariate=" × ".join(covariate.name for covariate in structure.covariates),
         test=structure.test if structure.step else f"{structure.test} {structure.family}".strip(),
-        p=float(p),
+        p=found.against_budget(float(p), thresholds.FALSE_ALARM_STRUCTURE),
         step=structure.step,
         coefficient=_height(found, structure),
     )
@@ -343,7 +361,7 @@ def _outliers(found: SearchResult) -> tuple[Outlier, ...]:
 def _suggested(found: SearchResult, verdict: Verdict) -> EffectChoice | None:
     """Return the effect or noise to add next; its channels where they are not all on which it was screened."""
     if verdict == "noise_model":
-        return EffectChoice(effect=found.adopted[0].effect, channels=None)
+        return EffectChoice(effect=found.adopted[0].effect, channels=None) if found.adopted else None
     if verdict not in MISSING:
         return None
     leader = found.groups[0].leader

@@ -11,6 +11,7 @@ from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import Absorber, ParameterBias
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.localised_structure import Step
+from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
 from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.json_record import Record
@@ -69,7 +70,7 @@ class RankedEffect(ScreenedEffect):
     Attributes
     ----------
     dof : directions that could be resolved.
-    p, p_global : p-value of this candidate alone, and corrected for the number of looks.
+    p, p_global : p-value of this candidate alone, and corrected for the number of looks and families of tests.
     within_runs : drop of χ² from the variation within runs alone.
     """
 
@@ -108,7 +109,7 @@ class EffectGroup(Record):
     Attributes
     ----------
     channels, delta_chi2, dof : of the first.
-    p_global : p-value of the first, corrected for the number of looks.
+    p_global : p-value of the first, corrected for the number of looks and families of tests.
     candidates : one per effect.
     residual : rms of the channel that shows it best, before and after adding the first.
     covariate : what that residual depends on; None where no single covariate explains it.
@@ -247,14 +248,17 @@ class Diagnosis(Presented, Record):
     verdict : the outcome.
     message : why the fit did not converge.
     result : folder of the result that was diagnosed.
-    p_global : p-value of the best candidate, corrected for the number of looks.
-    threshold : probability of a false alarm that the search allows.
+    p_global : p-value of the best candidate, corrected for the number of looks and families of tests.
+    threshold : probability of a false alarm that the search allows; a corrected p-value below it is a finding.
     groups : in order of evidence; empty unless the verdict names effects.
     ranking : every candidate, the most significant first.
     nearest : effects that explain a part of unexplained structure.
     looks : effective number of independent candidates.
     suggested : the effect, or noise, to add next.
     strongest : the structure that no effect explains.
+    more_remains : whether structure or further effects remain beside the first group, small against what it explains:
+        add it and diagnose again.
+    recorded_noise : fitted against recorded noise of each channel, after the groups.
     asked : the effect that was asked about, where one was.
     """
 
@@ -276,18 +280,32 @@ class Diagnosis(Presented, Record):
     outliers: tuple[Outlier, ...] = ()
     suggested: EffectChoice | None = None
     strongest: StrongestStructure | None = None
+    more_remains: bool = False
+    recorded_noise: tuple[NoiseComparison, ...] = ()
     asked: AskedEffect | None = None
     _evidence: ResidualEvidence | None = PrivateAttr(None)
+    _scatter: RecordedNoise | None = PrivateAttr(None)
 
     @property
     def evidence(self) -> ResidualEvidence | None:
         """The residual that shows the first group best, for pictures; None without one, and of a stored diagnosis."""
         return self._evidence
 
-    def with_evidence(self, evidence: ResidualEvidence | None) -> "Diagnosis":
-        """Return the same diagnosis with the residual that shows its first group."""
+    @property
+    def scatter(self) -> RecordedNoise | None:
+        """The rows against the recorded noise, for pictures; None of a stored diagnosis."""
+        return self._scatter
+
+    @property
+    def disagreeing_noise(self) -> tuple[NoiseComparison, ...]:
+        """The channels whose fitted and recorded noise do not agree, the largest ratio first."""
+        apart = [each for each in self.recorded_noise if not each.agrees]
+        return tuple(sorted(apart, key=lambda each: -each.ratio))
+
+    def with_evidence(self, evidence: ResidualEvidence | None, scatter: RecordedNoise | None = None) -> "Diagnosis":
+        """Return the same diagnosis with the residual that shows its first group, and with the rows' scatter."""
         copy = self.model_copy()
-        copy._evidence = evidence
+        copy._evidence, copy._scatter = evidence, scatter
         return copy
 
     def estimate(self, effect: str) -> "ScreenedEffect | NoiseFinding | None":

@@ -8,6 +8,7 @@ import numpy as np
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses, candidate_responses
+from imubayes.criticism.common_course import common_courses
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
 from imubayes.criticism.free_form_dependence import (
     ProjectedForm,
@@ -21,6 +22,7 @@ from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
 from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, Prewhitening, prewhitening, screen_noise
 from imubayes.criticism.outliers import clustered, consecutive, deletion_residuals, find_outliers
 from imubayes.criticism.projection import Projection, orthonormal, project
+from imubayes.criticism.recorded_noise import RecordedNoise, compare_with_record
 from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
 from imubayes.criticism.score_test import Candidate, ProjectedResponse, project_responses, screen
 from imubayes.inference.fitted_model import Fit
@@ -65,12 +67,14 @@ class SearchResult:
     first : the first screening, with the noise finally adopted.
     responses, covariates : what was screened.
     groups : one per effect found, in order of evidence.
-    structures : those significant in the first screening, with corrected p-values.
+    structures : those significant in the first screening, with corrected p-values; then common courses of runs.
     remaining : those still significant after the groups were projected out.
     noise : noise candidates as first screened.
     adopted : those significant after effects and structure were projected out.
     outlier_sd : shape (E,), deletion residual of each outlier in standard deviations; 0 for other samples.
     look_elsewhere : correction of the candidates' p-values.
+    factor : on the budget of false alarms, where the correlation of the noise was estimated.
+    record : noise that remains after the groups, against the noise that the campaign records.
     """
 
     first: Screening
@@ -83,6 +87,15 @@ class SearchResult:
     adopted: tuple[NoiseCandidate, ...]
     outlier_sd: np.ndarray
     look_elsewhere: LookElsewhere
+    factor: float
+    record: RecordedNoise
+
+    def against_budget(self, p: float, share: float = thresholds.FALSE_ALARM_EFFECT) -> float:
+        """Return a p-value, corrected for its own family of tests, on the scale of the whole budget.
+
+        Below `thresholds.FALSE_ALARM` if and only if the search takes it for significant (weighted Bonferroni).
+        """
+        return min(1.0, p * thresholds.FALSE_ALARM / (share * self.factor))
 
 
 @dataclass(frozen=True)
@@ -200,37 +213,80 @@ def _refit_without(fitted: Fit, outlying: np.ndarray, rounds: int) -> tuple[Fit,
     return rest, sizes
 
 
+@dataclass(frozen=True)
+class _Outcome:
+    """Screening before and after the groups were projected out, with the factor on the budget of false alarms."""
+
+    first: Screening
+    groups: tuple[EquivalenceGroup, ...]
+    last: Screening
+    factor: float = 1.0
+
+
 def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
     """Return the outcome with the noise that the residuals show."""
-    first, groups, last = at.first, at.groups, at.last
-    adopted: list[NoiseCandidate] = []
-    modelled: list[NoiseCandidate] = []
-    factor = 1.0
-    if at.alarm or _significant_noise(at.noise, thresholds.FALSE_ALARM_NOISE):
-        remaining = [each for each in screen_noise(at.cleared) if each.effect != OUTLIERS]
-        adopted = modelled = _significant_noise(remaining, thresholds.FALSE_ALARM_NOISE)
-        if at.alarm:
-            suspected = _significant_noise(remaining, thresholds.SUSPECTED_NOISE_P)
-            modelled = adopted + [
-                each for each in suspected if each.effect in _CONFOUNDED_NOISE and each not in adopted
-            ]
-    if modelled:
-        effects = {each.effect for each in modelled}
-        first = given.screening(prewhitening(at.cleared, modelled), "run_scatter" in effects)
-        factor = thresholds.ESTIMATED_CORRELATION_FACTOR if "correlated_noise" in effects else 1.0
-        groups, last = _select_effects(first, at.corrections.of_effect, factor)
+    adopted, modelled = _noise_hypotheses(at)
+    outcome = _under_noise(given, at, modelled) if modelled else _Outcome(at.first, at.groups, at.last)
+    # What runs of one input have in common is no noise, however long that remembers.
+    common = tuple(common_courses((at.last if outcome.groups else at.first).projection))
+    silent = not (outcome.groups or at.corrections.significant(outcome.first.structures, outcome.factor) or common)
+    if silent and not adopted:
+        outcome, adopted = _not_passed_over(at, outcome, modelled)
+    structures = at.corrections.significant(outcome.first.structures, outcome.factor)
+    remaining = at.corrections.significant(outcome.last.structures, outcome.factor)
     return SearchResult(
-        first=first,
+        first=outcome.first,
         responses=given.responses,
         covariates=given.covariates,
-        groups=groups,
-        structures=at.corrections.significant(first.structures, factor),
-        remaining=at.corrections.significant(last.structures, factor),
+        groups=outcome.groups,
+        structures=(*structures, *common),
+        remaining=(*remaining, *common),
         noise=at.noise,
         adopted=tuple(adopted),
         outlier_sd=np.zeros(len(given.responses.misfit)),
         look_elsewhere=at.corrections.of_effect,
+        factor=outcome.factor,
+        record=compare_with_record((at.last if outcome.groups else at.first).projection),
     )
+
+
+def _noise_hypotheses(at: FirstPass) -> tuple[list[NoiseCandidate], list[NoiseCandidate]]:
+    """Return the noise that is adopted, and that under which effects are judged: also what is only suspected."""
+    if not (at.alarm or _significant_noise(at.noise, thresholds.FALSE_ALARM_NOISE)):
+        return [], []
+    remaining = [each for each in screen_noise(at.cleared) if each.effect != OUTLIERS]
+    adopted = _significant_noise(remaining, thresholds.FALSE_ALARM_NOISE)
+    if not at.alarm:
+        return adopted, adopted
+    suspected = _significant_noise(remaining, thresholds.SUSPECTED_NOISE_P)
+    confounded = [each for each in suspected if each.effect in _CONFOUNDED_NOISE and each not in adopted]
+    return adopted, adopted + confounded
+
+
+def _under_noise(given: SearchInput, at: FirstPass, modelled: Sequence[NoiseCandidate]) -> _Outcome:
+    """Return the outcome with further noise in the model."""
+    effects = {each.effect for each in modelled}
+    first = given.screening(prewhitening(at.cleared, modelled), "run_scatter" in effects)
+    factor = thresholds.ESTIMATED_CORRELATION_FACTOR if "correlated_noise" in effects else 1.0
+    return _Outcome(first, *_select_effects(first, at.corrections.of_effect, factor), factor)
+
+
+def _not_passed_over(
+    at: FirstPass, outcome: _Outcome, modelled: list[NoiseCandidate]
+) -> tuple[_Outcome, list[NoiseCandidate]]:
+    """Return the outcome and the noise to adopt where what the first look found has vanished into suspected noise.
+
+    A pattern that cannot be noise stays what it is; otherwise the noise that would explain it is adopted.
+    """
+    if at.alarm and _first_p(at) < thresholds.PATTERN_NOT_NOISE_P:
+        return _Outcome(at.first, at.groups, at.last), []
+    return outcome, modelled or _significant_noise(at.noise, thresholds.FALSE_ALARM_NOISE)
+
+
+def _first_p(at: FirstPass) -> float:
+    """Return the smallest corrected p-value of the first look, of effects and of structure."""
+    structures = at.corrections.significant(at.first.structures)
+    return min([group.p for group in at.groups[:1]] + [p for _, p in structures], default=1.0)
 
 
 def _significant_noise(noise: Sequence[NoiseCandidate], threshold: float) -> list[NoiseCandidate]:
@@ -280,13 +336,17 @@ def _without_patterns(at: Screening, corrected: LookElsewhere, at_least: int) ->
 def span_over_shapes(at: Screening, leader: Candidate) -> np.ndarray:
     """Return the directions of a candidate at every shape scanned, (R, d): the true shape lies between them."""
     names = {coefficient.parameter.name for coefficient in leader.coefficients}
-    columns, lengths = [], []
+    own = leader.score.span
+    columns, lengths = [np.zeros((len(own), 0))], [np.zeros(0)]
     for each in at.prepared:
-        if each.response.scan.effect == leader.effect:
+        if each.response.scan.effect == leader.effect and each.response.scan != leader.scan:
             chosen = [place for place, c in enumerate(each.response.coefficients) if c.parameter.name in names]
-            columns.append(each.projected[:, chosen])
+            projected = each.projected[:, chosen]
+            columns.append(projected - own @ (own.T @ projected))
             lengths.append(np.linalg.norm(each.whitened[:, chosen], axis=0))
-    return orthonormal(np.concatenate(columns, axis=1), np.concatenate(lengths), thresholds.SHAPE_RETAINED_MIN)
+    others = orthonormal(np.concatenate(columns, axis=1), np.concatenate(lengths), thresholds.SHAPE_RETAINED_MIN)
+    # Its own directions are projected out however little of them the model leaves: the search would find them again.
+    return np.concatenate([own, others], axis=1)
 
 
 def deflate(at: Screening, span: np.ndarray) -> Screening:

@@ -63,6 +63,9 @@ DECISIVE_LOG_ODDS = math.log(20.0)
 # Structure left by the candidates counts against the leader if it is worth more than this share of the leader's Δχ²: a
 # large effect reveals its smallest imperfection.  Blind study: smaller withholds right names, larger gives wrong ones.
 REMAINDER_SHARE = 0.01
+# From this Δχ² a leader that leaves structure is refitted before it is doubted: the score is linear, and the curvature
+# of a large effect looks like structure.  Blind study: below, curvature was never seen.
+LARGE_EFFECT_CHI2 = 1000.0
 # So many effects on one channel only approximate one cause that the catalogue lacks.  Blind study, as above.
 CROWDED_EFFECTS = 3
 # A share that makes one thing the main part of another: of a leader's χ² for a second effect that mends its shape, of a
@@ -132,6 +135,20 @@ COARSE_STEP = 2.0
 # and the step is above this rounding of the largest output.  Numerical.
 COINCIDENT_SHARE, GRID_SHARE, GRID_ROUNDING = 0.2, 1e-3, 1e-12
 
+# ---- Fitted against recorded noise (recorded_noise) ------------------------------------------------------------------
+# A ratio of fitted to recorded noise up to this is agreement, whatever its uncertainty.  Convention: the standard
+# deviation of samples is rounded, and the stimulus varies a little within a row.  Larger hides weak structure.
+NOISE_AGREES = 1.05
+# An excess with less than this p-value, all channels together, is not adequate.  Convention: a tenth of the budget for
+# noise, because an excess that matters is far beyond; larger gives false alarms.
+EXCESS_NOISE_P = 0.1 * FALSE_ALARM_NOISE
+# A ratio beyond this, or below its inverse, is told where it exceeds so many standard uncertainties.  Convention.
+NOISE_TOLD, NOISE_TOLD_SD = 1.3, 3.0
+# Standard deviation of the logarithm of a stated noise of a channel, as in the default prior of white_noise.
+STATED_NOISE_LOG_SD = 0.5
+# Fewest degrees of freedom within runs for which a comparison is made.  Convention: below, σ is known to 30 % at best.
+NOISE_FREEDOM_MIN = 5.0
+
 # ---- Free forms (lack_of_fit) ----------------------------------------------------------------------------------------
 # One value per level up to so many levels, otherwise a cubic spline of so many columns; fewer rows have no form.
 # Convention: more columns follow narrower structure at the cost of power for broad structure.
@@ -140,6 +157,17 @@ MAX_LEVELS, SPLINE_COLUMNS, FORM_MIN_ROWS = 16, 7, 8
 COURSE_MIN_ROWS, SEGMENT_ROWS, MAX_SEGMENTS = 12, 3, 8
 # Values of a covariate closer than this share of its range are one level.  Convention: the scatter about a set point.
 SAME_LEVEL = 0.02
+
+# ---- Common course of runs (common_course) ---------------------------------------------------------------------------
+# A course that runs of one input have in common, with less than this p-value for all channels tested, is structure.
+# Simulation of AR(1) noise in 2 to 4 runs: p-values below 1e-3 occur 1 to 2 times as often as they should for φ ≤ 0.5
+# and up to 20 times for φ = 0.95, so that a two-hundredth of the budget for structure is asked for.
+COMMON_COURSE_P = 0.005 * FALSE_ALARM_STRUCTURE
+# Rows by which runs of one input may differ in length.  Convention: the reduction of a log may drop the last.
+COURSE_ROWS_APART = 2
+# A temperature that varies by less is steady (the ripple of a chamber), and so is an input that varies by less than
+# this share of its largest value.  Convention.
+STEADY_DEGREES, STEADY_INPUT = 1.0, 0.01
 
 # ---- Localised structure ---------------------------------------------------------------------------------------------
 # Samples of a kind of channel between which features are scanned; above, they would not fit into memory.  Effort.

@@ -1,9 +1,11 @@
 """A diagnosis in words and tables: the verdict in a sentence, what to expect, the next command; then the evidence."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import (
     Diagnosis,
@@ -11,6 +13,7 @@ from imubayes.criticism.diagnosis_record import (
     RankedEffect,
     UndetectableEffect,
 )
+from imubayes.criticism.recorded_noise import NoiseComparison
 from imubayes.display.labels import listed, pretty
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import percent, significant, value_and_sd
@@ -24,17 +27,18 @@ _MOST_NAMED, _MOST_RANKED, _MOST_STRUCTURES, _MOST_OUTLIERS = 3, 10, 6, 8
 _SMALL_BIAS = 0.1
 
 
-def diagnosis_report(found: Diagnosis, picture: Path | None = None) -> Report:
+def diagnosis_report(found: Diagnosis, pictures: Sequence[Path] = ()) -> Report:
     """Return the verdict with its evidence; the answer about one effect where one was asked for.
 
     Parameters
     ----------
-    picture : the file that shows the residual behind the first group.
+    pictures : the files that show the residual behind the first group, and the noise.
     """
     if found.asked is not None:
         return Report([sentence(found)], [ranking_sheet(found)])
-    sheets = [ranking_sheet(found), noise_sheet(found), outlier_sheet(found), structure_sheet(found)]
-    return Report(diagnosis_lines(found, picture), [*sheets, undetectable_sheet(found)])
+    noise = [noise_sheet(found), recorded_noise_sheet(found)]
+    sheets = [ranking_sheet(found), *noise, outlier_sheet(found), structure_sheet(found)]
+    return Report(diagnosis_lines(found, pictures), [*sheets, undetectable_sheet(found)])
 
 
 def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
@@ -48,16 +52,15 @@ def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
     return found.model_dump(mode="json") | shown
 
 
-def diagnosis_lines(found: Diagnosis, picture: Path | None = None) -> list[str]:
-    """Return the verdict, the prediction for the first group, the picture and the next command."""
+def diagnosis_lines(found: Diagnosis, pictures: Sequence[Path] = ()) -> list[str]:
+    """Return the verdict, the prediction for the first group, the pictures and the next command."""
     lines = [sentence(found)]
     if found.groups:
         lines.append(_prediction(found))
         lines += _discriminating_run(found.groups[0])
     elif found.verdict == "not_converged":
         lines.append("Candidates are not ranked about a fit that did not converge.")
-    if picture is not None:
-        lines.append(f"picture: {picture}")
+    lines += [f"picture: {picture}" for picture in pictures]
     command = next_command(found)
     return [*lines, f"next: {command}"] if command else lines
 
@@ -69,7 +72,7 @@ def sentence(found: Diagnosis) -> str:
     if found.verdict == "not_converged":
         return found.message
     if found.groups:
-        said = _missing_sentence(found.groups[0])
+        said = _missing_sentence(found.groups[0]) + _more_sentence(found)
     elif found.verdict == "unexplained_structure":
         said = _structure_sentence(found)
     elif found.verdict == "noise_model":
@@ -78,7 +81,7 @@ def sentence(found: Diagnosis) -> str:
         said = "The model explains the data: no effect of the catalogue is missing as far as these runs can show."
         hidden = len(found.undetectable)
         said += f" {hidden} effects of the catalogue are undetectable in these runs." if hidden else ""
-    return said + _outlier_sentence(found)
+    return said + _record_sentence(found) + _outlier_sentence(found)
 
 
 def _missing_sentence(group: EffectGroup) -> str:
@@ -91,6 +94,12 @@ def _missing_sentence(group: EffectGroup) -> str:
         names = [*others[:_MOST_NAMED], *([f"{rest} more"] if rest > 0 else [])]
         said += f" {' and '.join(names)} would fit as well: these runs cannot distinguish them."
     return said
+
+
+def _more_sentence(found: Diagnosis) -> str:
+    if not found.more_remains:
+        return ""
+    return " More remains beside it, small against what it explains: add it and diagnose again."
 
 
 def _structure_sentence(found: Diagnosis) -> str:
@@ -109,7 +118,34 @@ def _structure_sentence(found: Diagnosis) -> str:
 
 def _noise_sentence(found: Diagnosis) -> str:
     adopted = [f"{noise.effect} on {', '.join(noise.channels)}" for noise in found.noise if noise.adopted]
+    if not adopted:
+        return (
+            "The model does not explain the scatter from row to row: no single effect and no noise of the catalogue is "
+            "significant, but something acts there that the model lacks."
+        )
     return f"The noise model is inadequate: {' and '.join(adopted)}. With it corrected, no effect is missing."
+
+
+def _record_sentence(found: Diagnosis) -> str:
+    """Return by how much the fitted noise differs from the recorded one; empty where they agree."""
+    apart = found.disagreeing_noise
+    if not apart:
+        return ""
+    worst = max(apart, key=lambda each: abs(math.log(each.ratio)))
+    rest = len(apart) - 1
+    more = f" {rest} more {'channel disagrees' if rest == 1 else 'channels disagree'}." if rest else ""
+    return f" The fitted noise of {worst.channel} is {_ratio(worst)} times the recorded noise ({_both(worst)}).{more}"
+
+
+def _ratio(each: NoiseComparison) -> str:
+    value, sd = value_and_sd(each.ratio, each.ratio_sd)
+    return f"{value} ± {sd}"
+
+
+def _both(each: NoiseComparison) -> str:
+    """Return fitted and recorded noise of one sample."""
+    unit = f" {pretty(each.unit)}" if each.unit else ""
+    return f"{significant(each.fitted)} against {significant(each.recorded)}{unit} per sample"
 
 
 def _outlier_sentence(found: Diagnosis) -> str:
@@ -151,6 +187,8 @@ def next_command(found: Diagnosis) -> str:
     if found.verdict == "unexplained_structure":
         printable = any(structure.terms for structure in found.structure)
         return f"imubayes diagnose {result} --python > found_shape.py" if printable else f"imubayes compare {result}"
+    if found.verdict == "noise_model":
+        return f"imubayes compare {result}"
     return f"imubayes fit … --out {result}" if found.verdict == "not_converged" else f"imubayes plant --result {result}"
 
 
@@ -309,6 +347,29 @@ def noise_sheet(found: Diagnosis) -> Sheet:
         for noise, p in ((noise, chance_text(noise.p)) for noise in found.noise if noise.adopted)
     ]
     return Sheet("Noise that the model lacks", ("noise", "on", "Δχ²", "p"), rows, (0, 1))
+
+
+def recorded_noise_sheet(found: Diagnosis) -> Sheet:
+    """Return fitted against recorded noise of the channels where they do not agree."""
+    sources = {"samples": "samples within rows", "channel": "'noise' of the channel"}
+    rows = [
+        (
+            Cell(each.channel),
+            Cell(significant(each.fitted)),
+            Cell(significant(each.recorded)),
+            Cell(sources[each.source]),
+            Cell(_ratio(each)),
+            Cell(chance_text(each.p), "bad" if each.excessive else ""),
+        )
+        for each in found.disagreeing_noise
+    ]
+    note = (
+        "Standard deviation of one raw sample: fitted from the scatter of the rows, after the groups above, and as the "
+        "campaign records it. A ratio above 1 is scatter from row to row that the samples do not show; p: its excess "
+        f"over {thresholds.NOISE_AGREES:.2f} by chance."
+    )
+    head = ("channel", "fitted", "recorded", "from", "ratio", "p")
+    return Sheet("Fitted and recorded noise disagree", head, rows, (0, 3), "", note)
 
 
 def outlier_sheet(found: Diagnosis) -> Sheet:

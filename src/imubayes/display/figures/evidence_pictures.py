@@ -8,7 +8,9 @@ import polars as pl
 
 from imubayes.covariates import shown
 from imubayes.criticism.diagnosis_record import EffectGroup
+from imubayes.criticism.recorded_noise import RecordedNoise
 from imubayes.criticism.residual_evidence import ResidualEvidence
+from imubayes.display.figures.recorded_noise import recorded_noise_figure
 from imubayes.display.figures.residual_evidence import added_variable_figure, before_after_figure, evidence_figure
 from imubayes.display.labels import pretty
 from imubayes.display.theme import Picture
@@ -22,10 +24,18 @@ def save_evidence(folder: Path, evidence: ResidualEvidence) -> Path:
     against = f"part explained by the effect / {unit}"
     if covariate is not None:
         against = covariate.phrase + (f" / {pretty(covariate.unit)}" if covariate.unit else "")
-    drawn = evidence_figure(evidence, against)
+    return _saved(folder, evidence_figure(evidence, against), "diagnosis.png")
+
+
+def save_recorded_noise(folder: Path, record: RecordedNoise) -> Path:
+    """Draw fitted against recorded noise into the `figures` of a result folder; return the file."""
+    return _saved(folder, recorded_noise_figure(record), "recorded_noise.png")
+
+
+def _saved(folder: Path, drawn: Picture, name: str) -> Path:
     target = folder / "figures"
     target.mkdir(exist_ok=True)
-    return drawn.save(target / "diagnosis.png")
+    return drawn.save(target / name)
 
 
 def before_after(
