@@ -122,9 +122,10 @@ MARKOV_NEARLY = 1.0
 DIRECTION_HELD_MIN = 0.1
 
 # ---- Noise at the end of a fit (noise_assumptions) -------------------------------------------------------------------
-# Probability that a fit with the noise of its model is said to have another, all tests together.  Design value: half of
-# the 1 % that is asked for, since the tails of the tests are those of a Pearson III distribution.
-FALSE_ALARM_INTERVALS = 0.005
+# Nominal probability that a fit with the noise of its model is said to have another, all tests together.  Design value:
+# a fifth of the 1 % that is asked for, since the tails of the tests are those of a Pearson III distribution (at 0.005
+# one of 60 fits to white noise was flagged).
+FALSE_ALARM_INTERVALS = 0.002
 # Lowest frequencies of each run that count as slow.  Convention: fewer find only drifts, more lose them in the rest.
 SLOW_MODES = 4
 # Step of the output over its noise above which rounding is not smoothed by noise.  Derived: with noise σ of which the

@@ -24,9 +24,12 @@ NESTED_R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
 # deviation at 3.7 of their Monte Carlo errors (2.67/√n for a normal), which all of some hundred parameters keep.
 PROPOSED_EFFECTIVE_SIZE = 10_000.0
 INTERVAL = (0.025, 0.975)
-# Above this index of the weights' tail their variance is infinite: how far the proposal misses is itself not known
-# (Vehtari et al. 2024, who warn from 0.7).  A scatter that a proposal follows to first order alone gives 0.6 to 0.9.
-PARETO_K = 0.5
+# Above the first index of the weights' tail their variance is infinite, and a chain has to leave the place of the
+# largest weight several times to be believed; above the second no practical length is enough (Vehtari et al. 2024).  A
+# scatter that a proposal follows to first order alone gives 0.5 to 0.9.
+PARETO_K, WORST_PARETO_K = 0.5, 0.7
+# A walker stays for as many steps as the weight of its place; a chain takes so many times the largest weight.
+STAYS = 3
 # Where the largest weight of 4000 draws is below this, the rarest place drawn holds a quarter of a per cent of the
 # posterior, and how the weights are distributed below it does not matter.
 LARGEST_WEIGHT = 10.0
@@ -77,11 +80,12 @@ def diagnose(
     r_hat = nested_r_hat(chain)
     bar = EFFECTIVE_SIZE if weighed is None else PROPOSED_EFFECTIVE_SIZE
     faults = [*_immobile(flat, log_density, names), *_too_few(r_hat, bulk, tail, bar, names)]
-    # No chain changes what the weights say of the proposal.
-    missed = [] if weighed is None else _missed_tails(weighed)
+    missed = [] if weighed is None else _missed_tails(weighed, steps)
     if weighed is not None and not missed:
         faults += against_weights(chain, tail, names, weighed)
-    settled, faults = not faults, faults + missed
+    # Beyond the worst index no chain changes what the weights say of the proposal.
+    hopeless = weighed is not None and weighed.pareto_k > WORST_PARETO_K
+    settled, faults = not faults and (hopeless or not missed), faults + missed
     message = "The sampling did not converge: " + "; ".join(faults) + "." if faults else ""
     pareto_k = None if weighed is None else weighed.pareto_k
     return Convergence(r_hat, bulk, tail, not faults, message, pareto_k, settled)
@@ -114,11 +118,12 @@ def _too_few(r_hat: np.ndarray, bulk: np.ndarray, tail: np.ndarray, bar: float, 
     return faults
 
 
-def _missed_tails(weighed: WeighedProposal) -> list[str]:
-    """Return what the weights of the proposal say against it."""
-    if weighed.pareto_k <= PARETO_K or weighed.largest <= LARGEST_WEIGHT:
+def _missed_tails(weighed: WeighedProposal, steps: int) -> list[str]:
+    """Return what the weights of the proposal say against chains of so many steps."""
+    long_enough = weighed.pareto_k <= WORST_PARETO_K and steps >= STAYS * weighed.largest
+    if weighed.pareto_k <= PARETO_K or weighed.largest <= LARGEST_WEIGHT or long_enough:
         return []
-    words = f"Pareto k {weighed.pareto_k:.2f} > {PARETO_K}, largest weight {weighed.largest:.0f}"
+    words = f"Pareto k {weighed.pareto_k:.2f} > {PARETO_K}, largest weight {weighed.largest:.0f}, {steps} steps"
     return [f"the proposal misses tails of the posterior ({words})"]
 
 

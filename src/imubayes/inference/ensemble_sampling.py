@@ -18,7 +18,7 @@ from emcee.backends import HDFBackend
 from emcee.moves import DEMove, StretchMove
 
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.convergence import PROPOSED_EFFECTIVE_SIZE, Convergence, diagnose
+from imubayes.inference.convergence import PROPOSED_EFFECTIVE_SIZE, STAYS, Convergence, diagnose
 from imubayes.inference.laplace_move import LaplaceMove
 from imubayes.inference.proposal_weights import BatchedDensity, WeighedProposal
 
@@ -34,8 +34,6 @@ _BURN_IN, _BLOCK = 5, 5
 _LEAST_DRAWS, _LEAST_STEPS = 6000, 10
 # Draws beyond the effective size asked for, so that the first judgement mostly is the last.
 _MARGIN = 1.1
-# So many times the largest importance weight: a walker leaves the place where the proposal is thinnest that often.
-_STAYS = 3
 # A chain longer than this did not begin where it should; a quarter of it is then left out.
 _LONG = 60
 # Largest size of all chains together, in numbers: 400 MB.
@@ -136,7 +134,7 @@ def _lengths(
     if weighed is not None:
         # Independent proposals taken with probability a: the integrated autocorrelation time is about 2/a − 1.
         accepted = max(weighed.acceptance, _HARD_ACCEPTANCE)
-        draws, stays = _MARGIN * PROPOSED_EFFECTIVE_SIZE * (2 / accepted - 1), _STAYS * weighed.largest
+        draws, stays = _MARGIN * PROPOSED_EFFECTIVE_SIZE * (2 / accepted - 1), STAYS * weighed.largest
     enough = settings.least_steps or math.ceil(max(_LEAST_STEPS, draws / (ensembles * walkers), stays))
     return min(enough + _BURN_IN, most), most
 
