@@ -77,7 +77,7 @@ def _sample_axes() -> Iterable[Covariate]:
     for number, (letter, axis) in enumerate(zip("ios", ("input", "output", "third"), strict=True)):
         yield Covariate(
             f"rate_{letter}", f"rate_{letter}", "deg/s", "rad/s", f"rate along the {axis} axis", "sample",
-            ambient=False, shown=False, symbol=f"Ω_{letter}", expression=f"sample.rate[{number}]", needs=("turning",),
+            ambient=False, shown=False, symbol=f"Ω_{letter}", expression=f"sample.rate[{number}]", needs=(),
             symmetric=True,
         )  # fmt: skip
     for number, (letter, axis) in enumerate(zip("ios", ("input", "output", "third"), strict=True)):
@@ -172,8 +172,9 @@ def regressors() -> tuple[Covariate, ...]:
 
 CONDITIONS: dict[str, str] = {
     "turning": "a run that turns",
-    "commanded": "a table that turns at a commanded rate",
     "acceleration": "table_acceleration_deg_s2 that is not 0",
+    "larger input": "a larger input",
+    "response": "a run that responds to it",
     "reference": "a reference gyro that rides along",
     "injection": "a run of procedure current_injection",
     "driven": "a table that the gyro drives",
@@ -185,7 +186,7 @@ CONDITIONS: dict[str, str] = {
     "gyro": "a gyro",
     "accelerometer": "an accelerometer",
 }
-"""Condition of a run or unit that an effect may need → what fulfils it, in words."""
+"""What would bring an effect out that no run shows, other than a covariate → the same in words."""
 
 
 def remedy(need: str) -> str:

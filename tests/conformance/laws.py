@@ -23,7 +23,7 @@ OWN = {"noise": 0.5, "scale": 1000.0}
 # What "nothing" is for a covariate: the effect's own reference for temperatures, long ago for power-on, 0 for all else.
 TEMPERATURES = ("temperature", "converter_temperature")
 LONG_AGO = 1e12
-GATES = ("turning", "commanded", "acceleration", "injection", "reference", "driven", "directions")
+GATES = ("injection", "reference", "driven", "directions")
 INSTANTS = 24  # of a record, two runs
 
 
@@ -170,7 +170,7 @@ def units_and_priors_are_known(member: type) -> None:
 
 
 def stage_and_covariates_are_known(member: type) -> None:
-    """The stage fits the base class, and what the effect needs is something that runs supply."""
+    """The stage fits the base class, and what the effect needs is something that runs record."""
     stages = {MotionEffect: (Stage.STAND, Stage.TABLE), PlaceEffect: (Stage.PLACE,)}
     allowed = next((s for base, s in stages.items() if issubclass(member, base)), (Stage.SENSOR, Stage.CONVERTER))
     assert member.stage in allowed, f"{member.name} stands at {member.stage!r}"

@@ -1,6 +1,7 @@
 """Simulate–recover: what a model predicts at known values, with noise, is found again."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import Model, bind
 from imubayes.model.effect_registry import Registry
 from imubayes.model.nodes_and_entries import join_nodes
+from imubayes.model.observability import Observability, observability
 from imubayes.model.problem import predict
 from small_campaign import (
     campaign,
@@ -58,10 +60,20 @@ def shown_by(member: type) -> Campaign:
             return among()
     if member.nuisance:
         return tumble_campaign()
-    supplied = join_nodes(campaign()).supplies
     # A skew shows in rows of known angle that turn, and there are none but in the wide campaign.
-    plain = member.name != "time_skew" and any(set(member.needs) <= names for names in supplied)
+    recorded = any(set(member.needs) <= names for names in join_nodes(campaign()).supplies)
+    plain = member.name != "time_skew" and recorded and not _missing(member.name)
     return campaign() if plain else wide_campaign()
+
+
+def _missing(name: str) -> bool:
+    """Tell whether no run of the small campaign shows a registered member."""
+    return any(each.effect_class.name == name and each.missing for each in _shown_by_small())
+
+
+@cache
+def _shown_by_small() -> tuple[Observability, ...]:
+    return observability(campaign())
 
 
 def recover(member: type, registry: Registry | None = None) -> Recovered:

@@ -153,6 +153,14 @@ class UnknownNeed(Base):
     bias: Scalar = offset()
 
 
+class ConditionNeed(Base):
+    """signal + b, asked only of runs that turn: its response says that."""
+
+    name = "condition_need"
+    needs = ("turning",)
+    bias: Scalar = offset()
+
+
 class DeafNoise(EntryNoise):
     """σ² = 1, whatever σ."""
 
@@ -324,6 +332,7 @@ class CutTails(BoundlessTails):
         (laws.units_and_priors_are_known, NarrowPrior, "no room for what is typical"),
         (laws.stage_and_covariates_are_known, WrongStage, "stands at"),
         (laws.stage_and_covariates_are_known, UnknownNeed, "humidity"),
+        (laws.stage_and_covariates_are_known, ConditionNeed, "turning"),
         (laws.silent_without_its_covariate, RestlessDrag, "Not equal"),
         (laws.null_is_the_identity, HeavyDrag, "Not equal"),
         (laws.gradients_are_finite, RoughDrag, "rough_drag: gradient"),
@@ -360,9 +369,9 @@ def test_a_sound_effect_is_recovered():
     recover.is_recovered(recover.recover(GyroTrend, registry(GyroTrend)))
 
 
-def test_an_effect_that_cannot_be_seen_is_not_called_recovered():
-    with pytest.raises(AssertionError, match="does not show"):
-        recover.is_recovered(recover.recover(Invisible, registry(Invisible)))
+def test_an_effect_that_cannot_be_seen_is_refused():
+    with pytest.raises(InputError, match="no run can show 'invisible': its response is zero"):
+        recover.recover(Invisible, registry(Invisible))
 
 
 def test_an_answer_that_is_off_is_not_called_recovered():

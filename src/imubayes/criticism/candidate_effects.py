@@ -35,11 +35,21 @@ class Coefficient:
     parameter : name, unit and prior.
     owner : the channel, mounting, table or run it belongs to.
     typical : smallest and largest magnitude met in practice, in its unit.
+    null : value at which it changes nothing, SI.
+    even : whether it acts alike with either sign, and has no derivative at its null.
     """
 
     parameter: Parameter
     owner: str
     typical: tuple[float, float]
+    null: float = 0.0
+    even: bool = False
+
+    @property
+    def sign(self) -> int:
+        """The only sign that its prior allows, as of a width or a spread; 0 where it may have either."""
+        low, high = self.parameter.prior.support()
+        return 1 if self.even else int(low >= self.null) - int(high <= self.null)
 
 
 @dataclass(frozen=True)
@@ -58,7 +68,8 @@ class Response:
     ----------
     scan : effect and shape.
     coefficients : C of them.
-    columns : shape (E, C), change of the predicted entries per unit of each coefficient.
+    columns : shape (E, C), change of the predicted entries per unit of each coefficient: the derivative at the null, or
+        where that is zero the secant to the largest typical size.
     """
 
     scan: ShapeScan
@@ -75,7 +86,7 @@ class Responses:
     misfit : shape (E,), observed less predicted, output units.
     jacobian : shape (E, P), of the model's own parameters in z.
     candidates : one response per candidate and shape.
-    unobservable : effects that no run can show → the covariates they need.
+    unobservable : effects that no run can show → covariates or stimulus that no run has; empty where unknown.
     """
 
     misfit: np.ndarray
@@ -112,7 +123,54 @@ def candidate_responses(fitted: Fit, only: Sequence[str] = ()) -> Responses:
         )
     misfit = np.asarray(fitted.model.problem.observations.value) - predicted
     count = extended.own
-    return Responses(misfit, first[:, :count] * slopes[None, :count], tuple(candidates), unobservable)
+    shown = _responding(candidates, extended, own, predicted)
+    silent = {effect.name for effect in acting} - {response.scan.effect for response in shown}
+    unobservable |= dict.fromkeys(sorted(silent), ())
+    return Responses(misfit, first[:, :count] * slopes[None, :count], shown, unobservable)
+
+
+def _responding(
+    candidates: Sequence[Response], extended: _Extended, own: np.ndarray, predicted: np.ndarray
+) -> tuple[Response, ...]:
+    """Return the responses without the coefficients that no entry responds to, at any shape."""
+    heard = {name for response in candidates for name in _heard(response)}
+    first_shapes = {response.scan.effect: response for response in reversed(candidates)}
+    silent = [response for response in first_shapes.values() if not heard & set(_names(response))]
+    secants = {name: each for response in silent for name, each in _secants(response, extended, own, predicted).items()}
+    found = (_with_response(response, heard, secants) for response in candidates)
+    return tuple(response for response in found if response.coefficients)
+
+
+def _names(response: Response) -> list[str]:
+    return [coefficient.parameter.name for coefficient in response.coefficients]
+
+
+def _heard(response: Response) -> list[str]:
+    """Return the names of the coefficients with a derivative that is not zero."""
+    pairs = zip(_names(response), response.columns.T, strict=True)
+    return [name for name, column in pairs if np.any(column)]
+
+
+def _with_response(response: Response, heard: set[str], secants: dict[str, np.ndarray]) -> Response:
+    """Return a response with the coefficients that have a derivative, or a secant."""
+    names = _names(response)
+    kept = [place for place, name in enumerate(names) if name in heard or np.any(secants.get(name, 0.0))]
+    coefficients = tuple(replace(response.coefficients[k], even=names[k] not in heard) for k in kept)
+    columns = [response.columns[:, k] if names[k] in heard else secants[names[k]] for k in kept]
+    stacked = np.stack(columns, axis=1) if kept else response.columns[:, :0]
+    return replace(response, coefficients=coefficients, columns=stacked)
+
+
+def _secants(response: Response, extended: _Extended, own: np.ndarray, predicted: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the change of the predicted entries, (E,), per unit of each coefficient at its largest typical size."""
+    values, found = _at_nulls(extended, own, 0), {}
+    for coefficient in response.coefficients:
+        size = coefficient.typical[1]
+        at = values.copy()
+        at[extended.places[coefficient.parameter.name]] += size * coefficient.parameter.factor
+        whole = jnp.concatenate([jnp.asarray(at), extended.problem.nulls])
+        found[coefficient.parameter.name] = (np.asarray(predict_from(extended.problem, whole)) - predicted) / size
+    return found
 
 
 def searchable(registry: Registry) -> Iterator[type[Effect]]:
@@ -138,13 +196,11 @@ def _candidates(fitted: Fit) -> tuple[tuple[BoundEffect, ...], dict[str, tuple[s
         if spec is None:
             continue
         try:
-            effect = bind_effect(spec, model.assembly.grouping, model.registry)
-            # Without a label, a table where there is none, there is nothing to find.
-            acting.extend([effect] if effect.parameters else [])
+            acting.append(bind_effect(spec, model.assembly.grouping, model.registry))
         except NoChannelError:
             continue
-        except NotObservableError:
-            unobservable[member.name] = member.needs
+        except NotObservableError as error:
+            unobservable[member.name] = error.missing
     return tuple(acting), unobservable
 
 
@@ -182,6 +238,15 @@ def _grid(effect: BoundEffect) -> list[dict[str, float]]:
 
 def _linearised(extended: _Extended, own: np.ndarray, scan_place: int) -> tuple[np.ndarray, np.ndarray]:
     """Return prediction (E,) and its derivative by all parameters in SI (E, P + C), candidates at their nulls."""
+    whole = jnp.concatenate([jnp.asarray(_at_nulls(extended, own, scan_place)), extended.problem.nulls])
+    predicted, packed = _push(extended.problem, whole)
+    sparsity = extended.problem.sparsity
+    jacobian = np.where(np.asarray(sparsity.reach), np.asarray(packed)[np.asarray(sparsity.colour)].T, 0.0)
+    return np.asarray(predicted), jacobian
+
+
+def _at_nulls(extended: _Extended, own: np.ndarray, scan_place: int) -> np.ndarray:
+    """Return the values of all parameters, SI (P + C,), candidates at their nulls and shapes."""
     values = np.concatenate([own, np.zeros(len(extended.parameters) - extended.own)])
     place = extended.own
     for effect in extended.effects:
@@ -191,11 +256,7 @@ def _linearised(extended: _Extended, own: np.ndarray, scan_place: int) -> tuple[
             null = effect.declared[parameter.field].null
             values[place] = shape[parameter.field] * parameter.factor if parameter.field in shape else null
             place += 1
-    whole = jnp.concatenate([jnp.asarray(values), extended.problem.nulls])
-    predicted, packed = _push(extended.problem, whole)
-    sparsity = extended.problem.sparsity
-    jacobian = np.where(np.asarray(sparsity.reach), np.asarray(packed)[np.asarray(sparsity.colour)].T, 0.0)
-    return np.asarray(predicted), jacobian
+    return values
 
 
 @eqx.filter_jit
@@ -215,8 +276,9 @@ def _response(effect: BoundEffect, extended: _Extended, jacobian: np.ndarray, sc
     linear = [parameter for parameter in effect.parameters if not effect.declared[parameter.field].shape]
     places = [extended.places[parameter.name] for parameter in linear]
     coefficients = tuple(
-        Coefficient(parameter, ",".join(parameter.label), effect.declared[parameter.field].typical)
+        Coefficient(parameter, ",".join(parameter.label), declared.typical, declared.null)
         for parameter in linear
+        for declared in [effect.declared[parameter.field]]
     )
     factors = np.array([parameter.factor for parameter in linear])
     return Response(ShapeScan(effect.name, shape), coefficients, jacobian[:, places] * factors)

@@ -76,7 +76,8 @@ def detectability(projection: Projection, response: ProjectedResponse, threshold
     coefficients = response.response.coefficients
     length = np.linalg.norm(response.projected, axis=0)
     raw = np.sum((projection.root[:, None] * response.response.columns) ** 2, axis=0)
-    needed = stats.norm.isf(threshold / max(looks, 1.0) / 2) + stats.norm.ppf(thresholds.DETECTION_POWER)
+    sides = np.array([1 if coefficient.sign else 2 for coefficient in coefficients])
+    needed = stats.norm.isf(threshold / max(looks, 1.0) / sides) + stats.norm.ppf(thresholds.DETECTION_POWER)
     with np.errstate(divide="ignore"):
         smallest = needed * np.where(length > 1e-9 * np.sqrt(raw), 1 / length, np.inf)
     best = int(np.argmin(smallest / np.array([coefficient.typical[1] for coefficient in coefficients])))

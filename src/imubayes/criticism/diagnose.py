@@ -44,6 +44,7 @@ from imubayes.criticism.unexplained_structure import (
     simplest,
     unexplained_structure,
 )
+from imubayes.criticism.unlisted_causes import unlisted_causes
 from imubayes.effects.base import Effect
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
@@ -131,7 +132,8 @@ def _verdict(found: SearchResult, unexplained: Sequence[Significant]) -> Verdict
     if unexplained:
         return "unexplained_structure"
     if found.groups:
-        return "missing_effect" if len(found.groups[0].members) == 1 else "equivalent_effects"
+        alone = len(found.groups[0].members) == 1 and not unlisted_causes(found, found.groups[0])
+        return "missing_effect" if alone else "equivalent_effects"
     return "noise_model" if found.adopted or found.record.excessive else "adequate"
 
 
@@ -226,6 +228,7 @@ def _group(fit: Fit, found: SearchResult, group: EquivalenceGroup, evidence: Res
         residual=RmsChange(channel=evidence.channel, before=before, after=after, unit=unit),
         covariate=_label(evidence.covariate) if evidence.covariate is not None else None,
         discriminating_run=discriminating_run(fit, group),
+        unlisted=tuple(tuple(map(_label, each)) for each in unlisted_causes(found, group)),
     )
 
 

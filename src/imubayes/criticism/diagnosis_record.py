@@ -114,6 +114,8 @@ class EffectGroup(Record):
     residual : rms of the channel that shows it best, before and after adding the first.
     covariate : what that residual depends on; None where no single covariate explains it.
     discriminating_run : the feasible run that distinguishes them best; None where there is none.
+    unlisted : covariates, one or two, of each plain function that fits as well and is none of the effects: it may be of
+        a cause that the catalogue lacks.
     """
 
     effects: tuple[str, ...]
@@ -125,6 +127,7 @@ class EffectGroup(Record):
     residual: RmsChange
     covariate: CovariateLabel | None
     discriminating_run: RunDesign | None = None
+    unlisted: tuple[tuple[CovariateLabel, ...], ...] = ()
 
 
 class NearestEffect(Record):
@@ -160,8 +163,8 @@ class UndetectableEffect(Record):
     Attributes
     ----------
     absorbed_by : parameters that absorb its response, largest share first.
-    reason : ``absorbed`` by the model, hidden in the ``noise``, or a covariate is ``not_supplied``.
-    needs : covariates that no run supplies.
+    reason : ``absorbed`` by the model, hidden in the ``noise``, or ``not_supplied``: no run responds to it.
+    needs : covariates or stimulus that would bring it out and no run has; empty where unknown.
     retained : share of the response that the model does not absorb.
     smallest_detectable, typical, unit : size detected with 80 % power, and the range met in practice.
     bias : of the parameter it biases most while undetected.

@@ -31,13 +31,17 @@ class Step:
 
 @dataclass(frozen=True)
 class Feature:
-    """One family of terms: its covariates, one or two, sort of test, places of its columns, and symbols; or a step."""
+    """One family of terms: its covariates, one or two, sort of test, places of its columns, and symbols; or a step.
+
+    `plain` tells whether it is of second order at most.
+    """
 
     covariates: tuple[ResidualCovariate, ...]
     test: str
     columns: tuple[int, ...]
     family: str = ""
     step: Step | None = None
+    plain: bool = False
 
 
 @dataclass(frozen=True)
@@ -134,8 +138,9 @@ def _of_terms(
         families.setdefault((term.sort, term.family), []).append((len(columns), term))
         columns.append(np.where(here, term.values, 0.0))
     found = [
-        Feature(terms[0][1].covariates, terms[0][1].sort, tuple(place for place, _ in terms), terms[0][1].family)
+        Feature(term.covariates, term.sort, tuple(place for place, _ in terms), term.family, plain=term.plain)
         for terms in families.values()
+        for term in [terms[0][1]]
     ]
     return columns, found
 

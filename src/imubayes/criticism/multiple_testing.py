@@ -41,10 +41,12 @@ class LookElsewhere:
 
 def look_elsewhere(scores: Sequence[ScoreTest], scans: Sequence[FeatureScan] = (), seed: int = 0) -> LookElsewhere:
     """Return the distribution of the smallest p-value of all score tests, and of all features scanned."""
-    scores = [score for score in scores if score.span.shape[1]]
-    if not scores and not scans:
+    cones = [score.cone for score in scores if score.cone is not None]
+    scores = [score for score in scores if score.cone is None and score.span.shape[1]]
+    spanned = [each.span for each in (*scores, *cones)] + [scan.basis for scan in scans]
+    if not spanned:
         return LookElsewhere(np.ones(1), 0.0)
-    height = len(scores[0].span) if scores else len(scans[0].basis)
+    height = len(spanned[0])
     spans = np.concatenate([np.zeros((height, 0)), *(score.span for score in scores)], axis=1)
     freedom = np.array([score.span.shape[1] for score in scores], dtype=int)
     starts = np.cumsum(freedom) - freedom
@@ -52,13 +54,18 @@ def look_elsewhere(scores: Sequence[ScoreTest], scans: Sequence[FeatureScan] = (
     parts = []
     for _ in range(thresholds.LOOK_DRAWS // thresholds.LOOK_DRAWS_AT_ONCE):
         draws = random.normal(size=(thresholds.LOOK_DRAWS_AT_ONCE, height))
-        each = [_least_p(chi2, batch.freedom) for scan in scans for batch, chi2 in scan.scores(draws)]
+        each = [*_of_scans(scans, draws), *(cone.p_values(draws) for cone in cones)]
         if scores:
             each.append(_least_p(np.add.reduceat((draws @ spans) ** 2, starts, axis=1), freedom))
         parts.append(np.min(each, axis=0))
     smallest = np.sort(np.concatenate(parts))
     edge = max(2, int(thresholds.LOOK_TAIL * thresholds.LOOK_DRAWS))
     return LookElsewhere(smallest, float(edge / thresholds.LOOK_DRAWS / smallest[edge - 1]))
+
+
+def _of_scans(scans: Sequence[FeatureScan], draws: np.ndarray) -> list[np.ndarray]:
+    """Return the smallest p-value of each draw, (draws,), for each batch of features."""
+    return [_least_p(chi2, batch.freedom) for scan in scans for batch, chi2 in scan.scores(draws)]
 
 
 def _least_p(chi2: np.ndarray, freedom: np.ndarray) -> np.ndarray:

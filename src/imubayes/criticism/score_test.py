@@ -5,7 +5,8 @@ V = g⊥ᵀg⊥ give the score S = uᵀV⁻¹u, the drop of χ² of a refit, and
 
 A missing effect has inflated the fitted noise scales, so S is measured against the scale of each stratum *after* the
 candidate was projected out: F = Σ_s (S_s/s_s²)/d with Satterthwaite's degrees of freedom.  In a
-single stratum that is the F test of a nested linear model, exactly.
+single stratum that is the F test of a nested linear model, exactly.  Coefficients whose prior allows one sign only are
+fitted and tested with that sign (`imubayes.criticism.one_sided`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,6 +18,7 @@ from scipy import special, stats
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Coefficient, Response, ShapeScan
+from imubayes.criticism.one_sided import Cone
 from imubayes.criticism.projection import Projection, orthonormal
 
 _SMALLEST = 1e-300
@@ -56,13 +58,16 @@ class Candidate:
 
     @property
     def plausible(self) -> bool:
-        """Whether it is supported by data, not only by the priors at an absurd size.
+        """Whether its size is possible, and it is supported by data, not only by the priors at an absurd size.
 
         An effect that the model absorbs but for its priors would fit best without gravity, say: then all
         g-sensitivities could be zero, as their priors prefer.
         """
         typical = np.array([coefficient.typical[1] for coefficient in self.coefficients])
-        return self.score.prior_share < 0.5 or bool(np.any(np.abs(self.value) <= thresholds.IMPLAUSIBLE_SIZE * typical))
+        size = np.abs(self.value)
+        if np.any(size - 3 * self.sd > thresholds.IMPOSSIBLE_SIZE * typical):
+            return False
+        return self.score.prior_share < 0.5 or bool(np.any(size <= thresholds.IMPLAUSIBLE_SIZE * typical))
 
     @property
     def p(self) -> float:
@@ -76,7 +81,8 @@ class Candidate:
         The F test of `p` loses power where part of the evidence lies between few runs; the ranking must not depend on
         that.
         """
-        return float(stats.chi2.logsf(2 * self.score.log_likelihood_gain, max(self.dof, 1)))
+        chi2, cone = 2 * self.score.log_likelihood_gain, self.score.cone
+        return float(cone.log_survival(chi2) if cone is not None else stats.chi2.logsf(chi2, max(self.dof, 1)))
 
     @property
     def delta_chi2(self) -> float:
@@ -112,13 +118,15 @@ class ScoreTest:
 
     Attributes
     ----------
-    span : shape (R, d), orthonormal.
+    span : shape (R, d), orthonormal; of the columns in use where signs are bound.
     fitted : shape (R,).
     delta_chi2, delta_chi2_at_fit : S with the noise scales after it, and with those of the fit.
     p : p-value under no effect.
     log_likelihood_gain : with the noise scale of every stratum free, so that evidence counts in whichever it lies.
     within_runs, prior_share : shares of S that come from within runs, and from the priors.
     variance : shape (strata + 1,), noise variance of each stratum after it, relative to the fit's.
+    cone : the directions of allowed sign; None where every sign is allowed.
+    used : shape (C,), bool: columns whose coefficient is not held at 0 by its sign.
     """
 
     span: np.ndarray
@@ -130,10 +138,16 @@ class ScoreTest:
     within_runs: float
     prior_share: float
     variance: np.ndarray
+    cone: Cone | None = None
+    used: np.ndarray | None = None
 
 
 def score_test(
-    projection: Projection, columns: np.ndarray, length: np.ndarray, least: float = thresholds.RETAINED_MIN
+    projection: Projection,
+    columns: np.ndarray,
+    length: np.ndarray,
+    least: float = thresholds.RETAINED_MIN,
+    signs: np.ndarray | None = None,
 ) -> ScoreTest:
     """Return what projected columns explain of the residual.
 
@@ -142,10 +156,12 @@ def score_test(
     columns : shape (R, C), projected.
     length : shape (C,), their lengths before projection.
     least : directions that keep less than this share of their squared length count as absorbed.
+    signs : shape (C,), the only sign allowed for each coefficient, 0 for either; either for all where None.
     """
-    span = orthonormal(columns, length, least)
-    along = span.T @ projection.residual
-    fitted = span @ along
+    cone = None if signs is None else _cone(columns, length, least, signs)
+    used = _used(cone, projection.residual, len(length))
+    span = orthonormal(columns[:, used], length[used], least)
+    fitted = span @ (span.T @ projection.residual)
     strata = projection.strata
     drop = strata.sums(fitted**2)
     left = strata.sums((projection.residual - fitted) ** 2)
@@ -158,22 +174,47 @@ def score_test(
     total, count = float(weighted.sum()), span.shape[1]
     finite = np.where(judged, freedom, 1e9)
     denominator = total**2 / max(float(np.sum(weighted**2 / finite)), _SMALLEST) if total > 0 else 1.0
-    p = float(special.fdtrc(count, denominator, total / count)) if count else 1.0
+    p = _p_value(total, count, denominator, cone)
     # Where the scale is estimated: half the degrees of freedom times the logarithm of what the scatter shrank by.
     shrank = np.log1p(drop / np.where(judged, freedom * variance, 1.0))
     gain = float(np.sum(np.where(judged, freedom * shrank, drop))) / 2
     within = float(weighted[:-1][~strata.between].sum()) / total if total > 0 else 1.0
     prior_share = float(weighted[-1]) / total if total > 0 else 0.0
-    return ScoreTest(span, fitted, total, float(along @ along), max(p, _SMALLEST), gain, within, prior_share, variance)
+    at_fit = float(fitted @ fitted)
+    return ScoreTest(span, fitted, total, at_fit, max(p, _SMALLEST), gain, within, prior_share, variance, cone, used)
+
+
+def _p_value(total: float, count: int, denominator: float, cone: Cone | None) -> float:
+    """Return the p-value of a drop of χ² with so many directions, by the F distribution of an estimated scale."""
+    if cone is not None:
+        return cone.f_survival(total, denominator)
+    return float(special.fdtrc(count, denominator, total / count)) if count else 1.0
+
+
+def _used(cone: Cone | None, residual: np.ndarray, count: int) -> np.ndarray:
+    """Return which of the columns, (C,), have a coefficient that its sign does not hold at 0."""
+    if cone is None:
+        return np.ones(count, dtype=bool)
+    return (cone.coefficients(residual[None])[0] > 0) | ~cone.bounded
+
+
+def _cone(columns: np.ndarray, length: np.ndarray, least: float, signs: np.ndarray) -> Cone | None:
+    """Return the cone of columns of bound sign, without those that are absorbed; None where nothing is left of them."""
+    oriented = np.where(signs < 0, -columns, columns) / np.where(length > 0, length, 1.0)
+    left = (length > 0) & (np.sum(oriented**2, axis=0) > least)
+    if not np.any(left & (signs != 0)):
+        return None
+    return Cone.of(orthonormal(columns, length, least), np.where(left, oriented, 0.0), signs != 0)
 
 
 def assess(projection: Projection, projected: ProjectedResponse, chosen: np.ndarray) -> Candidate:
     """Return a candidate with the chosen coefficients, by their places."""
     response, columns = projected.response, projected.projected[:, chosen]
     length = np.linalg.norm(projected.whitened[:, chosen], axis=0)
-    score = score_test(projection, columns, length)
-    value, sd = generalised_least_squares(projection, columns, score.fitted, score.variance)
     coefficients = tuple(response.coefficients[place] for place in chosen)
+    signs = np.array([coefficient.sign for coefficient in coefficients])
+    score = score_test(projection, columns, length, signs=signs)
+    value, sd = _estimates(projection, columns, score)
     return Candidate(
         scan=response.scan,
         coefficients=coefficients,
@@ -183,6 +224,16 @@ def assess(projection: Projection, projected: ProjectedResponse, chosen: np.ndar
         retained=np.sum(columns**2, axis=0) / np.where(length > 0, length**2, 1.0),
         score=score,
     )
+
+
+def _estimates(projection: Projection, columns: np.ndarray, score: ScoreTest) -> tuple[np.ndarray, np.ndarray]:
+    """Return coefficients and standard deviations, (C,) each; 0 for a coefficient that its sign holds there."""
+    value, sd = generalised_least_squares(projection, columns, score.fitted, score.variance)
+    if score.used is not None and not score.used.all():
+        free, _ = generalised_least_squares(projection, columns[:, score.used], score.fitted, score.variance)
+        value = np.zeros_like(value)
+        value[score.used] = free
+    return value, sd
 
 
 def generalised_least_squares(
@@ -226,5 +277,6 @@ def screen(projection: Projection, responses: Sequence[ProjectedResponse]) -> li
         for response in responses
         for chosen in coefficient_subsets(response.response, kinds)
     ]
-    found = [candidate for candidate in found if candidate.dof and candidate.plausible]
-    return sorted(found, key=lambda candidate: (candidate.log_p, -candidate.delta_chi2 / candidate.dof))
+    # One that asks for the wrong sign explains nothing, but was looked at.
+    looked = [each for each in found if (each.dof or each.score.cone is not None) and each.plausible]
+    return sorted(looked, key=lambda candidate: (candidate.log_p, -candidate.delta_chi2 / max(candidate.dof, 1)))

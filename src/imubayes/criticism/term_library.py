@@ -31,6 +31,7 @@ class Term:
     covariates : one or two.
     sort : power, harmonic, bump, wave or product; bumps, waves and products are chosen from many.
     family : in brief; terms that are one dependence have one: sine and cosine of one wave.
+    plain : whether it is of second order at most, as most causes are.
     """
 
     text: str
@@ -41,6 +42,7 @@ class Term:
     covariates: tuple[ResidualCovariate, ...]
     sort: str
     family: str
+    plain: bool = False
 
 
 @dataclass(frozen=True)
@@ -51,9 +53,18 @@ class _Base:
     values: np.ndarray
     covariate: ResidualCovariate
 
-    def term(self, text: str, divisor: str, expression: str, values: np.ndarray, sort: str, family: str = "") -> Term:
-        covariates = (self.covariate,)
-        return Term(text, divisor, expression, self.entry.needed, _filled(values), covariates, sort, family or text)
+    def term(
+        self,
+        text: str,
+        divisor: str,
+        expression: str,
+        values: np.ndarray,
+        sort: str,
+        family: str = "",
+        plain: bool = False,
+    ) -> Term:
+        covariates, named = (self.covariate,), family or text
+        return Term(text, divisor, expression, self.entry.needed, _filled(values), covariates, sort, named, plain)
 
 
 def library(covariates: Sequence[ResidualCovariate], rows: np.ndarray, gravity: float) -> list[Term]:
@@ -100,7 +111,9 @@ def _filled(values: np.ndarray) -> np.ndarray:
 def _harmonics(base: _Base, gravity: float) -> list[Term]:
     symbol, code, angle = base.entry.symbol, base.entry.python, base.values * base.entry.factor(gravity)
     return [
-        base.term(f"{name} {k}{symbol}", "", f"jnp.{name}({k} * {code})", f(k * angle), "harmonic", f"{k}{symbol}")
+        base.term(
+            f"{name} {k}{symbol}", "", f"jnp.{name}({k} * {code})", f(k * angle), "harmonic", f"{k}{symbol}", k <= 2
+        )
         for k in range(1, thresholds.HARMONICS + 1)
         for name, f in (("sin", np.sin), ("cos", np.cos))
     ]
@@ -110,7 +123,12 @@ def _of_one(base: _Base, gravity: float) -> list[Term]:
     symbol, expression, unit, values = base.entry.symbol, base.entry.python, base.entry.unit, base.values
     found = [
         base.term(
-            _power_text(symbol, power), _power_unit(unit, power), f"{expression} ** {power}", values**power, "power"
+            _power_text(symbol, power),
+            _power_unit(unit, power),
+            f"{expression} ** {power}",
+            values**power,
+            "power",
+            plain=power <= 2,
         )
         for power in range(1, thresholds.MAX_POWER + 1)
     ]
@@ -133,7 +151,7 @@ def _of_one(base: _Base, gravity: float) -> list[Term]:
         ),
         (f"sgn {symbol}", "", f"jnp.sign({expression})", np.sign),
     )
-    found += [base.term(text, below, code, f(values), "power") for text, below, code, f in signed]
+    found += [base.term(text, below, code, f(values), "power", plain=f is np.abs) for text, below, code, f in signed]
     return found + _bumps(base, gravity) + _waves(base, gravity)
 
 
@@ -185,7 +203,9 @@ def _of_two(one: _Base, other: _Base) -> list[Term]:
             code = f"{x.python} ** {a} * {y.python} ** {b}"
             needs = tuple(dict.fromkeys((*x.needed, *y.needed)))
             values = _filled(one.values**a * other.values**b)
-            found.append(Term(text, below, code, needs, values, (one.covariate, other.covariate), "product", text))
+            found.append(
+                Term(text, below, code, needs, values, (one.covariate, other.covariate), "product", text, a == b == 1)
+            )
     return found
 
 

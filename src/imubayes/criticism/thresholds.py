@@ -47,6 +47,13 @@ SHAPE_RETAINED_MIN = 1e-4
 RESPONSE_MIN = 1e-6
 # A candidate supported only by the priors is implausible beyond so many times the largest typical size.  Convention.
 IMPLAUSIBLE_SIZE = 100.0
+# A candidate is implausible where even its estimate less three standard deviations exceeds so many times the largest
+# typical size: an effect of the right shape, but another quantity, as K2 of 10⁵ ppm/(deg/s) for a scale factor error of
+# 500 ppm at Earth rate.  Convention: units a hundred times worse than usual exist.
+IMPOSSIBLE_SIZE = 1e4
+# Simulated residuals for the weights of a chi-bar-squared distribution, and most rounds of its least squares.  Effort:
+# weights are known to 0.01.
+CONE_DRAWS, CONE_ROUNDS = 4000, 200
 # A run offset is a stratum of its own where it inflates the variance of the run's mean by more than this factor.
 # Convention: smaller makes more between-run strata, each with few degrees of freedom and little power.
 OFFSET_INFLATION = 1.2
@@ -56,6 +63,9 @@ OFFSET_INFLATION = 1.2
 # standard deviations (9) raised to four for some fifty rivals that can lead by chance; confirmed by the blind study
 # (ef1da2f).  Smaller means wrong names, larger means longer groups.
 DISTINGUISHABLE_CHI2 = 16.0
+# A plain function is the response of an effect where it leaves less than this share of its square.  Numerical, with
+# room for the curvature of the model: smaller takes an effect for a rival of itself.
+SAME_RESPONSE = 1e-3
 # Odds of 20 to 1 do not decide between two candidates that explain half of the same.  Convention (95 %), blind study.
 DECISIVE_LOG_ODDS = math.log(20.0)
 

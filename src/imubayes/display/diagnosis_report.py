@@ -93,6 +93,9 @@ def _missing_sentence(group: EffectGroup) -> str:
         rest = len(others) - _MOST_NAMED
         names = [*others[:_MOST_NAMED], *([f"{rest} more"] if rest > 0 else [])]
         said += f" {' and '.join(names)} would fit as well: these runs cannot distinguish them."
+    if group.unlisted:
+        phrase = " and ".join(label.phrase for label in group.unlisted[0])
+        said += f" An unlisted cause that depends on {phrase} would fit as well."
     return said
 
 
@@ -172,7 +175,7 @@ def _asked_sentence(found: Diagnosis) -> str:
 
 def _reason(hidden: UndetectableEffect) -> str:
     if hidden.reason == "not_supplied":
-        return f"no run supplies {', '.join(hidden.needs) or 'what it needs'}"
+        return f"no run supplies {', '.join(hidden.needs)}" if hidden.needs else "their response to it is zero"
     return {"absorbed": "the model absorbs it", "noise": "its largest typical size is below the noise"}[hidden.reason]
 
 
@@ -302,7 +305,8 @@ def _coefficient(line: RankedEffect, short: bool = False) -> str:
 def undetectable_sheet(found: Diagnosis) -> Sheet:
     """Return the effects that these runs cannot show, and what absorbs them."""
     hidden = [each for each in found.undetectable if each.reason != "not_supplied"]
-    without = [f"{each.effect} ({', '.join(each.needs)})" for each in found.undetectable if each not in hidden]
+    absent = [each for each in found.undetectable if each.reason == "not_supplied"]
+    without = [f"{each.effect} ({', '.join(each.needs) or 'response zero'})" for each in absent]
     rows = []
     for each in hidden:
         absorbed = ", ".join(f"{percent(part.share)} {part.parameter}" for part in each.absorbed_by[:2])

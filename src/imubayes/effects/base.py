@@ -1,7 +1,8 @@
 """What an effect is: one physical cause, one formula, written for one sample.
 
-An effect is a small class whose fields are its parameters.  It declares its stage of the signal path and the covariates
-it needs; it never sees a procedure, a file or another effect.  At its null values it is the identity, so that it can be
+An effect is a small class whose fields are its parameters.  It declares its stage of the signal path and the recorded
+covariates it needs; it never sees a procedure, a file or another effect.  Whether a run shows it follows from its
+response there, not from a declaration.  At its null values it is the identity, so that it can be
 score-tested before it is added.  The four bases differ in what they act on, and are vectorised over all nodes and
 channels; a `RecordEffect` has a memory.
 
@@ -12,7 +13,6 @@ A new effect is one class:
 
         name = "gyro_scale_asymmetry"
         stage, order, kinds = Stage.SENSOR, Order.SCALE, ("gyro",)
-        needs = ("turning",)
         asymmetry: Scalar = parameter("ppm", "normal(0, 100 ppm)", (10, 300), "half the difference …")
 
         def apply(self, signal, sample):
@@ -74,7 +74,7 @@ class Effect(eqx.Module):
     stage, order : where on the signal path.
     per : what a value belongs to, for each value the names in its label: channel, run, mounting, table, pose.
     kinds : kinds of channel that it can act on.
-    needs : what a run must supply (`imubayes.procedures.nominal_stimulus.Stimulus.supplies`).
+    needs : covariates that a run must have recorded (`imubayes.procedures.nominal_stimulus.Stimulus.supplies`).
     excludes : equivalent effects, which may not stand in the same model for the same channel.
     confused_with : effects with a similar signature, in words.
     reference : source of the formula.

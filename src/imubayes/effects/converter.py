@@ -254,7 +254,7 @@ class ConverterSaturation(Converter, SignalEffect):
     order = Order.LIMIT
     confused_with = "cubic nonlinearity of sensor or converter"
     reference = "full-scale range of ADC, I/F and V/F converters; IEEE Std 1241, clipping"
-    compression: Scalar = parameter("%", "normal(0, 10 %)", (0.01, 100), "the fraction lost beyond the limit")
+    compression: Scalar = parameter("%", "halfnormal(50 %)", (0.01, 100), "the fraction lost beyond the limit")
     limit: Scalar = parameter(
         "scale",
         "lognormal(30 scale, 1.5)",

@@ -120,7 +120,6 @@ class GyroScaleFactor(Gyro, ScaleFactor):
 
 class GyroScaleTemperature(Gyro, LinearThermalScale):
     name = "gyro_scale_temperature"
-    needs = ("temperature", "turning")
     reference = "IEEE Std 952, scale factor temperature sensitivity"
     slope: Scalar = parameter(
         "ppm/degC", "normal(0, 100 ppm/degC)", (10, 100), "the scale change per degree", coarse=(100, 300)
@@ -129,7 +128,6 @@ class GyroScaleTemperature(Gyro, LinearThermalScale):
 
 class GyroScaleTemperatureQuadratic(Gyro, QuadraticThermalScale):
     name = "gyro_scale_temperature_quadratic"
-    needs = ("temperature", "turning")
     reference = "IEEE Std 952, scale factor temperature sensitivity"
     curvature: Scalar = parameter(
         "ppm/degC^2", "normal(0, 1 ppm/degC^2)", (0.01, 2), "the scale change per degree squared", coarse=(3, 10)

@@ -92,7 +92,6 @@ class GyroG2Sensitivity(Gyro, SignalEffect):
 
 class GyroScaleAsymmetry(Gyro, ScaleAsymmetry):
     name = "gyro_scale_asymmetry"
-    needs = ("turning",)
     confused_with = "gyro_scale_quadratic, where few rates are tested; a bias, at one rate"
     reference = "IEEE Std 952, asymmetry error; 10 … 300 ppm"
     asymmetry: Scalar = parameter(
@@ -107,7 +106,6 @@ class GyroScaleQuadratic(Gyro, SecondOrderNonlinearity):
     """
 
     name = "gyro_scale_quadratic"
-    needs = ("turning",)
     confused_with = "gyro_scale_asymmetry, where few rates are tested; g-sensitivity to centripetal acceleration"
     reference = "IEEE Std 952, scale factor nonlinearity; 25 … 50 ppm at 200 … 400 °/s"
     quadratic: Scalar = parameter(
@@ -122,7 +120,6 @@ class GyroScaleCubic(Gyro, ThirdOrderNonlinearity):
     """
 
     name = "gyro_scale_cubic"
-    needs = ("turning",)
     confused_with = "the scale factor, over a narrow range of rates; saturation near full scale"
     reference = "IEEE Std 952, scale factor nonlinearity; 25 … 50 ppm at 200 … 400 °/s"
     cubic: Scalar = parameter(
@@ -135,7 +132,6 @@ class GyroScaleGDependence(Gyro, SignalEffect):
 
     name = "gyro_scale_g_dependence"
     order = Order.SENSITIVITY
-    needs = ("turning",)
     confused_with = "the scale factor, where the angle between input axis and gravity is constant"
     reference = "IEEE Std 952, scale factor acceleration sensitivity; 1 … 100 ppm/g"
     dependence: Scalar = parameter(
@@ -185,7 +181,6 @@ class GyroOutputAxisAcceleration(Gyro, SignalEffect):
 
     name = "gyro_output_axis_acceleration"
     order = Order.SENSITIVITY
-    needs = ("acceleration",)
     confused_with = "time_skew, between table and unit"
     reference = "IEEE Std 517, output-axis angular acceleration; 0.1 … 10 ms"
     coefficient: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 50), "the rate per angular acceleration")

@@ -123,7 +123,6 @@ class LeverArm(PlaceEffect):
     name = "lever_arm"
     stage = Stage.PLACE
     kinds = ("accelerometer",)
-    needs = ("turning",)
     confused_with = "accelerometer terms quadratic in rate"
     reference = "IEEE Std 1293, centrifuge geometry; Groves § 6.3.1.3"
     x: Scalar = parameter("mm", "normal(0, 20 mm)", (1, 50), "the sensor's position along body x")

@@ -54,7 +54,6 @@ class TimeSkew(MotionEffect):
     name = "time_skew"
     stage, order = Stage.TABLE, Order.TIME
     per = ("table",)
-    needs = ("turning",)
     confused_with = "an error of the table's angle, where all runs rotate at one rate in one direction"
     reference = "first-order clock offset between table and unit; 0.01 … 50 ms"
     skew: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 100), "the delay of the unit's samples")
@@ -105,7 +104,6 @@ class TableRateError(MotionEffect):
     name = "table_rate_error"
     stage = Stage.TABLE
     per = ("table",)
-    needs = ("commanded",)
     confused_with = "a scale factor common to all gyros: exactly, unless a reference gyro is mounted beside the unit"
     reference = "IEEE Std 952, rate table accuracy"
     rate_error: Scalar = parameter("ppm", "normal(0, 10 ppm)", (1, 50), "the relative error of the rate", "rate")

@@ -25,6 +25,7 @@ from imubayes.model.grouping import Grouping
 from imubayes.model.likelihood import log_density
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.nodes_and_entries import Entries, NodeTable, join_entries, join_nodes, servo_runs
+from imubayes.model.nominal_response import is_independent
 from imubayes.model.problem import Problem
 from imubayes.noise.base import EntryNoise
 from imubayes.parameters.vector import Layout
@@ -137,7 +138,7 @@ def _bind_effects(spec: ModelSpec, grouping: Grouping, registry: Registry) -> tu
         except InputError as error:
             issues.extend(error.issues)
     issues.extend(_conflicts(effects))
-    if not any(_is_independent_noise(effect.effect_class) for effect in effects):
+    if not any(_is_independent_noise(effect.effect_class, grouping.campaign) for effect in effects):
         issues.append(
             Issue(
                 "the model has no noise",
@@ -199,6 +200,6 @@ def _conflicts(effects: Sequence[BoundEffect]) -> list[Issue]:
     return found
 
 
-def _is_independent_noise(effect_class: EffectClass) -> bool:
-    """Tell whether a member gives every sample a variance of its own."""
-    return issubclass(effect_class, EntryNoise) and "closure" not in effect_class.kinds and not effect_class.needs
+def _is_independent_noise(effect_class: EffectClass, campaign: Campaign) -> bool:
+    """Tell whether a member gives every reading a variance of its own."""
+    return issubclass(effect_class, EntryNoise) and is_independent(effect_class, campaign)

@@ -12,18 +12,29 @@ from imubayes.errors import InputError, Issue, closest_first
 from imubayes.model.effect_registry import EffectClass, Registry, acts_on_channels
 from imubayes.model.grouping import Grouping
 from imubayes.model.model_spec import EffectSpec
+from imubayes.model.nominal_response import missing_stimulus, noisy_runs, probes
 from imubayes.model.parameter_priors import exact_by_equipment, hyper_fields, parameter_of
+from imubayes.noise.base import Noise
 from imubayes.parameters.parameter_declarations import Declared, declared_options, declared_parameters
 from imubayes.parameters.vector import Parameter
 
-# An effect that needs one of these must be switched off in the runs without it.
+# An effect that needs one of these, or a covariate, must be switched off in the runs without it.
 _GATES = ("injection", "reference", "driven", "directions")
 _SHARING = {"channel": ("channel",), "all": (), "run": ("channel", "run"), "mounting": ("channel", "mounting")}
 _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
 
 
 class NotObservableError(InputError):
-    """No run of the campaign supplies what the effect needs."""
+    """No run of the campaign shows the effect.
+
+    Attributes
+    ----------
+    missing : covariates that no run has recorded, or the stimulus that would bring the effect out; may be empty.
+    """
+
+    def __init__(self, issue: Issue, missing: tuple[str, ...] = ()):
+        super().__init__(issue)
+        self.missing = missing
 
 
 class ExactEquipmentError(NotObservableError):
@@ -44,7 +55,8 @@ class BoundEffect:
     declared : field → declaration.
     sharing : axes by which its values are labelled.
     channels, kinds : names and kinds of the channels it acts on; no names for effects on the motion.
-    runs : indices of the runs in which it acts.
+    runs : indices of the runs that recorded the covariates it needs.
+    shown_in : indices of those among them whose nominal signals it changes.
     gated : indices of the runs in which it is switched off because they do not supply what it needs.
     parameters, hyperparameters : its scalars, in order.
     """
@@ -56,6 +68,7 @@ class BoundEffect:
     channels: tuple[str, ...]
     kinds: tuple[str, ...]
     runs: set[int]
+    shown_in: set[int]
     gated: set[int]
     parameters: tuple[Parameter, ...]
     hyperparameters: tuple[Parameter, ...]
@@ -84,13 +97,16 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry) -> Bou
     sharing, channels = settings.sharing(), settings.channels()
     settings.check_names()
     settings.raise_issues()
-    runs, gated = _observable_runs(spec, effect_class, grouping.nodes.supplies)
+    runs, gated = _recorded_runs(spec, effect_class, grouping.nodes.supplies)
     declared = declared_parameters(effect_class)
     labelled = channels or tuple(channel.name for channel in grouping.campaign.channels)
+    if not grouping.labels(sharing, labelled, runs):
+        raise _without_label(spec, sharing, grouping)
+    shown_in = _showing_runs(spec, effect_class, channels, runs, grouping)
     made: dict[str, list[Parameter]] = {}
     for name, declaration in declared.items():
         per = sharing if declaration.per is None else declaration.per
-        made[name] = settings.parameters(name, per, grouping.labels(per, labelled, sorted(runs)))
+        made[name] = settings.parameters(name, per, grouping.labels(per, labelled, sorted(shown_in)))
     settings.raise_issues()
     if declared and not any(made.values()):
         raise ExactEquipmentError(
@@ -110,30 +126,69 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry) -> Bou
         channels=channels,
         kinds=tuple(dict.fromkeys(c.kind for c in grouping.campaign.channels if c.name in channels)),
         runs=runs,
+        shown_in=shown_in,
         gated=gated,
         parameters=tuple(p for name, parameters in made.items() if name not in hyper for p in parameters),
         hyperparameters=tuple(p for name, parameters in made.items() if name in hyper for p in parameters),
     )
 
 
-def _observable_runs(
+def _recorded_runs(
     spec: EffectSpec, effect_class: EffectClass, supplies: tuple[frozenset[str], ...]
 ) -> tuple[set[int], set[int]]:
-    """Return the runs that supply what the effect needs, and those in which it has to be switched off."""
+    """Return the runs that recorded what the effect needs, and those in which it has to be switched off."""
     needs = effect_class.needs
     runs = {index for index, supplied in enumerate(supplies) if set(needs) <= supplied}
     if not runs:
-        missing = [need for need in needs if not any(need in supplied for supplied in supplies)]
-        raise NotObservableError(
-            Issue(
-                f"no run can show '{spec.name}': it needs {' and '.join(missing or needs)}",
-                spec.where,
-                "effects that need what the runs supply: " + ", ".join(sorted(set().union(*supplies))),
-                "leave the effect out or mark it 'optional = true', or add a run that supplies it",
-            )
-        )
+        missing = tuple(need for need in needs if not any(need in supplied for supplied in supplies)) or needs
+        raise _not_observable(spec, f"it needs {' and '.join(missing)}", supplies, missing)
     gating = {need for need in needs if need in ambient_names() or need in _GATES}
     return runs, {index for index, supplied in enumerate(supplies) if not gating <= supplied}
+
+
+def _showing_runs(
+    spec: EffectSpec, effect_class: EffectClass, channels: tuple[str, ...], runs: set[int], grouping: Grouping
+) -> set[int]:
+    """Return those of the runs whose nominal signals the effect changes.
+
+    Raises
+    ------
+    NotObservableError
+        where there is none.
+    """
+    if effect_class.nuisance:
+        return runs  # unknowns of the procedures themselves
+    if issubclass(effect_class, Noise):
+        found = runs & noisy_runs(effect_class, grouping.campaign, grouping.nodes, grouping.entries)
+        missing = ("turning",)
+    else:
+        tried = probes(effect_class, dict(spec.options), channels, grouping.campaign)
+        found = runs & set().union(*map(grouping.responding, tried))
+        missing = () if found else missing_stimulus(tried[0], grouping.samples)
+    if not found:
+        why = "its response is zero in all of them" + (f"; it needs {missing[0]}" if missing else "")
+        raise _not_observable(spec, why, grouping.nodes.supplies, missing)
+    return found
+
+
+def _without_label(spec: EffectSpec, sharing: tuple[str, ...], grouping: Grouping) -> NotObservableError:
+    """Return the error of an effect whose values belong to what no run has, such as a table."""
+    missing = tuple(axis for axis in sharing if axis != "channel")
+    return _not_observable(spec, f"no run has a {' and a '.join(missing)}", grouping.nodes.supplies, missing)
+
+
+def _not_observable(
+    spec: EffectSpec, why: str, supplies: tuple[frozenset[str], ...], missing: tuple[str, ...]
+) -> NotObservableError:
+    return NotObservableError(
+        Issue(
+            f"no run can show '{spec.name}': {why}",
+            spec.where,
+            "effects to which the runs respond, by what they supply: " + ", ".join(sorted(set().union(*supplies))),
+            "leave the effect out or mark it 'optional = true', or add a run that shows it",
+        ),
+        missing,
+    )
 
 
 @dataclass

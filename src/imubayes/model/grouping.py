@@ -6,12 +6,14 @@ labels for each node and channel and for each measured entry.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
 
 from imubayes.campaign_data import Campaign
 from imubayes.model.nodes_and_entries import Entries, NodeTable
+from imubayes.model.nominal_response import NominalSamples, Probe, nominal_samples, responding_runs
 
 Label = tuple[str, ...]
 RUN_AXES = ("run", "mounting", "table")
@@ -24,6 +26,22 @@ class Grouping:
     campaign: Campaign
     nodes: NodeTable
     entries: Entries
+
+    @cached_property
+    def samples(self) -> tuple[NominalSamples, ...]:
+        """Nominal samples of every run, by which it is judged what a run shows."""
+        return nominal_samples(self.campaign, self.nodes)
+
+    def responding(self, probe: Probe) -> set[int]:
+        """Return the runs whose nominal signals an effect changes; worked out once for each effect."""
+        key = probe.effect, tuple(sorted(probe.options.items())), tuple(probe.channels)
+        if key not in self._responding:
+            self._responding[key] = responding_runs(probe, self.samples)
+        return self._responding[key]
+
+    @cached_property
+    def _responding(self) -> dict[tuple, set[int]]:
+        return {}
 
     def label_of_run(self, axis: str, run: int) -> str | None:
         """Return the run's own name, or its mounting or table; None where it has none."""

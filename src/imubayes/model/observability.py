@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 
-from imubayes.campaign_data import Campaign, Run
-from imubayes.effects.base import Effect, Stage
-from imubayes.model.effect_registry import EffectClass, Registry, acts_on_channels
-from imubayes.model.nodes_and_entries import join_nodes
+from imubayes.campaign_data import Campaign
+from imubayes.model.bound_effects import NoChannelError, NotObservableError, bind_effect
+from imubayes.model.effect_registry import EffectClass, Registry
+from imubayes.model.grouping import Grouping
+from imubayes.model.model_spec import EffectSpec
+from imubayes.model.nodes_and_entries import join_entries, join_nodes
 
 
 @dataclass(frozen=True)
@@ -15,9 +17,9 @@ class Observability:
     Attributes
     ----------
     effect_class : the class.
-    runs : names of the runs that supply all it needs.
+    runs : names of the runs that respond to it.
     channels : names of the channels it can act on; none for effects on the motion.
-    missing : what no run supplies, or what no run has together; empty where the campaign could show it.
+    missing : covariates that no run recorded, or the stimulus that no run has; empty where the campaign could show it.
     """
 
     effect_class: EffectClass
@@ -28,32 +30,19 @@ class Observability:
 
 def observability(campaign: Campaign, registry: Registry | None = None) -> tuple[Observability, ...]:
     """Return for every effect and noise member what the campaign has for it; nothing is fitted."""
-    supplies = {
-        run.name: frozenset({*supplied, *_group_axes(run)})
-        for run, supplied in zip(campaign.runs, join_nodes(campaign).supplies, strict=True)
-    }
-    return tuple(_of_class(known, campaign, supplies) for known in (registry or Registry()).effects.values())
+    registry = registry or Registry()
+    grouping = Grouping(campaign, join_nodes(campaign), join_entries(campaign))
+    return tuple(_of_class(known, grouping, registry) for known in registry.effects.values())
 
 
-def _group_axes(run: Run) -> set[str]:
-    """Return the axes by which values of a run can be labelled."""
-    tumble = {"pose", "free tumble"} if run.tumble is not None else set()
-    return {"run", *({"table"} if run.table else ()), *({"mounting"} if run.mounting else ()), *tumble}
-
-
-def _of_class(effect_class: EffectClass, campaign: Campaign, supplies: dict[str, frozenset[str]]) -> Observability:
-    by_channel = acts_on_channels(effect_class)
-    channels = [channel.name for channel in campaign.channels if by_channel and channel.kind in effect_class.kinds]
-    if by_channel and not channels:
+def _of_class(effect_class: EffectClass, grouping: Grouping, registry: Registry) -> Observability:
+    runs = grouping.campaign.runs
+    if effect_class.nuisance and "driven" not in effect_class.needs and not any(run.tumble for run in runs):
+        return Observability(effect_class, (), (), ("free tumble",))
+    try:
+        bound = bind_effect(EffectSpec(effect_class.name), grouping, registry)
+    except NoChannelError:
         return Observability(effect_class, (), (), tuple(effect_class.kinds))
-    needs = {*effect_class.needs, *effect_class.per, *(("free tumble",) if effect_class.nuisance else ())} - {"channel"}
-    hidden_by = _hidden_by(effect_class) - needs
-    runs = tuple(name for name, supplied in supplies.items() if needs <= supplied and not hidden_by & supplied)
-    nowhere = sorted(need for need in needs if not any(need in supplied for supplied in supplies.values()))
-    missing = () if runs else tuple(nowhere or sorted(needs))
-    return Observability(effect_class, runs, tuple(channels), missing)
-
-
-def _hidden_by(effect_class: EffectClass) -> set[str]:
-    """Return what hides the effect: an injected current replaces the sensor, and all that precedes the converter."""
-    return {"injection"} if issubclass(effect_class, Effect) and effect_class.stage < Stage.CONVERTER else set()
+    except NotObservableError as error:
+        return Observability(effect_class, (), (), error.missing or ("response",))
+    return Observability(effect_class, tuple(runs[run].name for run in sorted(bound.shown_in)), bound.channels, ())

@@ -61,6 +61,15 @@ def parameter_of(
     return Parameter(effect_class.name, field, names, declared.unit, factor, prior, effect_class.nuisance)
 
 
+def unit_factors(effect_class: EffectClass, campaign: Campaign, channel: str = "") -> dict[str, float]:
+    """Return the SI value of each parameter's unit, for a channel or the first that the class can act on."""
+    units = _channel_units(_representative_channel(effect_class, {"channel": channel}, campaign), campaign)
+    return {
+        field: to_si(declared.unit, campaign.site.gravity, effect_class.name, units.si)
+        for field, declared in declared_parameters(effect_class).items()
+    }
+
+
 def _check_family(prior: Prior, field: str, declared: Declared, where: str, hyper: bool) -> None:
     if declared.spread and not isinstance(prior, Normal):
         raise input_error(

@@ -32,7 +32,6 @@ class RateProportionalNoise(EntryNoise):
 
     name = "rate_proportional_noise"
     kinds = ("gyro",)
-    needs = ("turning",)
     confused_with = "white_noise, where all rows have the same rate; a nonlinearity missing from the model"
     reference = "IEEE Std 952, scale factor repeatability; rate table stability of 1 … 100 ppm"
 

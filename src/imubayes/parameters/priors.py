@@ -38,6 +38,10 @@ class Prior(eqx.Module):
     def sd(self) -> float:
         """Return the prior's standard deviation; infinite where it has none."""
 
+    @abstractmethod
+    def support(self) -> tuple[float, float]:
+        """Return the smallest and the largest possible value: the physical domain of a parameter."""
+
 
 def rounded_width(value: float) -> float:
     """Return the next 1, 2 or 5 times a power of ten: the width of a prior with room for a value above 0."""
@@ -64,6 +68,9 @@ class Normal(Prior):
     def sd(self) -> float:
         return float(self.deviation)
 
+    def support(self) -> tuple[float, float]:
+        return -math.inf, math.inf
+
 
 class Uniform(Prior):
     """uniform(low, high)."""
@@ -79,6 +86,9 @@ class Uniform(Prior):
 
     def sd(self) -> float:
         return float((self.high - self.low) / math.sqrt(12))
+
+    def support(self) -> tuple[float, float]:
+        return float(self.low), float(self.high)
 
 
 class LogNormal(Prior):
@@ -97,6 +107,9 @@ class LogNormal(Prior):
         s2 = float(self.log_deviation) ** 2
         return float(self.median) * math.sqrt((math.exp(s2) - 1) * math.exp(s2))
 
+    def support(self) -> tuple[float, float]:
+        return 0.0, math.inf
+
 
 class HalfNormal(Prior):
     """halfnormal(scale): the absolute value of normal(0, scale)."""
@@ -113,6 +126,9 @@ class HalfNormal(Prior):
     def sd(self) -> float:
         return float(self.scale) * math.sqrt(1 - 2 / math.pi)
 
+    def support(self) -> tuple[float, float]:
+        return 0.0, math.inf
+
 
 class HalfCauchy(Prior):
     """halfcauchy(scale): the absolute value of a Cauchy variable."""
@@ -127,6 +143,9 @@ class HalfCauchy(Prior):
 
     def sd(self) -> float:
         return math.inf
+
+    def support(self) -> tuple[float, float]:
+        return 0.0, math.inf
 
 
 class LogUniform(Prior):
@@ -146,6 +165,9 @@ class LogUniform(Prior):
         log_ratio = math.log(high / low)
         mean = (high - low) / log_ratio
         return math.sqrt((high**2 - low**2) / (2 * log_ratio) - mean**2)
+
+    def support(self) -> tuple[float, float]:
+        return float(self.low), float(self.high)
 
 
 # name → class, and for each argument whether it carries the parameter's unit

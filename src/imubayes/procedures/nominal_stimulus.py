@@ -45,13 +45,11 @@ class Stimulus:
 
     @property
     def supplies(self) -> frozenset[str]:
-        """Names of the inputs that this run supplies to effects."""
+        """Names of what this run recorded, and of what happens in it."""
         seen = set(self.ambient)
         # Between the poses of a free tumble the unit is turned by hand.
         if np.any(self.table_rate != 0) or np.any(self.pose >= 0) or self.referenced:
             seen.add("turning")
-        if np.any(self.table_rate != 0):
-            seen.add("commanded")
         if self.referenced:
             seen.add("reference")
         if np.any(self.table_acceleration != 0) or np.any(self.reference_acceleration != 0):

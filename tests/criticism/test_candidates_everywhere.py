@@ -1,0 +1,114 @@
+"""What the generator says that readings feel is a candidate, and nothing else: over its effects and procedures.
+
+The generator under `data/generators` shares no code with the package.  An effect that shifts its readings must be among
+the candidates of the campaign's fit; one that does not must not, and is said to be beyond these runs.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imubayes.campaign import load_campaign
+from imubayes.criticism import thresholds
+from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.errors import InputError
+from imubayes.inference.fitted_model import Fit
+from imubayes.model.bind import Model, bind
+from imubayes.model.model_file import read_model
+from imubayes.model.model_spec import EffectSpec, ModelSpec
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
+import accel_channel  # pyright: ignore[reportMissingImports]
+import geographic_tumble  # pyright: ignore[reportMissingImports]
+import hidden_effects  # pyright: ignore[reportMissingImports]
+import polar_tumble  # pyright: ignore[reportMissingImports]
+import rotation_modulation  # pyright: ignore[reportMissingImports]
+from detectability import look  # pyright: ignore[reportMissingImports]
+from hidden import CATALOGUE, Kind  # pyright: ignore[reportMissingImports]
+
+ROOT = Path(__file__).parents[2]
+SIZES = CATALOGUE | {
+    "gyro_scale_factor": Kind("gyro", {"scale": 500.0}),
+    "gyro_misalignment": Kind("gyro", {"toward_o": 100.0, "toward_s": 100.0}),
+    "accel_scale_factor": Kind("accelerometer", {"scale": 100.0}),
+    "accel_misalignment": Kind("accelerometer", {"toward_o": 100.0, "toward_p": 100.0}),
+}
+PLANS = {
+    "geographic-tumble": (geographic_tumble.plan, "geographic-tumble"),
+    "polar-tumble": (polar_tumble.plan, "polar-tumble"),
+    "accel-channel": (accel_channel.plan, "accel-channel"),
+    "rotation-modulation": (rotation_modulation.plan, "rotation-modulation"),
+    "hidden-kinematic": (lambda seed: hidden_effects.plan("hidden-kinematic", seed), "hidden-effects"),
+    "hidden-gyro": (lambda seed: hidden_effects.plan("hidden-gyro", seed), "hidden-effects"),
+    "hidden-thermal": (lambda seed: hidden_effects.plan("hidden-thermal", seed), "hidden-effects-thermal"),
+}
+AT_ONCE = ("geographic-tumble", "accel-channel")
+
+
+def felt(plan, seed: int = 1) -> dict[str, float]:
+    """Return the length of the whitened shift of all readings by each effect at its typical size."""
+    sight = look(plan, plan.draw(seed))
+    found = {}
+    for effect, kind in SIZES.items():
+        owners = [table.name for table in plan.tables] if kind.on == "head" else []
+        owners += [channel.name for channel in plan.channels if channel.kind == kind.on]
+        shapes = {name: draw(np.random.default_rng(0)) for name, draw in kind.shapes.items()}
+        values = {
+            f"{effect}.{name}[{owner}]": value for owner in owners for name, value in (kind.sizes | shapes).items()
+        }
+        found[effect] = float(np.linalg.norm(sight.shift(values))) if values else 0.0
+    return found
+
+
+def declared(name: str) -> Model:
+    model = PLANS[name][1]
+    return bind(read_model(ROOT / "models" / f"{model}.toml"), load_campaign(ROOT / "data" / name))
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in AT_ONCE else pytest.param(name, marks=pytest.mark.slow) for name in PLANS]
+)
+def test_an_effect_is_a_candidate_where_readings_feel_it(name):
+    model = declared(name)
+    responses = candidate_responses(
+        Fit(model, np.zeros(model.problem.size[0]), np.zeros(model.problem.size[1]), True, "")
+    )
+    candidates = {response.scan.effect for response in responses.candidates}
+    whole = {effect.name for effect in model.assembly.effects}
+    shifts = felt(PLANS[name][0](1))
+    recorded = {effect for effect in shifts if _recorded(model, effect)}
+    feels = {effect for effect in recorded if shifts[effect] > thresholds.RESPONSE_MIN} - whole
+    silent = {effect for effect, shift in shifts.items() if shift == 0} - whole
+    assert feels
+    assert feels <= candidates, feels - candidates
+    assert silent <= set(responses.unobservable) | _of_absent_channels(model), silent - set(responses.unobservable)
+    assert not silent & candidates, silent & candidates
+
+
+def _recorded(model: Model, effect: str) -> bool:
+    """Tell whether a run has the covariates that an effect needs; a temperature that is held has no rate."""
+    return any(set(model.registry.effects[effect].needs) <= supplied for supplied in model.nodes.supplies)
+
+
+def _of_absent_channels(model: Model) -> set[str]:
+    kinds = {channel.kind for channel in model.campaign.channels}
+    return {name for name, member in model.registry.effects.items() if not set(member.kinds) & kinds}
+
+
+def test_scale_factor_at_earth_rate_is_a_candidate():
+    """What the table above rests on: nothing turns, and a gyro's scale factor is felt all the same."""
+    shifts = felt(geographic_tumble.plan(1))
+    assert shifts["gyro_scale_factor"] > 1
+    assert shifts["gyro_bias_temperature_rate"] == 0
+
+
+def test_what_no_run_shows_is_refused_with_the_stimulus_that_would():
+    still = declared("geographic-tumble")
+    for effect, needed in {"time_skew": "table", "gyro_output_axis_acceleration": "acceleration"}.items():
+        entry = EffectSpec(effect, where="model.toml")
+        spec = ModelSpec("more", (*still.spec.effects, entry), where="model.toml")
+        with pytest.raises(InputError, match="no run can show") as caught:
+            bind(spec, still.campaign)
+        assert needed in str(caught.value), effect

@@ -1,0 +1,75 @@
+"""A torque-rebalance gyro at rest, its scale factor off: the Earth's rate is its input, and the cause is named.
+
+The readings are those of the generator, which shares no code with the package.
+"""
+
+import sys
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from null_data import refitted
+
+from imubayes.campaign import load_campaign
+from imubayes.criticism.diagnose import judge
+from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.model.bind import bind
+from imubayes.model.model_file import read_model
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
+import geographic_tumble  # pyright: ignore[reportMissingImports]
+import simulate  # pyright: ignore[reportMissingImports]
+
+ROOT = Path(__file__).parents[2]
+# Two series, as shipped, show 500 ppm with S of 10 only.
+SERIES = 8
+SCALE = "gyro_scale_factor.scale[g]"
+
+
+def diagnosed(folder: Path, seed: int, ppm: float) -> Diagnosis:
+    """Return the diagnosis of positions of a gyro whose scale factor is off by so much."""
+    plan = geographic_tumble.plan(seed, series=SERIES)
+    simulate.write_simulated(folder, plan, seed, values={**plan.draw(seed), SCALE: ppm})
+    model = bind(read_model(ROOT / "models" / "geographic-tumble.toml"), load_campaign(folder))
+    fitted = refitted(model, *(np.zeros(size) for size in model.problem.size))
+    assert fitted.converged
+    return judge(fitted)
+
+
+def said(found: Diagnosis) -> str:
+    """Return `right` with the cause in the first group, else what was said."""
+    if found.groups and "gyro_scale_factor" in found.groups[0].effects:
+        return "right"
+    return "wrong name" if found.verdict == "missing_effect" else found.verdict
+
+
+@pytest.mark.parametrize("ppm", [500.0, -3000.0])
+def test_the_scale_factor_is_named(tmp_path, ppm):
+    found = diagnosed(tmp_path / "positions", 41, ppm)
+    assert said(found) == "right"
+    member = next(each for each in found.groups[0].candidates if each.effect == "gyro_scale_factor")
+    (coefficient,) = member.coefficients
+    assert coefficient.value is not None
+    assert coefficient.sd is not None
+    assert abs(coefficient.value - ppm) < 4 * coefficient.sd
+    for group in found.groups:
+        for each in group.candidates:
+            assert all((c.value or 0.0) >= 0 for c in each.coefficients if c.name.endswith("half_width[g]"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ppm", [500.0, 3000.0])
+def test_the_scale_factor_is_named_in_every_draw(tmp_path, ppm):
+    draws = range(100, 125)
+    count = Counter(said(diagnosed(tmp_path / str(seed), seed, (-1) ** seed * ppm)) for seed in draws)
+    assert count["right"] >= 0.95 * len(draws), count
+    assert count["adequate"] == 0, count
+    assert count["wrong name"] <= 0.02 * len(draws), count
+
+
+@pytest.mark.slow
+def test_a_complete_model_of_positions_is_adequate(tmp_path):
+    draws = range(200, 220)
+    count = Counter(said(diagnosed(tmp_path / str(seed), seed, 0.0)) for seed in draws)
+    assert count["adequate"] >= 18, count

@@ -1,0 +1,164 @@
+"""Every effect in every procedure: is it found, and what is said when the catalogue lacks it?
+
+    python tests/study/removed_truth.py geographic-tumble polar-tumble     the named campaigns
+    python tests/study/removed_truth.py                                    all, a line per plant, resumed
+
+Each effect that the model of a shipped campaign lacks is planted in fresh readings of it at ten times its smallest
+detectable size, in a random direction of the coefficients of one owner.  The diagnosis must name it first; with the
+effect taken out of the catalogue it must not name another one alone.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+ROOT = Path(__file__).parents[2]
+LINES = ROOT / ".cache" / "removed_truth.jsonl"
+MODELS = {
+    "geographic-tumble": "geographic-tumble", "polar-tumble": "polar-tumble", "servo-table": "servo-table",
+    "accel-channel": "accel-channel", "rotation-modulation": "rotation-modulation", "reference-gyro": "reference-gyro",
+    "trihedral-imu": "trihedral-imu", "hidden-none": "hidden-effects", "hidden-thermal": "hidden-effects-thermal",
+}  # fmt: skip
+TIMES_DETECTABLE, LARGEST = 10.0, 30.0
+"""Planted size over the smallest detectable one, and over the largest typical one: larger plants are passed over."""
+
+Line = dict[str, Any]
+
+
+def plants(fitted: Any, seed: int) -> Iterator[tuple[str, str, np.ndarray, float]]:
+    """Yield effect, owner, shift of the readings (E,) and size over the largest typical one."""
+    from imubayes.criticism import thresholds
+    from imubayes.criticism.candidate_effects import candidate_responses
+    from imubayes.criticism.detectability import detectability
+    from imubayes.criticism.projection import project
+    from imubayes.criticism.score_test import project_responses
+
+    responses = candidate_responses(fitted)
+    at = project(fitted, responses.misfit, responses.jacobian)
+    random, done = np.random.default_rng(seed), set()
+    for one in random.permuted(np.array(project_responses(at, responses.candidates), dtype=object)).tolist():
+        effect, coefficients = one.response.scan.effect, one.response.coefficients
+        if effect in done:
+            continue
+        done.add(effect)
+        owner = str(random.choice([coefficient.owner for coefficient in coefficients]))
+        own = np.array([coefficient.owner == owner for coefficient in coefficients])
+        sizes = np.array([coefficient.typical[1] for coefficient in coefficients])
+        signs = np.array([coefficient.sign for coefficient in coefficients])
+        direction = own * sizes * random.normal(size=len(own))
+        direction = np.where(signs != 0, signs * np.abs(direction), direction)
+        length = float(np.linalg.norm(one.projected @ direction))
+        smallest = detectability(at, one, thresholds.FALSE_ALARM_EFFECT, 50.0)
+        needed = (
+            smallest.smallest_detectable
+            * np.linalg.norm(one.projected, axis=0)[
+                [coefficient.parameter.name for coefficient in coefficients].index(smallest.name)
+            ]
+        )
+        if not np.isfinite(needed) or length <= 0:
+            continue
+        scale = TIMES_DETECTABLE * needed / length
+        yield effect, owner, scale * (one.response.columns @ direction), float(scale * np.abs(direction / sizes).max())
+
+
+def judged(fitted: Any, without: str = "") -> Line:
+    """Return what the diagnosis says, with an effect taken out of the catalogue."""
+    from imubayes.criticism import stepwise_search
+    from imubayes.criticism.diagnose import judge
+
+    whole = stepwise_search.candidate_responses
+
+    def lacking(at: Any, *more: Any) -> Any:
+        found = whole(at, *more)
+        return replace(found, candidates=tuple(r for r in found.candidates if r.scan.effect != without))
+
+    with (
+        mock.patch.object(stepwise_search, "candidate_responses", lacking),
+        mock.patch("imubayes.criticism.diagnose.discriminating_run", return_value=None),
+    ):
+        found = judge(fitted)
+    return {
+        "verdict": found.verdict,
+        "groups": [list(group.effects) for group in found.groups],
+        "nearest": [list(near.effects) for near in found.nearest],
+    }
+
+
+def study(campaign: str, seed: int, path: Path | None) -> Iterator[Line]:
+    """Yield a line for every effect planted in a campaign."""
+    from null_data import fitted_to, redrawn  # pyright: ignore[reportMissingImports]
+
+    fitted = fitted_to(campaign, MODELS[campaign])
+    for number, (effect, owner, shift, size) in enumerate(plants(fitted, seed)):
+        line: Line = {"campaign": campaign, "seed": seed, "effect": effect, "owner": owner, "size": size}
+        if size < LARGEST:
+            fresh = redrawn(fitted, 1000 * seed + number, change=shift)
+            line |= {"converged": fresh.converged, "whole": judged(fresh), "without": judged(fresh, effect)}
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("a") as file:
+                file.write(json.dumps(line) + "\n")
+        yield line
+
+
+def right(line: Line) -> bool:
+    """Tell whether the effect planted is in the first group."""
+    return bool(line["whole"]["groups"]) and line["effect"] in line["whole"]["groups"][0]
+
+
+def wrong_name(line: Line) -> bool:
+    """Tell whether, without the effect planted, another one is named alone."""
+    return line["without"]["verdict"] == "missing_effect"
+
+
+def table(lines: list[Line]) -> str:
+    """Return how many plants were judged right, campaign by campaign."""
+    rows = [
+        "| campaign | plants | right group first | adequate | without it: another named alone | adequate |",
+        "| --- |" + " --- |" * 5,
+    ]
+    for campaign in dict.fromkeys(line["campaign"] for line in lines):
+        own = [line for line in lines if line["campaign"] == campaign and "whole" in line]
+        silent = [sum(line[key]["verdict"] == "adequate" for line in own) for key in ("whole", "without")]
+        counts = len(own), sum(map(right, own)), silent[0], sum(map(wrong_name, own)), silent[1]
+        rows.append(f"| {campaign} | " + " | ".join(map(str, counts)) + " |")
+    return "\n".join(rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("campaigns", nargs="*", default=list(MODELS))
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--lines", type=Path, default=LINES)
+    chosen = parser.parse_args()
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    sys.path.insert(0, str(ROOT / "tests" / "criticism"))
+    lines = []
+    for campaign in chosen.campaigns:
+        for seed in range(1, 1 + chosen.seeds):
+            for line in study(campaign, seed, chosen.lines):
+                lines.append(line)
+                if "whole" in line and (not right(line) or wrong_name(line)):
+                    print(
+                        line["campaign"],
+                        line["effect"],
+                        line["owner"],
+                        f"{line['size']:.3g}",
+                        line["whole"],
+                        line["without"],
+                        flush=True,
+                    )
+    print(table(lines))
+
+
+if __name__ == "__main__":
+    main()
