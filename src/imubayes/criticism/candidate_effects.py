@@ -17,7 +17,13 @@ from imubayes.effects.base import Effect, MotionEffect
 from imubayes.gather import on_device
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.assembly import assemble
-from imubayes.model.bound_effects import BoundEffect, NoChannelError, NotObservableError, bind_effect
+from imubayes.model.bound_effects import (
+    BoundEffect,
+    ExactEquipmentError,
+    NoChannelError,
+    NotObservableError,
+    bind_effect,
+)
 from imubayes.model.build_problem import build_problem
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.model_spec import EffectSpec
@@ -197,7 +203,7 @@ def _candidates(fitted: Fit) -> tuple[tuple[BoundEffect, ...], dict[str, tuple[s
             continue
         try:
             acting.append(bind_effect(spec, model.assembly.grouping, model.registry))
-        except NoChannelError:
+        except (NoChannelError, ExactEquipmentError):
             continue
         except NotObservableError as error:
             unobservable[member.name] = error.missing

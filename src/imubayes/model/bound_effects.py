@@ -108,15 +108,7 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry) -> Bou
         per = sharing if declaration.per is None else declaration.per
         made[name] = settings.parameters(name, per, grouping.labels(per, labelled, sorted(shown_in)))
     settings.raise_issues()
-    if declared and not any(made.values()):
-        raise ExactEquipmentError(
-            Issue(
-                f"the campaign states that '{spec.name}' is zero: an uncertainty of 0 means exact",
-                spec.where,
-                "an uncertainty above 0 in campaign.toml, or a prior in the model",
-                "leave the effect out, or state the uncertainty",
-            )
-        )
+    _refuse_exact(spec, made)
     hyper = hyper_fields(effect_class)
     return BoundEffect(
         spec=spec,
@@ -131,6 +123,18 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry) -> Bou
         parameters=tuple(p for name, parameters in made.items() if name not in hyper for p in parameters),
         hyperparameters=tuple(p for name, parameters in made.items() if name in hyper for p in parameters),
     )
+
+
+def _refuse_exact(spec: EffectSpec, made: Mapping[str, list[Parameter]]) -> None:
+    if made and not any(made.values()):
+        raise ExactEquipmentError(
+            Issue(
+                f"the campaign states that '{spec.name}' is zero: an uncertainty of 0 means exact",
+                spec.where,
+                "an uncertainty above 0 in campaign.toml, or a prior in the model",
+                "leave the effect out, or state the uncertainty",
+            )
+        )
 
 
 def _recorded_runs(
