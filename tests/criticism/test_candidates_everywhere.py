@@ -48,7 +48,10 @@ AT_ONCE = ("geographic-tumble", "accel-channel")
 
 
 def felt(plan, seed: int = 1) -> dict[str, float]:
-    """Return the length of the whitened shift of all readings by each effect at its typical size."""
+    """Return the length of the whitened shift of all readings by each effect at its typical size.
+
+    Effects of channels that the plan has none of are left out: the catalogue's converters serve either kind.
+    """
     sight = look(plan, plan.draw(seed))
     found = {}
     for effect, kind in SIZES.items():
@@ -58,7 +61,8 @@ def felt(plan, seed: int = 1) -> dict[str, float]:
         values = {
             f"{effect}.{name}[{owner}]": value for owner in owners for name, value in (kind.sizes | shapes).items()
         }
-        found[effect] = float(np.linalg.norm(sight.shift(values))) if values else 0.0
+        if values or kind.on == "head":
+            found[effect] = float(np.linalg.norm(sight.shift(values))) if values else 0.0
     return found
 
 
