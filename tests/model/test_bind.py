@@ -1,4 +1,4 @@
-"""What does not fit a campaign is refused at once, in four parts; what is declared has the right names and priors."""
+"""Binding a model to a campaign: errors in four parts, names, units and priors of the parameters."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def effect(name: str, **settings) -> EffectSpec:
 
 
 @pytest.mark.parametrize(
-    ("one", "what", "allowed"),
+    ("listed", "what", "allowed"),
     [
         (effect("gyro_bais"), "no effect 'gyro_bais'", "gyro_bias"),
         (effect("gyro_bias", channels=("ax",)), "'ax' is not a gyro", "gx, gy, gz"),
@@ -47,8 +47,8 @@ def effect(name: str, **settings) -> EffectSpec:
         (effect("gyro_run_bias", prior={"offset": "uniform(-1, 1 deg/h)"}), "has to be normal", "normal"),
     ],
 )
-def test_what_does_not_fit_is_refused(one, what, allowed):
-    (problem,) = refused(one)
+def test_what_does_not_fit_is_refused(listed, what, allowed):
+    (problem,) = refused(listed)
     assert what in problem.what
     assert problem.where.startswith("model.toml")
     assert allowed in problem.allowed
@@ -81,14 +81,14 @@ def test_an_effect_of_a_kind_the_unit_lacks_is_refused():
     assert "the unit has none" in problem.what
 
 
-def test_an_effect_may_not_stand_twice_on_a_channel():
+def test_an_effect_listed_twice_on_a_channel_is_refused():
     (problem,) = refused(effect("gyro_bias"), effect("gyro_bias", channels=("gx",)))
     assert "is listed twice on gx" in problem.what
     (problem,) = refused(effect("mounting_error"), effect("mounting_error"))
     assert "is listed twice" in problem.what
 
 
-def test_it_may_stand_twice_on_different_channels():
+def test_an_effect_may_be_listed_for_different_channels():
     model = bind(
         ModelSpec("m", (effect("gyro_bias", channels=("gx",)), effect("gyro_bias", channels=("gy", "gz")), NOISE)),
         campaign(),
@@ -97,7 +97,7 @@ def test_it_may_stand_twice_on_different_channels():
 
 
 @pytest.mark.parametrize("pair", [("gyro_run_bias", "run_scatter"), ("run_scatter", "accel_run_bias")])
-def test_effects_that_say_the_same_exclude_each_other(pair):
+def test_effects_with_the_same_response_exclude_each_other(pair):
     (problem,) = refused(*(effect(name) for name in pair))
     assert "do not go together" in problem.what
 
@@ -112,7 +112,7 @@ def test_a_model_of_noise_alone_is_refused():
         bind(ModelSpec("m", (NOISE,), where="model.toml"), campaign())
 
 
-def test_all_problems_come_together():
+def test_all_issues_are_raised_together():
     problems = refused(effect("gyro_bais"), effect("gyro_bias", per="table"), effect("accel_bias", channels=("gx",)))
     assert len(problems) == 3
 
@@ -125,12 +125,12 @@ def test_all_problems_come_together():
         ("mounting", [f"gyro_bias.bias[g{a},{m}]" for a in "xyz" for m in ("flat", "pyramid", "x-up")]),
     ],
 )
-def test_who_shares_a_value(per, names):
+def test_axes_that_share_a_value(per, names):
     model = bind(ModelSpec("m", (effect("gyro_bias", per=per), NOISE)), campaign())
     assert list(model.layout.names) == names
 
 
-def test_the_equipment_says_how_wide_its_priors_are():
+def test_stated_uncertainties_are_prior_widths():
     model = bind(spec("mounting_error", "table_axis_tilt", "table_rate_error"), campaign())
     widths = {p.name: p.prior_sd for p in model.layout.parameters}
     assert widths["mounting_error.x[pyramid]"] == pytest.approx(300.0)
@@ -152,7 +152,7 @@ def test_names_and_units_are_those_of_the_interface():
     assert model.hyper_layout.names[0] == "white_noise.sigma[gx]"
 
 
-def test_a_free_tumble_brings_its_own_unknowns():
+def test_a_free_tumble_adds_its_nuisance_parameters():
     model = bind(spec("gyro_bias"), tumble_campaign())
     fields = {(p.effect, p.nuisance) for p in (*model.layout.parameters, *model.hyper_layout.parameters)}
     assert {("pose_attitude", True), ("tumble_heading", True), ("rotation_closure", True)} <= fields
@@ -160,8 +160,8 @@ def test_a_free_tumble_brings_its_own_unknowns():
 
 
 @pytest.mark.parametrize("name", ["gyro_scale_factor", "gyro_misalignment"])
-def test_a_free_tumble_shows_what_turning_shows(name):
-    """Carrying gravity from pose to pose determines the gyro's scale and axes."""
+def test_rotations_of_a_free_tumble_determine_scale_and_misalignment(name):
+    """The rotation integrated from pose to pose depends on scale and axes of the gyros."""
     model = bind(spec(name), tumble_campaign())
     reach = np.asarray(model.problem.sparsity.reach)
     closing = model.entries.closing

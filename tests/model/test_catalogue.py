@@ -1,4 +1,4 @@
-"""What effects of the catalogue make of a recorded row, against kinematics and formulas of plain NumPy."""
+"""Outputs predicted with each effect of the catalogue, against kinematics and formulas in plain NumPy."""
 
 import numpy as np
 import pytest
@@ -24,12 +24,12 @@ UG = 1e-6 * GRAVITY
 
 
 def outputs(name: str, run: str, channel: str, **values: float) -> np.ndarray:
-    """Return what a channel reads in each row of a run, in SI; values are of the table's or the channel's own."""
-    one = whole_catalogue()
+    """Return the predicted input of a channel in each row of a run, SI; values: parameters of it or of the tables."""
+    bound = whole_catalogue()
     found = predicted_with(name, channel, **values)
-    runs, channels = [r.name for r in one.campaign.runs], [c.name for c in one.campaign.channels]
-    chosen = (one.entries.run == runs.index(run)) & (one.entries.channel == channels.index(channel))
-    offset = one.campaign.channels[channels.index(channel)].offset
+    runs, channels = [r.name for r in bound.campaign.runs], [c.name for c in bound.campaign.channels]
+    chosen = (bound.entries.run == runs.index(run)) & (bound.entries.channel == channels.index(channel))
+    offset = bound.campaign.channels[channels.index(channel)].offset
     return (found[chosen] - offset) / (GYRO_SCALE if channel[0] == "g" else ACCEL_SCALE)
 
 
@@ -56,7 +56,7 @@ def test_an_encoder_harmonic_shifts_the_angle():
         np.testing.assert_allclose(found, force[:, place], rtol=1e-11, atol=1e-11)
 
 
-def test_an_encoder_that_errs_misjudges_the_rate_as_well():
+def test_an_encoder_harmonic_changes_the_table_rate():
     found = outputs("encoder_harmonic", "swept", "gx", sin_1=20.0, cos_1=0.0, sin_2=0.0, cos_2=0.0)
     run = next(r for r in wide_campaign().runs if r.name == "swept")
     rate, angle, span = (run.covariates[n] for n in ("table_rate", "table_angle", "table_angle_span"))
@@ -84,7 +84,7 @@ def test_a_wobble_turns_the_axis():
         np.testing.assert_allclose(found, earth[:, place], rtol=1e-9, atol=1e-15)
 
 
-def test_a_wobble_that_goes_round_with_the_table_is_a_mounting_error():
+def test_a_wobble_fixed_in_the_table_is_a_mounting_error():
     given = {"x_cos_1": 30.0, "y_sin_1": 30.0, "x_sin_1": 0.0, "y_cos_1": 0.0}
     wobbled = outputs("table_wobble", "head-flat-20", "az", **given)
     seated = predicted_with("mounting_error", "flat", x=30.0) / ACCEL_SCALE
@@ -94,13 +94,13 @@ def test_a_wobble_that_goes_round_with_the_table_is_a_mounting_error():
     np.testing.assert_allclose(wobbled, seated[chosen], atol=1e-6 * UG)
 
 
-def test_a_time_skew_turns_the_table_on():
+def test_a_time_skew_shifts_angle_and_rate():
     run = next(r for r in wide_campaign().runs if r.name == "swept")
     rate, acceleration = run.covariates["table_rate"], run.covariates["table_acceleration"]
     found = outputs("time_skew", "swept", "gx", skew=5.0) - outputs("time_skew", "swept", "gx", skew=0.0)
     np.testing.assert_allclose(found, acceleration * 0.005, rtol=1e-4)
     ahead = outputs("time_skew", "swept", "ay", skew=5.0)
-    # x along the axis: y reads gravity along table x, which is horizontal at angle 0.
+    # x along the axis: y measures gravity along table x, which is horizontal at angle 0.
     angle = run.covariates["table_angle"] + rate * 0.005 + 0.5 * acceleration * 0.005**2
     half = run.covariates["table_angle_span"] / 2
     np.testing.assert_allclose(ahead, -GRAVITY * np.sin(angle) * np.sin(half) / half, rtol=1e-7)
@@ -163,7 +163,7 @@ def test_signs_and_sizes(name, value, run, channel, row, expected):
     assert found == pytest.approx(expected, rel=1e-6, abs=1e-13)
 
 
-def test_a_rate_of_temperature_moves_the_bias():
+def test_a_temperature_rate_changes_the_bias():
     run = next(r for r in wide_campaign().runs if r.name == "cycle-slow")
     minutes, temperature = run.covariates["time"] / 60, run.covariates["temperature"]
     slope = [np.polyfit(minutes[k - 2 : k + 3], temperature[k - 2 : k + 3], 1)[0] for k in range(2, 14)]

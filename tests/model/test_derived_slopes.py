@@ -1,4 +1,4 @@
-"""Derived quantities: many at once, and their slopes against automatic differentiation."""
+"""Derived quantities of many points at once, and their Jacobian against automatic differentiation."""
 
 import jax
 import jax.numpy as jnp
@@ -12,16 +12,16 @@ from small_campaign import campaign, spec
 EFFECTS = ("mounting_error", "table_axis_tilt", "gyro_misalignment", "gyro_scale_factor", "converter_gain_drift")
 
 
-def test_slopes_and_batches_are_those_of_one_quantity_at_a_time():
+def test_batches_and_jacobian_agree_with_single_points():
     model = bind(spec(*EFFECTS), campaign())
     derived, problem = derived_quantities(model.assembly).derivation, model.problem
     points = np.random.default_rng(1).normal(size=(3, problem.size[0]))
 
     @jax.jit
-    def of_one(z):
-        return derived(values_of(problem, z)), jax.jacfwd(lambda one: derived(values_of(problem, one)))(z)
+    def at(z):
+        return derived(values_of(problem, z)), jax.jacfwd(lambda z: derived(values_of(problem, z)))(z)
 
-    values, slopes = of_one(jnp.asarray(points[1]))
+    values, slopes = at(jnp.asarray(points[1]))
     np.testing.assert_allclose(evaluate_derived(derived, problem, points)[1], values, rtol=1e-13)
     found = derived_jacobian(derived, problem, points[1])
     assert np.any(found != 0)

@@ -1,4 +1,4 @@
-"""The log density against scipy, the whitener against a dense Cholesky factor, sparse derivatives against dense."""
+"""The log density against SciPy, whitening against a dense Cholesky factor, sparse against dense derivatives."""
 
 from dataclasses import replace
 from functools import cache
@@ -31,7 +31,7 @@ def point(model: Model, seed: int) -> tuple[jax.Array, jax.Array]:
 
 
 def covariance(model: Model, h: np.ndarray) -> np.ndarray:
-    """Return the covariance of all entries, spelled out from names."""
+    """Return the covariance of all entries, element by element from the named hyperparameters."""
     values = dict(zip(model.hyper_layout.names, np.asarray(model.problem.hyper_priors.values(h)), strict=True))
     entries = model.entries
     runs = [run.name for run in model.campaign.runs]
@@ -48,7 +48,7 @@ def covariance(model: Model, h: np.ndarray) -> np.ndarray:
 
 
 def correlated_covariance(model: Model, h: np.ndarray) -> np.ndarray:
-    """Return the covariance of all entries with AR(1) along the rows of each run and channel, in the order of time."""
+    """Return the covariance of all entries with AR(1) noise within each run and channel, in order of time."""
     values = dict(zip(model.hyper_layout.names, np.asarray(model.problem.hyper_priors.values(h)), strict=True))
     entries = model.entries
     plain, whole = np.zeros((2, len(entries), len(entries)))
@@ -68,14 +68,13 @@ def correlated_covariance(model: Model, h: np.ndarray) -> np.ndarray:
 
 @cache
 def in_series() -> Model:
-    """Return correlated readings, with some missing and the rows of one run not in the order of time."""
+    """Return a model with correlated noise on data with missing values and a run not in order of time."""
     base = campaign()
     ramp = next(k for k, run in enumerate(base.runs) if run.name == "ramp")
     mixed = np.array([3, 0, 5, 1, 4, 2])
-    one = base.runs[ramp]
-    one = replace(one, covariates={name: column[mixed] for name, column in one.covariates.items()})
+    shuffled = {name: column[mixed] for name, column in base.runs[ramp].covariates.items()}
     noise = ("white_noise", "run_scatter", "correlated_noise")
-    runs = (base.runs[0], base.runs[3], one)
+    runs = (base.runs[0], base.runs[3], replace(base.runs[ramp], covariates=shuffled))
     plain = bind(spec("gyro_bias", "accel_bias", noise=noise), replace(base, runs=runs))
     among = simulated(plain, np.asarray(point(plain, 1)[0]), 2)
     observed = among.runs[1].observed.copy()
@@ -85,7 +84,7 @@ def in_series() -> Model:
     )
 
 
-def test_correlated_rows_have_the_density_of_their_covariance():
+def test_log_density_with_correlated_noise():
     model = in_series()
     z, h = point(model, 6)
     explicit = correlated_covariance(model, np.asarray(h))
@@ -98,7 +97,7 @@ def test_correlated_rows_have_the_density_of_their_covariance():
     assert float(density(model.problem, z, h)) == pytest.approx(data + prior, rel=1e-10)
 
 
-def test_what_correlated_rows_know_is_that_of_their_covariance():
+def test_precision_and_gradient_with_correlated_noise():
     model = in_series()
     z, h = point(model, 6)
     inverse = np.linalg.inv(correlated_covariance(model, np.asarray(h)))
@@ -110,7 +109,7 @@ def test_what_correlated_rows_know_is_that_of_their_covariance():
     assert float(found.square) == pytest.approx(misfit @ inverse @ misfit, rel=1e-10)
 
 
-def test_each_of_correlated_entries_has_its_conditional_density():
+def test_conditional_densities_of_correlated_entries():
     model = in_series()
     z, h = point(model, 6)
     explicit = correlated_covariance(model, np.asarray(h))
@@ -127,7 +126,7 @@ def test_each_of_correlated_entries_has_its_conditional_density():
         assert float(found.group[group]) == pytest.approx(whole, rel=1e-9)
 
 
-def test_simulated_rows_are_correlated_as_the_likelihood_assumes():
+def test_simulated_noise_has_the_correlation_of_the_likelihood():
     found = []
     for noise in (("white_noise",), ("white_noise", "correlated_noise")):
         model = bind(spec("gyro_bias", noise=noise), in_series().campaign)
@@ -149,17 +148,17 @@ def test_a_masked_entry_leaves_a_gap_in_its_series():
     assert float(small) == pytest.approx(data + stats.norm.logpdf(np.concatenate([z, h])).sum(), rel=1e-10)
 
 
-def test_the_density_of_correlated_rows_has_derivatives_where_nothing_correlates():
+def test_the_gradient_is_finite_at_zero_correlation():
     model = in_series()
     z, h = point(model, 8)
     low = h.at[jnp.asarray([n.startswith("correlated") for n in model.hyper_layout.names])].set(-40.0)
-    gradient = jax.jit(jax.grad(lambda one: log_density(model.problem, z, one)))(low)
+    gradient = jax.jit(jax.grad(lambda at: log_density(model.problem, z, at)))(low)
     assert np.all(np.isfinite(gradient))
 
 
 @cache
 def measured() -> Model:
-    """Return all effects on simulated outputs, with some values missing."""
+    """Return the model of all effects on simulated outputs, with a missing value."""
     plain = full_model()
     among = simulated(plain, np.asarray(point(plain, 1)[0]), 2)
     observed = among.runs[0].observed.copy()
@@ -175,22 +174,22 @@ def tumbling() -> Model:
 def test_the_sparse_derivative_is_the_dense_one():
     model = measured()
     z, _ = point(model, 3)
-    dense = jax.jit(jax.jacfwd(lambda one: predict(model.problem, one)))(z)
+    dense = jax.jit(jax.jacfwd(lambda at: predict(model.problem, at)))(z)
     sparse = eqx.filter_jit(predict_with_jacobian)(model.problem, z)[1]
     np.testing.assert_allclose(sparse, dense, rtol=1e-12, atol=1e-12 * np.abs(dense).max())
     colours = model.problem.sparsity.seeds.shape[0]
-    assert colours < len(model.layout), "nothing was gained by the sparsity"
+    assert colours < len(model.layout), "the colouring saves nothing"
 
 
 def test_the_sparse_derivative_of_a_tumble_is_the_dense_one():
     model = tumbling()
     z, _ = point(model, 3)
-    dense = jax.jit(jax.jacfwd(lambda one: predict(model.problem, one)))(z)
+    dense = jax.jit(jax.jacfwd(lambda at: predict(model.problem, at)))(z)
     sparse = eqx.filter_jit(predict_with_jacobian)(model.problem, z)[1]
     np.testing.assert_allclose(sparse, dense, rtol=1e-12, atol=1e-12 * np.abs(dense).max())
 
 
-def test_the_whitener_is_a_root_of_the_inverse_covariance():
+def test_whitening_is_a_root_of_the_inverse_covariance():
     model = measured()
     _, h = point(model, 4)
     explicit = covariance(model, np.asarray(h))
@@ -205,7 +204,7 @@ def test_the_whitener_is_a_root_of_the_inverse_covariance():
 
 
 @pytest.mark.parametrize("kind", ["tables", "tumble"])
-def test_the_log_density_is_that_of_scipy(kind):
+def test_the_log_density_agrees_with_scipy(kind):
     model = measured() if kind == "tables" else tumbling()
     z, h = point(model, 6)
     misfit = np.asarray(model.problem.observations.value - predict(model.problem, z))
@@ -214,7 +213,7 @@ def test_the_log_density_is_that_of_scipy(kind):
     assert float(density(model.problem, z, h)) == pytest.approx(data + prior, rel=1e-10)
 
 
-def test_a_learnt_spread_is_the_width_of_its_parameters():
+def test_a_learnt_spread_is_the_prior_width_of_its_parameters():
     model = bind(spec("gyro_run_bias"), campaign())
     z, h = point(model, 7)
     spreads = dict(zip(model.hyper_layout.names, model.problem.hyper_priors.values(h), strict=True))
@@ -253,13 +252,13 @@ def test_a_missing_value_is_no_entry():
     assert len(measured().entries) == len(full_model().entries) - 1
 
 
-def test_a_stack_of_units_has_the_densities_of_each():
+def test_batched_problems_have_the_densities_of_each():
     model = measured()
     z, h = point(model, 9)
     other = eqx.tree_at(lambda p: p.observations.value, model.problem, model.problem.observations.value + 1.0)
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), model.problem, other)
-    both = jax.jit(jax.vmap(lambda one: log_density(one, z, h)))(stacked)
-    alone = [float(density(one, z, h)) for one in (model.problem, other)]
+    both = jax.jit(jax.vmap(lambda problem: log_density(problem, z, h)))(stacked)
+    alone = [float(density(problem, z, h)) for problem in (model.problem, other)]
     np.testing.assert_allclose(both, alone, rtol=1e-12)
 
 
@@ -271,7 +270,7 @@ def test_half_the_squared_residual_is_the_log_density_at_fixed_noise():
     assert float(change) == pytest.approx(float(drop), rel=1e-9)
 
 
-def test_the_public_log_density_is_the_one_that_is_sampled():
+def test_the_public_log_density_is_the_sampled_one():
     model = measured()
     z, h = point(model, 3)
     both = jnp.concatenate([z, h])
@@ -287,7 +286,7 @@ def test_the_public_log_density_is_the_one_that_is_sampled():
     assert np.all(np.isfinite(gradient))
 
 
-def test_parameters_in_their_units_go_to_z_and_back():
+def test_units_to_z_and_back():
     model = measured()
     z = jnp.concatenate(point(model, 4))
     values = np.asarray(model.to_units(z))

@@ -1,4 +1,4 @@
-"""Effects with a memory, and rates of temperature, against loops of plain NumPy."""
+"""Effects with memory, and temperature rates, against loops in plain NumPy."""
 
 from dataclasses import replace
 from functools import cache
@@ -16,28 +16,28 @@ from small_campaign import DEGREE, GYRO_SCALE, predicted_with, spec, tumble_camp
 HOUR_DEGREE = DEGREE / 3600
 
 
-def change(name: str, run: str, channel: str, one: Model | None = None, **values: float) -> np.ndarray:
+def change(name: str, run: str, channel: str, bound: Model | None = None, **values: float) -> np.ndarray:
     """Return what an effect adds to a gyro in each row of a run, deg/h; among all effects unless a model is given."""
-    if one is None:
-        one = whole_catalogue()
+    if bound is None:
+        bound = whole_catalogue()
         there, here = predicted_with(name, channel, **values), predicted_with(name, "")
     else:
-        moved = np.zeros(len(one.layout))
-        for place, parameter in enumerate(one.layout.parameters):
+        moved = np.zeros(len(bound.layout))
+        for place, parameter in enumerate(bound.layout.parameters):
             if parameter.name.startswith(f"{name}.") and parameter.label == (channel,):
                 moved[place] = parameter.prior.z(values[parameter.field] * parameter.factor)
-        there, here = (predict(one.problem, jnp.asarray(z)) for z in (moved, 0.0 * moved))
-    names, channels = [r.name for r in one.campaign.runs], [c.name for c in one.campaign.channels]
-    chosen = (one.entries.run == names.index(run)) & (one.entries.channel == channels.index(channel))
+        there, here = (predict(bound.problem, jnp.asarray(z)) for z in (moved, 0.0 * moved))
+    names, channels = [r.name for r in bound.campaign.runs], [c.name for c in bound.campaign.channels]
+    chosen = (bound.entries.run == names.index(run)) & (bound.entries.channel == channels.index(channel))
     return np.asarray(there - here)[chosen] / GYRO_SCALE / HOUR_DEGREE
 
 
 def covariate(run: str, name: str) -> np.ndarray:
-    return next(one for one in wide_campaign().runs if one.name == run).covariates[name]
+    return next(each for each in wide_campaign().runs if each.name == run).covariates[name]
 
 
 def lagged(time: np.ndarray, temperature: np.ndarray, tau: float) -> np.ndarray:
-    """Return the temperature behind a first-order lag, by many small steps between the instants."""
+    """Return the temperature after a first-order lag, integrated in small steps."""
     inside, found = temperature[0], [temperature[0]]
     steps = 20000
     for k in range(1, len(time)):
@@ -56,7 +56,7 @@ def test_a_thermal_lag_is_the_solution_of_its_equation(run):
 
 
 @pytest.mark.parametrize("run", ["cycle-fast", "cycle-up"])
-def test_hysteresis_is_dragged_between_two_stops(run):
+def test_hysteresis_follows_the_play_operator(run):
     temperature, play = covariate(run, "temperature"), 4.0
     middle, expected = temperature[0], []
     for now in temperature:
@@ -80,29 +80,29 @@ def with_a_converter_of_its_own() -> Model:
     return bind(spec("converter_offset_lag", "converter_gain_hysteresis", "gyro_scale_factor"), among)
 
 
-def test_the_memory_of_a_converter_is_of_its_own_temperature():
-    one = with_a_converter_of_its_own()
-    run = next(one for one in one.campaign.runs if one.name == "cycle-fast")
+def test_a_converter_lag_follows_the_converter_temperature():
+    bound = with_a_converter_of_its_own()
+    run = next(each for each in bound.campaign.runs if each.name == "cycle-fast")
     time, course = run.covariates["time"], run.covariates["converter_temperature"]
     found = (
-        change("converter_offset_lag", "cycle-fast", "gy", one, coefficient=0.02, tau=12.0) * GYRO_SCALE * HOUR_DEGREE
+        change("converter_offset_lag", "cycle-fast", "gy", bound, coefficient=0.02, tau=12.0) * GYRO_SCALE * HOUR_DEGREE
     )
     np.testing.assert_allclose(found, 0.02 * (lagged(time, course, 720.0) - course), atol=2e-5)
 
 
-def test_hysteresis_of_a_converters_gain_multiplies_its_input():
-    one = with_a_converter_of_its_own()
-    run = next(one for one in one.campaign.runs if one.name == "cycle-fast")
+def test_converter_gain_hysteresis_scales_the_input():
+    bound = with_a_converter_of_its_own()
+    run = next(each for each in bound.campaign.runs if each.name == "cycle-fast")
     middle, place = run.covariates["converter_temperature"][0], []
     for now in run.covariates["converter_temperature"]:
         middle = min(max(middle, now - 4.0), now + 4.0)
         place.append((now - middle) / 4.0)
-    found = change("converter_gain_hysteresis", "cycle-fast", "gy", one, half_width=50.0, play=4.0)
-    earth = change("gyro_scale_factor", "cycle-fast", "gy", one, scale=1e6)
+    found = change("converter_gain_hysteresis", "cycle-fast", "gy", bound, half_width=50.0, play=4.0)
+    earth = change("gyro_scale_factor", "cycle-fast", "gy", bound, scale=1e6)
     np.testing.assert_allclose(found, 50e-6 * earth * np.array(place), rtol=1e-9, atol=1e-9)
 
 
-def test_memory_does_not_hang_on_the_order_of_rows():
+def test_memory_is_independent_of_the_order_of_rows():
     among = wide_campaign()
     place = [run.name for run in among.runs].index("cycle-fast")
     run, mixed = among.runs[place], np.random.default_rng(1).permutation(16)
@@ -113,7 +113,7 @@ def test_memory_does_not_hang_on_the_order_of_rows():
     np.testing.assert_allclose(found, plain[mixed], atol=1e-9)
 
 
-def test_a_run_does_not_remember_the_one_before():
+def test_memory_starts_anew_in_each_run():
     alone = bind(spec("gyro_thermal_lag"), wide_campaign().only("cycle-slow"))
     found = change("gyro_thermal_lag", "cycle-slow", "gy", alone, coefficient=3.0, tau=12.0)
     np.testing.assert_allclose(
@@ -121,21 +121,21 @@ def test_a_run_does_not_remember_the_one_before():
     )
 
 
-def test_a_tumble_carries_the_memory_of_its_poses():
+def test_transitions_of_a_tumble_have_the_memory_of_the_poses():
     among = tumble_campaign()
     (run,) = among.runs
     warmed = replace(run, covariates=dict(run.covariates) | {"temperature": np.array([20.0, 30, 41, 38, 50])})
-    one = bind(spec("gyro_thermal_lag"), replace(among, runs=(warmed,)))
+    bound = bind(spec("gyro_thermal_lag"), replace(among, runs=(warmed,)))
     at = {"coefficient": 100.0, "tau": 1.0}
-    z = jnp.asarray(one.layout.z_of(np.array([at.get(p.field, 0.0) for p in one.layout.parameters])))
-    closing = np.asarray(one.entries.closing)
-    transition = one.entries.row[closing]
-    moved = np.abs(np.asarray(predict(one.problem, z) - predict(one.problem, z * 0))[closing])
-    assert moved[transition == 0].max() < 1e-12, "nothing was behind in the first pose"
+    z = jnp.asarray(bound.layout.z_of(np.array([at.get(p.field, 0.0) for p in bound.layout.parameters])))
+    closing = np.asarray(bound.entries.closing)
+    transition = bound.entries.row[closing]
+    moved = np.abs(np.asarray(predict(bound.problem, z) - predict(bound.problem, z * 0))[closing])
+    assert moved[transition == 0].max() < 1e-12, "the first pose starts in equilibrium"
     assert all(moved[transition == k].max() > 1e-6 for k in (1, 2, 3))
 
 
-def test_a_rate_of_temperature_is_that_of_a_straight_line():
+def test_the_rate_of_a_linear_temperature_is_exact():
     time = np.array([0.0, 60, 130, 190, 400, 460])
     np.testing.assert_allclose(rate_of_change(time, 20 + 0.01 * time), 0.01, rtol=1e-12)
     shuffled = np.array([3, 0, 5, 1, 4, 2])
@@ -145,7 +145,7 @@ def test_a_rate_of_temperature_is_that_of_a_straight_line():
     np.testing.assert_array_equal(rate_of_change(time[shuffled], curved[shuffled]), found[shuffled])
 
 
-def test_a_rate_of_temperature_is_not_that_of_the_thermometers_noise():
+def test_the_temperature_rate_suppresses_thermometer_noise():
     time = np.arange(2000) * 10.0
     truth = 12 * 2 * np.pi / 20000 * np.cos(2 * np.pi * time / 20000)
     recorded = 25 + 12 * np.sin(2 * np.pi * time / 20000) + 0.1 * np.random.default_rng(3).normal(size=2000)

@@ -1,4 +1,4 @@
-"""What a perfect unit reads, by hand, and the signs of a few effects."""
+"""Outputs of an ideal unit, worked out by hand, and the signs of a few effects."""
 
 import numpy as np
 import pytest
@@ -26,15 +26,15 @@ def outputs(run: str, channel: str, effect: str = "gyro_bias", label: str = "", 
 
     All effects of the catalogue are in the model, at their nulls but for what is given.
     """
-    one = whole_catalogue()
+    bound = whole_catalogue()
     predicted = predicted_with(effect, label, **values)
-    runs, channels = [r.name for r in one.campaign.runs], [c.name for c in one.campaign.channels]
-    chosen = (one.entries.run == runs.index(run)) & (one.entries.channel == channels.index(channel))
+    runs, channels = [r.name for r in bound.campaign.runs], [c.name for c in bound.campaign.channels]
+    chosen = (bound.entries.run == runs.index(run)) & (bound.entries.channel == channels.index(channel))
     scale = GYRO_SCALE if channel[0] == "g" else ACCEL_SCALE
     return (predicted[chosen] - OFFSET[channel]) / scale
 
 
-def test_a_unit_at_rest_reads_gravity_up_and_the_earth_rate():
+def test_a_unit_at_rest_measures_gravity_and_earth_rate():
     assert outputs("rate-flat", "az")[0] == pytest.approx(GRAVITY)
     assert outputs("rate-flat", "ax")[0] == pytest.approx(0.0, abs=1e-12)
     assert outputs("rate-flat", "gz")[0] == pytest.approx(UP, rel=1e-9)
@@ -42,7 +42,7 @@ def test_a_unit_at_rest_reads_gravity_up_and_the_earth_rate():
     assert outputs("rate-flat", "gx")[0] == pytest.approx(0.0, abs=1e-15)
 
 
-def test_whole_turns_leave_the_vertical_earth_rate_alone():
+def test_whole_turns_average_out_the_horizontal_earth_rate():
     rates = campaign().runs[0].covariates["table_rate"]
     np.testing.assert_allclose(outputs("rate-flat", "gz"), rates + UP, rtol=1e-9)
     turning = rates != 0
@@ -58,7 +58,7 @@ def test_the_pyramid_shares_rate_and_gravity_equally():
         assert resting == pytest.approx(GRAVITY / np.sqrt(3), rel=1e-9)
 
 
-def test_a_dividing_head_turns_gravity_through_the_unit():
+def test_gravity_on_a_dividing_head():
     # Axis horizontal, flat seat: table y points down at angle 0 (elevation 0: y_t = −Up), so f_x = −g sin φ.
     angle = np.arange(8) * np.pi / 4 + 0.1
     np.testing.assert_allclose(outputs("head-flat-20", "ax"), -GRAVITY * np.sin(angle), atol=1e-12)
@@ -69,7 +69,7 @@ def test_a_dividing_head_turns_gravity_through_the_unit():
 def test_an_injected_current_stands_for_its_acceleration():
     np.testing.assert_allclose(outputs("inject", "ax"), 12 * GRAVITY, rtol=1e-12)
     spoiled = outputs("inject", "ax", "accel_scale_factor", "ax", scale=500.0)
-    np.testing.assert_allclose(spoiled, 12 * GRAVITY, rtol=1e-12)  # the sensor has no part in it
+    np.testing.assert_allclose(spoiled, 12 * GRAVITY, rtol=1e-12)  # the current bypasses the sensor
 
 
 @pytest.mark.parametrize(
@@ -85,12 +85,12 @@ def test_an_injected_current_stands_for_its_acceleration():
         ("injection_error", "gain[ax]", 10.0, "inject", "ax", 0, 12 * GRAVITY * (1 + 1e-5)),
         ("injection_error", "offset[ax]", 12.0, "inject", "ax", 0, 12 * GRAVITY * (1 + 1e-6)),
         ("table_rate_error", "rate_error[rate]", 5.0, "rate-flat", "gz", 1, RATE * (1 + 5e-6) + UP),
-        # z leans toward O = x by ε: it sees ε times what x sees.
+        # z is tilted toward O = x by ε: it measures ε times the input of x.
         ("accel_misalignment", "toward_o[az]", 100.0, "head-flat-20", "az", 2, -GRAVITY * np.cos(0.1) * 100 * ARCSEC),
-        # The body turned by +ε about x has its y axis lifted: y reads +g·ε.
+        # The body turned by +ε about x has its y axis raised: y measures +g·ε.
         ("mounting_error", "x[flat]", 100.0, "rate-flat", "ay", 0, GRAVITY * np.sin(100 * ARCSEC)),
         ("table_axis_tilt", "x[rate]", 10.0, "rate-flat", "ay", 0, GRAVITY * np.sin(10 * ARCSEC)),
-        # Off the axis by r along x, an accelerometer along x feels −Ω² r.
+        # At r along x from the axis, an accelerometer along x measures −Ω² r.
         ("lever_arm", "x[ax]", 10.0, "rate-flat", "ax", 1, -(RATE**2) * 0.010),
     ],
 )  # fmt: skip

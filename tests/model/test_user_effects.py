@@ -1,4 +1,4 @@
-"""An effect of the user's own, from a file beside the model."""
+"""User effects, from a file beside the model."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -36,7 +36,7 @@ def model_of(*names: str, files: tuple = ()) -> ModelSpec:
     return ModelSpec("own", effects, tuple(map(str, files)))
 
 
-def test_it_takes_part_like_any_other(tmp_path):
+def test_a_user_effect_is_bound_and_predicted(tmp_path):
     file = tmp_path / "house.py"
     file.write_text(SOURCE, encoding="utf-8")
     model = bind(model_of("house_asymmetry", files=(file,)), campaign())
@@ -44,7 +44,7 @@ def test_it_takes_part_like_any_other(tmp_path):
     rest, at = (predict(model.problem, jnp.asarray(z)) for z in ([0.0, 0, 0], [0.0, 0, 1]))
     change = np.asarray(at - rest)
     gz = (model.entries.channel == 2) & (model.entries.run == 0)
-    # 100 ppm of |±100 °/s| at 1000 pulses per degree, whichever the direction
+    # 100 ppm of |±100 °/s| at 1000 pulses per degree, in both directions
     np.testing.assert_allclose(change[gz][1:3], 10.0, rtol=1e-3)
     assert not change[model.entries.channel != 2].any()
 
@@ -90,7 +90,7 @@ def test_a_name_without_its_file_is_unknown():
         ("exit(3)", "SystemExit"),
     ],
 )
-def test_a_class_that_fails_is_named_before_anything_is_fitted(tmp_path, returned, what):
+def test_a_class_that_fails_is_reported_before_the_fit(tmp_path, returned, what):
     file = tmp_path / "house.py"
     file.write_text(SOURCE.replace("signal + self.asymmetry * jnp.abs(sample.rate[0])", returned), encoding="utf-8")
     with pytest.raises(InputError) as caught:
@@ -102,7 +102,7 @@ def test_a_class_that_fails_is_named_before_anything_is_fitted(tmp_path, returne
     assert "jnp.where" in problem.remedy
 
 
-def test_a_file_that_leaves_is_refused(tmp_path):
+def test_a_file_that_exits_is_refused(tmp_path):
     (tmp_path / "house.py").write_text("raise SystemExit(3)")
     with pytest.raises(InputError, match="SystemExit"):
         bind(model_of("gyro_bias", files=(tmp_path / "house.py",)), campaign())

@@ -1,18 +1,17 @@
-"""Adding a procedure is adding one record: check, simulate, fit, compare and the textbook then know it."""
+"""Adding a procedure is adding one record: check, simulate, fit, compare and classical then know it."""
+
+import json
 
 import numpy as np
 import pytest
 
-from imubayes.campaign import inspect_campaign, load_campaign
+from imubayes.campaign import inspect_campaign
+from imubayes.cli.main import run
 from imubayes.display.figures.measurement import driver
-from imubayes.inference.run_fit import joint_fit
-from imubayes.model.bind import bind
-from imubayes.model.model_file import read_model
 from imubayes.procedures import PROCEDURES, Procedure, Reduction
-from imubayes.procedures.classical import classical
 from imubayes.procedures.planned_steps import PlannedRows, PlanRules
 from imubayes.procedures.textbook import Estimate, measured
-from imubayes.results.residuals import residuals_of
+from imubayes.results.result import read_result
 from imubayes.simulation.simulated_campaign import simulate_plan
 
 PLAN = """\
@@ -66,9 +65,9 @@ def _planned_rows(steps):
 
 def _mean(campaign, runs):
     return [
-        Estimate(f"accel_bias.bias[{channel.name}]", run.name, float(np.mean(output)), 0.0, "ug", "mean of two points")
-        for run in runs
-        for channel, output in measured(run, campaign, "accelerometer")
+        Estimate(f"accel_bias.bias[{channel.name}]", each.name, float(np.mean(output)), 0.0, "ug", "mean of two points")
+        for each in runs
+        for channel, output in measured(each, campaign, "accelerometer")
     ]
 
 
@@ -91,17 +90,27 @@ def campaign_folder(tmp_path, monkeypatch):
     return simulate_plan(tmp_path / "plan.toml", tmp_path / "campaign")
 
 
-def test_a_registered_procedure_is_planned_read_fitted_compared_and_evaluated(campaign_folder):
-    inspection = inspect_campaign(campaign_folder)
-    assert inspection.issues == ()
-    campaign = load_campaign(campaign_folder)
-    assert campaign.runs[0].procedure == "two_positions"
-    (estimate,) = classical(campaign)
-    assert isinstance(estimate, Estimate)
-    model = bind(read_model(campaign_folder.parent / "model.toml"), campaign)
-    residuals = residuals_of(joint_fit(model, None)).table
-    assert np.abs(residuals["whitened"].to_numpy()).max() < 5
-    assert driver(residuals).name == "table_angle"
+def test_a_registered_procedure_goes_through_every_command(campaign_folder, tmp_path, capsys):
+    campaign, model, result = (str(tmp_path / name) for name in ("campaign", "model.toml", "result"))
+    assert campaign == str(campaign_folder)
+    for words in (
+        ["check", campaign, "--model", model],
+        ["fit", campaign, "--model", model, "--out", result, "--no-sample"],
+        ["compare", result],
+        ["classical", campaign, "--result", result, "--json-output"],
+    ):
+        capsys.readouterr()
+        assert run(words) == 0, words
+    found = read_result(result)
+    assert {*found.residuals.table["procedure"]} == {"two_positions"}
+    assert np.abs(found.residuals.table["whitened"].to_numpy()).max() < 5
+    assert driver(found.residuals.table).name == "table_angle"
+    captions = json.loads((tmp_path / "result" / "figures" / "captions.json").read_text())
+    assert {"run-two_points.png", "residuals-table-angle.png"} <= set(captions)
+    assert all((tmp_path / "result" / "figures" / name).is_file() for name in captions)
+    (estimate,) = json.loads(capsys.readouterr().out)["estimates"]
+    assert (estimate["name"], estimate["method"]) == ("accel_bias.bias[ax]", "mean of two points")
+    assert abs(estimate["difference"]) < 5 * estimate["joint"]["sd"]
 
 
 def test_what_a_record_asks_for_is_missed(campaign_folder):
