@@ -21,7 +21,6 @@ Scalars = Float[Array, "*batch"]
 Vectors = Float[Array, "*batch 3"]
 Matrices = Float[Array, "*batch 3 3"]
 Flag = Bool[Array, ""]
-Index = Int[Array, ""]
 
 
 def vector3(x: Scalar, y: Scalar, z: Scalar) -> Vector3:
@@ -34,7 +33,6 @@ __all__ = [
     "Bool",
     "Flag",
     "Float",
-    "Index",
     "Int",
     "Matrices",
     "Matrix3",

@@ -50,12 +50,7 @@ def write_text(file: Path, text: str) -> None:
 
 def write_json(file: Path, value: Any) -> None:
     """Write a JSON file; raises ValueError for a non-finite number."""
-    write_text(file, json_text(value))
-
-
-def json_text(value: Any) -> str:
-    """Return a value as the text of a JSON file; raises ValueError for a non-finite number."""
-    return json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    write_text(file, json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 @contextmanager

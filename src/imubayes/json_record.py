@@ -10,6 +10,10 @@ class Record(BaseModel):
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 
+    def json_text(self) -> str:
+        """Return the record as the text of a JSON file."""
+        return self.model_dump_json(indent=1) + "\n"
+
 
 def finite(value: float) -> float | None:
     """Return a number for JSON; None for a non-finite value."""

@@ -88,7 +88,7 @@ def noise_floor(model: Model) -> tuple[ChannelRms, ...]:
 
 def write_node(folder: Path, node: Node) -> None:
     """Write `history.json` of a result folder."""
-    write_text(folder / HISTORY, node.model_dump_json(indent=1) + "\n")
+    write_text(folder / HISTORY, node.json_text())
 
 
 def read_node(folder: Path) -> Node:

@@ -18,7 +18,7 @@ DIAGNOSIS, ADDITION, ADDED_VARIABLE = "diagnosis.json", "addition.json", "added_
 
 def write_diagnosis(folder: Path, diagnosis: Diagnosis) -> None:
     """Keep a diagnosis in the folder of the result that was diagnosed."""
-    write_text(folder / DIAGNOSIS, diagnosis.model_dump_json(indent=1) + "\n")
+    write_text(folder / DIAGNOSIS, diagnosis.json_text())
 
 
 def read_diagnosis(folder: Path) -> Diagnosis | None:
@@ -29,7 +29,7 @@ def read_diagnosis(folder: Path) -> Diagnosis | None:
 def write_addition(folder: Path, addition: Addition, added_variable: pl.DataFrame) -> None:
     """Keep the record of an addition and its added-variable plot in the folder of the refit."""
     added_variable.write_parquet(folder / ADDED_VARIABLE)
-    write_text(folder / ADDITION, addition.model_dump_json(indent=1) + "\n")
+    write_text(folder / ADDITION, addition.json_text())
 
 
 def read_addition(folder: Path) -> Addition | None:

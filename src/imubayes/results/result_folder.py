@@ -9,7 +9,7 @@ from pathlib import Path
 import polars as pl
 import tomlkit
 
-from imubayes.atomic_files import json_text, replacing_files
+from imubayes.atomic_files import replacing_files
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_tree import posterior_tree
@@ -36,8 +36,8 @@ def write_result(folder: Path, fit: Fit, summary: Summary, residuals: Residuals,
     What an earlier fit wrote is replaced; other files of the folder stay.
     """
     with replacing_files(folder, last=SUMMARY) as scratch:
-        (scratch / SUMMARY).write_text(json_text(summary.model_dump(mode="json")), encoding="utf-8")
-        (scratch / FIT).write_text(json_text(fit_record(fit, folder, seed).model_dump(mode="json")), encoding="utf-8")
+        (scratch / SUMMARY).write_text(summary.json_text(), encoding="utf-8")
+        (scratch / FIT).write_text(fit_record(fit, folder, seed).json_text(), encoding="utf-8")
         residuals.table.write_parquet(scratch / RESIDUALS)
         (scratch / MODEL).write_text(model_text(fit.model.spec), encoding="utf-8")
         for file in fit.model.spec.files:

@@ -21,7 +21,7 @@ from imubayes.inference.posterior_tree import in_units
 from imubayes.inference.prior_agreement import prior_conflicts
 from imubayes.inference.procedure_contributions import contributions
 from imubayes.json_record import finite
-from imubayes.model.derived_quantities import derived_jacobian
+from imubayes.model.derived_quantities import DerivedQuantity, derived_jacobian
 from imubayes.procedures.converter_temperature import THRESHOLD
 from imubayes.results.prior_scatter import prior_scatter
 from imubayes.results.residuals import Residuals
@@ -116,25 +116,36 @@ def _diagnostics(fit: Fit, place: int) -> dict[str, Any]:
 
 
 def _derived(fit: Fit) -> tuple[DerivedSummary, ...]:
+    """Return one line per derived quantity; estimates are None where the fit did not converge."""
+    names = fit.derived.names
+    if fit.posterior is None:
+        return tuple(DerivedSummary(name=n.name, unit=n.unit, within=_conformance(fit, n, None)) for n in names)
     lines = []
-    limits = (fit.model.spec.delta_k_threshold, fit.model.campaign.delta_k_threshold, THRESHOLD)
-    limit = 100 * next(each for each in limits if each is not None)
-    for place, name in enumerate(fit.derived.names):
-        # What the textbook decides by a number without uncertainty: whether the 1 g line may stand for this input.
-        threshold = limit if name.name.startswith("delta_k[") else None
-        found: dict[str, Any] = {}
-        draws = None
-        if fit.posterior is not None:
-            draws, prior = fit.posterior.derived[:, place], fit.posterior.prior_derived[:, place]
-            found = _estimate(draws) | {"prior_sd": float(prior.std())}
-            # What no parameter reaches is neither the data's nor a prior's.
-            if float(np.ptp(prior)) > _ROUNDING * float(np.max(np.abs(prior))):
-                found["from_data"] = float(from_data(float(np.var(draws)), float(np.var(prior))))
-        if threshold is not None:
-            within = None if draws is None else float(np.mean(draws <= threshold))
-            found["within"] = Conformance(threshold=threshold, unit=name.unit, probability=within)
-        lines.append(DerivedSummary(name=name.name, unit=name.unit, **found))
+    for name, draws, prior in zip(names, fit.posterior.derived.T, fit.posterior.prior_derived.T, strict=True):
+        # A quantity that no parameter changes has no share from the data.
+        reached = float(np.ptp(prior)) > _ROUNDING * float(np.max(np.abs(prior)))
+        share = float(from_data(float(np.var(draws)), float(np.var(prior)))) if reached else None
+        lines.append(
+            DerivedSummary(
+                name=name.name,
+                unit=name.unit,
+                prior_sd=float(prior.std()),
+                from_data=share,
+                within=_conformance(fit, name, draws),
+                **_estimate(draws),
+            )
+        )
     return tuple(lines)
+
+
+def _conformance(fit: Fit, quantity: DerivedQuantity, draws: np.ndarray | None) -> Conformance | None:
+    """Return how probably a Δk is below the threshold up to which the 1 g line applies; None for other quantities."""
+    if not quantity.name.startswith("delta_k["):
+        return None
+    stated = (fit.model.spec.delta_k_threshold, fit.model.campaign.delta_k_threshold, THRESHOLD)
+    threshold = 100 * next(each for each in stated if each is not None)
+    within = None if draws is None else float(np.mean(draws <= threshold))
+    return Conformance(threshold=threshold, unit=quantity.unit, probability=within)
 
 
 def _weak(fit: Fit, precision: np.ndarray) -> list[WeakDirection]:
