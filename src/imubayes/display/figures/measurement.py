@@ -82,12 +82,12 @@ def measurement_figure(residuals: pl.DataFrame, run: str, channels: Sequence[str
 
 def driver(recorded: pl.DataFrame) -> Covariate:
     """Return what drives a run: the covariate its procedure varies, as far as it is there and varies."""
-    keys = (*_procedure(recorded).abscissae, *(known.name for known in shown()))
+    keys = (*_procedure(recorded).abscissae, *(each.name for each in shown()))
     for key in dict.fromkeys(keys):
-        one = covariate(key)
-        values = numbers(recorded, one.column)
+        known = covariate(key)
+        values = numbers(recorded, known.column)
         if key == "row" or (varies(values) and np.isfinite(values).mean() > 0.9):
-            return one
+            return known
     return covariate("row")
 
 
