@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -82,7 +83,7 @@ def test_pictures_are_there():
 def test_python_runs_as_written(like_the_repository, capsys):
     blocks = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
     code = "\n".join(block for block in blocks if "SignalEffect" not in block)
-    names = {"__name__": "__main__"}
+    names: dict[str, Any] = {"__name__": "__main__"}
     exec(compile(code, "README.md", "exec"), names)
     assert "converter_gain_drift" in capsys.readouterr().out
     assert names["samples"].converged
