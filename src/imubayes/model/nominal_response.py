@@ -11,6 +11,7 @@ decides (`imubayes.criticism.candidate_effects`).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import equinox as eqx
@@ -34,7 +35,7 @@ from imubayes.signal_path_state import Ambient, Experience, Motion, Sample
 # A relative change of the input below this is the rounding error of the signal path.  Numerical.
 _ROUNDING = 1e-12
 # Instants of a run spread evenly, size of a block, and the least input that a change is measured against, SI.
-_EVEN_INSTANTS, _BLOCK, _LEAST_INPUT = 4, 64, 1e-6
+_EVEN_INSTANTS, _BLOCK, _LEAST_INPUT = 4, 256, 1e-6
 
 
 class Place(eqx.Module):
@@ -53,28 +54,71 @@ class Place(eqx.Module):
     gyro: np.ndarray
     injected: np.ndarray
     indirect: np.ndarray
-    axes: Array
-    scale: Array
-    equivalent: Array
+    axes: np.ndarray
+    scale: np.ndarray
+    equivalent: np.ndarray
 
 
-class NominalSamples(eqx.Module):
-    """What the channels experience nominally at one block of instants.
+class Felt(eqx.Module):
+    """What the channels experience.
+
+    Attributes
+    ----------
+    experience, sample : along the signal path, leaves (P, …).
+    signal, size : shape (P,), the input along the input axis, and its size in all directions, SI.
+    """
+
+    experience: Experience
+    sample: Sample
+    signal: Array
+    size: Array
+
+
+@dataclass(frozen=True)
+class NominalSamples:
+    """What the channels experience nominally at one block of instants; worked out where it is asked for.
 
     Attributes
     ----------
     place : run and channel of each.
-    motion, ambient, experience, sample : along the signal path, leaves (P, …).
-    signal, size : shape (P,), the input along the input axis, and its size in all directions, SI.
+    motion, ambient : along the signal path, leaves (P, …).
     """
 
     place: Place
     motion: Motion
     ambient: Ambient
-    experience: Experience
-    sample: Sample
-    signal: Array
-    size: Array
+
+    @cached_property
+    def felt(self) -> Felt:
+        """What is felt in the motion."""
+        return _felt(self.place, self.motion, self.ambient)
+
+    def turning(self, rate: float) -> "NominalSamples":
+        """Return the samples of a unit that turns about all axes and whose input is as much larger."""
+        place = replace(self.place, equivalent=self.place.equivalent * (1 + rate))
+        motion, about = self.motion, rate * np.array([[1.0, 0.7, 0.5]])
+        turned = replace(
+            motion,
+            table_rate=motion.table_rate + rate,
+            reference_rate=motion.reference_rate + about,
+            gravity=motion.gravity * (1 + (rate if rate > 1 else 0.0)),
+        )
+        return NominalSamples(place, turned, self.ambient)
+
+    def accelerating(self) -> "NominalSamples":
+        """Return the samples of a unit whose rate about all axes changes."""
+        motion, about = self.motion, np.array([[1.0, 0.7, 0.5]])
+        faster = replace(
+            motion,
+            table_acceleration=motion.table_acceleration + 1.0,
+            reference_acceleration=motion.reference_acceleration + about,
+        )
+        return NominalSamples(self.place, faster, self.ambient)
+
+    def elsewhere(self, covariate: str) -> "NominalSamples":
+        """Return the samples at another value of a covariate."""
+        changed = self.ambient.updated(**{covariate: getattr(self.ambient, covariate) + 10.0})
+        return NominalSamples(self.place, self.motion, changed)
 
 
 def nominal_samples(campaign: Campaign, nodes: NodeTable) -> tuple[NominalSamples, ...]:
@@ -101,20 +145,21 @@ def _block(campaign: Campaign, nodes: NodeTable, node: np.ndarray, channel: np.n
         gyro=gyro,
         injected=nodes.injected[node] > 0,
         indirect=gyro & np.isin(run, indirect),
-        axes=jnp.asarray(np.stack([each.axes for each in known])),
-        scale=jnp.asarray(np.array([each.scale_si for each in known])),
-        equivalent=jnp.asarray(stimulus.ambient["current"][node] / per_current),
+        axes=np.stack([each.axes for each in known]),
+        scale=np.array([each.scale_si for each in known]),
+        equivalent=stimulus.ambient["current"][node] / per_current,
     )
-    motion = jax.tree.map(jnp.asarray, _motion(campaign, nodes, node))
-    return _felt(place, motion, Ambient(**{name: jnp.asarray(v[node]) for name, v in stimulus.ambient.items()}))
+    return NominalSamples(
+        place, _motion(campaign, nodes, node), Ambient(**{name: v[node] for name, v in stimulus.ambient.items()})
+    )
 
 
-def _felt(place: Place, motion: Motion, ambient: Ambient) -> NominalSamples:
-    """Return what is felt in a motion."""
+@eqx.filter_jit
+def _felt(place: Place, motion: Motion, ambient: Ambient) -> Felt:
     experience = jax.vmap(on_body)(motion)
     sample = _samples(place, experience, ambient)
     size = jnp.linalg.norm(jnp.where(place.gyro[:, None], sample.rate, sample.force), axis=1)
-    return NominalSamples(place, motion, ambient, experience, sample, _signal(place, sample), size)
+    return Felt(experience, sample, _signal(place, sample), size)
 
 
 def _instants(nodes: NodeTable, run: int) -> list[int]:
@@ -233,22 +278,36 @@ def _responds(probe: Probe, at: NominalSamples, felt: np.ndarray) -> np.ndarray:
 def _changes(probe: Probe, values: dict[str, float], at: NominalSamples) -> np.ndarray:
     """Return where the motion or the signal changes by more than rounding, (P,) bool."""
     acting = probe.effect(**{field: jnp.asarray(value) for field, value in values.items()}, **probe.options)
-    place, before, size, least = at.place, at.signal, at.size, _LEAST_INPUT
     if isinstance(acting, MotionEffect):
-        moved = jax.vmap(acting.apply)(at.motion, at.ambient)
-        pairs = zip(jax.tree.leaves(moved), jax.tree.leaves(at.motion), strict=True)
-        changed = [np.asarray(a) != np.asarray(b) for a, b in pairs]
-        return np.any([each.reshape(len(each), -1).any(axis=1) for each in changed], axis=0)
+        return np.asarray(_moves(acting, at.motion, at.ambient))
+    return np.asarray(_alters(acting, at.place, at.felt, at.ambient))
+
+
+@eqx.filter_jit
+def _moves(acting: MotionEffect, before: Motion, ambient: Ambient) -> Array:
+    """Return where an effect changes the motion, (P,) bool."""
+    after = jax.vmap(acting.apply)(before, ambient)
+    changed = []
+    for new, old in zip(jax.tree.leaves(after), jax.tree.leaves(before), strict=True):
+        rows, moved = jnp.abs(old.reshape(len(old), -1)), jnp.abs(new - old).reshape(len(old), -1)
+        changed.append(jnp.max(moved, axis=1) > _ROUNDING * jnp.maximum(jnp.max(rows, axis=1), _LEAST_INPUT))
+    return jnp.any(jnp.stack(changed), axis=0)
+
+
+@eqx.filter_jit
+def _alters(acting: Effect, place: Place, felt: Felt, ambient: Ambient) -> Array:
+    """Return where an effect changes the signal, (P,) bool."""
+    before, size, least = felt.signal, felt.size, jnp.asarray(_LEAST_INPUT)
     if isinstance(acting, PlaceEffect):
-        after = _signal(place, _samples(place, jax.vmap(acting.apply)(at.experience), at.ambient))
+        after = _signal(place, _samples(place, jax.vmap(acting.apply)(felt.experience), ambient))
     else:
         assert isinstance(acting, SignalEffect)
         if acting.stage == Stage.CONVERTER:
             scale = jnp.abs(place.scale)
             before = place.scale * jnp.where(place.injected, place.equivalent, before)
-            size, least = scale * jnp.maximum(size, jnp.abs(place.equivalent)), np.asarray(scale) * least
-        after = jax.vmap(acting.apply)(before, at.sample)
-    return np.asarray(jnp.abs(after - before)) > _ROUNDING * np.maximum(np.asarray(size), least)
+            size, least = scale * jnp.maximum(size, jnp.abs(place.equivalent)), scale * least
+        after = jax.vmap(acting.apply)(before, felt.sample)
+    return jnp.abs(after - before) > _ROUNDING * jnp.maximum(size, least)
 
 
 def _samples(place: Place, experience: Experience, ambient: Ambient) -> Sample:
@@ -263,35 +322,12 @@ def missing_stimulus(probe: Probe, blocks: Sequence[NominalSamples]) -> tuple[st
     """Return what the runs would need to show an effect that no run shows; empty where nothing tried brings it out."""
     first = blocks[0]
     stimuli: dict[str, Callable[[], NominalSamples]] = {
-        "turning": lambda: _turning(first, 1.0),
-        "acceleration": lambda: _accelerating(first),
-        **{name: lambda name=name: _elsewhere(first, name) for name in probe.effect.needs if name in ambient_names()},
-        "larger input": lambda: _turning(first, 100.0),
+        "turning": lambda: first.turning(1.0),
+        "acceleration": first.accelerating,
+        **{name: lambda name=name: first.elsewhere(name) for name in probe.effect.needs if name in ambient_names()},
+        "larger input": lambda: first.turning(100.0),
     }
     return next(((name,) for name, changed in stimuli.items() if responding_runs(probe, [changed()])), ())
-
-
-def _turning(at: NominalSamples, rate: float) -> NominalSamples:
-    """Return the samples of a unit that turns about all axes and whose input is as much larger."""
-    place = replace(at.place, equivalent=at.place.equivalent * (1 + rate))
-    about = rate * jnp.array([[1.0, 0.7, 0.5]])
-    motion, force = at.motion, at.motion.gravity * (1 + (rate if rate > 1 else 0.0))
-    turned = replace(motion, table_rate=motion.table_rate + rate, reference_rate=motion.reference_rate + about)
-    return _felt(place, replace(turned, gravity=force), at.ambient)
-
-
-def _accelerating(at: NominalSamples) -> NominalSamples:
-    motion, about = at.motion, jnp.array([[1.0, 0.7, 0.5]])
-    faster = replace(
-        motion,
-        table_acceleration=motion.table_acceleration + 1.0,
-        reference_acceleration=motion.reference_acceleration + about,
-    )
-    return _felt(at.place, faster, at.ambient)
-
-
-def _elsewhere(at: NominalSamples, covariate: str) -> NominalSamples:
-    return _felt(at.place, at.motion, at.ambient.updated(**{covariate: getattr(at.ambient, covariate) + 10.0}))
 
 
 def noisy_runs(noise: type[Noise], campaign: Campaign, nodes: NodeTable, entries: Entries) -> set[int]:
