@@ -52,7 +52,7 @@ def _unsigned_zero(text: str) -> str:
 
 def is_exact(value: float | None, sd: float | None) -> bool:
     """Return whether an uncertainty is only the rounding of the arithmetic: that of a number which nothing changes."""
-    return value is not None and sd is not None and 0 <= sd <= _ROUNDING_ERROR * abs(value)
+    return value is not None and sd is not None and bool(0 <= sd <= _ROUNDING_ERROR * abs(value))
 
 
 def value_and_sd(value: float | None, sd: float | None) -> tuple[str, str]:
