@@ -14,6 +14,7 @@ from imubayes.procedures.textbook import Estimate
 from imubayes.results.carrier_estimate import estimate_carrier
 from imubayes.results.corrected_outputs import corrected_run
 from imubayes.results.residuals import Residuals
+from imubayes.results.summary import Summary
 
 LATITUDE, GRAVITY, DEGREE = np.radians(34.25), 9.797, np.pi / 180
 HOUR = DEGREE / 3600
@@ -96,7 +97,7 @@ def test_a_fit_takes_scale_and_axes_out_as_well_as_bias(turns):
             for k, n in enumerate("xyz")
         ]
         made = campaign(run)
-        corrected = corrected_run(made, run, Residuals(pl.DataFrame(lines)), _NoScatter())
+        corrected = corrected_run(made, run, Residuals(pl.DataFrame(lines)), Summary.model_construct(parameters=()))
         found = estimate_carrier(made, run, corrected)
         scores.append((found.mean["gyro"] - EARTH) / found.mean_sd["gyro"])
         raw = estimate_carrier(made, run).mean["gyro"]
@@ -105,7 +106,3 @@ def test_a_fit_takes_scale_and_axes_out_as_well_as_bias(turns):
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
     row = (found.motion.rate - EARTH) / found.row_sd["gyro"]
     assert 0.6 < np.sqrt(np.mean(np.square(row))) < 1.5
-
-
-class _NoScatter:
-    parameters = ()

@@ -240,13 +240,14 @@ def test_a_random_campaign_is_what_it_says(kind, tmp_path):
         assert file.read_bytes() == (tmp_path / "two" / "runs" / file.name).read_bytes()
     assert 300 <= drawn.readings <= 2500
     text = drawn.model.read_text()
-    assert len(drawn.planted) == {"hidden": 1, "outside": 1, "offsets": 1, "two": 2}.get(kind, 0)
+    assert len(drawn.planted) == {"hidden": 1, "outside": 1, "offsets": 1, "two": 2, "large": 1}.get(kind, 0)
     for one in drawn.planted:
         assert f'name = "{one.effect}"' not in text
         if kind == "offsets":
             assert one.s < 1
         else:
-            assert 35 <= one.s_alone <= 2050
+            low, high = (1800, 1.1e6) if kind == "large" else (35, 2050)
+            assert low <= one.s_alone <= high
     truth = tomllib.loads((tmp_path / "one" / "truth.toml").read_text())
     for one in drawn.planted:
         assert one.parameters.items() <= truth["parameters"].items()

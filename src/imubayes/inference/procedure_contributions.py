@@ -9,7 +9,7 @@ it has no gradient there, and is left out: a linear variance would contradict it
 
 import numpy as np
 
-from imubayes.inference.fitted_model import Fit, Posterior
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import deviations, precision_of
 from imubayes.json_record import Record
 from imubayes.model.problem import prior_widths
@@ -53,7 +53,9 @@ def contributions(fit: Fit) -> tuple[Contribution, ...]:
     information = [
         precision_of(model.problem, fit.mode.about, fit.mode.h, of_run == place) for place in range(len(procedures))
     ]
-    gradients, linear = _gradients(fit.posterior, len(fit.z), chosen)
+    posterior = fit.posterior
+    draws = posterior.points[posterior.derived_rows, : len(fit.z)]
+    gradients, linear = _gradients(draws, posterior.derived[:, chosen])
     chosen = [place for place, is_linear in zip(chosen, linear, strict=True) if is_linear]
     gradients = gradients[linear]
     together = prior + sum(information)
@@ -73,9 +75,8 @@ def contributions(fit: Fit) -> tuple[Contribution, ...]:
     )
 
 
-def _gradients(posterior: Posterior, size: int, chosen: list[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the slope of derived quantities on z, (n, P), by regression of the draws, and whether it explains them."""
-    z, values = posterior.points[posterior.derived_rows, :size], posterior.derived[:, chosen]
+def _gradients(z: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return slopes of quantities on z, (n, P), by regression over draws (D, P), and which of them it explains, (n,)."""
     centred, about = z - z.mean(axis=0), values - values.mean(axis=0)
     slopes, *_ = np.linalg.lstsq(centred, about)
     explained = 1 - np.var(about - centred @ slopes, axis=0) / np.maximum(np.var(about, axis=0), np.finfo(float).tiny)

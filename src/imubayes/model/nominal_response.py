@@ -307,7 +307,8 @@ def _alters(acting: Effect, place: Place, felt: Felt, ambient: Ambient) -> Array
             before = place.scale * jnp.where(place.injected, place.equivalent, before)
             size, least = scale * jnp.maximum(size, jnp.abs(place.equivalent)), scale * least
         after = jax.vmap(acting.apply)(before, felt.sample)
-    return jnp.abs(after - before) > _ROUNDING * jnp.maximum(size, least)
+    # What is not finite is a response: the fit reports it.
+    return ~(jnp.abs(after - before) <= _ROUNDING * jnp.maximum(size, least))
 
 
 def _samples(place: Place, experience: Experience, ambient: Ambient) -> Sample:
