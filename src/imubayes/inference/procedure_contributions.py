@@ -76,7 +76,7 @@ def contributions(fit: Fit) -> tuple[Contribution, ...]:
 
 
 def _gradients(z: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return slopes of quantities on z, (n, P), by regression over draws (D, P), and which of them it explains, (n,)."""
+    """Return slopes of quantities on z, (n, P), by regression over draws (D, P), and which they explain, (n,) bool."""
     centred, about = z - z.mean(axis=0), values - values.mean(axis=0)
     slopes, *_ = np.linalg.lstsq(centred, about)
     explained = 1 - np.var(about - centred @ slopes, axis=0) / np.maximum(np.var(about, axis=0), np.finfo(float).tiny)
