@@ -1,18 +1,21 @@
 """Poses and motion of a free tumble, on a tumble whose motion is known exactly and on real recordings."""
 
 import shutil
+import tomllib
 from pathlib import Path
 
+import desk_imu
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from small_files import GRAVITY
 from tumble_files import NAMES, channels, tumble_log
 
-from imubayes.campaign import check_campaign
+from imubayes.campaign import check_campaign, load_campaign
 from imubayes.campaign.free_tumble import reduce_tumble
 from imubayes.campaign.free_tumble.magnitude_calibration import fit_magnitude
 from imubayes.campaign.free_tumble.pose_transitions import coning, rotation_over, step_edges, step_means
+from imubayes.campaign.free_tumble.static_detection import Rest, trim_rests
 
 DESK = Path(__file__).parents[2] / "data" / "desk-imu"
 
@@ -142,3 +145,26 @@ def test_exchanged_axes_are_noticed(tmp_path: Path, desk: str) -> None:
     (folder / "campaign.toml").write_text(exchanged.replace('name = "-"', 'name = "gy"'))
     (finding,) = check_campaign(folder)
     assert finding.name == "axes_do_not_fit"
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_no_pose_reaches_into_a_turn_that_noisy_accelerometers_hide(tmp_path: Path, seed: int) -> None:
+    desk_imu.generate(tmp_path, seed)
+    moves = tomllib.loads((tmp_path / "truth.toml").read_text())["nuisance"]
+    [run] = load_campaign(tmp_path).runs
+    half = (run.samples - 1) / 2 / desk_imu.SAMPLE_RATE
+    time = run.covariates["time"]
+    first, last = time - half, time + half
+    assert len(time) == desk_imu.POSES
+    assert np.all(last[:-1] < moves["move_start_s"])
+    assert np.all(first[1:] > moves["move_end_s"])
+
+
+def test_the_gyros_trim_a_rest_at_both_ends() -> None:
+    rate = np.random.default_rng(1).normal(0.3, 0.001, (400, 3))
+    rate[:40, 0] += 0.2 * (1 - np.arange(40) / 40) ** 2
+    rate[-60:, 1] += 0.2 * (np.arange(60) / 60) ** 2
+    [rest] = trim_rests([Rest(0, 400)], rate, 0.01)
+    assert 35 <= rest.start <= 60
+    assert 320 <= rest.stop <= 350
+    assert trim_rests([Rest(60, 330)], rate, 0.01) == [Rest(60, 330)]

@@ -4,11 +4,17 @@ The generator under `data/generators` shares no code with the package.  An effec
 the candidates of the campaign's fit; one that does not must not, and is said to be beyond these runs.
 """
 
-import sys
 from pathlib import Path
 
+import accel_channel
+import geographic_tumble
+import hidden_effects
 import numpy as np
+import polar_tumble
 import pytest
+import rotation_modulation
+from detectability import look
+from hidden import CATALOGUE, Kind
 
 from imubayes.campaign import load_campaign
 from imubayes.criticism import thresholds
@@ -18,15 +24,6 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import EffectSpec, ModelSpec
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
-import accel_channel  # pyright: ignore[reportMissingImports]
-import geographic_tumble  # pyright: ignore[reportMissingImports]
-import hidden_effects  # pyright: ignore[reportMissingImports]
-import polar_tumble  # pyright: ignore[reportMissingImports]
-import rotation_modulation  # pyright: ignore[reportMissingImports]
-from detectability import look  # pyright: ignore[reportMissingImports]
-from hidden import CATALOGUE, Kind  # pyright: ignore[reportMissingImports]
 
 ROOT = Path(__file__).parents[2]
 SIZES = CATALOGUE | {

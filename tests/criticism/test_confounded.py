@@ -3,22 +3,17 @@
 The simulator shares no code with the models.
 """
 
-import sys
-from pathlib import Path
-
+import hidden
 import numpy as np
 import pytest
+from hidden_effects import RATES, SEATS
+from kinematics import Site, Table
+from plan import Plan, Row, Run, rate_table_rows
+from random_plans import GYROS, RAW_RATE, mounting
+from simulate import write_simulated
 
 from imubayes.api import diagnose, fit
 from imubayes.display.diagnosis_report import diagnosis_json
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
-import hidden  # pyright: ignore[reportMissingImports]
-from hidden_effects import RATES, SEATS  # pyright: ignore[reportMissingImports]
-from kinematics import Site, Table  # pyright: ignore[reportMissingImports]
-from plan import Plan, Row, Run, rate_table_rows  # pyright: ignore[reportMissingImports]
-from random_plans import GYROS, RAW_RATE, mounting  # pyright: ignore[reportMissingImports]
-from simulate import write_simulated  # pyright: ignore[reportMissingImports]
 
 pytestmark = pytest.mark.slow
 

@@ -20,7 +20,7 @@ from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "study"))
-from lagging_converter import LaggingOffset, drawn, write  # pyright: ignore[reportMissingImports]
+from lagging_converter import LaggingOffset, drawn, write
 
 MODEL = Path(__file__).parents[2] / "models" / "accel-channel.toml"
 

@@ -3,13 +3,14 @@
 The readings are those of the generator, which shares no code with the package.
 """
 
-import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import geographic_tumble
 import numpy as np
 import pytest
+import simulate
 from null_data import refitted
 
 from imubayes.campaign import load_campaign
@@ -17,10 +18,6 @@ from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
-import geographic_tumble  # pyright: ignore[reportMissingImports]
-import simulate  # pyright: ignore[reportMissingImports]
 
 ROOT = Path(__file__).parents[2]
 # Two series, as shipped, are too few: the errors of heading and level take most of what a scale factor does.

@@ -3,24 +3,21 @@
 Campaigns come from the independent simulator.
 """
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
+import geographic_tumble
 import numpy as np
 import pytest
+import reference_gyro
+import rotation_modulation
+import servo_table
+from simulate import write_simulated
 
 from imubayes.campaign import load_campaign
 from imubayes.procedures.classical import classical
 from imubayes.procedures.rotation_modulation import carrier, left_after
 from imubayes.procedures.textbook import Estimate, Undetermined
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
-import geographic_tumble  # pyright: ignore[reportMissingImports]
-import reference_gyro  # pyright: ignore[reportMissingImports]
-import rotation_modulation  # pyright: ignore[reportMissingImports]
-import servo_table  # pyright: ignore[reportMissingImports]
-from simulate import write_simulated  # pyright: ignore[reportMissingImports]
 
 ROOT = Path(__file__).parents[2]
 EARTH = 15.041067  # deg/h

@@ -1,8 +1,8 @@
 """One sensor behind each kind of converter: textbook and joint fit find the same drift, whatever the output is."""
 
-import sys
 from pathlib import Path
 
+import accel_channel
 import pytest
 
 from imubayes.api import fit
@@ -11,9 +11,6 @@ from imubayes.procedures.classical import classical
 from imubayes.procedures.textbook import Estimate
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "data" / "generators"))
-
-import accel_channel  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 
 @pytest.mark.parametrize("converter", ["V/F", "ADC"])

@@ -1,20 +1,17 @@
 """Textbook estimates on campaigns of the independent simulator: right where the assumptions hold, wrong by the amount
 that theory says where they do not."""
 
-import sys
 import tomllib
 from pathlib import Path
 
 import numpy as np
+import polar_tumble
 import pytest
+import simulate
 
 from imubayes.campaign import load_campaign
 from imubayes.procedures.classical import classical
 from imubayes.procedures.textbook import Estimate, Undetermined
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
-import polar_tumble  # pyright: ignore[reportMissingImports]
-import simulate  # pyright: ignore[reportMissingImports]
 
 ROOT = Path(__file__).parents[2]
 

@@ -18,12 +18,11 @@ from imubayes.inference.prior_agreement import PriorConflict, prior_conflicts
 from imubayes.model.bind import bind
 
 sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
 import blind
-import desk_imu  # pyright: ignore[reportMissingImports]
-import hidden  # pyright: ignore[reportMissingImports]
-from random_plans import random_plan  # pyright: ignore[reportMissingImports]
-from simulate import write_simulated  # pyright: ignore[reportMissingImports]
+import desk_imu
+import hidden
+from random_plans import random_plan
+from simulate import write_simulated
 
 from imubayes.inference.nested_laplace import posterior_precision
 

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from coverage import ROOT, study
-
-sys.path.insert(0, str(ROOT / "data" / "generators"))
-import trihedral_imu  # pyright: ignore[reportMissingImports]
+import trihedral_imu
+from coverage import study
 
 REPLICATES = 20
 

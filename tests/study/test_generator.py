@@ -1,21 +1,18 @@
 """The independent generator against numbers worked out by hand."""
 
 import re
-import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import detectability
+import hidden
+import hidden_effects
 import numpy as np
+import plan as plans
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
-import detectability  # pyright: ignore[reportMissingImports]
-import hidden  # pyright: ignore[reportMissingImports]
-import hidden_effects  # pyright: ignore[reportMissingImports]
-import plan as plans  # pyright: ignore[reportMissingImports]
-from kinematics import X_UP, Z_UP, Mounting, Site, Table  # pyright: ignore[reportMissingImports]
-from sensor import Channel, Surroundings, bias_over_temperature_and_time  # pyright: ignore[reportMissingImports]
+from kinematics import X_UP, Z_UP, Mounting, Site, Table
+from sensor import Channel, Surroundings, bias_over_temperature_and_time
 
 ROOT = Path(__file__).parents[2]
 SITE = Site(0.0, 0.0)
@@ -274,7 +271,7 @@ def told_apart(text):
 
 def test_every_effect_can_be_shown_somewhere():
     """No effect of the list is dead: each moves some reading of some plan past what the plain model absorbs."""
-    from random_plans import TEMPLATES, random_plan  # pyright: ignore[reportMissingImports]
+    from random_plans import TEMPLATES, random_plan
 
     left = set(hidden.ALL)
     for template in TEMPLATES:

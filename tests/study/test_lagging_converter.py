@@ -16,7 +16,7 @@ from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 
 sys.path.insert(0, str(Path(__file__).parent))
-from lagging_converter import drawn, lagged, write  # pyright: ignore[reportMissingImports]
+from lagging_converter import drawn, lagged, write
 
 MODEL = Path(__file__).parents[2] / "models" / "accel-channel.toml"
 SEEDS = range(101, 125)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from replicates import CASES, scores  # pyright: ignore[reportMissingImports]
+from replicates import CASES, scores
 
 
 @pytest.mark.slow

@@ -1,23 +1,20 @@
 """Geographic positions on a station whose north is off by 5 arcmin: the drift terms keep their uncertainty."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
+import geographic_tumble
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from simulate import write_simulated
 
 from imubayes.campaign import load_campaign
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "data" / "generators"))
-import geographic_tumble  # pyright: ignore[reportMissingImports]
-from simulate import write_simulated  # pyright: ignore[reportMissingImports]
 
 ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "models" / "geographic-tumble.toml"

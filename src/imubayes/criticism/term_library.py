@@ -95,13 +95,14 @@ def levels(values: np.ndarray) -> np.ndarray:
     ----------
     values : shape (n,), finite.
     """
+    least = thresholds.SAME_LEVEL * np.ptp(values)
     order = np.argsort(values)
-    gaps = np.diff(values[order]) > thresholds.SAME_LEVEL * np.ptp(values)
+    gaps = np.diff(values[order]) > least
     level = np.empty(len(values), dtype=int)
     level[order] = np.concatenate([[0], np.cumsum(gaps)])
     widths = [np.ptp(values[level == number]) for number in range(level.max() + 1)]
     # A chain of close values is a continuum, not a level.
-    return level if max(widths) < thresholds.SAME_LEVEL * np.ptp(values) or level.max() == 0 else np.arange(len(values))
+    return level if max(widths) <= least else np.arange(len(values))
 
 
 def _filled(values: np.ndarray) -> np.ndarray:

@@ -2,8 +2,9 @@
 
 In a sliding window of about a second the variance of each accelerometer is compared with its variance during the
 initial rest.  The largest ratio over the channels is near 1 at rest and orders of magnitude larger in motion.  The
-threshold is chosen later, by how well |f| = g holds in the poses found (Tedaldi, Pretto, Menegatti, ICRA 2014).  The
-gyros are not used here: they reveal afterwards whether the unit rotated slowly during such an interval.
+threshold is chosen later, by how well |f| = g holds in the poses found (Tedaldi, Pretto, Menegatti, ICRA 2014).  Noisy
+accelerometers see the slow beginning of a turn late, so the gyros trim both ends of every interval; a slow rotation
+within it is revealed afterwards.
 """
 
 from dataclasses import dataclass
@@ -14,6 +15,9 @@ WINDOW_SECONDS = 1.0
 LEAST_POSE_SECONDS = 0.8
 QUIET_SHARE = 0.05  # this share of the windows, those of least variance, is assumed to be at rest
 INITIAL_RATIO = 20.0  # variance ratio to the quietest windows at which the initial rest ends
+TURNING_SECONDS = 0.1  # window in which the gyros tell turning from noise, of at least
+TURNING_SAMPLES = 10
+TURNING_RATIO = 3.0  # mean square of the rate, in medians over the rest, at which the unit turns
 SAME_POSE = np.deg2rad(0.5)
 SAME_POSE_GAP_SECONDS = 5.0
 
@@ -87,6 +91,36 @@ def find_rests(quiet: np.ndarray, interval: float) -> list[Rest]:
     starts, stops = np.flatnonzero(np.diff(padded) == 1), np.flatnonzero(np.diff(padded) == -1)
     least = round(LEAST_POSE_SECONDS / interval)
     return [Rest(int(a), int(b)) for a, b in zip(starts, stops, strict=True) if b - a >= least]
+
+
+def trim_rests(rests: list[Rest], rate: np.ndarray, interval: float) -> list[Rest]:
+    """Return the rests without the beginning and the end of turns, which the gyros see before the accelerometers.
+
+    From either end samples are dropped up to the first window whose mean square rate, about the median of the rest, is
+    that of the rest, and this window with them: a turn that begins smoothly is hidden by the noise at first.
+
+    Parameters
+    ----------
+    rate : gyro samples, shape (N, C), any units.
+    interval : sampling interval, s.
+    """
+    width = max(TURNING_SAMPLES, round(TURNING_SECONDS / interval))
+    least = round(LEAST_POSE_SECONDS / interval)
+    trimmed = []
+    for rest in rests:
+        square = np.sum((rate[rest.start : rest.stop] - np.median(rate[rest.start : rest.stop], axis=0)) ** 2, axis=1)
+        if len(square) < 2 * width:
+            trimmed.append(rest)
+            continue
+        total = np.concatenate([[0.0], np.cumsum(square)])
+        power = total[width:] - total[:-width]
+        still = np.flatnonzero(power <= TURNING_RATIO * np.median(power))
+        first, last = still[0], still[-1] + width
+        start = rest.start + first + (width if first else 0)
+        stop = rest.start + last - (width if last < len(square) else 0)
+        if stop - start >= least:
+            trimmed.append(Rest(int(start), int(stop)))
+    return trimmed
 
 
 def join_rests(rests: list[Rest], force: np.ndarray, interval: float) -> list[Pose]:

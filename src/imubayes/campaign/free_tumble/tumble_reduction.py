@@ -19,7 +19,7 @@ from imubayes.campaign.free_tumble.calibrated_recording import (
 )
 from imubayes.campaign.free_tumble.magnitude_calibration import MagnitudeFit, fit_magnitude
 from imubayes.campaign.free_tumble.pose_transitions import padded, step_edges, step_means
-from imubayes.campaign.free_tumble.static_detection import Pose, find_rests, join_rests, variance_ratio
+from imubayes.campaign.free_tumble.static_detection import Pose, find_rests, join_rests, trim_rests, variance_ratio
 from imubayes.campaign.reduction import Limits, clipping_note
 from imubayes.campaign_data import Channel, Tumble
 from imubayes.covariates import recorded_columns
@@ -150,7 +150,8 @@ def detect_poses(recording: Recording, gravity: float) -> Detection:
     ratio = variance_ratio(recording.force, recording.interval, recording.initial)
     candidates = []
     for multiple in MULTIPLES:
-        poses = tuple(join_rests(find_rests(ratio < multiple, recording.interval), recording.force, recording.interval))
+        rests = trim_rests(find_rests(ratio < multiple, recording.interval), recording.rate, recording.interval)
+        poses = tuple(join_rests(rests, recording.force, recording.interval))
         fit = fit_magnitude(pose_means(recording.force, poses), gravity)
         candidates.append(Detection(poses, multiple, fit))
     # Enough poses for the full fit come first, then the smallest scatter of |f|.
