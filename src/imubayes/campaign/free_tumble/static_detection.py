@@ -97,7 +97,9 @@ def trim_rests(rests: list[Rest], rate: np.ndarray, interval: float) -> list[Res
     """Return the rests without the beginning and the end of turns, which the gyros see before the accelerometers.
 
     From either end samples are dropped up to the first window whose mean square rate, about the median of the rest, is
-    that of the rest, and this window with them: a turn that begins smoothly is hidden by the noise at first.
+    that of the rest, and this window with them: a turn that begins smoothly is hidden by the noise at first.  A turn
+    reaches half a window of the accelerometers' variance into a rest at most.  A rest that turns further inside was
+    disturbed: it is returned whole, to be flagged by its rotation.
 
     Parameters
     ----------
@@ -116,6 +118,9 @@ def trim_rests(rests: list[Rest], rate: np.ndarray, interval: float) -> list[Res
         power = total[width:] - total[:-width]
         still = np.flatnonzero(power <= TURNING_RATIO * np.median(power))
         first, last = still[0], still[-1] + width
+        if max(first, len(square) - last) > window_half(interval):
+            trimmed.append(rest)
+            continue
         start = rest.start + first + (width if first else 0)
         stop = rest.start + last - (width if last < len(square) else 0)
         if stop - start >= least:
