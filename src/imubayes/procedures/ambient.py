@@ -10,6 +10,11 @@ from imubayes.covariates import ambient_names
 # A temperature range below half a degree, or fewer rows than a line and its residual variance need, gives no usable
 # rate; windows widen until the noise of the slopes is a tenth of their size.
 _LEAST_CHANGE, _LEAST_ROWS, _SLOPE_NOISE = 0.5, 4, 0.1
+# The line through rows on one side is taken where the standard deviation of its slope is below this share of that of
+# the line through both: by chance in 1 % of the rows with two rows on either side.
+_CORNER = 0.2
+# So many changes between repeated values are steps of the resolution.
+_LEAST_STEPS = 3
 
 
 def ambient_of(run: Run, row: np.ndarray, campaign: Campaign | None = None) -> dict[str, np.ndarray]:
@@ -52,7 +57,9 @@ def rate_of_change(time: np.ndarray, values: np.ndarray) -> np.ndarray | None:
     """Return the rate of a recorded temperature at every row, °C/s, shape (R,); None if it is constant.
 
     A straight line is fitted to the neighbours of each row: two on either side, or more (4, 8, … up to an eighth of
-    the run) until the slopes are significant against their standard deviations.
+    the run) until the slopes are significant against their standard deviations.  Where a ramp begins or ends, the line
+    through as many rows on one side is taken that fits far better: a slope across the corner belongs to neither ramp
+    (the edge-preserving choice of window of Kuwahara et al. 1976).
 
     Parameters
     ----------
@@ -63,34 +70,70 @@ def rate_of_change(time: np.ndarray, values: np.ndarray) -> np.ndarray | None:
     finite = np.all(np.isfinite(time)) and np.all(np.isfinite(values))
     if rows < _LEAST_ROWS or not finite or np.ptp(time) == 0 or np.ptp(values) < _LEAST_CHANGE:
         return None
-    order = np.argsort(time, kind="stable")
-    reach = 2
-    slope, deviation = _local_slopes(time[order], values[order], reach)
-    while np.mean(deviation**2) > (_SLOPE_NOISE**2) * np.mean(slope**2) and 2 * reach <= rows // 8:
+    order, reach = np.argsort(time, kind="stable"), 2
+    while True:
+        slope, deviation, sided, corner = _local_slopes(time[order], values[order], reach)
+        chosen = np.where(corner, sided, slope)
+        noise = np.sum(deviation[~corner] ** 2) / max(np.sum(~corner), 1)
+        significant = noise <= _SLOPE_NOISE**2 * np.mean(chosen**2)
+        if significant or 2 * reach > rows // 8:
+            break
         reach *= 2
-        slope, deviation = _local_slopes(time[order], values[order], reach)
     found = np.empty(rows)
-    found[order] = slope
+    # Of a slope that noise or resolution conceals a corner tells nothing.
+    found[order] = chosen if significant else slope
     return found
 
 
-def _local_slopes(time: np.ndarray, values: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the slope at each row and its standard deviation, from running sums over `reach` rows on either side."""
-    rows = len(time)
-    first = np.maximum(np.arange(rows) - reach, 0)
-    last = np.minimum(np.arange(rows) + reach + 1, rows)
+def _local_slopes(
+    time: np.ndarray, values: np.ndarray, reach: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return slopes from `reach` rows on either side, their standard deviations, those from one side, and the corners.
+
+    All of shape (R,); `corner` tells where the line through twice as many rows on one side fits far better.
+    """
+    row, last = np.arange(len(time)), len(time) - 1
+    slope, deviation = _slopes_between(time, values, np.maximum(row - reach, 0), np.minimum(row + reach, last))
+    before, scatter_before = _slopes_between(time, values, np.maximum(row - 2 * reach, 0), row)
+    after, scatter_after = _slopes_between(time, values, row, np.minimum(row + 2 * reach, last))
+    sided = np.where(scatter_before < scatter_after, before, after)
+    return slope, deviation, sided, np.minimum(scatter_before, scatter_after) < _CORNER * deviation
+
+
+def _slopes_between(
+    time: np.ndarray, values: np.ndarray, first: np.ndarray, last: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the slope of the rows `first` to `last` (inclusive) and its standard deviation, from running sums.
+
+    The standard deviation is infinite where there are fewer than three rows, or no time passes.
+    """
     t, v = time - time.mean(), values - values.mean()
 
     def window(terms: np.ndarray) -> np.ndarray:
         total = np.concatenate([[0.0], np.cumsum(terms)])
-        return total[last] - total[first]
+        return total[last + 1] - total[first]
 
-    count = (last - first).astype(float)
+    count = (last - first + 1).astype(float)
     mean_t, mean_v = window(t) / count, window(v) / count
     spread = window(t * t) - count * mean_t**2
     common = window(t * v) - count * mean_t * mean_v
     timed = spread > 1e-12 * np.ptp(time) ** 2
     slope = np.where(timed, common / np.where(timed, spread, 1.0), 0.0)
-    scatter = np.maximum(window(v * v) - count * mean_v**2 - slope * common, 0.0)
-    freedom = np.maximum(count - 2, 1.0)
-    return slope, np.sqrt(np.where(timed, scatter / freedom / np.where(timed, spread, 1.0), 0.0))
+    # What is left where a line fits exactly is rounding.
+    least = np.maximum(1e-12 * np.ptp(values) ** 2, (count - 2) * resolution(values) ** 2 / 12)
+    scatter = np.maximum(window(v * v) - count * mean_v**2 - slope * common, least)
+    known = timed & (count > 2)
+    return slope, np.sqrt(np.where(known, scatter / np.where(known, (count - 2) * spread, 1.0), np.inf))
+
+
+def resolution(values: np.ndarray) -> float:
+    """Return the resolution of a record that repeats values and then changes by one step, 0 where it does not.
+
+    Parameters
+    ----------
+    values : shape (R,), in the order of time.
+    """
+    change = np.abs(np.diff(values))
+    repeated = change <= 1e-9 * np.ptp(values)
+    steps = change[1:-1][~repeated[1:-1] & repeated[:-2] & repeated[2:]]
+    return float(np.median(steps)) if len(steps) >= _LEAST_STEPS else 0.0
