@@ -10,6 +10,7 @@ import xarray as xr
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.results.residuals import Residuals
 from imubayes.results.summary import (
+    CombinationSummary,
     DerivedSummary,
     NextRun,
     ParameterSummary,
@@ -233,7 +234,26 @@ def summary_of(residuals: pl.DataFrame, parameters=None, derived=None, **more) -
     if parameters is None or derived is None:
         parameters, derived = trihedral_quantities()
     runs = run_entries(residuals)
-    weak = WeakDirection(combination="all mounting_error.z together", from_data=0.02)
+    weak = WeakDirection(
+        quantities=("mounting_error.z[x-up]", "mounting_error.z[y-up]"),
+        weights=(1.0, -0.87),
+        left_out=2,
+        from_data=0.02,
+    )
+    sum_of_two = CombinationSummary(
+        name="D_F+D_II[gx]", standard=True, quantities=("gyro_bias.bias[gx]", "gyro_g2_sensitivity.d_ii[gx]"),
+        weights=(1.0, 1.0), unit="deg/h", mean=0.7087, sd=0.0021, q025=0.7046, q975=0.7128, prior_sd=5.0,
+        from_data=0.9999,
+    )  # fmt: skip
+    sine = CombinationSummary(
+        name="gyro_bias.bias[gy]-0.563·gyro_g_sensitivity.d_i[gy]", standard=False,
+        quantities=("gyro_bias.bias[gy]", "gyro_g_sensitivity.d_i[gy]"), weights=(1.0, -0.563), unit="deg/h",
+        mean=0.31, sd=0.011, q025=0.29, q975=0.33,
+    )  # fmt: skip
+    slope = CombinationSummary(
+        name="k′[gx,pyramid]", standard=True, quantities=("scale_factor[gx]", "mounting_angle[gx,pyramid]"),
+        weights=None, unit="pulse/s per deg/s", mean=577.35, sd=0.012, q025=577.33, q975=577.37,
+    )  # fmt: skip
     design = RunDesign(procedure="dividing_head", mounting="pyramid", positions=12)
     candidate = NextRun(run=design, quantity="mounting_angle[gx,pyramid]",
                         sd_before=3.6e-4, sd_after=2.1e-4, unit="deg")  # fmt: skip
@@ -242,7 +262,8 @@ def summary_of(residuals: pl.DataFrame, parameters=None, derived=None, **more) -
         interval="95 % equal-tailed", uncertainty="standard deviation", acceptance=0.9, contributions=(),
         parameters=tuple(parameters), derived=tuple(derived), runs=runs,
         chi2=sum(run.chi2 or 0.0 for run in runs), dof=int(0.95 * residuals.height), log_evidence=-123.0,
-        weak_directions=(weak,), next_runs=(candidate,), notes=(), seconds=Seconds(load=0.1, fit=1.2, sample=5.0),
+        weak_directions=(weak,), combinations=(sum_of_two, slope, sine),
+        next_runs=(candidate,), notes=(), seconds=Seconds(load=0.1, fit=1.2, sample=5.0),
     ).model_copy(update=more)  # fmt: skip
 
 

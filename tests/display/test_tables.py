@@ -1,6 +1,7 @@
 """Tables: what is said first, what is marked, units on everything, and nothing unescaped."""
 
 import io
+import json
 import subprocess
 import sys
 
@@ -8,13 +9,15 @@ import pytest
 import synthetic_results as made
 from rich.console import Console
 
-from imubayes.display.fit_quality_tables import fit_sheet, next_run_sheet, run_sheet, weak_sheet
+from imubayes.display.combination_tables import combination_sheet, weak_sheet
+from imubayes.display.fit_quality_tables import fit_sheet, next_run_sheet, run_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.display.report_layout import Report, report_text
 from imubayes.display.run_design_words import run_design_text
 from imubayes.display.summary_html import summary_html
 from imubayes.display.table_layout import Cell, Sheet, terminal
 from imubayes.inference.candidate_runs import RunDesign, TemperatureProfile
+from imubayes.inference.identifiability import WeakDirection
 from imubayes.results.summary import RunSummary, Summary
 
 
@@ -146,6 +149,34 @@ def test_weak_directions_and_next_runs(summary):
     assert "every combination" in words_of(weak_sheet(changed(summary, weak_directions=())))
 
 
+def test_weak_directions_are_written_where_they_are_shown(summary):
+    shown = " ".join(text_of(weak_sheet(summary)).split())
+    assert "mounting_error.z[x-up] − 0.87·mounting_error.z[y-up] and 2 more" in shown
+    confusion = WeakDirection(quantities=("scale_factor[gx]", "k"), kind="confusion", from_data=0.0)
+    assert "scale_factor[gx] against k" in text_of(weak_sheet(changed(summary, weak_directions=(confusion,))))
+
+
+def test_determined_combinations_have_symbol_members_estimate_interval_and_unit(summary):
+    wide = " ".join(text_of(combination_sheet(summary), 220).split())
+    assert "D_F+D_II[gx] gyro_bias.bias[gx] + gyro_g2_sensitivity.d_ii[gx] 0.7087 0.0021 0.7046 … 0.7128 deg/h" in wide
+    assert "k′[gx,pyramid] scale_factor[gx]·cos(mounting_angle[gx,pyramid]) 577.350 0.012" in wide
+    assert "gyro_bias.bias[gy] − 0.563·gyro_g_sensitivity.d_i[gy] 0.310 0.011" in wide
+    assert "D_F+D_II[gx]" in summary_html(summary)
+    narrow = text_of(combination_sheet(summary), 72)
+    assert "0.7087 ± 0.0021 deg/h" in narrow
+    assert max(map(len, narrow.splitlines())) <= 72
+
+
+def test_combinations_survive_the_file_and_old_weak_directions_are_left_out(summary):
+    stored = json.loads(summary.json_text())
+    assert stored["weak_directions"][0]["combination"] == "mounting_error.z[x-up]-0.87·mounting_error.z[y-up]"
+    assert Summary.model_validate(stored) == summary
+    stored["weak_directions"] = [{"combination": "a − 0.5·b", "from_data": 0.1}]
+    del stored["combinations"]
+    older = Summary.model_validate(stored)
+    assert older.weak_directions == older.combinations == ()
+
+
 @pytest.mark.parametrize(
     ("design", "text"),
     [
@@ -196,7 +227,8 @@ def test_html_is_escaped_and_self_contained(summary):
         parameters={"name": f"gyro_bias.bias[{hostile}]"},
         runs={"name": hostile, "channel": "<b>"},
         notes=(hostile,),
-        weak_directions={"combination": hostile},
+        weak_directions={"quantities": (hostile,), "weights": (1.0,)},
+        combinations={"name": hostile},
         next_runs={"run": RunDesign(procedure="rate_table", mounting=hostile)},
     )
     page = summary_html(summary)
@@ -204,7 +236,7 @@ def test_html_is_escaped_and_self_contained(summary):
     assert "<b>]" not in page
     assert page.count("&lt;script&gt;alert(&#39;&amp;&#39;)&lt;/script&gt;") >= 5
     assert "http" not in page
-    assert page.count("<table") == page.count("</table>") == 5
+    assert page.count("<table") == page.count("</table>") == 6
 
 
 def test_names_with_brackets_are_not_taken_for_markup(summary):

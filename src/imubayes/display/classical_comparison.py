@@ -63,7 +63,8 @@ class ClassicalComparison:
 
 def compare_classical(findings: Sequence[TextbookResult], summary: Summary | None = None) -> ClassicalComparison:
     """Return classical estimates beside those of a fit of the same campaign, where there is one."""
-    joint = {} if summary is None else {entry.name: entry for entry in (*summary.derived, *summary.parameters)}
+    known = () if summary is None else (*summary.combinations, *summary.derived, *summary.parameters)
+    joint = {entry.name: entry for entry in known}
     return ClassicalComparison(
         tuple(_compared(finding, joint) for finding in findings if isinstance(finding, Estimate)),
         tuple(finding for finding in findings if isinstance(finding, Undetermined)),

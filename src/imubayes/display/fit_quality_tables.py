@@ -1,4 +1,4 @@
-"""Tables of goodness of fit, weak directions, contributions of procedures and candidate runs.
+"""Tables of goodness of fit, contributions of procedures and candidate runs.
 
 What did not converge is said first, in red.
 """
@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.goodness_of_fit import SIGNIFICANT, share_of_freedom, tail
 from imubayes.display.labels import pretty, readable
-from imubayes.display.rounding import percent, ratio_text, significant
+from imubayes.display.rounding import ratio_text, significant
 from imubayes.display.run_design_words import run_design_text
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.results.summary import Contribution, NextRun, RunSummary, Summary
@@ -82,16 +82,6 @@ def _fit_note(summary: Summary) -> str:
         return note + f"No chi2 is larger than noise explains (p < {SIGNIFICANT:g})."
     verb = "is" if excessive == 1 else "are"
     return note + f"{excessive} of {len(runs)} {verb} larger than noise explains (p < {SIGNIFICANT:g}, red)."
-
-
-def weak_sheet(summary: Summary) -> Sheet:
-    """Return the combinations of parameters that the data did not determine."""
-    rows = [
-        (Cell(found.combination), Cell(percent(found.from_data), "weak" if found.from_data < NOT_DETERMINED else ""))
-        for found in summary.weak_directions
-    ]
-    note = "" if rows else "The data determine every combination of the parameters."
-    return Sheet("Weakly determined combinations", ("combination", "from data"), rows, (0,), "", note)
 
 
 def contribution_sheet(summary: Summary) -> Sheet:

@@ -6,8 +6,9 @@ from imubayes.display.classical_comparison import (
     decision_sheet,
     undetermined_sheet,
 )
+from imubayes.display.combination_tables import combination_sheet, weak_sheet
 from imubayes.display.fit_cautions import alarm_of, notices
-from imubayes.display.fit_quality_tables import contribution_sheet, next_run_sheet, run_sheet, weak_sheet
+from imubayes.display.fit_quality_tables import contribution_sheet, next_run_sheet, run_sheet
 from imubayes.display.prior_conflicts import conflict_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.display.report_layout import Report
@@ -18,6 +19,7 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     """Return a summary; nuisance parameters, such as attitudes of poses, and single runs only where `verbose`."""
     sheets = [parameter_sheet(summary, nuisance=verbose), derived_sheet(summary)]
     sheets += [run_sheet(summary)] if verbose else []
+    sheets += [combination_sheet(summary)] if summary.combinations else []
     sheets += [
         weak_sheet(summary),
         conflict_sheet(summary.prior_conflicts),

@@ -17,8 +17,9 @@ from rich.console import Console, ConsoleOptions
 
 from imubayes.atomic_files import write_json
 from imubayes.display.classical_comparison import ClassicalComparison, compare_classical, discrepancy_sheet
+from imubayes.display.combination_tables import combination_sheet, weak_sheet
 from imubayes.display.figure_selection import Plan, corner_choice, plan, runs_shown
-from imubayes.display.fit_quality_tables import fit_sheet, run_sheet, weak_sheet
+from imubayes.display.fit_quality_tables import fit_sheet, run_sheet
 from imubayes.display.labels import ordered
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.display.summary_html import summary_html
@@ -70,7 +71,11 @@ class Comparison:
     @property
     def tables(self) -> tuple[SheetTable, ...]:
         """Goodness of fit, runs in detail, parameters, derived quantities and weak directions, for the terminal."""
-        optional = ((self.summary.derived, derived_sheet), (self.summary.weak_directions, weak_sheet))
+        optional = (
+            (self.summary.derived, derived_sheet),
+            (self.summary.combinations, combination_sheet),
+            (self.summary.weak_directions, weak_sheet),
+        )
         sheets = [run_sheet(self.summary), parameter_sheet(self.summary)]
         sheets += [sheet(self.summary) for content, sheet in optional if content]
         return self.runs, *map(terminal, sheets)

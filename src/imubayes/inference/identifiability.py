@@ -12,8 +12,10 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+from pydantic import computed_field
 
 from imubayes.json_record import Record
+from imubayes.procedures.estimable_functions import written
 
 # A direction is reported where the data contributed less than this share of the knowledge.
 WEAK_SHARE = 0.5
@@ -29,16 +31,24 @@ class WeakDirection(Record):
 
     Attributes
     ----------
-    combination : for display.
-    quantities : names of the members that the combination shows.
+    quantities : names of the members, largest weight first.
+    weights : of the members, in prior standard deviations, 1 for the first; empty for a confusion.
+    left_out : number of further members.
     kind : ``confusion`` for two derived quantities of which the data determine a combination only.
     from_data : share of the information along the combination that came from the data.
     """
 
-    combination: str
-    quantities: tuple[str, ...] = ()
+    quantities: tuple[str, ...]
+    weights: tuple[float, ...] = ()
+    left_out: int = 0
     kind: Literal["confusion", "combination"] = "combination"
     from_data: float
+
+    @computed_field
+    @property
+    def combination(self) -> str:
+        """The combination as it is written, for `summary.json`."""
+        return written(self.weights, self.quantities) if self.weights else ", ".join(self.quantities)
 
 
 def from_data(posterior_variance: np.ndarray | float, prior_variance: np.ndarray | float) -> np.ndarray:
@@ -71,9 +81,7 @@ def weak_directions(precision: np.ndarray, names: Sequence[str], hidden: np.ndar
     found = []
     for direction in basis.T:
         share = 1 - direction @ covariance @ direction / (direction @ direction)
-        text, members = _named(direction, names)
-        share = float(np.clip(share, 0.0, 1.0))
-        found.append(WeakDirection(combination=text, quantities=members, from_data=share))
+        found.append(_named(direction, names, float(np.clip(share, 0.0, 1.0))))
     return sorted(found, key=lambda weak: weak.from_data)[:_MOST_DIRECTIONS]
 
 
@@ -90,18 +98,18 @@ def _echelon(space: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     return space @ np.linalg.inv(space[leads])
 
 
-def _named(direction: np.ndarray, names: Sequence[str]) -> tuple[str, tuple[str, ...]]:
-    """Return a combination as a formula, largest coefficient first, and the names in it."""
+def _named(direction: np.ndarray, names: Sequence[str], share: float) -> WeakDirection:
+    """Return a direction by its leading members, largest weight first."""
     order = np.argsort(-np.abs(direction))
     direction = direction / direction[order[0]]
     members = [i for i in order if abs(direction[i]) >= _NAMED_SHARE]
-    text = str(names[members[0]])
-    for member in members[1:_MOST_NAMED]:
-        sign = "+" if direction[member] > 0 else "−"
-        text += f" {sign} {abs(direction[member]):.2g}·{names[member]}"
-    if len(members) > _MOST_NAMED:
-        text += f" and {len(members) - _MOST_NAMED} more"
-    return text, tuple(str(names[member]) for member in members[:_MOST_NAMED])
+    shown = members[:_MOST_NAMED]
+    return WeakDirection(
+        quantities=tuple(str(names[member]) for member in shown),
+        weights=tuple(float(f"{direction[member]:.2g}") for member in shown),
+        left_out=len(members) - len(shown),
+        from_data=share,
+    )
 
 
 def confusions(
@@ -136,6 +144,5 @@ def confusions(
             share = min(share, float(np.clip(along[i], 0.0, 1.0)))
         if share < _CONFUSED_SHARE and np.diag(after).max() > 1e-3:
             both = (names[i], names[j])
-            weak = WeakDirection(combination=" against ".join(both), quantities=both, kind="confusion", from_data=share)
-            found.append(weak)
+            found.append(WeakDirection(quantities=both, kind="confusion", from_data=share))
     return sorted(found, key=lambda weak: weak.from_data)

@@ -14,6 +14,7 @@ from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.procedures.kinematics import table_input, table_stimulus
 from imubayes.procedures.nominal_stimulus import Stimulus
 from imubayes.procedures.planned_steps import PlanRules
+from imubayes.procedures.standard_combinations import StandardCombination
 from imubayes.procedures.textbook import TextbookResult
 
 
@@ -55,6 +56,7 @@ class Procedure:
     nominal_input : run, channel, site, table and mounting → nominal input of the channel, rad/s or m/s², shape (R,),
         for checks of the rows; None if unknown.
     evaluate : campaign and runs → textbook estimates.  Procedures that share the function are evaluated together.
+    combinations : campaign and runs → the combinations of parameters that the procedure is known to determine.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Procedure:
     kinematics: Callable[[Run, Campaign], Stimulus] = table_stimulus
     nominal_input: Callable[[Run, Channel, Site, Table | None, Mounting | None], np.ndarray | None] = table_input
     evaluate: Callable[[Campaign, Sequence[Run]], list[TextbookResult]] | None = None
+    combinations: Callable[[Campaign, Sequence[Run]], list[StandardCombination]] | None = None
 
     def stimulus(self, run: Run, campaign: Campaign) -> Stimulus:
         """Return the nominal stimulus of a run, at the nodes of its rows."""

@@ -1,9 +1,10 @@
-"""Textbook estimates of a campaign, procedure by procedure, for comparison with the joint fit."""
+"""Textbook estimates and standard combinations of a campaign, procedure by procedure."""
 
 from dataclasses import replace
 
 from imubayes.campaign_data import Campaign
 from imubayes.procedures import PROCEDURES
+from imubayes.procedures.standard_combinations import StandardCombination
 from imubayes.procedures.textbook import TextbookResult
 
 
@@ -22,3 +23,13 @@ def classical(campaign: Campaign, delta_k_threshold: float | None = None) -> tup
         runs = [run for run in campaign.runs if PROCEDURES[run.procedure].evaluate is evaluate]
         found += evaluate(campaign, runs) if evaluate and runs else []
     return tuple(found)
+
+
+def declared_combinations(campaign: Campaign) -> tuple[StandardCombination, ...]:
+    """Return the standard combinations that the procedures of a campaign declare, each name once."""
+    found: dict[str, StandardCombination] = {}
+    for name, procedure in PROCEDURES.items():
+        runs = [run for run in campaign.runs if run.procedure == name]
+        for each in procedure.combinations(campaign, runs) if procedure.combinations and runs else []:
+            found.setdefault(each.name, each)
+    return tuple(found.values())

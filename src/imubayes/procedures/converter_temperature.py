@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign_data import Campaign, Channel, Run
+from imubayes.procedures.standard_combinations import LinearCombination, StandardCombination
 from imubayes.procedures.textbook import Estimate, Line, TextbookResult, Undetermined, components, line, measured
 
 METHOD = "straight line against converter temperature"
@@ -90,6 +91,24 @@ def converter_test(campaign: Campaign, runs: Sequence[Run], threshold: float | N
             base = base_of(one, each)
             if base is not one:
                 found += _comparison(one, base, threshold)
+    return found
+
+
+def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombination]:
+    """Return the slope of the line of every input: offset drift plus gain drift times the output."""
+    found: list[StandardCombination] = []
+    for run in runs:
+        temperature = run.covariates.get("converter_temperature")
+        if temperature is None or np.ptp(temperature) < _LEAST_RAMP:
+            continue
+        for channel, _ in measured(run, campaign, "accelerometer"):
+            output = _input(run, campaign, channel) * campaign.site.gravity * channel.scale_si
+            weights = {
+                f"converter_offset_drift.slope[{channel.name}]": 1.0,
+                f"converter_gain_drift.slope[{channel.name}]": 1e-6 * output,
+            }
+            name = f"slope[{channel.name},{run.name}]"
+            found.append(LinearCombination(name, f"{channel.output_unit}/degC", weights))
     return found
 
 

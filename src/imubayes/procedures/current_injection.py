@@ -8,7 +8,7 @@ import numpy as np
 
 from imubayes.campaign_data import Channel, Mounting, Run, Site, Table
 from imubayes.procedures.base import Procedure, Reduction
-from imubayes.procedures.converter_temperature import converter_test
+from imubayes.procedures.converter_temperature import combinations, converter_test
 from imubayes.procedures.planned_steps import RAMP_KEYS, PlanRules
 
 
@@ -31,4 +31,5 @@ CURRENT_INJECTION = Procedure(
     plan=PlanRules(("current_mA",), RAMP_KEYS),
     nominal_input=_nominal_input,
     evaluate=converter_test,
+    combinations=combinations,
 )

@@ -27,6 +27,7 @@ import numpy as np
 from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.planned_steps import PlanRules, position_rows
+from imubayes.procedures.standard_combinations import LinearCombination, StandardCombination
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,
@@ -138,6 +139,7 @@ def _of_channel(
     return [*found, Undetermined(run.name, _left_open(channel.name, letter, terms, positions))]
 
 
+_ODD_TERMS = {"K1": "accel_scale_factor.scale", "K3": "accel_cubic.cubic", "K_oq": "accel_odd_quadratic.odd_quadratic"}
 _FIRST_HARMONIC = {"K1": ("K1", 1.0), "K3": ("¾K3", 0.75), "K_oq": ("8/(3π)K_oq", 8 / (3 * np.pi))}
 
 
@@ -156,6 +158,21 @@ def _first_harmonic(
             f"{METHOD}: amplitude of the first harmonic",
         )
     ]  # fmt: skip
+
+
+def combinations(campaign: Campaign, _runs: Sequence[Run]) -> list[StandardCombination]:
+    """Return the amplitude of the first harmonic of every accelerometer, with the odd terms that a model may have."""
+    found: list[StandardCombination] = []
+    for channel in campaign.of_kind("accelerometer"):
+        for terms in (("K1", "K3"), ("K1", "K_oq"), ("K1", "K3", "K_oq")):
+            symbol = "+".join(_FIRST_HARMONIC[term][0] for term in terms)
+            weights = {
+                f"{_ODD_TERMS[term]}[{channel.name}]": channel.scale * 1e-6 * _FIRST_HARMONIC[term][1] for term in terms
+            }
+            unit = f"{channel.output_unit} per {channel.per}"
+            if channel.per == "g":
+                found.append(LinearCombination(f"{symbol}[{channel.name}]", unit, weights, constant=channel.scale))
+    return found
 
 
 def _cross(letter: str) -> str:
@@ -187,4 +204,5 @@ DIVIDING_HEAD = Procedure(
     abscissae=("table_angle", "time"),
     plan=PlanRules(("positions", "angles_deg"), ("converter_temperature_degC",), 10.0, position_rows),
     evaluate=tumble_test,
+    combinations=combinations,
 )

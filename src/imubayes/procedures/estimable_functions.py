@@ -93,7 +93,7 @@ def echelon(rows: np.ndarray) -> np.ndarray:
     return np.where(np.abs(reduced) < 1e-6, 0.0, reduced)
 
 
-def written(weights: np.ndarray, names: Sequence[str]) -> str:
+def written(weights: Sequence[float] | np.ndarray, names: Sequence[str]) -> str:
     """Return a combination as it is written: `D_F+0.683·D_SS`."""
     text = ""
     for weight, name in zip(weights, names, strict=True):

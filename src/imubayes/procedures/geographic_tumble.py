@@ -19,6 +19,7 @@ from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.kinematics import table_stimulus
 from imubayes.procedures.nominal_stimulus import Stimulus
 from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
+from imubayes.procedures.standard_combinations import StandardCombination, of_drift
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, least_squares
 
 METHOD = "IEEE Std 517 tumble in geographic positions"
@@ -77,6 +78,16 @@ def _of_channel(name: str, names: str, force: np.ndarray, drift: np.ndarray) -> 
     return [*found, Undetermined(names, sentence)]
 
 
+def combinations(campaign: Campaign, _runs: Sequence[Run]) -> list[StandardCombination]:
+    """Return D_F + D_JJ of every gyro and axis J."""
+    squares = [f"D_{letter.upper() * 2}" for letter in _AXES]
+    return [
+        of_drift(f"D_F+{square}", channel.name, "deg/h", **{"D_F": 1.0, square: 1.0})
+        for channel in campaign.of_kind("gyro")
+        for square in squares
+    ]
+
+
 def _stimulus(run: Run, campaign: Campaign) -> Stimulus:
     assert run.attitude is not None
     still = table_stimulus(run, campaign)
@@ -102,4 +113,5 @@ GEOGRAPHIC_TUMBLE = Procedure(
     kinematics=_stimulus,
     plan=PlanRules(("directions",), (), 60.0, _planned_rows),
     evaluate=geographic_test,
+    combinations=combinations,
 )

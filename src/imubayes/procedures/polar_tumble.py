@@ -39,6 +39,12 @@ from imubayes.earth import earth_rate, table_to_local
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.estimable_functions import Combination, estimable, rank
 from imubayes.procedures.planned_steps import PlanRules, position_rows
+from imubayes.procedures.standard_combinations import (
+    DRIFT_COEFFICIENTS,
+    StandardCombination,
+    drift_terms,
+    of_drift,
+)
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,
@@ -49,18 +55,11 @@ from imubayes.procedures.textbook import (
 )
 
 METHOD = "IEEE Std 517 polar-axis tumble"
-COEFFICIENTS = ("D_F", "D_I", "D_O", "D_S", "D_II", "D_OO", "D_SS", "D_IO", "D_OS", "D_SI")
+COEFFICIENTS = tuple(DRIFT_COEFFICIENTS)
 _DEGREE_PER_HOUR = np.pi / 180 / 3600
 _AXES = "IOS"
 _TOLERANCE = 1e-9
 _LARGEST_CONDITION = 1e3
-_JOINT = {
-    "D_F": "gyro_bias.bias",
-    "D_I": "gyro_g_sensitivity.d_i", "D_O": "gyro_g_sensitivity.d_o", "D_S": "gyro_g_sensitivity.d_s",
-    "D_II": "gyro_g2_sensitivity.d_ii", "D_OO": "gyro_g2_sensitivity.d_oo", "D_SS": "gyro_g2_sensitivity.d_ss",
-    "D_IO": "gyro_g2_sensitivity.d_io", "D_OS": "gyro_g2_sensitivity.d_os", "D_SI": "gyro_g2_sensitivity.d_si",
-}  # fmt: skip
-"""Textbook symbol → parameter of the joint fit."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +83,6 @@ class Sweep:
     shape: np.ndarray
     squares: float
     freedom: int
-
-
-def drift_terms(force: np.ndarray) -> np.ndarray:
-    """Return the terms of the drift coefficients at specific forces along I, O and S in g, (3, n) → (n, 10)."""
-    i, o, s = force
-    return np.stack([np.ones_like(i), i, o, s, i * i, o * o, s * s, i * o, o * s, s * i], axis=1)
 
 
 def standard_combinations(latitude: float) -> dict[str, np.ndarray]:
@@ -120,6 +113,16 @@ def standard_combinations(latitude: float) -> dict[str, np.ndarray]:
             for other in (y, z):
                 cross = next(n for n in ("D_IO", "D_OS", "D_SI") if along in n[2:] and other in n[2:])
                 found[f"D_{other}{text}{cross}·sinL"] = weights(**{f"D_{other}": 1, cross: sign * sine})
+    return found
+
+
+def combinations(campaign: Campaign, _runs: Sequence[Run]) -> list[StandardCombination]:
+    """Return the combinations that textbooks quote, of every gyro."""
+    found: list[StandardCombination] = []
+    for channel in campaign.of_kind("gyro"):
+        for symbol, weights in standard_combinations(campaign.site.latitude).items():
+            terms = {COEFFICIENTS[place]: float(weights[place]) for place in np.flatnonzero(weights)}
+            found.append(of_drift(symbol, channel.name, _unit(Combination(symbol, weights)), **terms))
     return found
 
 
@@ -199,9 +202,9 @@ def _of_channel(campaign: Campaign, channel: Channel, sweeps: Sequence[Sweep]) -
     combinations = estimable(design, COEFFICIENTS, standard_combinations(campaign.site.latitude))
     found: list[TextbookResult] = [
         Estimate(
-            f"{_JOINT.get(each.symbol, each.symbol)}[{channel.name}]", runs, float(each.weights @ coefficients),
-            float(np.sqrt(each.weights @ covariance @ each.weights)), _unit(each), METHOD,
-            uncertainty=scatter.evaluation,
+            f"{DRIFT_COEFFICIENTS.get(each.symbol, each.symbol)}[{channel.name}]", runs,
+            float(each.weights @ coefficients), float(np.sqrt(each.weights @ covariance @ each.weights)), _unit(each),
+            METHOD, uncertainty=scatter.evaluation,
         )
         for each in combinations
     ]  # fmt: skip
@@ -344,4 +347,5 @@ POLAR_TUMBLE = Procedure(
     abscissae=("table_angle", "time"),
     plan=PlanRules(("positions", "angles_deg"), ("converter_temperature_degC",), 10.0, position_rows),
     evaluate=polar_tumble_test,
+    combinations=combinations,
 )

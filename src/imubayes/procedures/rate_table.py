@@ -12,7 +12,9 @@ and F̄_s, F̄_e those of the static records at start and end,
 dθ is an error of tan θ·dθ in ln k, 6.86 ppm for each arcsec at the trihedral angle.  k′ and F₀ need no angle.
 
 The bias is the intercept of all outputs, not corrected by static records, over k, against x = Ω cos θ + ω_E·IA: the
-Earth rate along the input axis is part of the input, at the recorded table angle, or its mean over whole turns.
+Earth rate along the input axis is part of the input, at the recorded table angle, or its mean over whole turns.  A gyro
+that senses acceleration adds its drift in this mounting: the same number is the zero of the series, F₀/k =
+D_F + D_I f_I + D_O f_O + D_S f_S + …, the mean over a turn.
 
 The repeatability of the scale factor, K_r, is the standard deviation of k over series in one mounting at one
 temperature, pooled over temperatures, and over all series with the change with temperature included.
@@ -20,7 +22,7 @@ temperature, pooled over temperatures, and over all series with the change with 
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +30,13 @@ from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.procedures.base import Procedure
 from imubayes.procedures.kinematics import mean_input
 from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules, whole_turns
+from imubayes.procedures.standard_combinations import (
+    LEAST_COSINE,
+    StandardCombination,
+    of_drift,
+    projected_scale_factors,
+    turn_mean_drift,
+)
 from imubayes.procedures.textbook import (
     Estimate,
     Line,
@@ -44,8 +53,6 @@ from imubayes.procedures.textbook import (
 from imubayes.units import to_si
 
 METHOD = "IEEE Std 952 rate test"
-# Channels with |cos θ| below this are not evaluated.
-_LEAST_COSINE = 0.1
 _DEGREE = np.pi / 180
 _DEGREE_PER_HOUR = _DEGREE / 3600
 
@@ -109,7 +116,7 @@ def rate_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
             continue
         for channel, output in measured(run, campaign, "gyro"):
             cosine = float(along_table(run, campaign, channel.axes[0])[2])
-            if abs(cosine) > _LEAST_COSINE:
+            if abs(cosine) > LEAST_COSINE:
                 series = RateSeries(run, channel, rate, output, cosine)
                 found += [*_line(series), *_bias(series, campaign), *_shape(series)]
                 over[channel.name, str(run.mounting)].append(series)
@@ -151,9 +158,10 @@ def _bias(series: RateSeries, campaign: Campaign) -> list[TextbookResult]:
     sd = float(np.sqrt(variance * (gradient @ np.linalg.inv(design.T @ design) @ gradient)))
     found: list[TextbookResult] = [
         Estimate(
-            f"gyro_bias.bias[{name}]", run.name, bias / _DEGREE_PER_HOUR, sd / _DEGREE_PER_HOUR, "deg/h",
+            symbol, run.name, bias / _DEGREE_PER_HOUR, sd / _DEGREE_PER_HOUR, "deg/h",
             f"{METHOD}: intercept over k, less the Earth rate along the input axis",
         )
+        for symbol in (f"gyro_bias.bias[{name}]", f"F₀/k[{name},{run.mounting}]")
     ]  # fmt: skip
     still = ~series.turning
     if still.any():
@@ -255,6 +263,16 @@ def _sensitivity(each: Sequence[RateSeries]) -> list[TextbookResult]:
     ]  # fmt: skip
 
 
+def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombination]:
+    """Return k′ and the zero F₀/k of every gyro in every mounting."""
+    found: list[StandardCombination] = [*projected_scale_factors(campaign, runs)]
+    for mounting, run in {run.mounting: run for run in runs if run.mounting is not None}.items():
+        for channel in campaign.of_kind("gyro"):
+            zero = of_drift("F₀/k", channel.name, "deg/h", total=True, **turn_mean_drift(campaign, run, channel))
+            found.append(replace(zero, name=f"F₀/k[{channel.name},{mounting}]"))
+    return found
+
+
 # °C: range of temperatures over which a sensitivity is given, and the least step from the median temperature.
 _LEAST_RANGE, _LEAST_STEP = 2.0, 1.0
 
@@ -274,4 +292,5 @@ RATE_TABLE = Procedure(
     abscissae=("table_rate", "temperature", "time"),
     plan=PlanRules(("rates_deg_s",), ("converter_temperature_degC",), 20.0, _planned_rows),
     evaluate=rate_test,
+    combinations=combinations,
 )

@@ -21,6 +21,7 @@ from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.earth import earth_rate
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
+from imubayes.procedures.standard_combinations import StandardCombination, projected_scale_factors
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,
@@ -257,6 +258,11 @@ def _planned_rows(steps: PlannedSteps) -> PlannedRows:
     return PlannedRows(duration, columns)
 
 
+def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombination]:
+    """Return k′ of every gyro in every mounting."""
+    return [*projected_scale_factors(campaign, runs)]
+
+
 ROTATION_MODULATION = Procedure(
     name="rotation_modulation",
     reference="Levinson and Majure, accuracy enhancement by rotation, AGARD 1987; Groves § 5",
@@ -266,4 +272,5 @@ ROTATION_MODULATION = Procedure(
     abscissae=("table_angle", "table_rate", "time"),
     plan=PlanRules(("rates_deg_s",), ("turns", "arc_deg", "converter_temperature_degC"), 0.0, _planned_rows),
     evaluate=modulation_test,
+    combinations=combinations,
 )

@@ -23,8 +23,15 @@ import numpy as np
 
 from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.earth import earth_rate, table_to_local
+from imubayes.procedures.ambient import ambient_of
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
+from imubayes.procedures.standard_combinations import (
+    LinearCombination,
+    StandardCombination,
+    of_drift,
+    turn_mean_drift,
+)
 from imubayes.procedures.textbook import (
     Estimate,
     TextbookResult,
@@ -52,11 +59,11 @@ def servo_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
         if abs(cosine) < _ALONG:
             found.append(Undetermined(run.name, f"{channel.name}: its input axis is not along the axis of the table"))
         else:
-            found += _of_run(campaign, run, channel, float(np.sign(cosine)))
+            found += _of_run(campaign, run, channel, float(np.sign(cosine)), _total_drift(runs, run, channel))
     return found
 
 
-def _of_run(campaign: Campaign, run: Run, channel: Channel, cosine: float) -> list[TextbookResult]:
+def _of_run(campaign: Campaign, run: Run, channel: Channel, cosine: float, total: str) -> list[TextbookResult]:
     time, angle = run.covariates["time"], run.covariates["table_angle"]
     turns = turns_of(run)
     count = min(max(_FEWEST_BLOCKS, int(_BLOCKS_PER_TURN * turns)), len(time) // 2)
@@ -77,12 +84,42 @@ def _of_run(campaign: Campaign, run: Run, channel: Channel, cosine: float) -> li
     design = np.stack([np.ones_like(middle), f_o, f_s, (f_o**2 - f_s**2) / 2, f_o * f_s, hours], axis=1)
     value, covariance, _ = least_squares(design, drift)
     sd = np.sqrt(np.diag(covariance))
-    names = ("D", "D_O+D_IO·f_I", "D_S+D_SI·f_I", "D_OO-D_SS", "gyro_g2_sensitivity.d_os", "gyro_bias_drift.slope")
+    symbols = ("D_O+D_IO·f_I", "D_S+D_SI·f_I", "D_OO-D_SS", "gyro_g2_sensitivity.d_os", "gyro_bias_drift.slope")
+    names = (total, *(f"{symbol}[{channel.name}]" for symbol in symbols))
     units = ("deg/h", "deg/h/g", "deg/h/g", "deg/h/g^2", "deg/h/g^2", "deg/h/h")
     return [
-        Estimate(f"{name}[{channel.name}]", run.name, float(coefficient), float(error), unit, METHOD)
+        Estimate(name, run.name, float(coefficient), float(error), unit, METHOD)
         for name, unit, coefficient, error in zip(names, units, value, sd, strict=True)
     ]
+
+
+def _total_drift(runs: Sequence[Run], run: Run, channel: Channel) -> str:
+    """Return the name of the total drift: with its run where several records cover a turn, as it drifts with time."""
+    whole = [other for other in runs if turns_of(other) >= 1.0]
+    return f"D[{channel.name}]" if len(whole) < 2 else f"D[{channel.name},{run.name}]"
+
+
+def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombination]:
+    """Return the total drift D in the middle of each record, and the harmonics that the records determine."""
+    gyros = campaign.of_kind("gyro")
+    found: list[StandardCombination] = []
+    for run in runs:
+        channel = gyros[driving_channel(campaign, run)]
+        if turns_of(run) < 1.0 or abs(float(along_table(run, campaign, channel.axes[0])[2])) < _ALONG:
+            continue
+        constant = turn_mean_drift(campaign, run, channel)
+        total = of_drift("D", channel.name, "deg/h", total=True, **constant)
+        time = ambient_of(run, np.arange(run.rows), campaign).get("campaign_time")
+        later = {} if time is None else {f"gyro_bias_drift.slope[{channel.name}]": float(np.mean(time)) / _HOUR}
+        name = _total_drift(runs, run, channel)
+        found.append(LinearCombination(name, "deg/h", {**total.weights, **later}, total=True))
+        along = constant.get("D_I", 0.0)
+        found += [
+            of_drift("D_O+D_IO·f_I", channel.name, "deg/h/g", D_O=1.0, D_IO=along),
+            of_drift("D_S+D_SI·f_I", channel.name, "deg/h/g", D_S=1.0, D_SI=along),
+            of_drift("D_OO-D_SS", channel.name, "deg/h/g^2", D_OO=1.0, D_SS=-1.0),
+        ]
+    return found
 
 
 def driving_channel(campaign: Campaign, run: Run) -> int:
@@ -127,4 +164,5 @@ SERVO_TABLE = Procedure(
     abscissae=("time", "table_angle"),
     plan=PlanRules(("hours",), (), 0.0, _planned_rows, _nominal_columns),
     evaluate=servo_test,
+    combinations=combinations,
 )

@@ -1,7 +1,7 @@
 """Thermal ramp: the unit at rest while the temperature of sensor or converter varies (P8)."""
 
 from imubayes.procedures.base import Procedure, Reduction
-from imubayes.procedures.converter_temperature import converter_test
+from imubayes.procedures.converter_temperature import combinations, converter_test
 from imubayes.procedures.planned_steps import PlanRules
 
 THERMAL_RAMP = Procedure(
@@ -13,4 +13,5 @@ THERMAL_RAMP = Procedure(
     abscissae=("converter_temperature", "temperature", "time"),
     plan=PlanRules(("converter_temperature_degC",), ("rows", "rate_degC_per_h")),
     evaluate=converter_test,
+    combinations=combinations,
 )

@@ -23,11 +23,12 @@ from imubayes.inference.procedure_contributions import contributions
 from imubayes.json_record import finite
 from imubayes.model.derived_quantities import DerivedQuantity, derived_jacobian
 from imubayes.procedures.converter_temperature import THRESHOLD
+from imubayes.results.combinations import combinations
+from imubayes.results.estimates import estimated
 from imubayes.results.prior_scatter import prior_scatter
 from imubayes.results.residuals import Residuals
 from imubayes.results.summary import Conformance, DerivedSummary, ParameterSummary, Seconds, Summary
 
-_INTERVAL = (2.5, 97.5)
 # A derived quantity that varies by less than this share of itself over the whole prior varies by rounding.
 _ROUNDING = 1e-12
 
@@ -63,6 +64,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0) -> Summ
         dof=round(dof, 1),
         log_evidence=log_evidence(mode) if usable else None,
         weak_directions=tuple(weak),
+        combinations=combinations(fit, precision) if precision is not None else (),
         prior_conflicts=prior_conflicts(model, fit.z, precision) if precision is not None else (),
         next_runs=next_runs(fit, weak, shares) if usable else (),
         contributions=contributions(fit),
@@ -92,7 +94,7 @@ def _parameters(fit: Fit) -> tuple[ParameterSummary, ...]:
     return tuple(
         ParameterSummary(
             **line,
-            **_estimate(values[:, place]),
+            **estimated(values[:, place]).model_dump(),
             map=float(best[place]),
             # In z: the standard deviation of a skewed prior says little of its width.
             from_data=float(from_data(float(np.var(points[:, place])), 1.0)),
@@ -100,11 +102,6 @@ def _parameters(fit: Fit) -> tuple[ParameterSummary, ...]:
         )
         for place, line in enumerate(fixed)
     )
-
-
-def _estimate(draws: np.ndarray) -> dict[str, Any]:
-    low, high = np.percentile(draws, _INTERVAL)
-    return {"mean": float(draws.mean()), "sd": float(draws.std()), "q025": float(low), "q975": float(high)}
 
 
 def _diagnostics(fit: Fit, place: int) -> dict[str, Any]:
@@ -132,7 +129,7 @@ def _derived(fit: Fit) -> tuple[DerivedSummary, ...]:
                 prior_sd=float(prior.std()),
                 from_data=share,
                 within=_conformance(fit, name, draws),
-                **_estimate(draws),
+                **estimated(draws).model_dump(),
             )
         )
     return tuple(lines)

@@ -61,6 +61,24 @@ class DerivedSummary(Quantity):
     within: Conformance | None = None
 
 
+class CombinationSummary(Quantity):
+    """A combination that the data determine much better than each of its members.
+
+    Attributes
+    ----------
+    name : the standard symbol, ``D_F+D_II[g]``, or the sum as it is written.
+    standard : whether a procedure of the campaign declares it, with its symbol.
+    quantities, weights : the members, and their weights in `unit` over the unit of each.  The weights are None for
+        k′ = k cos θ, whose members are the scale factor k and the mounting angle θ.
+    constant : added to the sum, in `unit`.
+    """
+
+    standard: bool
+    quantities: tuple[str, ...]
+    weights: tuple[float, ...] | None
+    constant: float = 0.0
+
+
 class RunSummary(Record):
     """Goodness of fit of one channel in one run; `rms` of the residual in input units, deg/s or g."""
 
@@ -105,6 +123,7 @@ class Summary(Record):
     intervals_valid : whether the fit converged and its noise is what the model assumes.
     noise_violations : how the noise is not, the clearest first.
     prior_scatter : noise scales known from their priors alone, on which intervals rest.
+    combinations : what is determined of the members of weak directions.
     pareto_k : tail index of the importance weights of the sampler's proposal; None without sampling.
     """
 
@@ -128,6 +147,7 @@ class Summary(Record):
     dof: float
     log_evidence: float | None
     weak_directions: tuple[WeakDirection, ...]
+    combinations: tuple[CombinationSummary, ...] = ()
     prior_conflicts: tuple[PriorConflict, ...] = ()
     next_runs: tuple[NextRun, ...]
     contributions: tuple[Contribution, ...]
@@ -144,3 +164,9 @@ class Summary(Record):
     def _designs(cls, runs: Any) -> Any:
         """Leave out the next runs of earlier versions, which are sentences."""
         return [run for run in runs if not (isinstance(run, dict) and isinstance(run.get("run"), str))]
+
+    @field_validator("weak_directions", mode="before")
+    @classmethod
+    def _weighted(cls, found: Any) -> Any:
+        """Leave out the weak directions of earlier versions that are known as text alone."""
+        return [each for each in found if not (isinstance(each, dict) and not each.get("quantities"))]

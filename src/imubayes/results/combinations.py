@@ -1,0 +1,69 @@
+"""The combinations that the data determine although they do not determine their members, with their estimates."""
+
+import numpy as np
+
+from imubayes.inference.determined_combinations import (
+    DeterminedCombination,
+    Draws,
+    determined_combinations,
+    members,
+)
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.identifiability import from_data
+from imubayes.inference.posterior_tree import in_units
+from imubayes.json_record import finite
+from imubayes.procedures.classical import declared_combinations
+from imubayes.procedures.estimable_functions import written
+from imubayes.results.estimates import estimated
+from imubayes.results.summary import CombinationSummary
+
+
+def combinations(fit: Fit, precision: np.ndarray) -> tuple[CombinationSummary, ...]:
+    """Return the determined combinations of a fit, those with a standard symbol first.
+
+    Parameters
+    ----------
+    precision : shape (P, P), posterior precision of the parameters in z.
+    """
+    posterior, layout = fit.posterior, fit.model.layout
+    candidates = members(precision) & ~np.array([parameter.nuisance for parameter in layout.parameters], dtype=bool)
+    if posterior is None or not candidates.any():
+        return ()
+    size, names = len(layout), [quantity.name for quantity in fit.derived.names]
+    units = [quantity.unit for quantity in fit.derived.names]
+    own = [parameter.unit for parameter in layout.parameters]
+    scales = np.zeros((len(posterior.prior_points), len(fit.h)))
+    after = in_units(fit.model, posterior.points[posterior.derived_rows])[:, :size]
+    before = in_units(fit.model, np.concatenate([posterior.prior_points, scales], axis=1))[:, :size]
+    parameters, derived = Draws(layout.names, own, after), Draws(names, units, posterior.derived)
+    prior = Draws(layout.names, own, before), Draws(names, units, posterior.prior_derived)
+    standard = declared_combinations(fit.model.campaign)
+    return tuple(
+        _summary(found, _values(found, parameters, derived), _values(found, *prior))
+        for found in determined_combinations(parameters, candidates, derived, standard)
+    )
+
+
+def _values(found: DeterminedCombination, parameters: Draws, derived: Draws) -> np.ndarray:
+    """Return draws of a combination, (S,)."""
+    if found.weights is None:
+        scale, angle = (derived.values[:, derived.names.index(name)] for name in found.quantities)
+        return scale * np.cos(np.radians(angle))
+    places = [parameters.names.index(name) for name in found.quantities]
+    return found.constant + parameters.values[:, places] @ np.array(found.weights)
+
+
+def _summary(found: DeterminedCombination, draws: np.ndarray, prior: np.ndarray) -> CombinationSummary:
+    weights = found.weights
+    formula = "" if weights is None else written(weights, found.quantities)
+    return CombinationSummary(
+        name=found.symbol or formula,
+        unit=found.unit,
+        prior_sd=finite(float(prior.std())),
+        from_data=float(from_data(float(np.var(draws)), float(np.var(prior)))),
+        standard=bool(found.symbol),
+        quantities=found.quantities,
+        weights=weights,
+        constant=found.constant,
+        **estimated(draws).model_dump(),
+    )
