@@ -39,7 +39,7 @@ def test_all_pictures_are_made_with_captions(compared: Comparison, trihedral: Pa
 
 def test_it_shows_itself(compared: Comparison):
     assert compared.converged
-    assert len(compared.tables) == 5
+    assert len(compared.tables) == 6
     assert compared._repr_html_().startswith("<div")
 
 

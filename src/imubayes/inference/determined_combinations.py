@@ -57,8 +57,8 @@ class DeterminedCombination:
 class Draws(NamedTuple):
     """Posterior draws of quantities: names, units, and values in these units, shape (S, n)."""
 
-    names: Sequence[str]
-    units: Sequence[str]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
     values: np.ndarray
 
 

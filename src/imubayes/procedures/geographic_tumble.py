@@ -81,11 +81,12 @@ def _of_channel(name: str, names: str, force: np.ndarray, drift: np.ndarray) -> 
 def combinations(campaign: Campaign, _runs: Sequence[Run]) -> list[StandardCombination]:
     """Return D_F + D_JJ of every gyro and axis J."""
     squares = [f"D_{letter.upper() * 2}" for letter in _AXES]
-    return [
-        of_drift(f"D_F+{square}", channel.name, "deg/h", **{"D_F": 1.0, square: 1.0})
+    found: list[StandardCombination] = [
+        of_drift(f"D_F+{square}", channel.name, "deg/h", {"D_F": 1.0, square: 1.0})
         for channel in campaign.of_kind("gyro")
         for square in squares
     ]
+    return found
 
 
 def _stimulus(run: Run, campaign: Campaign) -> Stimulus:

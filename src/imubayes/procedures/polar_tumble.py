@@ -122,7 +122,7 @@ def combinations(campaign: Campaign, _runs: Sequence[Run]) -> list[StandardCombi
     for channel in campaign.of_kind("gyro"):
         for symbol, weights in standard_combinations(campaign.site.latitude).items():
             terms = {COEFFICIENTS[place]: float(weights[place]) for place in np.flatnonzero(weights)}
-            found.append(of_drift(symbol, channel.name, _unit(Combination(symbol, weights)), **terms))
+            found.append(of_drift(symbol, channel.name, _unit(Combination(symbol, weights)), terms))
     return found
 
 

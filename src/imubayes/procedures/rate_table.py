@@ -268,7 +268,7 @@ def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombin
     found: list[StandardCombination] = [*projected_scale_factors(campaign, runs)]
     for mounting, run in {run.mounting: run for run in runs if run.mounting is not None}.items():
         for channel in campaign.of_kind("gyro"):
-            zero = of_drift("F₀/k", channel.name, "deg/h", total=True, **turn_mean_drift(campaign, run, channel))
+            zero = of_drift("F₀/k", channel.name, "deg/h", turn_mean_drift(campaign, run, channel), total=True)
             found.append(replace(zero, name=f"F₀/k[{channel.name},{mounting}]"))
     return found
 

@@ -108,16 +108,16 @@ def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombin
         if turns_of(run) < 1.0 or abs(float(along_table(run, campaign, channel.axes[0])[2])) < _ALONG:
             continue
         constant = turn_mean_drift(campaign, run, channel)
-        total = of_drift("D", channel.name, "deg/h", total=True, **constant)
+        total = of_drift("D", channel.name, "deg/h", constant, total=True)
         time = ambient_of(run, np.arange(run.rows), campaign).get("campaign_time")
         later = {} if time is None else {f"gyro_bias_drift.slope[{channel.name}]": float(np.mean(time)) / _HOUR}
         name = _total_drift(runs, run, channel)
         found.append(LinearCombination(name, "deg/h", {**total.weights, **later}, total=True))
         along = constant.get("D_I", 0.0)
         found += [
-            of_drift("D_O+D_IO·f_I", channel.name, "deg/h/g", D_O=1.0, D_IO=along),
-            of_drift("D_S+D_SI·f_I", channel.name, "deg/h/g", D_S=1.0, D_SI=along),
-            of_drift("D_OO-D_SS", channel.name, "deg/h/g^2", D_OO=1.0, D_SS=-1.0),
+            of_drift("D_O+D_IO·f_I", channel.name, "deg/h/g", {"D_O": 1.0, "D_IO": along}),
+            of_drift("D_S+D_SI·f_I", channel.name, "deg/h/g", {"D_S": 1.0, "D_SI": along}),
+            of_drift("D_OO-D_SS", channel.name, "deg/h/g^2", {"D_OO": 1.0, "D_SS": -1.0}),
         ]
     return found
 

@@ -71,7 +71,9 @@ def drift_terms(force: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(i), i, o, s, i * i, o * o, s * s, i * o, o * s, s * i], axis=1)
 
 
-def of_drift(symbol: str, channel: str, unit: str, total: bool = False, **terms: float) -> LinearCombination:
+def of_drift(
+    symbol: str, channel: str, unit: str, terms: Mapping[str, float], total: bool = False
+) -> LinearCombination:
     """Return a combination of the drift coefficients of a gyro; `terms` are textbook symbol → weight."""
     weights = {f"{DRIFT_COEFFICIENTS[term]}[{channel}]": weight for term, weight in terms.items()}
     return LinearCombination(f"{symbol}[{channel}]", unit, weights, total)

@@ -29,9 +29,9 @@ def combinations(fit: Fit, precision: np.ndarray) -> tuple[CombinationSummary, .
     candidates = members(precision) & ~np.array([parameter.nuisance for parameter in layout.parameters], dtype=bool)
     if posterior is None or not candidates.any():
         return ()
-    size, names = len(layout), [quantity.name for quantity in fit.derived.names]
-    units = [quantity.unit for quantity in fit.derived.names]
-    own = [parameter.unit for parameter in layout.parameters]
+    size, names = len(layout), tuple(quantity.name for quantity in fit.derived.names)
+    units = tuple(quantity.unit for quantity in fit.derived.names)
+    own = tuple(parameter.unit for parameter in layout.parameters)
     scales = np.zeros((len(posterior.prior_points), len(fit.h)))
     after = in_units(fit.model, posterior.points[posterior.derived_rows])[:, :size]
     before = in_units(fit.model, np.concatenate([posterior.prior_points, scales], axis=1))[:, :size]
