@@ -229,7 +229,8 @@ def _spread(covariance: np.ndarray, weights: np.ndarray) -> float:
 
 def _rounded(weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Return the weights to as few significant digits as cost little of what is known."""
-    allowed = _ROUNDING_COST * _spread(covariance, weights)
+    sizes = np.abs(weights[weights != 0]) * np.sqrt(np.diag(covariance)[weights != 0])
+    allowed = min(_ROUNDING_COST * _spread(covariance, weights), MUCH_LESS * sizes.min())
     for digits in range(1, _MOST_DIGITS + 1):
         simple = np.array([float(f"{weight:.{digits - 1}e}") for weight in weights])
         if _spread(covariance, simple) <= allowed:
