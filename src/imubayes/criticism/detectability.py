@@ -6,9 +6,10 @@ import numpy as np
 from scipy import stats
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.projection import Projection
-from imubayes.criticism.score_test import ProjectedResponse
+from imubayes.criticism.projection import Projection, with_run_offsets
+from imubayes.criticism.score_test import KNOWN_FREEDOM, LEAST_FREEDOM, ProjectedResponse
 
+_QUANTILES = 64
 RUN_OFFSETS = "run offsets"
 
 
@@ -77,7 +78,7 @@ def detectability(projection: Projection, response: ProjectedResponse, threshold
     length = np.linalg.norm(response.projected, axis=0)
     raw = np.sum((projection.root[:, None] * response.response.columns) ** 2, axis=0)
     sides = np.array([1 if coefficient.sign else 2 for coefficient in coefficients])
-    needed = stats.norm.isf(threshold / max(looks, 1.0) / sides) + stats.norm.ppf(thresholds.DETECTION_POWER)
+    needed = noncentrality_needed(threshold / max(looks, 1.0) / sides, freedom_of(projection, response.projected))
     with np.errstate(divide="ignore"):
         smallest = needed * np.where(length > 1e-9 * np.sqrt(raw), 1 / length, np.inf)
     best = int(np.argmin(smallest / np.array([coefficient.typical[1] for coefficient in coefficients])))
@@ -92,6 +93,42 @@ def detectability(projection: Projection, response: ProjectedResponse, threshold
         absorbed_by=_absorbers(projection, whitened, float(raw[best])),
         bias=_bias(projection, whitened * coefficient.typical[1]),
     )
+
+
+def freedom_of(projection: Projection, columns: np.ndarray) -> np.ndarray:
+    """Return the degrees of freedom of the noise scale that each projected column, (R, C), is judged by, (C,).
+
+    Satterthwaite's, of the strata in which its length lies: an effect that acts between few runs alone is judged by
+    their scatter, whatever the number of rows.
+    """
+    projection, turned = with_run_offsets(projection)
+    squares = projection.strata.sums(turned(columns) ** 2)
+    total = np.maximum(squares.sum(axis=0), np.finfo(float).tiny)
+    left = projection.freedom[:, None] - squares / total
+    judged = left > LEAST_FREEDOM
+    # The scale of the prior is known.
+    judged[-1] = False
+    share = squares / total
+    return 1 / np.maximum(np.sum(share**2 / np.where(judged, left, KNOWN_FREEDOM), axis=0), 1 / KNOWN_FREEDOM)
+
+
+def noncentrality_needed(p: np.ndarray, freedom: np.ndarray) -> np.ndarray:
+    """Return the noncentrality at which Student's t, one-sided at p, detects with the power asked for.
+
+    Parameters
+    ----------
+    p, freedom : shape (C,).
+    """
+    critical = stats.t.isf(p, freedom)
+    # Student's t is normal over √(χ²/ν): the power is a mean over quantiles of the latter.
+    quantiles = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
+    scale = np.sqrt(stats.chi2.ppf(quantiles[:, None], freedom) / freedom)
+    low, high = np.zeros_like(critical), critical * scale.max(axis=0) + 10
+    for _ in range(60):
+        middle = (low + high) / 2
+        enough = stats.norm.cdf(middle - critical * scale).mean(axis=0) > thresholds.DETECTION_POWER
+        low, high = np.where(enough, low, middle), np.where(enough, middle, high)
+    return high
 
 
 def _bias(projection: Projection, whitened: np.ndarray) -> ParameterBias | None:

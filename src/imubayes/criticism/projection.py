@@ -20,6 +20,7 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Observations, Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
+from imubayes.noise.base import SharedNoise
 
 PRIOR = -1
 Whitening = Callable[[np.ndarray], np.ndarray]
@@ -184,19 +185,64 @@ def project(
     whole = turn(np.asarray(_pseudo_values(problem, fitted.h, misfit)))
     whole[len(misfit) :] = -fitted.z / widths
     strata = _strata(fitted, members, separate, len(widths))
-    used = np.concatenate([np.asarray(observations.weight) > 0, np.ones(len(widths), bool)])
     return Projection(
         fitted=fitted,
         turn=turn,
         basis=basis,
         residual=whole - basis @ (basis.T @ whole),
         strata=strata,
-        freedom=strata.sums(used.astype(float)) - strata.sums(np.sum(basis**2, axis=1)),
+        freedom=_freedom(problem, strata, basis),
         jacobian=rows,
         upper=upper,
         input=_input(fitted, misfit),
         root=np.asarray(whitener(problem, fitted.h).precision_root),
     )
+
+
+def with_run_offsets(projection: Projection) -> tuple[Projection, Whitening]:
+    """Return the projection with every run offset that the model has a noise scale for in a stratum of its own.
+
+    A scale that these data put at zero would grow with an effect that acts between runs.  The second value takes rows,
+    (R, C), of the projection given to rows of that returned.
+    """
+    fitted, turn, problem = projection.fitted, projection.turn, projection.fitted.model.problem
+    now = projection.strata.between[projection.strata.of_row[turn.members[:, 0]]]
+    new = _can_scatter(problem) & ~now
+    if not new.any():
+        return projection, lambda rows: rows
+    _, reflectors = _reflectors(fitted, turn.members, turn.extra, offsets=True)
+    added = replace(turn, reflectors=np.where(new[:, None], reflectors, 0.0))
+
+    def turned(rows: np.ndarray) -> np.ndarray:
+        entries = len(rows) - turn.priors
+        flat = rows.reshape(len(rows), -1)
+        return np.concatenate([added.reflect(flat[:entries]), flat[entries:]]).reshape(rows.shape)
+
+    strata = _strata(fitted, turn.members, new | now, turn.priors)
+    basis = turned(projection.basis)
+    return replace(
+        projection,
+        turn=replace(turn, reflectors=turn.reflectors + added.reflectors),
+        basis=basis,
+        residual=turned(projection.residual),
+        strata=strata,
+        freedom=_freedom(problem, strata, basis),
+    ), turned
+
+
+def _can_scatter(problem: Problem) -> np.ndarray:
+    """Return which groups have an offset with a noise scale, (G,) bool."""
+    values = problem.hyper_priors.values(jnp.ones(problem.size[1]))
+    shared = [layer.shared_variances(values) for layer in problem.noise if issubclass(layer.noise, SharedNoise)]
+    groups = len(np.asarray(problem.observations.members))
+    return np.asarray(sum(shared, jnp.zeros(groups))) > 0
+
+
+def _freedom(problem: Problem, strata: Strata, basis: np.ndarray) -> np.ndarray:
+    """Return the degrees of freedom of the residual in each stratum, the rows of the priors last."""
+    priors = np.ones(len(basis) - len(problem.observations.weight), dtype=bool)
+    used = np.concatenate([np.asarray(problem.observations.weight) > 0, priors])
+    return strata.sums(used.astype(float)) - strata.sums(np.sum(basis**2, axis=1))
 
 
 def _reflectors(

@@ -21,6 +21,8 @@ from imubayes.criticism.candidate_effects import Coefficient, Response, ShapeSca
 from imubayes.criticism.one_sided import Cone
 from imubayes.criticism.projection import Projection, orthonormal
 
+# A stratum with fewer degrees of freedom has no scale that could be judged; of a known scale they are unlimited.
+LEAST_FREEDOM, KNOWN_FREEDOM = 0.5, 1e9
 _SMALLEST = 1e-300
 
 
@@ -167,12 +169,12 @@ def score_test(
     left = strata.sums((projection.residual - fitted) ** 2)
     freedom = projection.freedom - strata.sums(np.sum(span**2, axis=1))
     # The prior's scale is known; a stratum with no freedom left has none that could be judged.
-    judged = freedom > 0.5
+    judged = freedom > LEAST_FREEDOM
     judged[-1] = False
     variance = np.maximum(np.where(judged, left / np.where(judged, freedom, 1.0), 1.0), 1e-12)
     weighted = drop / variance
     total, count = float(weighted.sum()), span.shape[1]
-    finite = np.where(judged, freedom, 1e9)
+    finite = np.where(judged, freedom, KNOWN_FREEDOM)
     denominator = total**2 / max(float(np.sum(weighted**2 / finite)), _SMALLEST) if total > 0 else 1.0
     p = _p_value(total, count, denominator, cone)
     # Where the scale is estimated: half the degrees of freedom times the logarithm of what the scatter shrank by.
