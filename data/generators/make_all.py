@@ -8,6 +8,7 @@ import desk_imu
 import full_qualification
 import geographic_tumble
 import hidden_effects
+import multi_axis_table
 import polar_tumble
 import redundant_imu
 import reference_gyro
@@ -25,6 +26,7 @@ CAMPAIGNS = {
     "servo-table": servo_table,
     "rotation-modulation": rotation_modulation,
     "reference-gyro": reference_gyro,
+    "multi-axis-table": multi_axis_table,
     "full-qualification": full_qualification,
 }
 

@@ -72,6 +72,11 @@ UNITS = {
         for order in (1, 2) for axis in "xy" for part in ("cos", "sin")
     },
     "station_heading.heading": "arcsec", "station_level.east": "arcsec", "station_level.north": "arcsec",
+    **{f"{axis}_axis_zero.zero": "arcsec" for axis in ("outer", "middle", "inner")},
+    **{f"{axis}_axis_squareness.angle": "arcsec" for axis in ("outer", "middle")},
+    "outer_axis_intersection.distance": "um", "middle_axis_intersection.distance": "um",
+    "middle_axis_intersection.along": "um", "platform_tilt.x": "arcsec", "platform_tilt.y": "arcsec",
+    "arm_error.radius": "um", "arm_error.stretch": "um/g",
     **{f"reference_alignment.{axis}": "arcsec" for axis in "xyz"},
     **{f"reference_scale_factor.{axis}": "ppm" for axis in "xyz"},
     **{f"reference_bias.{axis}": "deg/h" for axis in "xyz"},

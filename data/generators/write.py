@@ -49,6 +49,7 @@ def table_entry(table) -> dict:
         axis_uncertainty_arcsec=table.axis_uncertainty_arcsec,
         rate_uncertainty_ppm=table.rate_uncertainty_ppm,
         angle_uncertainty_arcsec=table.angle_uncertainty_arcsec,
+        **getattr(table, "more", {}),
     )
 
 

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from imubayes.earth import table_to_local, towards
 from imubayes.parameters.unit_grades import Grade
 
 Kind = Literal["gyro", "accelerometer", "angle"]
@@ -59,7 +60,26 @@ class Channel:
 
 @dataclass(frozen=True)
 class Table:
-    """A single-axis table; angles in rad, rate uncertainty as a ratio; all uncertainties are one sigma, 0 is exact."""
+    """A table of one, two or three axes, or a centrifuge.
+
+    Azimuth and elevation are those of the outer axis, which carries the middle one and that the inner one, on which the
+    unit is mounted.  Each axis has a frame with z along it; at zero angles the frame of an axis is that of the outer
+    one after the smallest rotation that takes z to its direction.  A table of one axis is an inner axis alone.
+
+    Attributes
+    ----------
+    name : as in campaign files.
+    azimuth, elevation : rad.
+    axis_uncertainty, rate_uncertainty, angle_uncertainty : of the direction of the outer axis, rad; of rates, ratio; of
+        an angle that is read, rad.
+    middle_axis, inner_axis : unit vectors in the frame of the outer axis at zero angles; None where there is none, or
+        where one axis is all.
+    arm : distance of the inner from the outer axis along x of the outer one, m; 0 but for a centrifuge.
+    zero_uncertainty, squareness_uncertainty : of the zero of each axis and of the angle between successive axes, rad.
+    intersection_uncertainty, arm_uncertainty : of the distance between successive axes and of the arm, m.
+
+    All uncertainties are one sigma; 0 is exact.
+    """
 
     name: str
     azimuth: float
@@ -67,6 +87,33 @@ class Table:
     axis_uncertainty: float | None = None
     rate_uncertainty: float | None = None
     angle_uncertainty: float | None = None
+    middle_axis: tuple[float, float, float] | None = None
+    inner_axis: tuple[float, float, float] | None = None
+    arm: float = 0.0
+    zero_uncertainty: float | None = None
+    squareness_uncertainty: float | None = None
+    intersection_uncertainty: float | None = None
+    arm_uncertainty: float | None = None
+
+    @property
+    def outer_to_local(self) -> np.ndarray:
+        """C of the frame of the outer axis at angle 0 to the local level, shape (3, 3)."""
+        return table_to_local(self.azimuth, self.elevation)
+
+    @property
+    def to_local(self) -> np.ndarray:
+        """C of the frame of the inner axis at zero angles to the local level, shape (3, 3)."""
+        return self.outer_to_local if self.inner_axis is None else self.outer_to_local @ towards(self.inner_axis)
+
+    @property
+    def links(self) -> np.ndarray:
+        """Rotations from the frame of the next axis to that of the outer and of the middle axis, shape (2, 3, 3).
+
+        A table of two axes has no middle one: its place is taken by one along the inner axis that stands still.
+        """
+        inner = np.eye(3) if self.inner_axis is None else towards(self.inner_axis)
+        middle = inner if self.middle_axis is None else towards(self.middle_axis)
+        return np.stack([middle, middle.T @ inner])
 
 
 @dataclass(frozen=True)

@@ -88,6 +88,26 @@ def _sample_axes() -> Iterable[Covariate]:
         )  # fmt: skip
 
 
+def _outer_axes() -> Iterable[Covariate]:
+    for name, letter in (("outer", "o"), ("middle", "m")):
+        yield Covariate(
+            f"{name}_rate", f"{name}_rate_deg_s", "deg/s", "rad/s", f"rate of the {name} axis", regressor=False
+        )
+        yield Covariate(
+            f"{name}_angle", f"{name}_angle_deg", "deg", "rad", f"angle of the {name} axis", symbol=f"φ_{letter}",
+            periodic=True, source=f"a run on a table with {_ARTICLE[name]} {name} axis",
+        )  # fmt: skip
+        yield Covariate(
+            f"{name}_angle_span", f"{name}_angle_span_deg", "deg", "rad", f"angle swept by the {name} axis",
+            ambient=False, shown=False, regressor=False,
+        )  # fmt: skip
+        yield Covariate(
+            f"{name}_acceleration", f"{name}_acceleration_deg_s2", "deg/s^2", "rad/s^2",
+            f"acceleration of the {name} axis", ambient=False, shown=False, regressor=False,
+        )  # fmt: skip
+
+
+_ARTICLE = {"outer": "an", "middle": "a"}
 _KELVIN_PER_SECOND = "degC/s"
 _ENTRIES = (
     Covariate("time", "time_s", "s", "s", "time since the start of the run", symbol="t"),
@@ -109,6 +129,7 @@ _ENTRIES = (
         "table_acceleration", "table_acceleration_deg_s2", "deg/s^2", "rad/s^2", "table acceleration", ambient=False,
         shown=False, regressor=False,
     ),
+    *_outer_axes(),
     Covariate(
         "temperature", "temperature_degC", "degC", "degC", "temperature", symbol="ΔT", centre=25.0,
         source="temperature_degC, as a column or for the whole run",

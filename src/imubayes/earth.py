@@ -1,6 +1,7 @@
 """Normal gravity, Earth rotation and the orientation of a table axis in the local level frame (NumPy only)."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -39,3 +40,13 @@ def table_to_local(azimuth: float, elevation: float) -> np.ndarray:
     about_z = np.array([[ca, -sa, 0.0], [sa, ca, 0.0], [0.0, 0.0, 1.0]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, ct, -st], [0.0, st, ct]])
     return about_z @ about_x
+
+
+def towards(axis: Sequence[float]) -> np.ndarray:
+    """Return the smallest rotation that takes z to a unit vector, shape (3, 3); about x where the vector is −z."""
+    x, y, z = axis
+    if z < -1 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    # Rodrigues' formula about z × axis: I + [v]× + [v]×²/(1 + cos), v = (−y, x, 0).
+    factor = 1 / (1 + z)
+    return np.array([[1 - factor * x * x, -factor * x * y, x], [-factor * x * y, 1 - factor * y * y, y], [-x, -y, z]])

@@ -34,6 +34,25 @@ class Ambient(eqx.Module):
         return Ambient(**self.values | values)
 
 
+class OuterAxes(eqx.Module):
+    """The outer and the middle axis of a table, in this order; one that a table lacks stands still.
+
+    Each axis has a frame with z along it that turns with it.
+
+    Attributes
+    ----------
+    link : shape (2, 3, 3), from the frame of the next axis at angle 0 to that of this one.
+    arm : shape (2, 3), from this axis to the next, in the frame of this one, m.
+    angle, rate, acceleration : shape (2,); rad, rad/s, rad/s².
+    """
+
+    link: Float[Array, "*batch 2 3 3"]
+    arm: Float[Array, "*batch 2 3"]
+    angle: Float[Array, "*batch 2"]
+    rate: Float[Array, "*batch 2"]
+    acceleration: Float[Array, "*batch 2"]
+
+
 class Motion(eqx.Module):
     """Where the unit is and how it turns, at one instant.
 
@@ -46,6 +65,8 @@ class Motion(eqx.Module):
         rad/s²; zero where none rides along.
     gravity : specific force of a body at rest, in n, m/s².
     earth_rate : the Earth's rotation in n, rad/s; zero where the reference has measured it along.
+    outer : the axes that carry the inner one, with `base` the frame of the outer one at angle 0; None where no run has
+        any.
     """
 
     base: Matrices
@@ -57,6 +78,7 @@ class Motion(eqx.Module):
     reference_acceleration: Vectors
     gravity: Vectors
     earth_rate: Vectors
+    outer: OuterAxes | None = None
 
 
 class Records(eqx.Module):
@@ -98,6 +120,7 @@ class Nodes(eqx.Module):
     ambient : circumstances of each node.
     injected : shape (N,), 1 where a current is injected.
     records : the nodes in the order of time.
+    outer : the axes that carry the inner one, leaves (N, …); None where no run has any.
     """
 
     stands: Motion
@@ -111,6 +134,7 @@ class Nodes(eqx.Module):
     ambient: Ambient
     injected: Float[Array, " N"]
     records: Records
+    outer: OuterAxes | None = None
 
     def at(self, chosen: Array) -> "Nodes":
         """Return chosen nodes, with all stands."""
@@ -126,6 +150,7 @@ class Nodes(eqx.Module):
             jax.tree.map(lambda leaf: leaf[chosen], self.ambient),
             self.injected[chosen],
             self.records.at(chosen),
+            jax.tree.map(lambda leaf: leaf[chosen], self.outer),
         )
 
 

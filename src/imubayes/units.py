@@ -33,13 +33,14 @@ _UNITS: dict[str, tuple[float, int, tuple[int, ...]]] = {
     "arcsec": (math.pi / 648000, 0, _ANGLE),
     "s": (1.0, 0, _TIME), "ms": (1e-3, 0, _TIME), "min": (60.0, 0, _TIME), "h": (3600.0, 0, _TIME),
     "m": (1.0, 0, _LENGTH), "cm": (1e-2, 0, _LENGTH), "mm": (1e-3, 0, _LENGTH),
+    "um": (1e-6, 0, _LENGTH),
     "g": (1.0, 1, _ACCELERATION), "mg": (1e-3, 1, _ACCELERATION), "ug": (1e-6, 1, _ACCELERATION),
     "degC": (1.0, 0, _KELVIN), "K": (1.0, 0, _KELVIN),
     "A": (1.0, 0, _AMPERE), "mA": (1e-3, 0, _AMPERE), "uA": (1e-6, 0, _AMPERE),
     "T": (1.0, 0, _TESLA), "mT": (1e-3, 0, _TESLA), "uT": (1e-6, 0, _TESLA), "gauss": (1e-4, 0, _TESLA),
     "output": (1.0, 0, _OUTPUT), "noise": (1.0, 0, _OUTPUT), "scale": (1.0, 0, _OUTPUT),
 }  # fmt: skip
-_SPELLINGS = {"µg": "ug", "µrad": "urad", "µA": "uA", "µT": "uT", "°": "deg", "″": "arcsec", "′": "arcmin",
+_SPELLINGS = {"µg": "ug", "µrad": "urad", "µA": "uA", "µT": "uT", "µm": "um", "°": "deg", "″": "arcsec", "′": "arcmin",
               "°C": "degC", "dps": "deg/s", "μg": "ug"}  # fmt: skip
 _TOKEN = re.compile(r"^(?P<name>[^\^²³]+?)(?:\^(?P<power>\d)|(?P<sup>[²³]))?$")
 _OUTSIDE_BRACKETS = re.compile(r"/(?![^()]*\))")

@@ -15,7 +15,7 @@ from imubayes.effects.base import MotionEffect, PlaceEffect, RecordEffect, Stage
 from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, SharedNoise, TailNoise
 from imubayes.parameters.parameter_declarations import declared_options, declared_parameters
 from imubayes.parameters.priors import Prior, parse_prior
-from imubayes.signal_path_state import Ambient, Experience, Motion, Records, Sample
+from imubayes.signal_path_state import Ambient, Experience, Motion, OuterAxes, Records, Sample
 from imubayes.units import dimension, to_si
 
 GRAVITY = 9.7966
@@ -73,7 +73,10 @@ def states(member: type, seed: int, still: bool = False, **fixed: float) -> tupl
         earth = jnp.asarray([0, 6e-5, 4e-5])
         reference = [vector(1.0) for _ in range(2)]
         body = random_rotation(rng), random_rotation(rng)
-        return Motion(*body, angle, *table, *reference, gravity, earth), circumstances
+        link = jnp.stack([random_rotation(rng), random_rotation(rng)])
+        moving = [jnp.asarray(rng.normal(size=2) * (0.0 if still else 1.0)) for _ in range(2)]
+        outer = OuterAxes(link, jnp.asarray(rng.normal(size=(2, 3))), jnp.asarray(rng.normal(size=2)), *moving)
+        return Motion(*body, angle, *table, *reference, gravity, earth, outer), circumstances
     if issubclass(member, PlaceEffect):
         return (Experience(*(vector(size) for size in (1.0, 10.0, 1.0, 1.0, 1.0, 1.0))),)
     # A converter is fed with what stands for a hundred g or degrees per second, in output units.

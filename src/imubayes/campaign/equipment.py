@@ -19,7 +19,9 @@ from imubayes.errors import closest_first
 from imubayes.procedures import procedure_named
 from imubayes.units import to_si
 
-DEGREE, ARCMIN, ARCSEC, PPM, MILLIAMPERE = (to_si(unit) for unit in ("deg", "arcmin", "arcsec", "ppm", "mA"))
+DEGREE, ARCMIN, ARCSEC, PPM, MILLIAMPERE, MICROMETRE = (
+    to_si(unit) for unit in ("deg", "arcmin", "arcsec", "ppm", "mA", "um")
+)
 ROTATION_TOLERANCE = 1e-6  # of the orthonormality of a matrix with seven decimals
 SQUARENESS = math.sin(1 * DEGREE)  # output axes are orthogonalised if within 1 degree of orthogonal
 _ALLOWED_PER = {"gyro": ("deg/s", "deg/h", "rad/s"), "accelerometer": ("g", "m/s^2")}
@@ -64,6 +66,13 @@ def build_tables(entries: Mapping[int, TableEntry], ledger: Ledger) -> dict[str,
             _times(entry.axis_uncertainty_arcsec, ARCSEC),
             _times(entry.rate_uncertainty_ppm, PPM),
             _times(entry.angle_uncertainty_arcsec, ARCSEC),
+            _direction(entry.middle_axis),
+            _direction(entry.inner_axis),
+            entry.arm_radius_m or 0.0,
+            _times(entry.zero_uncertainty_arcsec, ARCSEC),
+            _times(entry.squareness_uncertainty_arcsec, ARCSEC),
+            _times(entry.intersection_uncertainty_um, MICROMETRE),
+            _times(entry.arm_uncertainty_um, MICROMETRE),
         )
         for entry in entries.values()
     }
@@ -255,6 +264,13 @@ def _trihedral() -> np.ndarray:
 
 PRESETS = {"trihedral": _trihedral(), "aligned": np.eye(3)}
 """Preset mountings: the trihedral (corner-cube) mounting, and body axes along the table axes."""
+
+
+def _direction(vector: Sequence[float] | None) -> tuple[float, float, float] | None:
+    if vector is None:
+        return None
+    x, y, z = (component / math.hypot(*vector) for component in vector)
+    return x, y, z
 
 
 def _times(value: float | None, factor: float) -> float | None:

@@ -19,6 +19,7 @@ ColumnName = Annotated[str, Field(min_length=1, pattern=_COLUMN_NAME)]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+_LEAST_LENGTH = 1e-9
 Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
@@ -60,7 +61,7 @@ class ChannelEntry(_Entry):
 
 
 class TableEntry(_Entry):
-    """A single-axis table: direction of its axis, and one-sigma uncertainties; 0 means exact."""
+    """A table: directions of its axes, the outer one by azimuth and elevation; one-sigma uncertainties, 0 is exact."""
 
     name: Name
     azimuth_deg: Degrees = 0.0
@@ -68,6 +69,22 @@ class TableEntry(_Entry):
     axis_uncertainty_arcsec: NotNegative | None = None
     rate_uncertainty_ppm: NotNegative | None = None
     angle_uncertainty_arcsec: NotNegative | None = None
+    inner_axis: Vector | None = Field(default=None, description="at zero angles, in axes with z along the outer axis")
+    middle_axis: Vector | None = Field(default=None, description="as inner_axis, of a table of three axes")
+    arm_radius_m: Positive | None = Field(default=None, description="of a centrifuge: from the outer to the inner axis")
+    zero_uncertainty_arcsec: NotNegative | None = None
+    squareness_uncertainty_arcsec: NotNegative | None = None
+    intersection_uncertainty_um: NotNegative | None = None
+    arm_uncertainty_um: NotNegative | None = None
+
+    @model_validator(mode="after")
+    def _axes_of_a_table(self) -> "TableEntry":
+        if self.inner_axis is None and (self.middle_axis is not None or self.arm_radius_m is not None):
+            raise ValueError("a table of several axes and a centrifuge have an 'inner_axis', which carries the unit")
+        for axis in (self.inner_axis, self.middle_axis):
+            if axis is not None and math.hypot(*axis) < _LEAST_LENGTH:
+                raise ValueError("the direction of an axis is not a zero vector")
+        return self
 
 
 class MountingEntry(_Entry):
@@ -179,6 +196,8 @@ PATTERNS = {
 FORMS = {
     "start": "a date, or a date and time, without quotes: 2026-03-10T08:00:00Z",
     "input_axis": "three numbers: [1, 0, 0]",
+    "inner_axis": "three numbers: [0, 0, 1]",
+    "middle_axis": "three numbers: [1, 0, 0]",
     "output_axis": "three numbers: [0, 1, 0]",
     "body_to_table": "three rows of three numbers",
     "channels": 'a list of names: ["gx", "gy"]',

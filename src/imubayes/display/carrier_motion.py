@@ -12,7 +12,7 @@ from imubayes.display.labels import pretty
 from imubayes.display.rounding import value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.display.theme import Picture
-from imubayes.earth import earth_rate, table_to_local
+from imubayes.earth import earth_rate
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.procedures.rotation_modulation import attenuation, carrier
 from imubayes.results.carrier_estimate import CarrierEstimate
@@ -55,7 +55,7 @@ def carrier_sheet(found: CarrierEstimate, campaign: Campaign, run: Run) -> Sheet
     """Return the mean motion of the carrier over a run, beside that of a carrier at rest."""
     assert run.table is not None
     table = campaign.tables[run.table]
-    to_table = table_to_local(table.azimuth, table.elevation).T
+    to_table = table.to_local.T
     hour, gravity = np.degrees(1.0) * 3600, campaign.site.gravity
     rest = {"gyro": to_table @ earth_rate(campaign.site.latitude) * hour, "accelerometer": to_table @ [0.0, 0.0, 1.0]}
     rows = []
@@ -79,7 +79,7 @@ def modulation_picture(campaign: Campaign, run: Run) -> Picture | None:
     if not np.isfinite(motion.rate).all() or run.table is None:
         return None
     table = campaign.tables[run.table]
-    earth = table_to_local(table.azimuth, table.elevation).T @ earth_rate(campaign.site.latitude)
+    earth = table.to_local.T @ earth_rate(campaign.site.latitude)
     felt = np.degrees(motion.rate - earth) * 3600
     weight = np.abs(run.covariates["table_angle_span"])
     arc = attenuation(run)[:, None]

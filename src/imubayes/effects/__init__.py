@@ -9,13 +9,23 @@ from imubayes.effects import (
     gyro_bias_and_scale,
     gyro_sensitivities,
     mounting,
+    outer_axes,
     reference_gyro,
     table,
 )
 from imubayes.effects.base import Effect, MotionEffect, Order, PlaceEffect, RecordEffect, SignalEffect, Stage
 from imubayes.parameters.parameter_declarations import named_in
 
-FAMILIES = (table, reference_gyro, mounting, gyro_sensitivities, gyro_bias_and_scale, accelerometer, converter)
+FAMILIES = (
+    table,
+    outer_axes,
+    reference_gyro,
+    mounting,
+    gyro_sensitivities,
+    gyro_bias_and_scale,
+    accelerometer,
+    converter,
+)
 EFFECTS: tuple[type[Effect], ...] = tuple(effect for family in FAMILIES for effect in named_in(family, Effect))
 
 __all__ = ["EFFECTS", "Effect", "MotionEffect", "Order", "PlaceEffect", "RecordEffect", "SignalEffect", "Stage"]

@@ -12,7 +12,10 @@ from imubayes.signal_path_state import Ambient, Motion
 
 
 class TableAxisTilt(MotionEffect):
-    """Small rotation of the whole table about its own x and y: C_nt0 = C_nt0,nominal · exp([x, y, 0]×)."""
+    """Small rotation of the whole table about its own x and y: C_nt0 = C_nt0,nominal · exp([x, y, 0]×).
+
+    Of several axes it is that of the outer one, against the vertical and north.
+    """
 
     name = "table_axis_tilt"
     stage = Stage.STAND
@@ -46,7 +49,7 @@ class GravityAnomaly(MotionEffect):
 
 
 class TimeSkew(MotionEffect):
-    """True angle = φ + Ω·δ + ½ Ω̇·δ², true rate = Ω + Ω̇·δ: the unit is sampled δ after the table.
+    """True angle = φ + Ω·δ + ½ Ω̇·δ², true rate = Ω + Ω̇·δ, of every axis: the unit is sampled δ after the table.
 
     At a constant rate over whole turns it has no effect; rotating rows of known angle or a changing rate determine it.
     """
@@ -59,9 +62,13 @@ class TimeSkew(MotionEffect):
     skew: Scalar = parameter("ms", "normal(0, 5 ms)", (0.01, 100), "the delay of the unit's samples")
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
-        rate, acceleration = motion.table_rate, motion.table_acceleration
+        rate, acceleration, outer = motion.table_rate, motion.table_acceleration, motion.outer
+        if outer is not None:
+            angle = outer.angle + outer.rate * self.skew + 0.5 * outer.acceleration * self.skew**2
+            outer = replace(outer, angle=angle, rate=outer.rate + outer.acceleration * self.skew)
         return replace(
             motion,
+            outer=outer,
             table_angle=motion.table_angle + rate * self.skew + 0.5 * acceleration * self.skew**2,
             table_rate=rate + acceleration * self.skew,
             reference_rate=motion.reference_rate + motion.reference_acceleration * self.skew,
@@ -99,7 +106,7 @@ class EncoderHarmonic(MotionEffect):
 
 
 class TableRateError(MotionEffect):
-    """Actual rate = indicated rate · (1 + e)."""
+    """Actual rate = indicated rate · (1 + e), of every axis: an error of the clock that they share."""
 
     name = "table_rate_error"
     stage = Stage.TABLE
@@ -109,9 +116,12 @@ class TableRateError(MotionEffect):
     rate_error: Scalar = parameter("ppm", "normal(0, 10 ppm)", (1, 50), "the relative error of the rate", "rate")
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
-        factor = 1 + self.rate_error
+        factor, outer = 1 + self.rate_error, motion.outer
+        if outer is not None:
+            outer = replace(outer, rate=outer.rate * factor, acceleration=outer.acceleration * factor)
         return replace(
             motion,
+            outer=outer,
             table_rate=motion.table_rate * factor,
             table_acceleration=motion.table_acceleration * factor,
         )
@@ -145,4 +155,10 @@ class TableWobble(MotionEffect):
         cos_1, sin_1, cos_2, sin_2 = jnp.cos(one), jnp.sin(one), jnp.cos(two), jnp.sin(two)
         x = self.x_cos_1 * cos_1 + self.x_sin_1 * sin_1 + self.x_cos_2 * cos_2 + self.x_sin_2 * sin_2
         y = self.y_cos_1 * cos_1 + self.y_sin_1 * sin_1 + self.y_cos_2 * cos_2 + self.y_sin_2 * sin_2
-        return replace(motion, base=compose(motion.base, exponential(vector3(x, y, jnp.zeros_like(x)))))
+        wobble, outer = exponential(vector3(x, y, jnp.zeros_like(x))), motion.outer
+        if outer is None:
+            return replace(motion, base=compose(motion.base, wobble))
+        # Of several axes it is the inner one that wobbles.
+        return replace(
+            motion, outer=replace(outer, link=jnp.asarray(outer.link).at[1].set(compose(outer.link[1], wobble)))
+        )

@@ -11,7 +11,7 @@ from imubayes.earth import earth_rate
 from imubayes.effects.base import Effect, MotionEffect, RecordEffect, Stage
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping
-from imubayes.model.nodes_and_entries import KINDS, NodeTable, records_of
+from imubayes.model.nodes_and_entries import KINDS, NodeTable, outer_axes, records_of
 from imubayes.model.signal_path import AddOffset, Broadcast, Channels, Convert, EffectLayer, Layer, Project, Resolve
 from imubayes.parameters.vector import Layout
 from imubayes.signal_path_state import Ambient, Motion, Nodes
@@ -149,6 +149,7 @@ def _nodes(campaign: Campaign, nodes: NodeTable) -> Nodes:
         reference_acceleration=np.zeros((count, 3)),
         gravity=np.tile([0.0, 0.0, campaign.site.gravity], (count, 1)),
         earth_rate=np.where(referenced[:, None], 0.0, earth_rate(campaign.site.latitude)),
+        outer=outer_axes(stimulus, first),
     )
     return Nodes(
         stands=stands,
@@ -162,6 +163,7 @@ def _nodes(campaign: Campaign, nodes: NodeTable) -> Nodes:
         ambient=Ambient(**stimulus.ambient),
         injected=nodes.injected,
         records=records_of(nodes),
+        outer=outer_axes(stimulus, np.arange(len(nodes.run))),
     )
 
 

@@ -153,8 +153,9 @@ def _readout(transitions: Transitions, channels: dict[str, Channels], found: dic
 
 
 def _no_motion(count: int) -> Motion:
-    zero, eye = jnp.zeros(count), jnp.broadcast_to(jnp.eye(3), (count, 3, 3))
-    return Motion(eye, eye, zero, zero, zero, *(jnp.zeros((count, 3)) for _ in range(4)))
+    zero, still = jnp.zeros(count), jnp.zeros((count, 3))
+    eye = jnp.broadcast_to(jnp.eye(3), (count, 3, 3))
+    return Motion(eye, eye, zero, zero, zero, still, still, still, still)
 
 
 def _product(rotations: Float[Array, "T K 3 3"]) -> Float[Array, "T 3 3"]:

@@ -8,8 +8,9 @@ import numpy as np
 from imubayes.campaign_data import Campaign, Kind
 from imubayes.covariates import ambient_names
 from imubayes.procedures import PROCEDURES
-from imubayes.procedures.nominal_stimulus import Stimulus
-from imubayes.signal_path_state import Ambient, Records
+from imubayes.procedures.nominal_stimulus import OuterMotion, Stimulus
+from imubayes.procedures.serial_axes import turning_rate
+from imubayes.signal_path_state import Ambient, OuterAxes, Records
 
 # Sorted, because that is the order in which JAX walks through a dictionary.
 KINDS: tuple[Kind, ...] = ("accelerometer", "gyro")
@@ -112,6 +113,26 @@ def _join(parts: Sequence[Stimulus], order: np.ndarray) -> Stimulus:
         ambient=ambient,
         injected=False,
         pose=joined("pose"),
+        outer=_join_outer(parts, order),
+    )
+
+
+def _join_outer(parts: Sequence[Stimulus], order: np.ndarray) -> OuterMotion | None:
+    if all(part.outer is None for part in parts):
+        return None
+    found = [part.outer or OuterMotion.still(len(part.row)) for part in parts]
+    return OuterMotion(
+        *(np.concatenate([getattr(each, name) for each in found])[order] for name in OuterMotion.__dataclass_fields__)
+    )
+
+
+def outer_axes(stimulus: Stimulus, chosen: np.ndarray) -> OuterAxes | None:
+    """Return the axes that carry the inner one at chosen nodes, as they travel along the signal path."""
+    outer = stimulus.outer
+    if outer is None:
+        return None
+    return OuterAxes(
+        outer.links[chosen], outer.arms[chosen], outer.angle[chosen], outer.rate[chosen], outer.acceleration[chosen]
     )
 
 
@@ -190,7 +211,7 @@ def nominal_rates(campaign: Campaign, nodes: NodeTable, entries: Entries) -> np.
     stimulus = nodes.stimulus
     first_row = np.cumsum([0, *(run.rows for run in campaign.runs)])
     rate = np.zeros((first_row[-1], 3))
-    rate[first_row[nodes.run] + stimulus.row] = stimulus.mounting[:, 2, :] * stimulus.table_rate[:, None]
+    rate[first_row[nodes.run] + stimulus.row] = turning_rate(stimulus)
     gyro = np.array([channel.kind == "gyro" for channel in campaign.channels] + [False] * 3)[entries.channel]
     axes = np.array([channel.axes[0] * channel.scale_si for channel in campaign.channels] + [np.zeros(3)] * 3)
     row = np.where(entries.closing, 0, first_row[entries.run] + np.where(entries.closing, 0, entries.row))

@@ -2,7 +2,8 @@
 
 An effect acts on the nominal samples of a run with one coefficient at the largest size met in practice, all else at its
 null.  A few instants of each run are enough: those where a stimulus is extreme, and some in between.  They come in
-blocks of one shape, so that nothing is compiled for a campaign.  An effect on the motion responds where it changes it.
+blocks of one shape, so that nothing is compiled for a campaign.  An effect on the motion responds where it
+changes what acts on the body.
 
 Three kinds are taken to respond wherever the covariates they need are recorded: effects with memory, and effects on the
 gyros of free tumbles and of driven tables, where the record is not the signal itself.  For those the linearised model
@@ -25,7 +26,14 @@ from imubayes.covariates import ambient_names
 from imubayes.earth import earth_rate
 from imubayes.effects.base import Effect, MotionEffect, PlaceEffect, RecordEffect, SignalEffect, Stage
 from imubayes.model.effect_registry import EffectClass
-from imubayes.model.nodes_and_entries import Entries, NodeTable, nominal_rates, reference_scales, servo_runs
+from imubayes.model.nodes_and_entries import (
+    Entries,
+    NodeTable,
+    nominal_rates,
+    outer_axes,
+    reference_scales,
+    servo_runs,
+)
 from imubayes.model.parameter_priors import unit_factors
 from imubayes.model.signal_path import on_body, project
 from imubayes.noise.base import Entry, EntryNoise, Noise
@@ -102,6 +110,7 @@ class NominalSamples:
             table_rate=motion.table_rate + rate,
             reference_rate=motion.reference_rate + about,
             gravity=motion.gravity * (1 + (rate if rate > 1 else 0.0)),
+            outer=None if motion.outer is None else replace(motion.outer, rate=motion.outer.rate + rate),
         )
         return NominalSamples(place, turned, self.ambient)
 
@@ -189,6 +198,7 @@ def _motion(campaign: Campaign, nodes: NodeTable, chosen: np.ndarray) -> Motion:
         reference_acceleration=stimulus.reference_acceleration[chosen],
         gravity=np.tile([0.0, 0.0, campaign.site.gravity], (len(chosen), 1)),
         earth_rate=np.where(referenced[:, None], 0.0, earth_rate(campaign.site.latitude)),
+        outer=outer_axes(stimulus, chosen),
     )
 
 
@@ -285,10 +295,10 @@ def _changes(probe: Probe, values: dict[str, float], at: NominalSamples) -> np.n
 
 @eqx.filter_jit
 def _moves(acting: MotionEffect, before: Motion, ambient: Ambient) -> Array:
-    """Return where an effect changes the motion, (P,) bool."""
-    after = jax.vmap(acting.apply)(before, ambient)
+    """Return where an effect changes what acts on the body, (P,) bool."""
+    after = jax.vmap(lambda motion, at: on_body(acting.apply(motion, at)))(before, ambient)
     changed = []
-    for new, old in zip(jax.tree.leaves(after), jax.tree.leaves(before), strict=True):
+    for new, old in zip(jax.tree.leaves(after), jax.tree.leaves(jax.vmap(on_body)(before)), strict=True):
         rows, moved = jnp.abs(old.reshape(len(old), -1)), jnp.abs(new - old).reshape(len(old), -1)
         changed.append(jnp.max(moved, axis=1) > _ROUNDING * jnp.maximum(jnp.max(rows, axis=1), _LEAST_INPUT))
     return jnp.any(jnp.stack(changed), axis=0)

@@ -1,10 +1,11 @@
 """Unit and prior of every scalar parameter: from the model file, the campaign's equipment or the effect's default."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel
+from imubayes.campaign_data import Campaign, Channel, Table
 from imubayes.errors import input_error
 from imubayes.model.effect_registry import EffectClass
 from imubayes.model.model_spec import EffectSpec
@@ -18,6 +19,16 @@ from imubayes.units import to_si
 # Where neither the campaign nor the spread of raw samples gives the noise of a channel: a thousandth of what was
 # recorded, known to a factor of e³ = 20 either way.
 _UNKNOWN_NOISE_SHARE, _UNKNOWN_NOISE_LOG_SD = 1e-3, 3.0
+
+_OF_TABLES: dict[str, Callable[[Table], float | None]] = {
+    "axis": lambda table: table.axis_uncertainty,
+    "rate": lambda table: table.rate_uncertainty,
+    "zero": lambda table: table.zero_uncertainty,
+    "squareness": lambda table: table.squareness_uncertainty,
+    "intersection": lambda table: table.intersection_uncertainty,
+    "arm": lambda table: table.arm_uncertainty,
+}
+"""Equipment fact of a table → the uncertainty that the campaign states of it."""
 
 
 def hyper_fields(effect_class: EffectClass) -> set[str]:
@@ -134,7 +145,6 @@ def _stated(fact: str, label: dict[str, str], campaign: Campaign) -> float | Non
     stated = None
     if fact == "seat" and "mounting" in label:
         stated = campaign.mountings[label["mounting"]].uncertainty
-    elif fact in ("axis", "rate") and "table" in label:
-        table = campaign.tables[label["table"]]
-        stated = table.axis_uncertainty if fact == "axis" else table.rate_uncertainty
+    elif fact in _OF_TABLES and "table" in label:
+        stated = _OF_TABLES[fact](campaign.tables[label["table"]])
     return stated

@@ -19,7 +19,8 @@ import numpy as np
 from imubayes.array_shapes import Array, Float, Matrix3, Vector3
 from imubayes.effects.base import Effect, Stage
 from imubayes.gather import take
-from imubayes.rotations import rotate, rotate_back, turn_back_about_z
+from imubayes.model.outer_axes import carried
+from imubayes.rotations import cross, rotate, rotate_back, turn_back_about_z
 from imubayes.signal_path_state import Ambient, Experience, Motion, Nodes, Sample, SignalPath
 
 
@@ -104,6 +105,7 @@ class Broadcast(Layer):
             reference_acceleration=at.reference_acceleration,
             gravity=take(stand.gravity, at.stand),
             earth_rate=take(stand.earth_rate, at.stand),
+            outer=at.outer,
         )
         return eqx.tree_at(lambda p: (p.motion, p.ambient), path, (motion, at.ambient))
 
@@ -178,21 +180,29 @@ class AddOffset(Layer):
 
 def on_body(motion: Motion) -> Experience:
     """Return what acts on a body that moves like this, in body axes."""
-    axis = motion.mounting[2]
+    axis, frame = motion.mounting[2], carried(motion)
     turning = axis * motion.table_rate + motion.reference_rate
+    faster = axis * motion.table_acceleration + motion.reference_acceleration
+    if motion.outer is not None:
+        own = motion.table_rate * jnp.array([0.0, 0.0, 1.0])
+        turning = turning + into_body(motion, frame.rate)
+        faster = faster + into_body(motion, frame.acceleration + cross(frame.rate, own))
     return Experience(
-        rate=turning + into_body(motion, motion.earth_rate),
-        force=into_body(motion, motion.gravity),
+        rate=turning + into_body(motion, rotate_back(frame.to_local, motion.earth_rate)),
+        force=into_body(motion, frame.force),
         table_rate=turning,
-        table_acceleration=axis * motion.table_acceleration + motion.reference_acceleration,
-        north=into_body(motion, jnp.array([0.0, 1.0, 0.0])),
-        up=into_body(motion, jnp.array([0.0, 0.0, 1.0])),
+        table_acceleration=faster,
+        north=into_body(motion, rotate_back(frame.to_local, jnp.array([0.0, 1.0, 0.0]))),
+        up=into_body(motion, rotate_back(frame.to_local, jnp.array([0.0, 0.0, 1.0]))),
     )
 
 
 def into_body(motion: Motion, vector: Vector3) -> Vector3:
-    """Return a vector given in n in body axes; three turns of a vector cost less than the product of matrices."""
-    return rotate_back(motion.mounting, turn_back_about_z(rotate_back(motion.base, vector), motion.table_angle))
+    """Return a vector, given in the frame that the inner axis starts from, in body axes.
+
+    Turns of a vector cost less than the product of matrices.
+    """
+    return rotate_back(motion.mounting, turn_back_about_z(vector, motion.table_angle))
 
 
 def project(axes: Matrix3, experience: Experience, ambient: Ambient) -> Sample:

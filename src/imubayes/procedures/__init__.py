@@ -5,6 +5,7 @@ from imubayes.procedures.current_injection import CURRENT_INJECTION
 from imubayes.procedures.dividing_head import DIVIDING_HEAD
 from imubayes.procedures.free_tumble import FREE_TUMBLE
 from imubayes.procedures.geographic_tumble import GEOGRAPHIC_TUMBLE
+from imubayes.procedures.multi_axis_table import MULTI_AXIS_TABLE
 from imubayes.procedures.polar_tumble import POLAR_TUMBLE
 from imubayes.procedures.rate_table import RATE_TABLE
 from imubayes.procedures.reference_gyro import REFERENCE_GYRO
@@ -24,6 +25,7 @@ PROCEDURES: dict[str, Procedure] = {
         THERMAL_RAMP,
         CURRENT_INJECTION,
         REFERENCE_GYRO,
+        MULTI_AXIS_TABLE,
         FREE_TUMBLE,
     )
 }

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.earth import earth_rate, table_to_local
+from imubayes.earth import earth_rate
 from imubayes.procedures.ambient import ambient_of
 from imubayes.procedures.nominal_stimulus import Stimulus
 
@@ -35,8 +35,8 @@ def _angle_nodes(angle: float, span: float, whole_turn_nodes: int) -> tuple[np.n
 def table_stimulus(run: Run, campaign: Campaign) -> Stimulus:
     """Return the stimulus of a run on a single-axis table; without a table the unit is level and at rest."""
     table = campaign.tables[run.table] if run.table is not None else None
-    azimuth, elevation = (table.azimuth, table.elevation) if table else (0.0, math.pi / 2)
-    vertical = abs(abs(elevation) - math.pi / 2) < _VERTICAL_WITHIN
+    to_local = table.to_local if table else np.eye(3)
+    vertical = abs(to_local[2, 2]) > math.cos(_VERTICAL_WITHIN)
     whole_turn_nodes = _NODES_VERTICAL if vertical else _NODES_INCLINED
     angles, spans = run.covariates["table_angle"], run.covariates["table_angle_span"]
     per_row = [_angle_nodes(a, s, whole_turn_nodes) for a, s in zip(angles, spans, strict=True)]
@@ -47,7 +47,7 @@ def table_stimulus(run: Run, campaign: Campaign) -> Stimulus:
     return Stimulus(
         row=row,
         weight=np.concatenate([weights for _, weights in per_row]),
-        base=np.broadcast_to(table_to_local(azimuth, elevation), (count, 3, 3)),
+        base=np.broadcast_to(to_local, (count, 3, 3)),
         mounting=np.broadcast_to(mounting, (count, 3, 3)),
         table_angle=angle,
         table_rate=run.covariates["table_rate"][row],
@@ -99,7 +99,7 @@ def nominal_input(
     ----------
     rate, angle : of the table, rad/s and rad; NaN angles denote means over whole turns.
     """
-    to_level = table_to_local(table.azimuth, table.elevation)
+    to_level = table.to_local
     local = earth_rate(site.latitude) if channel.kind == "gyro" else np.array([0.0, 0.0, site.gravity])
     fixed = to_level.T @ local
     cosine, sine = (np.where(np.isnan(angle), 0.0, f(np.nan_to_num(angle))) for f in (np.cos, np.sin))

@@ -10,13 +10,14 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from imubayes.campaign_data import Mounting, Site, Table
 
 SECONDS_PER_ROW = 60.0
 Temperature = Annotated[float, Field(ge=-150, le=150)]
 Positive = Annotated[float, Field(gt=0)]
+OfAxes = Annotated[list[float], Field(min_length=2, max_length=3, description="outer, middle if there is one, inner")]
 
 
 class PlannedSteps(BaseModel):
@@ -33,11 +34,22 @@ class PlannedSteps(BaseModel):
     current_mA: float | None = None
     turns: Positive | None = None
     arc_deg: Annotated[float, Field(gt=0, le=90)] | None = None
+    axis_angles_deg: Annotated[list[OfAxes], Field(min_length=1)] | None = None
+    axis_rates_deg_s: Annotated[list[OfAxes], Field(min_length=1)] | None = None
     directions: Annotated[list[str], Field(min_length=1)] | None = None
     hours: Annotated[float, Field(gt=0, le=1000)] | None = None
     poses: Annotated[int, Field(ge=9, le=200)] | None = None
     samples: Annotated[int, Field(ge=1)] = 1200
     seconds_per_row: Positive | None = None
+
+    @model_validator(mode="after")
+    def _axes_of_every_row(self) -> "PlannedSteps":
+        angles, rates = self.axis_angles_deg, self.axis_rates_deg_s
+        if angles and len({len(row) for row in (*angles, *(rates or []))}) > 1:
+            raise ValueError("every row gives the same axes: outer and inner, or outer, middle and inner")
+        if angles and rates and len(angles) != len(rates):
+            raise ValueError("'axis_rates_deg_s' has as many rows as 'axis_angles_deg'")
+        return self
 
     @property
     def duration(self) -> float:

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign_data import Campaign, Channel, Run
-from imubayes.earth import earth_rate, table_to_local
+from imubayes.earth import earth_rate
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.estimable_functions import Combination, estimable, rank
 from imubayes.procedures.planned_steps import PlanRules, position_rows
@@ -184,7 +184,7 @@ def _earth(run: Run, campaign: Campaign, channel: Channel, angle: np.ndarray) ->
     assert run.table is not None
     assert run.mounting is not None
     table = campaign.tables[run.table]
-    x, y, z = table_to_local(table.azimuth, table.elevation).T @ earth_rate(campaign.site.latitude)
+    x, y, z = table.to_local.T @ earth_rate(campaign.site.latitude)
     c, s = np.cos(angle), np.sin(angle)
     in_table = np.stack([c * x + s * y, c * y - s * x, np.full_like(angle, z)])
     return campaign.mountings[run.mounting].body_to_table @ channel.axes[0] @ in_table

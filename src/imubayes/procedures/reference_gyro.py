@@ -24,7 +24,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.earth import earth_rate, table_to_local
+from imubayes.earth import earth_rate
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.kinematics import table_stimulus
 from imubayes.procedures.nominal_stimulus import Stimulus
@@ -259,7 +259,7 @@ def _nominal_columns(
     """Return what an ideal reference measures: the rotation of the table and the Earth rate, mean over each row."""
     angle, span = np.radians(columns["table_angle_deg"]), np.radians(columns["table_angle_span_deg"])
     seconds = np.gradient(columns["time_s"]) if len(angle) > 1 else np.full(len(angle), _SECONDS_PER_ROW)
-    x, y, z = table_to_local(table.azimuth, table.elevation).T @ earth_rate(site.latitude)
+    x, y, z = table.to_local.T @ earth_rate(site.latitude)
     short = np.sinc(span / (2 * np.pi))
     c, s = short * np.cos(angle), short * np.sin(angle)
     turning = np.stack([c * x + s * y, c * y - s * x, z + span / seconds], axis=1)

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
-from imubayes.earth import earth_rate, table_to_local
+from imubayes.earth import earth_rate
 from imubayes.procedures.ambient import ambient_of
 from imubayes.procedures.base import Procedure, Reduction
 from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules
@@ -149,7 +149,7 @@ def _nominal_columns(
     columns: dict[str, np.ndarray], site: Site, table: Table, _mounting: Mounting
 ) -> dict[str, np.ndarray]:
     """Return the angle of a table that keeps the nulled gyro from turning with the Earth: dφ/dt = −ω_a."""
-    along = float(table_to_local(table.azimuth, table.elevation)[:, 2] @ earth_rate(site.latitude))
+    along = float(table.to_local[:, 2] @ earth_rate(site.latitude))
     return {"table_angle_deg": -np.degrees(along) * columns["time_s"]}
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign_data import Campaign, Channel, Run
-from imubayes.earth import table_to_local
 
 RESIDUALS = "type A: residuals of the fitted curve"
 # Tests at temperatures closer than this are tests at the same temperature.
@@ -111,7 +110,7 @@ def up_in_table(run: Run, campaign: Campaign) -> np.ndarray:
     """Return the direction of the specific force at table angle 0 in table axes, shape (3,)."""
     assert run.table is not None
     table = campaign.tables[run.table]
-    return table_to_local(table.azimuth, table.elevation).T @ np.array([0.0, 0.0, 1.0])
+    return table.to_local.T @ np.array([0.0, 0.0, 1.0])
 
 
 def components(run: Run, campaign: Campaign, channel: Channel, angle: np.ndarray | None = None) -> np.ndarray:
@@ -128,7 +127,7 @@ def axial(run: Run, campaign: Campaign, vector: np.ndarray) -> float:
     """Return the component of a vector of the local level along the table's axis."""
     assert run.table is not None
     table = campaign.tables[run.table]
-    return float(table_to_local(table.azimuth, table.elevation)[:, 2] @ vector)
+    return float(table.to_local[:, 2] @ vector)
 
 
 def temperature_of(run: Run) -> float:

@@ -1,0 +1,156 @@
+"""Textbook regression on known inputs: the terms of the model equation that a set of rows separates, by least squares.
+
+The output is E = K·(Σ c_j x_j) with the input itself first, c = 1: for an accelerometer
+a_i + K0 + δ_o a_o + δ_p a_p + K2 a_i² + … (IEEE Std 1293), for a gyro ω_i + D_F + δ_o ω_o + … + D_I a_i + … (IEEE Std
+517).  Terms enter in the order of their list as long as the rows tell them from those before; those left out are
+assumed zero, and are named.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.campaign_data import Channel
+from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, least_squares
+from imubayes.units import to_si
+
+# Of the columns at unit length: beyond it a coefficient loses four of the digits of the readings.
+_LARGEST_CONDITION = 1e4
+_LEAST_COLUMN = 1e-9
+
+
+@dataclass(frozen=True)
+class KnownInput:
+    """What a channel experiences at the nodes of some rows, along its own axes I, O and S.
+
+    Attributes
+    ----------
+    rate : shape (n, 3), rad/s.
+    force : shape (n, 3), g.
+    """
+
+    rate: np.ndarray
+    force: np.ndarray
+
+
+@dataclass(frozen=True)
+class FittedTerm:
+    """One term of a model equation.
+
+    Attributes
+    ----------
+    symbol : as in the standard.
+    name : of the parameter in the joint fit.
+    unit : of the coefficient.
+    column : the known input → its values at the nodes, (n,), in the unit of the input: rad/s or g.
+    """
+
+    symbol: str
+    name: str
+    unit: str
+    column: Callable[[KnownInput], np.ndarray]
+
+
+def _force(*axes: int) -> Callable[[KnownInput], np.ndarray]:
+    return lambda known: np.prod(known.force[:, axes], axis=1)
+
+
+def _rate(axis: int) -> Callable[[KnownInput], np.ndarray]:
+    return lambda known: known.rate[:, axis]
+
+
+ACCELEROMETER = (
+    FittedTerm("K1", "scale_factor", "", _force(0)),
+    FittedTerm("K0", "accel_bias.bias", "ug", _force()),
+    FittedTerm("δ_o", "accel_misalignment.toward_o", "arcsec", _force(1)),
+    FittedTerm("δ_p", "accel_misalignment.toward_p", "arcsec", _force(2)),
+    FittedTerm("K2", "accel_quadratic.quadratic", "ug/g^2", _force(0, 0)),
+    FittedTerm("K3", "accel_cubic.cubic", "ug/g^3", _force(0, 0, 0)),
+    FittedTerm("K_io", "accel_cross_coupling.k_io", "ug/g^2", _force(0, 1)),
+    FittedTerm("K_ip", "accel_cross_coupling.k_ip", "ug/g^2", _force(0, 2)),
+    FittedTerm("K_oo", "accel_cross_axis_quadratic.k_oo", "ug/g^2", _force(1, 1)),
+    FittedTerm("K_pp", "accel_cross_axis_quadratic.k_pp", "ug/g^2", _force(2, 2)),
+)
+GYRO = (
+    FittedTerm("K", "scale_factor", "", _rate(0)),
+    FittedTerm("D_F", "gyro_bias.bias", "deg/h", _force()),
+    FittedTerm("δ_o", "gyro_misalignment.toward_o", "arcsec", _rate(1)),
+    FittedTerm("δ_s", "gyro_misalignment.toward_s", "arcsec", _rate(2)),
+    FittedTerm("D_I", "gyro_g_sensitivity.d_i", "deg/h/g", _force(0)),
+    FittedTerm("D_O", "gyro_g_sensitivity.d_o", "deg/h/g", _force(1)),
+    FittedTerm("D_S", "gyro_g_sensitivity.d_s", "deg/h/g", _force(2)),
+    FittedTerm("D_II", "gyro_g2_sensitivity.d_ii", "deg/h/g^2", _force(0, 0)),
+    FittedTerm("D_OO", "gyro_g2_sensitivity.d_oo", "deg/h/g^2", _force(1, 1)),
+    FittedTerm("D_SS", "gyro_g2_sensitivity.d_ss", "deg/h/g^2", _force(2, 2)),
+    FittedTerm("D_IO", "gyro_g2_sensitivity.d_io", "deg/h/g^2", _force(0, 1)),
+    FittedTerm("D_OS", "gyro_g2_sensitivity.d_os", "deg/h/g^2", _force(1, 2)),
+    FittedTerm("D_SI", "gyro_g2_sensitivity.d_si", "deg/h/g^2", _force(2, 0)),
+)
+
+
+def model_terms(channel: Channel) -> tuple[FittedTerm, ...]:
+    """Return the model equation of a channel."""
+    return ACCELEROMETER if channel.kind == "accelerometer" else GYRO
+
+
+def separated(design: np.ndarray) -> list[int]:
+    """Return the columns of a design (R, p) that the rows separate, in their order, the first ones preferred."""
+    length = np.linalg.norm(design, axis=0)
+    kept: list[int] = []
+    for column in range(design.shape[1]):
+        if length[column] < _LEAST_COLUMN * np.sqrt(len(design)) or len(kept) + 1 >= len(design):
+            continue
+        tried = [*kept, column]
+        if np.linalg.cond(design[:, tried] / length[tried]) < _LARGEST_CONDITION:
+            kept.append(column)
+    return kept
+
+
+def term_estimates(
+    channel: Channel, gravity: float, design: np.ndarray, output: np.ndarray, runs: str, method: str
+) -> list[TextbookResult]:
+    """Return the coefficients that rows determine, and which they leave open.
+
+    Parameters
+    ----------
+    gravity : of the site, m/s².
+    design : shape (R, p), means over the rows of the terms' columns.
+    output : shape (R,), less the nominal offset.
+    runs, method : for the estimates.
+    """
+    terms, kept = model_terms(channel), separated(design)
+    if 0 not in kept:
+        return [Undetermined(runs, f"{channel.name}: its input axis sees no known input that varies")]
+    length = np.linalg.norm(design[:, kept], axis=0)
+    value, covariance, _ = least_squares(design[:, kept] / length, output)
+    value, spread = value / length, np.sqrt(np.diag(covariance)) / length
+    per = to_si(channel.per, gravity) / (1.0 if channel.kind == "gyro" else to_si("g", gravity))
+    scale, freedom = float(value[0]), len(output) - len(kept)
+    evaluation = f"type A: residuals of the fitted terms, {freedom} degrees of freedom"
+    found: list[TextbookResult] = [
+        Estimate(
+            f"scale_factor[{channel.name}]", runs, scale * per, float(spread[0]) * per,
+            f"{channel.output_unit} per {channel.per}", method, uncertainty=evaluation,
+        )
+    ]  # fmt: skip
+    for place, column in enumerate(kept[1:], start=1):
+        term = terms[column]
+        factor = _factor(channel, term)
+        size, error = float(value[place] / scale) * factor, abs(float(spread[place] / scale)) * factor
+        name = f"{term.name}[{channel.name}]"
+        found.append(
+            Estimate(name, runs, size, error, term.unit, f"{method}: {term.symbol}", uncertainty=evaluation)
+        )  # fmt: skip
+    open_terms = [term.symbol for place, term in enumerate(terms) if place not in kept]
+    if open_terms:
+        said = f"{channel.name}: {', '.join(open_terms)} cannot be told from the other terms; assumed zero"
+        found.append(Undetermined(runs, said))
+    return found
+
+
+def _factor(channel: Channel, term: FittedTerm) -> float:
+    """Return the factor from a coefficient of the regression, relative to the scale factor, to its unit."""
+    if term.unit == "arcsec":
+        return 1 / to_si("arcsec")
+    return 1 / to_si("deg/h") if channel.kind == "gyro" else 1e6
