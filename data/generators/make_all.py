@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import accel_channel
+import centrifuge
 import desk_imu
 import full_qualification
 import geographic_tumble
@@ -27,6 +28,7 @@ CAMPAIGNS = {
     "rotation-modulation": rotation_modulation,
     "reference-gyro": reference_gyro,
     "multi-axis-table": multi_axis_table,
+    "centrifuge": centrifuge,
     "full-qualification": full_qualification,
 }
 

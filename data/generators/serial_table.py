@@ -90,7 +90,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class SerialRun:
-    """One run of poses in a mounting."""
+    """One run of poses in a mounting; `recorded` are its channels, all where none is named."""
 
     name: str
     procedure: str
@@ -99,6 +99,7 @@ class SerialRun:
     poses: list[Pose]
     start: str
     temperature: float = 25.0
+    recorded: tuple[str, ...] = ()
 
 
 class Chain:
@@ -225,7 +226,8 @@ def columns(
     found["samples"] = [str(round(pose.seconds * raw_rate)) for pose in run.poses]
     for form, values in (("{}", readings.mean), ("{}_sd", readings.sd)):
         for channel, column in zip(plan.channels, values.T, strict=True):
-            found[form.format(channel.name)] = [f"{value:.{decimals}f}" for value in column]
+            if not run.recorded or channel.name in run.recorded:
+                found[form.format(channel.name)] = [f"{value:.{decimals}f}" for value in column]
     return found
 
 

@@ -97,7 +97,8 @@ UNITS = {
 _IN_BASE_UNIT = {
     "arcsec": 1.0, "arcmin": 60.0, "deg": 3600.0, "ppm": 1.0, "%": 1e4, "deg/h": 1.0, "deg/s": 3600.0,
     "ug": 1.0, "mg": 1e3, "mm": 1.0, "cm": 10.0, "ppm/degC": 1.0, "deg/h/degC": 1.0, "ug/degC": 1.0,
-    "ms": 1.0, "deg/h/h": 1.0, "deg/h/g": 1.0, "deg/h/g^2": 1.0, "ug/g^2": 1.0, "output": 1.0, "output/degC": 1.0,
+    "ms": 1.0, "deg/h/h": 1.0, "deg/h/g": 1.0, "deg/h/g^2": 1.0, "ug/g^2": 1.0, "ug/g^3": 1.0, "output": 1.0,
+    "output/degC": 1.0,
 }  # fmt: skip
 _PRIOR = re.compile(r"(\w+)\(\s*(.+?)\s*\)")
 _NUMBER_AND_UNIT = re.compile(r"([-+.\deE]+)\s*(\S*)")
@@ -136,7 +137,7 @@ def _applies(effect: dict, channel: Channel) -> bool:
         return channel.kind == "gyro"
     if effect["name"].startswith(("accel_", "lever_arm")):
         return channel.kind == "accelerometer"
-    return not effect["name"].startswith(("reference_", "time_", "station_"))
+    return not effect["name"].startswith(("reference_", "time_", "station_", "arm_"))
 
 
 def effects_of(model: str | Path) -> list[dict]:

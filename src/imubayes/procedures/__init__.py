@@ -1,6 +1,7 @@
 """The test procedures: one module and one line of registration each."""
 
 from imubayes.procedures.base import Procedure, Reduction
+from imubayes.procedures.centrifuge import CENTRIFUGE
 from imubayes.procedures.current_injection import CURRENT_INJECTION
 from imubayes.procedures.dividing_head import DIVIDING_HEAD
 from imubayes.procedures.free_tumble import FREE_TUMBLE
@@ -26,6 +27,7 @@ PROCEDURES: dict[str, Procedure] = {
         CURRENT_INJECTION,
         REFERENCE_GYRO,
         MULTI_AXIS_TABLE,
+        CENTRIFUGE,
         FREE_TUMBLE,
     )
 }

@@ -6,12 +6,13 @@ a_i + K0 + δ_o a_o + δ_p a_p + K2 a_i² + … (IEEE Std 1293), for a gyro ω_i
 assumed zero, and are named.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign_data import Channel
+from imubayes.campaign_data import Campaign, Channel, Run
+from imubayes.procedures.serial_axes import AXES, felt, row_means, serial_stimulus
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, least_squares
 from imubayes.units import to_si
 
@@ -60,6 +61,10 @@ def _rate(axis: int) -> Callable[[KnownInput], np.ndarray]:
     return lambda known: known.rate[:, axis]
 
 
+def _with_sign(known: KnownInput) -> np.ndarray:
+    return known.force[:, 0] * np.abs(known.force[:, 0])
+
+
 ACCELEROMETER = (
     FittedTerm("K1", "scale_factor", "", _force(0)),
     FittedTerm("K0", "accel_bias.bias", "ug", _force()),
@@ -67,6 +72,7 @@ ACCELEROMETER = (
     FittedTerm("δ_p", "accel_misalignment.toward_p", "arcsec", _force(2)),
     FittedTerm("K2", "accel_quadratic.quadratic", "ug/g^2", _force(0, 0)),
     FittedTerm("K3", "accel_cubic.cubic", "ug/g^3", _force(0, 0, 0)),
+    FittedTerm("K_oq", "accel_odd_quadratic.odd_quadratic", "ug/g^2", _with_sign),
     FittedTerm("K_io", "accel_cross_coupling.k_io", "ug/g^2", _force(0, 1)),
     FittedTerm("K_ip", "accel_cross_coupling.k_ip", "ug/g^2", _force(0, 2)),
     FittedTerm("K_oo", "accel_cross_axis_quadratic.k_oo", "ug/g^2", _force(1, 1)),
@@ -105,6 +111,33 @@ def separated(design: np.ndarray) -> list[int]:
         if np.linalg.cond(design[:, tried] / length[tried]) < _LARGEST_CONDITION:
             kept.append(column)
     return kept
+
+
+def known_rows(
+    campaign: Campaign, runs: Sequence[Run], place: int, still_only: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the design of a channel's model equation, (R, p), and its outputs less the nominal offset, (R,).
+
+    Parameters
+    ----------
+    place : of the channel in the campaign.
+    still_only : whether to leave out rows that turn.
+    """
+    channel, designs, outputs = campaign.channels[place], [], []
+    for run in runs:
+        good = np.isfinite(run.observed[:, place])
+        if still_only:
+            good &= ~np.any([run.covariates.get(f"{axis}_rate", np.zeros(run.rows)) != 0 for axis in AXES], axis=0)
+        designs.append(_design(campaign, run, channel)[good])
+        outputs.append(run.observed[good, place] - channel.offset)
+    return np.concatenate(designs), np.concatenate(outputs)
+
+
+def _design(campaign: Campaign, run: Run, channel: Channel) -> np.ndarray:
+    stimulus = serial_stimulus(run, campaign)
+    rate, force = (vector @ channel.axes.T for vector in felt(stimulus, campaign.site))
+    known = KnownInput(rate, force / campaign.site.gravity)
+    return row_means(stimulus, np.stack([term.column(known) for term in model_terms(channel)], axis=1))
 
 
 def term_estimates(

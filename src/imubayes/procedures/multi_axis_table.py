@@ -12,11 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign, Channel, Run
+from imubayes.campaign_data import Campaign, Run
 from imubayes.procedures.base import Procedure
-from imubayes.procedures.fitted_terms import KnownInput, model_terms, term_estimates
+from imubayes.procedures.fitted_terms import known_rows, term_estimates
 from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules, whole_turns
-from imubayes.procedures.serial_axes import AXES, felt, row_means, serial_input, serial_stimulus
+from imubayes.procedures.serial_axes import AXES, serial_input, serial_stimulus
 from imubayes.procedures.textbook import TextbookResult, by_temperature, names_of
 
 METHOD = "multiposition test"
@@ -32,31 +32,6 @@ def multiposition_test(campaign: Campaign, runs: Sequence[Run]) -> list[Textbook
             if len(output):
                 found += term_estimates(channel, campaign.site.gravity, design, output, names_of(group), METHOD)
     return found
-
-
-def known_rows(campaign: Campaign, runs: Sequence[Run], place: int, still_only: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the design of a channel's model equation, (R, p), and its outputs less the nominal offset, (R,).
-
-    Parameters
-    ----------
-    place : of the channel in the campaign.
-    still_only : whether to leave out rows that turn.
-    """
-    channel, designs, outputs = campaign.channels[place], [], []
-    for run in runs:
-        good = np.isfinite(run.observed[:, place])
-        if still_only:
-            good &= ~np.any([run.covariates.get(f"{axis}_rate", np.zeros(run.rows)) != 0 for axis in AXES], axis=0)
-        designs.append(_design(campaign, run, channel)[good])
-        outputs.append(run.observed[good, place] - channel.offset)
-    return np.concatenate(designs), np.concatenate(outputs)
-
-
-def _design(campaign: Campaign, run: Run, channel: Channel) -> np.ndarray:
-    stimulus = serial_stimulus(run, campaign)
-    rate, force = (vector @ channel.axes.T for vector in felt(stimulus, campaign.site))
-    known = KnownInput(rate, force / campaign.site.gravity)
-    return row_means(stimulus, np.stack([term.column(known) for term in model_terms(channel)], axis=1))
 
 
 def _planned_rows(steps: PlannedSteps) -> PlannedRows:

@@ -37,6 +37,7 @@ class PlannedSteps(BaseModel):
     axis_angles_deg: Annotated[list[OfAxes], Field(min_length=1)] | None = None
     axis_rates_deg_s: Annotated[list[OfAxes], Field(min_length=1)] | None = None
     directions: Annotated[list[str], Field(min_length=1)] | None = None
+    counter_rotation: bool | None = None
     hours: Annotated[float, Field(gt=0, le=1000)] | None = None
     poses: Annotated[int, Field(ge=9, le=200)] | None = None
     samples: Annotated[int, Field(ge=1)] = 1200
