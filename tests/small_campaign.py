@@ -148,6 +148,40 @@ def referenced_campaign() -> Campaign:
     return replace(base, name="referenced", runs=(*base.runs[:5], *runs))
 
 
+def serial_campaign() -> Campaign:
+    """Return the campaign with a table of three axes, positions and turning about all of them, and a centrifuge."""
+    base = campaign()
+    turns = np.arange(16)
+    posed = _run(
+        "posed", "multi_axis_table", "gimbals", "flat", 16,
+        outer_angle=turns * 0.9, middle_angle=turns * 2.1, table_angle=turns * 1.3,
+    )  # fmt: skip
+    rates = {f"{axis}_rate": DEGREE * size * np.cos(turns * k) for k, (axis, size) in enumerate(
+        (("outer", 150.0), ("middle", 120.0), ("table", 90.0)), start=1)}  # fmt: skip
+    spans = {f"{axis}_angle_span": np.full(16, 0.3) for axis in ("outer", "middle", "table")}
+    turned = replace(posed, name="turned", covariates={**posed.covariates, **rates, **spans})
+    arm = DEGREE * np.array([0, 200, 400, 500, 600, 0, 200, 400, 500, 600])
+    spun = _run(
+        "spun", "centrifuge", "arm", "flat", 10,
+        outer_rate=arm, table_angle=np.where(np.arange(10) < 5, 0.2, 0.2 + np.pi / 2),
+    )  # fmt: skip
+    back = _run(
+        "back", "centrifuge", "arm", "x-up", 10, outer_rate=arm, table_rate=-arm, table_angle=np.arange(10) // 5
+    )
+    tables = {
+        "gimbals": Table(
+            "gimbals", 0.2, np.pi / 2, 20 * ARCSEC, 5e-6, None, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0,
+            30 * ARCSEC, 30 * ARCSEC, 3e-4,
+        ),
+        "arm": Table(
+            "arm", 0.0, np.pi / 2, 20 * ARCSEC, 5e-6, None, None, (0.0, 0.0, 1.0), 1.0, 30 * ARCSEC, 30 * ARCSEC,
+            None, 3e-4,
+        ),
+    }  # fmt: skip
+    runs = (*base.runs[:2], posed, turned, spun, back)
+    return replace(base, name="serial", tables={**base.tables, **tables}, runs=runs)
+
+
 def driven_campaign() -> Campaign:
     """Return a table that a gyro drives about the pole for a day and for a part of it, with a tumble beside it."""
     angle = Channel("table_angle", "angle", np.eye(3), "deg", 1.0, "deg", 1 / DEGREE, noise=1 / 3600)
@@ -276,7 +310,7 @@ def simulated(model: Model, z: np.ndarray, seed: int) -> Campaign:
 @cache
 def whole_catalogue() -> Model:
     """Return all effects that the wide campaign can show in one model, compiled once for the tests of each of them."""
-    elsewhere = {"reference", "driven", "directions"}
+    elsewhere = {"reference", "driven", "directions", "outer_angle", "middle_angle"}
     effects = [one for one in Registry().effects.values() if issubclass(one, Effect) and not one.nuisance]
     return bind(spec(*(one.name for one in effects if not elsewhere & set(one.needs))), wide_campaign())
 

@@ -73,7 +73,8 @@ def states(member: type, seed: int, still: bool = False, **fixed: float) -> tupl
         earth = jnp.asarray([0, 6e-5, 4e-5])
         reference = [vector(1.0) for _ in range(2)]
         body = random_rotation(rng), random_rotation(rng)
-        link = jnp.stack([random_rotation(rng), random_rotation(rng)])
+        # The platform of a centrifuge turns about an axis parallel to the arm's.
+        link = jnp.stack([jnp.eye(3) if seed % 2 else random_rotation(rng), random_rotation(rng)])
         moving = [jnp.asarray(rng.normal(size=2) * (0.0 if still else 1.0)) for _ in range(2)]
         outer = OuterAxes(link, jnp.asarray(rng.normal(size=(2, 3))), jnp.asarray(rng.normal(size=2)), *moving)
         return Motion(*body, angle, *table, *reference, gravity, earth, outer), circumstances
@@ -215,7 +216,7 @@ def silent_without_its_covariate(member: type) -> None:
     """Where what it needs is absent, or at the reference, the effect changes nothing, whatever its values."""
     reference = next((v for name, v in declared_options(member).items() if name.startswith("reference")), 0.0)
     for need in member.needs:
-        if need in ("injection", "reference", "driven", "directions", "table_angle"):
+        if need in ("injection", "reference", "driven", "directions", "table_angle", "outer_angle", "middle_angle"):
             continue  # known or not, without a value that is none: `test_registry` shows that nothing gets by
         nothing = {"power_on": LONG_AGO} | dict.fromkeys(TEMPERATURES, reference)
         fixed = {} if need in GATES else {need: nothing.get(need, 0.0)}

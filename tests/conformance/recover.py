@@ -19,6 +19,7 @@ from small_campaign import (
     directed_campaign,
     driven_campaign,
     referenced_campaign,
+    serial_campaign,
     simulated,
     spec,
     tumble_campaign,
@@ -55,6 +56,7 @@ def declared_alone(member: type, registry: Registry | None = None) -> Model:
 def shown_by(member: type) -> Campaign:
     """Return the small campaign whose runs supply what a member needs."""
     special = {"reference": referenced_campaign, "driven": driven_campaign, "directions": directed_campaign}
+    special |= {"outer_angle": serial_campaign, "middle_angle": serial_campaign}
     for need, among in special.items():
         if need in member.needs:
             return among()

@@ -15,7 +15,7 @@ from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.observability import observability
 from imubayes.model.problem import predict
 from imubayes.parameters.parameter_declarations import parameter
-from small_campaign import campaign, wide_campaign
+from small_campaign import campaign, serial_campaign, wide_campaign
 
 NOISE = EffectSpec("white_noise", where="model.toml")
 
@@ -45,7 +45,28 @@ def test_only_what_was_not_recorded_or_is_not_felt_is_missing():
     missing = {name for name, needs in lacking(whole).items() if needs}
     assert missing <= {"reference_bias", "reference_scale_factor", "reference_alignment", "reference_noise",
                        "servo_start", "station_heading", "station_level", "tumble_heading", "pose_attitude",
-                       "rotation_closure"}  # fmt: skip
+                       "rotation_closure", *SERIAL}  # fmt: skip
+
+
+SERIAL = {
+    "outer_axis_zero", "middle_axis_zero", "inner_axis_zero", "outer_axis_squareness", "middle_axis_squareness",
+    "outer_axis_intersection", "middle_axis_intersection", "platform_tilt", "arm_error",
+}  # fmt: skip
+
+
+def test_axes_that_do_not_meet_are_felt_where_they_turn():
+    """In positions an intersection error is not felt; on a centrifuge axes are parallel and the arm counts."""
+    runs = shown(serial_campaign())
+    assert set(runs) >= SERIAL
+    for effect in ("outer_axis_intersection", "middle_axis_intersection"):
+        assert runs[effect] == ("turned",), effect
+    for effect in ("outer_axis_squareness", "outer_axis_zero"):
+        assert {"posed", "turned"} <= set(runs[effect]), effect
+    assert set(runs["platform_tilt"]) == {"spun", "back"}
+    assert set(runs["arm_error"]) == {"spun", "back"}
+    missing = lacking(serial_campaign().only("posed"))
+    assert missing["outer_axis_intersection"] == ("turning",)
+    assert missing["middle_axis_squareness"] == ()
 
 
 def test_an_injected_current_hides_the_sensor():

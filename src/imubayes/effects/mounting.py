@@ -115,9 +115,10 @@ class ServoStart(MotionEffect):
 
 
 class LeverArm(PlaceEffect):
-    """Centripetal and tangential acceleration Ω×(Ω×r) + Ω̇×r at r, body axes, from the rotation axis.
+    """Acceleration Ω×(Ω×r) + Ω̇×r + 2 ω_E×(Ω×r) at r, body axes, from the rotation axis.
 
-    1 cm at 100 °/s is 3.1 mg.  The component of r along the rotation axis has no effect.
+    1 cm at 100 °/s is 3.1 mg, of which the Earth's rotation ω_E makes 83 ppm.  The component of r along the rotation
+    axis has no effect on the first two terms.
     """
 
     name = "lever_arm"
@@ -132,6 +133,7 @@ class LeverArm(PlaceEffect):
     def apply(self, experience: Experience) -> Experience:
         place = vector3(self.x, self.y, self.z)
         rate = experience.table_rate
-        centripetal = cross(rate, cross(rate, place))
+        velocity = cross(rate, place)
         tangential = cross(experience.table_acceleration, place)
-        return replace(experience, force=experience.force + centripetal + tangential)
+        coriolis = 2 * cross(experience.rate - rate, velocity)
+        return replace(experience, force=experience.force + cross(rate, velocity) + tangential + coriolis)

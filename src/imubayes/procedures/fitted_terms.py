@@ -2,8 +2,9 @@
 
 The output is E = K·(Σ c_j x_j) with the input itself first, c = 1: for an accelerometer
 a_i + K0 + δ_o a_o + δ_p a_p + K2 a_i² + … (IEEE Std 1293), for a gyro ω_i + D_F + δ_o ω_o + … + D_I a_i + … (IEEE Std
-517).  Terms enter in the order of their list as long as the rows tell them from those before; those left out are
-assumed zero, and are named.
+517).  Terms enter in the order of their list as long as the rows tell them from those before.  Of those left out the
+higher orders of an accelerometer are assumed zero and named; those of a gyro stay in sums with what they are not
+separable from, such as D_F + D_II.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,13 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign_data import Campaign, Channel, Run
+from imubayes.procedures.estimable_functions import written
 from imubayes.procedures.serial_axes import AXES, felt, row_means, serial_stimulus
 from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, least_squares
 from imubayes.units import to_si
 
 # Of the columns at unit length: beyond it a coefficient loses four of the digits of the readings.
 _LARGEST_CONDITION = 1e4
-_LEAST_COLUMN = 1e-9
+# Weights below this are rounding, or the Earth's rotation: a thousandth of what they stand beside.
+_LEAST_WEIGHT = 1e-2
+_LEAST_RATE = 1e-6  # rad/s, a seventieth of the Earth rate
 
 
 @dataclass(frozen=True)
@@ -45,12 +49,17 @@ class FittedTerm:
     name : of the parameter in the joint fit.
     unit : of the coefficient.
     column : the known input → its values at the nodes, (n,), in the unit of the input: rad/s or g.
+    assumed_zero : whether the standard neglects the term where it is not separable; if not, it is named together with
+        those that it is not separable from.
+    least : size of the column, rms, below which it is not seen at all.
     """
 
     symbol: str
     name: str
     unit: str
     column: Callable[[KnownInput], np.ndarray]
+    assumed_zero: bool = False
+    least: float = 1e-3
 
 
 def _force(*axes: int) -> Callable[[KnownInput], np.ndarray]:
@@ -68,21 +77,21 @@ def _with_sign(known: KnownInput) -> np.ndarray:
 ACCELEROMETER = (
     FittedTerm("K1", "scale_factor", "", _force(0)),
     FittedTerm("K0", "accel_bias.bias", "ug", _force()),
-    FittedTerm("δ_o", "accel_misalignment.toward_o", "arcsec", _force(1)),
-    FittedTerm("δ_p", "accel_misalignment.toward_p", "arcsec", _force(2)),
-    FittedTerm("K2", "accel_quadratic.quadratic", "ug/g^2", _force(0, 0)),
-    FittedTerm("K3", "accel_cubic.cubic", "ug/g^3", _force(0, 0, 0)),
-    FittedTerm("K_oq", "accel_odd_quadratic.odd_quadratic", "ug/g^2", _with_sign),
-    FittedTerm("K_io", "accel_cross_coupling.k_io", "ug/g^2", _force(0, 1)),
-    FittedTerm("K_ip", "accel_cross_coupling.k_ip", "ug/g^2", _force(0, 2)),
-    FittedTerm("K_oo", "accel_cross_axis_quadratic.k_oo", "ug/g^2", _force(1, 1)),
-    FittedTerm("K_pp", "accel_cross_axis_quadratic.k_pp", "ug/g^2", _force(2, 2)),
+    FittedTerm("δ_o", "accel_misalignment.toward_o", "arcsec", _force(1), assumed_zero=True),
+    FittedTerm("δ_p", "accel_misalignment.toward_p", "arcsec", _force(2), assumed_zero=True),
+    FittedTerm("K2", "accel_quadratic.quadratic", "ug/g^2", _force(0, 0), assumed_zero=True),
+    FittedTerm("K3", "accel_cubic.cubic", "ug/g^3", _force(0, 0, 0), assumed_zero=True),
+    FittedTerm("K_oq", "accel_odd_quadratic.odd_quadratic", "ug/g^2", _with_sign, assumed_zero=True),
+    FittedTerm("K_io", "accel_cross_coupling.k_io", "ug/g^2", _force(0, 1), assumed_zero=True),
+    FittedTerm("K_ip", "accel_cross_coupling.k_ip", "ug/g^2", _force(0, 2), assumed_zero=True),
+    FittedTerm("K_oo", "accel_cross_axis_quadratic.k_oo", "ug/g^2", _force(1, 1), assumed_zero=True),
+    FittedTerm("K_pp", "accel_cross_axis_quadratic.k_pp", "ug/g^2", _force(2, 2), assumed_zero=True),
 )
 GYRO = (
-    FittedTerm("K", "scale_factor", "", _rate(0)),
+    FittedTerm("K", "scale_factor", "", _rate(0), least=_LEAST_RATE),
     FittedTerm("D_F", "gyro_bias.bias", "deg/h", _force()),
-    FittedTerm("δ_o", "gyro_misalignment.toward_o", "arcsec", _rate(1)),
-    FittedTerm("δ_s", "gyro_misalignment.toward_s", "arcsec", _rate(2)),
+    FittedTerm("δ_o", "gyro_misalignment.toward_o", "arcsec", _rate(1), True, _LEAST_RATE),
+    FittedTerm("δ_s", "gyro_misalignment.toward_s", "arcsec", _rate(2), True, _LEAST_RATE),
     FittedTerm("D_I", "gyro_g_sensitivity.d_i", "deg/h/g", _force(0)),
     FittedTerm("D_O", "gyro_g_sensitivity.d_o", "deg/h/g", _force(1)),
     FittedTerm("D_S", "gyro_g_sensitivity.d_s", "deg/h/g", _force(2)),
@@ -100,17 +109,29 @@ def model_terms(channel: Channel) -> tuple[FittedTerm, ...]:
     return ACCELEROMETER if channel.kind == "accelerometer" else GYRO
 
 
-def separated(design: np.ndarray) -> list[int]:
+def separated(design: np.ndarray, terms: Sequence[FittedTerm]) -> list[int]:
     """Return the columns of a design (R, p) that the rows separate, in their order, the first ones preferred."""
     length = np.linalg.norm(design, axis=0)
+    least = np.array([term.least for term in terms]) * np.sqrt(len(design))
     kept: list[int] = []
     for column in range(design.shape[1]):
-        if length[column] < _LEAST_COLUMN * np.sqrt(len(design)) or len(kept) + 1 >= len(design):
+        if length[column] < least[column] or len(kept) + 1 >= len(design):
             continue
         tried = [*kept, column]
         if np.linalg.cond(design[:, tried] / length[tried]) < _LARGEST_CONDITION:
             kept.append(column)
     return kept
+
+
+def combinations_of(design: np.ndarray, terms: Sequence[FittedTerm], kept: Sequence[int]) -> list[np.ndarray]:
+    """Return what the coefficient of each kept term estimates: weights of all coefficients, (p,) each.
+
+    By least squares on the kept columns X a coefficient estimates its own and, of the columns Z left out, (X⁺Z) times
+    theirs (the alias matrix; Box and Draper, Empirical Model-Building, § 3.10).  Those assumed zero are not counted.
+    """
+    alias = np.linalg.lstsq(design[:, kept], design, rcond=None)[0]
+    counted = np.array([place in kept or not term.assumed_zero for place, term in enumerate(terms)])
+    return [np.where(counted & (np.abs(row) > _LEAST_WEIGHT), np.round(row, 6), 0.0) for row in alias]
 
 
 def known_rows(
@@ -152,33 +173,39 @@ def term_estimates(
     output : shape (R,), less the nominal offset.
     runs, method : for the estimates.
     """
-    terms, kept = model_terms(channel), separated(design)
+    terms = model_terms(channel)
+    kept = separated(design, terms)
     if 0 not in kept:
         return [Undetermined(runs, f"{channel.name}: its input axis sees no known input that varies")]
     length = np.linalg.norm(design[:, kept], axis=0)
     value, covariance, _ = least_squares(design[:, kept] / length, output)
     value, spread = value / length, np.sqrt(np.diag(covariance)) / length
-    per = to_si(channel.per, gravity) / (1.0 if channel.kind == "gyro" else to_si("g", gravity))
     scale, freedom = float(value[0]), len(output) - len(kept)
+    per = to_si(channel.per, gravity) / (1.0 if channel.kind == "gyro" else to_si("g", gravity))
     evaluation = f"type A: residuals of the fitted terms, {freedom} degrees of freedom"
     found: list[TextbookResult] = [
         Estimate(
-            f"scale_factor[{channel.name}]", runs, scale * per, float(spread[0]) * per,
+            f"scale_factor[{channel.name}]", runs, scale * per, abs(float(spread[0]) * per),
             f"{channel.output_unit} per {channel.per}", method, uncertainty=evaluation,
         )
     ]  # fmt: skip
+    symbols, named = [term.symbol for term in terms], combinations_of(design, terms, kept)
     for place, column in enumerate(kept[1:], start=1):
-        term = terms[column]
-        factor = _factor(channel, term)
-        size, error = float(value[place] / scale) * factor, abs(float(spread[place] / scale)) * factor
-        name = f"{term.name}[{channel.name}]"
+        term, factor = terms[column], _factor(channel, terms[column]) / scale
+        alone = term.assumed_zero or np.count_nonzero(named[place]) == 1
+        name = term.name if alone else written(named[place], symbols)
         found.append(
-            Estimate(name, runs, size, error, term.unit, f"{method}: {term.symbol}", uncertainty=evaluation)
+            Estimate(
+                f"{name}[{channel.name}]", runs, float(value[place] * factor), abs(float(spread[place] * factor)),
+                term.unit, f"{method}: {term.symbol}" if alone else method, uncertainty=evaluation,
+            )
         )  # fmt: skip
-    open_terms = [term.symbol for place, term in enumerate(terms) if place not in kept]
-    if open_terms:
-        said = f"{channel.name}: {', '.join(open_terms)} cannot be told from the other terms; assumed zero"
-        found.append(Undetermined(runs, said))
+    zero = [term.symbol for place, term in enumerate(terms) if place not in kept and term.assumed_zero]
+    if zero:
+        found.append(Undetermined(runs, f"{', '.join(zero)} cannot be separated: assumed zero"))
+    unseen = [symbols[k] for k in range(len(terms)) if k not in kept and symbols[k] not in zero]
+    if unseen:
+        found.append(Undetermined(runs, f"{channel.name}: {', '.join(unseen)} by themselves"))
     return found
 
 
