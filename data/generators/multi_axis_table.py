@@ -23,11 +23,15 @@ CHANNELS = (
 OUTER, MIDDLE, INNER = range(3)
 
 
-def positions() -> list[Pose]:
-    """24 positions: every body axis up and down, each with four headings."""
-    found = [Pose((0.0, middle, inner)) for middle, inner in product((90.0, 270.0), (0.0, 90.0, 180.0, 270.0))]
-    found += [Pose((outer, each.angle[MIDDLE], each.angle[INNER])) for outer in (180.0,) for each in found]
-    return found + [Pose((0.0, middle, inner)) for middle in (0.0, 180.0) for inner in (0.0, 90.0, 180.0, 270.0)]
+def upright() -> list[Pose]:
+    """Eight of the 24 positions: the inner axis up and down, with four headings each."""
+    return [Pose((0.0, middle, inner)) for middle in (0.0, 180.0) for inner in (0.0, 90.0, 180.0, 270.0)]
+
+
+def sideways() -> list[Pose]:
+    """The other sixteen: the inner axis level, the other body axes up and down, with headings by the outer axis."""
+    angles = product((0.0, 180.0), (90.0, 270.0), (0.0, 90.0, 180.0, 270.0))
+    return [Pose(angle) for angle in angles]
 
 
 def tumble() -> list[Pose]:
@@ -43,17 +47,18 @@ def alone(axis: int, rate: float, angle: tuple[float, float, float] = (0.0, 0.0,
     return Pose(angle, tuple(rates), whole_turns(rate, 20.0), (axis,))
 
 
-def rates() -> list[Pose]:
-    """Both directions about every axis, about the outer one in several positions of the others."""
-    found = [Pose((0.0, 0.0, 0.0), seconds=60.0)]
-    for rate in (10.0, 100.0, 200.0):
-        for sign in (1.0, -1.0):
-            found += [alone(INNER, sign * rate), alone(MIDDLE, sign * rate), alone(OUTER, sign * rate)]
+def turns(axis: int) -> list[Pose]:
+    """Rates about one axis, in both directions, between records at rest."""
+    rest = Pose((0.0, 0.0, 0.0), seconds=60.0)
+    return [rest, *(alone(axis, sign * rate) for rate in (10.0, 100.0, 200.0) for sign in (1.0, -1.0)), rest]
+
+
+def held() -> list[Pose]:
+    """Fast turns about the outer and the middle axis in several positions of those that they carry."""
+    found = []
     for middle, inner in product((0.0, 90.0), (0.0, 90.0, 180.0, 270.0)):
         found += [alone(OUTER, sign * 200.0, (0.0, middle, inner)) for sign in (1.0, -1.0)]
-    for inner in (0.0, 90.0, 180.0, 270.0):
-        found.append(alone(MIDDLE, 200.0, (0.0, 0.0, inner)))
-    return [*found, Pose((0.0, 0.0, 0.0), seconds=60.0)]
+    return [*found, *(alone(MIDDLE, 200.0, (0.0, 0.0, inner)) for inner in (0.0, 90.0, 180.0, 270.0))]
 
 
 def together() -> list[Pose]:
@@ -68,7 +73,10 @@ def together() -> list[Pose]:
 
 def runs() -> list[SerialRun]:
     """All runs, a day each."""
-    made = {"positions": positions(), "tumble": tumble(), "rates": rates(), "together": together()}
+    made = {
+        "upright": upright(), "sideways": sideways(), "tumble": tumble(), "inner": turns(INNER),
+        "middle": turns(MIDDLE), "outer": turns(OUTER), "held": held(), "together": together(),
+    }  # fmt: skip
     return [
         SerialRun(name, "multi_axis_table", TABLE.name, "plate", poses, f"2026-11-{order + 1:02d}T08:00:00+00:00")
         for order, (name, poses) in enumerate(made.items())

@@ -41,6 +41,7 @@ CASES = {
     "thermal_ramp, current_injection": "accel_channel",
     "reference_gyro": "reference_gyro",
     "multi_axis_table": "multi_axis_table",
+    "centrifuge": "centrifuge",
     "free_tumble": "desk_imu",
 }
 # Where few runs tell the scatter between runs its tail matters, and the posterior is sampled; elsewhere draws of the
