@@ -36,7 +36,7 @@ PLUGINS = ("procedures", "effects", "noise")
 FOUNDATIONS = (
     "base", "memory", "shared_formulas",
     "ambient", "classical", "converter_temperature", "estimable_functions",
-    "kinematics", "nominal_stimulus", "planned_steps", "standard_combinations", "textbook",
+    "fitted_terms", "kinematics", "nominal_stimulus", "planned_steps", "serial_axes", "standard_combinations", "textbook",
 )  # fmt: skip
 MOST_LINES = 500
 

@@ -90,8 +90,8 @@ def test_an_injected_current_stands_for_its_acceleration():
         # The body turned by +ε about x has its y axis raised: y measures +g·ε.
         ("mounting_error", "x[flat]", 100.0, "rate-flat", "ay", 0, GRAVITY * np.sin(100 * ARCSEC)),
         ("table_axis_tilt", "x[rate]", 10.0, "rate-flat", "ay", 0, GRAVITY * np.sin(10 * ARCSEC)),
-        # At r along x from the axis, an accelerometer along x measures −Ω² r.
-        ("lever_arm", "x[ax]", 10.0, "rate-flat", "ax", 1, -(RATE**2) * 0.010),
+        # At r along x from the axis, an accelerometer along x measures −(Ω² + 2Ω ω_E) r.
+        ("lever_arm", "x[ax]", 10.0, "rate-flat", "ax", 1, -(RATE**2 + 2 * RATE * UP) * 0.010),
     ],
 )  # fmt: skip
 def test_signs_and_sizes(name, parameter, value, run, channel, row, expected):

@@ -24,6 +24,7 @@ from imubayes.procedures.fitted_terms import known_rows, term_estimates
 from imubayes.procedures.nominal_stimulus import Stimulus
 from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules, whole_turns
 from imubayes.procedures.serial_axes import serial_input, serial_stimulus
+from imubayes.procedures.standard_combinations import LinearCombination, StandardCombination
 from imubayes.procedures.textbook import TextbookResult, Undetermined, by_temperature, names_of
 
 METHOD = "IEEE Std 836 centrifuge test"
@@ -42,6 +43,18 @@ def centrifuge_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookRes
                 said = f"{channel.name}: K1 apart from the radius of the arm, K_oq apart from its stretch"
                 found.append(Undetermined(names_of(group), said))
     return found
+
+
+def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombination]:
+    """Return the relative error of k·R of every accelerometer: of scale factor and radius the centrifuge tells that."""
+    arms = {run.table: campaign.tables[run.table].arm for run in runs if run.table is not None}
+    return [
+        LinearCombination(
+            f"k·R[{channel.name},{table}]", "ppm",
+            {f"accel_scale_factor.scale[{channel.name}]": 1.0, f"arm_error.radius[{table}]": 1 / arm},
+        )
+        for table, arm in arms.items() for channel in campaign.of_kind("accelerometer") if arm > 0
+    ]  # fmt: skip
 
 
 def _require_arm(table: Table) -> None:
@@ -90,4 +103,5 @@ CENTRIFUGE = Procedure(
     nominal_input=_input,
     plan=PlanRules(("rates_deg_s",), ("angles_deg", "counter_rotation"), 60.0, _planned_rows),
     evaluate=centrifuge_test,
+    combinations=combinations,
 )

@@ -189,24 +189,26 @@ def term_estimates(
             f"{channel.output_unit} per {channel.per}", method, uncertainty=evaluation,
         )
     ]  # fmt: skip
-    symbols, named = [term.symbol for term in terms], combinations_of(design, terms, kept)
-    for place, column in enumerate(kept[1:], start=1):
+    for column, weights, size, error in zip(kept, combinations_of(design, terms, kept), value, spread, strict=True):
         term, factor = terms[column], _factor(channel, terms[column]) / scale
-        alone = term.assumed_zero or np.count_nonzero(named[place]) == 1
-        name = term.name if alone else written(named[place], symbols)
-        found.append(
-            Estimate(
-                f"{name}[{channel.name}]", runs, float(value[place] * factor), abs(float(spread[place] * factor)),
-                term.unit, f"{method}: {term.symbol}" if alone else method, uncertainty=evaluation,
-            )
+        alone = term.assumed_zero or np.count_nonzero(weights) == 1
+        name = term.name if alone else written(weights, [each.symbol for each in terms])
+        estimate = Estimate(
+            f"{name}[{channel.name}]", runs, float(size * factor), abs(float(error * factor)), term.unit,
+            f"{method}: {term.symbol}" if alone else method, uncertainty=evaluation,
         )  # fmt: skip
-    zero = [term.symbol for place, term in enumerate(terms) if place not in kept and term.assumed_zero]
-    if zero:
-        found.append(Undetermined(runs, f"{', '.join(zero)} cannot be separated: assumed zero"))
-    unseen = [symbols[k] for k in range(len(terms)) if k not in kept and symbols[k] not in zero]
-    if unseen:
-        found.append(Undetermined(runs, f"{channel.name}: {', '.join(unseen)} by themselves"))
-    return found
+        found += [estimate] if column else []
+    return [*found, *_left_open(channel, terms, kept, runs)]
+
+
+def _left_open(channel: Channel, terms: Sequence[FittedTerm], kept: Sequence[int], runs: str) -> list[TextbookResult]:
+    """Return which terms are assumed zero, and which are estimated together with others only."""
+    left = [term for place, term in enumerate(terms) if place not in kept]
+    zero = ", ".join(term.symbol for term in left if term.assumed_zero)
+    unseen = ", ".join(term.symbol for term in left if not term.assumed_zero)
+    sentences = [f"{zero} cannot be separated; assumed zero"] if zero else []
+    sentences += [f"{unseen} by themselves"] if unseen else []
+    return [Undetermined(runs, f"{channel.name}: {sentence}") for sentence in sentences]
 
 
 def _factor(channel: Channel, term: FittedTerm) -> float:
