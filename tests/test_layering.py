@@ -35,8 +35,8 @@ PLUGINS = ("procedures", "effects", "noise")
 # What the plug-ins of a package build on; all other modules of such a package are plug-ins.
 FOUNDATIONS = (
     "base", "memory", "shared_formulas",
-    "ambient", "classical", "converter_temperature", "estimable_functions",
-    "fitted_terms", "kinematics", "nominal_stimulus", "planned_steps", "serial_axes", "standard_combinations", "textbook",
+    "ambient", "classical", "converter_temperature", "estimable_functions", "fitted_terms", "kinematics",
+    "nominal_stimulus", "planned_steps", "serial_axes", "standard_combinations", "textbook",
 )  # fmt: skip
 MOST_LINES = 500
 
