@@ -24,7 +24,7 @@ FLOORS = (
     ("campaign",),
     ("effects", "noise"),
     ("model",),
-    ("inference", "simulation"),
+    ("inference", "simulation", "noise_analysis"),
     ("criticism", "archive"),
     ("results",),
     ("display",),

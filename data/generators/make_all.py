@@ -15,6 +15,7 @@ import redundant_imu
 import reference_gyro
 import rotation_modulation
 import servo_table
+import static_record
 import trihedral_imu
 
 CAMPAIGNS = {
@@ -29,6 +30,7 @@ CAMPAIGNS = {
     "reference-gyro": reference_gyro,
     "multi-axis-table": multi_axis_table,
     "centrifuge": centrifuge,
+    "static-record": static_record,
     "full-qualification": full_qualification,
 }
 

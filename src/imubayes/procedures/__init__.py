@@ -12,6 +12,7 @@ from imubayes.procedures.rate_table import RATE_TABLE
 from imubayes.procedures.reference_gyro import REFERENCE_GYRO
 from imubayes.procedures.rotation_modulation import ROTATION_MODULATION
 from imubayes.procedures.servo_table import SERVO_TABLE
+from imubayes.procedures.static_record import STATIC_RECORD
 from imubayes.procedures.thermal_ramp import THERMAL_RAMP
 
 PROCEDURES: dict[str, Procedure] = {
@@ -29,6 +30,7 @@ PROCEDURES: dict[str, Procedure] = {
         MULTI_AXIS_TABLE,
         CENTRIFUGE,
         FREE_TUMBLE,
+        STATIC_RECORD,
     )
 }
 """Name → procedure."""

@@ -27,6 +27,8 @@ class Reduction(Enum):
     """One row per span at rest; the table does not turn during measurements."""
     BINNED = auto()
     """At rest, in bins of temperature, which is the stimulus or varies along with it."""
+    BLOCKS = auto()
+    """At rest, in blocks of equal duration."""
     FOLLOWED = auto()
     """Short rows that follow a continuously varying stimulus."""
     POSES = auto()

@@ -25,6 +25,8 @@ BIN_SECONDS = 60.0
 FOLLOW_SECONDS = 1.0
 FOLLOW_DEGREES = 15.0
 SMOOTHING_BLOCKS = 51
+RECORD_SECONDS = 60.0
+RECORD_ROWS = 128  # of a static record, at most: enough for its drift, few enough for its covariance
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,23 @@ def followed_spans(blocks: BlockSurvey) -> list[Span]:
             begin, lasted, swept = place, 0.0, 0.0
         lasted, swept = lasted + seconds[place], swept + degrees[place]
     return [*spans, _span(blocks, begin, blocks.size, turning)] if blocks.size else []
+
+
+def block_spans(blocks: BlockSurvey) -> tuple[list[Span], float]:
+    """Return spans at rest of equal duration, none across a longer gap, and that duration in s.
+
+    There are no transients in a record at rest: what settles is drift, which the model has to describe.
+    """
+    time = blocks.first["time_s"]
+    seconds = max(RECORD_SECONDS, float(time[-1] - time[0]) / RECORD_ROWS)
+    turning = np.zeros(blocks.size, dtype=bool)
+    spans = []
+    for rest in constant_spans(blocks, (), rest_only=True):
+        first, stop = (int(place) for place in np.searchsorted(blocks.start, [rest.start, rest.stop]))
+        number = np.floor((time[first:stop] - time[0]) / seconds)
+        edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), stop - first]
+        spans += [_span(blocks, first + a, first + b, turning) for a, b in pairwise(edges)]
+    return spans, seconds
 
 
 def _span(blocks: BlockSurvey, begin: int, end: int, turning: np.ndarray) -> Span:

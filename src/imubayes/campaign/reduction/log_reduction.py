@@ -14,6 +14,7 @@ from imubayes.campaign.reduction.constant_spans import (
     FOLLOW_DEGREES,
     FOLLOW_SECONDS,
     Span,
+    block_spans,
     constant_spans,
     followed_spans,
 )
@@ -65,15 +66,7 @@ def reduce_log(
     limits : channel → values at which it is clipped; means that hold such samples are left out.
     """
     layout = source.layout
-    by_temperature = reduction is Reduction.BINNED
-    at_rest = by_temperature or reduction is Reduction.AT_REST
-    if labelled is not None:
-        spans, how = list(labelled), "by the segment column"
-    elif reduction is Reduction.FOLLOWED:
-        spans, how = followed_spans(blocks), f"of at most {FOLLOW_SECONDS:g} s and {FOLLOW_DEGREES:g} deg of turning"
-    else:
-        spans = constant_spans(blocks, layout.channels, by_temperature, at_rest)
-        how = f"in bins of at most {BIN_KELVIN:g} degC and {BIN_SECONDS:g} s" if by_temperature else CONSTANT
+    spans, how = _spans_of(source, reduction, blocks, labelled)
     columns = [name for name in (*recorded_columns(), *layout.channels) if layout.has(name)]
     reduced = accumulate(source, spans, columns, blocks.interval) if spans else []
     numbers = _columns(columns, layout, reduced)
@@ -84,6 +77,23 @@ def reduce_log(
     unsteady = _unsteady(columns, reduced) if labelled is not None else ()
     lost = _leave_out_clipped(numbers, source, spans, limits or {})
     return Rows(numbers, first, unsteady, (*_account(rows, reduced, how), *lost))
+
+
+def _spans_of(
+    source: TableSource, reduction: Reduction, blocks: BlockSurvey, labelled: Sequence[Span] | None
+) -> tuple[list[Span], str]:
+    """Return the spans to average, and how they were found."""
+    if labelled is not None:
+        return list(labelled), "by the segment column"
+    if reduction is Reduction.FOLLOWED:
+        return followed_spans(blocks), f"of at most {FOLLOW_SECONDS:g} s and {FOLLOW_DEGREES:g} deg of turning"
+    if reduction is Reduction.BLOCKS:
+        spans, seconds = block_spans(blocks)
+        return spans, f"over blocks of {seconds:.4g} s"
+    by_temperature = reduction is Reduction.BINNED
+    at_rest = by_temperature or reduction is Reduction.AT_REST
+    spans = constant_spans(blocks, source.layout.channels, by_temperature, at_rest)
+    return spans, f"in bins of at most {BIN_KELVIN:g} degC and {BIN_SECONDS:g} s" if by_temperature else CONSTANT
 
 
 def _leave_out_clipped(

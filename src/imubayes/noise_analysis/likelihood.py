@@ -1,0 +1,231 @@
+"""Likelihood of the noise terms, given the cosine statistics of a record, and its maximum.
+
+The coefficients are independent normal values of variance v_k = Σ_j θ_j g_jk, θ_j the squared coefficient of term j and
+g_jk its known variance per unit.  A ramp is integrated out under a flat prior (restricted likelihood, REML), so that it
+costs the slow terms the degree of freedom that it takes.  Parameters are log θ_j, and log T of a Gauss–Markov process.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from imubayes.noise_analysis.cosine_coefficients import CosineStatistics
+from imubayes.noise_analysis.noise_spectra import NoiseTerm, level_variances
+
+_STEPS = 200
+_LARGEST_STEP = 2.0  # in log θ
+_CONVERGED = 1e-9  # expected gain in log likelihood
+_DAMPING = 1e-10  # of a term that vanishes, and with it its information
+_KEPT = 12  # shapes of Gauss–Markov noise at recent correlation times
+_LOG_STEP = 1e-4  # for the derivative with respect to log T
+
+
+@dataclass(frozen=True)
+class Maximum:
+    """Maximum of the log likelihood.
+
+    Attributes
+    ----------
+    terms : the terms of the model, without the ramp.
+    parameters : shape (P,), log θ of each term, then log T where Gauss–Markov noise is among them.
+    log_likelihood : there.
+    converged : whether the last step promised no gain.
+    """
+
+    terms: tuple[NoiseTerm, ...]
+    parameters: np.ndarray
+    log_likelihood: float
+    converged: bool
+
+    def squared(self, term: NoiseTerm) -> float:
+        """Return the squared coefficient of a term, 0 if the model has none."""
+        return math.exp(self.parameters[self.terms.index(term)]) if term in self.terms else 0.0
+
+    @property
+    def correlation_time(self) -> float:
+        """T of the Gauss–Markov term, s; NaN without."""
+        return math.exp(self.parameters[-1]) if NoiseTerm.MARKOV in self.terms else math.nan
+
+
+class NoiseLikelihood:
+    """Log likelihood of the noise terms of one record.
+
+    Attributes
+    ----------
+    power, count, frequency : shape (K,), sum of the squared coefficients of each bin, their number, frequency in Hz.
+    """
+
+    def __init__(self, statistics: CosineStatistics, shortest_tau: float = 0.0):
+        """Use the coefficients at frequencies up to 1/(2 × `shortest_tau`), all where it is 0."""
+        self._statistics = statistics
+        self._collect(statistics, shortest_tau)
+        self._shapes: dict[NoiseTerm, np.ndarray] = {}
+        self._recent: dict[float, np.ndarray] = {}
+
+    def _collect(self, statistics: CosineStatistics, shortest_tau: float) -> None:
+        power, count, slope, coefficient, frequency = [], [], [], [], []
+        if (fine := statistics.fine) is not None:
+            power.append(fine.power)
+            count.append(np.full(len(fine.power), float(fine.blocks)))
+            frequency.append(fine.order / (2 * statistics.block * statistics.interval))
+            slope.append(np.zeros(len(fine.power)))
+            coefficient.append(np.zeros(len(fine.power)))
+        for level in statistics.coarse:
+            power.append(level.power)
+            count.append(level.count.astype(float))
+            middle = (level.first + level.last) / 2
+            frequency.append(middle / (2 * level.means * statistics.block * statistics.interval))
+            slope.append(level.ramp)
+            coefficient.append(level.coefficient)
+        everything = np.concatenate(frequency) if frequency else np.zeros(0)
+        self._used = everything <= (0.5 / shortest_tau if shortest_tau else math.inf) * (1 + 1e-9)
+        self.frequency = everything[self._used]
+        self.power, self.count, self._ramp, self._coefficient = (
+            (np.concatenate(part) if part else np.zeros(0))[self._used] for part in (power, count, slope, coefficient)
+        )
+
+    @property
+    def span(self) -> float:
+        """Duration of the record, s."""
+        return self._statistics.samples * self._statistics.interval
+
+    @property
+    def interval(self) -> float:
+        """Sampling interval, s."""
+        return self._statistics.interval
+
+    @cached_property
+    def _octave(self) -> np.ndarray:
+        return np.floor(np.log2(self.frequency)).astype(int)
+
+    def octaves(self) -> list[np.ndarray]:
+        """Return the places of the bins in each octave of frequency, the lowest first."""
+        return [np.flatnonzero(self._octave == octave) for octave in np.unique(self._octave)]
+
+    def shape(self, term: NoiseTerm, correlation_time: float = math.nan) -> np.ndarray:
+        """Return the variance of a coefficient per squared coefficient of the term, shape (K,)."""
+        if term is NoiseTerm.MARKOV:
+            return self._markov(correlation_time)
+        if term not in self._shapes:
+            self._shapes[term] = np.concatenate(level_variances(term, self._statistics))[self._used]
+        return self._shapes[term]
+
+    def _markov(self, correlation_time: float) -> np.ndarray:
+        if correlation_time not in self._recent:
+            if len(self._recent) >= _KEPT:
+                self._recent.pop(next(iter(self._recent)))
+            shape = np.concatenate(level_variances(NoiseTerm.MARKOV, self._statistics, correlation_time))[self._used]
+            self._recent[correlation_time] = shape
+        return self._recent[correlation_time]
+
+    def variance(self, maximum: Maximum) -> np.ndarray:
+        """Return the variance of a coefficient, shape (K,)."""
+        return self._parts(maximum.terms, maximum.parameters).sum(axis=0)
+
+    def ramp(self, maximum: Maximum) -> tuple[float, float]:
+        """Return the slope of the record and its standard uncertainty under the noise, output units per second."""
+        variance = self.variance(maximum)
+        precision = float(np.sum(self._ramp**2 / variance))
+        slope = float(np.sum(self._ramp * self._coefficient / variance)) / precision
+        return self._statistics.slope + slope, 1 / math.sqrt(precision)
+
+    def information(self, maximum: Maximum) -> np.ndarray:
+        """Return the expected Fisher information of the parameters, shape (P, P)."""
+        derivative = self._derivatives(maximum.terms, maximum.parameters)
+        return _information(derivative, self.variance(maximum), self.count)
+
+    def start(self, terms: Sequence[NoiseTerm], correlation_time: float = math.nan) -> np.ndarray:
+        """Return where to start: every term as large as the power in its octave of largest share allows."""
+        found = []
+        for term in terms:
+            shape = self.shape(term, correlation_time)
+            ratios = [float(np.sum(self.power[at]) / np.sum(self.count[at] * shape[at])) for at in self.octaves()]
+            found.append(math.log(max(min(ratios), 1e-300)))
+        return np.array([*found, math.log(correlation_time)] if NoiseTerm.MARKOV in terms else found)
+
+    def maximise(self, terms: Sequence[NoiseTerm], start: np.ndarray, fixed: int | None = None) -> Maximum:
+        """Return the maximum, by Fisher scoring with damping.
+
+        Parameters
+        ----------
+        terms : of the model.
+        start : shape (P,), parameters.
+        fixed : place of a parameter to leave as it is.
+        """
+        parameters = np.array(start, dtype=float)
+        free = np.array([place for place in range(len(parameters)) if place != fixed], dtype=int)
+        value, gradient, information = self._expansion(terms, parameters)
+        damping, converged = 0.0, not len(free)
+        for _ in range(_STEPS):
+            if converged:
+                break
+            step = _step(gradient[free], information[np.ix_(free, free)], damping)
+            trial = parameters.copy()
+            trial[free] = self._inside(terms, parameters + _spread(step, free, len(parameters)))[free]
+            after, next_gradient, next_information = self._expansion(terms, trial)
+            if after >= value:
+                gain = after - value
+                converged = gain < _CONVERGED and damping < 1.0
+                parameters, value, gradient, information = trial, after, next_gradient, next_information
+                damping = damping / 10 if damping > 1e-3 else 0.0
+            else:
+                converged = float(gradient[free] @ step) < _CONVERGED
+                damping = max(10 * damping, 1e-2)
+        return Maximum(tuple(terms), parameters, value, converged)
+
+    def _inside(self, terms: Sequence[NoiseTerm], parameters: np.ndarray) -> np.ndarray:
+        """Return parameters with the correlation time between the sampling interval and the record."""
+        if NoiseTerm.MARKOV in terms:
+            parameters[-1] = min(max(parameters[-1], math.log(self.interval)), math.log(self.span))
+        return parameters
+
+    def _parts(self, terms: Sequence[NoiseTerm], parameters: np.ndarray) -> np.ndarray:
+        """Return the contribution of every term to the variance, shape (terms, K)."""
+        time = math.exp(parameters[-1]) if NoiseTerm.MARKOV in terms else math.nan
+        shapes = [self.shape(term, time) for term in terms]
+        return np.exp(parameters[: len(terms)])[:, None] * np.stack(shapes)
+
+    def _derivatives(self, terms: Sequence[NoiseTerm], parameters: np.ndarray) -> np.ndarray:
+        """Return the derivative of the variance with respect to every parameter, shape (P, K)."""
+        parts = self._parts(terms, parameters)
+        if NoiseTerm.MARKOV not in terms:
+            return parts
+        low, high = (self.shape(NoiseTerm.MARKOV, math.exp(parameters[-1] + sign * _LOG_STEP)) for sign in (-1, 1))
+        amplitude = math.exp(parameters[tuple(terms).index(NoiseTerm.MARKOV)])
+        return np.concatenate([parts, (amplitude * (high - low) / (2 * _LOG_STEP))[None]])
+
+    def _expansion(self, terms: Sequence[NoiseTerm], parameters: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return the log likelihood, its gradient, and the Fisher information."""
+        derivative = self._derivatives(terms, parameters)
+        variance = derivative[: len(terms)].sum(axis=0)
+        inverse = 1 / variance
+        along = float(np.sum(self._ramp * self._coefficient * inverse))
+        precision = float(np.sum(self._ramp**2 * inverse))
+        squares = float(np.sum(self.power * inverse)) - (along**2 / precision if precision else 0.0)
+        value = -0.5 * (float(self.count @ np.log(variance)) + squares + (math.log(precision) if precision else 0.0))
+        gradient = -0.5 * derivative @ (self.count * inverse - self.power * inverse**2)
+        if precision:
+            d_along = -derivative @ (self._ramp * self._coefficient * inverse**2)
+            d_precision = -derivative @ (self._ramp**2 * inverse**2)
+            gradient += along / precision * d_along - 0.5 * (along / precision) ** 2 * d_precision
+            gradient -= 0.5 * d_precision / precision
+        return value, gradient, _information(derivative, variance, self.count)
+
+
+def _information(derivative: np.ndarray, variance: np.ndarray, count: np.ndarray) -> np.ndarray:
+    relative = derivative / variance
+    return 0.5 * (relative * count) @ relative.T
+
+
+def _step(gradient: np.ndarray, information: np.ndarray, damping: float) -> np.ndarray:
+    damped = information + np.diag(damping * np.diag(information) + _DAMPING)
+    return np.clip(np.linalg.solve(damped, gradient), -_LARGEST_STEP, _LARGEST_STEP)
+
+
+def _spread(step: np.ndarray, free: np.ndarray, size: int) -> np.ndarray:
+    whole = np.zeros(size)
+    whole[free] = step
+    return whole

@@ -1,0 +1,213 @@
+"""A uniformly sampled record as its running sum on disk, with the samples that are missing.
+
+The running sum of a rate is an angle in units of the sampling interval, that of an acceleration a velocity: the mean
+over any span is a difference of two of its values.  It is kept in an unnamed scratch file and read in chunks.
+"""
+
+import tempfile
+import weakref
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import IO
+
+import numpy as np
+
+from imubayes.campaign.reduction import sampling_interval
+from imubayes.campaign.run_tables import RowBatch
+from imubayes.errors import input_error
+
+CHUNK = 1 << 17
+_LOST = 1.5  # a time step of more sampling intervals than this has lost samples
+_JITTER = 2.5  # two steps of less than this are two samples, one late
+_MOST_EMPTY = 4  # times the samples: gaps in a longer grid make the record one of several records
+
+
+@dataclass(frozen=True)
+class Holes:
+    """Missing samples: half-open intervals of sample numbers, in increasing order.
+
+    Attributes
+    ----------
+    start, stop : shape (H,).
+    """
+
+    start: np.ndarray
+    stop: np.ndarray
+
+    @property
+    def total(self) -> int:
+        """Number of missing samples."""
+        return int(np.sum(self.stop - self.start))
+
+    def before(self, place: np.ndarray) -> np.ndarray:
+        """Return how many of the samples before each place are missing; exact, as the count is piecewise linear."""
+        knots = np.stack([self.start, self.stop], axis=1).ravel().astype(float)
+        steps = np.stack([np.zeros_like(self.start), self.stop - self.start], axis=1).ravel()
+        return np.rint(np.interp(place, knots, np.cumsum(steps), left=0.0)).astype(np.int64)
+
+
+class RunningSum:
+    """Running sum S_i = Σ_(j<i) (x_j − x̃) of a record's samples, x̃ a constant near their mean; S_0 = 0.
+
+    Attributes
+    ----------
+    samples : N, on the uniform grid, the missing ones included; S has N + 1 values.
+    interval : sampling interval, s.
+    shift : x̃.
+    holes : the missing samples, which add 0 to the sum; None where there are none.
+    """
+
+    def __init__(self, file: IO[bytes], samples: int, interval: float, shift: float, holes: Holes | None):
+        self._file = file
+        weakref.finalize(self, file.close)
+        self.samples = samples
+        self.interval = interval
+        self.shift = shift
+        self.holes = holes
+
+    @property
+    def present(self) -> int:
+        """Number of samples that are not missing."""
+        return self.samples - (0 if self.holes is None else self.holes.total)
+
+    def read(self, first: int, count: int) -> np.ndarray:
+        """Return S_first … S_(first + count − 1), shape (count,)."""
+        found = np.empty(count)
+        self._file.seek(8 * first)
+        if self._file.readinto(found.data) != found.nbytes:  # type: ignore[attr-defined]
+            raise OSError("the scratch file of the running sum is truncated")
+        return found
+
+    def missing_before(self, place: np.ndarray) -> np.ndarray:
+        """Return how many of the samples before each place are missing."""
+        return np.zeros(len(place), dtype=np.int64) if self.holes is None else self.holes.before(place)
+
+
+def from_samples(values: np.ndarray, interval: float) -> RunningSum:
+    """Return the running sum of samples in memory, shape (N,), NaN where missing."""
+    writer = _Writer()
+    writer.add(np.asarray(values, dtype=float), 0)
+    return writer.finish(interval)
+
+
+def running_sums(batches: Iterable[RowBatch], channels: Sequence[str], where: str) -> dict[str, RunningSum]:
+    """Return the running sum of each channel of a log with a time column, channels without a sample left out.
+
+    Samples are put on a uniform grid by their times; lost ones, and empty cells, are missing.
+
+    Raises
+    ------
+    InputError
+        for a log whose time does not advance, or whose gaps are longer than the record.
+    """
+    grid = _Grid(where)
+    writers = {name: _Writer() for name in channels}
+    for batch in batches:
+        place = grid.places(batch.numbers["time_s"])
+        for name, writer in writers.items():
+            writer.add_at(batch.numbers[name], place)
+    interval = grid.interval()
+    return {name: writer.finish(interval, grid.size) for name, writer in writers.items() if writer.any}
+
+
+class _Grid:
+    """Places of samples on a uniform grid, batch by batch; clocks may drift and time stamps may jitter."""
+
+    def __init__(self, where: str):
+        self._where = where
+        self._step: float | None = None
+        self._first = self._last = np.nan
+        self._rows = 0
+        self.size = 0
+
+    def places(self, time: np.ndarray) -> np.ndarray:
+        """Return the sample number of each row, shape (n,)."""
+        if not len(time):
+            return np.zeros(0, dtype=np.int64)
+        self._step = self._step or sampling_interval(time)
+        if self._step is None:
+            raise self._refuse("the time does not advance", "correct the time column")
+        opening = np.isnan(self._last)
+        if opening:
+            self._first = float(time[0])
+        step = np.diff(time, prepend=time[0] - self._step if opening else self._last) / self._step
+        pair = np.concatenate([[np.inf], step[1:] + step[:-1], [np.inf]])
+        late = (pair[:-1] < _JITTER) | (pair[1:] < _JITTER)
+        lost = (step > _LOST) & ~late
+        place = self.size - 1 + np.cumsum(np.where(lost, np.rint(np.where(lost, step, 1.0)), 1.0)).astype(np.int64)
+        self._last, self._rows = float(time[-1]), self._rows + len(time)
+        self.size = int(place[-1]) + 1
+        if self.size > _MOST_EMPTY * self._rows + CHUNK:
+            raise self._refuse("the gaps are far longer than the record", "give each part as a run of its own")
+        return place
+
+    def interval(self) -> float:
+        """Return the mean sampling interval, s."""
+        if self.size < 2:
+            raise self._refuse("the record has fewer than two samples", "give a longer record")
+        return (self._last - self._first) / (self.size - 1)
+
+    def _refuse(self, what: str, remedy: str):
+        return input_error(what, f"{self._where}, column 'time_s'", "seconds at a constant sampling interval", remedy)
+
+
+class _Writer:
+    """Writes one running sum."""
+
+    def __init__(self) -> None:
+        self._file = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the running sum)
+        self._file.write(np.zeros(1).tobytes())
+        self._total, self._next, self._shift = 0.0, 0, np.nan
+        self._unused = weakref.finalize(self, self._file.close)
+        self._holes: list[tuple[int, int]] = []
+
+    @property
+    def any(self) -> bool:
+        """Whether there has been a sample."""
+        return bool(np.isfinite(self._shift))
+
+    def add_at(self, values: np.ndarray, place: np.ndarray) -> None:
+        """Add samples at increasing places of the grid; places left out are missing."""
+        if not len(values):
+            return
+        breaks = np.flatnonzero(np.diff(place) > 1) + 1
+        for part, first in zip(np.split(values, breaks), place[np.concatenate([[0], breaks]).astype(int)], strict=True):
+            self.add(part, int(first))
+
+    def add(self, values: np.ndarray, first: int) -> None:
+        """Add consecutive samples from a place of the grid on, shape (n,); NaN where missing."""
+        self._skip(first)
+        empty = ~np.isfinite(values)
+        if not self.any and not empty.all():
+            self._shift = float(np.median(values[~empty]))
+        if empty.any():
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], empty, [False]]).astype(np.int8)))
+            self._holes += [(first + int(a), first + int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        # The total goes in first, so that every partial sum is rounded once.
+        sums = np.where(empty, 0.0, values - (self._shift if self.any else 0.0))
+        sums[0] += self._total
+        np.cumsum(sums, out=sums)
+        self._file.write(sums.tobytes())
+        self._total, self._next = float(sums[-1]), first + len(values)
+
+    def _skip(self, first: int) -> None:
+        if first > self._next:
+            self._holes.append((self._next, first))
+            for count in _chunk_lengths(first - self._next):
+                self._file.write(np.full(count, self._total).tobytes())
+
+    def finish(self, interval: float, size: int | None = None) -> RunningSum:
+        """Return the running sum over a grid of `size` samples."""
+        self._skip(self._next if size is None else size)
+        self._file.flush()
+        self._unused.detach()
+        holes = None
+        if self._holes:
+            start, stop = np.array(self._holes, dtype=np.int64).T
+            joined = np.concatenate([[True], start[1:] > stop[:-1]])
+            holes = Holes(start[joined], stop[np.concatenate([joined[1:], [True]])])
+        return RunningSum(self._file, size or self._next, interval, self._shift, holes)
+
+
+def _chunk_lengths(count: int) -> list[int]:
+    return [min(CHUNK, count - done) for done in range(0, count, CHUNK)]
