@@ -166,7 +166,7 @@ def _coarse(blocks: _Blocks, first: int, stop: int, block: int, interval: float)
 
 def _coefficients(values: np.ndarray) -> np.ndarray:
     """Return the orthonormal cosine coefficients of orders 1 … n − 1 along the last axis."""
-    return dct(values, type=2, norm="ortho", axis=-1)[..., 1:]
+    return np.asarray(dct(values, type=2, norm="ortho", axis=-1))[..., 1:]
 
 
 def _bin_edges(means: int) -> np.ndarray:

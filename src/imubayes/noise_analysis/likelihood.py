@@ -19,6 +19,8 @@ _STEPS = 200
 _LARGEST_STEP = 2.0  # in log θ
 _CONVERGED = 1e-9  # expected gain in log likelihood
 _DAMPING = 1e-10  # of a term that vanishes, and with it its information
+_REVIVALS = 4
+_VANISHED = 0.01  # information on log θ below which a term has no part in the variance
 _KEPT = 12  # shapes of Gauss–Markov noise at recent correlation times
 _LOG_STEP = 1e-4  # for the derivative with respect to log T
 
@@ -149,12 +151,33 @@ class NoiseLikelihood:
     def maximise(self, terms: Sequence[NoiseTerm], start: np.ndarray, fixed: int | None = None) -> Maximum:
         """Return the maximum, by Fisher scoring with damping.
 
+        A term that has vanished on the way does not come back by itself, as the derivative with respect to log θ
+        vanishes with it.  Where the likelihood would rise with θ, the term starts again where it begins to matter.
+
         Parameters
         ----------
         terms : of the model.
         start : shape (P,), parameters.
         fixed : place of a parameter to leave as it is.
         """
+        found = self._climb(terms, start, fixed)
+        for _ in range(_REVIVALS):
+            _, gradient, information = self._expansion(terms, found.parameters)
+            size = np.maximum(np.diag(information)[: len(terms)], 1e-300)
+            gone = (size < _VANISHED) & (gradient[: len(terms)] > 0)
+            if fixed is not None and fixed < len(terms):
+                gone[fixed] = False
+            if not gone.any():
+                return found
+            again = found.parameters.copy()
+            again[: len(terms)][gone] -= 0.5 * np.log(size[gone])
+            revived = self._climb(terms, again, fixed)
+            if revived.log_likelihood < found.log_likelihood + _CONVERGED:
+                return found
+            found = revived
+        return found
+
+    def _climb(self, terms: Sequence[NoiseTerm], start: np.ndarray, fixed: int | None) -> Maximum:
         parameters = np.array(start, dtype=float)
         free = np.array([place for place in range(len(parameters)) if place != fixed], dtype=int)
         value, gradient, information = self._expansion(terms, parameters)

@@ -1,11 +1,13 @@
 """Which noise terms a record determines: estimates with intervals for those, upper limits for the others.
 
-All terms are tried together.  A term stays if leaving it out lowers the log likelihood by more than chance would, and
-the least significant goes first; a Gauss–Markov process, whose correlation time is found by a scan, is asked for more.
-A term that is not determined is not set to zero: its limit is that of the likelihood with the term in the model.
+All terms are tried together.  A term is determined if leaving it out lowers the log likelihood by more than chance
+would, the least significant going first; a Gauss–Markov process, whose correlation time is found by a scan, is asked
+for more.  A term that is not determined is not set to zero: estimates, intervals and limits are those of the likelihood
+with all terms in it, or an interval would leave out what the undetermined ones could take over.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +25,7 @@ _LEAST_EVIDENCE_MARKOV = 18.4
 _CHANCE_RAMP = 0.01
 _WALKS = 24
 _SCAN = 14
+_FAINT = 8.0  # in log θ: where a term that the selected model lacks starts
 _WIDEST = 60.0  # of an interval in log θ; a coefficient beyond is no coefficient
 _BASIC = (NoiseTerm.QUANTISATION, NoiseTerm.WHITE, NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK)
 
@@ -34,7 +37,8 @@ class TermEstimate:
     Attributes
     ----------
     term : the noise term.
-    value, sd : estimate and standard uncertainty; NaN where not determined.
+    value : estimate; NaN where not determined.
+    sd : standard uncertainty: the length of the interval over that of a normal distribution of unit sd.
     low, high : profile-likelihood interval of 95 %.
     limit : upper limit of 95 % where not determined; NaN otherwise.
     evidence : −2 Δ log L of leaving the term out.
@@ -104,30 +108,54 @@ class NoiseEstimate:
 def estimate_terms(likelihood: NoiseLikelihood) -> NoiseEstimate:
     """Return the noise terms that a record determines, and limits for the others."""
     best, evidence = _selected(likelihood)
-    covariance = np.linalg.pinv(likelihood.information(best))
-    sd = np.sqrt(np.diag(covariance))
-    found = [_of_term(likelihood, best, term, sd, evidence) for term in _BASIC]
+    full = _with_all(likelihood, best)
+    found = [_of_term(likelihood, full, term, best, evidence) for term in _BASIC]
     markov = NoiseTerm.MARKOV in best.terms
     found.append(
-        _of_term(likelihood, best, NoiseTerm.MARKOV, sd, evidence) if markov else _unknown(NoiseTerm.MARKOV, math.nan)
+        _of_term(likelihood, full, NoiseTerm.MARKOV, best, evidence)
+        if markov
+        else _unknown(NoiseTerm.MARKOV, math.nan, 0.0)
     )
-    found.append(_ramp(likelihood, best, found[_BASIC.index(NoiseTerm.RANDOM_WALK)]))
-    time = best.correlation_time
+    found.append(_ramp(likelihood, full, found[_BASIC.index(NoiseTerm.RANDOM_WALK)]))
+    covariance = np.linalg.pinv(likelihood.information(best))
+    sd = np.sqrt(np.diag(covariance))
     return NoiseEstimate(
         tuple(found),
-        time,
-        time * float(sd[-1]) if markov else math.nan,
+        full.correlation_time,
+        full.correlation_time * float(sd[-1]) if markov else math.nan,
         best.terms,
         covariance / np.outer(sd, sd),
-        tuple(_octaves(likelihood, best)),
-        best.converged,
+        tuple(_octaves(likelihood, full)),
+        full.converged,
         tuple(_alternatives(likelihood, best)),
     )
 
 
+def _with_all(likelihood: NoiseLikelihood, best: Maximum) -> Maximum:
+    """Return the maximum with all basic terms, and Gauss–Markov noise if that is determined."""
+    terms = (*_BASIC, *((NoiseTerm.MARKOV,) if NoiseTerm.MARKOV in best.terms else ()))
+    near = likelihood.start(terms, best.correlation_time) - _FAINT
+    for place, term in enumerate(terms):
+        if term in best.terms:
+            near[place] = best.parameters[best.terms.index(term)]
+    near[len(terms) :] = best.parameters[len(best.terms) :]
+    return _highest(likelihood, terms, best.correlation_time, near)
+
+
+def _highest(likelihood: NoiseLikelihood, terms: tuple[NoiseTerm, ...], time: float, *near: np.ndarray) -> Maximum:
+    """Return the highest of the maxima found from several starts: a slow term can take the place of another."""
+    far = likelihood.start(terms, time)
+    starts = [*near, far]
+    for place, term in enumerate(terms):
+        if term is not NoiseTerm.WHITE:
+            starts.append(far.copy())
+            starts[-1][place] -= _FAINT
+    return max((likelihood.maximise(terms, start) for start in starts), key=lambda found: found.log_likelihood)
+
+
 def _selected(likelihood: NoiseLikelihood) -> tuple[Maximum, dict[NoiseTerm, float]]:
     """Return the maximum of the selected model, and the evidence for each of its terms."""
-    basic, evidence = _pruned(likelihood, likelihood.maximise(_BASIC, likelihood.start(_BASIC)))
+    basic, evidence = _pruned(likelihood, _highest(likelihood, _BASIC, math.nan))
     scanned = _with_markov(likelihood, _BASIC)
     full, full_evidence = _pruned(likelihood, scanned)
     gain = 2 * (full.log_likelihood - basic.log_likelihood)
@@ -155,14 +183,14 @@ def _needed(term: NoiseTerm) -> float:
 
 
 def _without(likelihood: NoiseLikelihood, maximum: Maximum, term: NoiseTerm) -> Maximum:
-    """Return the maximum without a term, the best of two starts."""
+    """Return the maximum without a term."""
     terms = tuple(other for other in maximum.terms if other is not term)
     kept = [place for place, other in enumerate(maximum.terms) if other is not term]
     if NoiseTerm.MARKOV in terms:
         kept.append(len(maximum.terms))
-    near = likelihood.maximise(terms, maximum.parameters[kept])
-    far = likelihood.maximise(terms, likelihood.start(terms, near.correlation_time))
-    return max(near, far, key=lambda found: found.log_likelihood)
+    near = maximum.parameters[kept]
+    time = math.exp(near[-1]) if NoiseTerm.MARKOV in terms else math.nan
+    return _highest(likelihood, terms, time, near)
 
 
 def _with_markov(likelihood: NoiseLikelihood, terms: tuple[NoiseTerm, ...]) -> Maximum:
@@ -180,39 +208,34 @@ def _at_time(likelihood: NoiseLikelihood, terms: tuple[NoiseTerm, ...], time: fl
 
 
 def _of_term(
-    likelihood: NoiseLikelihood, best: Maximum, term: NoiseTerm, sd: np.ndarray, evidence: dict[NoiseTerm, float]
+    likelihood: NoiseLikelihood, full: Maximum, term: NoiseTerm, best: Maximum, evidence: dict[NoiseTerm, float]
 ) -> TermEstimate:
+    place = full.terms.index(term)
     if term not in best.terms:
-        return _unknown(term, _upper_limit(likelihood, best, term))
-    place = best.terms.index(term)
-    value, log_sd = math.exp(best.parameters[place] / 2), float(sd[place])
-    drop = float(chi2.isf(1 - PROBABILITY, 1)) / 2
-    low, high = (_crossing(likelihood, best, place, side, drop, log_sd) for side in (-1, 1))
-    return TermEstimate(term, value, value * log_sd / 2, low, high, math.nan, evidence.get(term, math.inf))
+        return _unknown(term, _upper_limit(likelihood, full, place), 0.0)
+    value = math.exp(full.parameters[place] / 2)
+    log_sd = 1 / math.sqrt(max(float(likelihood.information(full)[place, place]), 1.0))
+    level = full.log_likelihood - float(chi2.isf(1 - PROBABILITY, 1)) / 2
+    low, high = (_bracketed(likelihood, full, place, side, level, 2 * log_sd) for side in (-1, 1))
+    sd = (high - low) / (2 * float(norm.isf((1 - PROBABILITY) / 2)))
+    return TermEstimate(term, value, sd, low, high, math.nan, evidence.get(term, math.inf))
 
 
-def _unknown(term: NoiseTerm, limit: float) -> TermEstimate:
-    return TermEstimate(term, math.nan, math.nan, math.nan, math.nan, limit, 0.0)
+def _unknown(term: NoiseTerm, limit: float, evidence: float) -> TermEstimate:
+    return TermEstimate(term, math.nan, math.nan, math.nan, math.nan, limit, evidence)
 
 
-def _upper_limit(likelihood: NoiseLikelihood, best: Maximum, term: NoiseTerm) -> float:
+def _upper_limit(likelihood: NoiseLikelihood, full: Maximum, place: int) -> float:
     """Return the coefficient above the estimate at which the profile has fallen by the one-sided quantile."""
-    terms = (term, *best.terms)
-    start = likelihood.start([term])
-    with_term = likelihood.maximise(terms, np.concatenate([start, best.parameters]))
-    drop = float(chi2.isf(2 * (1 - PROBABILITY), 1)) / 2
-    # On the bound the likelihood is flat: the search starts where the term begins to matter.
-    information = float(likelihood.information(with_term)[0, 0])
-    with_term.parameters[0] += max(0.0, -0.5 * math.log(max(information, 1e-300)))
-    here = likelihood.maximise(terms, with_term.parameters, fixed=0)
-    reference = max(with_term.log_likelihood, best.log_likelihood)
-    if reference - here.log_likelihood > drop:
-        return _root(likelihood, here, 0, -_WIDEST, 0.0, reference - drop)
-    return _bracketed(likelihood, here, 0, 1, reference - drop, 0.3)
-
-
-def _crossing(likelihood: NoiseLikelihood, best: Maximum, place: int, side: int, drop: float, log_sd: float) -> float:
-    return _bracketed(likelihood, best, place, side, best.log_likelihood - drop, 2 * min(log_sd, 1.0))
+    level = full.log_likelihood - float(chi2.isf(2 * (1 - PROBABILITY), 1)) / 2
+    # At zero the likelihood is flat: the search starts where the term begins to matter.
+    information = float(likelihood.information(full)[place, place])
+    start = full.parameters.copy()
+    start[place] += max(0.0, -0.5 * math.log(max(information, 1e-300)))
+    here = likelihood.maximise(full.terms, start, fixed=place)
+    if here.log_likelihood < level:
+        return _root(likelihood, here, place, -_WIDEST, 0.0, level)
+    return _bracketed(likelihood, here, place, 1, level, 0.3)
 
 
 def _bracketed(likelihood: NoiseLikelihood, centre: Maximum, place: int, side: int, level: float, step: float) -> float:
@@ -222,12 +245,16 @@ def _bracketed(likelihood: NoiseLikelihood, centre: Maximum, place: int, side: i
         inner, outer = outer, 2 * outer
         if abs(outer) > _WIDEST:
             return 0.0 if side < 0 else math.inf
-    return _root(likelihood, centre, place, *sorted((inner, outer)), level)
+    return _root(likelihood, centre, place, min(inner, outer), max(inner, outer), level)
 
 
 def _root(likelihood: NoiseLikelihood, centre: Maximum, place: int, low: float, high: float, level: float) -> float:
-    shift = brentq(lambda by: _profile(likelihood, centre, place, by) - level, low, high, xtol=1e-5)
-    return math.exp((centre.parameters[place] + float(shift)) / 2)
+    shift = _zero(lambda by: _profile(likelihood, centre, place, by) - level, low, high, 1e-4)
+    return math.exp((centre.parameters[place] + shift) / 2)
+
+
+def _zero(function: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
+    return float(brentq(function, low, high, xtol=tolerance))  # type: ignore[arg-type]
 
 
 def _profile(likelihood: NoiseLikelihood, centre: Maximum, place: int, shift: float) -> float:
@@ -237,21 +264,19 @@ def _profile(likelihood: NoiseLikelihood, centre: Maximum, place: int, shift: fl
     return likelihood.maximise(centre.terms, start, fixed=place).log_likelihood
 
 
-def _ramp(likelihood: NoiseLikelihood, best: Maximum, walk: TermEstimate) -> TermEstimate:
+def _ramp(likelihood: NoiseLikelihood, full: Maximum, walk: TermEstimate) -> TermEstimate:
     """Return the ramp, averaged over the random walks that the record allows, which wander off likewise.
 
     One or two coefficients tell a weak random walk from a ramp, so its best value says little: the posterior of the
     ramp is a mixture of normal distributions, over a flat prior of K ≥ 0.
     """
-    terms = best.terms if walk.determined else (NoiseTerm.RANDOM_WALK, *best.terms)
-    place = terms.index(NoiseTerm.RANDOM_WALK)
-    others = best.parameters if walk.determined else np.concatenate([[0.0], best.parameters])
+    place = full.terms.index(NoiseTerm.RANDOM_WALK)
     low, high = (0.5 * walk.low, 1.5 * walk.high) if walk.determined else (0.0, 2.0 * walk.limit)
     weights, slopes = [], []
     for k in low + (high - low) * (np.arange(_WALKS) + 0.5) / _WALKS:
-        start = others.copy()
+        start = full.parameters.copy()
         start[place] = 2 * math.log(k)
-        given = likelihood.maximise(terms, start, fixed=place)
+        given = likelihood.maximise(full.terms, start, fixed=place)
         weights.append(given.log_likelihood)
         slopes.append(likelihood.ramp(given))
     weight = np.exp(np.array(weights) - max(weights))
@@ -264,14 +289,14 @@ def _ramp(likelihood: NoiseLikelihood, best: Maximum, walk: TermEstimate) -> Ter
     reach = 20 * float(sd.max())
     ends = (float(mean.min()) - reach, float(mean.max()) + reach)
     tail = (1 - PROBABILITY) / 2
-    first = float(brentq(lambda slope: below(slope) - tail, *ends))
-    last = float(brentq(lambda slope: below(slope) - (1 - tail), *ends))
+    first = _zero(lambda slope: below(slope) - tail, *ends, 1e-3 * float(sd.min()))
+    last = _zero(lambda slope: below(slope) - (1 - tail), *ends, 1e-3 * float(sd.min()))
     middle = float(weight @ mean)
     spread = math.sqrt(float(weight @ (sd**2 + (mean - middle) ** 2)))
     chance = 2 * min(below(0.0), 1 - below(0.0))
     evidence = float(chi2.isf(max(chance, 1e-300), 1))
     if chance > _CHANCE_RAMP:
-        return TermEstimate(NoiseTerm.RAMP, *4 * (math.nan,), max(-first, last), evidence)
+        return _unknown(NoiseTerm.RAMP, max(-first, last), evidence)
     return TermEstimate(NoiseTerm.RAMP, middle, spread, first, last, math.nan, evidence)
 
 
