@@ -157,14 +157,15 @@ def test_gaps_read_as_zero_would_show():
 
 def test_blocks_and_single_coefficients_agree(monkeypatch: pytest.MonkeyPatch):
     """The two levels use the same information as one cosine transform of the whole record."""
-    x = record(7, ALL_THREE, 16_384, 0.5)
-    whole = estimated(x, 0.5)
-    monkeypatch.setattr("imubayes.noise_analysis.cosine_coefficients._MOST_MEANS", 2048)
-    cut = estimated(x, 0.5)
+    x = record(7, ALL_THREE, 65_536, 0.1)
+    monkeypatch.setattr("imubayes.noise_analysis.cosine_coefficients._MOST_MEANS", 65_536)
+    whole = estimated(x, 0.1)
+    monkeypatch.setattr("imubayes.noise_analysis.cosine_coefficients._MOST_MEANS", 1024)
+    cut = estimated(x, 0.1)
     for name in ALL_THREE:
         one, other = whole.of(NoiseTerm(name)), cut.of(NoiseTerm(name))
-        assert other.value == pytest.approx(one.value, abs=0.5 * one.sd)
-        assert other.sd == pytest.approx(one.sd, rel=0.1)
+        assert other.value == pytest.approx(one.value, abs=0.7 * one.sd)
+        assert other.sd == pytest.approx(one.sd, rel=0.25)
 
 
 def test_the_gradient_is_that_of_the_likelihood():
