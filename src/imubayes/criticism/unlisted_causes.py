@@ -1,8 +1,9 @@
 """Simple dependences outside the catalogue that explain a finding as well as the effects named.
 
 A single name is certain only where the runs could have shown another cause.  Where a plain function of one or two
-covariates explains the same, and none of the effects named is that function, a cause that the catalogue lacks would
-look alike: in positions of a gyro, magnetic sensitivity past the model is what a scale factor error would be.
+covariates explains the same, or explains more of the residual, and none of the effects named is that function, a cause
+that the catalogue lacks would look alike: in positions of a gyro, magnetic sensitivity past the model is what a scale
+factor error would be.  The two components of a vector across the input axis are one function, linear in both.
 """
 
 import numpy as np
@@ -10,9 +11,12 @@ import numpy as np
 from imubayes.criticism import thresholds
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.localised_structure import Feature, FeatureScan
+from imubayes.criticism.projection import orthonormal
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.stepwise_search import Screening, SearchResult
+
+_ACROSS = (("rate_o", "rate_s"), ("force_o", "force_s"))
 
 
 def unlisted_causes(found: SearchResult, group: EquivalenceGroup) -> tuple[tuple[ResidualCovariate, ...], ...]:
@@ -22,25 +26,39 @@ def unlisted_causes(found: SearchResult, group: EquivalenceGroup) -> tuple[tuple
     near = [
         feature
         for scan in at.scans
-        for feature in _explaining_as_much(scan, leader)
-        if not _is_one_of(scan, feature, raw)
+        for feature in _plain(scan)
+        if _as_good(scan, feature, leader, at.projection.residual) and not _is_one_of(scan, feature, raw)
     ]
     by_name = {tuple(covariate.name for covariate in feature.covariates): feature.covariates for feature in near}
     return tuple(by_name.values())
 
 
-def _explaining_as_much(scan: FeatureScan, leader: Candidate) -> list[Feature]:
-    """Return the plain features that a refit could not distinguish from the leader, were that the truth."""
+def _plain(scan: FeatureScan) -> list[Feature]:
+    """Return the plain features, and those linear in both components of a vector across the input axis."""
+    plain = [feature for feature in scan.features.found if feature.plain]
+    linear = {feature.covariates[0].name: feature for feature in reversed(plain) if len(feature.covariates) == 1}
+    for across in _ACROSS:
+        if all(name in linear for name in across):
+            first, second = (linear[name] for name in across)
+            covariates = first.covariates + second.covariates
+            plain.append(Feature(covariates, first.test, first.columns + second.columns, plain=True))
+    return plain
+
+
+def _as_good(scan: FeatureScan, feature: Feature, leader: Candidate, residual: np.ndarray) -> bool:
+    """Tell whether a refit could not distinguish a feature from the leader, were that the truth, or prefers it."""
     explained = leader.score.fitted
     whole = float(explained @ explained)
     if whole <= 0:
-        return []
-    near = []
-    for batch, chi2 in scan.scores(explained[None]):
-        left = (1 - chi2[0] / whole) * leader.delta_chi2
-        chosen = batch.members[left < min(thresholds.DISTINGUISHABLE_CHI2, leader.delta_chi2 / 2)]
-        near += [scan.features.found[place] for place in chosen.tolist()]
-    return [feature for feature in near if feature.plain]
+        return False
+    columns = scan.features.whole(feature, len(residual))
+    projected = columns - scan.basis @ (scan.basis.T @ columns)
+    span = orthonormal(projected, np.linalg.norm(columns, axis=0), thresholds.FORM_RETAINED_MIN)
+    left = (1 - float(np.sum((span.T @ explained) ** 2)) / whole) * leader.delta_chi2
+    if left < min(thresholds.DISTINGUISHABLE_CHI2, leader.delta_chi2 / 2):
+        return True
+    gain, freedom = float(np.sum((span.T @ residual) ** 2)), span.shape[1]
+    return gain - freedom > leader.score.delta_chi2_at_fit - leader.dof
 
 
 def _response(at: Screening, member: Candidate) -> np.ndarray:
