@@ -42,6 +42,7 @@ COMPILED = (
     "procedures/test_new_procedure.py",
     "campaign/test_new_covariate.py",
     "simulation",
+    "qualification/test_uncertainty_budget.py",
     "reference",
     "study",
 )

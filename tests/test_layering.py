@@ -27,6 +27,7 @@ FLOORS = (
     ("inference", "simulation", "noise_analysis"),
     ("criticism", "archive"),
     ("results",),
+    ("qualification",),
     ("display",),
     ("api", ""),
     ("cli",),

@@ -1,0 +1,108 @@
+"""Linear algebra of an uncertainty budget from a joint posterior.
+
+At the mode the estimate of θ is linear in its inputs: the whitened data, each of unit variance, and the prior means,
+each with its prior variance s².  With W the whitened Jacobian, C = (WᵀW + diag s⁻²)⁻¹ and g the gradient of a quantity
+q, its estimate has the sensitivities
+
+    ∂q/∂datum = W C g,    ∂q/∂(prior mean) = s⁻² ∘ C g,
+
+so its variance is Σ (W C g)² + Σ (C g)²/s² = gᵀ C (WᵀW + diag s⁻²) C g = gᵀ C g: contributions of type A and type B add
+up to the posterior variance exactly.  A prior that becomes exact, or noise that is halved, changes the weights of all
+other inputs too; what is then left follows from updates of C.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class LinearContributions:
+    """Variance contributions to Q quantities.
+
+    Attributes
+    ----------
+    type_a : shape (Q, G), of the data, by group.
+    type_b : shape (Q, P), of each prior.
+    sensitivity : shape (Q, P), ∂q/∂(prior mean).
+    """
+
+    type_a: np.ndarray
+    type_b: np.ndarray
+    sensitivity: np.ndarray
+
+    @property
+    def total(self) -> np.ndarray:
+        """Sum of all contributions, shape (Q,)."""
+        return self.type_a.sum(axis=1) + self.type_b.sum(axis=1)
+
+
+def posterior_covariance(whitened: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Return C, shape (P, P), from the whitened Jacobian (E, P) and the prior standard deviations (P,)."""
+    return inverse_of(whitened.T @ whitened + np.diag(widths**-2.0))
+
+
+def inverse_of(precision: np.ndarray) -> np.ndarray:
+    """Return the inverse of a positive definite matrix (P, P), scaled to a unit diagonal for its digits."""
+    scale = 1 / np.sqrt(np.diagonal(precision))
+    inverse = np.linalg.inv(precision * np.outer(scale, scale))
+    return (inverse + inverse.T) / 2 * np.outer(scale, scale)
+
+
+def linear_contributions(
+    along: np.ndarray, whitened: np.ndarray, member: np.ndarray, widths: np.ndarray
+) -> LinearContributions:
+    """Return the contributions of data and priors.
+
+    Parameters
+    ----------
+    along : shape (Q, P), gradients of the quantities times C.
+    whitened : shape (E, P), Jacobian of the whitened data; 0 for data that are left out.
+    member : shape (G, E), bool, whether a datum is of a group.
+    widths : shape (P,), prior standard deviations.
+    """
+    squared = (whitened @ along.T) ** 2
+    return LinearContributions((member.astype(float) @ squared).T, (along / widths) ** 2, along / widths**2)
+
+
+def deviation_with_exact_priors(gradients: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of each quantity if one prior mean were known exactly, shape (Q, P)."""
+    along = gradients @ covariance
+    variance = np.sum(along * gradients, axis=1)[:, None] - along**2 / np.diagonal(covariance)
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
+def deviation_with_halved_priors(gradients: np.ndarray, covariance: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of each quantity if one prior were half as wide, shape (Q, P)."""
+    along, added = gradients @ covariance, 3 / widths**2
+    variance = np.sum(along * gradients, axis=1)[:, None]
+    return np.sqrt(np.maximum(variance - along**2 * added / (1 + added * np.diagonal(covariance)), 0.0))
+
+
+def deviation_with_halved_noise(
+    gradients: np.ndarray, whitened: np.ndarray, member: np.ndarray, widths: np.ndarray
+) -> np.ndarray:
+    """Return the standard deviation of each quantity if the noise of one group were halved, shape (Q, G)."""
+    precision = whitened.T @ whitened + np.diag(widths**-2.0)
+    found = np.zeros((len(gradients), len(member)))
+    for place, chosen in enumerate(member):
+        covariance = inverse_of(precision + 3 * whitened[chosen].T @ whitened[chosen])
+        found[:, place] = np.sqrt(np.sum((gradients @ covariance) * gradients, axis=1))
+    return found
+
+
+def degrees_of_freedom(variances: np.ndarray) -> np.ndarray:
+    """Return the degrees of freedom of variances from their spread: ν = 2 E[u²]²/Var[u²] (GUM E.4.3), shape (…,).
+
+    Parameters
+    ----------
+    variances : shape (H, …), over H draws of what the variances depend on.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(variances.var(axis=0) > 0, 2 * variances.mean(axis=0) ** 2 / variances.var(axis=0), np.inf)
+
+
+def effective_degrees(contributions: np.ndarray, degrees: np.ndarray) -> float:
+    """Return ν of a sum of variances by Welch–Satterthwaite (GUM G.4.1); infinite where all are."""
+    sum_of_squares = float(np.sum(contributions**2 / degrees))
+    return float(np.sum(contributions) ** 2 / sum_of_squares) if sum_of_squares > 0 else float("inf")

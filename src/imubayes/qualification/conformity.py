@@ -1,0 +1,259 @@
+"""Conformity of a unit: each limit of a specification held against the posterior of its quantity.
+
+A limit over a temperature range is met where the quantity is within it at every temperature; its conformance
+probability is that of the smallest margin over the range, and its decision is the worst over the range.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.campaign.toml_documents import Ledger
+from imubayes.errors import InputError, closest_first
+from imubayes.qualification.conformance import ProbabilityByTwoMethods, ToleranceInterval, conformance_probability
+from imubayes.qualification.decision_rules import Decision, DecisionRule, MeasuredValue, Outcome, decide
+from imubayes.qualification.global_risk import GlobalRisks, Production, global_risks, guard_for_risk
+from imubayes.qualification.marginal import Marginal
+from imubayes.qualification.posterior_quantities import PosteriorQuantities
+from imubayes.qualification.specification import LimitEntry, SpecificationFile, rule_of
+from imubayes.qualification.temperature_range import ThermalModel, over_range
+from imubayes.results.summary import Quantity
+from imubayes.units import same_dimension, to_si
+
+WORST_FIRST: tuple[Outcome, ...] = ("fail", "withheld", "conditional_fail", "conditional_pass", "pass")
+# Temperatures of a chamber are not those of its plan: a range is covered where runs came this close to its ends, °C.
+_NEAR = 2.0
+
+
+@dataclass(frozen=True)
+class TestedUnit:
+    """What a specification is held against.
+
+    Attributes
+    ----------
+    quantities : with draws.
+    temperatures : lowest and highest sensor temperature of the runs, °C; None where none was recorded.
+    thermal : thermal terms of the model.
+    gravity : of the site, m/s².
+    """
+
+    __test__ = False  # no test, whatever its name says to pytest
+
+    quantities: PosteriorQuantities
+    temperatures: tuple[float, float] | None
+    thermal: ThermalModel
+    gravity: float
+
+
+@dataclass(frozen=True)
+class ResolvedLimit:
+    """A limit of one quantity in the quantity's unit."""
+
+    quantity: Quantity
+    tolerance: ToleranceInterval
+    rule: DecisionRule
+    span: tuple[float, float] | None
+    production: Production | None
+    nominal: float | None
+
+
+@dataclass(frozen=True)
+class ConformityOfQuantity:
+    """The outcome for one limit.
+
+    Attributes
+    ----------
+    limit : in the unit of the quantity.
+    estimate : at the worst temperature of the range.
+    temperature : that temperature, °C; None without a range or without dependence on it.
+    conformance : p_c over the whole range.
+    decision : outcome with the guard band.
+    consumer, producer : specific risks: of delivering a unit that does not conform where it is accepted, of rejecting
+        one that does where it is not; None where it does not apply or is withheld.
+    overall : global risks, where the production is known.
+    """
+
+    limit: ResolvedLimit
+    estimate: MeasuredValue
+    temperature: float | None
+    conformance: ProbabilityByTwoMethods
+    decision: Decision
+    consumer: float | None
+    producer: float | None
+    overall: GlobalRisks | None
+
+
+def resolved_limits(file: SpecificationFile, ledger: Ledger, unit: TestedUnit) -> tuple[ResolvedLimit, ...]:
+    """Return the limits of a specification, one per quantity, in the units of the quantities.
+
+    Raises
+    ------
+    InputError
+        with every unknown quantity, unit of another dimension, and temperature range that the runs do not cover.
+    """
+    found: list[ResolvedLimit] = []
+    for place, entry in enumerate(file.limit):
+        names = _members(entry.quantity, list(unit.quantities.entries))
+        if not names:
+            families = dict.fromkeys(name.partition("[")[0] for name in unit.quantities.entries)
+            options = unit.quantities.entries if "[" in entry.quantity else families
+            ledger.add(
+                f"the result has no quantity '{entry.quantity}'",
+                ("limit", place, "quantity"),
+                closest_first(entry.quantity, options),
+                "name a quantity that the model estimates; `imubayes fit` lists them",
+            )
+            continue
+        _check_temperatures(entry, place, ledger, unit)
+        found += [
+            limit
+            for name in names
+            if (limit := _resolved(entry, file, unit.quantities.entries[name], place, ledger, unit.gravity)) is not None
+        ]
+    ledger.stop_if_any()
+    return tuple(found)
+
+
+def _members(asked: str, names: Sequence[str]) -> list[str]:
+    return [name for name in names if asked in (name, name.partition("[")[0])]
+
+
+def _check_temperatures(entry: LimitEntry, place: int, ledger: Ledger, unit: TestedUnit) -> None:
+    if entry.temperature_degC is None:
+        return
+    low, high = entry.temperature_degC
+    known = unit.temperatures
+    if known is None or low < known[0] - _NEAR or high > known[1] + _NEAR:
+        tested = "no run recorded one" if known is None else f"the runs cover {known[0]:.4g} … {known[1]:.4g} degC"
+        ledger.add(
+            f"the limit of '{entry.quantity}' holds from {low:g} to {high:g} degC, where there are no data",
+            ("limit", place, "temperature_degC"),
+            tested,
+            "test the unit over the range, or state the range that was tested",
+        )
+
+
+def _resolved(
+    entry: LimitEntry, file: SpecificationFile, quantity: Quantity, place: int, ledger: Ledger, gravity: float
+) -> ResolvedLimit | None:
+    where = ("limit", place, "unit")
+    try:
+        factor, shift = _conversion(entry, quantity, ledger.where(*where), gravity)
+    except InputError as error:
+        if not any(issue == known for issue in error.issues for known in ledger.issues):
+            ledger.issues.extend(error.issues)
+        return None
+    if factor is None and any(issue.where == ledger.where(*where) for issue in ledger.issues):
+        return None
+    if factor is None:
+        allowed = quantity.unit + (" with 'nominal' also ppm, %" if entry.nominal is None else ", ppm, %")
+        ledger.add(
+            f"the unit '{entry.unit}' is not one of {quantity.name}", where, allowed, "write the limits in such a unit"
+        )
+        return None
+    lower, upper = _ends(entry, factor, shift)
+    made = entry.production
+    return ResolvedLimit(
+        quantity=quantity,
+        tolerance=ToleranceInterval(lower, upper),
+        rule=rule_of(entry.rule or file.rule, abs(factor)),
+        span=(entry.temperature_degC[0], entry.temperature_degC[1]) if entry.temperature_degC else None,
+        production=None if made is None else Production(shift + factor * made.mean, abs(factor) * made.sd),
+        nominal=entry.nominal,
+    )
+
+
+def _ends(entry: LimitEntry, factor: float, shift: float) -> tuple[float, float]:
+    """Return the limits in the unit of the quantity; a negative factor, of a negative nominal value, exchanges them."""
+    lower = -math.inf if entry.lower is None else entry.lower
+    upper = math.inf if entry.upper is None else entry.upper
+    low, high = sorted((shift + factor * lower, shift + factor * upper))
+    return low, high
+
+
+def _conversion(entry: LimitEntry, quantity: Quantity, where: str, gravity: float) -> tuple[float | None, float]:
+    """Return factor and shift from the unit of a limit to that of its quantity; no factor where it has no such unit."""
+    if entry.nominal is not None and entry.unit != quantity.unit and same_dimension(entry.unit, "1", where):
+        return entry.nominal * to_si(entry.unit, gravity, where), entry.nominal
+    shift = entry.nominal or 0.0
+    if entry.unit == quantity.unit:
+        return 1.0, shift
+    if " per " in quantity.unit or not same_dimension(entry.unit, quantity.unit, where):
+        return None, shift
+    return to_si(entry.unit, gravity, where) / to_si(quantity.unit, gravity), shift
+
+
+def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
+    """Return the outcome for one limit."""
+    quantities, name = unit.quantities, limit.quantity.name
+    values = quantities.draws[name][:, None]
+    if limit.span is not None:
+        values = over_range(name, limit.quantity.unit, quantities.draws, unit.thermal, limit.span)
+    values = values[np.isfinite(values).all(axis=1)]
+    effective = quantities.effective[name]
+    over = _conformance_over(values, limit.tolerance, effective)
+    estimates = [_estimate(Marginal(column, effective), over) for column in values.T]
+    rule, production = limit.rule, limit.production
+    decisions = [_decision(rule, estimate, limit.tolerance, production) for estimate in estimates]
+    worst = min(range(len(estimates)), key=lambda place: _rank(decisions[place], estimates[place], limit.tolerance))
+    estimate, decision = estimates[worst], decisions[worst]
+    p = over.value
+    accepted = decision.outcome in ("pass", "conditional_pass")
+    return ConformityOfQuantity(
+        limit=limit,
+        estimate=estimate,
+        temperature=_temperature(limit, worst, len(estimates)),
+        conformance=over,
+        decision=decision,
+        consumer=1 - p if p is not None and accepted else None,
+        producer=p if p is not None and not accepted else None,
+        overall=None
+        if production is None
+        else global_risks(production, estimate.standard, limit.tolerance, decision.guard_band or 0.0),
+    )
+
+
+def _temperature(limit: ResolvedLimit, worst: int, count: int) -> float | None:
+    return None if limit.span is None or count == 1 else float(np.linspace(*limit.span, count)[worst])
+
+
+def _rank(decision: Decision, estimate: MeasuredValue, tolerance: ToleranceInterval) -> tuple[int, float]:
+    margin = min(estimate.value - tolerance.lower, tolerance.upper - estimate.value)
+    return WORST_FIRST.index(decision.outcome), margin
+
+
+def _conformance_over(values: np.ndarray, tolerance: ToleranceInterval, effective: float) -> ProbabilityByTwoMethods:
+    """Return p_c of a quantity over a range, (S, T): of the smallest margin; of the quantity where there is one T."""
+    if values.shape[1] == 1:
+        return conformance_probability(Marginal(values[:, 0], effective), tolerance)
+    margin = np.minimum(values - tolerance.lower, tolerance.upper - values).min(axis=1)
+    return conformance_probability(Marginal(margin, effective), ToleranceInterval(lower=0.0))
+
+
+def _estimate(marginal: Marginal, conformance: ProbabilityByTwoMethods) -> MeasuredValue:
+    low, high = marginal.interval
+    return MeasuredValue(marginal.mean, marginal.sd, (high - low) / 2, conformance)
+
+
+def _decision(
+    rule: DecisionRule, estimate: MeasuredValue, tolerance: ToleranceInterval, production: Production | None
+) -> Decision:
+    if rule.name != "global_risk":
+        return decide(rule, estimate, tolerance)
+    assert production is not None, "the specification was checked for it"
+    assert rule.probability is not None, "a rule on a risk has its target"
+    guard = guard_for_risk(production, estimate.standard, tolerance, rule.probability)
+    if guard is None:
+        return Decision("fail", None)
+    return decide(DecisionRule("guard_band", guard_width=guard), estimate, tolerance)
+
+
+def overall_outcome(found: Sequence[ConformityOfQuantity]) -> Outcome:
+    """Return the worst outcome of all limits."""
+    worst: Outcome = "pass"
+    for each in found:
+        if WORST_FIRST.index(each.decision.outcome) < WORST_FIRST.index(worst):
+            worst = each.decision.outcome
+    return worst

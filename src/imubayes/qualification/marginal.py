@@ -1,0 +1,158 @@
+"""The marginal posterior of one quantity: its draws, their effective number, and a smooth distribution fitted to them.
+
+The fitted marginal is the sinh-arcsinh normal of Jones & Pewsey (Biometrika 96, 2009): x = ξ + η sinh((arsinh z + ε)/δ)
+with z standard normal.  ε skews it, δ weighs both tails, and ε = 0, δ = 1 is the normal distribution.  It is fitted by
+maximum likelihood and serves as the second method of every risk: four numbers smooth over the noise of the draws.
+A quantity of one sign that crowds at zero, such as a small angle, has a logarithm closer to such a distribution.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import optimize, special, stats
+
+# Nodes of the quadrature, and how far beyond the draws an infinite end is placed, in standard normals.
+_NODES, _FAR = 400, 8.0
+_INTERVAL = (0.025, 0.975)
+# Draws to which the smooth marginal is fitted at most: its four parameters are then known to a per cent.
+_MOST_FITTED = 20_000
+
+
+@dataclass(frozen=True)
+class MonteCarloErrors:
+    """Monte Carlo standard errors of mean, standard deviation and both ends of the coverage interval."""
+
+    mean: float
+    sd: float
+    low: float
+    high: float
+
+    @property
+    def largest(self) -> float:
+        """The largest of the four."""
+        return max(self.mean, self.sd, self.low, self.high)
+
+
+@dataclass(frozen=True)
+class Marginal:
+    """Draws of one quantity.
+
+    Attributes
+    ----------
+    draws : shape (S,), finite.
+    effective : number of independent draws that carry as much information.
+    """
+
+    draws: np.ndarray
+    effective: float
+
+    @cached_property
+    def mean(self) -> float:
+        """The estimate: the posterior mean."""
+        return float(np.mean(self.draws))
+
+    @cached_property
+    def sd(self) -> float:
+        """The standard uncertainty: the posterior standard deviation."""
+        return float(np.std(self.draws))
+
+    @cached_property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % equal-tailed coverage interval."""
+        low, high = np.quantile(self.draws, _INTERVAL)
+        return float(low), float(high)
+
+    @cached_property
+    def errors(self) -> MonteCarloErrors:
+        """Monte Carlo errors: of the sd by the kurtosis, of the ends by order statistics (Vehtari et al. 2021, § 4)."""
+        excess = float(np.mean((self.draws - self.mean) ** 4)) / self.sd**4 if self.sd > 0 else 1.0
+        of_sd = self.sd * np.sqrt(max(excess - 1, 0.0) / (4 * self.effective))
+        low, high = (self._quantile_error(probability) for probability in _INTERVAL)
+        return MonteCarloErrors(self.sd / np.sqrt(self.effective), float(of_sd), low, high)
+
+    def _quantile_error(self, probability: float) -> float:
+        shape = self.effective * probability + 1, self.effective * (1 - probability) + 1
+        below, above = np.quantile(self.draws, stats.beta.ppf(special.ndtr([-1.0, 1.0]), *shape))
+        return float((above - below) / 2)
+
+
+@dataclass(frozen=True)
+class FittedMarginal:
+    """A sinh-arcsinh normal distribution of a quantity x, or of log|x| where x has one sign.
+
+    Attributes
+    ----------
+    location, scale, skewness, tail : ξ, η > 0, ε and δ > 0.
+    sign : 0 where x itself has the distribution; ±1 where log(±x) has it.
+    """
+
+    location: float
+    scale: float
+    skewness: float = 0.0
+    tail: float = 1.0
+    sign: int = 0
+
+    def log_density(self, y: np.ndarray) -> np.ndarray:
+        """Return the log density of y, which is x or log|x|, of the same shape."""
+        standard = (y - self.location) / self.scale
+        angle = self.tail * np.arcsinh(standard) - self.skewness
+        slope = np.log(self.tail * np.cosh(angle)) - 0.5 * np.log1p(standard**2) - np.log(self.scale)
+        return slope - 0.5 * np.sinh(angle) ** 2 - 0.5 * np.log(2 * np.pi)
+
+    def probability(self, lower: float, upper: float) -> float:
+        """Return the probability of an interval of x, which may be infinite, by Gauss–Legendre quadrature."""
+        if self.sign:
+            ends = sorted((self.sign * lower, self.sign * upper))
+            lower, upper = (math.log(end) if end > 0 else -math.inf for end in ends)
+        far = (self.location + self.scale * np.sinh((np.arcsinh(z) + self.skewness) / self.tail) for z in (-_FAR, _FAR))
+        low, high = (float(edge) for edge in far)
+        low, high = max(lower, low), min(upper, high)
+        if not high > low:
+            return 0.0
+        # In arsinh of the standardised value the density is smooth on the scale of the nodes, whatever its tails.
+        ends = np.arcsinh((np.array([low, high]) - self.location) / self.scale)
+        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        half = (ends[1] - ends[0]) / 2
+        angle = ends[0] + half * (nodes + 1)
+        values = np.exp(self.log_density(self.location + self.scale * np.sinh(angle))) * self.scale * np.cosh(angle)
+        return float(np.clip(half * np.sum(weights * values), 0.0, 1.0))
+
+
+def fitted_to(draws: np.ndarray) -> FittedMarginal:
+    """Return the marginal of maximum likelihood of draws (S,): of the quantity or, where likelier, of its logarithm.
+
+    Raises
+    ------
+    ValueError
+        if the draws do not vary.
+    """
+    if not np.std(draws) > 0:
+        raise ValueError("draws that do not vary have no density")
+    thinned = draws[:: max(1, len(draws) // _MOST_FITTED)]
+    plain, height = _likeliest(thinned, 0)
+    sign = int(np.sign(thinned[0]))
+    if not np.all(sign * draws > 0) or sign == 0:
+        return plain
+    logarithm = np.log(sign * thinned)
+    bounded, log_height = _likeliest(logarithm, sign)
+    return bounded if log_height - float(np.mean(logarithm)) > height else plain
+
+
+def _likeliest(values: np.ndarray, sign: int) -> tuple[FittedMarginal, float]:
+    """Return the marginal of maximum likelihood of values (S,), and its mean log density."""
+    centre, spread = float(np.median(values)), float(np.std(values))
+    standard = (values - centre) / spread
+
+    def loss(parameters: np.ndarray) -> float:
+        location, log_scale, skewness, log_tail = parameters
+        own = FittedMarginal(location, float(np.exp(log_scale)), skewness, float(np.exp(log_tail)))
+        with np.errstate(over="ignore"):
+            return -float(np.mean(np.maximum(own.log_density(standard), -1e3)))
+
+    found = optimize.minimize(loss, np.zeros(4), method="L-BFGS-B", bounds=[(-20, 20), (-8, 4), (-6, 6), (-2.5, 2.5)])
+    location, log_scale, skewness, log_tail = (float(each) for each in found.x)
+    scale = spread * math.exp(log_scale)
+    fitted = FittedMarginal(centre + spread * location, scale, skewness, math.exp(log_tail), sign)
+    return fitted, -float(found.fun) - math.log(spread)

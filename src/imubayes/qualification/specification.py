@@ -1,0 +1,175 @@
+"""The specification file: limits of quantities, the conditions under which they hold, and the decision rule.
+
+It is TOML like the other files::
+
+    format = 1
+    name = "qualification"
+
+    [rule]
+    name = "guard_band"          # simple_acceptance, guard_band, ilac_g8_non_binary, conformance_probability, …
+    factor = 1.65                # w = 1.65 u; without factor and width w = U
+
+    [[limit]]
+    quantity = "gyro_bias.bias"  # a family: one limit for each of its members; or one member, "gyro_bias.bias[gx]"
+    lower = -20
+    upper = 20
+    unit = "deg/h"
+    temperature_degC = [-10, 55]
+
+    [[limit]]
+    quantity = "scale_factor[gx]"
+    nominal = 1000               # limits in ppm or % are then deviations from it
+    lower = -500
+    upper = 500
+    unit = "ppm"
+"""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from imubayes.campaign.toml_documents import Ledger, read_document
+from imubayes.qualification.decision_rules import DecisionRule, RuleName
+from imubayes.qualification.tolerances import COVERAGE, GUARD_FACTOR
+
+Probability = Annotated[float, Field(gt=0, lt=1)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class _SpecificationEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class RuleEntry(_SpecificationEntry):
+    """A decision rule.
+
+    Attributes
+    ----------
+    name : of the rule.
+    factor : guard band in standard uncertainties.
+    width : guard band in the unit of the limit.
+    probability : least conformance probability, or the target of a risk.
+    """
+
+    name: RuleName
+    factor: Positive | None = None
+    width: Positive | None = None
+    probability: Probability | None = None
+
+
+class ProductionEntry(_SpecificationEntry):
+    """Distribution of the true values of all units tested, in the unit of the limit: what a global risk is about."""
+
+    mean: float
+    sd: Positive
+
+
+class LimitEntry(_SpecificationEntry):
+    """Limits of a quantity, or of each member of a family.
+
+    Attributes
+    ----------
+    quantity : name in the summary of a fit, with or without the labels in brackets.
+    lower, upper : limits; None for none.
+    unit : of the limits.
+    nominal : value, in the unit of the quantity, from which limits in ppm or % are deviations.
+    temperature_degC : range over which the limits hold.
+    rule : decision rule; that of the file where None.
+    production : of the units tested.
+    """
+
+    quantity: str = Field(min_length=1)
+    lower: float | None = None
+    upper: float | None = None
+    unit: str
+    nominal: float | None = None
+    temperature_degC: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+    rule: RuleEntry | None = None
+    production: ProductionEntry | None = None
+
+
+class SpecificationFile(_SpecificationEntry):
+    """A specification: limits of quantities and the rule by which conformity is decided."""
+
+    format: Literal[1]
+    name: str = Field(min_length=1)
+    rule: RuleEntry = RuleEntry(name="guard_band", factor=GUARD_FACTOR)
+    limit: Annotated[list[LimitEntry], Field(min_length=1)]
+
+
+def read_specification(file: str | Path) -> tuple[SpecificationFile, Ledger]:
+    """Read a specification, and check what can be checked without a result.
+
+    Returns
+    -------
+    the file, and the ledger that knows the line of every key, for checks against a result.
+
+    Raises
+    ------
+    InputError
+        with everything that is wrong with the file.
+    """
+    document = read_document(Path(file), SpecificationFile)
+    document.ledger.stop_if_any()
+    found = document.entry
+    assert found is not None, "an invalid document has issues"
+    _check_rule(found.rule, ("rule",), document.ledger)
+    for place, limit in enumerate(found.limit):
+        _check_limit(limit, place, found.rule, document.ledger)
+    document.ledger.stop_if_any()
+    return found, document.ledger
+
+
+def _check_limit(limit: LimitEntry, place: int, common: RuleEntry, ledger: Ledger) -> None:
+    where = ("limit", place)
+    if limit.lower is None and limit.upper is None:
+        ledger.add(f"the limit of '{limit.quantity}' has no limits", where, "lower, upper or both", "add one")
+    elif limit.lower is not None and limit.upper is not None and not limit.lower < limit.upper:
+        ledger.add(
+            f"the limits of '{limit.quantity}' are crossed: lower = {limit.lower:g}, upper = {limit.upper:g}",
+            (*where, "lower"),
+            "lower < upper",
+            "exchange or correct the limits",
+        )
+    span = limit.temperature_degC
+    if span is not None and not span[0] < span[1]:
+        ledger.add(
+            f"the temperature range of '{limit.quantity}' is crossed: {span[0]:g} … {span[1]:g} degC",
+            (*where, "temperature_degC"),
+            "[lowest, highest]",
+            "exchange or correct the temperatures",
+        )
+    if limit.rule is not None:
+        _check_rule(limit.rule, (*where, "rule"), ledger)
+    if (limit.rule or common).name == "global_risk" and limit.production is None:
+        ledger.add(
+            f"the rule of '{limit.quantity}' is a global risk, which depends on the units that are tested",
+            where,
+            "production = { mean = …, sd = … } in the unit of the limit",
+            "add 'production', or choose a rule that needs none",
+        )
+
+
+def _check_rule(rule: RuleEntry, where: tuple[str | int, ...], ledger: Ledger) -> None:
+    if rule.factor is not None and rule.width is not None:
+        ledger.add("a guard band has a factor or a width", where, "factor or width", "leave one out")
+    if (rule.factor is not None or rule.width is not None) and rule.name != "guard_band":
+        ledger.add(f"the rule {rule.name} has no guard band to set", where, 'name = "guard_band"', "leave it out")
+    takes = rule.name in ("conformance_probability", "specific_risk", "global_risk")
+    if rule.probability is not None and not takes:
+        allowed = "conformance_probability, specific_risk, global_risk"
+        ledger.add(f"the rule {rule.name} has no probability to set", where, allowed, "leave it out")
+
+
+def rule_of(entry: RuleEntry, factor: float = 1.0) -> DecisionRule:
+    """Return the rule that an entry states.
+
+    Parameters
+    ----------
+    entry : as in the file.
+    factor : the unit of the limit in the unit of the quantity.
+    """
+    default = COVERAGE if entry.name == "conformance_probability" else 1 - COVERAGE
+    width = None if entry.width is None else entry.width * factor
+    return DecisionRule(entry.name, entry.factor, width, entry.probability or default)

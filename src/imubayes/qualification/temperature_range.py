@@ -1,0 +1,96 @@
+"""Quantities over a temperature range: bias and scale factor with the thermal terms that the model has.
+
+A limit that holds from T₁ to T₂ is met by a draw where the quantity is within it at every temperature between.  Bias
+has polynomial terms in T − T_ref that add, scale factor such that multiply; other quantities do not depend on the
+temperature of the sensor in the model.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from imubayes.units import STANDARD_GRAVITY, to_si
+
+# Temperatures at which a range is looked at: a quadratic between them deviates by 1/400 of its sag.
+_NODES = 11
+
+
+@dataclass(frozen=True)
+class ThermalTerms:
+    """How a family of quantities depends on temperature.
+
+    Attributes
+    ----------
+    kind : whether its terms add to the value, multiply 1 + value, or multiply the value.
+    terms : effect and parameter, with the power of T − T_ref.
+    """
+
+    kind: Literal["bias", "relative", "scale"]
+    terms: tuple[tuple[str, str, int], ...]
+
+
+def _terms(sensor: str, what: str) -> tuple[tuple[str, str, int], ...]:
+    return (f"{sensor}_{what}_temperature", "slope", 1), (f"{sensor}_{what}_temperature_quadratic", "curvature", 2)
+
+
+FAMILIES = {
+    "gyro_bias.bias": ThermalTerms("bias", _terms("gyro", "bias")),
+    "accel_bias.bias": ThermalTerms("bias", _terms("accel", "bias")),
+    "gyro_scale_factor.scale": ThermalTerms("relative", _terms("gyro", "scale")),
+    "accel_scale_factor.scale": ThermalTerms("relative", _terms("accel", "scale")),
+    "scale_factor": ThermalTerms("scale", (*_terms("gyro", "scale"), *_terms("accel", "scale"))),
+}
+"""Family of quantities → its dependence on temperature; a family that is not listed has none."""
+
+
+@dataclass(frozen=True)
+class ThermalModel:
+    """What of a model's thermal terms is not in the draws.
+
+    Attributes
+    ----------
+    reference : effect → T_ref, °C.
+    units : parameter name → unit.
+    default : temperature at which scale factors are stated, °C.
+    """
+
+    reference: Mapping[str, float]
+    units: Mapping[str, str]
+    default: float
+
+
+def over_range(
+    name: str, unit: str, draws: Mapping[str, np.ndarray], model: ThermalModel, span: tuple[float, float]
+) -> np.ndarray:
+    """Return the draws of a quantity at temperatures over a range, shape (S, T); (S, 1) where it depends on none.
+
+    Parameters
+    ----------
+    name, unit : of the quantity.
+    draws : name → shape (S,), of all parameters and derived quantities.
+    model : of the thermal terms.
+    span : lowest and highest temperature, °C.
+    """
+    family, _, label = name.partition("[")
+    found = FAMILIES.get(family)
+    own = draws[name][:, None]
+    terms = [] if found is None else [(e, f"{e}.{p}[{label}", power) for e, p, power in found.terms]
+    terms = [(effect, term, power) for effect, term, power in terms if term in draws]
+    if found is None or not terms:
+        return own
+    temperature = np.linspace(*span, _NODES)
+    added, factor, at_default = np.zeros((1, _NODES)), np.ones((1, _NODES)), np.ones((1, 1))
+    for effect, term, power in terms:
+        reference = model.reference.get(effect, model.default)
+        coefficient = draws[term][:, None] * to_si(model.units[term], STANDARD_GRAVITY)
+        change = coefficient * (temperature - reference)[None, :] ** power
+        added, factor = added + change, factor * (1 + change)
+        at_default = at_default * (1 + coefficient * (model.default - reference) ** power)
+    if found.kind == "bias":
+        return own + added / to_si(unit, STANDARD_GRAVITY)
+    if found.kind == "scale":
+        return own * factor / at_default
+    ratio = to_si(unit, STANDARD_GRAVITY)
+    return ((1 + own * ratio) * factor - 1) / ratio

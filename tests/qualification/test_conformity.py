@@ -1,0 +1,173 @@
+"""Specification files, limits over temperature, and the outcome for a unit whose posterior is known."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imubayes.errors import InputError
+from imubayes.qualification.conformity import TestedUnit, conformity, overall_outcome, resolved_limits
+from imubayes.qualification.posterior_quantities import PosteriorQuantities
+from imubayes.qualification.specification import read_specification
+from imubayes.qualification.temperature_range import ThermalModel
+from imubayes.results.summary import Quantity
+
+SIZE = 20_000
+HEAD = 'format = 1\nname = "test"\n'
+
+
+def quantities(**sd_scale: float) -> PosteriorQuantities:
+    random = np.random.default_rng(4)
+    stated = {
+        "gyro_bias.bias[gx]": ("deg/h", 5.0, 0.5),
+        "gyro_bias.bias[gy]": ("deg/h", -9.5, 0.5),
+        "gyro_bias_temperature.slope[gx]": ("deg/h/degC", 0.1, 0.01),
+        "scale_factor[gx]": ("pulse/s per deg/s", 1000.2, 0.01),
+        "accel_bias.bias[ax]": ("ug", 120.0, 10.0),
+        "gyro_scale_factor.scale[gx]": ("ppm", 200.0, 10.0),
+        "gyro_scale_temperature.slope[gx]": ("ppm/degC", 2.0, 0.1),
+    }
+    entries = {name: Quantity(name=name, unit=unit, mean=mean, sd=sd) for name, (unit, mean, sd) in stated.items()}
+    draws = {name: mean + sd * random.standard_normal(SIZE) for name, (_, mean, sd) in stated.items()}
+    return PosteriorQuantities(entries, draws, dict.fromkeys(stated, float(SIZE)))
+
+
+UNIT = TestedUnit(
+    quantities(),
+    (-10.4, 55.3),
+    ThermalModel({}, {name: entry.unit for name, entry in quantities().entries.items()}, 25.0),
+    9.80,
+)
+
+
+def outcome(tmp_path: Path, text: str, unit: TestedUnit = UNIT):
+    file = tmp_path / "spec.toml"
+    file.write_text(HEAD + text)
+    return [conformity(limit, unit) for limit in resolved_limits(*read_specification(file), unit)]
+
+
+def limit(quantity: str, rest: str) -> str:
+    return f'[[limit]]\nquantity = "{quantity}"\n{rest}\n'
+
+
+def test_a_family_has_a_limit_for_each_member(tmp_path):
+    found = outcome(tmp_path, limit("gyro_bias.bias", 'lower = -10\nupper = 10\nunit = "deg/h"'))
+    assert [(each.limit.quantity.name, each.decision.outcome) for each in found] == [
+        ("gyro_bias.bias[gx]", "pass"),
+        ("gyro_bias.bias[gy]", "fail"),
+    ]
+    assert found[1].decision.guard_band == pytest.approx(1.65 * 0.5, rel=0.02)
+    # −9.5 ± 0.5 is a standard deviation inside: Φ(1) = 0.841.
+    assert found[1].conformance.value == pytest.approx(0.841, abs=0.01)
+    assert found[1].producer == found[1].conformance.value
+    assert found[1].consumer is None
+    assert overall_outcome(found) == "fail"
+
+
+def test_limits_in_another_unit_and_relative_to_nominal(tmp_path):
+    bias, scale = outcome(
+        tmp_path,
+        limit("accel_bias.bias[ax]", 'upper = 0.2\nunit = "mg"')
+        + limit("scale_factor[gx]", 'nominal = 1000\nlower = -300\nupper = 300\nunit = "ppm"'),
+    )
+    assert (bias.limit.tolerance.lower, bias.limit.tolerance.upper) == (-math.inf, pytest.approx(200.0))
+    assert (scale.limit.tolerance.lower, scale.limit.tolerance.upper) == pytest.approx((999.7, 1000.3))
+    assert (scale.limit.rule.name, scale.limit.rule.guard_factor) == ("guard_band", 1.65)
+
+
+def test_bias_over_a_temperature_range(tmp_path):
+    """5 deg/h + 0.1 deg/h/°C from −10 to 55 °C: the estimate reaches 8.0 deg/h at 55 °C, and no more."""
+    (found,) = outcome(
+        tmp_path, limit("gyro_bias.bias[gx]", 'lower = -9\nupper = 9\nunit = "deg/h"\ntemperature_degC = [-10, 55]')
+    )
+    assert found.temperature == 55.0
+    assert found.estimate.value == pytest.approx(8.0, abs=0.02)
+    assert found.estimate.standard == pytest.approx(math.hypot(0.5, 0.3), rel=0.03)
+    exact = 0.5 * (1 + math.erf(1 / math.hypot(0.5, 0.3) / math.sqrt(2)))
+    assert found.conformance.value == pytest.approx(exact, abs=0.006)
+
+
+def test_scale_factor_over_a_temperature_range(tmp_path):
+    """2 ppm/°C over 35 °C below the reference: −70 ppm, for the relative scale factor and for the absolute one."""
+    relative, absolute = outcome(
+        tmp_path,
+        limit("gyro_scale_factor.scale[gx]", 'lower = 0\nunit = "ppm"\ntemperature_degC = [-10, 25]')
+        + limit("scale_factor[gx]", 'lower = 999\nunit = "pulse/s per deg/s"\ntemperature_degC = [-10, 25]'),
+    )
+    assert relative.estimate.value == pytest.approx(200 - 70, abs=0.5)
+    assert absolute.estimate.value == pytest.approx(1000.2 * (1 - 70e-6), abs=2e-3)
+    assert relative.temperature == absolute.temperature == -10.0
+
+
+@pytest.mark.parametrize(
+    ("rule", "expected"),
+    [
+        ('name = "simple_acceptance"', "pass"),
+        ('name = "guard_band"', "fail"),
+        ('name = "guard_band"\nwidth = 0.4', "pass"),
+        ('name = "ilac_g8_non_binary"', "conditional_pass"),
+        ('name = "conformance_probability"\nprobability = 0.8', "pass"),
+        ('name = "conformance_probability"', "fail"),
+        ('name = "specific_risk"\nprobability = 0.2', "pass"),
+        ('name = "specific_risk"', "fail"),
+    ],
+)
+def test_rules_of_the_file(tmp_path, rule, expected):
+    text = f"[rule]\n{rule}\n" + limit("gyro_bias.bias[gy]", 'lower = -10\nupper = 10\nunit = "deg/h"')
+    (found,) = outcome(tmp_path, text)
+    assert found.decision.outcome == expected
+
+
+def test_a_global_risk_depends_on_the_production(tmp_path):
+    rule = '[rule]\nname = "global_risk"\nprobability = 0.001\n'
+    rest = 'lower = -10\nupper = 10\nunit = "deg/h"\nproduction = { mean = 0, sd = SD }'
+    narrow, wide = (
+        outcome(tmp_path, rule + limit("gyro_bias.bias[gy]", rest.replace("SD", sd)))[0] for sd in ("2", "8")
+    )
+    assert narrow.decision == narrow.decision.__class__("pass", 0.0)
+    assert wide.decision.outcome == "fail"
+    assert wide.overall is not None
+    assert wide.overall.consumer.from_quadrature == pytest.approx(0.001, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("text", "what", "allowed"),
+    [
+        (limit("gyro_biass.bias", 'upper = 1\nunit = "deg/h"'), "no quantity 'gyro_biass.bias'", "gyro_bias.bias"),
+        (limit("gyro_bias.bias[gz]", 'upper = 1\nunit = "deg/h"'), "no quantity", "gyro_bias.bias[gx]"),
+        (limit("gyro_bias.bias", 'lower = 2\nupper = 1\nunit = "deg/h"'), "crossed", "lower < upper"),
+        (limit("gyro_bias.bias", 'unit = "deg/h"'), "no limits", "lower, upper"),
+        (limit("gyro_bias.bias", 'upper = 1\nunit = "mg"'), "unit 'mg'", "deg/h"),
+        (limit("gyro_bias.bias", 'upper = 1\nunit = "deg/hour"'), "'hour' is not a unit", "deg"),
+        (limit("scale_factor[gx]", 'upper = 1\nunit = "ppm"'), "unit 'ppm'", "'nominal'"),
+        (
+            limit("gyro_bias.bias", 'upper = 1\nunit = "deg/h"\ntemperature_degC = [-40, 55]'),
+            "there are no data",
+            "-10.4 … 55.3",
+        ),
+        (limit("gyro_bias.bias", 'upper = 1\nunit = "deg/h"\ntemperature_degC = [55, -10]'), "crossed", "lowest"),
+        (
+            '[rule]\nname = "global_risk"\n' + limit("gyro_bias.bias", 'upper = 1\nunit = "deg/h"'),
+            "global",
+            "production",
+        ),
+        ('[rule]\nname = "guard"\n' + limit("gyro_bias.bias", 'upper = 1\nunit = "deg/h"'), "guard", "guard_band"),
+        (limit("gyro_bias.bias", 'upper = 1\nunit = "deg/h"\nfactor = 2'), "unknown key 'factor'", "quantity"),
+    ],
+)
+def test_errors_have_four_parts(tmp_path, text, what, allowed):
+    with pytest.raises(InputError) as caught:
+        outcome(tmp_path, text)
+    (issue,) = caught.value.issues
+    assert what in issue.what
+    assert allowed in issue.allowed
+    assert "spec.toml:" in issue.where
+    assert issue.remedy
+
+
+def test_all_errors_of_a_file_are_reported_at_once(tmp_path):
+    text = limit("gyro_biass.bias", 'upper = 1\nunit = "deg/h"') + limit("gyro_bias.bias[gx]", 'upper = 1\nunit = "mg"')
+    with pytest.raises(InputError) as caught:
+        outcome(tmp_path, text)
+    assert len(caught.value.issues) == 2
