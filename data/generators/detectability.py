@@ -28,13 +28,18 @@ STEP = 0.05
 """Finite step in units of the prior's standard deviation."""
 
 
+def beside_reference(plan: Plan) -> tuple[str, ...]:
+    """Tables that a reference gyro tells the rate of."""
+    return tuple(dict.fromkeys(str(run.table) for run in plan.runs if run.procedure == "reference_gyro"))
+
+
 def baseline_widths(plan: Plan) -> dict[str, float]:
     """One sigma of the prior of every parameter of the plan's model that moves the readings."""
     widths = dict(plan.equipment)
     for name, prior in truth.priors(plan.effects, plan.channels).items():
         if not name.startswith(("white_noise", "run_scatter")):
             widths[name] = truth.width(prior, truth.UNITS[name.split("[")[0]])
-    return widths
+    return widths | truth.widths_of_station(plan.effects, beside_reference(plan))
 
 
 @dataclass(frozen=True)

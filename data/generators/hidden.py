@@ -14,6 +14,7 @@ import numpy as np
 import truth
 from detectability import Sight, look
 from plan import Plan
+from procedure_plans import PLANS
 from random_plans import TEMPLATES, random_plan
 from sensor import Values
 from simulate import write_simulated
@@ -45,7 +46,7 @@ class Kind:
 
     Attributes
     ----------
-    on : gyro, accelerometer, any (channels), or head (the dividing head).
+    on : gyro, accelerometer, any (channels), head (a table that is read at its angles), or station.
     sizes : coefficient → typical size in its unit; half widths are positive.
     shapes : parameters of shape → how they are drawn.
     templates : the plans that can show it; empty for all.
@@ -58,9 +59,9 @@ class Kind:
 
 
 _THERMAL = ("cycle", "gyros")
-_WARM = ("cycle", "gyros", "temperatures", "head")
-_CONVERTER = ("converter", "converter_cycle")
-_CYCLES = ("converter_cycle",)
+_WARM = ("cycle", "gyros", "temperatures", "head", "rate_table", "polar_tumble", "geographic_tumble")
+_CONVERTER = ("converter", "converter_cycle", "thermal_ramp")
+_CYCLES = ("converter_cycle", "thermal_ramp")
 _TAU = between(4.0, 40.0)
 _PLAY = between(1.0, 6.0)
 _PHASE: Draw = lambda generator: float(generator.uniform(0, 360))  # noqa: E731
@@ -117,7 +118,11 @@ CATALOGUE: dict[str, Kind] = {
         "head", {f"{axis}_{part}_{n}": 3.0 for n in (1, 2) for axis in "xy" for part in ("cos", "sin")}
     ),
     "table_axis_tilt": Kind("head", {"x": 60.0, "y": 60.0}),
+    "station_heading": Kind("station", {"heading": 300.0}, templates=("geographic_tumble",)),
+    "station_level": Kind("station", {"east": 60.0, "north": 60.0}, templates=("geographic_tumble",)),
 }
+HEADS = ("head", "polar", "rotary")
+"""Tables that are read at their angles."""
 OUTSIDE: dict[str, Kind] = {
     "outside_resonance": Kind(
         "gyro", {"amplitude": 5.0}, {"centre": between(20.0, 150.0), "width": between(5.0, 20.0)}
@@ -200,7 +205,9 @@ def belonging_to_others(model: str, kinds: set[str]) -> list[str]:
 def places(plan: Plan, on: str, generator: np.random.Generator) -> tuple[str, ...]:
     """Draw where an effect acts: one channel or all of a kind, or a table."""
     if on == "head":
-        return tuple(table.name for table in plan.tables if table.name == "head")
+        return tuple(table.name for table in plan.tables if table.name in HEADS)
+    if on == "station":
+        return ("all",)
     kinds = {channel.kind for channel in plan.channels}
     kind = str(generator.choice(sorted(kinds))) if on == "any" else on
     names = [channel.name for channel in plan.channels if channel.kind == kind]
@@ -282,12 +289,12 @@ def rivals(sight: Sight, where: tuple[str, ...], apart_from: Iterable[str] = ())
     """Tangents of every effect of the catalogue that could be taken for one at these channels."""
     plan = sight.moments.plan
     kinds = {channel.kind for channel in plan.channels if channel.name in where}
-    heads = tuple(table.name for table in plan.tables if table.name == "head")
+    heads = tuple(table.name for table in plan.tables if table.name in HEADS)
     found = {}
     for name, kind in CATALOGUE.items():
         if name in apart_from or not plan.shows(name):
             continue
-        at = heads if kind.on == "head" else where if kind.on in kinds else ()
+        at = {"head": heads, "station": ("all",)}.get(kind.on, where if kind.on in kinds else ())
         if at:
             found[name] = tangents(sight, name, at)
     return found
@@ -305,7 +312,7 @@ def planted(sight: Sight, effect: str, where: tuple[str, ...], values: Values, a
     s = float(np.sum(sight.left(shift) ** 2))
     return Planted(
         effect=effect,
-        channels=() if ALL[effect].on == "head" else where,
+        channels=() if ALL[effect].on in ("head", "station") else where,
         parameters=dict(values),
         s=s,
         s_alone=sight.detectability(values, also),
@@ -415,7 +422,7 @@ def random_campaign(
     ----------
     seed : of everything.
     kind : one of `KINDS`.
-    template, effect : instead of drawn ones.
+    template, effect : instead of drawn ones; a template is one of `random_plans`, or a procedure of `procedure_plans`.
     """
     folder = Path(folder)
     generator = np.random.default_rng([seed, KINDS.index(kind)])
@@ -427,10 +434,9 @@ def random_campaign(
         names = _effects(kind, chosen, effect, generator)
         if names is None:
             continue
-        base = PLAIN if kind == "offsets" or generator.random() < 0.5 else FULL
-        if any(f'"{name}"' in (truth.MODELS / f"{FULL}.toml").read_text(encoding="utf-8") for name in names):
-            base = PLAIN
-        plan = replace(random_plan(chosen, generator), model=folder / "model.toml")
+        base = _base(kind, chosen, names, generator)
+        drawn = PLANS[chosen].draw(generator) if chosen in PLANS else random_plan(chosen, generator)
+        plan = replace(drawn, model=folder / "model.toml")
         kinds = {channel.kind for channel in plan.channels}
         folder.mkdir(parents=True, exist_ok=True)
         model = folder / "model.toml"
@@ -449,6 +455,15 @@ def random_campaign(
             continue
         return _written(folder, model, kind, chosen, seed, plan, values, found, passed_over, attempt)
     raise CannotShowError(f"nothing that could be shown in 60 plans: {passed_over}")
+
+
+def _base(kind: str, template: str, names: Iterable[str], generator: np.random.Generator) -> str:
+    """Name of the shipped model from which what is hidden is taken out."""
+    if template in PLANS:
+        return PLANS[template].model
+    base = PLAIN if kind == "offsets" or generator.random() < 0.5 else FULL
+    full = (truth.MODELS / f"{FULL}.toml").read_text(encoding="utf-8")
+    return PLAIN if any(f'"{name}"' in full for name in names) else base
 
 
 def _effects(kind: str, template: str, effect: str | None, generator: np.random.Generator) -> tuple[str, ...] | None:

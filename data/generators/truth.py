@@ -205,6 +205,17 @@ def of_reference(effects: Iterable[dict], tables: Iterable[str], seed: int) -> d
     }
 
 
+def widths_of_station(effects: Iterable[dict], tables: Iterable[str]) -> dict[str, float]:
+    """One sigma of the errors of the station and of the clock beside a reference gyro, which move the outputs."""
+    labels = {"station": ("all",), "time": tuple(tables)}
+    return {
+        f"{effect['name']}.{parameter}[{label}]": width(prior, UNITS[f"{effect['name']}.{parameter}"])
+        for effect in effects
+        for label in labels.get(effect["name"].split("_")[0], ())
+        for parameter, prior in effect.get("prior", {}).items()
+    }
+
+
 def from_spreads(spreads: dict[str, float], seed: int) -> dict[str, float]:
     """Draw normal errors of the given one sigma."""
     return {name: stream(seed, name).normal(0.0, spread) for name, spread in spreads.items()}

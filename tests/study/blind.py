@@ -2,6 +2,7 @@
 
     python tests/study/blind.py --quick 12          a handful, to see that it runs
     python tests/study/blind.py                     the whole study, resumed where it stopped
+    python tests/study/blind.py --alone 4 2         every procedure by itself: so many hidden effects, so many without
     python tests/study/blind.py --look hidden 17    one campaign again, with its diagnosis in full
 
 Campaigns are drawn by `data/generators/hidden.py`: plan, unit, noise, effect, channel, size and sign.  Each is fitted
@@ -25,7 +26,7 @@ from unittest import mock
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from judging import Document, Line, first_group, judged, names_it, report  # pyright: ignore[reportMissingImports]
+from judging import Document, Line, by_procedure, first_group, judged, names_it, report  # pyright: ignore[reportMissingImports]
 
 ROOT = Path(__file__).parents[2]
 LINES = ROOT / ".cache" / "blind" / "campaigns.jsonl"
@@ -36,6 +37,13 @@ COUNTS = {
 }  # fmt: skip
 FIRST_SEEDS = dict.fromkeys(COUNTS, 1001) | {"outside": 5001, "two": 2001, "null-ar1": 3001, "large": 9101}
 """Campaigns of smaller seeds were looked at while thresholds, ranking and rules were set."""
+PROCEDURES = (
+    "rate_table", "dividing_head", "thermal_ramp", "polar_tumble", "geographic_tumble", "rotation_modulation",
+    "reference_gyro",
+)  # fmt: skip
+ALONE_COUNTS = {"hidden": 40, "null-white": 20, "null-runs": 20}
+FIRST_ALONE = 20001
+"""Of campaigns with one procedure alone: how many of each kind for every procedure, and their first seed."""
 ADDED = 10
 """Every so manieth campaign with one hidden effect is gone on with: the effect is added and the refit judged."""
 
@@ -43,14 +51,15 @@ ADDED = 10
 # one campaign
 
 
-def draw_and_judge(kind: str, seed: int, folder: Path | None = None) -> Line:
-    """Draw, fit and diagnose one campaign."""
+def draw_and_judge(kind: str, seed: int, folder: Path | None = None, procedure: str = "") -> Line:
+    """Draw, fit and diagnose one campaign, of one procedure alone where it is named."""
     import hidden  # pyright: ignore[reportMissingImports]
 
     with tempfile.TemporaryDirectory() as temporary:
         place = folder or Path(temporary) / "campaign"
         clock = [time.perf_counter()]
-        drawn = hidden.random_campaign(place, seed, kind)
+        template = {"dividing_head": "head"}.get(procedure, procedure) or None
+        drawn = hidden.random_campaign(place, seed, kind, template)
         clock.append(time.perf_counter())
         fitted = mode_of(place, drawn.model)
         clock.append(time.perf_counter())
@@ -64,6 +73,7 @@ def draw_and_judge(kind: str, seed: int, folder: Path | None = None) -> Line:
         line: Line = {
             "kind": kind,
             "seed": seed,
+            "procedure": procedure,
             "template": drawn.template,
             "readings": drawn.readings,
             "planted": planted,
@@ -204,18 +214,23 @@ def start_worker() -> None:
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
-def attempt(kind: str, seed: int) -> Line:
+def attempt(kind: str, seed: int, procedure: str = "") -> Line:
     """Draw and judge one campaign; what breaks is a line too."""
     try:
-        return draw_and_judge(kind, seed)
+        return draw_and_judge(kind, seed, procedure=procedure)
     except Exception as error:
-        return {"kind": kind, "seed": seed, "error": f"{type(error).__name__}: {error}"[:500]}
+        text = f"{type(error).__name__}: {error}"[:500]
+        return {"kind": kind, "seed": seed, "procedure": procedure, "error": text}
 
 
 # the study
 
 
-def done(path: Path) -> dict[tuple[str, int], Line]:
+Task = tuple[str, int, str]
+"""Kind, seed, and the procedure of a campaign that holds one alone."""
+
+
+def done(path: Path) -> dict[Task, Line]:
     """Return the lines of campaigns that are done; a line cut short is done again."""
     lines = {}
     for text in path.read_text().splitlines() if path.exists() else []:
@@ -224,13 +239,24 @@ def done(path: Path) -> dict[tuple[str, int], Line]:
         except json.JSONDecodeError:
             continue
         if "error" not in line:
-            lines[line["kind"], line["seed"]] = line
+            lines[line["kind"], line["seed"], line.get("procedure", "")] = line
     return lines
 
 
-def study(counts: dict[str, int], path: Path = LINES, workers: int = 2) -> list[Line]:
-    """Run what is not done yet, and return all lines, in order."""
-    wanted = [(kind, FIRST_SEEDS[kind] + index) for kind, count in counts.items() for index in range(count)]
+def study(
+    counts: dict[str, int], path: Path = LINES, workers: int = 2, alone: dict[str, int] | None = None
+) -> list[Line]:
+    """Run what is not done yet, and return all lines, in order.
+
+    `alone` are the counts for every procedure by itself.
+    """
+    wanted: list[Task] = [(kind, FIRST_SEEDS[kind] + k, "") for kind, count in counts.items() for k in range(count)]
+    wanted += [
+        (kind, FIRST_ALONE + k, procedure)
+        for procedure in PROCEDURES
+        for kind, count in (alone or {}).items()
+        for k in range(count)
+    ]
     known = done(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     left = [task for task in wanted if task not in known]
@@ -245,7 +271,7 @@ def study(counts: dict[str, int], path: Path = LINES, workers: int = 2) -> list[
         ):
             for number, future in enumerate(as_completed([pool.submit(attempt, *task) for task in left]), 1):
                 line = future.result()
-                known[line["kind"], line["seed"]] = line
+                known[line["kind"], line["seed"], line.get("procedure", "")] = line
                 file.write(json.dumps(line) + "\n")
                 file.flush()
                 if sys.stderr.isatty():
@@ -263,18 +289,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", type=int, metavar="N", help="a study of about N campaigns, printed only")
     parser.add_argument("--look", nargs=2, metavar=("KIND", "SEED"), help="one campaign, with its diagnosis in full")
+    parser.add_argument("--procedure", default="", choices=("", *PROCEDURES), help="with --look: the procedure alone")
+    parser.add_argument(
+        "--alone", nargs=2, type=int, metavar=("HIDDEN", "NULL"), help="every procedure by itself, only"
+    )
     parser.add_argument("--keep", type=Path, help="with --look: the folder to keep the campaign in")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--lines", type=Path, default=LINES, help="the file with one line per campaign")
     chosen = parser.parse_args()
     if chosen.look:
         start_worker()
-        line = draw_and_judge(chosen.look[0], int(chosen.look[1]), chosen.keep)
+        line = draw_and_judge(chosen.look[0], int(chosen.look[1]), chosen.keep, chosen.procedure)
         print(json.dumps(line, indent=1))
         print(judged(line))
         return
+    if chosen.alone:
+        alone = dict(zip(("hidden", "null-white"), chosen.alone, strict=True))
+        print("\n".join(by_procedure(study({}, chosen.lines, chosen.workers, alone))))
+        return
     counts = quick(chosen.quick) if chosen.quick else COUNTS
-    lines = study(counts, chosen.lines, chosen.workers)
+    lines = study(counts, chosen.lines, chosen.workers, None if chosen.quick else ALONE_COUNTS)
     text = report(lines)
     if chosen.quick:
         print(text)

@@ -158,22 +158,45 @@ class Tally:
         )
 
     @property
+    def false_adequate(self) -> tuple[int, int]:
+        """Campaigns with something hidden that are called adequate."""
+        return self.share([line["document"]["verdict"] == "adequate" for line in self.lines])
+
+    @property
     def failures(self) -> list[tuple[Line, str]]:
         """Campaigns that are judged wrong, with what is wrong."""
         return [pair for pair in zip(self.lines, self.verdicts, strict=True) if pair[1] != "ok"]
 
 
-def of_kind(lines: Iterable[Line], *kinds: str) -> Tally:
-    """Return the tally over some kinds of campaign."""
-    return Tally(line for line in lines if line["kind"] in kinds)
+def of_kind(lines: Iterable[Line], *kinds: str, procedure: str = "") -> Tally:
+    """Return the tally over some kinds of campaign; of mixed plans, or of one procedure by itself."""
+    return Tally(line for line in lines if line["kind"] in kinds and line.get("procedure", "") == procedure)
 
 
 NULLS = ("null-white", "null-ar1", "null-runs")
 
 
+def by_procedure(lines: Sequence[Line]) -> list[str]:
+    """Return the table of campaigns with one procedure alone, and what failed in them."""
+    alone = [line for line in lines if line.get("procedure")]
+    rows = [
+        "| procedure | right group first | false adequate | a single, wrong name | alarms without hidden effect |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for procedure in dict.fromkeys(line["procedure"] for line in alone):
+        hidden = of_kind(lines, "hidden", procedure=procedure)
+        fine, count = of_kind(lines, *NULLS, procedure=procedure).ok
+        shares = (hidden.ok, hidden.false_adequate, hidden.wrong_single_names, (count - fine, count))
+        rows.append(f"| {procedure} | " + " | ".join(f"{hits} of {of}" for hits, of in shares) + " |")
+    failed = _failures(alone)
+    head = ["", "| kind | seed | plan | hidden (S; within runs) | said |", "| --- | --- | --- | --- | --- |"]
+    return rows + (head + failed if failed else [])
+
+
 def faults(lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
     """Return the alarms in campaigns without hidden effect under the planted faults of the diagnosis."""
-    null = [line for line in lines if line["kind"] in NULLS and "error" not in line]
+    mixed = [line for line in lines if not line.get("procedure")]
+    null = [line for line in mixed if line["kind"] in NULLS and "error" not in line]
     white = [line["white"] for line in null if line.get("white")]
     return {
         "look-elsewhere left out": (sum(alarms_at_one_look(line["document"]) for line in null), len(null)),
@@ -267,9 +290,14 @@ def report(lines: Sequence[Line], command: str = COMMAND) -> str:
         *_by_size(hidden), "",
         "## By effect", "", "| effect | right group first | names in the group |", "| --- | --- | --- |",
         *_by_effect(hidden), "",
+        *(
+            ["## Every procedure by itself", "", "Wanted: ≥ 95 %, none, ≤ 2 %, 5 ± 2 %.", "", *by_procedure(lines), ""]
+            if any(line.get("procedure") for line in lines)
+            else []
+        ),
         "## Every failure", "", f"Look at one with `{COMMAND} --look KIND SEED`.", "",
         "| kind | seed | plan | hidden (S; within runs) | said |", "| --- | --- | --- | --- | --- |",
-        *_failures(lines), "",
+        *_failures([line for line in lines if not line.get("procedure")]), "",
     ]  # fmt: skip
     return "\n".join(text)
 

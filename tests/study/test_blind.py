@@ -139,12 +139,30 @@ def test_report_and_what_broke():
 def test_lines_survive_an_interruption(tmp_path):
     path = tmp_path / "lines.jsonl"
     path.write_text('{"kind": "hidden", "seed": 1}\n{"kind": "hidden", "seed": 2, "error": "x"}\n{"kind": "hid')
-    assert list(blind.done(path)) == [("hidden", 1)]
+    assert list(blind.done(path)) == [("hidden", 1, "")]
+
+
+def test_every_procedure_is_judged_by_itself():
+    right, wrong = explained(group("gyro_thermal_lag")), explained(group("gyro_bias_drift"))
+    lines = [
+        line("hidden", right, LAG),
+        line("hidden", wrong, LAG, procedure="polar_tumble"),
+        line("hidden", EMPTY, LAG, procedure="polar_tumble"),
+        line("null-white", wrong, procedure="polar_tumble"),
+        line("hidden", right, LAG, procedure="rate_table"),
+        {"kind": "hidden", "seed": 9, "procedure": "rate_table", "error": "ValueError: no"},
+    ]
+    text = judging.by_procedure(lines)
+    assert "| polar_tumble | 0 of 2 | 1 of 2 | 1 of 2 | 1 of 1 |" in text
+    assert "| rate_table | 1 of 1 | 0 of 1 | 0 of 1 | 0 of 0 |" in text
+    assert judging.of_kind(lines, "hidden").ok == (1, 1)
+    assert sum("ValueError" in row for row in text) == 1
+    assert "## Every procedure by itself" in judging.report([*lines, line("outside", EMPTY, WAVE)])
 
 
 @pytest.mark.slow
 def test_blind_study():
-    lines = blind.study(blind.COUNTS)
+    lines = blind.study(blind.COUNTS, alone=blind.ALONE_COUNTS)
     blind.REPORT.parent.mkdir(parents=True, exist_ok=True)
     blind.REPORT.write_text(judging.report(lines))
     assert not [one for one in lines if "error" in one]
@@ -167,6 +185,11 @@ def test_blind_study():
     assert share(judging.of_kind(lines, "two").ok) >= 0.90
     for name, (_, hits, count) in judging.added(lines).items():
         assert hits >= (0.99 if "coefficients" in name else 0.95) * count, name
+    alone = [judging.of_kind(lines, "hidden", procedure=procedure) for procedure in blind.PROCEDURES]
+    for procedure, hidden in zip(blind.PROCEDURES, alone, strict=True):
+        assert hidden.ok[0] >= 0.95 * hidden.ok[1], procedure
+        assert hidden.false_adequate[0] == 0, procedure
+    assert sum(each.wrong_single_names[0] for each in alone) <= 0.02 * sum(each.ok[1] for each in alone)
     # What these numbers would be with a fault in the diagnosis must be outside the limits, or they check nothing.
     for name, (alarmed, count) in judging.faults(lines).items():
         assert count > 0, name

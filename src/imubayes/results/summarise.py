@@ -24,13 +24,10 @@ from imubayes.json_record import finite
 from imubayes.model.derived_quantities import DerivedQuantity, derived_jacobian
 from imubayes.procedures.converter_temperature import THRESHOLD
 from imubayes.results.combinations import combinations
-from imubayes.results.estimates import estimated
+from imubayes.results.estimates import estimated, is_constant
 from imubayes.results.prior_scatter import prior_scatter
 from imubayes.results.residuals import Residuals
 from imubayes.results.summary import Conformance, DerivedSummary, ParameterSummary, Seconds, Summary
-
-# A derived quantity that varies by less than this share of itself over the whole prior varies by rounding.
-_ROUNDING = 1e-12
 
 
 def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0) -> Summary:
@@ -120,13 +117,13 @@ def _derived(fit: Fit) -> tuple[DerivedSummary, ...]:
     lines = []
     for name, draws, prior in zip(names, fit.posterior.derived.T, fit.posterior.prior_derived.T, strict=True):
         # A quantity that no parameter changes has no share from the data.
-        reached = float(np.ptp(prior)) > _ROUNDING * float(np.max(np.abs(prior)))
-        share = float(from_data(float(np.var(draws)), float(np.var(prior)))) if reached else None
+        fixed = is_constant(prior)
+        share = None if fixed else float(from_data(float(np.var(draws)), float(np.var(prior))))
         lines.append(
             DerivedSummary(
                 name=name.name,
                 unit=name.unit,
-                prior_sd=float(prior.std()),
+                prior_sd=0.0 if fixed else float(prior.std()),
                 from_data=share,
                 within=_conformance(fit, name, draws),
                 **estimated(draws).model_dump(),

@@ -1,0 +1,97 @@
+"""Campaigns of a servo table with an effect that the model lacks, drawn at random as in `hidden`.
+
+What is read is the angle of the table, so S is that of the shift of the angle over a day, past what the parameters of
+the model and the angle at the start absorb.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import hidden
+import servo_table
+from detectability import STEP, Sight, baseline_widths
+from plan import Plan
+from sensor import ARCSEC, Values
+
+MODEL = "servo-table"
+EFFECTS = ("gyro_g_sensitivity", "gyro_g2_sensitivity", "gyro_bias_drift")
+EVERY = 12
+"""Readings of the angle are averaged over so many for S."""
+START_ARCSEC = 10.0
+
+
+class Angle:
+    """The angle of the table in deg at the middle of averaged readings, as `detectability` asks for outputs."""
+
+    def __init__(self, plan: Plan, hours: float, start: float):
+        self.plan, self.hours, self.start = plan, hours, start
+        self.run_of_row = np.zeros(len(self.outputs({})), dtype=int)
+
+    def outputs(self, values: Values) -> np.ndarray:
+        """Angles (rows, 1), followed from the start with the errors of the gyro."""
+        start = self.start + values.get("start", 0.0) * ARCSEC
+        _, angle = servo_table.record(values, self.hours, 0.0, start)
+        whole = len(angle) // EVERY * EVERY
+        return np.degrees(angle[:whole]).reshape(-1, EVERY).mean(axis=1)[:, None]
+
+    def means(self, outputs: np.ndarray) -> np.ndarray:
+        return outputs
+
+
+def look(plan: Plan, values: Values, hours: float, start: float) -> Sight:
+    """Set up S for a record and the truth of its baseline."""
+    angle = Angle(plan, hours, start)
+    exact, widths = angle.outputs(values), baseline_widths(plan) | {"start": START_ARCSEC}
+    sigma = values["white_noise.sigma[table_angle]"] / np.sqrt(EVERY)
+    columns = [
+        (angle.outputs({**values, name: values.get(name, 0.0) + STEP * width}) - exact)[:, 0] / STEP / sigma
+        for name, width in widths.items()
+    ]
+    basis, _ = np.linalg.qr(np.concatenate([np.array(columns).T, np.eye(len(columns))]))
+    return Sight(angle, values, exact, ((np.eye(len(exact)) / sigma,),), basis)
+
+
+def random_campaign(folder: str | Path, seed: int, kind: str = "hidden") -> hidden.Campaign:
+    """Draw a record of a day and a half at most and write it into `folder`, with `model.toml`.
+
+    Parameters
+    ----------
+    kind : `hidden`, or any kind without an effect.
+    """
+    folder, generator = Path(folder), np.random.default_rng([seed, hidden.KINDS.index(kind), 77])
+    folder.mkdir(parents=True, exist_ok=True)
+    passed_over: list[str] = []
+    for attempt in range(20):
+        names = (str(generator.choice(EFFECTS)),) if kind == "hidden" else ()
+        model, hours = folder / "model.toml", {"day": float(np.round(generator.uniform(24, 36), 1))}
+        model.write_text(hidden.without(MODEL, names), encoding="utf-8")
+        plan, drawn = servo_table.plan(seed, hours, model), int(generator.integers(2**31))
+        values = plan.draw(drawn) | {"white_noise.sigma[table_angle]": 1.0 / 3600}
+        found: tuple[hidden.Planted, ...] = ()
+        try:
+            if names:
+                sight = look(plan, values, hours["day"], 1.0)
+                found = (_planted(sight, plan, names[0], generator),)
+        except hidden.CannotShowError:
+            passed_over.append(names[0])
+            continue
+        whole = {**values, **{name: value for each in found for name, value in each.parameters.items()}}
+        servo_table.write_records(folder, replace(plan, script="hidden_servo"), seed, hours, whole)
+        return hidden.Campaign(
+            folder, model, kind, f"servo_table, attempt {attempt + 1}", seed,
+            round(hours["day"] * 3600 / servo_table.SECONDS), found, tuple(passed_over),
+        )  # fmt: skip
+    raise hidden.CannotShowError(f"nothing that could be shown in 20 records: {passed_over}")
+
+
+def _planted(sight: Sight, plan: Plan, effect: str, generator: np.random.Generator) -> hidden.Planted:
+    """Scale an effect of the gyro until it shows with a drawn S."""
+    unit = hidden.unit_effect(plan, effect, ("g",), generator)
+    aim = hidden.between(hidden.SMALLEST, hidden.LARGEST)(generator)
+    # A drift of 5 deg/h would turn the table many times: sizes begin where the angle shifts by its noise.
+    small = hidden.scaled(unit, 1e-4)
+    values, s = hidden.sized(sight, small, aim)
+    shift = sight.shift(values)
+    return hidden.Planted(effect, ("g",), values, s, s, sight.seen(values), s, float(s / np.sum(shift**2)))
