@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 import hidden
 import servo_table
@@ -20,6 +21,10 @@ EFFECTS = ("gyro_g_sensitivity", "gyro_g2_sensitivity", "gyro_bias_drift")
 EVERY = 12
 """Readings of the angle are averaged over so many for S."""
 START_ARCSEC = 10.0
+LEAST_SHOWN = 1e-12
+"""A drift turns the table by far more than its noise, and the model absorbs nearly all of that."""
+LONGEST_STEP = 5400.0
+"""s; with steps of an hour the angle is off by 4e-9 arcsec."""
 
 
 class Angle:
@@ -31,10 +36,15 @@ class Angle:
 
     def outputs(self, values: Values) -> np.ndarray:
         """Angles (rows, 1), followed from the start with the errors of the gyro."""
+        rate = servo_table.turning(values, 0.0)
+        seconds = EVERY * servo_table.SECONDS
+        middle = np.arange(seconds / 2, self.hours * 3600, seconds)
         start = self.start + values.get("start", 0.0) * ARCSEC
-        _, angle = servo_table.record(values, self.hours, 0.0, start)
-        whole = len(angle) // EVERY * EVERY
-        return np.degrees(angle[:whole]).reshape(-1, EVERY).mean(axis=1)[:, None]
+        solved = solve_ivp(
+            lambda t, y: [rate(t, y[0])], (0.0, middle[-1]), [start], "DOP853", middle, rtol=1e-9, atol=1e-12,
+            max_step=LONGEST_STEP,
+        )  # fmt: skip
+        return np.degrees(solved.y[0])[:, None]
 
     def means(self, outputs: np.ndarray) -> np.ndarray:
         return outputs
@@ -90,8 +100,13 @@ def _planted(sight: Sight, plan: Plan, effect: str, generator: np.random.Generat
     """Scale an effect of the gyro until it shows with a drawn S."""
     unit = hidden.unit_effect(plan, effect, ("g",), generator)
     aim = hidden.between(hidden.SMALLEST, hidden.LARGEST)(generator)
-    # A drift of 5 deg/h would turn the table many times: sizes begin where the angle shifts by its noise.
+    # Effects so small shift the angle in proportion to their size.
     small = hidden.scaled(unit, 1e-4)
-    values, s = hidden.sized(sight, small, aim)
-    shift = sight.shift(values)
+    found = sight.detectability(small)
+    if found <= 0:
+        raise hidden.CannotShowError
+    values = hidden.scaled(small, np.sqrt(aim / found))
+    s, shift = sight.detectability(values), sight.shift(values)
+    if sight.seen(values) < hidden.SMALLEST or s / np.sum(shift**2) < LEAST_SHOWN:
+        raise hidden.CannotShowError
     return hidden.Planted(effect, ("g",), values, s, s, sight.seen(values), s, float(s / np.sum(shift**2)))

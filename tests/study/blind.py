@@ -39,7 +39,7 @@ FIRST_SEEDS = dict.fromkeys(COUNTS, 1001) | {"outside": 5001, "two": 2001, "null
 """Campaigns of smaller seeds were looked at while thresholds, ranking and rules were set."""
 PROCEDURES = (
     "rate_table", "dividing_head", "thermal_ramp", "polar_tumble", "geographic_tumble", "rotation_modulation",
-    "reference_gyro",
+    "reference_gyro", "servo_table",
 )  # fmt: skip
 ALONE_COUNTS = {"hidden": 40, "null-white": 20, "null-runs": 20}
 FIRST_ALONE = 20001
@@ -54,12 +54,16 @@ ADDED = 10
 def draw_and_judge(kind: str, seed: int, folder: Path | None = None, procedure: str = "") -> Line:
     """Draw, fit and diagnose one campaign, of one procedure alone where it is named."""
     import hidden  # pyright: ignore[reportMissingImports]
+    import hidden_servo  # pyright: ignore[reportMissingImports]
 
     with tempfile.TemporaryDirectory() as temporary:
         place = folder or Path(temporary) / "campaign"
         clock = [time.perf_counter()]
         template = {"dividing_head": "head"}.get(procedure, procedure) or None
-        drawn = hidden.random_campaign(place, seed, kind, template)
+        if procedure == "servo_table":
+            drawn = hidden_servo.random_campaign(place, seed, kind)
+        else:
+            drawn = hidden.random_campaign(place, seed, kind, template)
         clock.append(time.perf_counter())
         fitted = mode_of(place, drawn.model)
         clock.append(time.perf_counter())
