@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from scipy import stats
 
 import truth
 from detectability import Sight, look
@@ -450,6 +451,8 @@ def random_campaign(
         values |= noise_of(kind, plan, values, generator)
         try:
             found = _plant(kind, plan, values, names, generator)
+            if chosen in PLANS and not all(_stands_out(one) for one in found):
+                raise CannotShowError
         except CannotShowError:
             passed_over.append(f"{chosen}: {', '.join(names)}")
             continue
@@ -495,6 +498,16 @@ def _plant(kind: str, plan: Plan, values: Values, names: tuple[str, ...], genera
     if kind == "offsets":
         return _in_offsets(sight, names[0], generator, aims[0])
     return _one_catalogued(sight, names[0], generator, aims[0])
+
+
+def _stands_out(one: Planted) -> bool:
+    """Whether an effect of many coefficients is seen as clearly as one of a single coefficient with the smallest S.
+
+    In plans of one procedure there may be hardly more runs than coefficients.
+    """
+    shapes = {name for kind in ALL.values() for name in kind.shapes}
+    free = sum(name.split("[")[0].split(".")[1] not in shapes for name in one.parameters)
+    return one.seen >= float(stats.chi2.isf(stats.chi2.sf(SMALLEST, 1), max(free, 1)))
 
 
 def _written(folder, model, kind, template, seed, plan, values, found, passed_over, attempt) -> Campaign:

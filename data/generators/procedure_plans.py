@@ -105,14 +105,13 @@ def modulation(generator: np.random.Generator) -> Plan:
 
 
 def reference(generator: np.random.Generator) -> Plan:
-    """Three gyros beside a reference gyro, turned about each axis both ways at two speeds that wander."""
+    """Three gyros beside a reference gyro, turned about each axis both ways at two speeds, which wander."""
     runs, speeds = [], (float(generator.choice([40.0, 60.0, 100.0])), float(generator.choice([10.0, 20.0])))
     for seat in reference_gyro.SEATS:
-        for sign in (1.0, -1.0):
-            rate, rise = np.concatenate([wandering(40, 2.0, speed, 0.05, generator) for speed in speeds], axis=1)
-            rows = turning_rows(sign * rate, sign * rise, 2.0, 100.0, steady(generator, 25.0, len(rate)))
-            way = "forward" if sign > 0 else "reverse"
-            runs.append(Run(f"{seat}-{way}", "reference_gyro", rows, "ordinary", seat, _start(len(runs))))
+        for speed in (*speeds, *(-speed for speed in speeds)):
+            rate, rise = wandering(40, 2.0, speed, 0.05, generator)
+            rows = turning_rows(rate, rise, 2.0, 100.0, steady(generator, 25.0, len(rate)))
+            runs.append(Run(f"{seat} {speed:+g}", "reference_gyro", rows, "ordinary", seat, _start(len(runs))))
     return _plan(
         "reference_gyro", _site(generator), reference_gyro.GYROS, runs, tables=(Table("ordinary", 0.0, 90.0, 20.0),),
         mountings=tuple(Mounting(name, seat, 3.0) for name, seat in reference_gyro.SEATS.items()),
