@@ -8,11 +8,17 @@ from pathlib import Path
 import detectability
 import hidden
 import hidden_effects
+import hidden_servo
 import numpy as np
 import plan as plans
 import pytest
+import servo_table
 from kinematics import X_UP, Z_UP, Mounting, Site, Table
 from sensor import Channel, Surroundings, bias_over_temperature_and_time
+
+from imubayes.campaign import load_campaign
+from imubayes.model.bind import bind
+from imubayes.model.model_file import read_model
 
 ROOT = Path(__file__).parents[2]
 SITE = Site(0.0, 0.0)
@@ -250,6 +256,43 @@ def test_a_random_campaign_is_what_it_says(kind, tmp_path):
         assert one.parameters.items() <= truth["parameters"].items()
 
 
+ALONE = {
+    "rate_table": "gyro_scale_cubic", "thermal_ramp": "converter_offset_lag", "polar_tumble": "gyro_g2_sensitivity",
+    "geographic_tumble": "station_heading", "rotation_modulation": "table_wobble",
+    "reference_gyro": "gyro_scale_asymmetry", "head": "accel_cubic",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("procedure", [*ALONE, "servo_table"])
+def test_a_campaign_of_one_procedure_holds_that_alone(procedure, tmp_path):
+    """It is read as a campaign of that procedure; its model is a shipped one that lacks what is hidden."""
+    if procedure == "servo_table":
+        drawn, names = hidden_servo.random_campaign(tmp_path, 3, "null-white"), {"servo_table"}
+    else:
+        drawn = hidden.random_campaign(tmp_path, 3, "hidden", procedure, ALONE[procedure])
+        names = {"thermal_ramp": {"thermal_ramp", "current_injection"}, "head": {"dividing_head"}}
+        names = names.get(procedure, {procedure})
+        (one,) = drawn.planted
+        assert one.effect == ALONE[procedure]
+        assert f'name = "{one.effect}"' not in drawn.model.read_text()
+        assert 35 <= one.s <= 2200
+    runs = tomllib.loads((tmp_path / "campaign.toml").read_text())["run"]
+    assert {run["procedure"] for run in runs} == names
+    bind(read_model(drawn.model), load_campaign(tmp_path))
+
+
+def test_a_servo_table_shows_what_its_model_lacks():
+    """The shift of the angle over a day by a drift, past bias, start and harmonics, against a line fitted by hand."""
+    plan = servo_table.plan(1, {"day": 24.0}, "servo-table")
+    values = {"gyro_bias.bias[g]": 0.5, "white_noise.sigma[table_angle]": 1.0 / 3600}
+    angle = hidden_servo.Angle(plan, 24.0, 1.0)
+    drift = {**values, "gyro_bias_drift.slope[g]": 1e-4}
+    shift = (angle.outputs(drift) - angle.outputs(values))[:, 0]
+    hours = (np.arange(len(shift)) + 0.5) * hidden_servo.EVERY * servo_table.SECONDS / 3600
+    # dφ/dt = −d along the pole, d = 1e-4·t deg/h: half a square of the time.
+    np.testing.assert_allclose(shift, -0.5e-4 * hours**2, rtol=1e-3, atol=1e-7)
+
+
 def test_shipped_campaigns_are_what_the_script_makes(tmp_path):
     for name in ("hidden-none", "hidden-kinematic"):
         hidden_effects.generate(tmp_path / name)
@@ -283,4 +326,4 @@ def test_every_effect_can_be_shown_somewhere():
             where = hidden.places(plan, hidden.ALL[effect].on, generator)
             if where and sight.detectability(hidden.unit_effect(plan, effect, where, generator)) > 1:
                 left.discard(effect)
-    assert not left
+    assert left == {"station_heading", "station_level"}  # of positions named by direction, which are by themselves
