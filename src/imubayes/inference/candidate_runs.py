@@ -92,6 +92,7 @@ def candidate_runs(campaign: Campaign, elsewhere: bool = False) -> tuple[Campaig
     found = [
         _planned(campaign, table, mounting, repeated=(table.name, mounting.name) in used)
         for table in campaign.tables.values()
+        if table.inner_axis is None  # runs on tables of several axes and on centrifuges are not designed
         for mounting in mountings.values()
     ]
     for original, other in others.items():
@@ -117,7 +118,7 @@ def _other_tables(campaign: Campaign) -> dict[str, Table]:
     return {
         table.name: replace(table, name=f"another table than {table.name}")
         for table in campaign.tables.values()
-        if table.elevation > _VERTICAL
+        if table.elevation > _VERTICAL and table.inner_axis is None
     }
 
 

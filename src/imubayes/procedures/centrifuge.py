@@ -20,14 +20,15 @@ import numpy as np
 from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.errors import input_error
 from imubayes.procedures.base import Procedure
-from imubayes.procedures.fitted_terms import known_rows, term_estimates
+from imubayes.procedures.fitted_terms import term_estimates
 from imubayes.procedures.nominal_stimulus import Stimulus
 from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules, whole_turns
 from imubayes.procedures.serial_axes import serial_input, serial_stimulus
-from imubayes.procedures.standard_combinations import LinearCombination, StandardCombination
+from imubayes.procedures.standard_combinations import LinearCombination, StandardCombination, of_drift
 from imubayes.procedures.textbook import TextbookResult, Undetermined, by_temperature, names_of
 
 METHOD = "IEEE Std 836 centrifuge test"
+_ACROSS, _ROUNDING = 0.05, 1e-9
 
 
 def centrifuge_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookResult]:
@@ -35,26 +36,56 @@ def centrifuge_test(campaign: Campaign, runs: Sequence[Run]) -> list[TextbookRes
     found: list[TextbookResult] = []
     for group in by_temperature(runs):
         for place, channel in enumerate(campaign.channels):
-            design, output = known_rows(campaign, group, place)
-            if not len(output):
-                continue
-            found += term_estimates(channel, campaign.site.gravity, design, output, names_of(group), METHOD)
-            if channel.kind == "accelerometer":
+            estimates = term_estimates(campaign, group, place, still_only=False, method=METHOD)
+            found += estimates
+            if estimates and channel.kind == "accelerometer":
                 said = f"{channel.name}: K1 apart from the radius of the arm, K_oq apart from its stretch"
                 found.append(Undetermined(names_of(group), said))
     return found
 
 
 def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombination]:
-    """Return the relative error of k·R of every accelerometer: of scale factor and radius the centrifuge tells that."""
-    arms = {run.table: campaign.tables[run.table].arm for run in runs if run.table is not None}
-    return [
-        LinearCombination(
-            f"k·R[{channel.name},{table}]", "ppm",
-            {f"accel_scale_factor.scale[{channel.name}]": 1.0, f"arm_error.radius[{table}]": 1 / arm},
-        )
-        for table, arm in arms.items() for channel in campaign.of_kind("accelerometer") if arm > 0
-    ]  # fmt: skip
+    """Return what the runs of each seat determine together.
+
+    Of an accelerometer whose input axis lies in the plane of the arm it is the relative error of k·RΩ², with gravity in
+    the cross terms; of a gyro the fixed drift with that along gravity.
+    """
+    found: dict[str, StandardCombination] = {}
+    for run in runs:
+        for channel in campaign.channels if run.table is not None and run.mounting is not None else ():
+            up = _up(campaign, run, channel)
+            if channel.kind == "accelerometer" and abs(up[0]) < _ACROSS:
+                one = _scale_of_arm(campaign, run, channel, up)
+                found.setdefault(one.name, one)
+            elif channel.kind == "gyro" and np.abs(up).max() > 1 - _ACROSS:
+                axis = int(np.argmax(np.abs(up)))
+                weight = float(np.sign(up[axis]))
+                symbol = f"D_F{'+' if weight > 0 else '-'}D_{'IOS'[axis]}"
+                terms = {"D_F": 1.0, f"D_{'IOS'[axis]}": weight}
+                one = of_drift(symbol, channel.name, "deg/h", terms)
+                found.setdefault(one.name, one)
+    return list(found.values())
+
+
+def _up(campaign: Campaign, run: Run, channel: Channel) -> np.ndarray:
+    """Return the vertical along a channel's I, O and S axes at zero angles, shape (3,)."""
+    assert run.table is not None
+    assert run.mounting is not None
+    in_body = campaign.tables[run.table].to_local @ campaign.mountings[run.mounting].body_to_table
+    return channel.axes @ in_body[2]
+
+
+def _scale_of_arm(campaign: Campaign, run: Run, channel: Channel, up: np.ndarray) -> LinearCombination:
+    place, arm = f"[{channel.name}]", campaign.tables[str(run.table)].arm
+    weights = {
+        f"accel_scale_factor.scale{place}": 1.0,
+        f"arm_error.radius[{run.table}]": 1 / arm if arm else 0.0,
+        f"table_rate_error.rate_error[{run.table}]": 2.0,
+        f"accel_cross_coupling.k_io{place}": float(up[1]),
+        f"accel_cross_coupling.k_ip{place}": float(up[2]),
+    }
+    weights = {name: weight for name, weight in weights.items() if abs(weight) > _ROUNDING}
+    return LinearCombination(f"k·RΩ²[{channel.name},{run.mounting}]", "ppm", weights, total=True)
 
 
 def _require_arm(table: Table) -> None:

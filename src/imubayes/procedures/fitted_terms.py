@@ -15,7 +15,7 @@ import numpy as np
 from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.procedures.estimable_functions import written
 from imubayes.procedures.serial_axes import AXES, felt, row_means, serial_stimulus
-from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, least_squares
+from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, least_squares, names_of
 from imubayes.units import to_si
 
 # Of the columns at unit length: beyond it a coefficient loses four of the digits of the readings.
@@ -134,9 +134,7 @@ def combinations_of(design: np.ndarray, terms: Sequence[FittedTerm], kept: Seque
     return [np.where(counted & (np.abs(row) > _LEAST_WEIGHT), np.round(row, 6), 0.0) for row in alias]
 
 
-def known_rows(
-    campaign: Campaign, runs: Sequence[Run], place: int, still_only: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
+def known_rows(campaign: Campaign, runs: Sequence[Run], place: int, still_only: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return the design of a channel's model equation, (R, p), and its outputs less the nominal offset, (R,).
 
     Parameters
@@ -162,17 +160,21 @@ def _design(campaign: Campaign, run: Run, channel: Channel) -> np.ndarray:
 
 
 def term_estimates(
-    channel: Channel, gravity: float, design: np.ndarray, output: np.ndarray, runs: str, method: str
+    campaign: Campaign, tested: Sequence[Run], place: int, still_only: bool, method: str
 ) -> list[TextbookResult]:
-    """Return the coefficients that rows determine, and which they leave open.
+    """Return the coefficients of a channel that rows determine, and which they leave open.
 
     Parameters
     ----------
-    gravity : of the site, m/s².
-    design : shape (R, p), means over the rows of the terms' columns.
-    output : shape (R,), less the nominal offset.
-    runs, method : for the estimates.
+    tested : the runs; those without outputs of the channel are passed over.
+    place, still_only : as for `known_rows`.
+    method : for the estimates.
     """
+    recorded = [run for run in tested if np.isfinite(run.observed[:, place]).any()]
+    if not recorded:
+        return []
+    channel, gravity, runs = campaign.channels[place], campaign.site.gravity, names_of(recorded)
+    design, output = known_rows(campaign, recorded, place, still_only)
     terms = model_terms(channel)
     kept = separated(design, terms)
     if 0 not in kept:

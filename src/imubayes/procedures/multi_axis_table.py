@@ -14,10 +14,10 @@ import numpy as np
 
 from imubayes.campaign_data import Campaign, Run
 from imubayes.procedures.base import Procedure
-from imubayes.procedures.fitted_terms import known_rows, term_estimates
+from imubayes.procedures.fitted_terms import term_estimates
 from imubayes.procedures.planned_steps import PlannedRows, PlannedSteps, PlanRules, whole_turns
 from imubayes.procedures.serial_axes import AXES, serial_input, serial_stimulus
-from imubayes.procedures.textbook import TextbookResult, by_temperature, names_of
+from imubayes.procedures.textbook import TextbookResult, by_temperature
 
 METHOD = "multiposition test"
 
@@ -28,9 +28,7 @@ def multiposition_test(campaign: Campaign, runs: Sequence[Run]) -> list[Textbook
     for group in by_temperature(runs):
         for place, channel in enumerate(campaign.channels):
             still = channel.kind == "accelerometer"
-            design, output = known_rows(campaign, group, place, still_only=still)
-            if len(output):
-                found += term_estimates(channel, campaign.site.gravity, design, output, names_of(group), METHOD)
+            found += term_estimates(campaign, group, place, still, METHOD)
     return found
 
 
@@ -54,7 +52,7 @@ MULTI_AXIS_TABLE = Procedure(
     reference="IEEE Std 1293, multiposition tests; IEEE Std 952, rate tests",
     columns=(("outer_angle_deg",), ("table_angle_deg",), ("samples",)),
     needs_table=True,
-    abscissae=("table_angle", "middle_angle", "outer_angle", "table_rate", "outer_rate", "time"),
+    abscissae=("time", "table_angle", "middle_angle", "outer_angle", "table_rate", "outer_rate"),
     kinematics=serial_stimulus,
     nominal_input=serial_input,
     plan=PlanRules(("axis_angles_deg",), ("axis_rates_deg_s",), 10.0, _planned_rows),
