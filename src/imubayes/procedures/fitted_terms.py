@@ -181,26 +181,35 @@ def term_estimates(
         return [Undetermined(runs, f"{channel.name}: its input axis sees no known input that varies")]
     length = np.linalg.norm(design[:, kept], axis=0)
     value, covariance, _ = least_squares(design[:, kept] / length, output)
-    value, spread = value / length, np.sqrt(np.diag(covariance)) / length
+    value, covariance = value / length, covariance / np.outer(length, length)
     scale, freedom = float(value[0]), len(output) - len(kept)
     per = to_si(channel.per, gravity) / (1.0 if channel.kind == "gyro" else to_si("g", gravity))
     evaluation = f"type A: residuals of the fitted terms, {freedom} degrees of freedom"
     found: list[TextbookResult] = [
         Estimate(
-            f"scale_factor[{channel.name}]", runs, scale * per, abs(float(spread[0]) * per),
+            f"scale_factor[{channel.name}]", runs, scale * per, abs(float(np.sqrt(covariance[0, 0])) * per),
             f"{channel.output_unit} per {channel.per}", method, uncertainty=evaluation,
         )
     ]  # fmt: skip
-    for column, weights, size, error in zip(kept, combinations_of(design, terms, kept), value, spread, strict=True):
-        term, factor = terms[column], _factor(channel, terms[column]) / scale
+    relative, spread = _over_first(value, covariance)
+    for column, weights, size, error in zip(kept, combinations_of(design, terms, kept), relative, spread, strict=True):
+        term, factor = terms[column], _factor(channel, terms[column])
         alone = term.assumed_zero or np.count_nonzero(weights) == 1
         name = term.name if alone else written(weights, [each.symbol for each in terms])
         estimate = Estimate(
-            f"{name}[{channel.name}]", runs, float(size * factor), abs(float(error * factor)), term.unit,
+            f"{name}[{channel.name}]", runs, float(size * factor), float(error * factor), term.unit,
             f"{method}: {term.symbol}" if alone else method, uncertainty=evaluation,
         )  # fmt: skip
         found += [estimate] if column else []
     return [*found, *_left_open(channel, terms, kept, runs)]
+
+
+def _over_first(value: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the coefficients over the first, and their standard uncertainties by the delta method, (p,) each."""
+    relative = value / value[0]
+    gradient = np.eye(len(value)) / value[0]
+    gradient[:, 0] -= relative / value[0]
+    return relative, np.sqrt(np.diag(gradient @ covariance @ gradient.T))
 
 
 def _left_open(channel: Channel, terms: Sequence[FittedTerm], kept: Sequence[int], runs: str) -> list[TextbookResult]:
