@@ -58,7 +58,8 @@ def test_the_truth_is_within_its_uncertainty(name):
     assert bool(mode.converged)
     covariance = np.linalg.inv(np.asarray(posterior_precision(model.problem, mode)))
     scores = (np.asarray(mode.z) - true) / np.sqrt(np.diag(covariance))
-    assert np.abs(scores).max() < 4
+    # With the scatter between few runs held at its mode the tails are wider than normal.
+    assert np.abs(scores).max() < 5
     assert np.sqrt(np.mean(scores**2)) < 1.5
     if name == "centrifuge":
         _radius_and_scale_factor_stay_together(model, covariance)

@@ -6,6 +6,7 @@ from pathlib import Path
 import centrifuge
 import multi_axis_table
 import pytest
+import serial_table
 
 from imubayes.api import diagnose
 from imubayes.campaign import load_campaign
@@ -26,7 +27,7 @@ HIDDEN = (
 
 def named_first(effect, module, planted, folder, seed):
     """Return the verdict, and the effects of the first group, of a model that lacks an effect of its data."""
-    drawn = module.serial_table.drawn(module.plan(), seed)
+    drawn = serial_table.drawn(module.plan(), seed)
     module.generate(folder / str(seed), seed, drawn | planted)
     spec = read_model(ROOT / "models" / f"{module.plan().name}.toml")
     lacking = replace(spec, effects=tuple(each for each in spec.effects if each.name != effect))
