@@ -19,6 +19,7 @@ _STEPS = 200
 _LARGEST_STEP = 2.0  # in log θ
 _CONVERGED = 1e-9  # expected gain in log likelihood
 _DAMPING = 1e-10  # of a term that vanishes, and with it its information
+_LEAST_COUNT = 6  # coefficients of a band for the start
 _REVIVALS = 4
 _VANISHED = 0.01  # information on log θ below which a term has no part in the variance
 _KEPT = 12  # shapes of Gauss–Markov noise at recent correlation times
@@ -107,6 +108,14 @@ class NoiseLikelihood:
         """Return the places of the bins in each octave of frequency, the lowest first."""
         return [np.flatnonzero(self._octave == octave) for octave in np.unique(self._octave)]
 
+    @cached_property
+    def _bands(self) -> list[np.ndarray]:
+        """The octaves, the lowest joined: the power of a few coefficients may be next to nothing by chance."""
+        octaves = self.octaves()
+        wide = [at for at in octaves if self.count[at].sum() >= _LEAST_COUNT]
+        lowest = [at for at in octaves if self.count[at].sum() < _LEAST_COUNT]
+        return [*([np.concatenate(lowest)] if lowest else []), *wide]
+
     def shape(self, term: NoiseTerm, correlation_time: float = math.nan) -> np.ndarray:
         """Return the variance of a coefficient per squared coefficient of the term, shape (K,)."""
         if term is NoiseTerm.MARKOV:
@@ -144,7 +153,7 @@ class NoiseLikelihood:
         found = []
         for term in terms:
             shape = self.shape(term, correlation_time)
-            ratios = [float(np.sum(self.power[at]) / np.sum(self.count[at] * shape[at])) for at in self.octaves()]
+            ratios = [float(np.sum(self.power[at]) / np.sum(self.count[at] * shape[at])) for at in self._bands]
             found.append(math.log(max(min(ratios), 1e-300)))
         return np.array([*found, math.log(correlation_time)] if NoiseTerm.MARKOV in terms else found)
 

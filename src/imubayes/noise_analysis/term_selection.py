@@ -42,6 +42,7 @@ class TermEstimate:
     low, high : profile-likelihood interval of 95 %.
     limit : upper limit of 95 % where not determined; NaN otherwise.
     evidence : −2 Δ log L of leaving the term out.
+    maximum : where the likelihood with all terms has its maximum, whether or not that is significant.
     """
 
     term: NoiseTerm
@@ -51,6 +52,7 @@ class TermEstimate:
     high: float
     limit: float
     evidence: float
+    maximum: float
 
     @property
     def determined(self) -> bool:
@@ -212,17 +214,17 @@ def _of_term(
 ) -> TermEstimate:
     place = full.terms.index(term)
     if term not in best.terms:
-        return _unknown(term, _upper_limit(likelihood, full, place), 0.0)
+        return _unknown(term, _upper_limit(likelihood, full, place), 0.0, math.exp(full.parameters[place] / 2))
     value = math.exp(full.parameters[place] / 2)
     log_sd = 1 / math.sqrt(max(float(likelihood.information(full)[place, place]), 1.0))
     level = full.log_likelihood - float(chi2.isf(1 - PROBABILITY, 1)) / 2
     low, high = (_bracketed(likelihood, full, place, side, level, 2 * log_sd) for side in (-1, 1))
     sd = (high - low) / (2 * float(norm.isf((1 - PROBABILITY) / 2)))
-    return TermEstimate(term, value, sd, low, high, math.nan, evidence.get(term, math.inf))
+    return TermEstimate(term, value, sd, low, high, math.nan, evidence.get(term, math.inf), value)
 
 
-def _unknown(term: NoiseTerm, limit: float, evidence: float) -> TermEstimate:
-    return TermEstimate(term, math.nan, math.nan, math.nan, math.nan, limit, evidence)
+def _unknown(term: NoiseTerm, limit: float, evidence: float, maximum: float = 0.0) -> TermEstimate:
+    return TermEstimate(term, math.nan, math.nan, math.nan, math.nan, limit, evidence, maximum)
 
 
 def _upper_limit(likelihood: NoiseLikelihood, full: Maximum, place: int) -> float:
@@ -297,7 +299,7 @@ def _ramp(likelihood: NoiseLikelihood, full: Maximum, walk: TermEstimate) -> Ter
     evidence = float(chi2.isf(max(chance, 1e-300), 1))
     if chance > _CHANCE_RAMP:
         return _unknown(NoiseTerm.RAMP, max(-first, last), evidence)
-    return TermEstimate(NoiseTerm.RAMP, middle, spread, first, last, math.nan, evidence)
+    return TermEstimate(NoiseTerm.RAMP, middle, spread, first, last, math.nan, evidence, middle)
 
 
 def _octaves(likelihood: NoiseLikelihood, best: Maximum) -> list[Octave]:

@@ -1,0 +1,83 @@
+"""Allan deviation of a static record with its intervals, and the fitted noise terms as lines."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from imubayes.display.labels import pretty
+from imubayes.display.theme import (
+    BLUE,
+    GREEN,
+    INK,
+    ORANGE,
+    PURPLE,
+    QUIET,
+    SKY,
+    SMALL,
+    VERMILION,
+    Picture,
+    panels,
+    picture,
+    themed,
+)  # fmt: skip
+from imubayes.noise_analysis.noise_record import ChannelNoise, fitted_deviations
+from imubayes.noise_analysis.noise_spectra import NoiseTerm
+
+STYLES = {
+    NoiseTerm.QUANTISATION: ("quantisation, slope −1", PURPLE),
+    NoiseTerm.WHITE: ("white, slope −½", BLUE),
+    NoiseTerm.FLICKER: ("flicker, slope 0", GREEN),
+    NoiseTerm.RANDOM_WALK: ("random walk, slope +½", VERMILION),
+    NoiseTerm.MARKOV: ("Gauss–Markov", SKY),
+    NoiseTerm.RAMP: ("ramp, slope +1", ORANGE),
+}
+MOST_CHANNELS = 12
+_COLUMNS = 3
+_CAPTION = (
+    "Points: overlapping Allan deviation with 95 % chi-square intervals. Lines: the noise terms that the record "
+    "determines, and the likeliest sum of all terms (black). Points at long averaging times are correlated and rest "
+    "on few differences. In a good model the black line passes through about 95 % of the intervals."
+)
+
+
+@themed
+def allan_figure(channels: list[ChannelNoise]) -> Picture:
+    """Return the Allan deviations of the channels of one record, at most 12 of them, one panel each."""
+    shown = channels[:MOST_CHANNELS]
+    columns = min(_COLUMNS, len(shown))
+    rows = -(-len(shown) // columns)
+    title = f"Allan deviation: {shown[0].run}"
+    figure = picture(max(3.7 * columns, 6.6), 2.9 * rows + 0.35, title, _CAPTION)
+    grid = panels(figure, rows, columns, (0.75, 0.5, 0.1, 0.65), (0.75, 0.75))
+    for axes, noise in zip(grid.flat, shown, strict=False):
+        _draw(axes, noise)
+    for axes in grid.flat[len(shown) :]:
+        axes.set_visible(False)
+    seen = [term for term in STYLES if any(noise.of(term).determined for noise in shown)]
+    handles = [Line2D([], [], color=STYLES[term][1], label=STYLES[term][0]) for term in seen]
+    handles.append(Line2D([], [], color=INK, linewidth=1.6, label="all terms"))
+    width, height = figure.get_size_inches()
+    corner = (figure.inside[0] / width, (figure.inside[3] + 0.05) / height)
+    figure.legend(handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=len(handles), fontsize=SMALL)
+    return figure
+
+
+def _draw(axes: Axes, noise: ChannelNoise) -> None:
+    tau = np.array([point.tau_s for point in noise.allan])
+    value = np.array([point.deviation for point in noise.allan])
+    ends = np.array([[point.low, point.high] for point in noise.allan]).T
+    axes.set(xscale="log", yscale="log")
+    axes.errorbar(tau, value, np.abs(ends - value), fmt="o", color=QUIET, markersize=3, linewidth=0.9, zorder=3)
+    fine = np.geomspace(tau[0], tau[-1], 200)
+    parts, total = fitted_deviations(noise, fine)
+    for term, deviation in parts.items():
+        axes.plot(fine, deviation, color=STYLES[term][1], linewidth=1.0, zorder=2)
+    axes.plot(fine, total, color=INK, linewidth=1.6, zorder=4)
+    low, high = float(ends[0].min()), float(ends[1].max())
+    axes.set(xlim=(0.7 * tau[0], 1.4 * tau[-1]), ylim=(0.4 * low, 1.6 * high))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(10, numticks=8))
+        axis.set_minor_formatter(NullFormatter())
+    axes.set(xlabel="averaging time / s", ylabel=f"Allan deviation / {pretty(noise.deviation_unit)}")
+    axes.set_title(noise.channel)

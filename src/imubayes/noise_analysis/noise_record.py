@@ -1,0 +1,288 @@
+"""The noise of the static records of a campaign, as a record: terms in the units of datasheets, Allan deviations."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from imubayes.campaign.raw_logs import raw_log
+from imubayes.campaign_data import Campaign, Channel, Run
+from imubayes.errors import InputError, Issue, closest_first, input_error
+from imubayes.json_record import Record, finite
+from imubayes.noise_analysis.allan_deviation import AllanVariance, allan_variance
+from imubayes.noise_analysis.cosine_coefficients import cosine_statistics
+from imubayes.noise_analysis.likelihood import NoiseLikelihood
+from imubayes.noise_analysis.noise_spectra import NoiseTerm, allan_shape
+from imubayes.noise_analysis.running_sum import RunningSum, running_sums
+from imubayes.noise_analysis.term_selection import PROBABILITY, NoiseEstimate, TermEstimate, estimate_terms
+
+PROCEDURE = "static_record"
+LEAST_SAMPLES = 256
+MISFIT = 0.01  # chance, over all octaves, at which the fit of one is called bad
+_EXPONENTS = {NoiseTerm.QUANTISATION: 2, NoiseTerm.WHITE: 0, NoiseTerm.FLICKER: -1, NoiseTerm.RANDOM_WALK: -2}
+_HOUR = 3600.0
+_DEGREE = math.pi / 180
+# Units of the coefficients, and what one of them is in SI, for gyros and accelerometers; µg is of the site's gravity.
+_GYRO = {
+    NoiseTerm.QUANTISATION: ("arcsec", _DEGREE / _HOUR),
+    NoiseTerm.WHITE: ("deg/sqrt(h)", _DEGREE / math.sqrt(_HOUR)),
+    NoiseTerm.FLICKER: ("deg/h", _DEGREE / _HOUR),
+    NoiseTerm.RANDOM_WALK: ("deg/h/sqrt(h)", _DEGREE / _HOUR / math.sqrt(_HOUR)),
+    NoiseTerm.MARKOV: ("deg/h", _DEGREE / _HOUR),
+    NoiseTerm.RAMP: ("deg/h/h", _DEGREE / _HOUR**2),
+}
+_ACCELEROMETER = {
+    NoiseTerm.QUANTISATION: ("m/s", 0.0),
+    NoiseTerm.WHITE: ("ug/sqrt(Hz)", 1.0),
+    NoiseTerm.FLICKER: ("ug", 1.0),
+    NoiseTerm.RANDOM_WALK: ("ug/sqrt(h)", 1 / math.sqrt(_HOUR)),
+    NoiseTerm.MARKOV: ("ug", 1.0),
+    NoiseTerm.RAMP: ("ug/h", 1 / _HOUR),
+}
+
+
+class TermRecord(Record):
+    """One coefficient with its interval of `probability`, or its upper limit of that probability."""
+
+    term: NoiseTerm
+    unit: str
+    determined: bool
+    value: float | None
+    sd: float | None
+    low: float | None
+    high: float | None
+    upper_limit: float | None
+    evidence: float | None
+    in_output_units: float | None
+    maximum_in_output_units: float
+
+
+class AllanPoint(Record):
+    """Overlapping Allan deviation at one averaging time, with its interval and that of the fitted terms."""
+
+    tau_s: float
+    deviation: float
+    low: float
+    high: float
+    degrees_of_freedom: float
+    dominant_term: NoiseTerm
+    fitted: float
+
+
+class OctaveRecord(Record):
+    """χ² of the fitted terms in an octave of frequency."""
+
+    low_hz: float
+    high_hz: float
+    chi2: float
+    count: int
+    p_value: float
+
+
+class ChannelNoise(Record):
+    """The noise of one channel in one record."""
+
+    run: str
+    channel: str
+    kind: str
+    samples: int
+    missing: int
+    interval_s: float
+    deviation_unit: str
+    output_per_unit: float
+    output_unit: str
+    converged: bool
+    terms: list[TermRecord]
+    correlation_time_s: float | None
+    correlation_time_sd_s: float | None
+    correlated_terms: list[str]
+    correlation: list[list[float]]
+    alternatives: list[tuple[NoiseTerm, NoiseTerm]]
+    misfit: list[OctaveRecord]
+    allan: list[AllanPoint]
+
+    def of(self, term: NoiseTerm) -> TermRecord:
+        """Return a term."""
+        return next(record for record in self.terms if record.term is term)
+
+
+class StaticNoise(Record):
+    """The noise of all static records of a campaign.
+
+    Intervals: profile likelihood for the terms (of the ramp a posterior interval), chi-square for the Allan deviations.
+    """
+
+    format: int = 1
+    campaign: str
+    probability: float = PROBABILITY
+    channels: list[ChannelNoise]
+
+
+def coefficient_unit(channel: Channel, term: NoiseTerm, gravity: float) -> tuple[str, float]:
+    """Return the unit of a coefficient and its size in SI (rad/s or m/s², and seconds)."""
+    if channel.kind == "gyro":
+        return _GYRO[term]
+    unit, factor = _ACCELEROMETER[term]
+    return unit, 1.0 if term is NoiseTerm.QUANTISATION else factor * 1e-6 * gravity
+
+
+def static_noise(campaign: Campaign, runs: Sequence[str] = (), shortest_tau: float = 0.0) -> StaticNoise:
+    """Return the noise of the static records of a campaign.
+
+    Parameters
+    ----------
+    campaign : read from a folder.
+    runs : names of static records; all where empty.
+    shortest_tau : leave out frequencies above 1/(2 `shortest_tau`), s, where a filter shapes the noise.
+
+    Raises
+    ------
+    InputError
+        where there is no static record, or one is too short.
+    """
+    found: list[ChannelNoise] = []
+    for run in _chosen(campaign, runs):
+        source = raw_log(campaign, run)
+        sums = running_sums(source, source.layout.channels, str(source.file))
+        found += [
+            _of_channel(campaign, run, channel, sums.pop(channel.name), shortest_tau)
+            for channel in campaign.channels
+            if channel.name in sums
+        ]
+    return StaticNoise(campaign=campaign.name, channels=found)
+
+
+def _chosen(campaign: Campaign, names: Sequence[str]) -> list[Run]:
+    records = {run.name: run for run in campaign.runs if run.procedure == PROCEDURE}
+    unknown = [name for name in names if name not in records]
+    if unknown or not records:
+        what = f"'{unknown[0]}' is no static record" if unknown else "there is no static record"
+        allowed = closest_first(unknown[0], list(records)) if unknown and records else f"a run of {PROCEDURE}"
+        raise InputError(
+            Issue(what, f"campaign '{campaign.name}'", allowed, "name a run of this procedure, or add one")
+        )
+    return [records[name] for name in names] if names else list(records.values())
+
+
+def _of_channel(
+    campaign: Campaign, run: Run, channel: Channel, record: RunningSum, shortest_tau: float
+) -> ChannelNoise:
+    where = f"run '{run.name}', channel '{channel.name}'"
+    if record.present < LEAST_SAMPLES:
+        raise input_error(
+            f"{record.present} samples are too few for an analysis of noise", where,
+            f"at least {LEAST_SAMPLES}", "give a longer record, or its raw samples",
+        )  # fmt: skip
+    likelihood = NoiseLikelihood(cosine_statistics(record), shortest_tau)
+    if len(likelihood.octaves()) < 4:
+        allowed = "an averaging time far below the length of the record"
+        raise input_error("too few octaves of frequency are left", where, allowed, "choose a shorter --shortest-tau")
+    variance = allan_variance(record)
+    if not variance.variance.any():
+        raise input_error("the channel does not vary", where, "samples with noise", "leave the channel out")
+    estimate = estimate_terms(likelihood)
+    correlated = [str(term) for term in estimate.determined]
+    return ChannelNoise(
+        run=run.name,
+        channel=channel.name,
+        kind=channel.kind,
+        samples=record.present,
+        missing=record.samples - record.present,
+        interval_s=record.interval,
+        deviation_unit=coefficient_unit(channel, NoiseTerm.FLICKER, campaign.site.gravity)[0],
+        output_per_unit=_output_per_unit(channel, campaign.site.gravity),
+        output_unit=channel.output_unit,
+        converged=estimate.converged,
+        terms=[_term(term, channel, campaign.site.gravity) for term in estimate.estimates],
+        correlation_time_s=finite(estimate.correlation_time),
+        correlation_time_sd_s=finite(estimate.correlation_time_sd),
+        correlated_terms=[*correlated, "correlation_time"] if NoiseTerm.MARKOV in estimate.determined else correlated,
+        correlation=estimate.correlation.tolist(),
+        alternatives=list(estimate.alternative),
+        misfit=_misfit(estimate),
+        allan=_allan(variance, estimate, channel, campaign.site.gravity),
+    )
+
+
+def _term(found: TermEstimate, channel: Channel, gravity: float) -> TermRecord:
+    unit, factor = coefficient_unit(channel, found.term, gravity)
+    per = abs(channel.scale_si) * factor
+    return TermRecord(
+        term=found.term,
+        unit=unit,
+        determined=found.determined,
+        value=finite(found.value / per),
+        sd=finite(found.sd / per),
+        low=finite(found.low / per),
+        high=finite(found.high / per),
+        upper_limit=finite(found.limit / per),
+        evidence=finite(found.evidence),
+        in_output_units=finite(found.value),
+        maximum_in_output_units=found.maximum,
+    )
+
+
+def _output_per_unit(channel: Channel, gravity: float) -> float:
+    """Return what one unit of the Allan deviation is in output units."""
+    return abs(channel.scale_si) * coefficient_unit(channel, NoiseTerm.FLICKER, gravity)[1]
+
+
+def fitted_deviations(noise: ChannelNoise, tau: np.ndarray) -> tuple[dict[NoiseTerm, np.ndarray], np.ndarray]:
+    """Return the Allan deviation of every determined term, and of all terms at the maximum of the likelihood.
+
+    Parameters
+    ----------
+    tau : averaging times, s; the deviations are in the unit of the record.
+    """
+    time = math.nan if noise.correlation_time_s is None else noise.correlation_time_s
+    parts = {
+        found.term: abs(found.maximum_in_output_units) * np.sqrt(allan_shape(found.term, tau, time))
+        for found in noise.terms
+        if found.maximum_in_output_units
+    }
+    per = noise.output_per_unit
+    total = np.sqrt(np.sum([part**2 for part in parts.values()], axis=0))
+    return {term: part / per for term, part in parts.items() if noise.of(term).determined}, total / per
+
+
+def _misfit(estimate: NoiseEstimate) -> list[OctaveRecord]:
+    """Return the octaves that the terms do not describe, at `MISFIT` over all octaves."""
+    octaves = estimate.octaves
+    return [
+        OctaveRecord(low_hz=o.low, high_hz=o.high, chi2=o.chi2, count=o.count, p_value=o.p_value)
+        for o in octaves
+        if o.p_value * len(octaves) < MISFIT
+    ]
+
+
+def _allan(variance: AllanVariance, estimate: NoiseEstimate, channel: Channel, gravity: float) -> list[AllanPoint]:
+    parts = {
+        found.term: found.maximum**2 * allan_shape(found.term, variance.tau, estimate.correlation_time)
+        for found in estimate.estimates
+        if found.maximum
+    }
+    terms, sizes = list(parts), np.stack(list(parts.values()))
+    dominant = [terms[int(place)] for place in np.argmax(sizes, axis=0)]
+    exponents = np.array([_exponent(term, tau, estimate) for term, tau in zip(dominant, variance.tau, strict=True)])
+    low, high, degrees = variance.interval(exponents, PROBABILITY)
+    per = _output_per_unit(channel, gravity)
+    deviation, fitted = np.sqrt(variance.variance) / per, np.sqrt(sizes.sum(axis=0)) / per
+    return [
+        AllanPoint(
+            tau_s=float(variance.tau[k]), deviation=float(deviation[k]), low=float(low[k] / per),
+            high=float(high[k] / per), degrees_of_freedom=float(degrees[k]), dominant_term=dominant[k],
+            fitted=float(fitted[k]),
+        )
+        for k in range(len(dominant))
+    ]  # fmt: skip
+
+
+def _exponent(term: NoiseTerm, tau: float, estimate: NoiseEstimate) -> int:
+    """Return the power-law exponent for the degrees of freedom.
+
+    A Gauss–Markov process is a random walk at averaging times below that of its largest deviation, 1.9 T, and white
+    noise above.  A ramp has no degrees of freedom of its own: those of a random walk are the fewest.
+    """
+    if term is NoiseTerm.MARKOV:
+        return -2 if tau < 1.9 * estimate.correlation_time else 0
+    return _EXPONENTS.get(term, -2)
