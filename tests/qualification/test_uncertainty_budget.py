@@ -8,7 +8,10 @@ import pytest
 
 from imubayes.api import Result, fit
 from imubayes.campaign import load_campaign
+from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.errors import InputError
 from imubayes.model.model_file import read_model
+from imubayes.qualification.assess import assess
 from imubayes.qualification.posterior_quantities import posterior_quantities
 from imubayes.qualification.uncertainty_budget import BudgetArrays, budget_of
 
@@ -68,3 +71,29 @@ def test_what_the_data_tell_is_type_a(budget):
     type_a = budget.averaged.type_a.sum(axis=1) / budget.posterior
     assert type_a[NAMES.index("converter_gain_drift.slope[ax]")] > 0.9
     assert type_a[NAMES.index("accel_scale_factor.scale[ax]")] < 0.1
+
+
+def test_a_unit_passes_only_with_an_adequate_model(result, tmp_path):
+    file = tmp_path / "spec.toml"
+    limits = '[[limit]]\nquantity = "converter_gain_drift.slope"\nlower = LOWER\nupper = 0\nunit = "ppm/degC"\n'
+    file.write_text('format = 1\nname = "converter"\n' + limits.replace("LOWER", "-10"))
+    (drift,) = assess(result, file, None).limits
+    assert drift.decision.outcome == "pass"
+    assert drift.estimate.value == pytest.approx(-3.2, abs=0.2)
+    outcomes = {
+        verdict: assess(result, file, None if verdict is None else Diagnosis(verdict=verdict)).outcome
+        for verdict in ("adequate", "missing_effect", None)
+    }
+    assert outcomes == {"adequate": "pass", "missing_effect": "withheld", None: "withheld"}
+    file.write_text('format = 1\nname = "converter"\n' + limits.replace("LOWER", "-1"))
+    assert assess(result, file, Diagnosis(verdict="missing_effect")).outcome == "fail"
+    invalid = replace(result, summary=result.summary.model_copy(update={"intervals_valid": False}))
+    assert assess(invalid, file, Diagnosis(verdict="adequate")).obstacles == ("invalid_intervals",)
+
+
+def test_a_fit_that_did_not_converge_is_refused(result, tmp_path):
+    file = tmp_path / "spec.toml"
+    file.write_text('format = 1\nname = "x"\n[[limit]]\nquantity = "accel_bias.bias"\nupper = 1\nunit = "ug"\n')
+    failed = replace(result, summary=result.summary.model_copy(update={"converged": False, "message": "it stopped"}))
+    with pytest.raises(InputError, match="no posterior draws"):
+        assess(failed, file, Diagnosis(verdict="adequate"))
