@@ -103,9 +103,10 @@ def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombin
     """Return the total drift D in the middle of each record, and the harmonics that the records determine."""
     gyros = campaign.of_kind("gyro")
     found: list[StandardCombination] = []
-    for run in runs:
+    # A joint fit may separate the terms from somewhat less than a turn as well.
+    for run in [run for run in runs if turns_of(run) >= 1.0] or [max(runs, key=turns_of)]:
         channel = gyros[driving_channel(campaign, run)]
-        if turns_of(run) < 1.0 or abs(float(along_table(run, campaign, channel.axes[0])[2])) < _ALONG:
+        if abs(float(along_table(run, campaign, channel.axes[0])[2])) < _ALONG:
             continue
         constant = turn_mean_drift(campaign, run, channel)
         total = of_drift("D", channel.name, "deg/h", constant, total=True)
