@@ -182,3 +182,9 @@ def test_the_gradient_is_that_of_the_likelihood():
         step[place] = 1e-5
         ends = [likelihood._expansion(terms, at + sign * step)[0] for sign in (-1, 1)]
         assert gradient[place] == pytest.approx((ends[1] - ends[0]) / 2e-5, rel=1e-4, abs=1e-4)
+
+
+def test_a_correlation_time_far_below_a_block_is_white_noise():
+    """Also where the exponential of a whole block would overflow; warnings are errors here."""
+    found = coefficient_variance(NoiseTerm.MARKOV, Averages(20, 1024, 1.0), 0.5)
+    np.testing.assert_allclose(found, (1 + 2 / np.expm1(2.0)) / 1024, rtol=2e-3)

@@ -154,7 +154,7 @@ def _markov(averages: Averages, correlation_time: float) -> np.ndarray:
     if m == 1:
         return _from_lags(np.exp(-lag * step))
     gain = math.expm1(-m * step) / (m * math.expm1(-step))
-    covariance = gain**2 * np.exp(-((lag - 1) * m + 1) * step)
+    covariance = gain**2 * np.exp(-(np.maximum(lag - 1, 0) * m + 1) * step)
     apart = np.arange(1, m)
     covariance[0] = (m + 2 * float((m - apart) @ np.exp(-apart * step))) / m**2
     return _from_lags(covariance)
