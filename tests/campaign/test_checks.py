@@ -65,7 +65,7 @@ def milli_g(columns: dict) -> None:
         (drop_seconds, "gap", "warning"),
         (freeze, "stuck_channel", "warning"),
         (clip, "saturated_channel", "warning"),
-        (reverse, "sign_reversed", "warning"),
+        (reverse, "table_reversed", "error"),
         (double, "scale_far_from_nominal", "warning"),
         (relabel, "segment_not_constant", "warning"),
         (without_angle, "partial_turn", "warning"),
@@ -89,7 +89,7 @@ def test_raw_log(small: Path, change: Change, name: str, severity: str) -> None:
     ("old", "new", "name", "severity"),
     [
         ('per = "deg/s"', 'per = "rad/s"', "rate_unit", "error"),
-        ("input_axis = [1.0, 0.0, 0.0]", "input_axis = [-1.0, 0.0, 0.0]", "sign_reversed", "warning"),
+        ("input_axis = [1.0, 0.0, 0.0]", "input_axis = [-1.0, 0.0, 0.0]", "channel_unit", "error"),
     ],
 )
 def test_a_gyro_is_compared_with_the_reference_beside_it(tmp_path: Path, old, new, name, severity) -> None:

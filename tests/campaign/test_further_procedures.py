@@ -148,7 +148,7 @@ def test_a_raw_log_that_turns_is_cut_into_arcs(campaign):
         "time_s": time,
         "table_rate_deg_s": np.full_like(time, 10.0),
         "table_angle_deg": angle,
-        "g": np.cos(np.radians(angle)),
+        "g": 36000.0 + np.cos(np.radians(angle)),
     }
     run = campaign("rotation_modulation", columns).runs[0]
     span = np.degrees(run.covariates["table_angle_span"])
@@ -156,7 +156,7 @@ def test_a_raw_log_that_turns_is_cut_into_arcs(campaign):
     assert span.sum() == pytest.approx(900, abs=20)
     middle = run.covariates["table_angle"]
     # A mean over an arc is that at its middle, shortened by the arc.
-    expected = np.cos(middle) * np.sinc(run.covariates["table_angle_span"] / (2 * np.pi))
+    expected = 36000.0 + np.cos(middle) * np.sinc(run.covariates["table_angle_span"] / (2 * np.pi))
     assert run.observed[:, 0] == pytest.approx(expected, abs=2e-3)
 
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from imubayes.campaign.unit_grade import grade_of
 from imubayes.campaign_data import Campaign
 from imubayes.effects import EFFECTS
 from imubayes.model.bind import bind
-from imubayes.model.unit_grade import grade_of
 from imubayes.parameters.parameter_declarations import declared_parameters
 from imubayes.parameters.priors import HalfNormal, LogNormal, Normal, Prior, parse_prior
 from imubayes.parameters.unit_grades import GRADES, graded_prior

@@ -23,9 +23,10 @@ from imubayes.campaign.equipment import (
     require_current_scale,
 )
 from imubayes.campaign.file_schemas import CampaignFile, ModelFile, RunEntry
-from imubayes.campaign.findings import Finding
+from imubayes.campaign.findings import SYMPTOMS, Finding
 from imubayes.campaign.load_run import Equipment, Loaded, load_run
 from imubayes.campaign.servo_angle import with_angles
+from imubayes.campaign.setup_gate.setup_findings import SETUP_FINDINGS, setup_findings
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.campaign.valid_entries import Draft, draft_of
 from imubayes.campaign_data import Campaign, Channel, Run, Site
@@ -89,6 +90,7 @@ def inspect_campaign(path: str | Path) -> Inspection:
     draft, ledger = draft_of(document.content), document.ledger
     equipment = _equipment(draft, ledger)
     refuse_reserved_names(draft.channels, draft.names["channel"], ledger)
+    _check_accepted(document.entry, ledger)
     _check_runs(draft, ledger)
     judge = None if ledger.issues else equipment
     loaded = [_load(file.parent / run.file, run, draft.names["channel"], judge) for run in draft.runs.values()]
@@ -97,7 +99,20 @@ def inspect_campaign(path: str | Path) -> Inspection:
     issues += [finding.problem() for finding in findings if finding.severity == "error"]
     if issues or document.entry is None:
         return Inspection(None, tuple(issues), findings)
-    return Inspection(_campaign(document.entry, equipment, loaded, findings, file), (), findings)
+    return _with_setup(_campaign(document.entry, equipment, loaded, findings, file), document.entry, findings, file)
+
+
+def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Finding], file: Path) -> Inspection:
+    """Return the inspection of a valid campaign with what its outputs say against its set-up."""
+    tables = {run.name: str(file.parent / run.file) for run in entry.run}
+    found = setup_findings(campaign, str(file), tables, tuple(entry.accepted))
+    noticed = {finding.run for finding in findings if finding.name in SYMPTOMS}
+    found = [finding for finding in found if finding.name != "setup_disagrees" or finding.run not in noticed]
+    every = (*findings, *found)
+    if errors := tuple(finding.problem() for finding in found if finding.severity == "error"):
+        # The mistake explains what the checks of single runs noticed of it.
+        return Inspection(None, errors, tuple(finding for finding in every if finding.name not in SYMPTOMS))
+    return Inspection(replace(campaign, notes=(*campaign.notes, *map(str, found))), (), every)
 
 
 def read_model_file(path: str | Path) -> ModelFile:
@@ -187,6 +202,15 @@ def _check_runs(draft: Draft, ledger: Ledger) -> None:
     complete = len(draft.channels) == len(draft.names["channel"])
     if injected and complete:
         require_current_scale(draft.channels.values(), injected[0], ledger)
+
+
+def _check_accepted(entry: CampaignFile | None, ledger: Ledger) -> None:
+    for index, name in enumerate(entry.accepted if entry is not None else ()):
+        if name not in SETUP_FINDINGS:
+            ledger.add(
+                f"'{name}' is no finding about the set-up", ("accepted", index),
+                closest_first(name, SETUP_FINDINGS), "correct or remove the name",
+            )  # fmt: skip
 
 
 def _check_gyros(draft: Draft, ledger: Ledger) -> None:

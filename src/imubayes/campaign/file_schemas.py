@@ -128,6 +128,7 @@ class CampaignFile(_Entry):
     format: Literal[1]
     name: Name
     notes: list[str] = []
+    accepted: list[str] = Field(default=[], description="names of findings about the set-up that are only warnings")
     site: SiteEntry
     unit: UnitEntry = UnitEntry()
     evaluation: EvaluationEntry = EvaluationEntry()
@@ -203,6 +204,7 @@ FORMS = {
     "channels": 'a list of names: ["gx", "gy"]',
     "ignore": "a list of column names",
     "notes": "a list of texts",
+    "accepted": 'a list of names of findings: ["table_zero"]',
     "files": "a list of Python files",
     "prior": 'texts by parameter: { bias = "normal(0, 10 deg/h)" }',
     "site": "a table [site]",

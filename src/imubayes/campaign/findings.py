@@ -27,12 +27,29 @@ FINDINGS: dict[str, str] = {
     "scale_far_from_nominal": "the observed scale factor is far from nominal",
     "sign_reversed": "the output has the opposite sign of the input",
     "axes_do_not_fit": "gyros and accelerometers are inconsistent: axes are exchanged or reversed",
+    "latitude_sign": "the gyros show the Earth rate of the other hemisphere",
+    "files_exchanged": "the tables of two runs are exchanged",
+    "mounting_mislabelled": "a run was made in another mounting of the campaign",
+    "mounting_wrong": "the matrix of a mounting is wrong",
+    "mounting_turned": "a mounting is turned about the axis of the table",
+    "table_reversed": "the table turns against the stated sense",
+    "table_zero": "the zero of the table angle is off",
+    "table_elevation": "the elevation of the axis of a table is wrong",
+    "table_azimuth": "the azimuth of the axis of a table is wrong",
+    "axes_exchanged": "channels are exchanged",
+    "channel_unit": "a channel has another sign or unit",
+    "angle_unit": "the angle column is in another unit",
+    "time_shift": "outputs and table are shifted in time",
+    "setup_disagrees": "the outputs contradict the set-up, and no single mistake explains it",
     "segment_not_constant": "the stimulus varies within a labelled segment",
     "partial_turn": "a mean over less than one turn at an unknown angle",
     "bad_count": "an impossible number of samples or standard deviation",
     "unused_columns": "columns that are not used",
 }
 """Name of every finding → its meaning."""
+
+SYMPTOMS = ("sign_reversed", "scale_far_from_nominal")
+"""Findings of single runs that a mistake in the set-up explains."""
 
 
 @dataclass(frozen=True)

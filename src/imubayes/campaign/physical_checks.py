@@ -77,6 +77,8 @@ def slope_findings(run: str, channel: Channel, slope: float, where: str) -> list
         name = "rate_unit" if channel.kind == "gyro" else "acceleration_unit"
         what = f"channel '{channel.name}' responds with {abs(slope):.4g} times its nominal scale factor: {meaning}?"
         remedy = "correct 'scale' or 'per' of the channel, or convert the column"
+        if rate_column := _rate_unit(slope) if channel.kind == "gyro" else "":
+            remedy += f"; where 'table_rate_deg_s' is in {rate_column}, convert it to deg/s"
         return [Finding(name, "error", run, what, place, expected, remedy)]
     if slope < 0:
         what = f"channel '{channel.name}' responds to its nominal input with reversed sign (slope {slope:.3g})"
@@ -87,6 +89,12 @@ def slope_findings(run: str, channel: Channel, slope: float, where: str) -> list
         remedy = "check scale, per, input_axis and the mounting"
         return [Finding("scale_far_from_nominal", "warning", run, what, place, expected, remedy)]
     return []
+
+
+def _rate_unit(slope: float) -> str:
+    """Return the unit in which the rate column would explain the response of a gyro; empty where there is none."""
+    units = {"rad/s": 1 / DEGREE, "deg/h": 1 / 3600, "rad/h": 1 / DEGREE / 3600}
+    return next((unit for unit, size in units.items() if abs(abs(slope) / size - 1) < SAME_FACTOR), "")
 
 
 def _is_factor(slope: float, factor: float) -> bool:

@@ -1,5 +1,6 @@
 """`imubayes fit`: the main job."""
 
+import sys
 from pathlib import Path
 
 from imubayes.cli.options import Json, print_json
@@ -43,11 +44,16 @@ def fit(
 
     start_jax()
     from imubayes.api import fit as fit_campaign
+    from imubayes.campaign import inspect_campaign
+    from imubayes.display.check_report import usable, warning_lines
     from imubayes.display.fit_report import summary_report
     from imubayes.display.report_layout import print_report
 
+    inspection = inspect_campaign(campaign)
+    recorded = usable(inspection)
+    print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
     with progress() as tell:
-        result = fit_campaign(campaign, model, out, sample=sample, seed=seed, resume=resume, progress=tell)
+        result = fit_campaign(recorded, model, out, sample=sample, seed=seed, resume=resume, progress=tell)
     if as_json:
         print_json(result.summary.model_dump(mode="json"))
     else:

@@ -5,13 +5,13 @@ from typing import Literal
 import numpy as np
 
 from imubayes.campaign import Inspection
+from imubayes.campaign.unit_grade import grade_of
 from imubayes.campaign_data import Campaign, Run
 from imubayes.display.report_layout import Report
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.errors import InputError
 from imubayes.json_record import Record
 from imubayes.model.bind import Model
-from imubayes.model.unit_grade import grade_of
 from imubayes.parameters.unit_grades import Grade
 
 
@@ -64,7 +64,7 @@ class Check(Record):
 
 def check_record(inspection: Inspection, model: Model | None) -> Check:
     """Return the outcome of a check; raises InputError where the campaign cannot be used."""
-    campaign = _usable(inspection)
+    campaign = usable(inspection)
     return Check(
         campaign=campaign.name,
         channels=tuple(channel.name for channel in campaign.channels),
@@ -108,7 +108,7 @@ def _checked_model(model: Model) -> CheckedModel:
 
 def check_report(inspection: Inspection, model: Model | None) -> Report:
     """Return the outcome of a check as a report; raises InputError where the campaign cannot be used."""
-    campaign = _usable(inspection)
+    campaign = usable(inspection)
     site = campaign.site
     heading = (
         f"{campaign.name}  {len(campaign.channels)} channels, {len(campaign.runs)} runs, "
@@ -131,6 +131,11 @@ def check_report(inspection: Inspection, model: Model | None) -> Report:
     return Report([heading], [sheet], [*closing, f"{warnings} warnings" if warnings else "no findings"])
 
 
+def warning_lines(inspection: Inspection) -> list[str]:
+    """Return the warnings about the data of a campaign, one line each."""
+    return [f"warning: {finding}" for finding in inspection.findings if finding.severity == "warning"]
+
+
 def _run_row(run: Run) -> list[Cell]:
     temperature = run.covariates.get("temperature")
     ends = [] if temperature is None else [f"{np.min(temperature):.1f}", f"{np.max(temperature):.1f}"]
@@ -146,7 +151,8 @@ def _run_row(run: Run) -> list[Cell]:
     return [Cell(text) for text in (*texts, span)]
 
 
-def _usable(inspection: Inspection) -> Campaign:
+def usable(inspection: Inspection) -> Campaign:
+    """Return the campaign of an inspection; raises InputError with every issue where it cannot be used."""
     if inspection.campaign is None:
         raise InputError(inspection.issues)
     return inspection.campaign

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.campaign.unit_grade import grade_of
 from imubayes.campaign_data import Campaign, Channel, Table
 from imubayes.errors import input_error
 from imubayes.model.effect_registry import EffectClass
 from imubayes.model.model_spec import EffectSpec
-from imubayes.model.unit_grade import grade_of
 from imubayes.noise.base import Noise
 from imubayes.parameters.parameter_declarations import Declared, declared_parameters
 from imubayes.parameters.priors import LogNormal, Normal, Prior, parse_prior

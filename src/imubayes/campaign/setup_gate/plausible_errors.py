@@ -1,0 +1,66 @@
+"""How large the errors of a unit and its equipment may be before the set-up is doubted.
+
+Standard deviations per grade, in SI.  They are the default priors of the catalogue of effects, widened to the largest
+values of data sheets (see `imubayes.parameters.unit_grades`), since the model of the fit is not known here.  What a
+linear model leaves out, nonlinearity and cross coupling above all, is a share of the input.
+"""
+
+from dataclasses import dataclass
+
+from imubayes.parameters.unit_grades import Grade
+from imubayes.units import to_si
+
+_DEG, _DEG_S, _DEG_H, _MG = to_si("deg"), to_si("deg/s"), to_si("deg/h"), to_si("mg")
+
+
+@dataclass(frozen=True)
+class Widths:
+    """Standard deviations of the errors of one kind of channel; rad/s and m/s² for rates and accelerations.
+
+    Attributes
+    ----------
+    scale, misalignment : of the scale factor, and of the input axis toward either of the others, rad.
+    bias, offset : common to all runs, and of one run.
+    bias_slope, scale_slope : per 10 °C; of curvatures per (10 °C)² a third of it.
+    share : of the input, what a linear model leaves out.
+    rest : at zero input, what a linear model leaves out.
+    """
+
+    scale: float
+    misalignment: float
+    bias: float
+    offset: float
+    bias_slope: float
+    scale_slope: float
+    share: float
+    rest: float
+
+
+_GYRO = {
+    "navigation": Widths(0.005, 0.3 * _DEG, _DEG_S, 10 * _DEG_H, 50 * _DEG_H, 0.001, 0.002, 1.0 * _DEG_H),
+    "tactical": Widths(0.005, 0.3 * _DEG, _DEG_S, 10 * _DEG_H, 200 * _DEG_H, 0.001, 0.002, 1.0 * _DEG_H),
+    "industrial": Widths(0.01, 0.5 * _DEG, 2 * _DEG_S, 200 * _DEG_H, 600 * _DEG_H, 0.002, 0.005, 10 * _DEG_H),
+    "consumer": Widths(0.03, 1.5 * _DEG, 20 * _DEG_S, 0.3 * _DEG_S, 3000 * _DEG_H, 0.005, 0.015, 100 * _DEG_H),
+}
+_ACCELEROMETER = {
+    "navigation": Widths(0.005, 0.3 * _DEG, 20 * _MG, _MG, 2 * _MG, 0.001, 0.002, _MG),
+    "tactical": Widths(0.005, 0.3 * _DEG, 20 * _MG, _MG, 2 * _MG, 0.001, 0.002, _MG),
+    "industrial": Widths(0.01, 0.5 * _DEG, 20 * _MG, 3 * _MG, 5 * _MG, 0.002, 0.005, 3 * _MG),
+    "consumer": Widths(0.03, 1.5 * _DEG, 80 * _MG, 15 * _MG, 15 * _MG, 0.005, 0.015, 15 * _MG),
+}
+G_SENSITIVITIES = (1.5 * _DEG_H, 5 * _DEG_H, 15 * _DEG_H, 50 * _DEG_H, 150 * _DEG_H, 500 * _DEG_H)
+"""Standard deviations of the g-sensitivity of gyros that are tried, rad/s per g: gyros of a make share it, and no
+data sheet of a grade tells it within a factor of ten."""
+GROSS = {"gyro": 0.1 * _DEG_S, "accelerometer": 20 * _MG}
+"""Standard deviation of errors at zero input beyond which outputs contradict the set-up although no mistake is known
+that explains it; smaller ones are the business of a diagnosis."""
+LEVER_ARM = 0.5
+"""Largest distance of an accelerometer from the axis of a table, m."""
+MOUNTING_UNSTATED, TABLE_UNSTATED = 1.0 * _DEG, 0.2 * _DEG
+MOUNTING_LEAST, TABLE_LEAST = 0.05 * _DEG, 0.02 * _DEG
+"""Standard deviations of a mounting and of the axis of a table where none is stated, and the least that is assumed."""
+
+
+def widths(kind: str, grade: Grade) -> Widths:
+    """Return the standard deviations for a gyro or an accelerometer of a grade."""
+    return (_GYRO if kind == "gyro" else _ACCELEROMETER)[grade]

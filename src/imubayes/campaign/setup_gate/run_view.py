@@ -1,0 +1,128 @@
+"""What a run is said to be, in the form in which set-up mistakes change it.
+
+A `RunView` holds the nominal set-up of one run beside its outputs.  A suspected mistake is a changed view: another
+table angle, another mounting, other units of a column.  The nominal input follows from the view alone.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.campaign_data import Campaign, Run
+from imubayes.earth import earth_rate, table_to_local
+from imubayes.procedures import PROCEDURES
+
+REFERENCE = ("reference_x", "reference_y", "reference_z")
+
+
+@dataclass(frozen=True)
+class RunView:
+    """The nominal set-up of one run, in SI, beside its outputs.
+
+    Attributes
+    ----------
+    name, procedure, table, mounting : as in the campaign; no table where rows give directions.
+    latitude, gravity : of the site.
+    azimuth, elevation : of the axis of the table.
+    body_to_table : shape (3, 3).
+    attitude : shape (R, 3, 3), body → local level, where rows give directions; None on a table.
+    angle : shape (R,), of the table; NaN for means over whole turns.
+    span : shape (R,), swept during a row.
+    rate : shape (R,), of the table.
+    reference : shape (R, 3), rate of a reference gyro in body axes; None without one.
+    time : shape (R,); row numbers where no time was recorded.
+    temperatures : name of a recorded temperature → shape (R,), °C.
+    observed : shape (R, C), output units.
+    samples : shape (R,).
+    """
+
+    name: str
+    procedure: str
+    table: str | None
+    mounting: str | None
+    latitude: float
+    gravity: float
+    azimuth: float
+    elevation: float
+    body_to_table: np.ndarray
+    attitude: np.ndarray | None
+    angle: np.ndarray
+    span: np.ndarray
+    rate: np.ndarray
+    reference: np.ndarray | None
+    time: np.ndarray
+    temperatures: Mapping[str, np.ndarray]
+    observed: np.ndarray
+    samples: np.ndarray
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.samples)
+
+    def local_to_body(self) -> np.ndarray:
+        """Return the rotation from local level to body axes, mean over the arc of each row, shape (R, 3, 3)."""
+        if self.attitude is not None:
+            return np.swapaxes(self.attitude, 1, 2)
+        known = np.isfinite(self.angle)
+        angle = np.where(known, self.angle, 0.0)
+        short = np.where(known, np.sinc(self.span / (2 * math.pi)), 0.0)
+        turn = np.zeros((self.rows, 3, 3))
+        turn[:, 0, 0] = turn[:, 1, 1] = short * np.cos(angle)
+        turn[:, 0, 1] = short * np.sin(angle)
+        turn[:, 1, 0] = -turn[:, 0, 1]
+        turn[:, 2, 2] = 1.0
+        return self.body_to_table.T @ turn @ table_to_local(self.azimuth, self.elevation).T
+
+    def rate_in_body(self, local_to_body: np.ndarray) -> np.ndarray:
+        """Return the nominal angular rate in body axes, rad/s, shape (R, 3)."""
+        if self.reference is not None:
+            return self.reference
+        return local_to_body @ earth_rate(self.latitude) + self.rate[:, None] * self.body_to_table[2]
+
+    def largest_rate(self) -> np.ndarray:
+        """Return the magnitude of the rate of the table in each row, rad/s, shape (R,)."""
+        return np.abs(self.rate) if self.reference is None else np.linalg.norm(self.reference, axis=1)
+
+
+def views_of(campaign: Campaign) -> tuple[RunView, ...]:
+    """Return the runs whose nominal input is known: those on tables and those in named directions."""
+    return tuple(_view(campaign, run) for run in campaign.runs if _is_known(run))
+
+
+def _is_known(run: Run) -> bool:
+    procedure = PROCEDURES[run.procedure]
+    if procedure.injected or procedure.driven or run.tumble is not None or not run.rows:
+        return False
+    if not procedure.rate_recorded and not all(name in run.covariates for name in REFERENCE):
+        return False
+    return run.attitude is not None if procedure.by_direction else None not in (run.table, run.mounting)
+
+
+def _view(campaign: Campaign, run: Run) -> RunView:
+    table = None if run.table is None else campaign.tables[run.table]
+    recorded = run.covariates
+    names = ("temperature", "converter_temperature")
+    referenced = not PROCEDURES[run.procedure].rate_recorded
+    return RunView(
+        name=run.name,
+        procedure=run.procedure,
+        table=run.table,
+        mounting=run.mounting,
+        latitude=campaign.site.latitude,
+        gravity=campaign.site.gravity,
+        azimuth=table.azimuth if table else 0.0,
+        elevation=table.elevation if table else math.pi / 2,
+        body_to_table=np.eye(3) if run.mounting is None else campaign.mountings[run.mounting].body_to_table,
+        attitude=run.attitude,
+        angle=recorded["table_angle"],
+        span=recorded["table_angle_span"],
+        rate=recorded["table_rate"],
+        reference=np.stack([recorded[name] for name in REFERENCE], axis=1) if referenced else None,
+        time=recorded.get("time", np.arange(run.rows, dtype=float)),
+        temperatures={name: recorded[name] for name in names if name in recorded},
+        observed=run.observed,
+        samples=run.samples,
+    )
