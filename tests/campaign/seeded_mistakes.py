@@ -47,6 +47,16 @@ class Files:
     def channels(self, kind: str) -> list[str]:
         return [str(channel["name"]) for channel in self.document["channel"] if channel["kind"] == kind]
 
+    def contrast(self, run: dict, first: str, second: str) -> float:
+        """Difference of the rates that two channels see in a run, as a share of that of the table.
+
+        Decides beforehand whether an exchange of the two can be seen.
+        """
+        mounting = next(each for each in self.document["mounting"] if each["name"] == run["mounting"])
+        axis = np.array(mounting.get("body_to_table", [[3**-0.5] * 3] * 3)[2], dtype=float)
+        inputs = {str(each["name"]): np.array(each["input_axis"], dtype=float) for each in self.document["channel"]}
+        return abs(float(axis @ (inputs[first] - inputs[second])))
+
     def save(self) -> None:
         (self.folder / "campaign.toml").write_text(tomlkit.dumps(self.document), encoding="utf-8")
 
@@ -156,6 +166,7 @@ def axes_exchanged(files: Files, generator: np.random.Generator) -> Planted | No
     runs = files.of("rate_table", "dividing_head", "thermal_ramp", "current_injection")
     if generator.random() < 0.5:
         runs = files.of("rate_table" if a.startswith("g") else "dividing_head")
+        runs = [run for run in runs if not a.startswith("g") or files.contrast(run, a, b) > 0.1]
         runs = [runs[generator.integers(len(runs))]] if runs else []
 
     def change(columns: dict[str, list[str]]) -> None:

@@ -12,7 +12,7 @@ from imubayes.errors import InputError
 
 DATA = Path(__file__).parents[2] / "data"
 SHIPPED = sorted(file.parent.name for file in DATA.glob("*/campaign.toml"))
-SEEDS = (0, 2, 3, 4, 5)
+SEEDS = (0, 2, 4, 8, 10)
 
 
 @pytest.fixture(scope="module")
@@ -80,3 +80,30 @@ def test_an_unknown_name_is_no_finding_to_accept(valid: dict[int, Path], tmp_pat
     file.write_text('accepted = ["table_zer"]\n' + file.read_text(encoding="utf-8"), encoding="utf-8")
     with pytest.raises(InputError, match="table_zero"):
         raise InputError(inspect_campaign(folder).issues)
+
+
+@pytest.mark.slow
+def test_a_thousand_seeded_mistakes(tmp_path: Path) -> None:
+    """Of 1000 mistakes 99 % are named with their remedy; of the valid campaigns among them at most 0.5 % are doubted.
+
+    The sign of a latitude counts where its effect exceeds what the gyros' errors conceal: see the test above.
+    """
+    named, made, doubted, seed = 0, 0, 0, 1000
+    missed = []
+    while made < 1000:
+        folder = tmp_path / str(seed)
+        valid_campaign(folder, seed)
+        doubted += bool(gate(inspect_campaign(folder)))
+        for name in MISTAKES:
+            wrong = tmp_path / f"{seed}-{name}"
+            shutil.copytree(folder, wrong)
+            planted = None if name == "latitude" else plant(wrong, name, seed)
+            if planted is not None:
+                found = says(planted, " ".join(str(issue) for issue in inspect_campaign(wrong).issues))
+                named, made = named + found, made + 1
+                missed += [] if found else [f"{name} of seed {seed}"]
+            shutil.rmtree(wrong)
+        shutil.rmtree(folder)
+        seed += 1
+    assert doubted <= 0.005 * (seed - 1000)
+    assert named >= 0.99 * made, missed

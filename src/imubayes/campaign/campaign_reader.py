@@ -106,8 +106,9 @@ def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Find
     """Return the inspection of a valid campaign with what its outputs say against its set-up."""
     tables = {run.name: str(file.parent / run.file) for run in entry.run}
     found = setup_findings(campaign, str(file), tables, tuple(entry.accepted))
-    noticed = {finding.run for finding in findings if finding.name in SYMPTOMS}
-    found = [finding for finding in found if finding.name != "setup_disagrees" or finding.run not in noticed]
+    # One wrong run makes others disagree with it; what is wrong has been said of the run itself.
+    noticed = any(finding.name in SYMPTOMS for finding in findings)
+    found = [finding for finding in found if not (noticed and finding.name == "setup_disagrees")]
     every = (*findings, *found)
     if errors := tuple(finding.problem() for finding in found if finding.severity == "error"):
         # The mistake explains what the checks of single runs noticed of it.
