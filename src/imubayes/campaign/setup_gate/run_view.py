@@ -89,11 +89,14 @@ class RunView:
 
 def views_of(campaign: Campaign) -> tuple[RunView, ...]:
     """Return the runs whose nominal input is known: those on tables and those in named directions."""
-    return tuple(_view(campaign, run) for run in campaign.runs if _is_known(run))
+    return tuple(_view(campaign, run) for run in campaign.runs if _is_known(campaign, run))
 
 
-def _is_known(run: Run) -> bool:
+def _is_known(campaign: Campaign, run: Run) -> bool:
+    """Whether the nominal input of a run is that of a unit on one axis or in a named direction."""
     procedure = PROCEDURES[run.procedure]
+    if run.table is not None and campaign.tables[run.table].inner_axis is not None:
+        return False
     if procedure.injected or procedure.driven or run.tumble is not None or not run.rows:
         return False
     if not procedure.rate_recorded and not all(name in run.covariates for name in REFERENCE):
