@@ -23,7 +23,7 @@ DECISIVE = 25.0
 and priors of 1 in 100."""
 DECISIVE_LATITUDE = 10.0
 """The same for the sign of the latitude, which is a single suspected mistake."""
-LEAST_SHARE = 0.7
+LEAST_SHARE = 0.98
 """Least share of the excess misfit that the correction of a mistake removes."""
 EQUIVALENT = 10.0
 """Mistakes whose gain is within this of the best are equally good explanations."""
