@@ -77,4 +77,5 @@ class Finding:
         return Issue(f"{self.name}: {self.what}", self.where, self.allowed, self.remedy)
 
     def __str__(self) -> str:
-        return f"{self.name} ({self.severity}) in run '{self.run}': {self.what} [{self.where}]"
+        run = f" in run '{self.run}'" if self.run else ""
+        return f"{self.name} ({self.severity}){run}: {self.what} [{self.where}]; {self.remedy}"

@@ -22,7 +22,7 @@ DECISIVE = 25.0
 """Gain in twice the log evidence for a mistake to be named: odds of e^12 to 1 outweigh some thousand suspected mistakes
 and priors of 1 in 100."""
 DECISIVE_LATITUDE = 10.0
-"""The same for the sign of the latitude, which is a single suspected mistake."""
+"""The same for the sign of the latitude, which is a single suspected mistake; up to `DECISIVE` it is a warning."""
 LEAST_SHARE = 0.98
 """Least share of the excess misfit that the correction of a mistake removes."""
 EQUIVALENT = 10.0

@@ -19,7 +19,7 @@ from imubayes.campaign.setup_gate.mistakes import (
     MountingWrong,
     RateUnit,
 )
-from imubayes.campaign.setup_gate.search import Explanation, Judgement, judge_setup
+from imubayes.campaign.setup_gate.search import DECISIVE, Explanation, Judgement, judge_setup
 from imubayes.campaign_data import Campaign
 
 
@@ -63,8 +63,11 @@ def _explained(
     if others:
         evidence += "; equally good: " + "; ".join(each.what for _, each in others[:_MOST_ALTERNATIVES])
         remedy += " (or: " + "; ".join(each.remedy for _, each in others[:_MOST_ALTERNATIVES]) + ")"
-    remedy += f'; accepted = ["{first.mistake.kind}"] in campaign.toml lets the campaign pass as it is'
-    severity: Severity = "warning" if first.mistake.kind in accepted else "error"
+    # Weaker evidence is said and stops nothing.
+    sure = first.gain > DECISIVE and first.mistake.kind not in accepted
+    severity: Severity = "error" if sure else "warning"
+    if sure:
+        remedy += f'; accepted = ["{first.mistake.kind}"] in campaign.toml lets the campaign pass as it is'
     run = first.mistake.scope.name if first.mistake.scope.section == "run" else ""
     return Finding(
         first.mistake.kind, severity, run, f"{words.what}: {evidence}", words.where, words.allowed, remedy
