@@ -58,3 +58,20 @@ def test_a_second_mode_of_a_scale_is_named():
     both = eqx.tree_at(lambda known: known.along, approximation, tabulate(knots, heights, np.ones(count)))
     (other,) = both.other_modes()
     assert other[0] == pytest.approx(float(mode().h[0]) + 5, abs=0.2)
+
+
+def test_a_correlation_near_one_leaves_the_precision_positive_and_right_for_means():
+    plain = bind(spec("gyro_bias", noise=("white_noise", "correlated_noise")), campaign())
+    correlated = np.array([each.effect == "correlated_noise" for each in plain.hyper_layout.parameters])
+    rng = np.random.default_rng(3)
+    model = bind(plain.spec, simulated(plain, rng.normal(size=plain.problem.size[0]), 4))
+    start = jnp.where(correlated, 1.5, 0.0)
+    found = find_mode(model.problem, jnp.zeros(model.problem.size[0]), start)
+    at = eqx.tree_at(lambda mode: mode.h, found, start)
+    blocks = precision_blocks(model.problem, at)
+    for far in (-2.0, -0.5, 0.5, 2.0):
+        h = start + far * correlated - 0.3 * far * ~correlated
+        precision, _ = conditional(blocks, model.problem, h)
+        assert np.linalg.eigvalsh(precision).min() > 0
+        known = knowledge(model.problem, at.about, h).precision + jnp.diag(prior_widths(model.problem, h) ** -2)
+        np.testing.assert_allclose(np.diag(precision) / np.diag(known), 1, atol=0.3)

@@ -2,7 +2,8 @@
 
 The offset that all rows of a run share moves their mean alone, so knowledge falls into two parts.  Differences within a
 run do not feel the scatter between runs: with scales d_j = log s_j(h)/s_j(ĥ) their precision and gradient are
-Σ_j exp(−2 d_j) of one block a scale, exact for independent noise and right to first order otherwise.  The mean of run
+Σ_j exp(−2 d_j) of one block a scale, exact for independent noise.  A correlation φ of rows multiplies the blocks of its
+rows as it does their information on the mean of a run.  The mean of run
 and channel g has variance T_g(h) + 1/n_g(h), T_g the shared variance and n_g the information of its rows on the mean,
 whatever the ratio of the two; run means of the same variance at every h are one block together.
 """
@@ -19,7 +20,7 @@ from imubayes.inference.posterior_precision import Linearised
 from imubayes.model.noise_covariance import group_sum, noise_distribution, whitener
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
-from imubayes.noise.base import SharedNoise, TailNoise
+from imubayes.noise.base import EntryNoise, SeriesNoise, SharedNoise, TailNoise
 
 # Run means are of one class where their variances agree to this, relative, at the mode and at a few points besides.
 _DIGITS, _PROBES = 9, 3
@@ -36,6 +37,7 @@ class PrecisionBlocks(eqx.Module):
     fixed, fixed_gradient : shapes (P, P) and (P,), what no scale changes.
     between, between_gradient : shapes (K, P, P) and (K, P), what run means of each class know at variance 1.
     member : shape (K,), a run and channel of each class.
+    rows : shape (H, G), share of the rows on which each scale acts in every run and channel; 0 for what is no scale.
     """
 
     h: Float[Array, " H"]
@@ -47,6 +49,7 @@ class PrecisionBlocks(eqx.Module):
     between: Float[Array, "K P P"]
     between_gradient: Float[Array, "K P"]
     member: Int[Array, " K"]
+    rows: Float[Array, "H G"]
 
 
 class Parts(eqx.Module):
@@ -64,11 +67,22 @@ def conditional(
     """Return precision (P, P) and gradient (P,) of the log density of θ given h, about the mode."""
     values = problem.hyper_priors.values
     shrink = (values(blocks.h) / values(h)) ** 2
+    if any(issubclass(layer.noise, SeriesNoise) for layer in problem.noise):
+        shrink = shrink * (1 + blocks.rows @ (_of_means(problem, h) / _of_means(problem, blocks.h) - 1))
     weight = 1 / take(mean_variances(problem, h), blocks.member)
     prior_precision = prior_widths(problem, h) ** -2
     precision = jnp.tensordot(shrink, blocks.within, 1) + jnp.tensordot(weight, blocks.between, 1)
     gradient = shrink @ blocks.within_gradient + weight @ blocks.between_gradient + blocks.fixed_gradient
     return precision + blocks.fixed + jnp.diag(prior_precision), gradient - prior_precision * blocks.z
+
+
+def _of_means(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"]:
+    """Return what correlation leaves of the information of a run on its mean, 1ᵀR⁻¹1/n of AR(1), rows not masked."""
+    layers = [layer for layer in problem.noise if issubclass(layer.noise, SeriesNoise)]
+    correlations = [layer.correlations(problem.hyper_priors.values(h)) for layer in layers]
+    correlation = jnp.sum(jnp.stack(correlations), axis=0)
+    count = jnp.maximum(group_sum(jnp.where(problem.observations.weight > 0, 1.0, 0.0), problem.observations), 1.0)
+    return (1 - (1 - 2 / jnp.maximum(count, 2.0)) * correlation) / (1 + correlation)
 
 
 def precision_blocks(problem: Problem, mode: Mode) -> PrecisionBlocks:
@@ -126,7 +140,7 @@ def _precision_blocks(problem: Problem, mode: Mode, shared, class_of, member) ->
     values = problem.hyper_priors.values
     slopes = jax.vmap(lambda seed: jax.jvp(values, (mode.h,), (seed,))[1])(jnp.eye(mode.h.shape[0]))
     blocks, gradients = jax.vmap(per_scale)(jnp.diag(values(mode.h) / jnp.diagonal(slopes)))
-    # A tail parameter shapes the distribution and does not scale the precision of θ.
+    # Tails and correlations shape the distribution of the noise and are no scales.
     scales = _is_scale(problem)
     blocks, gradients = scales[:, None, None] * blocks, scales[:, None] * gradients
     parts = _parts(problem, mode.about, shared, mode.h)
@@ -137,14 +151,28 @@ def _precision_blocks(problem: Problem, mode: Mode, shared, class_of, member) ->
 
     between, between_gradients = jax.vmap(of_class)(jnp.arange(member.shape[0]))
     fixed, fixed_gradient = parts.precision - blocks.sum(0), parts.gradient - gradients.sum(0)
-    return PrecisionBlocks(mode.h, mode.z, blocks, gradients, fixed, fixed_gradient, between, between_gradients, member)
+    return PrecisionBlocks(
+        mode.h, mode.z, blocks, gradients, fixed, fixed_gradient, between, between_gradients, member, _rows(problem)
+    )
+
+
+def _rows(problem: Problem) -> Float[Array, "H G"]:
+    """Return the share of the rows on which each scale acts in every run and channel."""
+    observations = problem.observations
+    found = jnp.zeros((len(problem.hyper_priors.order), observations.members.shape[0]))
+    for layer in problem.noise:
+        if issubclass(layer.noise, EntryNoise):
+            for place in layer.places.values():
+                found = found.at[place, observations.group].add(layer.acts)
+    total = found.sum(axis=1, keepdims=True)
+    return jnp.where(total > 0, found / jnp.where(total > 0, total, 1.0), 0.0)
 
 
 def _is_scale(problem: Problem) -> Float[Array, " H"]:
     """Return 1 for a hyperparameter that scales the noise, 0 for one that shapes its distribution."""
     found = jnp.ones(len(problem.hyper_priors.order))
     for layer in problem.noise:
-        if issubclass(layer.noise, TailNoise):
+        if issubclass(layer.noise, TailNoise | SeriesNoise):
             for place in layer.places.values():
                 found = found.at[place].min(1 - layer.acts)
     return found
