@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.projection import Projection, with_run_offsets
+from imubayes.criticism.projection import Projection
 from imubayes.criticism.score_test import KNOWN_FREEDOM, LEAST_FREEDOM, ProjectedResponse
 
 _QUANTILES = 64
@@ -101,7 +101,7 @@ def freedom_of(projection: Projection, columns: np.ndarray) -> np.ndarray:
     Satterthwaite's, of the strata in which its length lies: an effect that acts between few runs alone is judged by
     their scatter, whatever the number of rows.
     """
-    projection, turned = with_run_offsets(projection)
+    projection, turned = projection.offsets_apart
     squares = projection.strata.sums(turned(columns) ** 2)
     total = np.maximum(squares.sum(axis=0), np.finfo(float).tiny)
     left = projection.freedom[:, None] - squares / total

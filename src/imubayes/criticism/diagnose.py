@@ -44,7 +44,7 @@ from imubayes.criticism.unexplained_structure import (
     simplest,
     unexplained_structure,
 )
-from imubayes.criticism.unlisted_causes import unlisted_causes
+from imubayes.criticism.unlisted_causes import Causes, unlisted_causes
 from imubayes.effects.base import Effect
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
@@ -76,15 +76,16 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "") -> Diagnosis:
 
 def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
     found, unexplained = _with_large_effect_fitted(found)
-    verdict = _verdict(found, unexplained)
+    unlisted = [] if unexplained else [unlisted_causes(found, group) for group in found.groups]
+    verdict = _verdict(found, unexplained, unlisted)
     open_question = verdict == "unexplained_structure"
     evidence = [_evidence(found, group) for group in found.groups]
-    grouped = zip(found.groups, evidence, strict=True) if verdict in MISSING else ()
+    grouped = zip(found.groups, evidence, unlisted, strict=True) if verdict in MISSING else ()
     diagnosis = Diagnosis(
         verdict=verdict,
         result=result,
         p_global=_best(found),
-        groups=tuple(_group(fit, found, group, residual) for group, residual in grouped),
+        groups=tuple(_group(fit, found, *each) for each in grouped),
         ranking=_ranking(found),
         noise=_noise(found),
         undetectable=_undetectable(found),
@@ -128,11 +129,11 @@ def _refuse_unknown(effect: str, fit: Fit) -> None:
         )
 
 
-def _verdict(found: SearchResult, unexplained: Sequence[Significant]) -> Verdict:
+def _verdict(found: SearchResult, unexplained: Sequence[Significant], unlisted: Sequence[Causes]) -> Verdict:
     if unexplained:
         return "unexplained_structure"
     if found.groups:
-        alone = len(found.groups[0].members) == 1 and not unlisted_causes(found, found.groups[0])
+        alone = len(found.groups[0].members) == 1 and not unlisted[0]
         return "missing_effect" if alone else "equivalent_effects"
     return "noise_model" if found.adopted or found.record.excessive else "adequate"
 
@@ -205,7 +206,9 @@ def _evidence(found: SearchResult, group: EquivalenceGroup) -> ResidualEvidence:
     return residual_evidence(projection, found.responses, response, leader, channel, covariate)
 
 
-def _group(fit: Fit, found: SearchResult, group: EquivalenceGroup, evidence: ResidualEvidence) -> EffectGroup:
+def _group(
+    fit: Fit, found: SearchResult, group: EquivalenceGroup, evidence: ResidualEvidence, unlisted: Causes
+) -> EffectGroup:
     leader = group.leader
     before, after, unit = evidence.rms
     return EffectGroup(
@@ -228,7 +231,7 @@ def _group(fit: Fit, found: SearchResult, group: EquivalenceGroup, evidence: Res
         residual=RmsChange(channel=evidence.channel, before=before, after=after, unit=unit),
         covariate=_label(evidence.covariate) if evidence.covariate is not None else None,
         discriminating_run=discriminating_run(fit, group),
-        unlisted=tuple(tuple(map(_label, each)) for each in unlisted_causes(found, group)),
+        unlisted=tuple(tuple(map(_label, each)) for each in unlisted),
     )
 
 

@@ -99,6 +99,11 @@ class Projection:
         """SI value of one unit of z of each parameter, at the fit, (P,)."""
         return np.asarray(self.fitted.model.problem.priors.slopes(jnp.asarray(self.fitted.z)))
 
+    @cached_property
+    def offsets_apart(self) -> "tuple[Projection, Whitening]":
+        """The projection with all run offsets apart, and the way of its rows there; see `with_run_offsets`."""
+        return with_run_offsets(self)
+
     def whitened(self, columns: np.ndarray) -> np.ndarray:
         """Return columns (E, C), in output units, as rows of the projection, (R, C)."""
         return self.turn(columns)

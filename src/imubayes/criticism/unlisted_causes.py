@@ -16,10 +16,12 @@ from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.stepwise_search import Screening, SearchResult
 
+Causes = tuple[tuple[ResidualCovariate, ...], ...]
+"""Covariates, one or two, of each plain function."""
 _ACROSS = (("rate_o", "rate_s"), ("force_o", "force_s"))
 
 
-def unlisted_causes(found: SearchResult, group: EquivalenceGroup) -> tuple[tuple[ResidualCovariate, ...], ...]:
+def unlisted_causes(found: SearchResult, group: EquivalenceGroup) -> Causes:
     """Return the covariates of each plain function that fits as well as a group without being one of its effects."""
     at, leader = found.first, group.leader
     raw = np.stack([_response(at, member) for member in group.members], axis=1)

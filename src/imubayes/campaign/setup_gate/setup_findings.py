@@ -11,6 +11,7 @@ import numpy as np
 
 from imubayes.campaign.findings import Finding, Severity
 from imubayes.campaign.setup_gate.mistakes import (
+    AngleUnit,
     ChannelGain,
     ChannelsExchanged,
     FilesExchanged,
@@ -265,11 +266,12 @@ def _angle(campaign: Campaign, found: Explanation, file: str, tables: Mapping[st
 def _unit(
     campaign: Campaign, found: Explanation, file: str, tables: Mapping[str, str], column: str, allowed: str
 ) -> _Words:
-    unit = found.mistake.unit if isinstance(found.mistake, RateUnit) else getattr(found.mistake, "unit", "")
-    where = _subject(found.mistake, campaign)
+    mistake = found.mistake
+    assert isinstance(mistake, RateUnit | AngleUnit)
+    unit, where = mistake.unit, _subject(mistake, campaign)
     return _Words(
         f"column '{column}' is in {unit} {where}",
-        _place(found.mistake, file, tables, column),
+        _place(mistake, file, tables, column),
         allowed,
         f"convert '{column}' from {unit} to {allowed} {where}",
     )
