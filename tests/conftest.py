@@ -70,6 +70,7 @@ GROUPS = {
         "cli/",
         "inference/test_resume.py",
         "results/test_fit_file.py",
+        "results/test_arviz.py",
         "procedures/test_converters.py",
     ),
 }

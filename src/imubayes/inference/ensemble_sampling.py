@@ -10,7 +10,7 @@ weight of its place, so the chain takes several times the largest weight found (
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import emcee
 import numpy as np
@@ -71,6 +71,12 @@ class Chains:
     log_density: np.ndarray
     acceptance: float
     diagnosis: Convergence
+
+
+def thinned(chains: Chains, most: int) -> Chains:
+    """Return chains of at most about `most` draws in all: every nth step, with all walkers."""
+    each = math.ceil(chains.log_density.size / most)
+    return replace(chains, points=chains.points[:, ::each], log_density=chains.log_density[:, ::each])
 
 
 def walkers_for(dimensions: int, settings: Settings) -> int:

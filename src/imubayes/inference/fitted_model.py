@@ -20,10 +20,10 @@ class Posterior:
     Attributes
     ----------
     points : shape (S, P + H), draws in z, sampled or of the Laplace approximation.
-    derived : shape (S′, D), draws of the derived quantities in their units, of `derived_rows` of the points.
+    derived : shape (S, D), the derived quantities of the points in their units.
     prior_points, prior_derived : shapes (S″, P) and (S″, D), draws of the prior in z, and what is derived from them.
     approximation : the nested Laplace approximation.
-    chains : the sampled chains; None where the draws are of the Laplace approximation.
+    chains : the sampled chains, of which `points` are all; None where the draws are of the Laplace approximation.
     """
 
     points: np.ndarray
@@ -32,11 +32,6 @@ class Posterior:
     prior_derived: np.ndarray
     approximation: NestedLaplace
     chains: Chains | None = None
-
-    @property
-    def derived_rows(self) -> np.ndarray:
-        """Rows of `points` from which the derived draws were computed, shape (S′,)."""
-        return evenly_spaced(len(self.points), len(self.derived))
 
 
 @dataclass(frozen=True)

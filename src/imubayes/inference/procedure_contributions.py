@@ -55,7 +55,7 @@ def contributions(fit: Fit) -> tuple[Contribution, ...]:
     if len(procedures) < 2 or posterior is None or fit.mode is None:
         return ()
     chosen = [place for place, name in enumerate(fit.derived.names) if name.name.startswith(_QUANTITIES)]
-    draws = posterior.points[posterior.derived_rows, : len(fit.z)]
+    draws = posterior.points[:, : len(fit.z)]
     gradients, linear = _gradients(draws, posterior.derived[:, chosen])
     chosen = [place for place, is_linear in zip(chosen, linear, strict=True) if is_linear]
     if not chosen:

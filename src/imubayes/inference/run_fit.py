@@ -13,8 +13,8 @@ import numpy as np
 
 from imubayes.errors import InputError, Issue
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.ensemble_sampling import Chains, Settings, sample, walkers_for
-from imubayes.inference.fitted_model import Fit, Posterior, evenly_spaced
+from imubayes.inference.ensemble_sampling import Chains, Settings, sample, thinned, walkers_for
+from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.laplace_move import LaplaceProposal, LogDensity
 from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
 from imubayes.inference.posterior_mode import Mode, find_mode, fit_at, heights, log_evidence, message
@@ -29,7 +29,9 @@ _SAME, _HOPELESS = 0.5, 30.0
 _DISPERSED = 3
 # Draws whose importance weights judge the proposal, of all ensembles together.
 _TRIAL = 4000
-_PRIOR_DRAWS, _LAPLACE_DRAWS, _DERIVED_DRAWS = 2000, 4000, 4000
+_PRIOR_DRAWS, _LAPLACE_DRAWS = 2000, 4000
+# Of longer chains some steps are kept: twice the effective size asked for; the checkpoint has them all.
+_MOST_DRAWS = 20_000
 
 Progress = Callable[[str], None]
 
@@ -82,6 +84,7 @@ def joint_fit(
             if not resume:
                 file.create()
             chains = _sampled(model, proposal, mode, others, sampling, file, tell)
+            chains = thinned(chains, _MOST_DRAWS)
             points = chains.points.reshape(-1, chains.points.shape[-1])
             fit = replace(fit, converged=chains.diagnosis.converged, message=chains.diagnosis.message)
         else:
@@ -222,9 +225,8 @@ def _starts(
 
 
 def _posterior(fit: Fit, points: np.ndarray, approximation: NestedLaplace, chains: Chains | None) -> Posterior:
-    """Return the posterior of draws (S, P + H), with the derived quantities of evenly spaced draws and of the prior."""
-    size = len(fit.z)
-    chosen = points[evenly_spaced(len(points), _DERIVED_DRAWS), :size]
+    """Return the posterior of draws (S, P + H), with the derived quantities of each and of the prior."""
+    size, count = len(fit.z), len(points)
     prior = np.random.default_rng(0).normal(size=(_PRIOR_DRAWS, size))
-    derived = evaluate_derived(fit.derived.derivation, fit.model.problem, np.concatenate([chosen, prior]))
-    return Posterior(points, derived[:_DERIVED_DRAWS], prior, derived[_DERIVED_DRAWS:], approximation, chains)
+    derived = evaluate_derived(fit.derived.derivation, fit.model.problem, np.concatenate([points[:, :size], prior]))
+    return Posterior(points, derived[:count], prior, derived[count:], approximation, chains)

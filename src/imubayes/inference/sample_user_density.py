@@ -53,16 +53,12 @@ class Samples:
 
     @cached_property
     def posterior(self) -> xarray.DataTree:
-        """The draws as an ArviZ tree, one variable per name; a chain is a walker of the ensemble `superchain`."""
+        """The draws as an ArviZ tree, one variable per name; a chain is an ensemble, walker after walker."""
         ensembles, steps, walkers, _ = self.chains.points.shape
-        shape = (ensembles * walkers, steps)
-        points = self.chains.points.transpose(0, 2, 1, 3).reshape(*shape, -1)
-        stats = {
-            "lp": self.chains.log_density.transpose(0, 2, 1).reshape(shape),
-            "superchain": np.repeat(np.arange(ensembles), walkers)[:, None].repeat(steps, axis=1),
-        }
+        points = self.chains.points.swapaxes(1, 2).reshape(ensembles, walkers * steps, -1)
+        density = self.chains.log_density.swapaxes(1, 2).reshape(ensembles, -1)
         variables = {name: points[..., place] for place, name in enumerate(self.names)}
-        return from_dict({"posterior": variables, "sample_stats": stats}, check_conventions=False)
+        return from_dict({"posterior": variables, "sample_stats": {"lp": density}}, check_conventions=False)
 
 
 def sample(

@@ -33,7 +33,7 @@ def combinations(fit: Fit, precision: np.ndarray) -> tuple[CombinationSummary, .
     units = tuple(quantity.unit for quantity in fit.derived.names)
     own = tuple(parameter.unit for parameter in layout.parameters)
     scales = np.zeros((len(posterior.prior_points), len(fit.h)))
-    after = in_units(fit.model, posterior.points[posterior.derived_rows])[:, :size]
+    after = in_units(fit.model, posterior.points)[:, :size]
     before = in_units(fit.model, np.concatenate([posterior.prior_points, scales], axis=1))[:, :size]
     parameters, derived = Draws(layout.names, own, after), Draws(names, units, posterior.derived)
     prior = Draws(layout.names, own, before), Draws(names, units, posterior.prior_derived)
