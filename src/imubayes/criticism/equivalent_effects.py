@@ -51,7 +51,11 @@ def unexplained_chi2(projection: Projection, leader: Candidate, other: Candidate
 
 
 def equivalence_group(
-    projection: Projection, leader: Candidate, ranked: Sequence[Candidate], p: float
+    projection: Projection,
+    leader: Candidate,
+    ranked: Sequence[Candidate],
+    p: float,
+    also: Sequence[Candidate] = (),
 ) -> EquivalenceGroup:
     """Return the leader with every candidate that the data do not distinguish from it.
 
@@ -59,6 +63,7 @@ def equivalence_group(
     ----------
     ranked : all candidates as screened, best first.
     p : corrected p-value of the leader.
+    also : further candidates that other evidence does not distinguish from the leader.
     """
     members: dict[str, tuple[Candidate, float]] = {}
     for candidate in ranked:
@@ -66,10 +71,11 @@ def equivalence_group(
             continue
         left, whole = unexplained_chi2(projection, leader, candidate)
         near = candidate.log_p < leader.log_p + thresholds.DECISIVE_LOG_ODDS and left < whole / 2
+        told = any(candidate is each for each in also)
         best = members.get(candidate.effect)
         # Of one effect, the candidate with fewer directions, or that explains more with as many.
         simpler = best is None or (candidate.dof, left) < (best[0].dof, best[1])
-        if (left < thresholds.DISTINGUISHABLE_CHI2 or near) and simpler:
+        if (left < thresholds.DISTINGUISHABLE_CHI2 or near or told) and simpler:
             members[candidate.effect] = (candidate, left)
     others = sorted(members.values(), key=lambda pair: pair[0].log_p)
     return EquivalenceGroup((leader, *(candidate for candidate, _ in others)), p, (0.0, *(left for _, left in others)))

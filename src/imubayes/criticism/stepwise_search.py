@@ -1,5 +1,6 @@
 """Stepwise search: screen, project out the best explanation and screen again, until nothing significant remains."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,6 +19,7 @@ from imubayes.criticism.free_form_dependence import (
     screen_structure,
 )
 from imubayes.criticism.localised_structure import FeatureScan, FeatureSet, features, scan_features
+from imubayes.criticism.marginal_evidence import evident_between_runs
 from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
 from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, Prewhitening, prewhitening, screen_noise
 from imubayes.criticism.outliers import clustered, consecutive, deletion_residuals, find_outliers
@@ -229,9 +231,10 @@ def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
     outcome = _under_noise(given, at, modelled) if modelled else _Outcome(at.first, at.groups, at.last)
     # What runs of one input have in common is no noise, however long that remembers.
     common = tuple(common_courses((at.last if outcome.groups else at.first).projection))
-    silent = not (outcome.groups or at.corrections.significant(outcome.first.structures, outcome.factor) or common)
-    if silent and not adopted:
+    if _silent(at, outcome) and not common and not adopted:
         outcome, adopted = _not_passed_over(at, outcome, modelled)
+        if _silent(at, outcome) and not adopted:
+            outcome = _with_evidence_between_runs(given, at, outcome)
     structures = at.corrections.significant(outcome.first.structures, outcome.factor)
     remaining = at.corrections.significant(outcome.last.structures, outcome.factor)
     return SearchResult(
@@ -269,6 +272,27 @@ def _under_noise(given: SearchInput, at: FirstPass, modelled: Sequence[NoiseCand
     first = given.screening(prewhitening(at.cleared, modelled), "run_scatter" in effects)
     factor = thresholds.ESTIMATED_CORRELATION_FACTOR if "correlated_noise" in effects else 1.0
     return _Outcome(first, *_select_effects(first, at.corrections.of_effect, factor), factor)
+
+
+def _silent(at: FirstPass, outcome: _Outcome) -> bool:
+    return not (outcome.groups or at.corrections.significant(outcome.first.structures, outcome.factor))
+
+
+def _with_evidence_between_runs(given: SearchInput, at: FirstPass, outcome: _Outcome) -> _Outcome:
+    """Return the outcome with what is evident although the F test of few runs does not show it."""
+    first = at.first
+    evident = evident_between_runs(given.fitted, given.responses, first.prepared, first.candidates)
+    if not evident:
+        return outcome
+    candidates = list(first.candidates)
+    for place, log_factor in evident.items():
+        score = candidates[place].score
+        candidates[place] = replace(candidates[place], score=replace(score, p=min(score.p, math.exp(-log_factor))))
+    best = max(evident, key=lambda place: evident[place])
+    near = [candidates[k] for k, value in evident.items() if value > evident[best] - thresholds.DECISIVE_LOG_ODDS]
+    first, leader = replace(first, candidates=tuple(candidates)), candidates[best]
+    group = equivalence_group(first.projection, leader, candidates, at.corrections.of_effect(leader.score.p), near)
+    return _Outcome(first, (group,), deflate(first, span_over_shapes(first, leader)))
 
 
 def _not_passed_over(

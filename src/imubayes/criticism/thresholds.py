@@ -58,6 +58,18 @@ CONE_DRAWS, CONE_ROUNDS = 4000, 200
 # Convention: smaller makes more between-run strata, each with few degrees of freedom and little power.
 OFFSET_INFLATION = 1.2
 
+# ---- Evidence between few runs (marginal_evidence) -------------------------------------------------------------------
+# Where nothing is significant, an effect between runs is claimed whose Bayes factor exceeds the number of candidates
+# over this.  Derived: it bounds the chance of a false alarm (Markov's inequality); a quarter of the budget for effects.
+# Larger makes alarms of a scatter that its prior did not expect.
+MARGINAL_EVIDENCE = FALSE_ALARM_EFFECT / 4
+# Prior widths of a coefficient in units of its largest typical size, equally likely.  Convention: each more costs every
+# candidate the logarithm of their number; without one as large as the effect it seems less evident than it is.
+SIZE_WIDTHS = (0.01, 0.1, 1.0, 10.0, 100.0)
+# A candidate whose log Bayes factor on a grid of scales is further below what is asked for is not evaluated between
+# them; bound of a scale in prior standard deviations, and most steps of its search.  Effort.
+GRID_SLACK, SCATTER_REACH, SCATTER_STEPS = 10.0, 6.0, 15
+
 # ---- Equivalence groups (equivalent_effects, discriminating_run) -----------------------------------------------------
 # Two candidates are distinguishable where substituting one for the other leaves at least this χ².  Derived: three
 # standard deviations (9) raised to four for some fifty rivals that can lead by chance; confirmed by the blind study

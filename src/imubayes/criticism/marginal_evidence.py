@@ -1,0 +1,137 @@
+"""Evidence for effects that act between few runs: the Bayes factor, which knows the prior of the scatter between runs.
+
+An effect that acts from run to run alone is judged by the scatter between runs.  Where there are few, the F test has
+two or three degrees of freedom and hardly any power: the fit took the effect for scatter, and that this scatter is many
+times what its prior expects does not count.  In the marginal likelihood it counts, and so does a scatter that falls
+back once the effect is in the model:
+
+    log B = max_h [log p(y, h) + ½ uᵀ(V + C⁻¹)⁻¹u − ½ log det(1 + V C)] − max_h log p(y, h)
+
+with u = g⊥ᵀr and V = g⊥ᵀg⊥ at the noise scales h and a normal prior of covariance C for the coefficients, averaged over
+widths of several orders of magnitude.  Under a complete model E[B] = 1, so that any of N candidates reaches N/α with a
+probability of α at most, and 1/B is a p-value (Vovk & Wang, Annals of Statistics 49, 2021).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import optimize, special
+
+from imubayes.criticism import thresholds
+from imubayes.criticism.candidate_effects import Responses
+from imubayes.criticism.projection import Projection, project
+from imubayes.criticism.score_test import Candidate, ProjectedResponse
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.noise_marginal import slope
+from imubayes.inference.posterior_precision import Linearised
+from imubayes.noise.base import SharedNoise
+
+
+@dataclass(frozen=True)
+class _AtScales:
+    """The model with other noise scales: log p(y, h) relative to the fit's, and the projection there."""
+
+    log_marginal: float
+    projection: Projection
+
+    def log_bayes_factor(self, columns: np.ndarray) -> float:
+        """Return log B for candidates' columns (E, C), per largest typical size, at these scales."""
+        projected = self.projection.project(self.projection.whitened(columns))
+        u, v = projected.T @ self.projection.residual, projected.T @ projected
+        each = []
+        for width in thresholds.SIZE_WIDTHS:
+            _, log_determinant = np.linalg.slogdet(np.eye(len(u)) + width**2 * v)
+            each.append(0.5 * (u @ np.linalg.solve(v + np.eye(len(u)) / width**2, u) - log_determinant))
+        return self.log_marginal + float(special.logsumexp(each)) - math.log(len(each))
+
+
+@dataclass(frozen=True)
+class _Marginal:
+    """The linearised fit as a function of the scales of the run offsets, at `places` of h."""
+
+    fitted: Fit
+    responses: Responses
+    places: np.ndarray
+
+    @property
+    def scatter(self) -> np.ndarray:
+        """The scales of the fit, in z."""
+        return np.asarray(self.fitted.h)[self.places]
+
+    def at(self, scatter: np.ndarray) -> _AtScales:
+        """Return the model with other scales of the run offsets."""
+        h = np.array(self.fitted.h)
+        before = self._value(h)
+        h[self.places] = scatter
+        there = project(replace(self.fitted, h=h), self.responses.misfit, self.responses.jacobian)
+        return _AtScales(self._value(h) - before, there)
+
+    def _value(self, h: np.ndarray) -> float:
+        given = self.responses
+        about = Linearised(*(jnp.asarray(each) for each in (self.fitted.z, given.misfit, given.jacobian)))
+        return float(slope(self.fitted.model.problem, about, jnp.asarray(h)).value)
+
+    def grid(self) -> list[_AtScales]:
+        """Return the model with scatter as fitted and, together and one by one, as its prior expects at most."""
+        now = self.scatter
+        less = np.minimum(now, 0.0)
+        each = [np.where(np.arange(len(now)) == place, less, now) for place in np.flatnonzero(now > 0)]
+        return [self.at(scatter) for scatter in (now, (now + less) / 2, less, *(each if len(each) > 1 else ()))]
+
+    def best(self, columns: np.ndarray) -> float:
+        """Return the largest log B over the scales."""
+        now = self.scatter
+        bounds = [(-thresholds.SCATTER_REACH, max(thresholds.SCATTER_REACH, value)) for value in now.tolist()]
+        found = [
+            optimize.minimize(
+                lambda scatter: -self.at(scatter).log_bayes_factor(columns),
+                start,
+                method="L-BFGS-B",
+                bounds=bounds,
+                options={"maxiter": thresholds.SCATTER_STEPS, "eps": 1e-2, "ftol": 1e-6},
+            ).fun
+            for start in (now, np.minimum(now, 0.0))
+        ]
+        return -float(min(found))
+
+
+def evident_between_runs(
+    fitted: Fit, responses: Responses, prepared: Sequence[ProjectedResponse], candidates: Sequence[Candidate]
+) -> dict[int, float]:
+    """Return log B of the candidates that act mostly between runs and are evident, by their place; often none.
+
+    Parameters
+    ----------
+    prepared, candidates : as screened, all of them.
+    """
+    marginal = _Marginal(fitted, responses, _scatter_places(fitted))
+    acting = [place for place, each in enumerate(candidates) if each.score.within_runs < 0.5]
+    # A scatter that is no larger than its prior expects has taken nothing.
+    if not acting or not np.any(marginal.scatter > 0):
+        return {}
+    enough = math.log(len(candidates) / thresholds.MARGINAL_EVIDENCE)
+    grid, found = marginal.grid(), {}
+    for place in acting:
+        columns = _columns(prepared, candidates[place])
+        if max(at.log_bayes_factor(columns) for at in grid) > enough - thresholds.GRID_SLACK:
+            found[place] = marginal.best(columns)
+    return {place: value for place, value in found.items() if value > enough}
+
+
+def _scatter_places(fitted: Fit) -> np.ndarray:
+    """Return the places in h of the scales of run offsets."""
+    effects = fitted.model.assembly.effects
+    shared = {each.name for each in effects if issubclass(each.effect_class, SharedNoise)}
+    parameters = fitted.model.hyper_layout.parameters
+    return np.array([place for place, each in enumerate(parameters) if each.effect in shared], dtype=int)
+
+
+def _columns(prepared: Sequence[ProjectedResponse], candidate: Candidate) -> np.ndarray:
+    """Return the response to a candidate, (E, C), per largest typical size of its coefficients."""
+    response = next(each.response for each in prepared if each.response.scan == candidate.scan)
+    names = [coefficient.parameter.name for coefficient in response.coefficients]
+    chosen = [names.index(coefficient.parameter.name) for coefficient in candidate.coefficients]
+    return response.columns[:, chosen] * np.array([each.typical[1] for each in candidate.coefficients])

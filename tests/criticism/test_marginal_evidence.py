@@ -1,0 +1,57 @@
+"""What acts between few runs is evident from the scatter that its prior expects, and a complete model stays quiet."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from null_data import fitted_to, redrawn
+
+from imubayes.criticism import thresholds
+from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.criticism.diagnose import judge
+from imubayes.criticism.marginal_evidence import evident_between_runs
+from imubayes.criticism.projection import project
+from imubayes.criticism.score_test import project_responses, screen
+from imubayes.inference.fitted_model import Fit
+
+BETWEEN = "gyro_magnetic_sensitivity"
+
+
+def polar() -> Fit:
+    return fitted_to("polar-tumble", "polar-tumble")
+
+
+def evident(fitted: Fit) -> dict[str, float]:
+    """Return log B of each effect that is evident."""
+    responses = candidate_responses(fitted)
+    at = project(fitted, responses.misfit, responses.jacobian)
+    prepared = project_responses(at, responses.candidates)
+    candidates = screen(at, prepared)
+    found = evident_between_runs(fitted, responses, prepared, candidates)
+    return {candidates[place].effect: value for place, value in found.items()}
+
+
+def planted(size: float, seed: int) -> Fit:
+    """Return the fit of readings with an effect that acts from run to run alone."""
+    [truth] = [each for each in candidate_responses(polar()).candidates if each.scan.effect == BETWEEN]
+    sizes = np.array([coefficient.typical[1] for coefficient in truth.coefficients])
+    return redrawn(polar(), seed, change=truth.columns @ (size * sizes * np.array([0.8, -0.6, 0.3])))
+
+
+@pytest.mark.parametrize(("bound", "verdict"), [(thresholds.MARGINAL_EVIDENCE, "missing_effect"), (1e-300, "adequate")])
+def test_an_effect_between_few_runs_is_not_passed_over(
+    monkeypatch: pytest.MonkeyPatch, bound: float, verdict: Any
+) -> None:
+    """Seven runs: the F test of their scatter says nothing of such an effect."""
+    monkeypatch.setattr(thresholds, "MARGINAL_EVIDENCE", bound)
+    found = judge(planted(0.2, 5))
+    assert found.verdict == verdict
+    assert [group.effects[0] for group in found.groups] == ([BETWEEN] if verdict == "missing_effect" else [])
+
+
+def test_complete_models_are_not_evident_of_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tenth of the bound would allow an alarm in half of these; no candidate comes near."""
+    monkeypatch.setattr(thresholds, "MARGINAL_EVIDENCE", 1.0)
+    monkeypatch.setattr(thresholds, "GRID_SLACK", math.inf)
+    assert not [found for seed in range(8) if (found := evident(redrawn(polar(), 50 + seed)))]
