@@ -63,7 +63,7 @@ class Cone:
         weights = self.weights[1:].reshape(freedom.shape)
         if not len(freedom):
             return np.zeros_like(chi2)
-        tails = logsumexp(stats.chi2.logsf(chi2, freedom), axis=0, b=weights)
+        tails = np.asarray(logsumexp(stats.chi2.logsf(chi2, freedom), axis=0, b=weights))
         return np.where(chi2 > 0, tails, 0.0)
 
     def f_survival(self, total: float, denominator: float) -> float:
