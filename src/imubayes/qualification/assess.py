@@ -22,12 +22,14 @@ from imubayes.qualification.conformity import (
     resolved_limits,
 )
 from imubayes.qualification.decision_rules import Outcome
-from imubayes.qualification.posterior_quantities import posterior_quantities
+from imubayes.qualification.posterior_quantities import PosteriorQuantities, posterior_quantities
 from imubayes.qualification.specification import read_specification
+from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, UnitUnderTest, draws_of_standard
 from imubayes.qualification.temperature_range import ThermalModel
 from imubayes.results.result import Result
+from imubayes.results.summary import Quantity
 
-Obstacle = Literal["not_diagnosed", "inadequate_model", "invalid_intervals"]
+Obstacle = Literal["not_converged", "not_diagnosed", "inadequate_model", "invalid_intervals"]
 
 
 @dataclass(frozen=True)
@@ -65,16 +67,24 @@ def assess(result: Result, specification: str | Path, diagnosis: Diagnosis | Non
     Raises
     ------
     InputError
-        with everything in the specification that cannot be used with this result; where the fit did not converge.
+        with everything in the specification that cannot be used with this result.
     """
     file, ledger = read_specification(specification)
+    if not result.summary.converged:
+        return Assessment(file.name, (), _obstacles(result, diagnosis))
     unit = tested_unit(result)
     limits = tuple(conformity(limit, unit) for limit in resolved_limits(file, ledger, unit))
     return Assessment(file.name, limits, _obstacles(result, diagnosis))
 
 
 def tested_unit(result: Result) -> TestedUnit:
-    """Return what a specification is held against; raises InputError where the fit did not converge."""
+    """Return what a specification is held against: the quantities of the result and those of the standards.
+
+    Raises
+    ------
+    InputError
+        where the fit did not converge.
+    """
     quantities = posterior_quantities(result)
     model = result.fit.model
     reference = {
@@ -84,7 +94,46 @@ def tested_unit(result: Result) -> TestedUnit:
     }
     units = {name: entry.unit for name, entry in quantities.entries.items()}
     thermal = ThermalModel(reference, units, REFERENCE_TEMPERATURE)
-    return TestedUnit(quantities, _temperatures(result), thermal, model.campaign.site.gravity)
+    gravity = model.campaign.site.gravity
+    under_test = UnitUnderTest(quantities, model.campaign.channels, _inputs(result), gravity)
+    return TestedUnit(with_standards(under_test), _temperatures(result), thermal, gravity)
+
+
+def standards_input(result: Result, unit: TestedUnit) -> UnitUnderTest:
+    """Return what the quantities of the standards are computed from."""
+    campaign = result.fit.model.campaign
+    return UnitUnderTest(unit.quantities, campaign.channels, _inputs(result), campaign.site.gravity)
+
+
+def with_standards(unit: UnitUnderTest) -> PosteriorQuantities:
+    """Return the quantities of a result with those of the standards that are none of its parameters.
+
+    A limit may name them: ``nonlinearity[gx]``, ``gyro_misalignment_total``.
+    """
+    known = unit.quantities
+    entries, draws, effective = dict(known.entries), dict(known.draws), dict(known.effective)
+    for quantity in STANDARD_QUANTITIES:
+        for found in draws_of_standard(quantity, unit):
+            if len(found.members) == 1 and np.array_equal(found.draws, known.draws[found.members[0]], equal_nan=True):
+                continue
+            name = f"{quantity.key}[{found.label}]"
+            share = known.entries[found.members[0]].from_data if len(found.members) == 1 else None
+            entries[name] = Quantity(name=name, unit=found.unit, from_data=share)
+            draws[name] = found.draws
+            effective[name] = min(known.effective[member] for member in found.members)
+    return PosteriorQuantities(entries, draws, effective)
+
+
+def _inputs(result: Result) -> dict[str, tuple[float, float]]:
+    """Return the lowest and the highest input of each channel over all runs, deg/s or g; injected currents are none."""
+    table = result.residuals.table
+    sensed = table.filter(
+        (pl.col("procedure") != "current_injection") & pl.col("kind").is_in(["gyro", "accelerometer"])
+    )
+    ends = sensed.group_by("channel").agg(
+        pl.col("input_observed").min().alias("low"), pl.col("input_observed").max().alias("high")
+    )
+    return {line["channel"]: (line["low"], line["high"]) for line in ends.iter_rows(named=True)}
 
 
 def _temperatures(result: Result) -> tuple[float, float] | None:
@@ -98,6 +147,8 @@ def _temperatures(result: Result) -> tuple[float, float] | None:
 
 
 def _obstacles(result: Result, diagnosis: Diagnosis | None) -> tuple[Obstacle, ...]:
+    if not result.summary.converged:
+        return ("not_converged",)
     found: list[Obstacle] = []
     if diagnosis is None:
         found.append("not_diagnosed")

@@ -1,0 +1,115 @@
+"""A document independent of the medium: headings, paragraphs, facts, tables and drawings, in order."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+Mood = Literal["", "good", "weak", "bad", "dim"]
+
+
+@dataclass(frozen=True)
+class Text:
+    """Text with its emphasis; in a formula an underscore begins a subscript, ``K_oo``."""
+
+    text: str
+    mood: Mood = ""
+    formula: bool = False
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading; level 2 begins a section, level 3 a part of it."""
+
+    text: str
+    level: Literal[2, 3] = 2
+    type: Literal["heading"] = "heading"
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """A paragraph."""
+
+    text: str
+    mood: Mood = ""
+    type: Literal["paragraph"] = "paragraph"
+
+
+@dataclass(frozen=True)
+class Items:
+    """A list of short statements."""
+
+    items: Sequence[str]
+    type: Literal["items"] = "items"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; its first column names the row.
+
+    Attributes
+    ----------
+    caption : what it holds.
+    head, rows : content.
+    left : left-aligned columns; the others are right-aligned.
+    note : explanation below it.
+    """
+
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[Text]]
+    left: Sequence[int] = (0,)
+    note: str = ""
+    type: Literal["table"] = "table"
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A picture as SVG, with its width in inches."""
+
+    svg: str
+    width: float
+    words: str
+
+
+@dataclass(frozen=True)
+class Drawings:
+    """Pictures beside each other with one caption, which says what a good result looks like."""
+
+    drawings: Sequence[Drawing]
+    caption: str
+    type: Literal["drawings"] = "drawings"
+
+
+Block = Heading | Paragraph | Items | Table | Drawings
+
+
+@dataclass(frozen=True)
+class Banner:
+    """The outcome in words and colour."""
+
+    word: str
+    sentence: str
+    mood: Mood
+
+
+@dataclass(frozen=True)
+class Document:
+    """A document.
+
+    Attributes
+    ----------
+    title, subtitle : of the first page.
+    banner : outcome.
+    alarms : what stands against the use of the numbers.
+    facts : label and value.
+    blocks : everything that follows.
+    footer : at the foot of each page.
+    """
+
+    title: str
+    subtitle: str
+    banner: Banner
+    alarms: Sequence[str]
+    facts: Sequence[tuple[str, str]]
+    blocks: Sequence[Block] = field(default=())
+    footer: str = ""

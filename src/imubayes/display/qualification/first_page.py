@@ -1,0 +1,164 @@
+"""The first page: outcome, what stands against it, the facts of the test, and the limits at a glance."""
+
+from collections.abc import Sequence
+
+from imubayes.display.labels import pretty
+from imubayes.display.qualification.document import Banner, Table, Text
+from imubayes.display.qualification.words import (
+    OBSTACLES,
+    OUTCOMES,
+    VERDICTS,
+    enumerated,
+    limits_text,
+    probability_text,
+    risk_text,
+    rule_text,
+)
+from imubayes.display.rounding import rounded, significant
+from imubayes.qualification.report_record import Conformity, LimitOutcome, QualificationReport
+
+
+def banner(report: QualificationReport) -> Banner:
+    """Return the outcome in words and colour."""
+    found = report.conformity
+    if found is None:
+        sentence = (
+            "No specification was given: this report states estimates with their uncertainty and decides nothing."
+        )
+        return Banner("NO SPECIFICATION", sentence, "")
+    word, mood = OUTCOMES[found.outcome]
+    return Banner(word, _sentence(found), mood)
+
+
+def _sentence(found: Conformity) -> str:
+    met = sum(limit.outcome in ("pass", "conditional_pass") for limit in found.limits)
+    of = len(found.limits)
+    limits = f"{met} of {of} limits of the specification “{found.specification}” are met under the decision rule."
+    if not found.limits:
+        return f"The limits of the specification “{found.specification}” could not be judged: the fit did not converge."
+    if found.outcome == "withheld" and found.obstacles:
+        return f"{limits} The unit cannot pass, for the reasons below."
+    if found.outcome == "withheld":
+        return f"{limits} A probability that the rule needs is withheld."
+    conditional = sum(limit.outcome.startswith("conditional") for limit in found.limits)
+    return limits + (f" {conditional} results are conditional: within U of the limit." if conditional else "")
+
+
+def alarms(report: QualificationReport) -> list[str]:
+    """Return what stands against the use of the numbers, most serious first; also where there is no specification."""
+    convergence, adequacy = report.convergence, report.adequacy
+    if not convergence.converged:
+        return [OBSTACLES["not_converged"] + f" {convergence.message}"]
+    found = []
+    if adequacy.verdict is None:
+        found.append(OBSTACLES["not_diagnosed"])
+    elif adequacy.verdict != "adequate":
+        found.append(f"{OBSTACLES['inadequate_model']} Diagnosis: {VERDICTS[adequacy.verdict]}.")
+    if not adequacy.intervals_valid:
+        found.append(OBSTACLES["invalid_intervals"])
+    if adequacy.prior_conflicts:
+        names = enumerated([conflict.name for conflict in adequacy.prior_conflicts], 4)
+        found.append(f"Priors and data disagree for {names}: see model adequacy.")
+    return found
+
+
+def facts(report: QualificationReport) -> list[tuple[str, str]]:
+    """Return the facts of the first page."""
+    subject, scope = report.subject, report.scope
+    procedures = list(dict.fromkeys(run.procedure for run in subject.runs))
+    when = "not recorded"
+    if scope.first_start is not None and scope.last_start is not None:
+        when = f"{_day(scope.first_start)} to {_day(scope.last_start)}"
+    method = "sampled posterior" if report.convergence.sampled else "Laplace approximation of the posterior"
+    verdict = report.adequacy.verdict
+    return [
+        ("Unit", (subject.serial or "no serial number") + (f", {subject.grade} grade" if subject.grade else "")),
+        ("Campaign", f"{subject.campaign}: {len(subject.runs)} runs, {when}"),
+        ("Procedures", ", ".join(name.replace("_", " ") for name in procedures)),
+        ("Channels", ", ".join(f"{channel.name} ({channel.kind})" for channel in subject.channels)),
+        ("Model", f"{report.provenance.model}, {len(report.provenance.effects)} effects"),
+        ("Evaluation", f"{method}, {report.convergence.draws or 0} draws; {report.interval}s"),
+        ("Converged", "yes" if report.convergence.converged else "NO"),
+        ("Model adequacy", VERDICTS[verdict] if verdict is not None else "NOT DIAGNOSED"),
+    ]
+
+
+def _day(start: str) -> str:
+    return start.partition("T")[0].partition(" ")[0]
+
+
+def limits_table(limits: Sequence[LimitOutcome]) -> Table:
+    """Return every limit with estimate, conformance probability and decision."""
+    rows = []
+    for limit in limits:
+        word, mood = OUTCOMES[limit.outcome]
+        estimate, u = rounded((limit.estimate, limit.standard_uncertainty), limit.standard_uncertainty)
+        rows.append(
+            (
+                Text(limit.name),
+                Text(f"{limits_text(limit)} {pretty(limit.unit)}"),
+                Text(_where(limit)),
+                Text(f"{estimate} ± {u}"),
+                probability_text(limit.conformance),
+                Text(word, mood),
+            )
+        )
+    return Table(
+        "Limits of the specification",
+        ("quantity", "limits", "temperature", "estimate ± u", "p_c", "decision"),
+        rows,
+        (0, 1, 2, 5),
+        "Estimate with standard uncertainty u at the temperature of the range at which the quantity is worst. p_c: "
+        "conformance probability, the posterior probability that the quantity is within its limits over the whole "
+        "range (JCGM 106), with its Monte Carlo error.",
+    )
+
+
+def _where(limit: LimitOutcome) -> str:
+    if limit.temperature_range is None:
+        return "reference"
+    low, high = limit.temperature_range
+    worst = "" if limit.temperature is None else f", worst at {limit.temperature:g}"
+    return f"{low:g} … {high:g} °C{worst}"
+
+
+def risk_table(limits: Sequence[LimitOutcome]) -> Table:
+    """Return rule, guard band and risks of every limit, with the second method of each probability."""
+    known = any(limit.global_consumer_risk is not None for limit in limits)
+    rows = [
+        (
+            Text(limit.name),
+            Text(rule_text(limit)),
+            Text("–" if limit.guard_band is None else f"{significant(limit.guard_band)} {pretty(limit.unit)}"),
+            Text(f"{limit.conformance.from_draws:.4f}"),
+            Text(f"{limit.conformance.from_quadrature:.4f}"),
+            Text(risk_text(limit.consumer_risk)),
+            Text(risk_text(limit.producer_risk)),
+            *(
+                (probability_text(limit.global_consumer_risk), probability_text(limit.global_producer_risk))
+                if known
+                else ()
+            ),
+        )
+        for limit in limits
+    ]
+    head = [
+        "quantity",
+        "rule",
+        "guard band w",
+        "p_c from draws",
+        "p_c by quadrature",
+        "consumer’s risk",
+        "producer’s risk",
+    ]
+    head += ["global consumer’s risk", "global producer’s risk"] if known else []
+    return Table(
+        "Decision rules and risks",
+        head,
+        rows,
+        (0, 1),
+        "Specific risks (JCGM 106, 9.3): of delivering a unit that does not conform where it is accepted, and of "
+        "rejecting one that does where it is not. Every probability is found twice, from the posterior draws and by "
+        "quadrature over a distribution fitted to them; where the two differ by more than their errors allow, it is "
+        "withheld. w = 0 is simple acceptance; U is half the length of the 95 % coverage interval.",
+    )

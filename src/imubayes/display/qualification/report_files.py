@@ -1,0 +1,60 @@
+"""The files of a report, by their endings."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+from imubayes.atomic_files import refuse_existing, replacing
+from imubayes.display.qualification.html_page import html_page
+from imubayes.display.qualification.report_document import report_document
+from imubayes.errors import InputError, Issue, closest_first
+from imubayes.qualification.report_record import QualificationReport
+
+
+def _html(report: QualificationReport) -> bytes:
+    return html_page(report_document(report)).encode()
+
+
+def _json(report: QualificationReport) -> bytes:
+    return report.json_text().encode()
+
+
+_WRITERS: dict[str, tuple[Callable[[QualificationReport], bytes], bytes]] = {
+    ".html": (_html, b"<!doctype html>"),
+    ".json": (_json, b'{\n "format": 1,\n "interval":'),
+}
+"""Ending → what makes the file, and how such a file begins."""
+
+
+def check_places(files: Sequence[Path]) -> None:
+    """Make sure before anything is computed that files can be written.
+
+    Raises
+    ------
+    InputError
+        for an ending that is unknown, and a file that exists and is no report.
+    """
+    issues = []
+    for file in files:
+        if file.suffix.lower() not in _WRITERS:
+            allowed = closest_first(file.suffix, _WRITERS)
+            issues.append(
+                Issue(f"'{file.name}' has no ending of a report", "option --out", allowed, "choose one of these")
+            )
+    if issues:
+        raise InputError(issues)
+    for file in files:
+        refuse_existing(file, but=partial(_begins, _WRITERS[file.suffix.lower()][1]))
+
+
+def _begins(start: bytes, content: bytes) -> bool:
+    return content.startswith(start)
+
+
+def write_report(report: QualificationReport, files: Sequence[Path]) -> None:
+    """Write a report to files, each replaced atomically."""
+    for file in files:
+        content = _WRITERS[file.suffix.lower()][0](report)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(file) as scratch:
+            scratch.write_bytes(content)

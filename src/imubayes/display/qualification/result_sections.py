@@ -1,0 +1,212 @@
+"""Sections with estimates: quantities of the standards, mounting angles, converters, and the full result table."""
+
+from collections.abc import Sequence
+
+from imubayes.display.labels import pretty
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, Table, Text
+from imubayes.display.qualification.words import (
+    WITHHELD_NUMBER,
+    enumerated,
+    interval_text,
+    probability_text,
+    stated,
+)
+from imubayes.display.rounding import percent, rounded, significant, value_and_sd
+from imubayes.qualification.report_record import (
+    Estimate,
+    MountingAngle,
+    NotEstimated,
+    QualificationReport,
+    StandardEstimate,
+    ThermalLinearity,
+)
+
+_UNDETERMINED = 0.1
+_REASONS = {
+    "not_in_model": "not in the model",
+    "undetectable": "these runs cannot show it",
+    "not_defined": "no run or no channel to define it by",
+}
+
+
+def standards_section(report: QualificationReport) -> list[Block]:
+    """Return the quantities of the standards, one table per standard, and those that were not estimated."""
+    found: list[Block] = [Heading("Quantities of the standards")]
+    if report.standards:
+        found.append(
+            Paragraph(
+                "Each quantity is computed for every draw of the joint posterior, so that its uncertainty contains all "
+                "others. Temperatures are relative to 25 °C unless the model says otherwise. I, O, S (gyros) and I, O, "
+                "P (accelerometers) are the input, output and third axis of each channel; f and a are specific force, "
+                "Ω is rate."
+            )
+        )
+    for standard in dict.fromkeys(each.standard for each in report.standards):
+        own = [each for each in report.standards if each.standard == standard]
+        found.append(_standard_table(standard, own))
+    if report.not_estimated:
+        found.append(_not_estimated(report.not_estimated))
+    return found
+
+
+def _standard_table(standard: str, own: Sequence[StandardEstimate]) -> Table:
+    rows, before = [], ""
+    for each in own:
+        new = each.key != before
+        before = each.key
+        estimate, u, _, _ = stated(each)
+        rows.append(
+            (
+                Text(each.symbol if new else "", formula=True),
+                Text(each.quantity if new else "", "" if new else "dim"),
+                Text(each.label),
+                Text(estimate),
+                Text(u),
+                Text(interval_text(each)),
+                Text(pretty(each.unit)),
+                Text(each.term if new else "", formula=True),
+            )
+        )
+    head = ("symbol", "quantity", "channel", "estimate", "u", "95 % interval", "unit", "term")
+    return Table(
+        standard,
+        head,
+        rows,
+        (0, 1, 2, 6, 7),
+        f"u: standard uncertainty. Term: where it stands in the model equation. {WITHHELD_NUMBER}",
+    )
+
+
+def _not_estimated(lines: Sequence[NotEstimated]) -> Table:
+    rows = []
+    for each in lines:
+        screened = "; ".join(
+            f"{c.name.partition('.')[2]} {' ± '.join(value_and_sd(c.value, c.standard_uncertainty))} {pretty(c.unit)}"
+            for c in each.screened[:1]
+        )
+        reason = _REASONS[each.reason] + (f" (needs {', '.join(each.needs)})" if each.needs else "")
+        rows.append(
+            (
+                Text(each.symbol, formula=True), Text(each.quantity), Text(each.standard),
+                Text(reason), Text(", ".join(each.effects)), Text(screened or "–"),
+            )
+        )  # fmt: skip
+    head = ("symbol", "quantity", "standard", "why", "effect", "one-step estimate of the diagnosis")
+    return Table(
+        "Not estimated",
+        head,
+        rows,
+        (0, 1, 2, 3, 4, 5),
+        "A quantity that is not estimated is not zero. The one-step estimate is what the score test of the diagnosis "
+        "predicts if the effect were added; an effect whose estimate is several times its uncertainty would have been "
+        "reported as missing.",
+    )
+
+
+def mounting_section(angles: Sequence[MountingAngle]) -> list[Block]:
+    """Return the true mounting angles and what determined them."""
+    if not angles:
+        return []
+    rows = []
+    for each in angles:
+        estimate, u, _, _ = stated(each)
+        shift = "–" if each.deviation is None else _deviation(each)
+        rows.append(
+            (
+                Text(each.mounting), Text(each.channel), Text(f"{each.nominal:.4f}"), Text(estimate), Text(u),
+                Text(shift), Text(percent(each.from_data)), Text(_determined_by(each)),
+            )
+        )  # fmt: skip
+    head = (
+        "mounting",
+        "channel",
+        "nominal / deg",
+        "true / deg",
+        "u / deg",
+        "deviation / arcsec",
+        "from data",
+        "determined by",
+    )
+    note = (
+        "True angle between sensitive axis and axis of rotation. From data: 1 − posterior variance / prior variance. "
+        "Determined by: the procedure that alone would leave the smallest uncertainty, with that uncertainty, and how "
+        "many times smaller it is with all runs together; a dash stands where the angle is not linear enough in the "
+        "parameters for a share by procedure."
+    )
+    runs = [
+        f"{mounting}: {enumerated(next(each.runs for each in angles if each.mounting == mounting))}"
+        for mounting in dict.fromkeys(each.mounting for each in angles)
+    ]
+    return [
+        Heading("True mounting angles"),
+        Table("Angles to the axis of rotation", head, rows, (0, 1, 7), note),
+        Paragraph("Runs in each mounting:"),
+        Items(runs),
+    ]
+
+
+def _deviation(angle: MountingAngle) -> str:
+    u = None if angle.standard_uncertainty is None else angle.standard_uncertainty * 3600
+    return "–" if angle.deviation is None else rounded((angle.deviation * 3600,), u)[0]
+
+
+def _determined_by(angle: MountingAngle) -> str:
+    if not angle.evidence:
+        return "–"
+    best = min(angle.evidence, key=lambda each: each.alone)
+    alone = f"{best.procedure.replace('_', ' ')}, {significant(best.alone * 3600, 2)} arcsec"
+    gain = best.alone / angle.standard_uncertainty if angle.standard_uncertainty else 1.0
+    return f"{alone}; all runs {significant(gain, 2)} × better" if gain > 1.05 else alone
+
+
+def converter_section(lines: Sequence[ThermalLinearity]) -> list[Block]:
+    """Return Δk per input with P(Δk ≤ threshold)."""
+    if not lines:
+        return []
+    rows = []
+    for each in lines:
+        estimate, u, _, _ = stated(each)
+        rows.append(
+            (
+                Text(each.channel), Text(each.run), Text(estimate), Text(u), Text(interval_text(each)),
+                Text(f"{each.threshold:g}"), probability_text(each.within),
+            )
+        )  # fmt: skip
+    head = ("channel", "run", "Δk / %", "u / %", "95 % interval / %", "threshold / %", "P(Δk ≤ threshold)")
+    note = (
+        "Δk: relative difference between the thermal slope of an input and that of the input nearest 1 g. Where "
+        "Δk is probably below the threshold, the temperature line measured at 1 g stands for all inputs; where it is "
+        "above, each input needs its own line."
+    )
+    return [Heading("Thermal linearity of the converters"), Table("Δk of each input", head, rows, (0, 1), note)]
+
+
+def result_section(report: QualificationReport) -> list[Block]:
+    """Return the full result table."""
+    parameters = [line for line in report.results if line.kind == "parameter"]
+    derived = [line for line in report.results if line.kind == "derived"]
+    note = (
+        "u: standard uncertainty, the standard deviation of the joint posterior (GUM, type A and B combined). Digits "
+        "are those that the Monte Carlo error leaves (JCGM 101, 7.9). From data: 1 − posterior variance / prior "
+        "variance on the scale on which the prior is normal; a quantity below 10 % was not determined, and its "
+        f"estimate is that of its prior. {WITHHELD_NUMBER}"
+    )
+    found: list[Block] = [Heading("Result table")]
+    for caption, lines in (("Derived quantities", derived), ("Parameters", parameters)):
+        if lines:
+            rows = [_result_row(line) for line in lines]
+            head = ("quantity", "estimate", "u", "95 % interval", "unit", "from data")
+            found.append(Table(caption, head, rows, (0, 4), note))
+            note = ""
+    return found
+
+
+def _result_row(line: Estimate) -> tuple[Text, ...]:
+    estimate, u, _, _ = stated(line)
+    weak = line.from_data is not None and line.from_data < _UNDETERMINED
+    mood = "weak" if weak else ""
+    share = "fixed by the model" if line.exact else percent(line.from_data) + (", not determined" if weak else "")
+    return (
+        Text(line.name), Text(estimate, mood), Text(u, mood), Text(interval_text(line), mood), Text(pretty(line.unit)),
+        Text(share, mood),
+    )  # fmt: skip

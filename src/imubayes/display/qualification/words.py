@@ -1,0 +1,134 @@
+"""The words of the report for outcomes, rules, obstacles and verdicts, and its numbers as text."""
+
+from collections.abc import Sequence
+
+from imubayes.criticism.diagnosis_record import Verdict
+from imubayes.display.labels import pretty
+from imubayes.display.qualification.document import Mood, Text
+from imubayes.display.rounding import NO_NUMBER, rounded, significant
+from imubayes.qualification.assess import Obstacle
+from imubayes.qualification.conformance import Withheld
+from imubayes.qualification.decision_rules import Outcome, RuleName
+from imubayes.qualification.report_record import Estimate, LimitOutcome, Probability
+
+OUTCOMES: dict[Outcome, tuple[str, Mood]] = {
+    "pass": ("PASS", "good"),
+    "conditional_pass": ("CONDITIONAL PASS", "weak"),
+    "withheld": ("NO DECISION", "bad"),
+    "conditional_fail": ("CONDITIONAL FAIL", "bad"),
+    "fail": ("FAIL", "bad"),
+}
+OBSTACLES: dict[Obstacle, str] = {
+    "not_converged": "The fit did not converge. No number of it may be used, and the unit cannot pass.",
+    "not_diagnosed": "The model was never diagnosed: whether it describes the data is unknown, and the unit cannot "
+    "pass. Run `imubayes diagnose` on the result and make the report again.",
+    "inadequate_model": "The model is inadequate: the diagnosis found that it does not describe the data, so the "
+    "uncertainties below are not those of the unit, and the unit cannot pass.",
+    "invalid_intervals": "The noise is not what the model assumes, so the coverage intervals are not valid, and the "
+    "unit cannot pass.",
+}
+VERDICTS: dict[Verdict, str] = {
+    "adequate": "adequate: no effect of the catalogue is missing as far as these runs can show",
+    "missing_effect": "inadequate: an effect is missing",
+    "equivalent_effects": "inadequate: one of several effects, which these runs cannot distinguish, is missing",
+    "unexplained_structure": "inadequate: residuals show structure that no effect of the catalogue explains",
+    "noise_model": "inadequate: the noise is not what the model assumes",
+    "undetectable": "undetectable: the runs cannot show the effect that was asked about",
+    "not_converged": "none: the fit did not converge",
+}
+WITHHELD: dict[Withheld, str] = {
+    "disagreement": "withheld: the two methods disagree",
+    "too_few_draws": "withheld: too few effective draws",
+}
+WITHHELD_NUMBER = (
+    "Withheld: twice the Monte Carlo error exceeds half a unit of the first digit of u (JCGM 101, 7.9); more draws are "
+    "needed."
+)
+_RULES: dict[RuleName, str] = {
+    "simple_acceptance": "simple acceptance",
+    "guard_band": "guard band",
+    "ilac_g8_non_binary": "ILAC-G8 non-binary, w = U",
+    "conformance_probability": "conformance probability",
+    "specific_risk": "specific consumer's risk",
+    "global_risk": "global consumer's risk",
+}
+
+
+def rule_text(limit: LimitOutcome) -> str:
+    """Return the decision rule of a limit: ``guard band, w = 1.65 u``."""
+    said = _RULES[limit.rule]
+    if limit.rule == "guard_band":
+        if limit.guard_width is not None:
+            return f"{said}, w = {significant(limit.guard_width)} {pretty(limit.unit)}"
+        return f"{said}, w = " + (f"{limit.guard_factor:g} u" if limit.guard_factor is not None else "U")
+    if limit.rule == "conformance_probability":
+        return f"{said} ≥ {limit.rule_probability:g}"
+    if limit.rule in ("specific_risk", "global_risk"):
+        return f"{said} ≤ {limit.rule_probability:g}"
+    return said
+
+
+def stated(found: Estimate) -> tuple[str, str, str, str]:
+    """Return estimate, standard uncertainty and both ends of the interval with the digits that they deserve."""
+    if found.estimate is None or found.standard_uncertainty is None:
+        return NO_NUMBER, NO_NUMBER, NO_NUMBER, NO_NUMBER
+    if found.exact:
+        return rounded((found.estimate,), None)[0], "0", "", ""
+    digits = found.monte_carlo.digits if found.monte_carlo is not None else 2
+    if digits == 0:
+        return "withheld", "withheld", "withheld", "withheld"
+    step = found.standard_uncertainty * (1 if digits == 2 else 10)
+    estimate, u, low, high = rounded((found.estimate, found.standard_uncertainty, found.low, found.high), step)
+    return estimate, u, low, high
+
+
+def interval_text(found: Estimate) -> str:
+    """Return the coverage interval; empty for an exact quantity."""
+    _, _, low, high = stated(found)
+    if low == "withheld" or not low:
+        return low
+    return f"{low} … {high}"
+
+
+def probability_text(found: Probability | None) -> Text:
+    """Return a probability with its Monte Carlo error, or why it is withheld."""
+    if found is None:
+        return Text(NO_NUMBER)
+    if found.value is None:
+        assert found.withheld is not None, "a value is withheld for a reason"
+        return Text(WITHHELD[found.withheld], "bad")
+    value, error = rounded((found.value, found.monte_carlo_error), found.monte_carlo_error * 10)
+    return Text(f"{value} ± {error}")
+
+
+def risk_text(risk: float | None) -> str:
+    """Return a risk in per cent; an en dash where there is none."""
+    if risk is None:
+        return NO_NUMBER
+    return f"{100 * risk:.2g} %" if risk >= 1e-4 else "< 0.01 %"
+
+
+def limits_text(limit: LimitOutcome) -> str:
+    """Return the tolerance interval: ``-20 … 20``, ``≤ 5``."""
+    lower, upper = limit.lower, limit.upper
+    if lower is None:
+        return f"≤ {_plain(upper)}"
+    return f"≥ {_plain(lower)}" if upper is None else f"{_plain(lower)} … {_plain(upper)}"
+
+
+def _plain(value: float | None) -> str:
+    return NO_NUMBER if value is None else f"{value:.10g}"
+
+
+def hash_text(digest: str) -> str:
+    """Return a hash in groups that a line can break between."""
+    return " ".join(digest[place : place + 16] for place in range(0, len(digest), 16))
+
+
+def enumerated(names: Sequence[str], most: int = 12) -> str:
+    """Return names as a phrase, the rest counted; a word for none."""
+    if not names:
+        return "none"
+    shown = list(names[:most])
+    rest = len(names) - len(shown)
+    return ", ".join(shown) + (f" and {rest} more" if rest > 0 else "")

@@ -1,0 +1,256 @@
+"""The tables of estimates of a report: results, mounting angles, quantities of the standards, Δk."""
+
+from typing import Any, Literal
+
+import numpy as np
+
+from imubayes.campaign_data import Campaign
+from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.parameters.priors import Normal
+from imubayes.qualification.assess import standards_input
+from imubayes.qualification.conformance import ProbabilityByTwoMethods, ToleranceInterval, conformance_probability
+from imubayes.qualification.conformity import TestedUnit
+from imubayes.qualification.d_si import digital_unit
+from imubayes.qualification.digits import digits_deserved
+from imubayes.qualification.marginal import Marginal
+from imubayes.qualification.report_record import (
+    MonteCarloError,
+    MountingAngle,
+    NotEstimated,
+    Probability,
+    ProcedureEvidence,
+    ResultLine,
+    ScreenedCoefficient,
+    StandardEstimate,
+    ThermalLinearity,
+)
+from imubayes.qualification.standard_quantities import (
+    STANDARD_QUANTITIES,
+    StandardDraws,
+    StandardQuantity,
+    draws_of_standard,
+)
+from imubayes.results.estimates import is_constant
+from imubayes.results.result import Result
+from imubayes.results.summary import DerivedSummary, ParameterSummary
+
+_MOST_SCREENED = 4
+
+
+def probability_of(found: ProbabilityByTwoMethods) -> Probability:
+    """Return a probability by two methods as a record."""
+    return Probability(
+        value=found.value,
+        from_draws=found.from_draws,
+        from_quadrature=found.from_quadrature,
+        monte_carlo_error=found.error,
+        allowed=found.allowed,
+        withheld=found.withheld,
+    )
+
+
+def _numbers(marginal: Marginal) -> dict[str, Any]:
+    """Return estimate, uncertainty, interval and Monte Carlo errors of draws, as the fields of an estimate."""
+    if is_constant(marginal.draws):
+        value = float(marginal.draws[0])
+        return {"estimate": value, "standard_uncertainty": 0.0, "low": value, "high": value, "exact": True}
+    low, high = marginal.interval
+    deserved, errors = digits_deserved(marginal), marginal.errors
+    return {
+        "estimate": marginal.mean,
+        "standard_uncertainty": marginal.sd,
+        "low": low,
+        "high": high,
+        "monte_carlo": MonteCarloError(
+            estimate=errors.mean,
+            standard_uncertainty=errors.sd,
+            low=errors.low,
+            high=errors.high,
+            effective=marginal.effective,
+            digits=deserved.digits,
+            tolerance=deserved.tolerance,
+            worst=deserved.worst,
+        ),
+    }
+
+
+def _output_units(campaign: Campaign) -> dict[str, str]:
+    return {channel.name: channel.output_unit for channel in campaign.channels}
+
+
+def _estimate(unit: TestedUnit | None, name: str) -> dict[str, Any]:
+    return {} if unit is None or name not in unit.quantities.draws else _numbers(unit.quantities.marginal(name))
+
+
+def result_lines(result: Result, unit: TestedUnit | None) -> tuple[ResultLine, ...]:
+    """Return the result table: parameters without those of single poses, and derived quantities."""
+    model = result.fit.model
+    gravity, outputs = model.campaign.site.gravity, _output_units(model.campaign)
+    means = {
+        parameter.name: float(np.asarray(parameter.prior.mean)) / parameter.factor
+        for parameter in (*model.layout.parameters, *model.hyper_layout.parameters)
+        if isinstance(parameter.prior, Normal)
+    }
+    found = []
+    for line in (*result.summary.parameters, *result.summary.derived):
+        if isinstance(line, ParameterSummary) and line.nuisance:
+            continue
+        diagnostics: dict[str, Any] = (
+            {"kind": "parameter", "r_hat": line.r_hat, "ess_bulk": line.ess_bulk, "ess_tail": line.ess_tail}
+            if isinstance(line, ParameterSummary)
+            else {"kind": "derived"}
+        )
+        channel = line.name.partition("[")[2].removesuffix("]").partition(",")[0]
+        found.append(
+            ResultLine(
+                name=line.name,
+                unit=line.unit,
+                d_si=digital_unit(line.unit, gravity, outputs.get(channel, "")),
+                prior_mean=means.get(line.name),
+                prior_sd=line.prior_sd,
+                from_data=line.from_data,
+                **diagnostics,
+                **_estimate(unit, line.name),
+            )
+        )
+    return tuple(found)
+
+
+def mounting_angles(result: Result, unit: TestedUnit | None) -> tuple[MountingAngle, ...]:
+    """Return the true mounting angles, and the uncertainty that each procedure alone would leave."""
+    campaign, found = result.fit.model.campaign, []
+    evidence = {each.quantity: each.by for each in result.summary.contributions}
+    lines = {line.name: line for line in result.summary.derived}
+    for channel in campaign.channels:
+        for mounting in campaign.mountings.values():
+            name = f"mounting_angle[{channel.name},{mounting.name}]"
+            line: DerivedSummary | None = lines.get(name)
+            if line is None:
+                continue
+            along = float((mounting.body_to_table @ channel.axes[0])[2])
+            nominal = float(np.degrees(np.arccos(np.clip(along, -1, 1))))
+            found.append(
+                MountingAngle(
+                    name=name,
+                    unit=line.unit,
+                    d_si=digital_unit(line.unit, campaign.site.gravity),
+                    prior_sd=line.prior_sd,
+                    from_data=line.from_data,
+                    channel=channel.name,
+                    mounting=mounting.name,
+                    nominal=nominal,
+                    deviation=None if line.mean is None else line.mean - nominal,
+                    evidence=tuple(
+                        ProcedureEvidence(procedure=each.procedure, alone=each.alone, without=each.without)
+                        for each in evidence.get(name, ())
+                    ),
+                    runs=tuple(run.name for run in campaign.runs if run.mounting == mounting.name),
+                    **_estimate(unit, name),
+                )
+            )
+    return tuple(found)
+
+
+def standard_estimates(result: Result, unit: TestedUnit | None) -> tuple[StandardEstimate, ...]:
+    """Return the quantities of the standards that the result has; none where the fit did not converge."""
+    if unit is None:
+        return ()
+    under_test = standards_input(result, unit)
+    return tuple(
+        _of_standard(quantity, draws, unit)
+        for quantity in STANDARD_QUANTITIES
+        for draws in draws_of_standard(quantity, under_test)
+    )
+
+
+def _of_standard(quantity: StandardQuantity, found: StandardDraws, unit: TestedUnit) -> StandardEstimate:
+    effective = min(unit.quantities.effective[name] for name in found.members)
+    entries = [unit.quantities.entries[name] for name in found.members]
+    share = entries[0].from_data if len(entries) == 1 else None
+    return StandardEstimate(
+        name=f"{quantity.key}[{found.label}]",
+        unit=found.unit,
+        d_si=digital_unit(found.unit, unit.gravity),
+        from_data=share,
+        key=quantity.key,
+        symbol=quantity.symbol,
+        quantity=quantity.name,
+        standard=quantity.standard,
+        term=quantity.term,
+        label=found.label,
+        members=found.members,
+        **_numbers(Marginal(found.draws[np.isfinite(found.draws)], effective)),
+    )
+
+
+def not_estimated(result: Result, unit: TestedUnit | None, diagnosis: Diagnosis | None) -> tuple[NotEstimated, ...]:
+    """Return the quantities of the standards that the result lacks, and what the diagnosis says of each."""
+    campaign = result.fit.model.campaign
+    kinds = {channel.kind for channel in campaign.channels}
+    in_model = {effect.name for effect in result.fit.model.spec.effects}
+    under_test = None if unit is None else standards_input(result, unit)
+    found = []
+    for quantity in STANDARD_QUANTITIES:
+        if quantity.kind not in kinds or (under_test is not None and draws_of_standard(quantity, under_test)):
+            continue
+        reason: Literal["not_in_model", "undetectable", "not_defined"] = "not_in_model"
+        needs: tuple[str, ...] = ()
+        hidden = [] if diagnosis is None else [e for e in diagnosis.undetectable if e.effect in quantity.effects]
+        if any(effect in in_model for effect in quantity.effects):
+            reason = "not_defined"
+        elif hidden and len({each.effect for each in hidden}) == len(quantity.effects):
+            reason, needs = "undetectable", tuple(dict.fromkeys(need for each in hidden for need in each.needs))
+        found.append(
+            NotEstimated(
+                key=quantity.key,
+                symbol=quantity.symbol,
+                quantity=quantity.name,
+                standard=quantity.standard,
+                effects=quantity.effects,
+                reason=reason,
+                needs=needs,
+                screened=_screened(quantity, diagnosis) if reason == "not_in_model" else (),
+            )
+        )
+    return tuple(found)
+
+
+def _screened(quantity: StandardQuantity, diagnosis: Diagnosis | None) -> tuple[ScreenedCoefficient, ...]:
+    if diagnosis is None:
+        return ()
+    found: dict[str, ScreenedCoefficient] = {}
+    for line in diagnosis.ranking:
+        for each in line.coefficients if line.effect in quantity.effects else ():
+            if each.value is not None and each.sd is not None and each.name not in found:
+                found[each.name] = ScreenedCoefficient(
+                    name=each.name, value=each.value, standard_uncertainty=each.sd, unit=each.unit
+                )
+    return tuple(list(found.values())[:_MOST_SCREENED])
+
+
+def thermal_linearity(result: Result, unit: TestedUnit | None) -> tuple[ThermalLinearity, ...]:
+    """Return Δk of each converter input with P(Δk ≤ threshold) by two methods."""
+    found = []
+    for line in result.summary.derived:
+        if line.within is None:
+            continue
+        channel, _, run = line.name.removeprefix("delta_k[").removesuffix("]").partition(",")
+        within = None
+        if unit is not None and line.name in unit.quantities.draws:
+            marginal = unit.quantities.marginal(line.name)
+            within = probability_of(conformance_probability(marginal, ToleranceInterval(upper=line.within.threshold)))
+        found.append(
+            ThermalLinearity(
+                name=line.name,
+                unit=line.unit,
+                d_si=digital_unit(line.unit, result.fit.model.campaign.site.gravity),
+                prior_sd=line.prior_sd,
+                from_data=line.from_data,
+                channel=channel,
+                run=run,
+                threshold=line.within.threshold,
+                within=within,
+                **_estimate(unit, line.name),
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,405 @@
+"""What the pictures of a report show, as numbers: errors with limits, residuals, mountings, priors and posteriors."""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+import polars as pl
+from scipy.stats import gaussian_kde, norm
+
+from imubayes.campaign_data import Campaign, Channel
+from imubayes.json_record import Record
+from imubayes.qualification.conformity import ConformityOfQuantity
+from imubayes.qualification.standard_quantities import SensorKind, UnitUnderTest
+from imubayes.qualification.temperature_range import ThermalModel, over_range
+from imubayes.results.posterior_draws import thinned
+from imubayes.units import to_si
+
+_CURVE, _DENSITY, _BINS = 33, 49, 16
+# Draws behind a curve: its band is then known to a tenth of its width.
+_MOST_DRAWS = 2000
+_DIGITS = 7
+_LARGEST_G = 1.05
+ERROR_UNIT: dict[SensorKind, str] = {"gyro": "deg/h", "accelerometer": "ug"}
+Abscissa = Literal["input_rate", "input_angle", "temperature", "table_angle"]
+
+
+class ErrorCurve(Record):
+    """Error of one channel referred to its input, with the 95 % coverage band."""
+
+    channel: str
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+class LimitCurve(Record):
+    """Limits of the error of one channel; None where there is none on that side."""
+
+    channel: str
+    x: tuple[float, ...]
+    lower: tuple[float, ...] | None
+    upper: tuple[float, ...] | None
+
+
+class ResidualMeans(Record):
+    """Means of whitened residuals of one channel in classes of the abscissa, and their numbers."""
+
+    channel: str
+    x: tuple[float, ...]
+    mean: tuple[float, ...]
+    count: tuple[int, ...]
+
+
+class ErrorPicture(Record):
+    """Error against rate, angle or temperature; below it what the model leaves.
+
+    Attributes
+    ----------
+    abscissa, x_unit : rate along the input axis, angle of that axis above the horizontal, temperature, table angle.
+    curves : error of the unit with its nominal constants, in `unit`; none where only residuals are shown.
+    limits : from the specification.
+    residuals : standardised.
+    """
+
+    kind: SensorKind
+    abscissa: Abscissa
+    x_unit: str
+    unit: str
+    curves: tuple[ErrorCurve, ...]
+    limits: tuple[LimitCurve, ...]
+    residuals: tuple[ResidualMeans, ...]
+
+
+class WorstResidual(Record):
+    """The class means that stand out most, of all channels and covariates.
+
+    Attributes
+    ----------
+    largest : the largest mean in its standard errors.
+    expected : the size that the largest of so many exceeds by chance in 5 % of all cases.
+    classes : number of class means looked at.
+    """
+
+    channel: str
+    abscissa: str
+    unit: str
+    means: ResidualMeans
+    largest: float
+    expected: float
+    classes: int
+
+
+class AxisInMounting(Record):
+    """Direction of a sensitive axis in the frame of the table, which turns about z: azimuth, angles to z, deg."""
+
+    channel: str
+    azimuth: float
+    nominal: float
+    found: float
+
+
+class MountingPicture(Record):
+    """The sensitive axes of one kind in one mounting."""
+
+    mounting: str
+    kind: SensorKind
+    axes: tuple[AxisInMounting, ...]
+
+
+class AngleDensity(Record):
+    """Prior and posterior density of a mounting angle, as deviation from its nominal value in arcsec."""
+
+    channel: str
+    mounting: str
+    prior_x: tuple[float, ...]
+    prior: tuple[float, ...]
+    posterior_x: tuple[float, ...]
+    posterior: tuple[float, ...]
+
+
+class PictureData(Record):
+    """Everything that is drawn and stands in no table."""
+
+    errors: tuple[ErrorPicture, ...] = ()
+    worst: WorstResidual | None = None
+    mountings: tuple[MountingPicture, ...] = ()
+    angles: tuple[AngleDensity, ...] = ()
+
+
+def _numbers(values: np.ndarray) -> tuple[float, ...]:
+    """Return numbers with the digits that a picture shows."""
+    return tuple(float(f"{value:.{_DIGITS}g}") for value in np.asarray(values, dtype=float))
+
+
+def error_pictures(
+    unit: UnitUnderTest, thermal: ThermalModel | None, residuals: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
+) -> tuple[ErrorPicture, ...]:
+    """Return the pictures of errors against rate, angle and temperature that the runs allow."""
+    kinds: tuple[SensorKind, ...] = ("gyro", "accelerometer")
+    found = []
+    for kind in kinds:
+        channels = [channel for channel in unit.channels if channel.kind == kind]
+        own = residuals.filter((pl.col("kind") == kind) & (pl.col("procedure") != "current_injection"))
+        if not channels or own.is_empty():
+            continue
+        if kind == "gyro":
+            found.append(_against_rate(unit, channels, own, limits))
+        else:
+            found.append(_against_angle(unit, channels, own, limits))
+        if thermal is not None:
+            found.append(_against_temperature(unit, thermal, kind, channels, own, limits))
+        found.append(_residuals_only(kind, channels, own, "table_angle", "table_angle_deg", 360.0))
+    return tuple(picture for picture in found if picture is not None)
+
+
+def _against_rate(
+    unit: UnitUnderTest, channels: Sequence[Channel], own: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
+) -> ErrorPicture | None:
+    means = _class_means(own, channels, "input_observed")
+    if not means:
+        return None
+    per_hour, curves, bounds = 3600.0, [], []
+    for channel in channels:
+        low, high = unit.inputs.get(channel.name, (0.0, 0.0))
+        rate = np.linspace(low, high, _CURVE)
+        error = _gyro_error(unit, channel, rate)
+        if error is not None and high > low:
+            curves.append(_curve(channel.name, rate, error))
+            bounds += _envelope(limits, channel.name, "gyro_bias.bias", "gyro_scale_factor.scale", rate, per_hour)
+    return ErrorPicture(
+        kind="gyro", abscissa="input_rate", x_unit="deg/s", unit="deg/h",
+        curves=tuple(curves), limits=tuple(bounds), residuals=means,
+    )  # fmt: skip
+
+
+def _gyro_error(unit: UnitUnderTest, channel: Channel, rate: np.ndarray) -> np.ndarray | None:
+    """Return the error at rates (n,) in deg/s along the input axis, (S, n) in deg/h; None without a scale factor."""
+    draws, name = thinned(unit.quantities.draws, _MOST_DRAWS), channel.name
+    shapes = {
+        f"gyro_scale_factor.scale[{name}]": 3600e-6 * rate,
+        f"gyro_bias.bias[{name}]": np.ones_like(rate),
+        f"gyro_scale_asymmetry.asymmetry[{name}]": 3600e-6 * np.abs(rate),
+        f"gyro_scale_quadratic.quadratic[{name}]": 3600e-6 * rate**2,
+        f"gyro_scale_cubic.cubic[{name}]": 3600e-6 * rate**3,
+    }
+    return _sum_of(draws, shapes)
+
+
+def _against_angle(
+    unit: UnitUnderTest, channels: Sequence[Channel], own: pl.DataFrame, limits: Sequence[ConformityOfQuantity]
+) -> ErrorPicture | None:
+    near = own.filter((pl.col("input_observed").abs() <= _LARGEST_G) & (pl.col("table_rate_deg_s").fill_null(0.0) == 0))
+    tilted = near.with_columns(
+        pl.col("input_observed").clip(-1.0, 1.0).arcsin().degrees().alias("input_angle_deg")
+    )  # fmt: skip
+    means = _class_means(tilted, channels, "input_angle_deg")
+    if not means:
+        return None
+    curves, bounds = [], []
+    for channel in channels:
+        angle = np.linspace(-90.0, 90.0, _CURVE)
+        force = np.sin(np.radians(angle))
+        error = _accelerometer_error(unit, channel, force)
+        if error is not None:
+            curves.append(_curve(channel.name, angle, error))
+            allowed = _envelope(limits, channel.name, "accel_bias.bias", "accel_scale_factor.scale", force, 1e6)
+            bounds += [bound.model_copy(update={"x": _numbers(angle)}) for bound in allowed]
+    return ErrorPicture(
+        kind="accelerometer", abscissa="input_angle", x_unit="deg", unit="ug",
+        curves=tuple(curves), limits=tuple(bounds), residuals=means,
+    )  # fmt: skip
+
+
+def _accelerometer_error(unit: UnitUnderTest, channel: Channel, force: np.ndarray) -> np.ndarray | None:
+    """Return the error at specific forces (n,) in g along the input axis, (S, n) in µg."""
+    draws, name = thinned(unit.quantities.draws, _MOST_DRAWS), channel.name
+    shapes = {
+        f"accel_scale_factor.scale[{name}]": force,
+        f"accel_bias.bias[{name}]": np.ones_like(force),
+        f"accel_scale_asymmetry.asymmetry[{name}]": np.abs(force),
+        f"accel_quadratic.quadratic[{name}]": force**2,
+        f"accel_odd_quadratic.odd_quadratic[{name}]": force * np.abs(force),
+        f"accel_cubic.cubic[{name}]": force**3,
+    }
+    return _sum_of(draws, shapes)
+
+
+def _sum_of(draws: Mapping[str, np.ndarray], shapes: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    parts = [draws[name][:, None] * shape[None, :] for name, shape in shapes.items() if name in draws]
+    return np.sum(parts, axis=0) if parts else None
+
+
+def _against_temperature(
+    unit: UnitUnderTest, thermal: ThermalModel, kind: SensorKind, channels: Sequence[Channel], own: pl.DataFrame,
+    limits: Sequence[ConformityOfQuantity],
+) -> ErrorPicture | None:  # fmt: skip
+    means = _class_means(own, channels, "temperature_degC")
+    if not means:
+        return None
+    low = min(min(each.x) for each in means)
+    high = max(max(each.x) for each in means)
+    family = "gyro_bias.bias" if kind == "gyro" else "accel_bias.bias"
+    draws = thinned(unit.quantities.draws, _MOST_DRAWS)
+    curves, bounds = [], []
+    for channel in channels:
+        name = f"{family}[{channel.name}]"
+        if name not in draws:
+            continue
+        values = over_range(name, unit.quantities.entries[name].unit, draws, thermal, (low, high))
+        values = np.broadcast_to(values, (len(values), max(2, values.shape[1])))
+        x = np.linspace(low, high, values.shape[1])
+        curves.append(_curve(channel.name, x, values))
+        for found in limits:
+            if found.limit.quantity.name == name:
+                span = found.limit.span or (low, high)
+                bounds.append(
+                    _bound(channel.name, np.array(span), found.limit.tolerance.lower, found.limit.tolerance.upper)
+                )
+    return ErrorPicture(
+        kind=kind, abscissa="temperature", x_unit="degC", unit=ERROR_UNIT[kind],
+        curves=tuple(curves), limits=tuple(bounds), residuals=means,
+    )  # fmt: skip
+
+
+def _residuals_only(
+    kind: SensorKind, channels: Sequence[Channel], own: pl.DataFrame, abscissa: Abscissa, column: str, period: float
+) -> ErrorPicture | None:
+    if column not in own.columns:
+        return None
+    means = _class_means(own.with_columns((pl.col(column) % period).alias(column)), channels, column)
+    if not means:
+        return None
+    return ErrorPicture(
+        kind=kind, abscissa=abscissa, x_unit="deg", unit=ERROR_UNIT[kind], curves=(), limits=(), residuals=means
+    )
+
+
+def _curve(channel: str, x: np.ndarray, values: np.ndarray) -> ErrorCurve:
+    finite = values[np.isfinite(values).all(axis=1)]
+    low, high = np.quantile(finite, (0.025, 0.975), axis=0)
+    return ErrorCurve(channel=channel, x=_numbers(x), y=_numbers(finite.mean(axis=0)), low=_numbers(low),
+                      high=_numbers(high))  # fmt: skip
+
+
+def _bound(channel: str, x: np.ndarray, lower: float | np.ndarray, upper: float | np.ndarray) -> LimitCurve:
+    """Return limits that are constants or curves; None on a side where they are infinite."""
+    below, above = (np.broadcast_to(end, x.shape) for end in (lower, upper))
+    return LimitCurve(
+        channel=channel,
+        x=_numbers(x),
+        lower=_numbers(below) if np.isfinite(below).all() else None,
+        upper=_numbers(above) if np.isfinite(above).all() else None,
+    )
+
+
+def _envelope(
+    limits: Sequence[ConformityOfQuantity], channel: str, bias: str, scale: str, input_: np.ndarray, per_input: float
+) -> list[LimitCurve]:
+    """Return the error that limits of bias and of relative scale factor (ppm) allow together, at inputs (n,).
+
+    `per_input` is one unit of the input in the unit of the bias.
+    """
+    of = {found.limit.quantity.name: found.limit.tolerance for found in limits}
+    constant, slope = of.get(f"{bias}[{channel}]"), of.get(f"{scale}[{channel}]")
+    if constant is None or slope is None:
+        return []
+    ends = np.stack([slope.lower * 1e-6 * per_input * input_, slope.upper * 1e-6 * per_input * input_])
+    return [_bound(channel, input_, constant.lower + ends.min(axis=0), constant.upper + ends.max(axis=0))]
+
+
+def _class_means(own: pl.DataFrame, channels: Sequence[Channel], column: str) -> tuple[ResidualMeans, ...]:
+    """Return means of whitened residuals in classes of equal width, for channels with two different values at least."""
+    found = []
+    for channel in channels:
+        if column not in own.columns:
+            continue
+        rows = own.filter(pl.col("channel") == channel.name).select(column, "whitened").drop_nulls()
+        x, y = (rows[name].cast(pl.Float64).to_numpy() for name in (column, "whitened"))
+        known = np.isfinite(x) & np.isfinite(y)
+        x, y = x[known], y[known]
+        if len(x) < 2 or np.ptp(x) <= 1e-6 * max(1.0, float(np.abs(x).max())):
+            continue
+        classes = np.minimum(((x - x.min()) / np.ptp(x) * _BINS).astype(int), _BINS - 1)
+        parts = [np.flatnonzero(classes == place) for place in range(_BINS) if (classes == place).any()]
+        found.append(
+            ResidualMeans(
+                channel=channel.name,
+                x=_numbers(np.array([x[part].mean() for part in parts])),
+                mean=_numbers(np.array([y[part].mean() for part in parts])),
+                count=tuple(len(part) for part in parts),
+            )
+        )
+    return tuple(found)
+
+
+def worst_residual(
+    residuals: pl.DataFrame, channels: Sequence[Channel], covariates: Mapping[str, tuple[str, str]]
+) -> WorstResidual | None:
+    """Return the class means that stand out most.
+
+    Parameters
+    ----------
+    covariates : column → its words and unit.
+    """
+    largest, classes = None, 0
+    for column, (phrase, unit) in covariates.items():
+        for means in _class_means(residuals, channels, column):
+            size = np.abs(np.array(means.mean)) * np.sqrt(means.count)
+            classes += len(size)
+            if largest is None or size.max() > largest[0]:
+                largest = (float(size.max()), means, phrase, unit)
+    if largest is None:
+        return None
+    size, means, phrase, unit = largest
+    expected = float(norm.isf(0.025 / classes))
+    return WorstResidual(
+        channel=means.channel, abscissa=phrase, unit=unit, means=means, largest=size, expected=expected, classes=classes
+    )
+
+
+def mounting_pictures(
+    campaign: Campaign, angles: Mapping[tuple[str, str], tuple[float, float]]
+) -> tuple[MountingPicture, ...]:
+    """Return the sensitive axes in every mounting; `angles` is (channel, mounting) → nominal and found angle, deg."""
+    found = []
+    for name, mounting in campaign.mountings.items():
+        for kind in ("gyro", "accelerometer"):
+            axes = tuple(
+                AxisInMounting(
+                    channel=channel.name,
+                    azimuth=_azimuth(mounting.body_to_table @ channel.axes[0]),
+                    nominal=angles[channel.name, name][0],
+                    found=angles[channel.name, name][1],
+                )
+                for channel in campaign.of_kind(kind)
+                if (channel.name, name) in angles
+            )
+            if axes:
+                found.append(MountingPicture(mounting=name, kind=kind, axes=axes))
+    return tuple(found)
+
+
+def _azimuth(direction: np.ndarray) -> float:
+    across = np.hypot(direction[0], direction[1])
+    return float(np.degrees(np.arctan2(direction[1], direction[0]))) if across > 1e-9 else 0.0
+
+
+def angle_density(
+    channel: str, mounting: str, prior: np.ndarray, posterior: np.ndarray, nominal: float
+) -> AngleDensity:
+    """Return densities of a mounting angle from draws of prior and posterior in degrees, (S,) each."""
+    before, after = (_density((draws - nominal) * to_si("deg") / to_si("arcsec")) for draws in (prior, posterior))
+    return AngleDensity(
+        channel=channel, mounting=mounting, prior_x=before[0], prior=before[1], posterior_x=after[0], posterior=after[1]
+    )
+
+
+def _density(draws: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    draws = draws[np.isfinite(draws)][:_MOST_DRAWS]
+    low, high = np.quantile(draws, (0.001, 0.999))
+    if not high > low:
+        return (float(low),), (1.0,)
+    x = np.linspace(low, high, _DENSITY)
+    return _numbers(x), _numbers(gaussian_kde(draws)(x))

@@ -1,0 +1,491 @@
+"""The uncertainty report of a unit as a typed record: everything that the document says, as numbers and identifiers.
+
+The document is made from this record alone, so that each of its numbers is in the JSON file.  Numbers are in `unit`;
+`d_si` gives the same unit in the D-SI format.  A number that is withheld, or that a fit without convergence lacks, is
+None.
+"""
+
+from typing import Literal
+
+from imubayes.criticism.diagnosis_record import Verdict
+from imubayes.criticism.model_history import ChannelRms
+from imubayes.inference.identifiability import WeakDirection
+from imubayes.inference.prior_agreement import PriorConflict
+from imubayes.json_record import Record
+from imubayes.qualification.assess import Obstacle
+from imubayes.qualification.conformance import Withheld
+from imubayes.qualification.d_si import DigitalUnit
+from imubayes.qualification.decision_rules import Outcome, RuleName
+from imubayes.qualification.digits import Statistic
+from imubayes.qualification.report_pictures import PictureData
+from imubayes.qualification.standard_quantities import Standard
+from imubayes.results.summary import NoiseViolation, RunSummary
+
+IntervalKind = Literal["95 % equal-tailed credible interval"]
+
+
+class MonteCarloError(Record):
+    """Monte Carlo standard errors of estimate, standard uncertainty, and both ends of the coverage interval.
+
+    Attributes
+    ----------
+    effective : number of independent draws that carry as much information.
+    digits : significant digits of the standard uncertainty that these errors leave (JCGM 101, 7.9); 0: withheld.
+    tolerance : numerical tolerance δ of so many digits; of one digit where the number is withheld.
+    worst : what has the largest error.
+    """
+
+    estimate: float
+    standard_uncertainty: float
+    low: float
+    high: float
+    effective: float
+    digits: Literal[0, 1, 2]
+    tolerance: float
+    worst: Statistic
+
+
+class Estimate(Record):
+    """A quantity with its uncertainty.
+
+    Attributes
+    ----------
+    name : of the parameter or derived quantity, or key and label of a quantity of the standards.
+    estimate, standard_uncertainty : posterior mean and standard deviation.
+    low, high : ends of the coverage interval.
+    prior_sd : prior standard deviation, None where it is infinite or unknown.
+    from_data : 1 − posterior variance / prior variance; None where it is unknown.
+    exact : whether nothing in the model changes it.
+    """
+
+    name: str
+    unit: str
+    d_si: DigitalUnit | None
+    estimate: float | None = None
+    standard_uncertainty: float | None = None
+    low: float | None = None
+    high: float | None = None
+    monte_carlo: MonteCarloError | None = None
+    prior_sd: float | None = None
+    from_data: float | None = None
+    exact: bool = False
+
+
+class ResultLine(Estimate):
+    """A line of the result table; prior mean of a normal prior, R̂ and effective sizes of a sampled parameter."""
+
+    kind: Literal["parameter", "derived"]
+    prior_mean: float | None = None
+    r_hat: float | None = None
+    ess_bulk: float | None = None
+    ess_tail: float | None = None
+
+
+class StandardEstimate(Estimate):
+    """A quantity under the name and symbol of a standard.
+
+    Attributes
+    ----------
+    key, symbol, quantity, standard, term : as in the table of the standards.
+    label : the channel, or pair of channels.
+    members : the parameters or derived quantities that it was computed from.
+    """
+
+    key: str
+    symbol: str
+    quantity: str
+    standard: Standard
+    term: str
+    label: str
+    members: tuple[str, ...]
+
+
+class ScreenedCoefficient(Record):
+    """One-step estimate of a coefficient that the model lacks, from the score test of the diagnosis."""
+
+    name: str
+    value: float
+    standard_uncertainty: float
+    unit: str
+
+
+class NotEstimated(Record):
+    """A quantity of the standards that the result lacks.
+
+    Attributes
+    ----------
+    effects : that the model would need.
+    reason : the model lacks the effects; the runs cannot show them; or the runs lack what the definition needs.
+    needs : covariates or conditions that no run supplies.
+    screened : what the diagnosis estimated of them without adding them, the most significant first.
+    """
+
+    key: str
+    symbol: str
+    quantity: str
+    standard: Standard
+    effects: tuple[str, ...]
+    reason: Literal["not_in_model", "undetectable", "not_defined"]
+    needs: tuple[str, ...] = ()
+    screened: tuple[ScreenedCoefficient, ...] = ()
+
+
+class ProcedureEvidence(Record):
+    """Standard uncertainty of a mounting angle from the runs of one procedure alone, and without them, in its unit."""
+
+    procedure: str
+    alone: float
+    without: float
+
+
+class MountingAngle(Estimate):
+    """The true angle between a sensitive axis and the rotation axis.
+
+    Attributes
+    ----------
+    channel, mounting : which angle.
+    nominal, deviation : nominal angle and estimate less nominal, deg.
+    evidence : by procedure; empty where the angle is too close to 0 to be linear in the parameters.
+    runs : in this mounting.
+    """
+
+    channel: str
+    mounting: str
+    nominal: float
+    deviation: float | None
+    evidence: tuple[ProcedureEvidence, ...]
+    runs: tuple[str, ...]
+
+
+class Probability(Record):
+    """A probability by two methods.
+
+    Attributes
+    ----------
+    value : from draws; None where it is withheld.
+    monte_carlo_error : standard error of `from_draws`.
+    allowed : largest difference between the two methods.
+    """
+
+    value: float | None
+    from_draws: float
+    from_quadrature: float
+    monte_carlo_error: float
+    allowed: float
+    withheld: Withheld | None
+
+
+class ThermalLinearity(Estimate):
+    """Δk of one converter input against the 1 g input, and P(Δk ≤ threshold)."""
+
+    channel: str
+    run: str
+    threshold: float
+    within: Probability | None
+
+
+class LimitOutcome(Record):
+    """One limit of the specification and what the rule says of it; numbers in `unit`, None for no limit.
+
+    Attributes
+    ----------
+    estimate, standard_uncertainty, expanded_uncertainty : at the worst temperature of the range; U is half the length
+        of the 95 % coverage interval.
+    temperature_range, temperature : of the limit, and where the quantity is worst, °C.
+    rule, guard_factor, guard_width, rule_probability : as applied.
+    guard_band : width w; None for rules on probabilities.
+    consumer_risk, producer_risk : specific risks.
+    global_consumer_risk, global_producer_risk : where the production is known.
+    """
+
+    name: str
+    unit: str
+    d_si: DigitalUnit | None
+    lower: float | None
+    upper: float | None
+    nominal: float | None
+    temperature_range: tuple[float, float] | None
+    temperature: float | None
+    estimate: float
+    standard_uncertainty: float
+    expanded_uncertainty: float
+    conformance: Probability
+    rule: RuleName
+    guard_factor: float | None
+    guard_width: float | None
+    rule_probability: float | None
+    guard_band: float | None
+    outcome: Outcome
+    consumer_risk: float | None
+    producer_risk: float | None
+    global_consumer_risk: Probability | None
+    global_producer_risk: Probability | None
+
+
+class Conformity(Record):
+    """The unit against its specification.
+
+    Attributes
+    ----------
+    sha256 : of the specification file.
+    outcome : the worst of all limits, and no better than withheld where there is an obstacle.
+    obstacles : why the unit cannot pass, whatever the limits say.
+    """
+
+    specification: str
+    sha256: str
+    outcome: Outcome
+    obstacles: tuple[Obstacle, ...]
+    limits: tuple[LimitOutcome, ...]
+
+
+class ChannelEntry(Record):
+    """A channel as the campaign states it: axes in the body frame, nominal scale factor and offset."""
+
+    name: str
+    kind: str
+    input_axis: tuple[float, float, float]
+    output_axis: tuple[float, float, float]
+    output_unit: str
+    nominal_scale: float
+    per: str
+    nominal_offset: float
+
+
+class TableEntry(Record):
+    """A table with its stated standard uncertainties; None where the campaign states none."""
+
+    name: str
+    azimuth_deg: float
+    elevation_deg: float
+    axis_uncertainty_arcsec: float | None
+    rate_uncertainty_ppm: float | None
+    angle_uncertainty_arcsec: float | None
+
+
+class MountingEntry(Record):
+    """A mounting: nominal rotation from body to table, and the standard uncertainty of its seat."""
+
+    name: str
+    body_to_table: tuple[tuple[float, float, float], ...]
+    uncertainty_arcmin: float | None
+
+
+class RunEntry(Record):
+    """A run: what it was, where, when, and how many values of it were used of how many rows and channels."""
+
+    name: str
+    procedure: str
+    table: str | None
+    mounting: str | None
+    start: str | None
+    rows: int
+    values_used: int
+    values_missing: int
+
+
+class Subject(Record):
+    """Unit, campaign, site and equipment."""
+
+    serial: str
+    grade: str | None
+    campaign: str
+    latitude_deg: float
+    height_m: float
+    gravity_m_s2: float
+    channels: tuple[ChannelEntry, ...]
+    tables: tuple[TableEntry, ...]
+    mountings: tuple[MountingEntry, ...]
+    runs: tuple[RunEntry, ...]
+
+
+class EffectEntry(Record):
+    """An effect of the model, with its fixed settings and the priors that the model file states."""
+
+    name: str
+    channels: tuple[str, ...] | None
+    prior: dict[str, str]
+    options: dict[str, float]
+
+
+class SoftwareVersion(Record):
+    """A package and its version."""
+
+    package: str
+    version: str
+
+
+class Provenance(Record):
+    """What the numbers come from: model, hashes, seed, software that made the report."""
+
+    model: str
+    effects: tuple[EffectEntry, ...]
+    data_sha256: str
+    model_sha256: str
+    seed: int
+    sampled: bool
+    software: tuple[SoftwareVersion, ...]
+
+
+class ModelTried(Record):
+    """One model of the history: what was added, what it brought, and whether it was taken and is selected."""
+
+    id: str
+    title: str
+    verdict: Verdict | None
+    chi2: float | None
+    dof: float | None
+    rms: tuple[ChannelRms, ...]
+    depth: int
+    taken: bool
+    selected: bool
+    reported: bool
+
+
+class StructureFound(Record):
+    """A dependence of residuals that the diagnosis found."""
+
+    channel: str
+    covariate: str
+    p: float
+
+
+class Adequacy(Record):
+    """Whether the model describes the data.
+
+    Attributes
+    ----------
+    verdict : of the diagnosis; None where the result was never diagnosed.
+    p_global, threshold : of the best candidate, corrected for the number of looks; probability of a false alarm.
+    looks : effective number of independent candidates of one diagnosis.
+    candidates : effects and channels that were screened.
+    missing : effects that the diagnosis names.
+    undetectable : effects that these runs cannot show.
+    noise_violations : how the noise departs from its model.
+    diagnoses : how often it was looked: diagnoses in the history of models, the last one included.
+    history : models tried.
+    runs : goodness of fit by run and channel.
+    prior_conflicts : parameters whose prior disagrees with the data.
+    """
+
+    verdict: Verdict | None
+    p_global: float | None
+    threshold: float | None
+    looks: float | None
+    candidates: int
+    missing: tuple[str, ...]
+    undetectable: tuple[str, ...]
+    structure: tuple[StructureFound, ...]
+    intervals_valid: bool
+    noise_violations: tuple[NoiseViolation, ...]
+    chi2: float | None
+    dof: float
+    diagnoses: int
+    history: tuple[ModelTried, ...]
+    runs: tuple[RunSummary, ...]
+    prior_conflicts: tuple[PriorConflict, ...]
+
+
+class Convergence(Record):
+    """Whether fit and sampling converged; numbers of the sampling are None where there was none.
+
+    Attributes
+    ----------
+    worst_r_hat, least_bulk, least_tail : over all parameters, each with the parameter that has it.
+    pareto_k : tail index of the importance weights of the proposal.
+    draws : number of posterior draws.
+    """
+
+    converged: bool
+    message: str
+    sampled: bool
+    draws: int | None
+    acceptance: float | None
+    pareto_k: float | None
+    worst_r_hat: float | None
+    worst_r_hat_of: str
+    least_bulk: float | None
+    least_bulk_of: str
+    least_tail: float | None
+    least_tail_of: str
+
+
+class OmittedChannel(Record):
+    """Values of a channel that a run recorded but that are missing or were excluded."""
+
+    run: str
+    channel: str
+    values: int
+
+
+class LeftOut(Record):
+    """What was left out: missing values, notes of the reduction, outliers, and parameters that are not reported."""
+
+    channels: tuple[OmittedChannel, ...]
+    notes: tuple[str, ...]
+    outliers: int
+    nuisance_parameters: int
+
+
+class CoveredRange(Record):
+    """Range of a covariate over all runs."""
+
+    name: str
+    phrase: str
+    unit: str
+    lowest: float
+    highest: float
+
+
+class Scope(Record):
+    """What the statistics rest on, and with that what they do not cover.
+
+    Attributes
+    ----------
+    ranges : of the covariates; nothing is said beyond them.
+    first_start, last_start : of the runs.
+    not_supplied : effect and what no run supplied for it.
+    weak_directions : what the data did not determine.
+    from_priors : quantities of the result table of which the data say less than a tenth.
+    """
+
+    ranges: tuple[CoveredRange, ...]
+    first_start: str | None
+    last_start: str | None
+    not_supplied: tuple[tuple[str, str], ...]
+    weak_directions: tuple[WeakDirection, ...]
+    from_priors: tuple[str, ...]
+
+
+class QualificationReport(Record):
+    """The uncertainty report of one unit (format 1).
+
+    Attributes
+    ----------
+    interval : kind of all coverage intervals.
+    conformity : None where no specification was given.
+    pictures : what the pictures show, as numbers.
+    """
+
+    format: Literal[1] = 1
+    interval: IntervalKind = "95 % equal-tailed credible interval"
+    subject: Subject
+    provenance: Provenance
+    convergence: Convergence
+    adequacy: Adequacy
+    conformity: Conformity | None
+    results: tuple[ResultLine, ...]
+    mounting_angles: tuple[MountingAngle, ...]
+    standards: tuple[StandardEstimate, ...]
+    not_estimated: tuple[NotEstimated, ...]
+    thermal_linearity: tuple[ThermalLinearity, ...]
+    left_out: LeftOut
+    scope: Scope
+    pictures: PictureData
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the unit passed, or was not held against a specification; never where the fit did not converge."""
+        if self.conformity is not None:
+            return self.conformity.outcome in ("pass", "conditional_pass")
+        return self.convergence.converged

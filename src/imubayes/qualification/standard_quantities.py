@@ -1,0 +1,315 @@
+"""The quantities of the standards: name, symbol and term of the model equation, each bound to the parameters behind it.
+
+IEEE Std 952 (optical gyros) and IEEE Std 517 (their g-sensitive terms) for gyros, IEEE Std 1293 for accelerometers.  A
+quantity is computed for every posterior draw, so that it has a posterior of its own.  Where a result lacks its
+parameters it is listed as not estimated, never as zero.
+
+Signs are those of the standards.  In IEEE Std 1293 the misalignment terms are δ_o a_p − δ_p a_o: δ_o is the angle of
+the input axis toward P, −δ_p that toward O.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from imubayes.campaign_data import Channel
+from imubayes.qualification.posterior_quantities import PosteriorQuantities
+from imubayes.units import to_si
+
+Standard = Literal["IEEE Std 952", "IEEE Std 517", "IEEE Std 1293"]
+SensorKind = Literal["gyro", "accelerometer"]
+_ARCSEC_PER_DEGREE = 3600.0
+# Points of the straight line that nonlinearity and asymmetry are measured from.
+_NODES = 41
+
+
+@dataclass(frozen=True)
+class UnitUnderTest:
+    """What quantities of the standards are computed from.
+
+    Attributes
+    ----------
+    quantities : parameters and derived quantities, with draws.
+    channels : of the unit.
+    inputs : channel → lowest and highest input of the runs, deg/s or g.
+    gravity : of the site, m/s².
+    """
+
+    quantities: PosteriorQuantities
+    channels: tuple[Channel, ...]
+    inputs: dict[str, tuple[float, float]]
+    gravity: float
+
+
+@dataclass(frozen=True)
+class StandardDraws:
+    """Draws of a quantity of the standards, (S,), with its unit and the quantities that it was computed from."""
+
+    label: str
+    unit: str
+    draws: np.ndarray
+    members: tuple[str, ...]
+
+
+Source = Callable[[UnitUnderTest, Channel], list[StandardDraws]]
+
+
+@dataclass(frozen=True)
+class StandardQuantity:
+    """A quantity of the standards.
+
+    Attributes
+    ----------
+    key : its name in reports and specifications.
+    symbol, name : as in the standard.
+    standard : where it is defined.
+    kind : of the channels that have it.
+    term : what it multiplies in the model equation, or its definition.
+    sources : ways to compute it; the first that a result allows is taken.
+    effects : which a model needs for it.
+    """
+
+    key: str
+    symbol: str
+    name: str
+    standard: Standard
+    kind: SensorKind
+    term: str
+    sources: tuple[Source, ...]
+    effects: tuple[str, ...]
+
+
+def of_family(family: str, factor: float = 1.0) -> Source:
+    """Return the source of a quantity that is a parameter of each channel, times a factor."""
+
+    def draws(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
+        name = f"{family}[{channel.name}]"
+        known = unit.quantities
+        if name not in known.draws:
+            return []
+        return [StandardDraws(channel.name, known.entries[name].unit, factor * known.draws[name], (name,))]
+
+    return draws
+
+
+def _total_angle(*families: str) -> Source:
+    """Return the source of the angle between true and nominal input axis."""
+
+    def draws(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
+        names = tuple(f"{family}[{channel.name}]" for family in families)
+        if not all(name in unit.quantities.draws for name in names):
+            return []
+        size = np.sqrt(sum(unit.quantities.draws[name] ** 2 for name in names))
+        return [StandardDraws(channel.name, unit.quantities.entries[names[0]].unit, size, names)]
+
+    return draws
+
+
+def _spread_over_runs(family: str) -> Source:
+    """Return the source of a repeatability: standard deviation over the runs that have values of their own."""
+
+    def draws(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
+        known = unit.quantities
+        names = tuple(name for name in known.draws if name.startswith(f"{family}[{channel.name},"))
+        if len(names) < 2:
+            return []
+        spread = np.std(np.stack([known.draws[name] for name in names]), axis=0, ddof=1)
+        return [StandardDraws(channel.name, known.entries[names[0]].unit, spread, names)]
+
+    return draws
+
+
+def _at_the_input(family: str, unit_name: str) -> Source:
+    """Return the source of a quantity that the model has in output units, in units of the input."""
+
+    def draws(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
+        name = f"{family}[{channel.name}]"
+        if name not in unit.quantities.draws:
+            return []
+        factor = 1 / abs(channel.scale_si) / to_si(unit_name, unit.gravity)
+        return [StandardDraws(channel.name, unit_name, factor * unit.quantities.draws[name], (name,))]
+
+    return draws
+
+
+def _non_orthogonality(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
+    """Return the angle of a channel's axis to those of later channels of its kind, less its nominal value."""
+    known, found = unit.quantities, []
+    for other in unit.channels:
+        name = f"axis_angle[{channel.name},{other.name}]"
+        if name in known.draws:
+            nominal = np.degrees(np.arccos(np.clip(channel.axes[0] @ other.axes[0], -1, 1)))
+            apart = (known.draws[name] - nominal) * _ARCSEC_PER_DEGREE
+            found.append(StandardDraws(f"{channel.name},{other.name}", "arcsec", apart, (name,)))
+    return found
+
+
+def _response_error(unit: UnitUnderTest, channel: Channel, input_: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return a gyro's error nonlinear in rate at inputs (n,) in deg/s: (S, n) in ppm·deg/s, and its parameters."""
+    known = unit.quantities.draws
+    terms = {
+        f"gyro_scale_asymmetry.asymmetry[{channel.name}]": np.abs(input_),
+        f"gyro_scale_quadratic.quadratic[{channel.name}]": input_**2,
+        f"gyro_scale_cubic.cubic[{channel.name}]": input_**3,
+    }
+    found = {name: shape for name, shape in terms.items() if name in known}
+    if not found:
+        return np.zeros((0, len(input_))), ()
+    return sum((known[name][:, None] * shape[None, :] for name, shape in found.items()), np.zeros(())), tuple(found)
+
+
+def _least_squares_line(values: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return slope and intercept of straight lines through values (S, n) at x (n,), shape (2, S)."""
+    return np.linalg.lstsq(np.stack([x, np.ones_like(x)], axis=1), values.T)[0]
+
+
+def _nonlinearity(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
+    """Return the largest deviation from the least-squares line over the tested rates, in ppm of the largest rate."""
+    low, high = unit.inputs.get(channel.name, (0.0, 0.0))
+    rates = np.linspace(low, high, _NODES)
+    error, members = _response_error(unit, channel, rates)
+    full_scale = max(abs(low), abs(high))
+    if not members or not full_scale > 0:
+        return []
+    slope, intercept = _least_squares_line(error, rates)
+    deviation = np.abs(error - slope[:, None] * rates - intercept[:, None]).max(axis=1)
+    return [StandardDraws(channel.name, "ppm", deviation / full_scale, members)]
+
+
+def _asymmetry(unit: UnitUnderTest, channel: Channel) -> list[StandardDraws]:
+    """Return the difference between the slopes of the least-squares lines for positive and negative rates, in ppm."""
+    low, high = unit.inputs.get(channel.name, (0.0, 0.0))
+    if not low < 0 < high:
+        return []
+    forward, reverse = np.linspace(0, high, _NODES), np.linspace(low, 0, _NODES)
+    (above, members), (below, _) = (_response_error(unit, channel, rates) for rates in (forward, reverse))
+    if not members:
+        return []
+    difference = _least_squares_line(above, forward)[0] - _least_squares_line(below, reverse)[0]
+    return [StandardDraws(channel.name, "ppm", difference, members)]
+
+
+def _scalar(
+    key: str, symbol: str, name: str, standard: Standard, term: str, family: str, factor: float = 1.0
+) -> StandardQuantity:
+    """Return a quantity that is one parameter of each channel."""
+    kind: SensorKind = "accelerometer" if family.startswith("accel") else "gyro"
+    effect = family.partition(".")[0]
+    return StandardQuantity(key, symbol, name, standard, kind, term, (of_family(family, factor),), (effect,))
+
+
+def _derived(
+    key: str, symbol: str, name: str, standard: Standard, kind: SensorKind, term: str, *sources: Source,
+    effects: tuple[str, ...] = (),
+) -> StandardQuantity:  # fmt: skip
+    return StandardQuantity(key, symbol, name, standard, kind, term, sources, effects)
+
+
+_NONLINEAR = ("gyro_scale_asymmetry", "gyro_scale_quadratic", "gyro_scale_cubic")
+STANDARD_QUANTITIES: tuple[StandardQuantity, ...] = (
+    _derived("gyro_scale_factor", "S", "scale factor", "IEEE Std 952", "gyro", "output = S·(Ω + …)",
+             of_family("scale_factor"), effects=("gyro_scale_factor",)),
+    _scalar("gyro_scale_factor_error", "ε_K", "scale factor error", "IEEE Std 952", "S/S_nominal − 1",
+            "gyro_scale_factor.scale"),
+    _derived("nonlinearity", "f(I)", "scale factor nonlinearity", "IEEE Std 952", "gyro",
+             "largest deviation from the least-squares line over the tested rates, of full scale",
+             _nonlinearity, effects=_NONLINEAR),
+    _derived("asymmetry", "S₊ − S₋", "scale factor asymmetry", "IEEE Std 952", "gyro",
+             "difference of the least-squares slopes for positive and negative rates",
+             _asymmetry, effects=_NONLINEAR),
+    _derived("scale_factor_repeatability", "s_S", "scale factor repeatability", "IEEE Std 952", "gyro",
+             "standard deviation over runs", _spread_over_runs("gyro_scale_factor.scale"),
+             effects=("gyro_scale_factor",)),
+    _scalar("gyro_scale_temperature", "ε_T", "scale factor temperature sensitivity", "IEEE Std 952",
+            "ε_T·(T − T_ref)·Ω", "gyro_scale_temperature.slope"),
+    _scalar("gyro_scale_temperature_2", "ε_TT", "scale factor temperature sensitivity, second order", "IEEE Std 952",
+            "ε_TT·(T − T_ref)²·Ω", "gyro_scale_temperature_quadratic.curvature"),
+    _scalar("gyro_bias", "D_F", "bias", "IEEE Std 952", "D_F", "gyro_bias.bias"),
+    _derived("gyro_bias_repeatability", "s_D", "bias repeatability", "IEEE Std 952", "gyro",
+             "standard deviation over runs", of_family("gyro_run_bias.spread"),
+             _at_the_input("run_scatter.tau", "deg/h"), effects=("gyro_run_bias",)),
+    _scalar("gyro_bias_temperature", "D_T", "bias temperature sensitivity", "IEEE Std 952", "D_T·(T − T_ref)",
+            "gyro_bias_temperature.slope"),
+    _scalar("gyro_bias_temperature_2", "D_TT", "bias temperature sensitivity, second order", "IEEE Std 952",
+            "D_TT·(T − T_ref)²", "gyro_bias_temperature_quadratic.curvature"),
+    _scalar("gyro_bias_temperature_rate", "D_Ṫ", "bias temperature-rate sensitivity", "IEEE Std 952", "D_Ṫ·dT/dt",
+            "gyro_bias_temperature_rate.slope"),
+    *(
+        _scalar(f"gyro_g_sensitivity_{axis}", f"D_{axis.upper()}", f"g-sensitivity along {axis.upper()}",
+                "IEEE Std 517", f"D_{axis.upper()}·f_{axis.upper()}", f"gyro_g_sensitivity.d_{axis}")
+        for axis in "ios"
+    ),
+    *(
+        _scalar(f"gyro_g2_sensitivity_{pair}", f"D_{pair.upper()}", f"g²-sensitivity {pair.upper()}", "IEEE Std 517",
+                f"D_{pair.upper()}·f_{pair[0].upper()}·f_{pair[1].upper()}", f"gyro_g2_sensitivity.d_{pair}")
+        for pair in ("ii", "oo", "ss", "io", "os", "si")
+    ),
+    _scalar("gyro_misalignment_o", "Θ_O", "input-axis misalignment toward O", "IEEE Std 952", "Θ_O·Ω_O",
+            "gyro_misalignment.toward_o"),
+    _scalar("gyro_misalignment_s", "Θ_S", "input-axis misalignment toward S", "IEEE Std 952", "Θ_S·Ω_S",
+            "gyro_misalignment.toward_s"),
+    _derived("gyro_misalignment_total", "Θ", "input-axis misalignment", "IEEE Std 952", "gyro", "√(Θ_O² + Θ_S²)",
+             _total_angle("gyro_misalignment.toward_o", "gyro_misalignment.toward_s"), effects=("gyro_misalignment",)),
+    _derived("gyro_non_orthogonality", "γ", "non-orthogonality", "IEEE Std 952", "gyro",
+             "angle between two input axes, less its nominal value", _non_orthogonality,
+             effects=("gyro_misalignment",)),
+    _scalar("gyro_threshold", "Ω_th", "threshold", "IEEE Std 952", "half-width of the dead zone",
+            "gyro_dead_zone.half_width"),
+    _scalar("accel_bias", "K_0", "bias", "IEEE Std 1293", "K_0", "accel_bias.bias"),
+    _derived("accel_scale_factor", "K_1", "scale factor", "IEEE Std 1293", "accelerometer", "output = K_1·(a_i + …)",
+             of_family("scale_factor"), effects=("accel_scale_factor",)),
+    _scalar("accel_scale_factor_error", "ΔK_1/K_1", "scale factor error", "IEEE Std 1293", "K_1/K_1nominal − 1",
+            "accel_scale_factor.scale"),
+    _scalar("accel_asymmetry", "K_1′", "scale factor asymmetry", "IEEE Std 1293", "K_1′·|a_i|",
+            "accel_scale_asymmetry.asymmetry"),
+    _scalar("accel_second_order", "K_2", "second-order nonlinearity", "IEEE Std 1293", "K_2·a_i²",
+            "accel_quadratic.quadratic"),
+    _scalar("accel_odd_quadratic", "K_oq", "odd quadratic nonlinearity", "IEEE Std 1293", "K_oq·a_i·|a_i|",
+            "accel_odd_quadratic.odd_quadratic"),
+    _scalar("accel_third_order", "K_3", "third-order nonlinearity", "IEEE Std 1293", "K_3·a_i³", "accel_cubic.cubic"),
+    _scalar("accel_cross_coupling_ip", "K_ip", "cross coupling of I and P", "IEEE Std 1293", "K_ip·a_i·a_p",
+            "accel_cross_coupling.k_ip"),
+    _scalar("accel_cross_coupling_io", "K_io", "cross coupling of I and O", "IEEE Std 1293", "K_io·a_i·a_o",
+            "accel_cross_coupling.k_io"),
+    _scalar("accel_cross_axis_oo", "K_oo", "cross-axis nonlinearity along O", "IEEE Std 1293", "K_oo·a_o²",
+            "accel_cross_axis_quadratic.k_oo"),
+    _scalar("accel_cross_axis_pp", "K_pp", "cross-axis nonlinearity along P", "IEEE Std 1293", "K_pp·a_p²",
+            "accel_cross_axis_quadratic.k_pp"),
+    _scalar("accel_misalignment_o", "δ_o", "misalignment about O", "IEEE Std 1293", "δ_o·a_p",
+            "accel_misalignment.toward_p"),
+    _scalar("accel_misalignment_p", "δ_p", "misalignment about P", "IEEE Std 1293", "−δ_p·a_o",
+            "accel_misalignment.toward_o", -1.0),
+    _derived("accel_misalignment_total", "δ", "input-axis misalignment", "IEEE Std 1293", "accelerometer",
+             "√(δ_o² + δ_p²)", _total_angle("accel_misalignment.toward_o", "accel_misalignment.toward_p"),
+             effects=("accel_misalignment",)),
+    _derived("accel_non_orthogonality", "γ", "non-orthogonality", "IEEE Std 1293", "accelerometer",
+             "angle between two input axes, less its nominal value", _non_orthogonality,
+             effects=("accel_misalignment",)),
+    _derived("accel_bias_repeatability", "s_K0", "bias repeatability", "IEEE Std 1293", "accelerometer",
+             "standard deviation over runs", of_family("accel_run_bias.spread"),
+             _at_the_input("run_scatter.tau", "ug"), effects=("accel_run_bias",)),
+    _scalar("accel_bias_temperature", "K_0T", "bias temperature sensitivity", "IEEE Std 1293", "K_0T·(T − T_ref)",
+            "accel_bias_temperature.slope"),
+    _scalar("accel_bias_temperature_2", "K_0TT", "bias temperature sensitivity, second order", "IEEE Std 1293",
+            "K_0TT·(T − T_ref)²", "accel_bias_temperature_quadratic.curvature"),
+    _scalar("accel_scale_temperature", "K_1T", "scale factor temperature sensitivity", "IEEE Std 1293",
+            "K_1T·(T − T_ref)·a_i", "accel_scale_temperature.slope"),
+    _scalar("accel_scale_temperature_2", "K_1TT", "scale factor temperature sensitivity, second order",
+            "IEEE Std 1293", "K_1TT·(T − T_ref)²·a_i", "accel_scale_temperature_quadratic.curvature"),
+    _scalar("accel_vibration_rectification", "K_v", "vibration rectification", "IEEE Std 1293", "K_v·a_rms²",
+            "accel_vibration_rectification.rectification"),
+    _scalar("accel_threshold", "a_th", "threshold", "IEEE Std 1293", "half-width of the dead zone",
+            "accel_dead_zone.half_width"),
+)  # fmt: skip
+"""Every quantity of the standards that the report knows, in its order."""
+
+
+def draws_of_standard(quantity: StandardQuantity, unit: UnitUnderTest) -> list[StandardDraws]:
+    """Return the draws of a quantity, one entry per channel or pair of channels; none where the result lacks it."""
+    for source in quantity.sources:
+        found = [each for channel in unit.channels if channel.kind == quantity.kind for each in source(unit, channel)]
+        if found:
+            return found
+    return []
