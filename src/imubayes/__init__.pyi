@@ -1,4 +1,17 @@
-from .api import Addition, CalibratedInputs, Result, add, apply, diagnose, export, fit, history, plant, read_result
+from .api import (
+    Addition,
+    CalibratedInputs,
+    Result,
+    add,
+    apply,
+    diagnose,
+    export,
+    fit,
+    history,
+    plant,
+    read_result,
+    report,
+)
 from .array_shapes import Scalar, vector3
 from .campaign import check_campaign, load_campaign
 from .campaign_data import Campaign
@@ -69,6 +82,7 @@ __all__ = [
     "plant",
     "read_result",
     "reference_temperature",
+    "report",
     "rotate",
     "sample",
     "time_constant",

@@ -26,6 +26,8 @@ from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import ModelSpec
+from imubayes.qualification.build_report import report_of
+from imubayes.qualification.report_record import QualificationReport
 from imubayes.results.addition import Addition, added_variable, addition_of
 from imubayes.results.apply_calibration import CalibratedInputs, apply_calibration, read_readings
 from imubayes.results.folder_state import CHECKPOINT, claim, claim_new
@@ -196,6 +198,23 @@ def apply(result: Result | str | Path, readings: pl.DataFrame | str | Path) -> C
     return apply_calibration(found, read_readings(Path(readings)), str(readings))
 
 
+def report(result: Result | str | Path, specification: str | Path | None = None) -> QualificationReport:
+    """Return the uncertainty report of a result as a record; `imubayes report` writes it as page, PDF and JSON.
+
+    Parameters
+    ----------
+    result : a result that has a folder, or the folder; its diagnosis and history are read from there.
+    specification : file with limits and decision rules; None where nothing is to be decided.
+
+    Raises
+    ------
+    InputError
+        for a result that cannot be read, one whose campaign is gone or has changed, and a specification that cannot be
+        used with it.
+    """
+    return report_of(result, specification)
+
+
 def history(*folders: str | Path) -> Tree:
     """Return the tree of models tried that result folders stand in."""
     return read_tree(folders)
@@ -273,4 +292,5 @@ __all__ = [
     "history",
     "plant",
     "read_result",
+    "report",
 ]

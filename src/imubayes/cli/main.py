@@ -20,6 +20,7 @@ from imubayes.cli.fit import fit
 from imubayes.cli.history import history
 from imubayes.cli.noise import noise
 from imubayes.cli.plant import plant
+from imubayes.cli.report import report
 from imubayes.cli.schema import schema
 from imubayes.cli.simulate import simulate
 from imubayes.errors import InputError, Issue, closest_first
@@ -27,7 +28,8 @@ from imubayes.errors import InputError, Issue, closest_first
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 _COLLECTION_THRESHOLD = 100_000
 _COMMANDS = (
-    check, fit, compare, classical, noise, carrier, apply, diagnose, add, history, plant, effects, simulate, schema,
+    check, fit, compare, classical, noise, carrier, apply, diagnose, add, history, plant, report, effects,
+    simulate, schema,
 )  # fmt: skip
 
 app = cyclopts.App(

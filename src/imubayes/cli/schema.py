@@ -13,6 +13,7 @@ _RECORDS = {
     "addition": ("imubayes.results.addition", "Addition"),
     "history": ("imubayes.criticism.model_history", "Node"),
     "fit": ("imubayes.results.fit_file", "FitRecord"),
+    "report": ("imubayes.qualification.report_record", "QualificationReport"),
     "summary": ("imubayes.results.summary", "Summary"),
 }
 """Kind of file → module and name of its pydantic record."""
@@ -26,7 +27,8 @@ def schema(kind: str) -> int:
     Parameters
     ----------
     kind
-        campaign (campaign.toml), model, plan; summary, fit, diagnosis, addition, or history (JSON files of a result).
+        campaign (campaign.toml), model, plan; report; summary, fit, diagnosis, addition, or history (JSON files of
+        a result).
     """
     if kind not in _RECORDS:
         allowed = closest_first(kind, _RECORDS)

@@ -35,25 +35,25 @@ from imubayes.qualification.report_pictures import (
 )
 from imubayes.qualification.report_record import (
     Adequacy,
-    ChannelEntry,
     Conformity,
-    Convergence,
     CoveredRange,
-    EffectEntry,
-    LeftOut,
     LimitOutcome,
     ModelTried,
     MountingAngle,
-    MountingEntry,
+    Omissions,
     OmittedChannel,
     Provenance,
     QualificationReport,
-    RunEntry,
-    Scope,
+    ReportedChannel,
+    ReportedConvergence,
+    ReportedEffect,
+    ReportedMounting,
+    ReportedRun,
+    ReportedTable,
     SoftwareVersion,
+    StatisticalScope,
     StructureFound,
     Subject,
-    TableEntry,
 )
 from imubayes.results.fit_file import read_fit_record
 from imubayes.results.history_file import read_tree
@@ -134,7 +134,7 @@ def subject_of(campaign: Campaign, result: Result) -> Subject:
         height_m=site.height,
         gravity_m_s2=site.gravity,
         channels=tuple(
-            ChannelEntry(
+            ReportedChannel(
                 name=channel.name,
                 kind=channel.kind,
                 input_axis=_triple(channel.axes[0]),
@@ -147,7 +147,7 @@ def subject_of(campaign: Campaign, result: Result) -> Subject:
             for channel in campaign.channels
         ),
         tables=tuple(
-            TableEntry(
+            ReportedTable(
                 name=table.name,
                 azimuth_deg=math.degrees(table.azimuth),
                 elevation_deg=math.degrees(table.elevation),
@@ -158,7 +158,7 @@ def subject_of(campaign: Campaign, result: Result) -> Subject:
             for table in campaign.tables.values()
         ),
         mountings=tuple(
-            MountingEntry(
+            ReportedMounting(
                 name=mounting.name,
                 body_to_table=tuple(_triple(row) for row in mounting.body_to_table),
                 uncertainty_arcmin=_in(mounting.uncertainty, math.radians(1 / 60)),
@@ -166,7 +166,7 @@ def subject_of(campaign: Campaign, result: Result) -> Subject:
             for mounting in campaign.mountings.values()
         ),
         runs=tuple(
-            RunEntry(
+            ReportedRun(
                 name=run.name, procedure=run.procedure, table=run.table, mounting=run.mounting, start=run.start,
                 rows=run.rows, values_used=used.get(run.name, 0), values_missing=missing[run.name],
             )
@@ -197,7 +197,7 @@ def provenance_of(result: Result) -> Provenance:
     return Provenance(
         model=spec.name,
         effects=tuple(
-            EffectEntry(
+            ReportedEffect(
                 name=effect.name, channels=effect.channels, prior=dict(effect.prior), options=dict(effect.options)
             )
             for effect in spec.effects
@@ -220,7 +220,7 @@ def _version(package: str) -> str:
         return "not installed as a package"
 
 
-def convergence_of(result: Result) -> Convergence:
+def convergence_of(result: Result) -> ReportedConvergence:
     """Return whether fit and sampling converged, and their worst diagnostics."""
     summary = result.summary
     worst = {
@@ -231,7 +231,7 @@ def convergence_of(result: Result) -> Convergence:
     if summary.converged:
         first = summary.parameters[0].name
         draws = len(next(iter(draws_of(result.posterior_file or result.posterior, [first]).values())))
-    return Convergence(
+    return ReportedConvergence(
         converged=summary.converged,
         message=summary.message,
         sampled=summary.sampled,
@@ -345,9 +345,9 @@ def _optional(found: ProbabilityByTwoMethods | None):
     return None if found is None else probability_of(found)
 
 
-def left_out_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> LeftOut:
+def left_out_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> Omissions:
     """Return what was left out."""
-    return LeftOut(
+    return Omissions(
         channels=_omitted(campaign),
         notes=result.summary.notes,
         outliers=len(diagnosis.outliers) if diagnosis is not None else 0,
@@ -355,7 +355,7 @@ def left_out_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None)
     )
 
 
-def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> Scope:
+def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) -> StatisticalScope:
     """Return what the statistics rest on."""
     table = result.residuals.table
     ranges = []
@@ -374,7 +374,7 @@ def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) ->
     starts = sorted(run.start for run in campaign.runs if run.start is not None)
     undetectable = diagnosis.undetectable if diagnosis is not None else ()
     lines = (*result.summary.parameters, *result.summary.derived)
-    return Scope(
+    return StatisticalScope(
         ranges=tuple(ranges),
         first_start=starts[0] if starts else None,
         last_start=starts[-1] if starts else None,

@@ -193,13 +193,7 @@ def not_estimated(result: Result, unit: TestedUnit | None, diagnosis: Diagnosis 
     for quantity in STANDARD_QUANTITIES:
         if quantity.kind not in kinds or (under_test is not None and draws_of_standard(quantity, under_test)):
             continue
-        reason: Literal["not_in_model", "undetectable", "not_defined"] = "not_in_model"
-        needs: tuple[str, ...] = ()
-        hidden = [] if diagnosis is None else [e for e in diagnosis.undetectable if e.effect in quantity.effects]
-        if any(effect in in_model for effect in quantity.effects):
-            reason = "not_defined"
-        elif hidden and len({each.effect for each in hidden}) == len(quantity.effects):
-            reason, needs = "undetectable", tuple(dict.fromkeys(need for each in hidden for need in each.needs))
+        reason, needs = _why_missing(quantity, in_model, diagnosis)
         found.append(
             NotEstimated(
                 key=quantity.key,
@@ -213,6 +207,18 @@ def not_estimated(result: Result, unit: TestedUnit | None, diagnosis: Diagnosis 
             )
         )
     return tuple(found)
+
+
+def _why_missing(
+    quantity: StandardQuantity, in_model: set[str], diagnosis: Diagnosis | None
+) -> tuple[Literal["not_in_model", "undetectable", "not_defined"], tuple[str, ...]]:
+    """Return why a result lacks a quantity, and what runs would have to supply."""
+    if in_model.intersection(quantity.effects):
+        return "not_defined", ()
+    hidden = [] if diagnosis is None else [e for e in diagnosis.undetectable if e.effect in quantity.effects]
+    if hidden and len({each.effect for each in hidden}) == len(quantity.effects):
+        return "undetectable", tuple(dict.fromkeys(need for each in hidden for need in each.needs))
+    return "not_in_model", ()
 
 
 def _screened(quantity: StandardQuantity, diagnosis: Diagnosis | None) -> tuple[ScreenedCoefficient, ...]:

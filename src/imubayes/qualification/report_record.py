@@ -45,7 +45,7 @@ class MonteCarloError(Record):
     worst: Statistic
 
 
-class Estimate(Record):
+class ReportedEstimate(Record):
     """A quantity with its uncertainty.
 
     Attributes
@@ -71,7 +71,7 @@ class Estimate(Record):
     exact: bool = False
 
 
-class ResultLine(Estimate):
+class ResultLine(ReportedEstimate):
     """A line of the result table; prior mean of a normal prior, R̂ and effective sizes of a sampled parameter."""
 
     kind: Literal["parameter", "derived"]
@@ -81,7 +81,7 @@ class ResultLine(Estimate):
     ess_tail: float | None = None
 
 
-class StandardEstimate(Estimate):
+class StandardEstimate(ReportedEstimate):
     """A quantity under the name and symbol of a standard.
 
     Attributes
@@ -138,7 +138,7 @@ class ProcedureEvidence(Record):
     without: float
 
 
-class MountingAngle(Estimate):
+class MountingAngle(ReportedEstimate):
     """The true angle between a sensitive axis and the rotation axis.
 
     Attributes
@@ -175,7 +175,7 @@ class Probability(Record):
     withheld: Withheld | None
 
 
-class ThermalLinearity(Estimate):
+class ThermalLinearity(ReportedEstimate):
     """Δk of one converter input against the 1 g input, and P(Δk ≤ threshold)."""
 
     channel: str
@@ -239,7 +239,7 @@ class Conformity(Record):
     limits: tuple[LimitOutcome, ...]
 
 
-class ChannelEntry(Record):
+class ReportedChannel(Record):
     """A channel as the campaign states it: axes in the body frame, nominal scale factor and offset."""
 
     name: str
@@ -252,7 +252,7 @@ class ChannelEntry(Record):
     nominal_offset: float
 
 
-class TableEntry(Record):
+class ReportedTable(Record):
     """A table with its stated standard uncertainties; None where the campaign states none."""
 
     name: str
@@ -263,7 +263,7 @@ class TableEntry(Record):
     angle_uncertainty_arcsec: float | None
 
 
-class MountingEntry(Record):
+class ReportedMounting(Record):
     """A mounting: nominal rotation from body to table, and the standard uncertainty of its seat."""
 
     name: str
@@ -271,7 +271,7 @@ class MountingEntry(Record):
     uncertainty_arcmin: float | None
 
 
-class RunEntry(Record):
+class ReportedRun(Record):
     """A run: what it was, where, when, and how many values of it were used of how many rows and channels."""
 
     name: str
@@ -293,13 +293,13 @@ class Subject(Record):
     latitude_deg: float
     height_m: float
     gravity_m_s2: float
-    channels: tuple[ChannelEntry, ...]
-    tables: tuple[TableEntry, ...]
-    mountings: tuple[MountingEntry, ...]
-    runs: tuple[RunEntry, ...]
+    channels: tuple[ReportedChannel, ...]
+    tables: tuple[ReportedTable, ...]
+    mountings: tuple[ReportedMounting, ...]
+    runs: tuple[ReportedRun, ...]
 
 
-class EffectEntry(Record):
+class ReportedEffect(Record):
     """An effect of the model, with its fixed settings and the priors that the model file states."""
 
     name: str
@@ -319,7 +319,7 @@ class Provenance(Record):
     """What the numbers come from: model, hashes, seed, software that made the report."""
 
     model: str
-    effects: tuple[EffectEntry, ...]
+    effects: tuple[ReportedEffect, ...]
     data_sha256: str
     model_sha256: str
     seed: int
@@ -386,7 +386,7 @@ class Adequacy(Record):
     prior_conflicts: tuple[PriorConflict, ...]
 
 
-class Convergence(Record):
+class ReportedConvergence(Record):
     """Whether fit and sampling converged; numbers of the sampling are None where there was none.
 
     Attributes
@@ -418,7 +418,7 @@ class OmittedChannel(Record):
     values: int
 
 
-class LeftOut(Record):
+class Omissions(Record):
     """What was left out: missing values, notes of the reduction, outliers, and parameters that are not reported."""
 
     channels: tuple[OmittedChannel, ...]
@@ -437,7 +437,7 @@ class CoveredRange(Record):
     highest: float
 
 
-class Scope(Record):
+class StatisticalScope(Record):
     """What the statistics rest on, and with that what they do not cover.
 
     Attributes
@@ -471,7 +471,7 @@ class QualificationReport(Record):
     interval: IntervalKind = "95 % equal-tailed credible interval"
     subject: Subject
     provenance: Provenance
-    convergence: Convergence
+    convergence: ReportedConvergence
     adequacy: Adequacy
     conformity: Conformity | None
     results: tuple[ResultLine, ...]
@@ -479,8 +479,8 @@ class QualificationReport(Record):
     standards: tuple[StandardEstimate, ...]
     not_estimated: tuple[NotEstimated, ...]
     thermal_linearity: tuple[ThermalLinearity, ...]
-    left_out: LeftOut
-    scope: Scope
+    left_out: Omissions
+    scope: StatisticalScope
     pictures: PictureData
 
     @property

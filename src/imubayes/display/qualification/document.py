@@ -43,7 +43,7 @@ class Items:
 
 
 @dataclass(frozen=True)
-class Table:
+class ReportTable:
     """A table; its first column names the row.
 
     Attributes
@@ -80,7 +80,7 @@ class Drawings:
     type: Literal["drawings"] = "drawings"
 
 
-Block = Heading | Paragraph | Items | Table | Drawings
+Block = Heading | Paragraph | Items | ReportTable | Drawings
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Banner:
 
 
 @dataclass(frozen=True)
-class Document:
+class ReportDocument:
     """A document.
 
     Attributes

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from imubayes.display.labels import pretty
-from imubayes.display.qualification.document import Banner, Table, Text
+from imubayes.display.qualification.document import Banner, ReportTable, Text
 from imubayes.display.qualification.words import (
     OBSTACLES,
     OUTCOMES,
@@ -87,7 +87,7 @@ def _day(start: str) -> str:
     return start.partition("T")[0].partition(" ")[0]
 
 
-def limits_table(limits: Sequence[LimitOutcome]) -> Table:
+def limits_table(limits: Sequence[LimitOutcome]) -> ReportTable:
     """Return every limit with estimate, conformance probability and decision."""
     rows = []
     for limit in limits:
@@ -103,13 +103,13 @@ def limits_table(limits: Sequence[LimitOutcome]) -> Table:
                 Text(word, mood),
             )
         )
-    return Table(
+    return ReportTable(
         "Limits of the specification",
-        ("quantity", "limits", "temperature", "estimate ± u", "p_c", "decision"),
+        ("quantity", "limits", "temperature", "estimate ± u", "conformance probability", "decision"),
         rows,
         (0, 1, 2, 5),
-        "Estimate with standard uncertainty u at the temperature of the range at which the quantity is worst. p_c: "
-        "conformance probability, the posterior probability that the quantity is within its limits over the whole "
+        "Estimate with standard uncertainty u at the temperature of the range at which the quantity is worst. "
+        "Conformance probability: the posterior probability that the quantity is within its limits over the whole "
         "range (JCGM 106), with its Monte Carlo error.",
     )
 
@@ -122,7 +122,7 @@ def _where(limit: LimitOutcome) -> str:
     return f"{low:g} … {high:g} °C{worst}"
 
 
-def risk_table(limits: Sequence[LimitOutcome]) -> Table:
+def risk_table(limits: Sequence[LimitOutcome]) -> ReportTable:
     """Return rule, guard band and risks of every limit, with the second method of each probability."""
     known = any(limit.global_consumer_risk is not None for limit in limits)
     rows = [
@@ -146,13 +146,13 @@ def risk_table(limits: Sequence[LimitOutcome]) -> Table:
         "quantity",
         "rule",
         "guard band w",
-        "p_c from draws",
-        "p_c by quadrature",
+        "conformance, draws",
+        "conformance, quadrature",
         "consumer’s risk",
         "producer’s risk",
     ]
     head += ["global consumer’s risk", "global producer’s risk"] if known else []
-    return Table(
+    return ReportTable(
         "Decision rules and risks",
         head,
         rows,

@@ -4,11 +4,11 @@ import re
 
 from markupsafe import Markup, escape
 
-from imubayes.display.qualification.document import Document
+from imubayes.display.qualification.document import ReportDocument
 from imubayes.display.templates import render
 
 
-def html_page(document: Document) -> str:
+def html_page(document: ReportDocument) -> str:
     """Return a document as an HTML page."""
     headings = [block.text for block in document.blocks if block.type == "heading" and block.level == 2]
     # Drawings are SVG that this package made; all else is escaped.

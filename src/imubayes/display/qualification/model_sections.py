@@ -5,10 +5,17 @@ from collections.abc import Sequence
 from imubayes.criticism import thresholds
 from imubayes.display.diagnosis_report import chance_text
 from imubayes.display.labels import pretty
-from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, Table, Text
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
 from imubayes.display.qualification.words import VERDICTS, enumerated, hash_text
 from imubayes.display.rounding import NO_NUMBER, percent, ratio_text, significant, value_and_sd
-from imubayes.qualification.report_record import Adequacy, Convergence, LeftOut, Provenance, Scope, Subject
+from imubayes.qualification.report_record import (
+    Adequacy,
+    Omissions,
+    Provenance,
+    ReportedConvergence,
+    StatisticalScope,
+    Subject,
+)
 
 _NOISE = {
     "autocorrelation": "residuals are autocorrelated",
@@ -54,16 +61,18 @@ def equipment_section(subject: Subject) -> list[Block]:
     ]  # fmt: skip
     found: list[Block] = [Heading("Unit, site and equipment"), Paragraph(site)]
     head = ("channel", "kind", "input axis", "output axis", "nominal scale factor", "nominal offset")
-    found.append(Table("Channels", head, channels, (0, 1, 2, 3), "Axes in the body frame, as designed."))
+    found.append(ReportTable("Channels", head, channels, (0, 1, 2, 3), "Axes in the body frame, as designed."))
     if tables:
         head = ("table", "azimuth / deg", "elevation / deg", "axis / arcsec", "rate / ppm", "angle / arcsec")
-        found.append(Table("Tables", head, tables, (0,), "Direction of the axis; standard uncertainties as stated."))
+        found.append(ReportTable("Tables", head, tables, (0,), "Standard uncertainties as stated."))
     if mountings:
         found.append(
-            Table("Mountings", ("mounting", "seat / arcmin"), mountings, (0,), "Standard uncertainty of each angle.")
+            ReportTable(
+                "Mountings", ("mounting", "seat / arcmin"), mountings, (0,), "Standard uncertainty, each angle."
+            )
         )
     head = ("run", "procedure", "table", "mounting", "start", "rows", "values")
-    found.append(Table("Runs", head, runs, (0, 1, 2, 3, 4), "Values: rows times channels that the fit used."))
+    found.append(ReportTable("Runs", head, runs, (0, 1, 2, 3, 4), "Values: rows times channels that the fit used."))
     return found
 
 
@@ -152,7 +161,7 @@ def _history(adequacy: Adequacy) -> list[Block]:
         "the noise scales of its own fit. The more models were tried, the more of the agreement is selection."
     )
     head = ("model", "verdict before", "χ²", "χ²/ν", "")
-    return [Table("Models tried", head, rows, (0, 1, 4), note)]
+    return [ReportTable("Models tried", head, rows, (0, 1, 4), note)]
 
 
 def _conflicts(adequacy: Adequacy) -> list[Block]:
@@ -167,7 +176,9 @@ def _conflicts(adequacy: Adequacy) -> list[Block]:
         for each in adequacy.prior_conflicts
     ]  # fmt: skip
     head = ("parameter", "prior", "data alone", "unit", "distance / sd")
-    return [Table("Priors that disagree with the data", head, rows, (0, 3), "Unit or equipment is worse than stated.")]
+    return [
+        ReportTable("Priors that disagree with the data", head, rows, (0, 3), "Unit or equipment is worse than stated.")
+    ]
 
 
 def _fit_table(adequacy: Adequacy) -> list[Block]:
@@ -181,10 +192,10 @@ def _fit_table(adequacy: Adequacy) -> list[Block]:
     ]  # fmt: skip
     head = ("run", "channel", "values", "χ²/n", "rms residual", "unit")
     note = "χ²/n: mean square of the standardised residuals, near 1 where the noise model holds."
-    return [Table("Goodness of fit by run and channel", head, rows, (0, 1, 5), note)]
+    return [ReportTable("Goodness of fit by run and channel", head, rows, (0, 1, 5), note)]
 
 
-def convergence_section(found: Convergence) -> list[Block]:
+def convergence_section(found: ReportedConvergence) -> list[Block]:
     """Return whether fit and sampling converged."""
     blocks: list[Block] = [Heading("Convergence")]
     if not found.converged:
@@ -217,14 +228,14 @@ def convergence_section(found: Convergence) -> list[Block]:
         (Text("draws"), Text(str(found.draws)), Text(""), Text("")),
     ]
     note = "R̂ compares independent ensembles. Parameter: the one that has the worst value."
-    return [*blocks, Table("Sampling", ("diagnostic", "value", "required", "parameter"), rows, (0, 3), note)]
+    return [*blocks, ReportTable("Sampling", ("diagnostic", "value", "required", "parameter"), rows, (0, 3), note)]
 
 
 def _decimals(value: float | None, count: int) -> str:
     return NO_NUMBER if value is None else f"{value:.{count}f}"
 
 
-def left_out_section(found: LeftOut) -> list[Block]:
+def left_out_section(found: Omissions) -> list[Block]:
     """Return what was left out, and why."""
     items = [
         f"{each.run}: {each.values} values of {each.channel} are missing in the record." for each in found.channels
@@ -245,7 +256,7 @@ def left_out_section(found: LeftOut) -> list[Block]:
     return [*blocks, Items(items)]
 
 
-def scope_section(scope: Scope) -> list[Block]:
+def scope_section(scope: StatisticalScope) -> list[Block]:
     """Return what the statistics do not cover."""
     rows = [
         (Text(each.phrase), Text(f"{each.lowest:.5g}"), Text(f"{each.highest:.5g}"), Text(pretty(each.unit)))
@@ -273,11 +284,11 @@ def scope_section(scope: Scope) -> list[Block]:
     ]
     blocks: list[Block] = [Heading("What the statistics do not cover")]
     if rows:
-        blocks.append(Table("Tested ranges", ("covariate", "lowest", "highest", "unit"), rows, (0, 3)))
+        blocks.append(ReportTable("Tested ranges", ("covariate", "lowest", "highest", "unit"), rows, (0, 3)))
     blocks.append(Items(items))
     if weak:
         note = "The data determine these combinations hardly or not at all: they rest on the priors of their members."
-        blocks.append(Table("Weakly determined combinations", ("combination", "from data"), weak, (0,), note))
+        blocks.append(ReportTable("Weakly determined combinations", ("combination", "from data"), weak, (0,), note))
     return blocks
 
 
@@ -311,8 +322,8 @@ def provenance_section(found: Provenance) -> list[Block]:
     ]
     return [
         Heading("Model, hashes and software"),
-        Table("Identification", ("what", "value"), hashes, (0, 1), "SHA-256 of campaign and model."),
-        Table("Effects of the model", ("effect", "channels", "priors in the model file", "settings"), effects,
+        ReportTable("Identification", ("what", "value"), hashes, (0, 1), "SHA-256 of campaign and model."),
+        ReportTable("Effects of the model", ("effect", "channels", "priors in the model file", "settings"), effects,
               (0, 1, 2, 3), "Default: of the catalogue, or the uncertainty that the campaign states."),
-        Table("Software that made this report", ("package", "version"), software, (0, 1)),
+        ReportTable("Software that made this report", ("package", "version"), software, (0, 1)),
     ]  # fmt: skip

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from imubayes.display.qualification.document import Block, Document, Heading, Paragraph
+from imubayes.display.qualification.document import Block, Heading, Paragraph, ReportDocument
 from imubayes.display.qualification.error_drawings import error_drawings, worst_drawing
 from imubayes.display.qualification.first_page import alarms, banner, facts, limits_table, risk_table
 from imubayes.display.qualification.forest_drawings import forest_drawings
@@ -24,11 +24,11 @@ from imubayes.display.qualification.result_sections import (
 from imubayes.qualification.report_record import QualificationReport
 
 
-def report_document(report: QualificationReport) -> Document:
+def report_document(report: QualificationReport) -> ReportDocument:
     """Return the report as a document."""
     serial = report.subject.serial or report.subject.campaign
     made = report.provenance
-    return Document(
+    return ReportDocument(
         title="Uncertainty report for qualification",
         subtitle=f"Unit {serial}",
         banner=banner(report),

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from imubayes.display.labels import pretty
-from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, Table, Text
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
 from imubayes.display.qualification.words import (
     WITHHELD_NUMBER,
     enumerated,
@@ -13,10 +13,10 @@ from imubayes.display.qualification.words import (
 )
 from imubayes.display.rounding import percent, rounded, significant, value_and_sd
 from imubayes.qualification.report_record import (
-    Estimate,
     MountingAngle,
     NotEstimated,
     QualificationReport,
+    ReportedEstimate,
     StandardEstimate,
     ThermalLinearity,
 )
@@ -49,7 +49,7 @@ def standards_section(report: QualificationReport) -> list[Block]:
     return found
 
 
-def _standard_table(standard: str, own: Sequence[StandardEstimate]) -> Table:
+def _standard_table(standard: str, own: Sequence[StandardEstimate]) -> ReportTable:
     rows, before = [], ""
     for each in own:
         new = each.key != before
@@ -68,7 +68,7 @@ def _standard_table(standard: str, own: Sequence[StandardEstimate]) -> Table:
             )
         )
     head = ("symbol", "quantity", "channel", "estimate", "u", "95 % interval", "unit", "term")
-    return Table(
+    return ReportTable(
         standard,
         head,
         rows,
@@ -77,7 +77,7 @@ def _standard_table(standard: str, own: Sequence[StandardEstimate]) -> Table:
     )
 
 
-def _not_estimated(lines: Sequence[NotEstimated]) -> Table:
+def _not_estimated(lines: Sequence[NotEstimated]) -> ReportTable:
     rows = []
     for each in lines:
         screened = "; ".join(
@@ -92,7 +92,7 @@ def _not_estimated(lines: Sequence[NotEstimated]) -> Table:
             )
         )  # fmt: skip
     head = ("symbol", "quantity", "standard", "why", "effect", "one-step estimate of the diagnosis")
-    return Table(
+    return ReportTable(
         "Not estimated",
         head,
         rows,
@@ -139,7 +139,7 @@ def mounting_section(angles: Sequence[MountingAngle]) -> list[Block]:
     ]
     return [
         Heading("True mounting angles"),
-        Table("Angles to the axis of rotation", head, rows, (0, 1, 7), note),
+        ReportTable("Angles to the axis of rotation", head, rows, (0, 1, 7), note),
         Paragraph("Runs in each mounting:"),
         Items(runs),
     ]
@@ -178,7 +178,7 @@ def converter_section(lines: Sequence[ThermalLinearity]) -> list[Block]:
         "Δk is probably below the threshold, the temperature line measured at 1 g stands for all inputs; where it is "
         "above, each input needs its own line."
     )
-    return [Heading("Thermal linearity of the converters"), Table("Δk of each input", head, rows, (0, 1), note)]
+    return [Heading("Thermal linearity of the converters"), ReportTable("Δk of each input", head, rows, (0, 1), note)]
 
 
 def result_section(report: QualificationReport) -> list[Block]:
@@ -196,12 +196,12 @@ def result_section(report: QualificationReport) -> list[Block]:
         if lines:
             rows = [_result_row(line) for line in lines]
             head = ("quantity", "estimate", "u", "95 % interval", "unit", "from data")
-            found.append(Table(caption, head, rows, (0, 4), note))
+            found.append(ReportTable(caption, head, rows, (0, 4), note))
             note = ""
     return found
 
 
-def _result_row(line: Estimate) -> tuple[Text, ...]:
+def _result_row(line: ReportedEstimate) -> tuple[Text, ...]:
     estimate, u, _, _ = stated(line)
     weak = line.from_data is not None and line.from_data < _UNDETERMINED
     mood = "weak" if weak else ""

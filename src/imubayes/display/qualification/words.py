@@ -9,7 +9,7 @@ from imubayes.display.rounding import NO_NUMBER, rounded, significant
 from imubayes.qualification.assess import Obstacle
 from imubayes.qualification.conformance import Withheld
 from imubayes.qualification.decision_rules import Outcome, RuleName
-from imubayes.qualification.report_record import Estimate, LimitOutcome, Probability
+from imubayes.qualification.report_record import LimitOutcome, Probability, ReportedEstimate
 
 OUTCOMES: dict[Outcome, tuple[str, Mood]] = {
     "pass": ("PASS", "good"),
@@ -68,7 +68,7 @@ def rule_text(limit: LimitOutcome) -> str:
     return said
 
 
-def stated(found: Estimate) -> tuple[str, str, str, str]:
+def stated(found: ReportedEstimate) -> tuple[str, str, str, str]:
     """Return estimate, standard uncertainty and both ends of the interval with the digits that they deserve."""
     if found.estimate is None or found.standard_uncertainty is None:
         return NO_NUMBER, NO_NUMBER, NO_NUMBER, NO_NUMBER
@@ -82,7 +82,7 @@ def stated(found: Estimate) -> tuple[str, str, str, str]:
     return estimate, u, low, high
 
 
-def interval_text(found: Estimate) -> str:
+def interval_text(found: ReportedEstimate) -> str:
     """Return the coverage interval; empty for an exact quantity."""
     _, _, low, high = stated(found)
     if low == "withheld" or not low:

@@ -1,0 +1,179 @@
+"""`imubayes report`: the document says what the record holds, and no unit passes on a model that is not adequate."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from imubayes.cli.main import run
+from imubayes.criticism.diagnosis_record import Diagnosis, Verdict
+from imubayes.display.qualification.html_page import html_page
+from imubayes.display.qualification.report_document import report_document
+from imubayes.qualification.report_record import QualificationReport
+from imubayes.results.loop_files import write_diagnosis
+
+ROOT = Path(__file__).parents[2]
+WIDE = '[[limit]]\nquantity = "accel_bias.bias"\nlower = -100\nupper = 100\nunit = "mg"\n'
+HEAD = 'format = 1\nname = "test"\n'
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("report") / "result"
+    model = ROOT / "models" / "accel-channel.toml"
+    assert (
+        run(["fit", str(ROOT / "data" / "accel-channel"), "--model", str(model), "--out", str(folder), "--no-sample"])
+        == 0
+    )
+    return folder
+
+
+@pytest.fixture
+def result(fitted, tmp_path) -> Path:
+    return Path(shutil.copytree(fitted, tmp_path / "result"))
+
+
+def specification(folder: Path, text: str = WIDE) -> str:
+    file = folder / "spec.toml"
+    file.write_text(HEAD + text)
+    return str(file)
+
+
+def judged(result: Path, verdict: Verdict) -> None:
+    write_diagnosis(result, Diagnosis(verdict=verdict, result=str(result)))
+
+
+def written(result: Path, tmp_path: Path, *words: str) -> tuple[int, QualificationReport, str]:
+    out = tmp_path / "report"
+    status = run(["report", str(result), *words, "--out", f"{out}.json", f"{out}.html"])
+    record = QualificationReport.model_validate_json(out.with_suffix(".json").read_text())
+    return status, record, out.with_suffix(".html").read_text()
+
+
+def visible(page: str) -> str:
+    body = re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", body))
+
+
+def test_an_adequate_unit_passes_and_the_page_is_made_from_the_record_alone(result, tmp_path):
+    judged(result, "adequate")
+    status, record, page = written(result, tmp_path, "--spec", specification(tmp_path))
+    assert status == 0
+    assert record.conformity is not None
+    assert record.conformity.outcome == "pass"
+    # Every number of the page stands in the JSON file: the page made from the file is the same to the byte.
+    assert html_page(report_document(record)) == page
+    again = tmp_path / "again"
+    again.mkdir()
+    assert written(result, again, "--spec", specification(tmp_path))[1:] == (record, page)
+    assert "PASS" in visible(page)
+    assert len(page.encode()) < 1.5e6
+
+
+def test_the_quantities_of_the_standards_have_posteriors(result, tmp_path):
+    _, record, page = written(result, tmp_path)
+    symbols = {each.symbol: each for each in record.standards}
+    for symbol in ("K_0", "K_1", "K_2"):
+        if symbol in symbols:
+            assert symbols[symbol].standard_uncertainty
+            assert symbols[symbol].low < symbols[symbol].estimate < symbols[symbol].high
+    assert {"K_0", "K_1"} <= set(symbols)
+    assert {each.symbol for each in record.not_estimated} & {"K_oo", "K_pp", "K_ip"}
+    assert symbols["K_0"].d_si is not None
+    assert symbols["K_0"].d_si.unit == r"\metre\per\second\tothe{2}"
+    assert symbols["K_0"].d_si.factor == pytest.approx(record.subject.gravity_m_s2 * 1e-6)
+    assert all(angle.estimate is not None for angle in record.mounting_angles)
+    assert all(each.within is not None for each in record.thermal_linearity)
+    assert record.provenance.data_sha256 in re.sub(r"\s", "", visible(page))
+
+
+def test_a_result_that_was_never_diagnosed_cannot_pass(result, tmp_path):
+    status, record, page = written(result, tmp_path, "--spec", specification(tmp_path))
+    assert status == 1
+    assert record.conformity.outcome == "withheld"
+    assert "never diagnosed" in visible(page)[:1500]
+
+
+@pytest.mark.parametrize("verdict", ["missing_effect", "unexplained_structure", "noise_model"])
+def test_an_inadequate_model_cannot_pass(result, tmp_path, verdict):
+    judged(result, verdict)
+    status, record, page = written(result, tmp_path, "--spec", specification(tmp_path))
+    assert (status, record.conformity.outcome) == (1, "withheld")
+    assert all(limit.outcome == "pass" for limit in record.conformity.limits)
+    assert "The model is inadequate" in visible(page)[:1500]
+
+
+def test_a_fit_that_did_not_converge_says_so_and_cannot_pass(result, tmp_path):
+    judged(result, "adequate")
+    file = result / "summary.json"
+    summary = json.loads(file.read_text())
+    for line in (*summary["parameters"], *summary["derived"]):
+        line |= dict.fromkeys(("mean", "sd", "q025", "q975", "from_data"))
+    file.write_text(json.dumps(summary | {"converged": False, "message": "The gradient did not vanish.", "chi2": None}))
+    status, record, page = written(result, tmp_path, "--spec", specification(tmp_path))
+    assert (status, record.accepted) == (1, False)
+    assert record.conformity.obstacles == ("not_converged",)
+    assert "The fit did not converge" in visible(page)[:1500]
+    assert "The gradient did not vanish." in visible(page)[:1500]
+    assert run(["report", str(result), "--out", str(tmp_path / "plain.json")]) == 1
+
+
+def test_a_unit_outside_its_limits_fails(result, tmp_path):
+    judged(result, "adequate")
+    narrow = '[[limit]]\nquantity = "accel_bias.bias"\nlower = 1\nupper = 2\nunit = "ug"\n'
+    status, record, page = written(result, tmp_path, "--spec", specification(tmp_path, narrow))
+    assert (status, record.conformity.outcome) == (1, "fail")
+    assert " FAIL " in visible(page)
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ('[[limit]]\nquantity = "accel_biass.bias"\nupper = 1\nunit = "ug"\n', "no quantity 'accel_biass.bias'"),
+        ('[[limit]]\nquantity = "accel_bias.bias"\nlower = 2\nupper = 1\nunit = "ug"\n', "crossed"),
+        ('[[limit]]\nquantity = "accel_bias.bias"\nupper = 1\nunit = "deg/h"\n', "unit 'deg/h'"),
+        (
+            '[[limit]]\nquantity = "accel_bias.bias"\nupper = 1\nunit = "ug"\ntemperature_degC = [-90, 55]\n',
+            "there are no data",
+        ),
+    ],
+)
+def test_a_specification_that_cannot_be_used_is_refused_in_four_parts(result, tmp_path, capsys, text, what):
+    out = tmp_path / "report.html"
+    assert run(["report", str(result), "--spec", specification(tmp_path, text), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert what in said
+    assert "spec.toml:" in said
+    assert len(said.strip().splitlines()) == 4
+    assert not out.exists()
+
+
+def test_an_unknown_ending_is_refused_before_anything_is_computed(result, tmp_path, capsys):
+    assert run(["report", str(result), "--out", str(tmp_path / "report.doc")]) == 2
+    assert ".html" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
+def test_the_page_asks_for_nothing_and_says_nothing_on_the_console(result, tmp_path):
+    judged(result, "adequate")
+    _, _, page = written(result, tmp_path, "--spec", specification(tmp_path))
+    assert browser_log(tmp_path, page) == []
+    planted = page.replace(
+        "</body>", '<img src="http://127.0.0.1:9/x.png"><script>console.error("planted")</script></body>'
+    )
+    assert len(browser_log(tmp_path, planted)) >= 2
+
+
+def browser_log(folder: Path, page: str) -> list[str]:
+    """Return console messages and requests beyond the page itself, from Chromium's log of the network."""
+    file, log = folder / "page.html", folder / "net.json"
+    file.write_text(page)
+    command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--v=0"]
+    command += ["--disable-background-networking", "--disable-component-update", f"--log-net-log={log}", "--dump-dom"]
+    said = subprocess.run([*command, f"file://{file}"], capture_output=True, text=True, timeout=60, check=False).stderr
+    console = [line for line in said.splitlines() if "CONSOLE" in line]
+    asked = re.findall(r'"url":"(https?://127[^"]*)"', log.read_text())
+    return console + sorted(set(asked))
