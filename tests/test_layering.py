@@ -27,7 +27,7 @@ FLOORS = (
     ("inference", "simulation", "noise_analysis"),
     ("criticism", "archive"),
     ("results",),
-    ("qualification",),
+    ("qualification", "batch"),
     ("display",),
     ("api", ""),
     ("cli",),

@@ -172,7 +172,7 @@ def _campaign(
         equipment.mountings,
         runs,
         entry.unit.serial,
-        _digest([file, *(file.parent / run.file for run in entry.run)]),
+        source_digest([file, *(file.parent / run.file for run in entry.run)]),
         (*entry.notes, *noise_notes, *(str(finding) for finding in findings)),
         str(file.parent),
         entry.unit.grade,
@@ -266,7 +266,8 @@ def _pooled(runs: Sequence[Run], index: int) -> float:
     return math.sqrt(float(np.average(sd[good] ** 2, weights=freedom[good]))) if good.any() else math.nan
 
 
-def _digest(files: Sequence[Path]) -> str:
+def source_digest(files: Sequence[Path]) -> str:
+    """Return the SHA-256 of the files of a campaign: the campaign file, then the table of every run."""
     digest = hashlib.sha256()
     for file in files:
         with file.open("rb") as stream:
