@@ -9,7 +9,7 @@ that of the campaign's content, not of the file: it is computed anew from what w
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,7 +98,7 @@ def write_campaign(campaign: Campaign, file: Path) -> None:
     head = {"format": SCHEMA_VERSION, **_stated(campaign), "campaign": _encoded(campaign)}
     table = _rows(campaign).replace_schema_metadata({_KEY: json.dumps(head).encode()})
     pq.write_table(
-        table, file, compression="zstd", write_statistics=False, use_dictionary=["run"],
+        table, file, compression="zstd", write_statistics=False, 
         write_page_checksum=True,
     )  # fmt: skip
 
@@ -141,8 +141,8 @@ def read_campaign(file: Path) -> Campaign:
         campaign = _campaign(head["campaign"], found[0])
         damaged = any(head[key] != value for key, value in _stated(campaign).items())
     except (KeyError, ValueError, TypeError, pa.ArrowException):
-        damaged = True
-    if damaged:
+        campaign, damaged = None, True
+    if damaged or campaign is None:
         raise _damaged(file, "its content does not have the checksum that it was written with")
     return campaign
 
@@ -179,24 +179,29 @@ def _damaged(file: Path, why: str) -> InputError:
 
 def _rows(campaign: Campaign) -> pa.Table:
     """Return the rows of all runs as one table."""
-    runs, names = campaign.runs, [channel.name for channel in campaign.channels]
-    counts = [run.rows for run in runs]
+    runs, counts = campaign.runs, [run.rows for run in campaign.runs]
     columns: dict[str, Any] = {"run": pa.array(np.repeat([run.name for run in runs], counts).tolist(), pa.string())}
-    covariates = dict.fromkeys(name for run in runs for name in run.covariates)
-    for name in covariates:
-        known = np.repeat([name in run.covariates for run in runs], counts)
-        values = np.concatenate([run.covariates.get(name, np.zeros(run.rows)) for run in runs])
-        columns[name] = pa.array(values, mask=~known, from_pandas=False)
-    columns["samples"] = pa.array(np.concatenate([run.samples for run in runs]))
-    for place, name in enumerate(names):
-        columns[f"observed_{name}"] = pa.array(np.concatenate([run.observed[:, place] for run in runs]))
-        columns[f"sd_{name}"] = pa.array(np.concatenate([run.sample_sd[:, place] for run in runs]))
+    columns |= _covariates(runs, counts)
+    columns["samples"] = np.concatenate([run.samples for run in runs])
+    observed, deviation = (np.concatenate([getattr(run, name) for run in runs]) for name in ("observed", "sample_sd"))
+    for place, channel in enumerate(campaign.channels):
+        columns |= {f"observed_{channel.name}": observed[:, place], f"sd_{channel.name}": deviation[:, place]}
     first = np.cumsum([0, *counts[:-1]])
     for place, run in zip(first.tolist(), runs, strict=True):
         for name, array in _arrays(run):
             column = columns.setdefault(f"array_{name}", [None] * sum(counts))
             column[place] = array.reshape(-1).tolist()
-    return pa.table({name: pa.array(c) if isinstance(c, list) else c for name, c in columns.items()})
+    return pa.table({name: pa.array(column, from_pandas=False) for name, column in columns.items()})
+
+
+def _covariates(runs: Sequence[Run], counts: Sequence[int]) -> dict[str, pa.Array]:
+    """Return the covariates of all runs, null where a run lacks one."""
+    columns = {}
+    for name in dict.fromkeys(name for run in runs for name in run.covariates):
+        known = np.repeat([name in run.covariates for run in runs], counts)
+        values = np.concatenate([run.covariates.get(name, np.zeros(run.rows)) for run in runs])
+        columns[name] = pa.array(values, mask=~known, from_pandas=False)
+    return columns
 
 
 def _arrays(run: Run) -> Iterator[tuple[str, np.ndarray]]:
