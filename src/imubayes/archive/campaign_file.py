@@ -98,7 +98,7 @@ def write_campaign(campaign: Campaign, file: Path) -> None:
     head = {"format": SCHEMA_VERSION, **_stated(campaign), "campaign": _encoded(campaign)}
     table = _rows(campaign).replace_schema_metadata({_KEY: json.dumps(head).encode()})
     pq.write_table(
-        table, file, compression="zstd", write_statistics=False, 
+        table, file, compression="zstd", write_statistics=False,
         write_page_checksum=True,
     )  # fmt: skip
 
