@@ -156,7 +156,7 @@ def test_dividing_head_positions(tmp_path: Path) -> None:
     rows = reduce_columns(tmp_path, columns, "dividing_head")
     np.testing.assert_allclose(rows.numbers["table_angle_deg"], 30.0 * np.arange(12), atol=1e-6)
     np.testing.assert_allclose(rows.numbers["a"], np.cos(np.deg2rad(30.0 * np.arange(12))), atol=1e-6)
-    assert "left out" in rows.notes[1]
+    assert "left out" in rows.notes[0]
 
 
 def test_angle_at_rest_across_the_full_turn(tmp_path: Path) -> None:
@@ -247,7 +247,7 @@ def test_merged_blocks_find_the_same_spans(monkeypatch: pytest.MonkeyPatch) -> N
         monkeypatch.setattr(blocks_module, "MOST_BLOCKS", most)
         builder = BlockBuilder(list(log))
         builder.push(batch)
-        return constant_spans(builder.finish(), ("g",))
+        return constant_spans(builder.finish(), ("g",)).spans
 
     fine, coarse = spans_with(10**6), spans_with(600)
     assert len(fine) == len(coarse) == 5

@@ -1,25 +1,34 @@
 """Detection of the spans of constant stimulus in a raw log: constant rate, constant angle or rest.
 
-A block is steady if rate, angle at rest and current are constant within it; consecutive steady blocks of the same
-stimulus form a span.  A rate command precedes the motion of the table, so the ends of a span, where the block means of
-a channel have not settled yet, are removed as transients.  Where the temperature is the stimulus, spans are divided
-into bins short enough for it to be constant.
+Consecutive blocks at one level of rate, of angle at rest and of current form a span (`stimulus_levels`).  A command
+precedes the motion of the table, so the ends of a span in which a channel has not settled are removed (`settling`); a
+span in which none settles is left out.  Where the temperature is the stimulus, spans are divided into bins short enough
+for it to be constant.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 
 from imubayes.campaign.reduction.block_survey import BlockSurvey
+from imubayes.campaign.reduction.settling import steady_part
+from imubayes.campaign.reduction.stimulus_levels import (
+    NOISE_FACTOR,
+    WIDTH,
+    column_noise,
+    level_labels,
+    running_median,
+)
 
 REST_RATE = 1e-6  # deg/s; rates below it are rest
 RATE_TOLERANCE = 1e-3  # relative; rates closer than this are equal
-NOISE_RANGE = 3.0  # times the median range of a measured rate within a block: about 9 standard deviations
-ANGLE_TOLERANCE = 0.01  # deg; larger than encoder noise, smaller than the steps of a dividing head
+ANGLE_TOLERANCE = 0.01  # deg; smaller than the steps of a dividing head
+ANGLE_STEADY = 0.002  # deg; what an angle at rest may vary by within a block
 CURRENT_TOLERANCE = 1e-3  # of the largest current
 LEAST_SECONDS = 1.0  # shorter spans are transitions
-SETTLED = 8.0  # robust standard deviations of the block means
+SMOOTHED_SECONDS = 0.5  # the running median of a stimulus lasts no longer
 BIN_KELVIN = 0.25
 BIN_SECONDS = 60.0
 FOLLOW_SECONDS = 1.0
@@ -27,6 +36,39 @@ FOLLOW_DEGREES = 15.0
 SMOOTHING_BLOCKS = 51
 RECORD_SECONDS = 60.0
 RECORD_ROWS = 128  # of a static record, at most: enough for its drift, few enough for its covariance
+
+
+@dataclass(frozen=True)
+class BenchSettings:
+    """What a campaign says about a table for the reduction of its raw logs.
+
+    Attributes
+    ----------
+    settling : time after each change of the stimulus that is left out at least, s.
+    rate_tolerance : difference up to which rates are equal, deg/s; None for the noise of the column.
+    """
+
+    settling: float = 0.0
+    rate_tolerance: float | None = None
+
+
+@dataclass
+class Dropped:
+    """Raw rows in no span, by cause, and the number of levels that were left out as a whole.
+
+    Attributes
+    ----------
+    changing : rows at no level of the stimulus, or at one of less than `LEAST_SECONDS`.
+    moving : rows in motion, where only rest is wanted.
+    settling : rows at the ends of levels, before the outputs were steady.
+    unsettled : rows of levels at which an output never became steady; `levels` is their number.
+    """
+
+    changing: int = 0
+    moving: int = 0
+    settling: int = 0
+    unsettled: int = 0
+    levels: int = 0
 
 
 @dataclass(frozen=True)
@@ -43,9 +85,21 @@ class Span:
         return self.stop - self.start
 
 
+@dataclass(frozen=True)
+class Detected:
+    """The spans of a log, in its order, and what is in none of them."""
+
+    spans: list[Span]
+    dropped: Dropped = field(default_factory=Dropped)
+
+
 def constant_spans(
-    blocks: BlockSurvey, channels: tuple[str, ...], by_temperature: bool = False, rest_only: bool = False
-) -> list[Span]:
+    blocks: BlockSurvey,
+    channels: tuple[str, ...],
+    by_temperature: bool = False,
+    rest_only: bool = False,
+    bench: BenchSettings | None = None,
+) -> Detected:
     """Return the spans of constant stimulus without their transients, in the order of the log.
 
     Parameters
@@ -54,38 +108,135 @@ def constant_spans(
     channels : columns checked for settling.
     by_temperature : divide the spans into bins of at most `BIN_KELVIN` and `BIN_SECONDS`.
     rest_only : return spans at rest only; motion is a change of position.
+    bench : settings of the table.
     """
+    bench = bench or BenchSettings()
+    rate, turning, label, loose = _levels(blocks, bench)
+    swept, holed = _swept(blocks, rate), _holed(blocks)
+    found, dropped, before = [], Dropped(), [np.nan] * len(channels)
+    edges = np.flatnonzero(np.diff(label)) + 1
+    for first, last in pairwise([0, *edges.tolist(), blocks.size]):
+        whole = _rows(blocks, first, last)
+        first, last = _trimmed(loose, first, last)
+        if not _long_enough(blocks, first, last):
+            dropped.changing += whole
+            continue
+        dropped.changing += whole - _rows(blocks, first, last)
+        if rest_only and turning[first]:
+            dropped.moving += _rows(blocks, first, last)
+            continue
+        outputs = [np.where(holed[first:last], np.nan, blocks.mean[name][first:last]) for name in channels]
+        if by_temperature:
+            # A fast ramp gives short bins; the minimum duration applies to the whole level.
+            bins = _settled_bins(blocks, channels, first, last, swept)
+            dropped.settling += _rows(blocks, first, last) - sum(_rows(blocks, a, b) for a, b in bins)
+        else:
+            part = steady_part(outputs, int(np.median(blocks.count)), swept[first:last], before)
+            begin, end = _after(blocks, first, part.first, bench.settling), first + part.last
+            settled = part.settled and _long_enough(blocks, begin, end)
+            bins = [(begin, end)] if settled else []
+            kept = _rows(blocks, begin, end) if settled else 0
+            dropped.settling += _rows(blocks, first, last) - kept if settled else 0
+            dropped.unsettled += 0 if settled else _rows(blocks, first, last)
+            dropped.levels += not settled
+        before = [_mean_of(values) for values in outputs]
+        found += [_span(blocks, begin, end, turning) for begin, end in bins]
+    return Detected(found, dropped)
+
+
+def _levels(blocks: BlockSurvey, bench: BenchSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return per block the rate, whether the table turns, the number of the level, and whether its rate varies."""
     rate, within, noise = _rate(blocks)
-    turning = np.abs(rate) > np.maximum(REST_RATE, noise)
-    tolerance = RATE_TOLERANCE * np.abs(rate) + np.maximum(REST_RATE, NOISE_RANGE * noise)
-    steady = (within <= tolerance) & np.isfinite(rate)
-    steady &= ~(turning & rest_only)
-    jump = _jumps(rate, tolerance) | (turning[1:] != turning[:-1])
+    smooth = _smoothed(rate, blocks)
+    absolute = REST_RATE + (NOISE_FACTOR * noise if bench.rate_tolerance is None else bench.rate_tolerance)
+    label = level_labels(np.nan_to_num(smooth), RATE_TOLERANCE, absolute)
+    change = np.diff(label) != 0
+    level = _level_means(smooth, label)
+    turning = np.abs(level) > np.maximum(REST_RATE, noise if bench.rate_tolerance is None else bench.rate_tolerance)
+    single = 2 * NOISE_FACTOR * noise * np.sqrt(np.median(blocks.count))
+    loose = within > RATE_TOLERANCE * np.abs(level) + np.maximum(absolute, single)
+    loose |= ~np.isfinite(rate)
     if "table_angle_deg" in blocks.mean:
+        angle = np.rad2deg(np.unwrap(np.deg2rad(blocks.first["table_angle_deg"])))
+        tolerance = ANGLE_TOLERANCE + NOISE_FACTOR * _angle_noise(angle, turning)
         drift = np.abs(wrap_degrees(blocks.last["table_angle_deg"] - blocks.first["table_angle_deg"]))
-        steady &= turning | ~(drift > ANGLE_TOLERANCE)
-        apart = np.abs(wrap_degrees(np.diff(blocks.first["table_angle_deg"])))
-        jump |= ~turning[1:] & (apart > 2 * ANGLE_TOLERANCE)
+        loose |= ~turning & (drift > 2 * tolerance)
+        places = level_labels(np.nan_to_num(_smoothed(angle, blocks)), 0.0, tolerance)
+        change |= ~turning[1:] & (np.diff(places) != 0)
+    change |= turning[1:] != turning[:-1]
     if "current_mA" in blocks.mean:
         least = CURRENT_TOLERANCE * np.nanmax(np.abs(blocks.mean["current_mA"]), initial=1e-12)
-        steady &= ~(blocks.high["current_mA"] - blocks.low["current_mA"] > least)
-        jump |= _jumps(blocks.mean["current_mA"], np.full(blocks.size, least))
-    spans = []
-    for first, last in _groups(steady, jump):
-        if by_temperature:
-            # A fast ramp gives short bins; the minimum duration applies to the whole group.
-            bins = _settled_bins(blocks, channels, first, last) if _long_enough(blocks, first, last) else []
-        else:
-            whole = _settled(blocks, channels, first, last)
-            bins = [whole] if _long_enough(blocks, *whole) else []
-        spans += [_span(blocks, begin, end, turning) for begin, end in bins]
-    return spans
+        least += NOISE_FACTOR * column_noise(blocks.mean["current_mA"])
+        loose |= blocks.high["current_mA"] - blocks.low["current_mA"] > 2 * least
+        steps = level_labels(np.nan_to_num(_smoothed(blocks.mean["current_mA"], blocks)), 0.0, least)
+        change |= np.diff(steps) != 0
+    return rate, turning, np.concatenate([[0], np.cumsum(change)]), loose
+
+
+def _swept(blocks: BlockSurvey, rate: np.ndarray) -> np.ndarray:
+    """Return the angle of the table at each block since the first by its rate, deg; 0 without time."""
+    if blocks.interval is None:
+        return np.zeros(blocks.size)
+    time = blocks.mean["time_s"]
+    rate = np.nan_to_num(rate)
+    return np.concatenate([[0.0], np.cumsum(np.diff(time) * (rate[1:] + rate[:-1]) / 2)])
+
+
+def _holed(blocks: BlockSurvey) -> np.ndarray:
+    """Return the blocks that last longer than their samples: their means belong to no single instant."""
+    if blocks.interval is None:
+        return np.zeros(blocks.size, dtype=bool)
+    return blocks.last["time_s"] - blocks.first["time_s"] > (blocks.count + 1.0) * blocks.interval
+
+
+def _smoothed(values: np.ndarray, blocks: BlockSurvey) -> np.ndarray:
+    """Return running medians of a column whose rows are short against its levels."""
+    if blocks.interval is None or WIDTH * blocks.interval * np.median(blocks.count) > 1.2 * SMOOTHED_SECONDS:
+        return values
+    return running_median(values)
+
+
+def _level_means(values: np.ndarray, label: np.ndarray) -> np.ndarray:
+    good = np.isfinite(values)
+    total = np.bincount(label, np.where(good, values, 0.0))
+    return (total / np.maximum(np.bincount(label, good), 1))[label]
+
+
+def _angle_noise(angle: np.ndarray, turning: np.ndarray) -> float:
+    """Return the noise of an angle column at rest, deg."""
+    still = angle[~turning]
+    return column_noise(still - running_median(still)) if len(still) else 0.0
+
+
+def _trimmed(loose: np.ndarray, first: int, last: int) -> tuple[int, int]:
+    """Return the range without blocks at its ends in which the stimulus varies."""
+    fine = np.flatnonzero(~loose[first:last])
+    return (first + int(fine[0]), first + int(fine[-1]) + 1) if len(fine) else (first, first)
+
+
+def _after(blocks: BlockSurvey, first: int, steady: int, settling: float) -> int:
+    """Return the first block of a level after its transient, and after the settling time that the campaign states."""
+    if blocks.interval is None or not settling:
+        return first + steady
+    passed = np.cumsum(blocks.count[first:]) * blocks.interval
+    return first + max(steady, int(np.searchsorted(passed, settling, side="left")) + 1)
+
+
+def _rows(blocks: BlockSurvey, first: int, last: int) -> int:
+    return int(np.sum(blocks.count[first:last]))
+
+
+def _mean_of(values: np.ndarray) -> float:
+    """Return the median of the second half of a level."""
+    late = values[len(values) // 2 :]
+    late = late[np.isfinite(late)]
+    return float(np.median(late)) if len(late) else np.nan
 
 
 def followed_spans(blocks: BlockSurvey) -> list[Span]:
     """Return contiguous spans of at most `FOLLOW_SECONDS` and `FOLLOW_DEGREES`, for a varying stimulus."""
     rate, _, noise = _rate(blocks)
-    turning = np.abs(rate) > np.maximum(REST_RATE, noise)
+    turning = np.abs(rate) > np.maximum(REST_RATE, NOISE_FACTOR * noise)
     seconds = np.where(np.isfinite(rate), blocks.count * (blocks.interval or 0.0), np.inf)
     degrees = np.abs(np.nan_to_num(rate)) * seconds
     spans, begin, lasted, swept = [], 0, 0.0, 0.0
@@ -107,7 +258,7 @@ def block_spans(blocks: BlockSurvey) -> tuple[list[Span], float]:
     seconds = max(RECORD_SECONDS, float(time[-1] - time[0]) / RECORD_ROWS)
     turning = np.zeros(blocks.size, dtype=bool)
     spans = []
-    for rest in constant_spans(blocks, (), rest_only=True):
+    for rest in constant_spans(blocks, (), rest_only=True).spans:
         first, stop = (int(place) for place in np.searchsorted(blocks.start, [rest.start, rest.stop]))
         number = np.floor((time[first:stop] - time[0]) / seconds)
         edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), stop - first]
@@ -125,61 +276,38 @@ def wrap_degrees(angle: np.ndarray) -> np.ndarray:
 
 
 def _rate(blocks: BlockSurvey) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return per block the rate and its range within the block, deg/s, and the median of the ranges."""
+    """Return per block the rate and its range within the block, deg/s, and the noise of the block means."""
     still = np.zeros(blocks.size)
     if "table_rate_deg_s" in blocks.mean:
         within = blocks.high["table_rate_deg_s"] - blocks.low["table_rate_deg_s"]
-        return blocks.mean["table_rate_deg_s"], within, float(np.nanmedian(within))
+        rate = blocks.mean["table_rate_deg_s"]
+        return rate, within, column_noise(rate)
     if "table_angle_deg" not in blocks.mean or blocks.interval is None or np.max(blocks.count) == 1:
         return still, still, 0.0
     swept = wrap_degrees(blocks.last["table_angle_deg"] - blocks.first["table_angle_deg"])
     lasted = blocks.last["time_s"] - blocks.first["time_s"]
     rate = np.where(lasted > 0, swept / np.where(lasted > 0, lasted, 1.0), 0.0)
-    return rate, still, ANGLE_TOLERANCE / float(np.median(lasted[lasted > 0]))
+    return rate, still, max(column_noise(rate), ANGLE_STEADY / float(np.median(lasted[lasted > 0])))
 
 
-def _jumps(values: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
-    return np.abs(np.diff(values)) > np.maximum(tolerance[1:], tolerance[:-1])
-
-
-def _groups(steady: np.ndarray, jump: np.ndarray) -> list[tuple[int, int]]:
-    """Return first and one past the last block of every run of steady blocks without a jump."""
-    label = np.concatenate([[0], np.cumsum(jump | (steady[1:] != steady[:-1]))])
-    edges = np.flatnonzero(np.diff(label)) + 1
-    starts, stops = np.concatenate([[0], edges]), np.concatenate([edges, [len(steady)]])
-    return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True) if steady[a]]
-
-
-def _settled_bins(blocks: BlockSurvey, channels: tuple[str, ...], first: int, last: int) -> list[tuple[int, int]]:
-    """Return the bins of a group of blocks, without the transients at its two ends.
+def _settled_bins(
+    blocks: BlockSurvey, channels: Sequence[str], first: int, last: int, swept: np.ndarray
+) -> list[tuple[int, int]]:
+    """Return the bins of a level, without the transients at its two ends.
 
     A channel that depends on temperature differs from its median over most of a ramp; the settling is therefore judged
     within the first and the last bin only.
     """
+
+    def steady(begin: int, end: int) -> tuple[int, int]:
+        outputs = [blocks.mean[name][begin:end] for name in channels]
+        part = steady_part(outputs, int(np.median(blocks.count)), swept[begin:end], [np.nan] * len(outputs))
+        return begin + part.first, begin + part.last
+
     bins = _bins(blocks, first, last)
-    bins[0] = (_settled(blocks, channels, *bins[0])[0], bins[0][1])
-    bins[-1] = (bins[-1][0], _settled(blocks, channels, *bins[-1])[1])
-    return bins
-
-
-def _settled(blocks: BlockSurvey, channels: tuple[str, ...], first: int, last: int) -> tuple[int, int]:
-    """Return the range without leading and trailing blocks in which a channel has not settled (at most 40 % each)."""
-    length = last - first
-    if length < 10 or blocks.interval is None or np.max(blocks.count) == 1:
-        return first, last
-    unsettled = np.zeros(length, dtype=bool)
-    for channel in channels:
-        values = blocks.mean[channel][first:last]
-        core = values[length // 4 : length - length // 4]
-        core = core[np.isfinite(core)]
-        if len(core):
-            middle = np.median(core)
-            # The MAD alone is 0 for a coarse converter that mostly outputs one code.
-            spread = max(1.4826 * float(np.median(np.abs(core - middle))), 0.5 * float(np.std(core)))
-            unsettled |= np.abs(values - middle) > SETTLED * spread + 1e-9 * np.abs(middle)
-    most = (2 * length) // 5
-    head, tail = np.flatnonzero(unsettled[:most]), np.flatnonzero(unsettled[::-1][:most])
-    return first + (int(head[-1]) + 1 if len(head) else 0), last - (int(tail[-1]) + 1 if len(tail) else 0)
+    bins[0] = (steady(*bins[0])[0], bins[0][1])
+    bins[-1] = (bins[-1][0], max(steady(*bins[-1])[1], bins[-1][0]))
+    return [(begin, end) for begin, end in bins if end > begin]
 
 
 def _bins(blocks: BlockSurvey, first: int, last: int) -> list[tuple[int, int]]:

@@ -13,6 +13,9 @@ from imubayes.campaign.reduction.constant_spans import (
     BIN_SECONDS,
     FOLLOW_DEGREES,
     FOLLOW_SECONDS,
+    BenchSettings,
+    Detected,
+    Dropped,
     Span,
     block_spans,
     constant_spans,
@@ -38,12 +41,14 @@ class Rows:
     first : index of the first raw row of each.
     unsteady : indices of labelled segments in which the stimulus varies.
     notes : account of the reduction.
+    unsettled : number of levels of the stimulus left out because an output never became steady.
     """
 
     numbers: dict[str, np.ndarray]
     first: tuple[int, ...]
     unsteady: tuple[int, ...]
     notes: tuple[str, ...]
+    unsettled: int = 0
 
 
 def reduce_log(
@@ -53,6 +58,7 @@ def reduce_log(
     blocks: BlockSurvey,
     labelled: Sequence[Span] | None,
     limits: Limits | None = None,
+    bench: BenchSettings | None = None,
 ) -> Rows:
     """Reduce a raw log to one row per span of constant stimulus.
 
@@ -64,9 +70,11 @@ def reduce_log(
     blocks : its survey.
     labelled : spans from the `segment` column, where there is one.
     limits : channel → values at which it is clipped; means that hold such samples are left out.
+    bench : settings of the table.
     """
     layout = source.layout
-    spans, how = _spans_of(source, reduction, blocks, labelled)
+    detected, how = _spans_of(source, reduction, blocks, labelled, bench)
+    spans = detected.spans
     columns = [name for name in (*recorded_columns(), *layout.channels) if layout.has(name)]
     reduced = accumulate(source, spans, columns, blocks.interval) if spans else []
     numbers = _columns(columns, layout, reduced)
@@ -76,24 +84,29 @@ def reduce_log(
         return Rows(numbers, first, (), (note,))
     unsteady = _unsteady(columns, reduced) if labelled is not None else ()
     lost = _leave_out_clipped(numbers, source, spans, limits or {})
-    return Rows(numbers, first, unsteady, (*_account(rows, reduced, how), *lost))
+    return Rows(numbers, first, unsteady, (*_account(rows, reduced, how, spans, detected.dropped), *lost), detected.dropped.levels)
 
 
 def _spans_of(
-    source: TableSource, reduction: Reduction, blocks: BlockSurvey, labelled: Sequence[Span] | None
-) -> tuple[list[Span], str]:
+    source: TableSource,
+    reduction: Reduction,
+    blocks: BlockSurvey,
+    labelled: Sequence[Span] | None,
+    bench: BenchSettings | None,
+) -> tuple[Detected, str]:
     """Return the spans to average, and how they were found."""
     if labelled is not None:
-        return list(labelled), "by the segment column"
+        return Detected(list(labelled)), "by the segment column"
     if reduction is Reduction.FOLLOWED:
-        return followed_spans(blocks), f"of at most {FOLLOW_SECONDS:g} s and {FOLLOW_DEGREES:g} deg of turning"
+        how = f"of at most {FOLLOW_SECONDS:g} s and {FOLLOW_DEGREES:g} deg of turning"
+        return Detected(followed_spans(blocks)), how
     if reduction is Reduction.BLOCKS:
         spans, seconds = block_spans(blocks)
-        return spans, f"over blocks of {seconds:.4g} s"
+        return Detected(spans), f"over blocks of {seconds:.4g} s"
     by_temperature = reduction is Reduction.BINNED
     at_rest = by_temperature or reduction is Reduction.AT_REST
-    spans = constant_spans(blocks, source.layout.channels, by_temperature, at_rest)
-    return spans, f"in bins of at most {BIN_KELVIN:g} degC and {BIN_SECONDS:g} s" if by_temperature else CONSTANT
+    detected = constant_spans(blocks, source.layout.channels, by_temperature, at_rest, bench)
+    return detected, f"in bins of at most {BIN_KELVIN:g} degC and {BIN_SECONDS:g} s" if by_temperature else CONSTANT
 
 
 def _leave_out_clipped(
@@ -143,27 +156,46 @@ def _unsteady(columns: list[str], reduced: list[Row]) -> tuple[int, ...]:
     )
 
 
-def _account(rows: int, reduced: list[Row], how: str) -> tuple[str, ...]:
-    """Return notes on the rows used, the means formed and the rows left out."""
+def _account(
+    rows: int, reduced: list[Row], how: str, spans: Sequence[Span], dropped: Dropped
+) -> tuple[str, ...]:
+    """Return a note on the rows kept, the means formed, and the rows left out with their causes."""
     used = sum(row.samples for row in reduced)
     count = Counter(row.state for row in reduced)
     holes = sum(row.holes for row in reduced)
-    turning = len(reduced) - count["rest"]
-    notes = [f"{rows} raw rows reduced to {len(reduced)} means {how}: {count['rest']} at rest, {turning} turning"]
-    if rows > used:
-        notes.append(
-            f"{rows - used} raw rows ({100 * (rows - used) / rows:.2g} %) left out: transients between constant "
-            "stimuli, settling, and remainders beyond whole turns"
-        )
-    if count["whole turns"]:
-        notes.append(f"means over whole turns: {count['whole turns']}")
+    means = [f"{number} {words}" for state, words in _STATES.items() if (number := count[state])]
+    # What is in no span and has no other cause is unlabelled, or between spans that follow a stimulus.
+    between = rows - sum(span.rows for span in spans) - _known(dropped)
+    causes = {
+        "while the stimulus changed": dropped.changing,
+        "in motion": dropped.moving,
+        "settling": dropped.settling,
+        "at levels where an output did not settle": dropped.unsettled,
+        "beyond whole turns": sum(span.rows for span in spans) - used,
+        "in no interval": between,
+    }
+    left = ", ".join(f"{number} {cause}" for cause, number in causes.items() if number > 0)
+    notes = [
+        f"{used} of {rows} raw rows kept in {len(reduced)} means {how} ({', '.join(means) or 'none'})"
+        + (f"; left out: {left}" if left else "")
+    ]
     if holes:
         notes.append(
             f"samples are missing while the table turned: {holes - count['lost']} means are over the turns between "
             f"the gaps, {count['lost']} left out for lack of a whole turn"
         )
-    if count["partial turn"]:
-        notes.append(f"means over less than one turn, with their angle where known: {count['partial turn']}")
     if any(row.missing for row in reduced):
         notes.append("some means are over incomplete rows: empty cells were ignored")
     return tuple(notes)
+
+
+_STATES = {
+    "rest": "at rest",
+    "whole turns": "over whole turns",
+    "partial turn": "over less than one turn",
+    "lost": "without a whole turn",
+}
+
+
+def _known(dropped: Dropped) -> int:
+    return dropped.changing + dropped.moving + dropped.settling + dropped.unsettled
