@@ -1,7 +1,7 @@
 """Raw logs as benches write them, simulated in plain NumPy: ramps, ringing, noise and rounding of the table's columns.
 
-The table follows its command with a profile of its own; the unit feels the true motion.  What the log says of the motion
-is the command, the true rate with noise, or the differences of a rounded angle.
+The table follows its command with a profile of its own; the unit feels the true motion.  What the log says of the
+motion is the command, the true rate with noise, or the differences of a rounded angle.
 """
 
 from dataclasses import dataclass

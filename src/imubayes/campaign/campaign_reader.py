@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from imubayes.campaign.equipment import (
+    build_benches,
     build_channels,
     build_mountings,
     build_site,
@@ -155,6 +156,7 @@ def _equipment(draft: Draft, ledger: Ledger) -> Equipment:
         build_channels(draft.channels, site.gravity, ledger),
         build_tables(draft.tables, ledger),
         build_mountings(draft.mountings, ledger),
+        build_benches(draft.tables),
     )
 
 

@@ -11,6 +11,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from imubayes.campaign.file_schemas import ChannelEntry, MountingEntry, SiteEntry, TableEntry
+from imubayes.campaign.reduction import BenchSettings
 from imubayes.campaign.run_columns import known_columns
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.campaign_data import Channel, Mounting, Site, Table
@@ -74,6 +75,14 @@ def build_tables(entries: Mapping[int, TableEntry], ledger: Ledger) -> dict[str,
             _times(entry.intersection_uncertainty_um, MICROMETRE),
             _times(entry.arm_uncertainty_um, MICROMETRE),
         )
+        for entry in entries.values()
+    }
+
+
+def build_benches(entries: Mapping[int, TableEntry]) -> dict[str, BenchSettings]:
+    """Return how the run tables of each table are read, by name."""
+    return {
+        entry.name: BenchSettings(entry.settling_s, entry.rate_tolerance_deg_s, entry.zero_angle_deg)
         for entry in entries.values()
     }
 

@@ -64,8 +64,20 @@ class TableEntry(_Entry):
     """A table: directions of its axes, the outer one by azimuth and elevation; one-sigma uncertainties, 0 is exact."""
 
     name: Name
-    azimuth_deg: Degrees = 0.0
-    elevation_deg: float = Field(ge=-90, le=90)
+    azimuth_deg: Degrees = Field(default=0.0, description="of the rotation axis, clockwise from North")
+    elevation_deg: float = Field(
+        ge=-90, le=90, description="of the rotation axis: 90 a rate table, 0 a dividing head, the latitude a polar axis"
+    )
+    zero_angle_deg: Degrees = Field(
+        default=0.0,
+        description="reading of table_angle_deg at which table x is horizontal, at azimuth_deg + 90, and y = z x x",
+    )
+    settling_s: NotNegative = Field(
+        default=0.0, description="least time left out of raw logs after each change of the stimulus"
+    )
+    rate_tolerance_deg_s: Positive | None = Field(
+        default=None, description="of raw logs: rates closer than this are equal; by default the noise of the column"
+    )
     axis_uncertainty_arcsec: NotNegative | None = None
     rate_uncertainty_ppm: NotNegative | None = None
     angle_uncertainty_arcsec: NotNegative | None = None

@@ -41,6 +41,7 @@ FINDINGS: dict[str, str] = {
     "angle_unit": "the angle column is in another unit",
     "time_shift": "outputs and table are shifted in time",
     "setup_disagrees": "the outputs contradict the set-up, and no single mistake explains it",
+    "not_settled": "an output does not become steady at a level of the stimulus",
     "segment_not_constant": "the stimulus varies within a labelled segment",
     "partial_turn": "a mean over less than one turn at an unknown angle",
     "bad_count": "an impossible number of samples or standard deviation",

@@ -16,13 +16,23 @@ from imubayes.campaign.findings import Finding
 from imubayes.campaign.free_tumble import reduce_tumble
 from imubayes.campaign.named_directions import DIRECTION_COLUMNS, attitudes
 from imubayes.campaign.physical_checks import check_log, check_rows
-from imubayes.campaign.reduction import BlockBuilder, BlockSurvey, Limits, SegmentTracker, Span, reduce_log
+from imubayes.campaign.reduction import (
+    BenchSettings,
+    BlockBuilder,
+    BlockSurvey,
+    Limits,
+    SegmentTracker,
+    Span,
+    reduce_log,
+)
 from imubayes.campaign.run_columns import lay_out
 from imubayes.campaign.run_tables import TableSource, read_header
 from imubayes.campaign.stream_checks import Monitor
 from imubayes.campaign_data import Channel, Mounting, Run, Site, Table
 from imubayes.errors import InputError, Issue, input_error
 from imubayes.procedures import PROCEDURES, Reduction, procedure_named
+
+ANGLE_COLUMN = "table_angle_deg"
 
 
 @dataclass(frozen=True)
@@ -33,6 +43,7 @@ class Equipment:
     channels: tuple[Channel, ...]
     tables: dict[str, Table]
     mountings: dict[str, Mounting]
+    benches: dict[str, BenchSettings]
 
 
 @dataclass
@@ -111,18 +122,21 @@ def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey:
     if reduction is Reduction.POSES:
         return _load_tumble(source, entry, equipment, survey.limits)
     gravity = equipment.site.gravity
+    bench = equipment.benches.get(entry.table or "", BenchSettings())
     if source.layout.reduced:
-        numbers = _whole(source)
+        numbers = _from_zero(_whole(source), source, bench)
         attitude = _attitude(source, entry, equipment, range(survey.rows))
         run = build_run(entry, numbers, equipment.channels, gravity, attitude=attitude)
         return run, _check_counts(numbers, source, entry)
     assert survey.blocks is not None
     where = str(source.file)
     found = check_log(survey.blocks, entry.name, where)
-    rows = reduce_log(source, reduction, survey.rows, survey.blocks, survey.labelled, survey.limits)
+    rows = reduce_log(source, reduction, survey.rows, survey.blocks, survey.labelled, survey.limits, bench)
+    numbers = _from_zero(rows.numbers, source, bench)
     attitude = _attitude(source, entry, equipment, rows.first)
     found += [_unsteady(entry, where, rows.unsteady)] if rows.unsteady else []
-    return build_run(entry, rows.numbers, equipment.channels, gravity, rows.notes, attitude=attitude), found
+    found += [_unsettled(entry, where, rows.unsettled)] if rows.unsettled else []
+    return build_run(entry, numbers, equipment.channels, gravity, rows.notes, attitude=attitude), found
 
 
 def _attitude(source: TableSource, entry: RunEntry, equipment: Equipment, rows: Sequence[int]) -> np.ndarray | None:
@@ -195,6 +209,19 @@ def _check_counts(numbers: dict[str, np.ndarray], source: TableSource, entry: Ru
 def _empty(entry: RunEntry, where: str, what: str) -> Finding:
     allowed = "rows with outputs; for a raw log, at least one second of constant stimulus"
     return Finding("empty_run", "error", entry.name, what, where, allowed, "fill the table or remove the run")
+
+
+def _from_zero(numbers: dict[str, np.ndarray], source: TableSource, bench: BenchSettings) -> dict[str, np.ndarray]:
+    """Return the columns with the angle of the table counted from its zero."""
+    if not bench.zero_angle or not source.layout.has(ANGLE_COLUMN):
+        return numbers
+    return {**numbers, ANGLE_COLUMN: numbers[ANGLE_COLUMN] - bench.zero_angle}
+
+
+def _unsettled(entry: RunEntry, where: str, levels: int) -> Finding:
+    what = f"at {levels} levels of the stimulus an output did not become steady; they are left out"
+    remedy = "record each level longer than the table takes to settle"
+    return Finding("not_settled", "warning", entry.name, what, where, "steady outputs at each level", remedy)
 
 
 def _unsteady(entry: RunEntry, where: str, rows: tuple[int, ...]) -> Finding:

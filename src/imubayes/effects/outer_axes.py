@@ -74,12 +74,12 @@ class MiddleAxisZero(MotionEffect):
 
 
 class InnerAxisZero(MotionEffect):
-    """True angle of the inner axis = φ + δ: on a centrifuge the angle of the platform."""
+    """True angle of the inner axis = φ + δ: of a table of one axis that axis, of a centrifuge the platform."""
 
     name = "inner_axis_zero"
     stage, order = Stage.TABLE, Order.ANGLE
     per = ("table",)
-    needs = ("outer_angle",)
+    needs = ("table_angle",)
     confused_with = "mounting error about the inner axis: exactly, in one mounting"
     reference = "IEEE Std 1293, angle reference of multi-axis tables; 1 … 60 arcsec"
     zero: Scalar = parameter("arcsec", "normal(0, 30 arcsec)", (1, 60), "the error of the inner axis' zero", "zero")

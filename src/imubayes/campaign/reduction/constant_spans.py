@@ -40,16 +40,18 @@ RECORD_ROWS = 128  # of a static record, at most: enough for its drift, few enou
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """What a campaign says about a table for the reduction of its raw logs.
+    """What a campaign says about the columns of a table, and for the reduction of its raw logs.
 
     Attributes
     ----------
     settling : time after each change of the stimulus that is left out at least, s.
     rate_tolerance : difference up to which rates are equal, deg/s; None for the noise of the column.
+    zero_angle : reading of the angle column at the zero of the table, deg.
     """
 
     settling: float = 0.0
     rate_tolerance: float | None = None
+    zero_angle: float = 0.0
 
 
 @dataclass
@@ -115,13 +117,12 @@ def constant_spans(
     swept, holed = _swept(blocks, rate), _holed(blocks)
     found, dropped, before = [], Dropped(), [np.nan] * len(channels)
     edges = np.flatnonzero(np.diff(label)) + 1
-    for first, last in pairwise([0, *edges.tolist(), blocks.size]):
-        whole = _rows(blocks, first, last)
-        first, last = _trimmed(loose, first, last)
+    for begin, end in pairwise([0, *edges.tolist(), blocks.size]):
+        first, last = _trimmed(loose, begin, end)
         if not _long_enough(blocks, first, last):
-            dropped.changing += whole
+            dropped.changing += _rows(blocks, begin, end)
             continue
-        dropped.changing += whole - _rows(blocks, first, last)
+        dropped.changing += _rows(blocks, begin, end) - _rows(blocks, first, last)
         if rest_only and turning[first]:
             dropped.moving += _rows(blocks, first, last)
             continue
@@ -129,19 +130,35 @@ def constant_spans(
         if by_temperature:
             # A fast ramp gives short bins; the minimum duration applies to the whole level.
             bins = _settled_bins(blocks, channels, first, last, swept)
-            dropped.settling += _rows(blocks, first, last) - sum(_rows(blocks, a, b) for a, b in bins)
         else:
-            part = steady_part(outputs, int(np.median(blocks.count)), swept[first:last], before)
-            begin, end = _after(blocks, first, part.first, bench.settling), first + part.last
-            settled = part.settled and _long_enough(blocks, begin, end)
-            bins = [(begin, end)] if settled else []
-            kept = _rows(blocks, begin, end) if settled else 0
-            dropped.settling += _rows(blocks, first, last) - kept if settled else 0
-            dropped.unsettled += 0 if settled else _rows(blocks, first, last)
-            dropped.levels += not settled
+            bins = _settled(blocks, outputs, first, last, swept, before, bench)
+        _count_left_out(dropped, _rows(blocks, first, last), sum(_rows(blocks, *each) for each in bins))
         before = [_mean_of(values) for values in outputs]
-        found += [_span(blocks, begin, end, turning) for begin, end in bins]
+        found += [_span(blocks, *each, turning) for each in bins]
     return Detected(found, dropped)
+
+
+def _settled(
+    blocks: BlockSurvey,
+    outputs: Sequence[np.ndarray],
+    first: int,
+    last: int,
+    swept: np.ndarray,
+    before: Sequence[float],
+    bench: BenchSettings,
+) -> list[tuple[int, int]]:
+    """Return the steady part of a level; nothing where an output does not settle."""
+    part = steady_part(outputs, int(np.median(blocks.count)), swept[first:last], before)
+    begin, end = _after(blocks, first, part.first, bench.settling), first + part.last
+    return [(begin, end)] if part.settled and _long_enough(blocks, begin, end) else []
+
+
+def _count_left_out(dropped: Dropped, rows: int, kept: int) -> None:
+    if kept:
+        dropped.settling += rows - kept
+    else:
+        dropped.unsettled += rows
+        dropped.levels += 1
 
 
 def _levels(blocks: BlockSurvey, bench: BenchSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

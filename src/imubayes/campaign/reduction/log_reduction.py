@@ -84,7 +84,13 @@ def reduce_log(
         return Rows(numbers, first, (), (note,))
     unsteady = _unsteady(columns, reduced) if labelled is not None else ()
     lost = _leave_out_clipped(numbers, source, spans, limits or {})
-    return Rows(numbers, first, unsteady, (*_account(rows, reduced, how, spans, detected.dropped), *lost), detected.dropped.levels)
+    return Rows(
+        numbers,
+        first,
+        unsteady,
+        (*_account(rows, reduced, how, spans, detected.dropped), *lost),
+        detected.dropped.levels,
+    )
 
 
 def _spans_of(
@@ -156,9 +162,7 @@ def _unsteady(columns: list[str], reduced: list[Row]) -> tuple[int, ...]:
     )
 
 
-def _account(
-    rows: int, reduced: list[Row], how: str, spans: Sequence[Span], dropped: Dropped
-) -> tuple[str, ...]:
+def _account(rows: int, reduced: list[Row], how: str, spans: Sequence[Span], dropped: Dropped) -> tuple[str, ...]:
     """Return a note on the rows kept, the means formed, and the rows left out with their causes."""
     used = sum(row.samples for row in reduced)
     count = Counter(row.state for row in reduced)

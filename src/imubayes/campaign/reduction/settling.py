@@ -22,6 +22,7 @@ _LEAST_SWEEP = 0.5  # deg; a wave of the angle is not seen in less
 _NEGLIGIBLE = 1e-6  # of the step to this level, which no output resolves
 _MARGIN = 0.3  # of a transient: a servo has decayed tenfold more, and what is left is far below the noise of a mean
 _STILL_MOVING = 0.02  # of the step to this level, over what is kept of it
+_LEAST_SCATTER = 1e-100  # of a channel that is 0 throughout
 _CLIP, _ROUNDS = 4.0, 3
 
 
@@ -59,7 +60,9 @@ def steady_part(outputs: Sequence[np.ndarray], count: int, swept: np.ndarray, be
     first, last = head + round(_MARGIN * head), length - tail - round(_MARGIN * tail)
     if last - first < min(LEAST_BLOCKS, length // 4):
         return Steady(first, max(first, last), False)
-    moving = any(_moves(values[first:last], design[first:last], was) for values, was in zip(outputs, before, strict=True))
+    moving = any(
+        _moves(values[first:last], design[first:last], was) for values, was in zip(outputs, before, strict=True)
+    )
     return Steady(first, last, not moving)
 
 
@@ -110,7 +113,7 @@ def _fit_in(stretch: slice, values: np.ndarray, design: np.ndarray, count: int) 
     coarse = quantum * np.sqrt(count / 12) if quantum * count > 3 * scatter and np.isfinite(quantum) else 0.0
     # Missing values are steady.
     residual = np.where(np.isfinite(values), values - design @ beta, 0.0)
-    return _Fit(covariance, residual, max(scatter, coarse, 1e-9 * largest), stretch)
+    return _Fit(covariance, residual, max(scatter, coarse, 1e-9 * largest, _LEAST_SCATTER), stretch)
 
 
 def _unsteady(values: np.ndarray, design: np.ndarray, count: int, before: float) -> np.ndarray:
@@ -165,4 +168,6 @@ def _moves(values: np.ndarray, design: np.ndarray, before: float) -> bool:
     error = y - x @ beta
     deviation = np.sqrt(error @ error / len(y) * np.linalg.pinv(x.T @ x)[-1, -1])
     change, step = abs(beta[-1]), abs(float(np.mean(y)) - before)
-    return bool(change > _STILL_MOVING * step and change > UNSETTLED * deviation and change > _NEGLIGIBLE * np.abs(y).max())
+    return bool(
+        change > _STILL_MOVING * step and change > UNSETTLED * deviation and change > _NEGLIGIBLE * np.abs(y).max()
+    )

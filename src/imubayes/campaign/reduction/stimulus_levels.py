@@ -1,8 +1,8 @@
 """Levels of a stimulus column: where a rate, an angle or a current keeps one value to within its noise.
 
-The noise of a column is estimated from the log itself, so that a set-point, the rate of a tachometer and the differences
-of a quantised encoder are divided alike.  A level lasts until the smoothed column has moved from its mean by more than
-the tolerance; a ramp is therefore a sequence of levels too short to be kept.
+The noise of a column is estimated from the log itself, so that a set-point, the rate of a tachometer and the
+differences of a quantised encoder are divided alike.  A level lasts until the smoothed column has moved from its mean
+by more than the tolerance; a ramp is therefore a sequence of levels too short to be kept.
 """
 
 import numpy as np
