@@ -151,6 +151,18 @@ def test_a_specification_that_cannot_be_used_is_refused_in_four_parts(result, tm
     assert not out.exists()
 
 
+def test_the_pdf_has_the_record_attached_and_is_the_same_every_time(result, tmp_path):
+    pytest.importorskip("typst", reason="typst is not installed")
+    judged(result, "adequate")
+    once, again = tmp_path / "once.pdf", tmp_path / "again.pdf"
+    for file in (once, again):
+        assert run(["report", str(result), "--spec", specification(tmp_path), "--out", str(file)]) == 0
+    assert once.read_bytes() == again.read_bytes()
+    assert once.read_bytes().startswith(b"%PDF-1.7")
+    for mark in (b"/AFRelationship/Data", b"report.json", b"pdfaid:part>3<"):
+        assert mark in once.read_bytes().replace(b" /", b"/").replace(b"AFRelationship /", b"AFRelationship/"), mark
+
+
 def test_an_unknown_ending_is_refused_before_anything_is_computed(result, tmp_path, capsys):
     assert run(["report", str(result), "--out", str(tmp_path / "report.doc")]) == 2
     assert ".html" in capsys.readouterr().err

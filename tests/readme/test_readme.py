@@ -56,7 +56,7 @@ def test_commands_run_as_written(heading, like_the_repository, capsys):
         if "--out" in command:
             out = Path(command.split("--out ")[1].split()[0])
             assert out.is_file() if out.suffix else (out / "summary.json").is_file()
-    if told:
+    if told and heading not in LONG:
         # What the README shows is what the command prints.
         shown = re.search(r"<!-- output of diagnose -->\n```text\n(.*?)```", TEXT, re.DOTALL)
         assert shown is not None

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from imubayes.atomic_files import refuse_existing, replacing
 from imubayes.display.qualification.html_page import html_page
+from imubayes.display.qualification.pdf_file import pdf_file
 from imubayes.display.qualification.report_document import report_document
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.qualification.report_record import QualificationReport
@@ -15,12 +16,17 @@ def _html(report: QualificationReport) -> bytes:
     return html_page(report_document(report)).encode()
 
 
+def _pdf(report: QualificationReport) -> bytes:
+    return pdf_file(report_document(report), report.json_text())
+
+
 def _json(report: QualificationReport) -> bytes:
     return report.json_text().encode()
 
 
 _WRITERS: dict[str, tuple[Callable[[QualificationReport], bytes], bytes]] = {
     ".html": (_html, b"<!doctype html>"),
+    ".pdf": (_pdf, b"%PDF"),
     ".json": (_json, b'{\n "format": 1,\n "interval":'),
 }
 """Ending → what makes the file, and how such a file begins."""
