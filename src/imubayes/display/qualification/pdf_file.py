@@ -16,7 +16,7 @@ import matplotlib as mpl
 from imubayes.display.qualification.document import ReportDocument, ReportTable
 from imubayes.errors import InputError, Issue
 
-typst = lazy_loader.load("typst")
+typst: Any = lazy_loader.load("typst")
 # A column whose longest text is shorter than this keeps its width; wider ones share what is left.
 _NARROW, _WIDEST = 24, 60
 
