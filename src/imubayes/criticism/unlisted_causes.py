@@ -24,43 +24,64 @@ _ACROSS = (("rate_o", "rate_s"), ("force_o", "force_s"))
 def unlisted_causes(found: SearchResult, group: EquivalenceGroup) -> Causes:
     """Return the covariates of each plain function that fits as well as a group without being one of its effects."""
     at, leader = found.first, group.leader
+    explained = leader.score.fitted
+    if not np.any(explained):
+        return ()
     raw = np.stack([_response(at, member) for member in group.members], axis=1)
+    targets = np.stack([explained, at.projection.residual])
     near = [
         feature
         for scan in at.scans
-        for feature in _plain(scan)
-        if _as_good(scan, feature, leader, at.projection.residual) and not _is_one_of(scan, feature, raw)
+        for feature, (along, gain), freedom in (*_of_plain(scan, targets), *_of_vectors(scan, targets))
+        if _as_good(leader, along, gain, freedom) and not _is_one_of(scan, feature, raw)
     ]
     by_name = {tuple(covariate.name for covariate in feature.covariates): feature.covariates for feature in near}
     return tuple(by_name.values())
 
 
-def _plain(scan: FeatureScan) -> list[Feature]:
-    """Return the plain features, and those linear in both components of a vector across the input axis."""
-    plain = [feature for feature in scan.features.found if feature.plain]
-    linear = {feature.covariates[0].name: feature for feature in reversed(plain) if len(feature.covariates) == 1}
+_Scored = tuple[Feature, np.ndarray, int]
+"""A feature, the drops of χ² of some targets by it, and its degrees of freedom."""
+
+
+def _of_plain(scan: FeatureScan, targets: np.ndarray) -> list[_Scored]:
+    """Return the plain features with the drops of χ² of targets (n, R)."""
+    scored = [
+        (member, drops, freedom)
+        for batch, scores in scan.scores(targets)
+        for member, drops, freedom in zip(batch.members.tolist(), scores.T, batch.freedom.tolist(), strict=True)
+    ]
+    found = [(scan.features.found[member], *rest) for member, *rest in sorted(scored, key=lambda each: each[0])]
+    return [each for each in found if each[0].plain]
+
+
+def _of_vectors(scan: FeatureScan, targets: np.ndarray) -> list[_Scored]:
+    """Return the features linear in both components of a vector across the input axis, likewise."""
+    plain = [feature for feature in scan.features.found if feature.plain and len(feature.covariates) == 1]
+    linear = {feature.covariates[0].name: feature for feature in reversed(plain)}
+    found: list[_Scored] = []
     for across in _ACROSS:
-        if all(name in linear for name in across):
-            first, second = (linear[name] for name in across)
-            covariates = first.covariates + second.covariates
-            plain.append(Feature(covariates, first.test, first.columns + second.columns, plain=True))
-    return plain
+        if not all(name in linear for name in across):
+            continue
+        first, second = (linear[name] for name in across)
+        feature = Feature(first.covariates + second.covariates, first.test, first.columns + second.columns, plain=True)
+        columns = scan.features.whole(feature, targets.shape[1])
+        projected = columns - scan.basis @ (scan.basis.T @ columns)
+        span = orthonormal(projected, np.linalg.norm(columns, axis=0), thresholds.FORM_RETAINED_MIN)
+        found.append((feature, np.sum((targets @ span) ** 2, axis=1), span.shape[1]))
+    return found
 
 
-def _as_good(scan: FeatureScan, feature: Feature, leader: Candidate, residual: np.ndarray) -> bool:
-    """Tell whether a refit could not distinguish a feature from the leader, were that the truth, or prefers it."""
-    explained = leader.score.fitted
-    whole = float(explained @ explained)
-    if whole <= 0:
-        return False
-    columns = scan.features.whole(feature, len(residual))
-    projected = columns - scan.basis @ (scan.basis.T @ columns)
-    span = orthonormal(projected, np.linalg.norm(columns, axis=0), thresholds.FORM_RETAINED_MIN)
-    left = (1 - float(np.sum((span.T @ explained) ** 2)) / whole) * leader.delta_chi2
+def _as_good(leader: Candidate, along: float, gain: float, freedom: int) -> bool:
+    """Tell whether a refit could not distinguish a feature from the leader, were that the truth, or prefers it.
+
+    Parameters
+    ----------
+    along, gain : drops of χ² by the feature, of what the leader explains and of the residual.
+    """
+    left = (1 - along / leader.score.delta_chi2_at_fit) * leader.delta_chi2
     if left < min(thresholds.DISTINGUISHABLE_CHI2, leader.delta_chi2 / 2):
         return True
-    gain, freedom = float(np.sum((span.T @ residual) ** 2)), span.shape[1]
-    return gain - freedom > leader.score.delta_chi2_at_fit - leader.dof
+    return bool(gain - freedom > leader.score.delta_chi2_at_fit - leader.dof)
 
 
 def _response(at: Screening, member: Candidate) -> np.ndarray:
