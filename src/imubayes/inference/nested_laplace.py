@@ -125,6 +125,13 @@ def _pulled(problem: Problem, mode: Mode, changes: Float[Array, "n E"]) -> Float
 
 def nested_laplace(problem: Problem, mode: Mode) -> NestedLaplace:
     """Return the proposal about a mode."""
+    weak, bend = curved_directions(problem, mode)
+    axes, along = _marginal(problem, mode)
+    return NestedLaplace(mode.z, mode.h, axes, along, precision_blocks(problem, mode), weak, bend)
+
+
+def curved_directions(problem: Problem, mode: Mode) -> tuple[Float[Array, "P K"], Float[Array, "K K P"]]:
+    """Return the weak directions about a mode, orthonormal, and the acceleration along every pair of them."""
     eigenvalues, eigenvectors = np.linalg.eigh(np.asarray(posterior_precision(problem, mode)))
     count = min(int(np.sum(eigenvalues < _WEAK_SD**-2)), _MOST_WEAK)
     weak, strong = eigenvectors[:, :count], eigenvectors[:, count:]
@@ -132,9 +139,7 @@ def nested_laplace(problem: Problem, mode: Mode) -> NestedLaplace:
     size = mode.z.shape[0]
     reach = jnp.asarray(eigenvalues[:count] ** -0.5)
     weak = jnp.asarray(weak)
-    bend = bends(problem, mode, weak, reach, inverse) if count else jnp.zeros((0, 0, size))
-    axes, along = _marginal(problem, mode)
-    return NestedLaplace(mode.z, mode.h, axes, along, precision_blocks(problem, mode), weak, bend)
+    return weak, bends(problem, mode, weak, reach, inverse) if count else jnp.zeros((0, 0, size))
 
 
 @eqx.filter_jit

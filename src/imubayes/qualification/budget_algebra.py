@@ -61,8 +61,12 @@ def linear_contributions(
     member : shape (G, E), bool, whether a datum is of a group.
     widths : shape (P,), prior standard deviations.
     """
-    squared = (whitened @ along.T) ** 2
-    return LinearContributions((member.astype(float) @ squared).T, (along / widths) ** 2, along / widths**2)
+    return LinearContributions(type_a_contributions(along, whitened, member), (along / widths) ** 2, along / widths**2)
+
+
+def type_a_contributions(along: np.ndarray, whitened: np.ndarray, member: np.ndarray) -> np.ndarray:
+    """Return the contributions of the data, (Q, G); parameters as of `linear_contributions`."""
+    return (member.astype(float) @ (whitened @ along.T) ** 2).T
 
 
 def deviation_with_exact_priors(gradients: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -4,7 +4,8 @@ The inputs are independent: the data of each run (type A), and each parameter's 
 fixture, table, site, reference and the unit itself before the test (type B).  Their contributions at given noise scales
 add up exactly (`imubayes.qualification.budget_algebra`).  The noise scales have a posterior of their own, so
 contributions are averaged over it, and the variance of the conditional mean is a line by itself (total variance).
-What the posterior variance has beyond that sum is the nonlinear remainder.
+What is not linear has a line of its own too, the variance of the second-order part; what the posterior variance
+(`imubayes.qualification.posterior_variance`) has beyond the sum of all these is the remainder.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,28 +14,35 @@ from functools import cached_property
 from typing import Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from imubayes.array_shapes import Array, Float
-from imubayes.inference.fitted_model import Fit
-from imubayes.inference.posterior_precision import Linearised, knowledge, linearise
-from imubayes.model.derived_quantities import derived_jacobian
+from imubayes.inference.posterior_precision import Linearised, linearise
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.parameters.priors import HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal, Prior, Uniform
 from imubayes.parameters.vector import Layout, Parameter
+from imubayes.qualification.angle_components import component_gradients
 from imubayes.qualification.budget_algebra import (
     LinearContributions,
     degrees_of_freedom,
     deviation_with_exact_priors,
     deviation_with_halved_noise,
     deviation_with_halved_priors,
-    linear_contributions,
     posterior_covariance,
+    type_a_contributions,
 )
-from imubayes.qualification.tolerances import CONDITIONING_DRAWS, CONDITIONING_WORK
+from imubayes.qualification.linear_part import (
+    LinearPart,
+    conditional_covariance,
+    conditional_moments,
+    derivatives_of,
+    linear_part,
+)
+from imubayes.qualification.posterior_quantities import posterior_quantities
+from imubayes.qualification.posterior_variance import PosteriorDraws, posterior_variances
+from imubayes.qualification.tolerances import CONDITIONING_WORK, SPLIT_DRAWS
 from imubayes.results.posterior_draws import complete, draws_of
 from imubayes.results.result import Result
 
@@ -66,11 +74,15 @@ class BudgetArrays:
     averaged : contributions averaged over the noise scales.
     degrees : shape (Q, G), degrees of freedom of the contributions of type A.
     noise_scales : shape (Q,), variance of the conditional mean over the noise scales.
-    posterior : shape (Q,), posterior variance of the draws.
+    second_order : shape (Q,), variance of the second-order part of the quantity.
+    posterior : shape (Q,), posterior variance.
+    posterior_error : shape (Q,), its Monte Carlo standard error.
     exact_prior, halved_prior : shape (Q, P), standard deviation at the mode if one prior were exact, or half as wide.
     halved_noise : shape (Q, G), the same if the noise of one run were halved.
     at_mode : shape (Q,), standard deviation at the mode.
     correlation : shape (Q, Q), of the posterior draws.
+    at_zero : angles too close to 0° or 180° to have a gradient: inputs contribute through the two components of the
+        direction, and contributions are scaled to the posterior variance of the angle.
     """
 
     names: tuple[str, ...]
@@ -79,17 +91,25 @@ class BudgetArrays:
     averaged: LinearContributions
     degrees: np.ndarray
     noise_scales: np.ndarray
+    second_order: np.ndarray
     posterior: np.ndarray
+    posterior_error: np.ndarray
     exact_prior: np.ndarray
     halved_prior: np.ndarray
     halved_noise: np.ndarray
     at_mode: np.ndarray
     correlation: np.ndarray
+    at_zero: tuple[str, ...]
+
+    @cached_property
+    def contributions(self) -> np.ndarray:
+        """Sum of all contributions, shape (Q,): types A and B, noise scales, second order."""
+        return self.averaged.total + self.noise_scales + self.second_order
 
     @cached_property
     def remainder(self) -> np.ndarray:
-        """Posterior variance beyond the contributions, shape (Q,): nonlinearity, and the Monte Carlo error of both."""
-        return self.posterior - self.averaged.total - self.noise_scales
+        """Posterior variance beyond the contributions, shape (Q,): higher orders, and Monte Carlo error."""
+        return self.posterior - self.contributions
 
 
 def distribution(prior: Prior) -> str:
@@ -97,12 +117,26 @@ def distribution(prior: Prior) -> str:
     return _DISTRIBUTIONS.get(type(prior), type(prior).__name__.lower())
 
 
-@eqx.filter_jit
-def _conditional(problem: Problem, about: Linearised, h: Float[Array, " H"]):
-    """Return whitened Jacobian (E, P), prior widths (P,) and gradient of the log density (P,) at noise scales h."""
-    widths = prior_widths(problem, h)
-    gradient = knowledge(problem, about, h).gradient - about.z / widths**2
-    return whiten(problem, whitener(problem, h), about.jacobian), widths, gradient
+@dataclass(frozen=True)
+class _Rows:
+    """Gradients of which contributions are computed: one row for a quantity, two components for an angle at zero.
+
+    Attributes
+    ----------
+    gradient : shape (R, P).
+    owner : shape (R,), quantity of each row.
+    count : of quantities.
+    """
+
+    gradient: np.ndarray
+    owner: np.ndarray
+    count: int
+
+    def summed(self, values: np.ndarray) -> np.ndarray:
+        """Return the sums, (Q, …), over the rows of each quantity of values, (R, …)."""
+        found = np.zeros((self.count, *values.shape[1:]))
+        np.add.at(found, self.owner, values)
+        return found
 
 
 def budget_of(result: Result, names: Sequence[str]) -> BudgetArrays:
@@ -118,51 +152,95 @@ def budget_of(result: Result, names: Sequence[str]) -> BudgetArrays:
     InputError
         where the campaign or the draws are gone.
     """
-    fit = result.fit
-    layout, hyper = fit.model.layout, fit.model.hyper_layout
-    draws = draws_of(result.posterior_file or result.posterior, [*layout.names, *hyper.names, *names])
-    names = [name for name in dict.fromkeys(names) if name in draws and name not in hyper.names]
-    h = _standardised(hyper, draws)
-    gradients = _gradients(fit, names)
-    problem, runs = fit.model.problem, tuple(run.name for run in fit.model.campaign.runs)
-    about, group = linearise(problem, jnp.asarray(fit.z)), np.asarray(fit.model.entries.run)
-    parts, means = _over_noise_scales(problem, about, group, len(runs), h, gradients)
-    averaged = LinearContributions(
-        *(np.mean([getattr(part, key) for part in parts], axis=0) for key in ("type_a", "type_b", "sensitivity"))
-    )
-    whitened, widths, _ = (np.asarray(part) for part in _conditional(problem, about, jnp.asarray(fit.h)))
-    covariance = posterior_covariance(whitened, widths)
+    fit, draws = result.fit, _draws(result, names)
+    problem, campaign = fit.model.problem, fit.model.campaign
+    about = linearise(problem, jnp.asarray(fit.z))
+    whitened, widths = (np.asarray(each) for each in _whitened(problem, about, jnp.asarray(fit.h)))
+    part, covariance = linear_part(fit, about), posterior_covariance(whitened, widths)
+    derivatives = derivatives_of(fit, part, list(draws.values))
+    components = component_gradients(fit, list(draws.values), covariance)
+    rows = _rows([components.get(name, derivatives.gradient[[q]]) for q, name in enumerate(draws.values)], len(fit.z))
+    member = np.arange(len(campaign.runs))[:, None] == np.asarray(fit.model.entries.run)
+    per_draw = (len(fit.z) / 3 + 2 * len(rows.gradient)) * len(fit.z) ** 2
+    h = _evenly(draws.h, max(SPLIT_DRAWS, int(CONDITIONING_WORK / per_draw)))
+    moments = conditional_moments(part, problem, rows.gradient, h)
+    split = rows.summed(_over_runs(problem, about, part, member, rows.gradient, _evenly(h, SPLIT_DRAWS)))
+    type_b, linear = rows.summed(moments.type_b), rows.summed(moments.variance.mean(axis=0))
+    scales = rows.summed(moments.mean.var(axis=0))
+    variances = posterior_variances(part, derivatives, linear + scales, rows.summed(moments.spread), draws)
+    at_zero = np.isin(list(draws.values), list(components))
+    factor = np.where(at_zero, _ratio(variances.posterior, linear + scales), variances.slope**2)[:, None]
+    type_a = split.mean(axis=2)
+    type_a = type_a * _ratio(linear - type_b.sum(axis=1), type_a.sum(axis=1))[:, None]
+    # Over two components the sensitivity is the root of the sum of squares: contribution = (sensitivity · width)².
+    sensitivity = np.sqrt(rows.summed(moments.sensitivity**2))
+    sensitivity = np.where(at_zero[:, None], sensitivity, rows.summed(moments.sensitivity))
+
+    def deviation(values: np.ndarray) -> np.ndarray:
+        return np.sqrt(factor * rows.summed(values**2))
+
     return BudgetArrays(
-        names=tuple(names),
-        runs=runs,
-        priors=layout.parameters,
-        averaged=averaged,
-        degrees=degrees_of_freedom(np.stack([part.type_a for part in parts])),
-        noise_scales=means.var(axis=0),
-        posterior=np.array([np.nanvar(draws[name]) for name in names]),
-        exact_prior=deviation_with_exact_priors(gradients, covariance),
-        halved_prior=deviation_with_halved_priors(gradients, covariance, widths),
-        halved_noise=deviation_with_halved_noise(gradients, whitened, np.arange(len(runs))[:, None] == group, widths),
-        at_mode=np.sqrt(np.sum((gradients @ covariance) * gradients, axis=1)),
-        correlation=_correlation(complete({name: draws[name] for name in names})),
+        names=tuple(draws.values),
+        runs=tuple(run.name for run in campaign.runs),
+        priors=fit.model.layout.parameters,
+        averaged=LinearContributions(factor * type_a, factor * type_b, np.sqrt(factor) * sensitivity),
+        degrees=degrees_of_freedom(np.moveaxis(split, 2, 0)),
+        noise_scales=factor[:, 0] * scales,
+        second_order=np.where(at_zero, 0.0, variances.second_order),
+        posterior=variances.posterior,
+        posterior_error=variances.error,
+        exact_prior=deviation(deviation_with_exact_priors(rows.gradient, covariance)),
+        halved_prior=deviation(deviation_with_halved_priors(rows.gradient, covariance, widths)),
+        halved_noise=deviation(deviation_with_halved_noise(rows.gradient, whitened, member, widths)),
+        at_mode=deviation(np.sqrt(np.sum((rows.gradient @ covariance) * rows.gradient, axis=1))[:, None])[:, 0],
+        correlation=_correlation(complete(draws.values)),
+        at_zero=tuple(components),
     )
 
 
-def _over_noise_scales(
-    problem: Problem, about: Linearised, group: np.ndarray, groups: int, h: np.ndarray, gradients: np.ndarray
-) -> tuple[list[LinearContributions], np.ndarray]:
-    """Return the contributions at evenly spaced draws of the noise scales, and the conditional means, (H, Q)."""
-    affordable = CONDITIONING_WORK / (len(group) * gradients.shape[1] ** 2)
-    count = min(int(np.clip(affordable, *CONDITIONING_DRAWS)), len(h)) if h.shape[1] else 1
-    chosen = np.linspace(0, len(h) - 1, count).astype(int)
-    member, parts, means = np.arange(groups)[:, None] == group, [], []
-    for place in chosen:
-        at = jax.device_get(_conditional(problem, about, jnp.asarray(h[place])))
-        whitened, widths, gradient = (np.asarray(part) for part in at)
-        along = gradients @ posterior_covariance(whitened, widths)
-        parts.append(linear_contributions(along, whitened, member, widths))
-        means.append(along @ gradient)
-    return parts, np.stack(means)
+def _draws(result: Result, names: Sequence[str]) -> PosteriorDraws:
+    """Return the draws of a result with those of the quantities asked for, without noise scales."""
+    layout, hyper = result.fit.model.layout, result.fit.model.hyper_layout
+    effective = posterior_quantities(result).effective
+    stored = draws_of(result.posterior_file or result.posterior, [*layout.names, *hyper.names, *names])
+    values = {name: stored[name] for name in dict.fromkeys(names) if name in stored and name not in hyper.names}
+    least = min(effective.values(), default=float("inf"))
+    known = {name: effective.get(name, least) for name in values}
+    return PosteriorDraws(_standardised(layout, stored), _standardised(hyper, stored), values, known)
+
+
+def _rows(gradients: Sequence[np.ndarray], size: int) -> _Rows:
+    counts = [len(each) for each in gradients]
+    owner = np.repeat(np.arange(len(gradients)), counts)
+    return _Rows(np.concatenate([np.zeros((0, size)), *gradients]), owner, len(gradients))
+
+
+def _evenly(draws: np.ndarray, most: int) -> np.ndarray:
+    """Return at most so many draws, evenly spaced; a single one of what has no columns."""
+    count = min(most, len(draws)) if draws.shape[1] else 1
+    return draws[np.linspace(0, len(draws) - 1, count).astype(int)]
+
+
+def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:
+    return np.divide(above, below, out=np.zeros_like(above), where=below > 0)
+
+
+@eqx.filter_jit
+def _whitened(problem: Problem, about: Linearised, h: Float[Array, " H"]):
+    """Return whitened Jacobian (E, P) and prior widths (P,) at noise scales h."""
+    return whiten(problem, whitener(problem, h), about.jacobian), prior_widths(problem, h)
+
+
+def _over_runs(
+    problem: Problem, about: Linearised, part: LinearPart, member: np.ndarray, gradients: np.ndarray, h: np.ndarray
+) -> np.ndarray:
+    """Return the contributions of the runs, (R, G, n), at draws of the noise scales, (n, H)."""
+    found = []
+    for scales in h:
+        whitened, _ = _whitened(problem, about, jnp.asarray(scales))
+        along = gradients @ conditional_covariance(part, problem, scales)
+        found.append(type_a_contributions(along, np.asarray(whitened), member))
+    return np.stack(found, axis=2)
 
 
 def _standardised(layout: Layout, draws: dict[str, np.ndarray]) -> np.ndarray:
@@ -179,18 +257,10 @@ def _z(parameter: Parameter, values: np.ndarray) -> np.ndarray:
     return np.array([prior.z(value) for value in si.tolist()])
 
 
-def _gradients(fit: Fit, names: Sequence[str]) -> np.ndarray:
-    """Return the derivatives at the mode of quantities, in their units, by every parameter in z, shape (Q, P)."""
-    layout, problem = fit.model.layout, fit.model.problem
-    slopes = np.diag(np.asarray(problem.priors.slopes(jnp.asarray(fit.z))) / layout.factors())
-    derived = derived_jacobian(fit.derived.derivation, problem, fit.z)
-    known = dict(zip(layout.names, slopes, strict=True))
-    known |= {quantity.name: row for quantity, row in zip(fit.derived.names, derived, strict=True)}
-    return np.stack([known[name] for name in names])
-
-
 def _correlation(draws: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return the correlation matrix of Q quantities, (Q, Q); 0 for a quantity that does not vary."""
+    if not draws:
+        return np.zeros((0, 0))
     values = np.stack(list(draws.values()), axis=1)
     about = values - values.mean(axis=0)
     sd = about.std(axis=0)

@@ -1,0 +1,196 @@
+"""The linear part of a posterior, whose variance is known without Monte Carlo error, and the second-order part.
+
+The nested Laplace approximation (`imubayes.inference.nested_laplace`) writes θ = θ̂ + δ + ½ Σ_ij w_i w_j A_ij: δ is
+normal at given noise scales h, and the bend follows from its weak coordinates w.  The bend does not change w, so every
+posterior draw gives back its δ by subtraction.  A quantity q has the linear part u = gᵀδ with the variance
+E_h[gᵀC(h)g] + Var_h[gᵀm(h)], and the second-order part ½ wᵀBw, B from the bend and from the curvature of q itself.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import cho_factor, cho_solve
+
+from imubayes.array_shapes import Array, Float
+from imubayes.inference.conditional_precision import PrecisionBlocks, conditional, precision_blocks
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.nested_laplace import curved_directions
+from imubayes.inference.noise_marginal import Curvature
+from imubayes.inference.posterior_mode import Mode
+from imubayes.inference.posterior_precision import Linearised
+from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
+from imubayes.model.problem import Problem, prior_widths
+from imubayes.qualification.budget_algebra import inverse_of
+
+# Draws bent back at once.
+_AT_ONCE = 500
+
+
+@dataclass(frozen=True)
+class QuantityDerivatives:
+    """Derivatives of Q quantities at the mode, in their units, by the parameters in z.
+
+    Attributes
+    ----------
+    gradient : shape (Q, P).
+    curvature : shape (Q, K, K), second derivatives along the weak directions.
+    """
+
+    gradient: np.ndarray
+    curvature: np.ndarray
+
+
+@dataclass(frozen=True)
+class ConditionalMoments:
+    """Moments of Q linear quantities given each of n draws of the noise scales.
+
+    Attributes
+    ----------
+    variance, mean : shape (n, Q); the mean from the mode.
+    type_b : shape (Q, P), contribution of each prior, averaged over the draws.
+    sensitivity : shape (Q, P), ∂q/∂(prior mean), averaged likewise.
+    """
+
+    variance: np.ndarray
+    mean: np.ndarray
+    type_b: np.ndarray
+    sensitivity: np.ndarray
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Standard error of the average of the variances over the draws, shape (Q,)."""
+        return self.variance.std(axis=0) / np.sqrt(len(self.variance))
+
+
+@dataclass(frozen=True)
+class LinearPart:
+    """What bends and spreads θ about its mode.
+
+    Attributes
+    ----------
+    z : shape (P,), the mode.
+    weak : shape (P, K), orthonormal weak directions.
+    bend : shape (K, K, P), acceleration along pairs of them.
+    blocks : precision of θ given the noise scales.
+    """
+
+    z: np.ndarray
+    weak: np.ndarray
+    bend: np.ndarray
+    blocks: PrecisionBlocks
+
+
+def linear_part(fit: Fit, about: Linearised) -> LinearPart:
+    """Return the linear part of the posterior of a fit, linearised about its mode.
+
+    That of its approximation where the fit was made in this process; of a fit read from a result folder it is made
+    again, which costs two predictions for each pair of weak directions.
+    """
+    if fit.posterior is not None:
+        known = fit.posterior.approximation
+        return LinearPart(np.asarray(known.z), np.asarray(known.weak), np.asarray(known.bend), known.blocks)
+    problem, size = fit.model.problem, len(fit.h)
+    unasked = Curvature(jnp.zeros(()), jnp.zeros(size), jnp.eye(size))
+    done = jnp.asarray(True)
+    mode = Mode(about.z, jnp.asarray(fit.h), jnp.zeros(()), about, unasked, jnp.zeros((), int), done, done)
+    weak, bend = curved_directions(problem, mode)
+    return LinearPart(np.asarray(fit.z), np.asarray(weak), np.asarray(bend), precision_blocks(problem, mode))
+
+
+@eqx.filter_jit
+def _moments(blocks: PrecisionBlocks, problem: Problem, gradients: Float[Array, "Q P"], h: Float[Array, "n H"]):
+    def at(sums, scales):
+        precision, slope = conditional(blocks, problem, scales)
+        along = cho_solve(cho_factor(precision, lower=True), gradients.T).T
+        widths = prior_widths(problem, scales)
+        sums = (sums[0] + (along / widths[None, :]) ** 2, sums[1] + along / widths[None, :] ** 2)
+        return sums, (jnp.sum(along * gradients, axis=1), along @ slope)
+
+    zero = jnp.zeros_like(gradients)
+    (type_b, sensitivity), (variance, mean) = jax.lax.scan(at, (zero, zero), h)
+    return variance, mean, type_b / len(h), sensitivity / len(h)
+
+
+def conditional_moments(part: LinearPart, problem: Problem, gradients: np.ndarray, h: np.ndarray) -> ConditionalMoments:
+    """Return the moments of linear quantities with gradients (Q, P) given noise scales h, (n, H)."""
+    found = _moments(part.blocks, problem, jnp.asarray(gradients), jnp.asarray(h))
+    return ConditionalMoments(*(np.asarray(each) for each in found))
+
+
+_precision = eqx.filter_jit(lambda blocks, problem, h: conditional(blocks, problem, h)[0])
+
+
+def conditional_covariance(part: LinearPart, problem: Problem, h: np.ndarray) -> np.ndarray:
+    """Return the covariance of θ given noise scales h, (H,); shape (P, P)."""
+    return inverse_of(np.asarray(_precision(part.blocks, problem, jnp.asarray(h))))
+
+
+def unbent(part: LinearPart, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return δ, (S, P), and its weak coordinates w, (S, K), of points z, (S, P)."""
+    bent = z - part.z
+    w = bent @ part.weak
+    flat = part.bend.reshape(-1, part.bend.shape[-1])
+    parts = []
+    for start in range(0, len(z), _AT_ONCE):
+        chosen = w[start : start + _AT_ONCE]
+        products = (chosen[:, :, None] * chosen[:, None, :]).reshape(len(chosen), len(flat))
+        parts.append(bent[start : start + _AT_ONCE] - 0.5 * products @ flat)
+    return np.concatenate(parts), w
+
+
+def second_order(part: LinearPart, derivatives: QuantityDerivatives, w: np.ndarray) -> np.ndarray:
+    """Return the variance of the second-order part ½ wᵀBw of Q quantities over draws w, (S, K); shape (Q,)."""
+    found = np.zeros(len(derivatives.gradient))
+    for place, (gradient, own) in enumerate(zip(derivatives.gradient, derivatives.curvature, strict=True)):
+        total = part.bend @ gradient + own
+        found[place] = np.var(0.5 * np.einsum("si,ij,sj->s", w, total, w, optimize=True))
+    return found
+
+
+def derivatives_of(fit: Fit, part: LinearPart, names: Sequence[str]) -> QuantityDerivatives:
+    """Return the derivatives of parameters and derived quantities of a fit by name."""
+    layout, problem = fit.model.layout, fit.model.problem
+    weak = part.weak
+    slopes, bends = (np.asarray(each) / layout.factors() for each in _prior_derivatives(problem, jnp.asarray(fit.z)))
+    known = {name: (np.eye(len(layout))[place] * slopes[place]) for place, name in enumerate(layout.names)}
+    own = {name: bends[place] * np.outer(weak[place], weak[place]) for place, name in enumerate(layout.names)}
+    wanted = [quantity.name for quantity in fit.derived.names if quantity.name in names]
+    if wanted:
+        gradient = derived_jacobian(fit.derived.derivation, problem, fit.z)
+        covariance = weak.T @ conditional_covariance(part, problem, fit.h) @ weak
+        curvature = _derived_curvature(fit, weak, np.sqrt(np.diagonal(covariance)))
+        for place, quantity in enumerate(fit.derived.names):
+            known[quantity.name], own[quantity.name] = gradient[place], curvature[place]
+    shape = (0, len(layout)), (0, weak.shape[1], weak.shape[1])
+    if not names:
+        return QuantityDerivatives(np.zeros(shape[0]), np.zeros(shape[1]))
+    return QuantityDerivatives(np.stack([known[name] for name in names]), np.stack([own[name] for name in names]))
+
+
+@eqx.filter_jit
+def _prior_derivatives(problem: Problem, z: Float[Array, " P"]):
+    """Return first and second derivative of every parameter, in SI, by its own z."""
+    return jax.jvp(problem.priors.slopes, (z,), (jnp.ones_like(z),))
+
+
+def _derived_curvature(fit: Fit, weak: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """Return second derivatives of the derived quantities along pairs of weak directions, (D, K, K).
+
+    By central differences over one posterior standard deviation of each direction, `reach` (K,).
+    """
+    count = weak.shape[1]
+    rows, columns = np.triu_indices(count)
+    steps = weak.T * reach[:, None]
+    pairs = steps[rows] + steps[columns]
+    points = np.concatenate([fit.z + pairs, fit.z - pairs, fit.z[None]])
+    values = evaluate_derived(fit.derived.derivation, fit.model.problem, points)
+    whole = values[: len(pairs)] + values[len(pairs) : -1] - 2 * values[-1]
+    own = whole[rows == columns] / 4
+    mixed = 0.5 * (whole - own[rows] - own[columns]) / (reach[rows] * reach[columns])[:, None]
+    found = np.zeros((values.shape[1], count, count))
+    found[:, rows, columns] = found[:, columns, rows] = mixed.T
+    return found
