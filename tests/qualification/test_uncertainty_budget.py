@@ -9,7 +9,6 @@ import pytest
 from imubayes.api import Result, fit
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.errors import InputError
 from imubayes.model.model_file import read_model
 from imubayes.qualification.assess import assess
 from imubayes.qualification.posterior_quantities import posterior_quantities
@@ -89,12 +88,13 @@ def test_a_unit_passes_only_with_an_adequate_model(result, tmp_path):
     assert assess(invalid, file, Diagnosis(verdict="adequate")).obstacles == ("invalid_intervals",)
 
 
-def test_a_fit_that_did_not_converge_is_refused(result, tmp_path):
+def test_a_fit_that_did_not_converge_cannot_pass(result, tmp_path):
     file = tmp_path / "spec.toml"
     file.write_text('format = 1\nname = "x"\n[[limit]]\nquantity = "accel_bias.bias"\nupper = 1\nunit = "ug"\n')
     failed = replace(result, summary=result.summary.model_copy(update={"converged": False, "message": "it stopped"}))
-    with pytest.raises(InputError, match="no posterior draws"):
-        assess(failed, file, Diagnosis(verdict="adequate"))
+    found = assess(failed, file, Diagnosis(verdict="adequate"))
+    assert found.obstacles == ("not_converged",)
+    assert found.outcome == "withheld"
 
 
 def test_an_angle_at_zero_has_a_budget_of_its_components(result):
