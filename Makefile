@@ -28,7 +28,7 @@ help:
 setup: $(READY)
 
 demo: $(READY)
-	$(BIN)/imubayes fit data/trihedral-imu --model models/trihedral-imu.toml --out results/trihedral-imu
+	$(BIN)/imubayes fit data/trihedral-imu --model models/trihedral-imu.toml --out results/trihedral-imu --replace
 	$(BIN)/imubayes compare results/trihedral-imu
 
 # Types are checked beside the tests: pyright keeps only one core busy.

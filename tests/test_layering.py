@@ -12,6 +12,7 @@ FLOORS = (
         "units",
         "array_shapes",
         "gather",
+        "jax_settings",
         "rotations",
         "earth",
         "json_record",

@@ -3,7 +3,7 @@
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import replace as with_fields
 from pathlib import Path
 
 import polars as pl
@@ -18,6 +18,7 @@ from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.injection_recovery import Size, Trials, plant_effects
 from imubayes.criticism.model_history import Tree
+from imubayes.display.notebook_progress import progress_of
 from imubayes.errors import input_error
 from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.ensemble_sampling import Settings
@@ -32,7 +33,7 @@ from imubayes.results.addition import Addition, added_variable, addition_of
 from imubayes.results.apply_calibration import CalibratedInputs, apply_calibration, read_readings
 from imubayes.results.folder_state import CHECKPOINT, claim, claim_new
 from imubayes.results.history_file import first_node, read_tree, remember, write_node
-from imubayes.results.loop_files import read_diagnosis, write_addition
+from imubayes.results.loop_files import read_diagnosis, write_addition, write_diagnosis
 from imubayes.results.result import Result, read_result, result_of
 
 
@@ -44,6 +45,7 @@ def fit(
     sample: bool = True,
     seed: int = 0,
     resume: bool = False,
+    replace: bool = False,
     settings: Settings | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Result:
@@ -57,6 +59,7 @@ def fit(
     sample : whether to sample, or to stay with the Laplace approximation.
     seed : of the sampler.
     resume : continue the checkpoint in `out`.
+    replace : whether a sampled result in `out` may be replaced; one that was not sampled always is.
     settings : of the sampler, beyond the seed.
     progress : called with a short text as the work goes on.
 
@@ -71,9 +74,10 @@ def fit(
     folder = Path(out) if out is not None else None
     checkpoint = folder / CHECKPOINT if folder is not None else None
     if folder is not None:
-        claim(folder, resume)
-    sampling = replace(settings or Settings(), seed=seed) if sample else None
-    fitted = joint_fit(declared, sampling, checkpoint, resume, progress)
+        claim(folder, resume, replace)
+    sampling = with_fields(settings or Settings(), seed=seed) if sample else None
+    with progress_of(progress) as tell:
+        fitted = joint_fit(declared, sampling, checkpoint, resume, tell)
     result = result_of(fitted, folder, seed, load_seconds)
     if folder is not None:
         write_node(folder, first_node(fitted.model, result.summary, seed))
@@ -85,23 +89,33 @@ def _bound(campaign: Campaign | str | Path, model: ModelSpec | str | Path) -> Mo
     return bind(model if isinstance(model, ModelSpec) else read_model(model), loaded)
 
 
-def diagnose(result: Result | Fit | str | Path, effect: str = "") -> Diagnosis:
+def diagnose(
+    result: Result | Fit | str | Path, effect: str = "", *, progress: Callable[[str], None] | None = None
+) -> Diagnosis:
     """Return which physical effect is missing in a fit, or that none is, from one pass and without a refit.
+
+    What was found is kept in the result folder, where there is one: `add` starts from it.
 
     Parameters
     ----------
     result : a result, its folder, or a fitted model.
-    effect : ask about this effect alone.
+    effect : ask about this effect alone; such an answer is not kept.
+    progress : called with a short text as the work goes on.
 
     Raises
     ------
     InputError
         for a folder that holds no result, or one whose campaign is gone or has changed.
     """
-    if isinstance(result, Fit):
-        return judge(result, effect=effect)
-    found = result if isinstance(result, Result) else read_result(result)
-    return judge(found.fit, str(found.folder or "RESULT"), effect)
+    with progress_of(progress) as tell:
+        tell("looking for what is missing")
+        if isinstance(result, Fit):
+            return judge(result, effect=effect)
+        read = result if isinstance(result, Result) else read_result(result)
+        found = judge(read.fit, str(read.folder or "RESULT"), effect)
+    if read.folder is not None and not effect:
+        write_diagnosis(read.folder, found)
+    return found
 
 
 def add(
@@ -124,7 +138,7 @@ def add(
     result : a result, or its folder.
     effects : names of effects or noise members; what the diagnosis suggests where there are none.
     out : result folder to write; None for none.  It becomes the selected model where the refit is taken.
-    channels : for the new effects; all that they can act on where None.
+    channels : for the new effects; where None, those on which the diagnosis found them, or else all they can act on.
     diagnosis : of the result; its estimates are where the refit starts.  Where None, the one that the result folder
         holds, if any.
     sample : whether to sample the posterior of a refit that is taken.
@@ -136,16 +150,16 @@ def add(
     InputError
         for an effect that does not fit, a result that cannot be extended, an `out` that is taken.
     """
-    tell = progress or (lambda text: None)
     before = result if isinstance(result, Result) else read_result(result)
     parent = before.folder
     if diagnosis is None and parent is not None:
         diagnosis = read_diagnosis(parent)
     effects, channels = _named(effects, channels, diagnosis)
     folder = claim_new(Path(out), parent) if out is not None else None
-    refit = refit_with(before.fit, effects, channels, diagnosis, tell)
-    if sample and not refit.objection:
-        refit = _sampled(refit, folder, seed, tell)
+    with progress_of(progress) as tell:
+        refit = refit_with(before.fit, effects, channels, diagnosis, tell)
+        if sample and not refit.objection:
+            refit = _sampled(refit, folder, seed, tell)
     after = result_of(refit.fit, folder, seed)
     addition = addition_of(refit, before, after)
     if folder is not None:
@@ -158,9 +172,13 @@ def add(
 def _named(
     effects: Sequence[str], channels: Sequence[str] | None, diagnosis: Diagnosis | None
 ) -> tuple[Sequence[str], Sequence[str] | None]:
-    """Return effects and channels to add: as named, or as the diagnosis suggests."""
+    """Return effects and channels to add: as named, or as the diagnosis suggests.
+
+    Several effects share one list of channels, so that of the diagnosis is taken for a single effect.
+    """
     if effects:
-        return effects, channels
+        found = diagnosis.channels_for(effects[0]) if diagnosis is not None and len(effects) == 1 else None
+        return effects, channels if channels is not None else found
     suggested = diagnosis.suggested if diagnosis is not None else None
     if suggested is None:
         raise input_error("no effect is named", "add", "imubayes effects lists them", "name one")
@@ -175,7 +193,7 @@ def _sampled(refit: Refit, folder: Path | None, seed: int, tell: Callable[[str],
     resume = checkpoint is not None and bool(steps_in(checkpoint))
     start = (refit.fit.z, refit.fit.h)
     fit = joint_fit(refit.fit.model, Settings(seed=seed), checkpoint, resume, tell, start)
-    return replace(refit, fit=fit, objection=objection(fit, refit.delta_chi2))
+    return with_fields(refit, fit=fit, objection=objection(fit, refit.delta_chi2))
 
 
 def apply(result: Result | str | Path, readings: pl.DataFrame | str | Path) -> CalibratedInputs:
@@ -220,6 +238,17 @@ def history(*folders: str | Path) -> Tree:
     return read_tree(folders)
 
 
+def load(folder: str | Path) -> Result:
+    """Return the result that a folder holds: summary and residuals at once, fit and posterior when they are asked for.
+
+    Raises
+    ------
+    InputError
+        if it is missing, incomplete or damaged; every issue is in it.
+    """
+    return read_result(folder)
+
+
 def plant(
     campaign: Campaign | str | Path | None = None,
     model: ModelSpec | str | Path | None = None,
@@ -248,17 +277,17 @@ def plant(
     InputError
         for anything that cannot be used, and for free tumbles, which cannot be simulated.
     """
-    tell = progress or (lambda text: None)
-    if result is not None:
-        fitted = (result if isinstance(result, Result) else read_result(result)).fit
-    elif campaign is None or model is None:
-        raise input_error(
-            "nothing to inject into", "plant", "a campaign with a model, or a result", "give one of the two"
-        )
-    else:
-        tell("fitting")
-        fitted = joint_fit(_bound(campaign, model), None, progress=tell)
-    return plant_effects(fitted, effects, size or Size(), draws, seed, tell)
+    with progress_of(progress) as tell:
+        if result is not None:
+            fitted = (result if isinstance(result, Result) else read_result(result)).fit
+        elif campaign is None or model is None:
+            raise input_error(
+                "nothing to inject into", "plant", "a campaign with a model, or a result", "give one of the two"
+            )
+        else:
+            tell("fitting")
+            fitted = joint_fit(_bound(campaign, model), None, progress=tell)
+        return plant_effects(fitted, effects, size or Size(), draws, seed, tell)
 
 
 def export(folder: str | Path, file: str | Path) -> str:
@@ -290,6 +319,7 @@ __all__ = [
     "export",
     "fit",
     "history",
+    "load",
     "plant",
     "read_result",
     "report",

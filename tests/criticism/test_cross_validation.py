@@ -73,7 +73,7 @@ def test_what_is_not_missing_is_marked_so(third):
     """The planted fault: an effect that is not in the data does not pass for one that helps."""
     assert third.taken
     assert third.held_out.verdict == "not"
-    assert "DOES NOT IMPROVE" in repr(third)
+    assert "DOES NOT IMPROVE" in str(third)
 
 
 def test_the_error_falls_to_the_noise(second, place):

@@ -35,16 +35,12 @@ def diagnose(
     from imubayes.display.diagnosis_report import diagnosis_json, diagnosis_report, effect_source
     from imubayes.display.figures.evidence_pictures import save_evidence, save_recorded_noise
     from imubayes.display.report_layout import print_report
-    from imubayes.results.loop_files import write_diagnosis
 
     with progress() as tell:
-        tell("looking for what is missing")
-        found = find_missing(result, effect)
+        found = find_missing(result, effect, progress=tell)
     pictures = [save_evidence(result, found.evidence)] if found.evidence is not None else []
     if found.disagreeing_noise and found.scatter is not None:
         pictures.append(save_recorded_noise(result, found.scatter))
-    if not effect:
-        write_diagnosis(result, found)
     if python:
         print(effect_source(found))
     elif as_json:

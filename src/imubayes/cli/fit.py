@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from imubayes.cli.options import Json, print_json
+from imubayes.cli.options import Flag, Json, print_json
 
 
 def fit(
@@ -14,6 +14,7 @@ def fit(
     sample: bool = True,
     seed: int = 0,
     resume: bool = False,
+    replace: Flag = False,
     as_json: Json = False,
     verbose: bool = False,
 ) -> int:
@@ -35,6 +36,8 @@ def fit(
         Seed of the sampler.
     resume
         Continue the sampling that was interrupted.
+    replace
+        Replace a sampled result in the result folder.
     as_json
         Print summary.json on standard output.
     verbose
@@ -53,7 +56,9 @@ def fit(
     recorded = usable(inspection)
     print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
     with progress() as tell:
-        result = fit_campaign(recorded, model, out, sample=sample, seed=seed, resume=resume, progress=tell)
+        result = fit_campaign(
+            recorded, model, out, sample=sample, seed=seed, resume=resume, replace=replace, progress=tell
+        )
     if as_json:
         print_json(result.summary.model_dump(mode="json"))
     else:

@@ -265,7 +265,7 @@ class Diagnosis(Presented, Record):
     asked : the effect that was asked about, where one was.
     """
 
-    __repr__ = Presented.__repr__
+    __repr__, __str__ = Presented.__repr__, Presented.__str__
 
     format: Literal[1] = 1
     verdict: Verdict
@@ -310,6 +310,14 @@ class Diagnosis(Presented, Record):
         copy = self.model_copy()
         copy._evidence, copy._scatter = evidence, scatter
         return copy
+
+    def channels_for(self, effect: str) -> tuple[str, ...] | None:
+        """Return the channels on which an effect was found; None for all on which it was screened, and if not found."""
+        if self.suggested is not None and self.suggested.effect == effect:
+            return self.suggested.channels
+        members = [member for group in self.groups for member in group.candidates if member.effect == effect]
+        everywhere = {name for line in self.ranking if line.effect == effect for name in line.channels}
+        return members[0].channels if members and set(members[0].channels) != everywhere else None
 
     def estimate(self, effect: str) -> "ScreenedEffect | NoiseFinding | None":
         """Return what the screening says of an effect or noise: as a member of a group, or its best line, or None."""

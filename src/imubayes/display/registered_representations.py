@@ -6,11 +6,18 @@ from imubayes.criticism.model_history import Tree
 from imubayes.display.addition_report import addition_report
 from imubayes.display.diagnosis_report import diagnosis_report
 from imubayes.display.fit_report import summary_report
+from imubayes.display.headlines import (
+    addition_headline,
+    diagnosis_headline,
+    result_headline,
+    tree_headline,
+    trials_headline,
+)
 from imubayes.display.history_table import history_report
 from imubayes.display.injection_report import injection_report
 from imubayes.display.report_layout import report_html, report_text
 from imubayes.display.summary_html import summary_html
-from imubayes.representation import html_of, text_of
+from imubayes.representation import headline_of, html_of, text_of
 from imubayes.results.addition import Addition
 from imubayes.results.result import Result
 
@@ -23,6 +30,12 @@ _REPORTS = {
 for _record, _report in _REPORTS.items():
     text_of.register(_record, lambda record, report=_report: report_text(report(record)))
     html_of.register(_record, lambda record, report=_report: report_html(report(record)))
+
+headline_of.register(Addition, addition_headline)
+headline_of.register(Diagnosis, diagnosis_headline)
+headline_of.register(Tree, tree_headline)
+headline_of.register(Trials, trials_headline)
+headline_of.register(Result, result_headline)
 
 
 @text_of.register

@@ -30,9 +30,12 @@ def print_report(report: Report, console: Console | None = None) -> None:
 
 
 def report_text(report: Report, width: int = 120) -> str:
-    """Return a report as plain text."""
+    """Return a report as plain text.
+
+    In a notebook rich would show the tables by itself and leave the text empty.
+    """
     buffer = io.StringIO()
-    print_report(report, Console(file=buffer, width=width, color_system=None))
+    print_report(report, Console(file=buffer, width=width, color_system=None, force_jupyter=False))
     return buffer.getvalue().rstrip("\n")
 
 

@@ -15,6 +15,7 @@ from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.campaign_data import Campaign
 from imubayes.errors import InputError, Issue, closest_first, input_error
 from imubayes.gather import on_device
+from imubayes.jax_settings import prepare_jax
 from imubayes.model.assembly import Assembly, assemble
 from imubayes.model.bound_effects import BoundEffect, ExactEquipmentError, NotObservableError, bind_effect
 from imubayes.model.build_problem import build_problem
@@ -109,6 +110,7 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None) 
     InputError
         with everything in the model that does not fit the campaign.
     """
+    prepare_jax()
     _refuse_unknown_procedures(campaign)
     new_files = registry is None
     registry = (registry or Registry()).with_files(spec.files)

@@ -58,7 +58,7 @@ class Addition(Presented, Record):
     parent, folder : result folders before and after; None where there are none.
     """
 
-    __repr__ = Presented.__repr__
+    __repr__, __str__ = Presented.__repr__, Presented.__str__
 
     format: Literal[2] = 2
     added: tuple[EffectChoice, ...]

@@ -1,5 +1,6 @@
 """What a result folder holds: names of its files, whether it can take a result, and what is wrong with one."""
 
+import json
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -16,13 +17,14 @@ _NEEDED = (SUMMARY, RESIDUALS)
 _MOST_FAULTS = 3
 
 
-def claim(folder: Path, resume: bool = False) -> None:
+def claim(folder: Path, resume: bool = False, replace: bool = False) -> None:
     """Make sure that a folder can take a result, before anything is computed.
 
     Raises
     ------
     InputError
-        where it holds files but no result, or a sampling that was interrupted and is not to be resumed.
+        where it holds files but no result, a sampling that was interrupted and is not to be resumed, or a sampled
+        result that is not to be replaced.
     """
     if folder.is_dir():
         held = [file.name for file in folder.iterdir() if not file.name.startswith(".")]
@@ -44,6 +46,15 @@ def claim(folder: Path, resume: bool = False) -> None:
                     f"add --resume; to begin anew choose another --out, or remove {folder / CHECKPOINT}",
                 )
             )
+        if not (resume or replace) and (folder / POSTERIOR).is_file() and _sampled(folder):
+            raise InputError(
+                Issue(
+                    "the folder holds a sampled result",
+                    str(folder),
+                    "a folder that does not exist yet, an empty one, or a result that was not sampled",
+                    f"choose another --out, or add --replace (in Python replace=True) to lose {folder / POSTERIOR}",
+                )
+            )
     if not resume:
         folder.mkdir(parents=True, exist_ok=True)
 
@@ -61,6 +72,14 @@ def claim_new(folder: Path, parent: Path | None) -> Path:
         )
     claim(folder, resume=True)
     return folder
+
+
+def _sampled(folder: Path) -> bool:
+    """Tell whether the result of a folder was sampled; one that cannot be read is taken for sampled."""
+    try:
+        return json.loads((folder / SUMMARY).read_bytes()).get("sampled") is not False
+    except (OSError, ValueError, AttributeError):
+        return True
 
 
 def _interrupted(folder: Path) -> bool:

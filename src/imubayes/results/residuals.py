@@ -1,12 +1,14 @@
 """Residuals of a fit in output and input units, with every covariate: what compare and criticism look at."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
+import xarray
 
 from imubayes.covariates import shown
 from imubayes.inference.fitted_model import Fit
@@ -17,6 +19,9 @@ from imubayes.model.problem import Problem
 from imubayes.model.robust_likelihood import pseudo_values
 from imubayes.results.summary import RunSummary
 from imubayes.units import to_si
+
+if TYPE_CHECKING:
+    import pandas
 
 # Columns that every residuals table has, besides the covariates.
 COLUMNS = (
@@ -35,6 +40,18 @@ class Residuals:
     def to_dataframe(self) -> pl.DataFrame:
         """Return one row per run, row and channel, with covariates, observed and predicted output and residuals."""
         return self.table
+
+    def to_polars(self) -> pl.DataFrame:
+        """Return the table; the same as `to_dataframe`."""
+        return self.table
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """Return the table for pandas."""
+        return self.table.to_pandas()
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the table as a dataset with the dimension `entry`."""
+        return xarray.Dataset({name: ("entry", self.table[name].to_numpy()) for name in self.table.columns})
 
     @property
     def chi2(self) -> float:

@@ -3,11 +3,12 @@
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import polars as pl
 import xarray
 
-from imubayes.errors import InputError, Issue
+from imubayes.errors import InputError, Issue, closest_first
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_tree import posterior_tree
 from imubayes.representation import Presented
@@ -16,7 +17,10 @@ from imubayes.results.folder_state import POSTERIOR, damaged
 from imubayes.results.residuals import Residuals, residuals_of
 from imubayes.results.result_folder import read_summary_and_residuals, write_result
 from imubayes.results.summarise import summarise
-from imubayes.results.summary import Summary
+from imubayes.results.summary import Quantity, Summary
+
+if TYPE_CHECKING:
+    import pandas
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,8 +85,42 @@ class Result(Presented):
         except (OSError, ValueError, KeyError) as error:
             raise InputError(damaged(file, error)) from error
 
-    def to_dataframe(self) -> pl.DataFrame:
+    @cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """Parameters and derived quantities by name: ``result.quantities["scale_factor[gx]"].mean``."""
+        return {quantity.name: quantity for quantity in (*self.summary.parameters, *self.summary.derived)}
+
+    def __getitem__(self, name: str) -> Quantity:
+        """Return a parameter or derived quantity: ``result["scale_factor[gx]"].sd``.
+
+        Raises
+        ------
+        KeyError
+            with the closest names, for a name that the result does not have.
+        """
+        if name in self.quantities:
+            return self.quantities[name]
+        raise KeyError(f"no quantity '{name}'; there are {closest_first(name, list(self.quantities))}")
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.quantities)
+
+    def to_polars(self) -> pl.DataFrame:
         """Return parameters and derived quantities, one row each, with the columns of `summary.json`."""
+        return self.to_dataframe()
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """Return the table of `to_polars` for pandas, with the name as index."""
+        return self.to_polars().to_pandas().set_index("name")
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the table of `to_polars` as a dataset with the dimension `name`; the draws are in `posterior`."""
+        frame = self.to_polars()
+        columns = {name: ("name", frame[name].to_numpy()) for name in frame.columns if name != "name"}
+        return xarray.Dataset(columns, {"name": frame["name"].to_numpy()})
+
+    def to_dataframe(self) -> pl.DataFrame:
+        """Return parameters and derived quantities, one row each; the same as `to_polars`."""
         rows = [
             {"kind": kind} | quantity.model_dump(exclude={"within"})
             for kind, quantities in (("parameter", self.summary.parameters), ("derived", self.summary.derived))

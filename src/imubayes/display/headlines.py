@@ -1,0 +1,47 @@
+"""The one line by which a record shows itself where the whole report would be too much."""
+
+from imubayes.criticism.diagnosis_record import Diagnosis, EffectChoice
+from imubayes.criticism.injection_recovery import Trials
+from imubayes.criticism.model_history import Tree
+from imubayes.display.rounding import significant
+from imubayes.results.addition import Addition
+from imubayes.results.history_file import shown_place
+from imubayes.results.result import Result
+
+
+def result_headline(result: Result) -> str:
+    """Return campaign, model, convergence, goodness of fit and place of a result."""
+    summary = result.summary
+    fit = "" if summary.chi2 is None else f", χ² {summary.chi2:.0f} for {summary.dof:.0f} degrees of freedom"
+    state = "converged" if summary.converged else "NOT CONVERGED"
+    how = "sampled" if summary.sampled else "Laplace approximation"
+    where = f", in {result.folder}" if result.folder is not None else ""
+    count = len(summary.parameters)
+    return f"<Result {summary.campaign}, model {summary.model}: {state}{fit}, {count} parameters, {how}{where}>"
+
+
+def diagnosis_headline(found: Diagnosis) -> str:
+    """Return the verdict and what to add."""
+    choice = found.suggested
+    return f"<Diagnosis {found.verdict.replace('_', ' ')}{'' if choice is None else ': ' + _named(choice)}>"
+
+
+def addition_headline(addition: Addition) -> str:
+    """Return what was added, whether it was taken, and Δχ²."""
+    names = ", ".join(map(_named, addition.added))
+    taken = "taken" if addition.taken else "not taken"
+    return f"<Addition {names}: {taken}, Δχ² {significant(addition.observed.delta_chi2)}>"
+
+
+def tree_headline(tree: Tree) -> str:
+    """Return how many models were tried and which is selected."""
+    return f"<Tree {len(tree.nodes)} models, selected: {', '.join(map(shown_place, tree.selected)) or 'none'}>"
+
+
+def trials_headline(trials: Trials) -> str:
+    """Return how many injected effects were detected."""
+    return f"<Trials {trials.campaign}: {trials.detected} of {len(trials.trials)} injected effects detected>"
+
+
+def _named(choice: EffectChoice) -> str:
+    return choice.effect + (f" on {', '.join(choice.channels)}" if choice.channels else "")

@@ -1,0 +1,48 @@
+"""JAX as this package needs it: double precision, and compiled code kept between processes.
+
+Set where a model is bound, which everything that computes goes through, and not on import: a process that only reads
+results keeps its own settings.
+"""
+
+import os
+from pathlib import Path
+
+import jax
+from jax._src.xla_bridge import backends_are_initialized
+
+from imubayes.errors import input_error
+
+
+def prepare_jax() -> None:
+    """Switch double precision and the persistent compilation cache on, unless the process has chosen a cache itself.
+
+    Raises
+    ------
+    InputError
+        where JAX has computed in single precision already: arrays made then would stay so.
+    """
+    if not jax.config.jax_enable_x64:
+        if backends_are_initialized():
+            raise input_error(
+                "JAX has been started in single precision",
+                "this Python process",
+                "float64: a part in a million of a scale factor is lost in float32",
+                'call jax.config.update("jax_enable_x64", True), and make arrays of your own again',
+            )
+        jax.config.update("jax_enable_x64", True)
+    if jax.config.jax_compilation_cache_dir is None:
+        _keep_compiled()
+
+
+def _keep_compiled() -> None:
+    """Keep compiled code in a folder of the user (mode 0700)."""
+    home = os.environ.get("XDG_CACHE_HOME")
+    folder = (Path(home) if home else Path.home() / ".cache") / "imubayes" / "compiled"
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        folder.chmod(0o700)
+    except OSError:
+        return  # no writable home: compile every time
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
