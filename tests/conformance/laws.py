@@ -12,7 +12,7 @@ from scipy import stats
 
 from imubayes.covariates import ambient_names
 from imubayes.effects.base import MotionEffect, PlaceEffect, RecordEffect, Stage
-from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, SharedNoise, TailNoise
+from imubayes.noise.base import Entry, EntryNoise, RowSpan, SeriesNoise, SharedNoise, SlowNoise, TailNoise
 from imubayes.parameters.parameter_declarations import declared_options, declared_parameters
 from imubayes.parameters.priors import Prior, parse_prior
 from imubayes.signal_path_state import Ambient, Experience, Motion, OuterAxes, Records, Sample
@@ -327,8 +327,47 @@ def variance_is_positive(member: type) -> None:
             degrees = float(instance(member, values).degrees())
             assert 0 < degrees < np.inf, f"{member.name}: {degrees} degrees of freedom"
             continue
+        if issubclass(member, SlowNoise):
+            covariance = slow_covariance(member, values)
+            least = float(np.linalg.eigvalsh(covariance / np.abs(covariance).max())[0])
+            assert least > -1e-12, f"{member.name}: covariance with an eigenvalue of {least:.1g}"
+            continue
         found = variance_of(member, values, samples=7.0)
         assert 0 < found < np.inf, f"{member.name}: variance {found}"
+
+
+def slow_covariance(member: type, values: dict, rows: int = 60, length: float = 100.0) -> np.ndarray:
+    """Return the covariance of rows that follow one another without a gap, from the states of each."""
+    times = jnp.geomspace(length / 2, rows * length, 6)
+    noise = instance(member, values)
+    found = np.zeros((rows, rows))
+    for i in range(rows):
+        span = RowSpan(jnp.asarray(i * length), jnp.asarray(length), jnp.asarray(0.0 if i else jnp.inf), times)
+        states = noise.states(span)
+        found[i, i], carried = float(states.variance), np.asarray(states.end)
+        if i == 0:
+            mean, over_row = np.asarray(states.mean), np.asarray(states.over_row)
+        for j in range(i + 1, rows):
+            found[i, j] = found[j, i] = float(np.sum(carried * mean))
+            carried = carried * over_row
+    return found
+
+
+def misstated_slow_noise_is_less_likely(member: type, rng: np.random.Generator) -> None:
+    values = {name: float(value) for name, value in drawn_values(member, 3).items()}
+    # White noise of a hundredth of the variance keeps the covariance of rows regular.
+    floor = 0.01 * slow_covariance(member, values)[1, 1] * np.eye(60)
+    drawn = np.linalg.cholesky(slow_covariance(member, values) + floor) @ rng.normal(size=(60, 20))
+
+    def likelihood(assumed: dict) -> float:
+        covariance = slow_covariance(member, assumed) + floor
+        squares = np.sum(drawn * np.linalg.solve(covariance, drawn))
+        return float(-0.5 * squares - 0.5 * drawn.shape[1] * np.linalg.slogdet(covariance)[1])
+
+    for field in declared_parameters(member):
+        for factor in (1 / 3, 3.0):
+            wrong = likelihood(values | {field: values[field] * factor})
+            assert likelihood(values) > wrong + 10, f"{member.name}.{field}"
 
 
 def in_series(correlation: float, independent: np.ndarray) -> np.ndarray:
@@ -358,6 +397,9 @@ def misstated_noise_is_less_likely(member: type) -> None:
         far = stats.t(4).rvs(size=400, random_state=rng)
         law = stats.t(float(instance(member, dict.fromkeys(declared_parameters(member), 4.0)).degrees()))
         assert law.logpdf(far).sum() > stats.norm.logpdf(far).sum() + 10, f"{member.name} has no tails"
+        return
+    if issubclass(member, SlowNoise):
+        misstated_slow_noise_is_less_likely(member, rng)
         return
     for field in declared_parameters(member):
         values = {name: float(value) for name, value in drawn_values(member, 3).items()}

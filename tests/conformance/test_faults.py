@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax.numpy as jnp
 import laws
 import pytest
@@ -12,7 +13,8 @@ from imubayes.effects.base import Order, RecordEffect, SignalEffect, Stage
 from imubayes.effects.memory import Decay
 from imubayes.errors import InputError
 from imubayes.model.effect_registry import Registry
-from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, TailNoise
+from imubayes.noise.base import Entry, EntryNoise, RowSpan, SeriesNoise, StateCovariance, TailNoise
+from imubayes.noise.slow_components import MarkovNoise
 from imubayes.parameters.parameter_declarations import option, parameter
 from imubayes.signal_path_state import Ambient, Sample
 
@@ -181,6 +183,25 @@ class NegativeNoise(DeafNoise):
         return self.sigma**2 - 1.0
 
 
+class DeafSlowNoise(MarkovNoise):
+    """Correlation time 100 s, whatever T."""
+
+    name = "deaf_slow_noise"
+
+    def states(self, row: RowSpan) -> StateCovariance:
+        return MarkovNoise(self.sigma, 0.0 * self.time + 100.0).states(row)
+
+
+class IndefiniteSlowNoise(MarkovNoise):
+    """A third of the variance that its covariances need."""
+
+    name = "indefinite_slow_noise"
+
+    def states(self, row: RowSpan) -> StateCovariance:
+        found = MarkovNoise(self.sigma, self.time + 1000.0).states(row)
+        return eqx.tree_at(lambda known: known.variance, found, found.variance / 3)
+
+
 class GyroDrag(RecordEffect):
     """A sound effect with a memory: signal + c·(T_τ − T)."""
 
@@ -347,6 +368,8 @@ class CutTails(BoundlessTails):
         (laws.variance_is_positive, BoundlessTails, "boundless_tails: 0.0 degrees"),
         (laws.misstated_noise_is_less_likely, CutTails, "has no tails"),
         (laws.misstated_noise_is_less_likely, DeafNoise, "deaf_noise.sigma"),
+        (laws.misstated_noise_is_less_likely, DeafSlowNoise, "deaf_slow_noise.time"),
+        (laws.variance_is_positive, IndefiniteSlowNoise, "eigenvalue"),
         (laws.variance_is_positive, NegativeNoise, "negative_noise: variance"),
     ],
 )

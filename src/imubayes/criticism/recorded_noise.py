@@ -18,7 +18,7 @@ from imubayes.criticism import thresholds
 from imubayes.criticism.noise_tests import to_entries
 from imubayes.criticism.projection import Projection
 from imubayes.model.problem import Problem
-from imubayes.noise.base import SeriesNoise
+from imubayes.noise.base import SeriesNoise, SlowNoise
 from imubayes.noise.components import WhiteNoise
 
 NoiseSource = Literal["samples", "channel"]
@@ -159,6 +159,8 @@ def _white_noise(problem: Problem, h: np.ndarray) -> tuple[np.ndarray, np.ndarra
             variance += np.asarray(layer.entry_variances(values, observations.entry))
         elif issubclass(layer.noise, SeriesNoise):
             correlated |= (np.asarray(layer.acts) > 0)[np.asarray(observations.group)]
+        elif issubclass(layer.noise, SlowNoise):
+            correlated |= np.asarray(layer.acts) > 0
     return np.sqrt(variance * np.asarray(observations.entry.samples)), correlated
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from imubayes.array_shapes import Array, Float, Int
 from imubayes.gather import take
 from imubayes.inference.posterior_mode import Mode
-from imubayes.inference.posterior_precision import Linearised
+from imubayes.inference.posterior_precision import Linearised, knowledge
 from imubayes.model.noise_covariance import group_sum, noise_distribution, whitener
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
@@ -61,10 +61,24 @@ class Parts(eqx.Module):
     mean_misfit: Float[Array, " G"]
 
 
+class ExactPrecision(eqx.Module):
+    """Precision of θ computed anew at every h, for noise whose parameters are no scales of independent parts.
+
+    Attributes
+    ----------
+    about : the model linearised about the mode.
+    """
+
+    about: Linearised
+
+
 def conditional(
-    blocks: PrecisionBlocks, problem: Problem, h: Float[Array, " H"]
+    blocks: PrecisionBlocks | ExactPrecision, problem: Problem, h: Float[Array, " H"]
 ) -> tuple[Float[Array, "P P"], Float[Array, " P"]]:
     """Return precision (P, P) and gradient (P,) of the log density of θ given h, about the mode."""
+    if isinstance(blocks, ExactPrecision):
+        known, prior = knowledge(problem, blocks.about, h), prior_widths(problem, h) ** -2
+        return known.precision + jnp.diag(prior), known.gradient - prior * blocks.about.z
     values = problem.hyper_priors.values
     shrink = (values(blocks.h) / values(h)) ** 2
     if any(issubclass(layer.noise, SeriesNoise) for layer in problem.noise):
@@ -85,8 +99,10 @@ def _of_means(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"]:
     return (1 - (1 - 2 / jnp.maximum(count, 2.0)) * correlation) / (1 + correlation)
 
 
-def precision_blocks(problem: Problem, mode: Mode) -> PrecisionBlocks:
+def precision_blocks(problem: Problem, mode: Mode) -> PrecisionBlocks | ExactPrecision:
     """Return the blocks about a mode."""
+    if problem.timeline is not None:
+        return ExactPrecision(mode.about)
     member, class_of, shared = _classes(problem, mode.h)
     return _precision_blocks(problem, mode, jnp.asarray(shared), jnp.asarray(class_of), jnp.asarray(member))
 

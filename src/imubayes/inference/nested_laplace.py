@@ -18,7 +18,7 @@ import numpy as np
 from jax.scipy.linalg import solve_triangular
 
 from imubayes.array_shapes import Array, Float, Scalar
-from imubayes.inference.conditional_precision import PrecisionBlocks, conditional, precision_blocks
+from imubayes.inference.conditional_precision import ExactPrecision, PrecisionBlocks, conditional, precision_blocks
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import knowledge, log_marginal
 from imubayes.inference.tabulated_density import TabulatedDensity, from_normal, log_density, tabulate
@@ -57,7 +57,7 @@ class NestedLaplace(eqx.Module):
     h: Float[Array, " H"]
     hyper_axes: Float[Array, "H H"]
     along: TabulatedDensity
-    blocks: PrecisionBlocks
+    blocks: PrecisionBlocks | ExactPrecision
     weak: Float[Array, "P K"]
     bend: Float[Array, "K K P"]
 

@@ -14,7 +14,7 @@ from imubayes.model.grouping import Grouping
 from imubayes.model.model_spec import EffectSpec
 from imubayes.model.nominal_response import missing_stimulus, noisy_runs, probes
 from imubayes.model.parameter_priors import exact_by_equipment, hyper_fields, parameter_of
-from imubayes.noise.base import Noise
+from imubayes.noise.base import Noise, SlowNoise
 from imubayes.parameters.parameter_declarations import Declared, declared_options, declared_parameters
 from imubayes.parameters.vector import Parameter
 
@@ -164,7 +164,7 @@ def _showing_runs(
         return runs  # unknowns of the procedures themselves
     if issubclass(effect_class, Noise):
         found = runs & noisy_runs(effect_class, grouping.campaign, grouping.nodes, grouping.entries)
-        missing = ("turning",)
+        missing = ("time",) if issubclass(effect_class, SlowNoise) else ("turning",)
     else:
         tried = probes(effect_class, dict(spec.options), channels, grouping.campaign)
         found = runs & set().union(*map(grouping.responding, tried))

@@ -9,8 +9,9 @@ from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping, colour_columns
 from imubayes.model.nodes_and_entries import nominal_rates, output_indices, reference_scales, time_ranks
 from imubayes.model.problem import NoiseLayer, Observations, Problem, Sparsity
+from imubayes.model.row_times import timeline
 from imubayes.model.servo_ode import bind_servos
-from imubayes.noise.base import Entry, EntryNoise, Noise
+from imubayes.noise.base import Entry, EntryNoise, Noise, SlowNoise
 from imubayes.parameters.vector import Priors
 
 
@@ -18,6 +19,8 @@ def build_problem(assembly: Assembly) -> Problem:
     """Return the arrays of an assembly, as NumPy arrays on the host."""
     nodes = assembly.grouping.nodes
     spread_of, spread_unit = _learnt_prior_widths(assembly)
+    observations = _observations(assembly.grouping)
+    slow = any(issubclass(effect.effect_class, SlowNoise) for effect in assembly.effects)
     return Problem(
         nodes=assembly.nodes,
         channels=assembly.channels,
@@ -32,7 +35,8 @@ def build_problem(assembly: Assembly) -> Problem:
         noise=tuple(
             _noise_layer(effect, assembly) for effect in assembly.effects if issubclass(effect.effect_class, Noise)
         ),
-        observations=_observations(assembly.grouping),
+        observations=observations,
+        timeline=timeline(assembly.grouping.campaign, assembly.grouping.entries, observations.group) if slow else None,
         sparsity=_sparsity(assembly),
         spread_of=spread_of,
         spread_unit=spread_unit,
@@ -104,7 +108,7 @@ def _noise_layer(effect: BoundEffect, assembly: Assembly) -> NoiseLayer:
     entries = grouping.entries
     names = [channel.name for channel in grouping.campaign.channels] + [""] * 3
     first = np.arange(len(entries))
-    if not issubclass(member, EntryNoise):
+    if not issubclass(member, EntryNoise | SlowNoise):
         _, first = np.unique(entries.run * len(names) + entries.channel, return_index=True)
     run, channel, closing = entries.run[first], entries.channel[first], entries.closing[first]
     acts = closing if "closure" in member.kinds else np.isin(channel, [names.index(name) for name in effect.channels])

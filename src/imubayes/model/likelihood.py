@@ -86,7 +86,7 @@ def entry_log_likelihood(problem: Problem, residual: Float[Array, " E"], h: Floa
     shrunk = 1 - whitening.shrink * group_sum(whitening.direction**2, observations)
     log_determinant = -2 * group_sum(jnp.log(root), observations) - 2 * jnp.log(shrunk)
     if whitening.series is not None:
-        log_determinant = log_determinant + group_sum(jnp.log1p(-(whitening.series.correlation**2)), observations)
+        log_determinant = log_determinant + group_sum(whitening.series.log_determinants(), observations)
     if noise.tail is not None:
         log_determinant = log_determinant + group_sum(
             observations.weight * log_determinant_correction(noise.tail), observations

@@ -1,6 +1,7 @@
 """The covariance of the data, and its inverse root, in closed form.
 
-Σ = D^½ R D^½ + Σ_g T_g 1 1ᵀ (see `imubayes.noise.base`), R = I unless a member correlates.  A model with heavy tails
+Σ = D^½ R D^½ + Σ_g T_g 1 1ᵀ (see `imubayes.noise.base`), R = I unless a member correlates; the covariance S of slow
+noise counts as R = I + D^(−½) S D^(−½).  A model with heavy tails
 has a Σ too: that of the normal distribution with the same Fisher information (`imubayes.model.robust_likelihood`).
 """
 
@@ -11,8 +12,9 @@ import jax.numpy as jnp
 from imubayes.array_shapes import Array, Float, Int, Scalar
 from imubayes.gather import take
 from imubayes.model.problem import Observations, Problem
+from imubayes.model.slow_series import SlowSeries, slow_series
 from imubayes.model.student_t import fisher_information, log_determinant_correction
-from imubayes.noise.base import EntryNoise, SeriesNoise, SharedNoise, TailNoise
+from imubayes.noise.base import EntryNoise, SeriesNoise, SharedNoise, SlowNoise, StateCovariance, TailNoise
 
 
 class Series(eqx.Module):
@@ -42,6 +44,10 @@ class Series(eqx.Module):
         gain, carried = self._factors(1)
         return gain**2 + jnp.zeros(len(gain) + 1).at[self.before].add(carried**2)[:-1]
 
+    def log_determinants(self) -> Float[Array, " E"]:
+        """Return what each entry adds to log det R."""
+        return jnp.log1p(-(self.correlation**2))
+
     def _factors(self, dimensions: int):
         gain = 1 / jnp.sqrt(1 - self.correlation**2)
         shape = (-1, *(1,) * (dimensions - 1))
@@ -62,7 +68,7 @@ class Whitener(eqx.Module):
     precision_root: Float[Array, " E"]
     shrink: Float[Array, " G"]
     log_determinant: Scalar
-    series: Series | None
+    series: Series | SlowSeries | None
 
     @property
     def direction(self) -> Float[Array, " E"]:
@@ -137,7 +143,8 @@ def whitener_of(
     """
     observations = problem.observations
     root = observations.weight / jnp.sqrt(own)
-    series = _series(problem, problem.hyper_priors.values(h))
+    values = problem.hyper_priors.values(h)
+    series = _series(problem, values) if problem.timeline is None else _slow_series(problem, values, root)
     along = root if series is None else series.forward(root)
     direction = group_sum(along**2, observations)
     gain = 1 + shared * direction
@@ -145,7 +152,7 @@ def whitener_of(
     shrink = (1 - 1 / jnp.sqrt(gain)) / safe
     log_determinant = jnp.sum(observations.weight * jnp.log(own)) + jnp.sum(jnp.log(gain))
     if series is not None:
-        log_determinant = log_determinant + jnp.sum(observations.weight * jnp.log1p(-(series.correlation**2)))
+        log_determinant = log_determinant + jnp.sum(observations.weight * series.log_determinants())
     return Whitener(root, shrink, log_determinant, series)
 
 
@@ -172,6 +179,19 @@ def _series(problem: Problem, values: Float[Array, " H"]) -> Series | None:
     linked = before < none
     steps = jnp.where(linked, apart, 1).astype(float)
     return Series(before, jnp.where(linked, take(one_row, observations.group) ** steps, 0.0))
+
+
+def _slow_series(problem: Problem, values: Float[Array, " H"], root: Float[Array, " E"]) -> SlowSeries:
+    """Return the root of R⁻¹ under the slow noise of all members."""
+    timeline = problem.timeline
+    assert timeline is not None
+    parts = [layer.states(values, timeline.row) for layer in problem.noise if issubclass(layer.noise, SlowNoise)]
+    mean, end, over_gap, over_row = (
+        jnp.concatenate([getattr(part, name) for part in parts], axis=1)
+        for name in ("mean", "end", "over_gap", "over_row")
+    )
+    variance = jnp.sum(jnp.stack([part.variance for part in parts]), axis=0)
+    return slow_series(timeline, StateCovariance(variance, mean, end, over_gap, over_row), root)
 
 
 def whiten(problem: Problem, by: Whitener, residual: Float[Array, "E *columns"]) -> Float[Array, "E *columns"]:

@@ -35,8 +35,9 @@ from imubayes.model.nodes_and_entries import (
     servo_runs,
 )
 from imubayes.model.parameter_priors import unit_factors
+from imubayes.model.row_times import has_row_times
 from imubayes.model.signal_path import on_body, project
-from imubayes.noise.base import Entry, EntryNoise, Noise
+from imubayes.noise.base import Entry, EntryNoise, Noise, SlowNoise
 from imubayes.parameters.parameter_declarations import declared_parameters
 from imubayes.signal_path_state import Ambient, Experience, Motion, Sample
 
@@ -344,6 +345,8 @@ def missing_stimulus(probe: Probe, blocks: Sequence[NominalSamples]) -> tuple[st
 def noisy_runs(noise: type[Noise], campaign: Campaign, nodes: NodeTable, entries: Entries) -> set[int]:
     """Return the runs in which a noise component has a variance at its largest typical size."""
     runs = range(len(campaign.runs))
+    if issubclass(noise, SlowNoise):
+        return set(runs) if has_row_times(campaign) else set()
     if not issubclass(noise, EntryNoise) or "closure" in noise.kinds:
         return set(runs)
     rate, reference = nominal_rates(campaign, nodes, entries), reference_scales(campaign, nodes, entries)

@@ -14,9 +14,10 @@ import numpy as np
 from imubayes.array_shapes import Array, Bool, Float, Int
 from imubayes.gather import in_batches, take
 from imubayes.model.attitude_closure import Transitions, closing_rotations
+from imubayes.model.row_times import Timeline
 from imubayes.model.servo_ode import Servos, servo_angles
 from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
-from imubayes.noise.base import Entry, Noise
+from imubayes.noise.base import Entry, Noise, RowSpan, StateCovariance
 from imubayes.parameters.vector import Priors
 from imubayes.signal_path_state import Nodes, SignalPath
 
@@ -25,7 +26,7 @@ _AT_ONCE = 8
 
 
 class NoiseLayer(eqx.Module):
-    """A noise member with the places of its values: one per entry, or per run and channel for what is shared.
+    """A noise member with the places of its values: one per entry, or per run and channel for shared, AR(1) and tails.
 
     `acts` is 1 where the member applies and 0 elsewhere.
     """
@@ -49,6 +50,18 @@ class NoiseLayer(eqx.Module):
     def tails(self, h: Float[Array, " H"]) -> Float[Array, " M"]:
         """Return one over the degrees of freedom of every run and channel, 0 for a normal distribution."""
         return self._evaluate(h, lambda noise: 1 / noise.degrees())
+
+    def states(self, h: Float[Array, " H"], row: RowSpan) -> StateCovariance:
+        """Return the covariance of every entry with those of its run and channel; zero where the member is not."""
+        chosen = {field: take(h, place) for field, place in self.places.items()}
+
+        def of_entry(values, acts, start, length, gap):
+            found = self.noise(**values).states(RowSpan(start, length, gap, row.times))
+            return StateCovariance(
+                acts * found.variance, acts * found.mean, acts * found.end, found.over_gap, found.over_row
+            )
+
+        return jax.vmap(of_entry)(chosen, self.acts, row.start, row.length, row.gap)
 
     def _evaluate(self, h: Float[Array, " H"], quantity: Callable, *entries: Entry) -> Float[Array, " M"]:
         chosen = {field: take(h, place) for field, place in self.places.items()}
@@ -103,6 +116,7 @@ class Problem(eqx.Module):
     nodes, channels, layers, transitions, servos : the forward model.
     turns : rows as (number of rows, nodes per row), in the order of the nodes; static.
     node_weight : shape (N,).
+    timeline : times of the entries; None in a model without slow noise.
     nulls : shape (V − P,), null values of effects, appended to the parameters.
     priors, hyper_priors : from z to SI values, θ and h.
     spread_of : shape (P,), place in h of the parameter's learnt prior width, H where the prior is fixed.
@@ -121,6 +135,7 @@ class Problem(eqx.Module):
     hyper_priors: Priors
     noise: tuple[NoiseLayer, ...]
     observations: Observations
+    timeline: Timeline | None
     sparsity: Sparsity
     spread_of: Int[Array, " P"]
     spread_unit: Float[Array, " P"]

@@ -1,10 +1,10 @@
 """What a component of the noise is: a variance, per entry or per run and channel, a correlation or a heavy tail.
 
-The covariance of the data is Σ = D^½ R D^½ + Σ_g T_g 1 1ᵀ: D is diagonal, the sum of the components' variances, R is
-the correlation along the rows of each run and channel g (I without autocorrelation), and T_g is the variance that all
-entries of g share.  With heavy tails the independent part of an entry follows Student's t of scale D^½ instead of a
-normal law.  The parameters of noise are hyperparameters: they change the width of the posterior, not the predicted
-output.
+The covariance of the data is Σ = D^½ R D^½ + S + Σ_g T_g 1 1ᵀ: D is diagonal, the sum of the components' variances, R
+is the correlation along the rows of each run and channel g (I without autocorrelation), S is the covariance of slow
+noise, and T_g is the variance that all entries of g share.  With heavy tails the independent part of an entry follows
+Student's t of scale D^½ instead of a normal law.  The parameters of noise are hyperparameters: they change the width
+of the posterior, not the predicted output.
 """
 
 from abc import abstractmethod
@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import equinox as eqx
 
-from imubayes.array_shapes import Scalar, Scalars
+from imubayes.array_shapes import Array, Float, Scalar, Scalars
 
 
 class Entry(eqx.Module):
@@ -66,6 +66,52 @@ class SeriesNoise(Noise):
     @abstractmethod
     def lag_one_correlation(self) -> Scalar:
         """Return the correlation of an entry with that of the row before, in (−1, 1)."""
+
+
+class RowSpan(eqx.Module):
+    """The time that a row averages over.
+
+    Attributes
+    ----------
+    start : of the row, since the start of its run, s.
+    length : of the row, s.
+    gap : between the end of the row before in the same run and channel and the start, s; ∞ for the first row.
+    times : shape (J,), equally spaced logarithms from half the shortest row to the longest run, s; the same for all.
+    """
+
+    start: Scalars
+    length: Scalars
+    gap: Scalars
+    times: Float[Array, " J"]
+
+
+class StateCovariance(eqx.Module):
+    """Covariance of a row, or of many, with the rows of its run and channel, through J independently decaying states.
+
+    With m the mean of a row, c its covariance with the states at its end, and a, k the decay of the states over the
+    gap before a row and over the row, rows i < j have the covariance Σ c_i a_(i+1) k_(i+1) a_(i+2) … a_j m_j.
+
+    Attributes
+    ----------
+    variance : of the mean over the row, output units squared.
+    mean : shape (…, J), mean over the row per unit of the states at its start.
+    end : shape (…, J), covariance of the mean over the row with the states at its end, output units squared.
+    over_gap, over_row : shape (…, J), decay of the states over the gap before the row, and over the row.
+    """
+
+    variance: Scalars
+    mean: Float[Array, "*rows J"]
+    end: Float[Array, "*rows J"]
+    over_gap: Float[Array, "*rows J"]
+    over_row: Float[Array, "*rows J"]
+
+
+class SlowNoise(Noise):
+    """Noise in continuous time, correlated between the rows of one run and channel; runs are independent."""
+
+    @abstractmethod
+    def states(self, row: RowSpan) -> StateCovariance:
+        """Return the covariance of one row with those of its run and channel."""
 
 
 class TailNoise(Noise):

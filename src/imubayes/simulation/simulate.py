@@ -24,6 +24,7 @@ from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import derived_quantities
 from imubayes.model.noise_covariance import NoiseDistribution, Series, noise_distribution, whitener
 from imubayes.model.problem import Problem, predict, prior_widths, values_of
+from imubayes.model.slow_series import SlowSeries
 from imubayes.model.student_t import heavy_tailed
 from imubayes.parameters.vector import Layout, Parameter
 
@@ -141,7 +142,7 @@ def _impossible(parameter: Parameter, value: float, where: str) -> Issue:
 
 
 def _with_noise(
-    model: Model, clean: np.ndarray, law: NoiseDistribution, series: Series | None, seed: int
+    model: Model, clean: np.ndarray, law: NoiseDistribution, series: Series | SlowSeries | None, seed: int
 ) -> tuple[list[np.ndarray], dict[tuple[str, str], float]]:
     """Return the outputs of every run, shape (R, C) each, and the offset of every run and channel."""
     entries, campaign = model.entries, model.campaign
@@ -150,24 +151,33 @@ def _with_noise(
     deviation, common = np.sqrt(np.asarray(law.squared_scale)), np.sqrt(np.asarray(law.shared_variance))
     tail = np.zeros(len(clean)) if law.tail is None else np.asarray(law.tail)
     group = np.asarray(model.problem.observations.group)
-    for index in range(len(common)):
-        chosen = np.flatnonzero(group == index)
+    members = [np.flatnonzero(group == index) for index in range(len(common))]
+    alone, shared = np.zeros(len(clean)), np.zeros(len(common))
+    for index, chosen in enumerate(members):
+        stream = random_stream(seed, "readings of {} in {}".format(*_names(model, chosen)))
+        shared[index] = common[index] * stream.standard_normal()
+        alone[chosen] = stream.standard_normal(len(chosen))
+    if isinstance(series, SlowSeries):
+        alone = np.asarray(series.colour(jnp.asarray(alone)))
+    for index, chosen in enumerate(members):
+        names = _names(model, chosen)
         run, channel = int(entries.run[chosen[0]]), int(entries.channel[chosen[0]])
-        names = (campaign.channels[channel].name, campaign.runs[run].name)
-        stream = random_stream(seed, "readings of {} in {}".format(*names))
-        offset = float(common[index] * stream.standard_normal())
-        alone = _in_series(series, chosen, stream.standard_normal(len(chosen)))
+        noise = _in_series(series, chosen, alone[chosen]) if isinstance(series, Series) else alone[chosen]
         far = heavy_tailed(tail[chosen], random_stream(seed, "tails of {} in {}".format(*names)))
-        observed[run][entries.row[chosen], channel] = clean[chosen] + offset + deviation[chosen] * far * alone
+        observed[run][entries.row[chosen], channel] = clean[chosen] + shared[index] + deviation[chosen] * far * noise
         if common[index] > 0:
-            offsets[names] = offset
+            offsets[names] = float(shared[index])
     return observed, offsets
 
 
-def _in_series(series: Series | None, chosen: np.ndarray, independent: np.ndarray) -> np.ndarray:
-    """Return unit-variance noise for entries of one run and channel, autocorrelated (AR(1)) where modelled."""
-    if series is None:
-        return independent
+def _names(model: Model, chosen: np.ndarray) -> tuple[str, str]:
+    """Return channel and run of entries of one group."""
+    entries, campaign = model.entries, model.campaign
+    return campaign.channels[entries.channel[chosen[0]]].name, campaign.runs[entries.run[chosen[0]]].name
+
+
+def _in_series(series: Series, chosen: np.ndarray, independent: np.ndarray) -> np.ndarray:
+    """Return unit-variance noise for entries of one run and channel, autocorrelated (AR(1))."""
     before, correlation = np.asarray(series.before)[chosen], np.asarray(series.correlation)[chosen]
     place = {int(entry): k for k, entry in enumerate(chosen)}
     following = {int(entry): k for k, entry in enumerate(before)}
