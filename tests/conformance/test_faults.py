@@ -14,7 +14,7 @@ from imubayes.effects.memory import Decay
 from imubayes.errors import InputError
 from imubayes.model.effect_registry import Registry
 from imubayes.noise.base import Entry, EntryNoise, RowSpan, SeriesNoise, StateCovariance, TailNoise
-from imubayes.noise.slow_components import MarkovNoise
+from imubayes.noise.slow_components import GaussMarkovNoise
 from imubayes.parameters.parameter_declarations import option, parameter
 from imubayes.signal_path_state import Ambient, Sample
 
@@ -183,22 +183,22 @@ class NegativeNoise(DeafNoise):
         return self.sigma**2 - 1.0
 
 
-class DeafSlowNoise(MarkovNoise):
+class DeafSlowNoise(GaussMarkovNoise):
     """Correlation time 100 s, whatever T."""
 
     name = "deaf_slow_noise"
 
     def states(self, row: RowSpan) -> StateCovariance:
-        return MarkovNoise(self.sigma, 0.0 * self.time + 100.0).states(row)
+        return GaussMarkovNoise(self.sigma, 0.0 * self.time + 100.0).states(row)
 
 
-class IndefiniteSlowNoise(MarkovNoise):
+class IndefiniteSlowNoise(GaussMarkovNoise):
     """A third of the variance that its covariances need."""
 
     name = "indefinite_slow_noise"
 
     def states(self, row: RowSpan) -> StateCovariance:
-        found = MarkovNoise(self.sigma, self.time + 1000.0).states(row)
+        found = GaussMarkovNoise(self.sigma, self.time + 1000.0).states(row)
         return eqx.tree_at(lambda known: known.variance, found, found.variance / 3)
 
 

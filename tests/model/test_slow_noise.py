@@ -18,7 +18,7 @@ from imubayes.model.nodes_and_entries import Entries
 from imubayes.model.row_times import timeline
 from imubayes.model.slow_series import slow_series
 from imubayes.noise.base import RowSpan
-from imubayes.noise.slow_components import FlickerNoise, MarkovNoise, RandomWalkNoise
+from imubayes.noise.slow_components import FlickerNoise, GaussMarkovNoise, RandomWalkNoise
 
 SHIPPED = Path(__file__).parents[2] / "data" / "static-record"
 SAMPLE = 0.5  # s
@@ -76,7 +76,7 @@ def test_the_root_is_that_of_the_integrated_covariance(laid, kind):
     each = 0.3**2 * np.log(ratio) / np.pi
     noise, autocovariance = {
         "markov": (
-            MarkovNoise(jnp.asarray(0.7), jnp.asarray(40.0)),
+            GaussMarkovNoise(jnp.asarray(0.7), jnp.asarray(40.0)),
             lambda s, t: 0.49 * np.exp(-np.abs(s - t) / 40.0),
         ),
         "walk": (RandomWalkNoise(jnp.asarray(3.0)), lambda s, t: 9.0 / 3600 * np.minimum(s, t)),

@@ -36,7 +36,9 @@ def build_problem(assembly: Assembly) -> Problem:
             _noise_layer(effect, assembly) for effect in assembly.effects if issubclass(effect.effect_class, Noise)
         ),
         observations=observations,
-        timeline=timeline(assembly.grouping.campaign, assembly.grouping.entries, observations.group) if slow else None,
+        timeline=timeline(assembly.grouping.campaign, assembly.grouping.entries, np.asarray(observations.group))
+        if slow
+        else None,
         sparsity=_sparsity(assembly),
         spread_of=spread_of,
         spread_unit=spread_unit,

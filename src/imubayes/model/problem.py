@@ -17,7 +17,7 @@ from imubayes.model.attitude_closure import Transitions, closing_rotations
 from imubayes.model.row_times import Timeline
 from imubayes.model.servo_ode import Servos, servo_angles
 from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
-from imubayes.noise.base import Entry, Noise, RowSpan, StateCovariance
+from imubayes.noise.base import Entry, Noise, RowSpan, SlowNoise, StateCovariance
 from imubayes.parameters.vector import Priors
 from imubayes.signal_path_state import Nodes, SignalPath
 
@@ -54,9 +54,11 @@ class NoiseLayer(eqx.Module):
     def states(self, h: Float[Array, " H"], row: RowSpan) -> StateCovariance:
         """Return the covariance of every entry with those of its run and channel; zero where the member is not."""
         chosen = {field: take(h, place) for field, place in self.places.items()}
+        member = self.noise
+        assert issubclass(member, SlowNoise)
 
         def of_entry(values, acts, start, length, gap):
-            found = self.noise(**values).states(RowSpan(start, length, gap, row.times))
+            found = member(**values).states(RowSpan(start, length, gap, row.times))
             return StateCovariance(
                 acts * found.variance, acts * found.mean, acts * found.end, found.over_gap, found.over_row
             )

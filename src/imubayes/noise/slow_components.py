@@ -67,10 +67,10 @@ class RandomWalkNoise(SlowNoise):
         return StateCovariance(squared * (row.start + row.length / 3), still, end, over_gap, still)
 
 
-class MarkovNoise(SlowNoise):
+class GaussMarkovNoise(SlowNoise):
     """Gauss–Markov noise: autocovariance σ² exp(−t/T)."""
 
-    name = "markov_noise"
+    name = "gauss_markov_noise"
     kinds = ("gyro", "accelerometer")
     excludes = ("correlated_noise", "outliers")
     confused_with = "flicker_noise and random_walk_noise, where T is not well within the length of a run"
