@@ -20,7 +20,6 @@ def build_problem(assembly: Assembly) -> Problem:
     nodes = assembly.grouping.nodes
     spread_of, spread_unit = _learnt_prior_widths(assembly)
     observations = _observations(assembly.grouping)
-    group = np.asarray(observations.group)
     slow = any(issubclass(effect.effect_class, SlowNoise) for effect in assembly.effects)
     return Problem(
         nodes=assembly.nodes,
