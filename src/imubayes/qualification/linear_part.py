@@ -16,7 +16,7 @@ import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 
 from imubayes.array_shapes import Array, Float
-from imubayes.inference.conditional_precision import PrecisionBlocks, conditional, precision_blocks
+from imubayes.inference.conditional_precision import ExactPrecision, PrecisionBlocks, conditional, precision_blocks
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import curved_directions
 from imubayes.inference.noise_marginal import Curvature
@@ -81,7 +81,7 @@ class LinearPart:
     z: np.ndarray
     weak: np.ndarray
     bend: np.ndarray
-    blocks: PrecisionBlocks
+    blocks: PrecisionBlocks | ExactPrecision
 
 
 def linear_part(fit: Fit, about: Linearised) -> LinearPart:
@@ -102,7 +102,9 @@ def linear_part(fit: Fit, about: Linearised) -> LinearPart:
 
 
 @eqx.filter_jit
-def _moments(blocks: PrecisionBlocks, problem: Problem, gradients: Float[Array, "Q P"], h: Float[Array, "n H"]):
+def _moments(
+    blocks: PrecisionBlocks | ExactPrecision, problem: Problem, gradients: Float[Array, "Q P"], h: Float[Array, "n H"]
+):
     def at(sums, scales):
         precision, slope = conditional(blocks, problem, scales)
         along = cho_solve(cho_factor(precision, lower=True), gradients.T).T
