@@ -174,18 +174,23 @@ def test_the_page_asks_for_nothing_and_says_nothing_on_the_console(result, tmp_p
     _, _, page = written(result, tmp_path, "--spec", specification(tmp_path))
     assert browser_log(tmp_path, page) == []
     planted = page.replace(
-        "</body>", '<img src="http://127.0.0.1:9/x.png"><script>console.error("planted")</script></body>'
+        "</body>", '<img src="http://images.invalid/x.png"><script>console.error("planted")</script></body>'
     )
     assert len(browser_log(tmp_path, planted)) >= 2
 
 
 def browser_log(folder: Path, page: str) -> list[str]:
-    """Return console messages and requests beyond the page itself, from Chromium's log of the network."""
+    """Return console messages and requests beyond those of an empty page, from Chromium's log of the network."""
+    console, asked = browsed(folder, page)
+    return console + sorted(asked - browsed(folder, "<!doctype html>")[1])
+
+
+def browsed(folder: Path, page: str) -> tuple[list[str], set[str]]:
+    """Return console messages and hosts asked, the browser's own among them."""
     file, log = folder / "page.html", folder / "net.json"
     file.write_text(page)
     command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--v=0"]
     command += ["--disable-background-networking", "--disable-component-update", f"--log-net-log={log}", "--dump-dom"]
     said = subprocess.run([*command, f"file://{file}"], capture_output=True, text=True, timeout=60, check=False).stderr
     console = [line for line in said.splitlines() if "CONSOLE" in line]
-    asked = re.findall(r'"url":"(https?://127[^"]*)"', log.read_text())
-    return console + sorted(set(asked))
+    return console, set(re.findall(r'"url":"https?://([^/"]*)', log.read_text()))
