@@ -20,11 +20,11 @@ def check(campaign: Path, *, model: Path | None = None, as_json: Json = False) -
         Print one JSON object on standard output.
     """
     from imubayes.campaign import inspect_campaign
-    from imubayes.display.check_report import check_record, check_report
+    from imubayes.display.check_report import CheckedModel, check_record, check_report
     from imubayes.display.report_layout import print_report
 
     inspection = inspect_campaign(campaign)
-    declared = None
+    size = None
     if model is not None and inspection.campaign is not None:
         from imubayes.cli.session import start_jax
 
@@ -33,8 +33,14 @@ def check(campaign: Path, *, model: Path | None = None, as_json: Json = False) -
         from imubayes.model.model_file import read_model
 
         declared = bind(read_model(model), inspection.campaign)
+        size = CheckedModel(
+            name=declared.spec.name,
+            parameters=len(declared.layout),
+            noise_parameters=len(declared.hyper_layout),
+            measured_values=len(declared.entries),
+        )
     if as_json:
-        print_json(check_record(inspection, declared).model_dump(mode="json"))
+        print_json(check_record(inspection, size).model_dump(mode="json"))
     else:
-        print_report(check_report(inspection, declared))
+        print_report(check_report(inspection, size))
     return 0

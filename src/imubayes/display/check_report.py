@@ -11,7 +11,6 @@ from imubayes.display.report_layout import Report
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.errors import InputError
 from imubayes.json_record import Record
-from imubayes.model.bind import Model
 from imubayes.parameters.unit_grades import Grade
 
 
@@ -62,7 +61,7 @@ class Check(Record):
     model: CheckedModel | None
 
 
-def check_record(inspection: Inspection, model: Model | None) -> Check:
+def check_record(inspection: Inspection, model: CheckedModel | None) -> Check:
     """Return the outcome of a check; raises InputError where the campaign cannot be used."""
     campaign = usable(inspection)
     return Check(
@@ -77,7 +76,7 @@ def check_record(inspection: Inspection, model: Model | None) -> Check:
             for finding in inspection.findings
         ),
         notes=campaign.notes,
-        model=None if model is None else _checked_model(model),
+        model=model,
     )
 
 
@@ -97,16 +96,7 @@ def _grade_lines(campaign: Campaign) -> list[str]:
     return [f"grade of the default priors: {each} ({origin})"]
 
 
-def _checked_model(model: Model) -> CheckedModel:
-    return CheckedModel(
-        name=model.spec.name,
-        parameters=len(model.layout),
-        noise_parameters=len(model.hyper_layout),
-        measured_values=len(model.entries),
-    )
-
-
-def check_report(inspection: Inspection, model: Model | None) -> Report:
+def check_report(inspection: Inspection, model: CheckedModel | None) -> Report:
     """Return the outcome of a check as a report; raises InputError where the campaign cannot be used."""
     campaign = usable(inspection)
     site = campaign.site
@@ -122,10 +112,9 @@ def check_report(inspection: Inspection, model: Model | None) -> Report:
     closing += [f"note: {run.name}: {note}" for run in campaign.runs for note in run.notes]
     closing += _grade_lines(campaign)
     if model is not None:
-        size = _checked_model(model)
         closing.append(
-            f"model '{size.name}' fits this campaign: {size.parameters} parameters, {size.noise_parameters} of noise, "
-            f"{size.measured_values} measured values"
+            f"model '{model.name}' fits this campaign: {model.parameters} parameters, "
+            f"{model.noise_parameters} of noise, {model.measured_values} measured values"
         )
     warnings = sum(finding.severity == "warning" for finding in inspection.findings)
     return Report([heading], [sheet], [*closing, f"{warnings} warnings" if warnings else "no findings"])

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy  # loads its parts when they are first used
 
 from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.earth import earth_rate
@@ -214,7 +214,7 @@ def _acceleration(time: np.ndarray, rate: np.ndarray) -> np.ndarray:
     order = np.argsort(time, kind="stable")
     found = np.zeros_like(rate)
     if len(time) > 3 and np.all(np.diff(time[order]) > 0):
-        found[order] = CubicSpline(time[order], rate[order]).derivative()(time[order])
+        found[order] = scipy.interpolate.CubicSpline(time[order], rate[order]).derivative()(time[order])
     return found
 
 
