@@ -85,7 +85,8 @@ class Archive:
     def check(self) -> tuple[Issue, ...]:
         """Return what is wrong with the files: content, checksum, name and place."""
         issues: list[Issue] = []
-        for file in self.files():
+        files = self.files()
+        for file in files:
             try:
                 head = read_head(file)
                 expected = file_of(self.folder, read_campaign(file))
@@ -93,7 +94,7 @@ class Archive:
                     issues.append(_misplaced(head, expected))
             except InputError as error:
                 issues.extend(error.issues)
-        strays = (file for file in self.folder.rglob("*") if file.is_file() and file not in set(self.files()))
+        strays = {file for file in self.folder.rglob("*") if file.is_file()} - set(files)
         return (*issues, *(_stray(file) for file in sorted(strays)))
 
 
@@ -108,11 +109,6 @@ def open_archive(folder: str | Path) -> Archive:
             "imubayes archive pack FOLDER --out ARCHIVE",
         )
     return archive
-
-
-def is_archive(folder: str | Path) -> bool:
-    """Tell whether a folder holds at least one archived campaign."""
-    return any(Path(folder).glob(_PATTERN))
 
 
 def file_of(folder: Path, campaign: Campaign) -> Path:

@@ -15,6 +15,7 @@ probability of α at most, and 1/B is a p-value (Vovk & Wang, Annals of Statisti
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import jax.numpy as jnp
 import numpy as np
@@ -64,10 +65,13 @@ class _Marginal:
     def at(self, scatter: np.ndarray) -> _AtScales:
         """Return the model with other scales of the run offsets."""
         h = np.array(self.fitted.h)
-        before = self._value(h)
         h[self.places] = scatter
         there = project(replace(self.fitted, h=h), self.responses.misfit, self.responses.jacobian)
-        return _AtScales(self._value(h) - before, there)
+        return _AtScales(self._value(h) - self._as_fitted, there)
+
+    @cached_property
+    def _as_fitted(self) -> float:
+        return self._value(np.array(self.fitted.h))
 
     def _value(self, h: np.ndarray) -> float:
         given = self.responses
