@@ -1,0 +1,91 @@
+"""What a report is about, and what its numbers come from: unit, campaign, equipment, model, hashes, software."""
+
+from imubayes.json_record import Record
+
+
+class ReportedChannel(Record):
+    """A channel as the campaign states it: axes in the body frame, nominal scale factor and offset."""
+
+    name: str
+    kind: str
+    input_axis: tuple[float, float, float]
+    output_axis: tuple[float, float, float]
+    output_unit: str
+    nominal_scale: float
+    per: str
+    nominal_offset: float
+
+
+class ReportedTable(Record):
+    """A table with its stated standard uncertainties; None where the campaign states none."""
+
+    name: str
+    azimuth_deg: float
+    elevation_deg: float
+    axis_uncertainty_arcsec: float | None
+    rate_uncertainty_ppm: float | None
+    angle_uncertainty_arcsec: float | None
+
+
+class ReportedMounting(Record):
+    """A mounting: nominal rotation from body to table, and the standard uncertainty of its seat."""
+
+    name: str
+    body_to_table: tuple[tuple[float, float, float], ...]
+    uncertainty_arcmin: float | None
+
+
+class ReportedRun(Record):
+    """A run: what it was, where, when, and how many values of it were used of how many rows and channels."""
+
+    name: str
+    procedure: str
+    table: str | None
+    mounting: str | None
+    start: str | None
+    rows: int
+    values_used: int
+    values_missing: int
+
+
+class Subject(Record):
+    """Unit, campaign, site and equipment."""
+
+    serial: str
+    grade: str | None
+    campaign: str
+    latitude_deg: float
+    height_m: float
+    gravity_m_s2: float
+    channels: tuple[ReportedChannel, ...]
+    tables: tuple[ReportedTable, ...]
+    mountings: tuple[ReportedMounting, ...]
+    runs: tuple[ReportedRun, ...]
+
+
+class ReportedEffect(Record):
+    """An effect of the model, with its fixed settings and the priors that the model file states."""
+
+    name: str
+    channels: tuple[str, ...] | None
+    prior: dict[str, str]
+    options: dict[str, float]
+
+
+class SoftwareVersion(Record):
+    """A package and its version."""
+
+    package: str
+    version: str
+
+
+class Provenance(Record):
+    """What the numbers come from: model, hashes, seed, software that made the report."""
+
+    model: str
+    effects: tuple[ReportedEffect, ...]
+    data_sha256: str
+    model_sha256: str
+    seed: int
+    sampled: bool
+    software: tuple[SoftwareVersion, ...]
