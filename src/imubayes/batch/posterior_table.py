@@ -1,0 +1,292 @@
+"""What a batch knows of its units: a table with a row per unit and parameter, and one with a row per unit.
+
+Both are plain Parquet, written in parts: a results folder holds
+
+    model-<hash>/model.toml                      the model
+    model-<hash>/part-<key>/parameters.parquet   PARAMETERS: long form, one row per unit and parameter
+    model-<hash>/part-<key>/units.parquet        UNITS: one row per unit, with the covariance of its parameters
+    model-<hash>/part-<key>/scores.parquet       scores of candidate effects, where they were asked for
+
+A part is a folder that appears as a whole or not at all.  A campaign is identified by the digest of its files: the
+columns `model` and `digest` join the tables.  A unit that could not be fitted has one row in each, without a parameter.
+"""
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import polars as pl
+
+from imubayes.errors import input_error
+
+PARAMETER_FILE, UNIT_FILE, SCORE_FILE, MODEL_FILE = (
+    "parameters.parquet", "units.parquet", "scores.parquet", "model.toml",
+)  # fmt: skip
+_MODEL, _PART = "model-", "part-"
+_ORDER = ["unit", "date", "digest"]
+
+Status = Literal["fitted", "not_converged", "refused", "failed"]
+"""`fitted`; `not_converged`: no estimates; `refused`: the campaign cannot be used; `failed`: an unexpected error."""
+Kind = Literal["parameter", "noise", "derived"]
+"""`parameter` and `noise`: a component of z, of the model or of its noise; `derived`: a function of the parameters."""
+
+PARAMETERS = pl.Schema(
+    {
+        "model": pl.String, "unit": pl.String, "campaign": pl.String, "digest": pl.String, "date": pl.Date,
+        "parameter": pl.String, "kind": pl.String, "unit_of_measure": pl.String,
+        "mean": pl.Float64, "sd": pl.Float64,
+        "q2_5": pl.Float64, "q25": pl.Float64, "q50": pl.Float64, "q75": pl.Float64, "q97_5": pl.Float64,
+        "prior_mean": pl.Float64, "prior_sd": pl.Float64, "from_data": pl.Float64,
+        "status": pl.String, "reason": pl.String, "verdict": pl.String, "seconds": pl.Float64,
+    }
+)  # fmt: skip
+UNITS = pl.Schema(
+    {
+        "model": pl.String, "code": pl.String, "unit": pl.String, "campaign": pl.String, "digest": pl.String,
+        "file": pl.String, "date": pl.Date, "year": pl.Int32, "structure": pl.String,
+        "tables": pl.List(pl.String), "mountings": pl.List(pl.String), "procedures": pl.List(pl.String),
+        "latitude": pl.Float64, "height": pl.Float64, "gravity": pl.Float64,
+        "status": pl.String, "reason": pl.String, "where": pl.String, "verdict": pl.String,
+        "method": pl.String, "flagged": pl.Boolean, "pareto_k": pl.Float64, "weight_skewness": pl.Float64,
+        "readings": pl.Int64, "chi2": pl.Float64, "log_evidence": pl.Float64, "seconds": pl.Float64,
+        "names": pl.List(pl.String), "mean": pl.List(pl.Float64), "covariance": pl.List(pl.Float64),
+    }
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class UnitIdentity:
+    """Which campaign it is, on which equipment and where.
+
+    Attributes
+    ----------
+    unit, campaign, digest, file : serial number, name, digest of the files, and the file or folder it was read from.
+    date : of the first run that is dated.
+    structure : key of the structure; empty where the campaign was fitted alone.
+    tables, mountings, procedures : names, sorted.
+    latitude, height, gravity : of the site: deg, m, m/s².
+    """
+
+    unit: str
+    campaign: str
+    digest: str
+    file: str
+    date: datetime.date | None = None
+    structure: str = ""
+    tables: tuple[str, ...] = ()
+    mountings: tuple[str, ...] = ()
+    procedures: tuple[str, ...] = ()
+    latitude: float | None = None
+    height: float | None = None
+    gravity: float | None = None
+
+
+@dataclass(frozen=True)
+class Quantities:
+    """Estimates of D quantities of one kind, in their units of measure; arrays of shape (D,).
+
+    Attributes
+    ----------
+    names, units : shape (D,).
+    quantiles : shape (5, D), at 2.5, 25, 50, 75 and 97.5 %.
+    prior_mean, prior_sd : NaN where the prior has none.
+    from_data : 1 − posterior variance / prior variance; NaN for a quantity that no parameter changes.
+    """
+
+    kind: Kind
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    mean: np.ndarray
+    sd: np.ndarray
+    quantiles: np.ndarray
+    prior_mean: np.ndarray
+    prior_sd: np.ndarray
+    from_data: np.ndarray
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a fit ended.
+
+    Attributes
+    ----------
+    reason, where : what went wrong and the file it is about; empty for a unit that was fitted.
+    verdict : of the diagnosis; empty where none was asked for.
+    method : `laplace` or `emcee`.
+    flagged : whether the Laplace approximation is in doubt by its importance weights; None where they were not asked.
+    pareto_k, weight_skewness : of these weights.
+    readings : number of readings.
+    chi2 : squared norm of the whitened residuals.
+    log_evidence : Laplace estimate of log p(y).
+    seconds : time spent on the unit; its share of the time of its chunk.
+    """
+
+    status: Status
+    reason: str = ""
+    where: str = ""
+    verdict: str = ""
+    method: str = ""
+    flagged: bool | None = None
+    pareto_k: float = float("nan")
+    weight_skewness: float = float("nan")
+    readings: int = 0
+    chi2: float = float("nan")
+    log_evidence: float = float("nan")
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class UnitPosterior:
+    """One unit of a batch.
+
+    Attributes
+    ----------
+    quantities : parameters and noise scales, then derived quantities; empty where the unit has no estimates.
+    covariance : shape (D, D), of parameters and noise scales, in their order and units.
+    """
+
+    identity: UnitIdentity
+    outcome: Outcome
+    quantities: tuple[Quantities, ...] = ()
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def joint(self) -> tuple[Quantities, ...]:
+        """The quantities that the covariance is of."""
+        return tuple(each for each in self.quantities if each.kind != "derived")
+
+
+def packed(covariance: np.ndarray) -> list[float]:
+    """Return the lower triangle (D (D + 1) / 2,) of a covariance (D, D), row by row."""
+    return covariance[np.tril_indices(len(covariance))].tolist()
+
+
+def unpacked(triangle: Sequence[float] | np.ndarray | pl.Series) -> np.ndarray:
+    """Return the covariance (D, D) of a lower triangle, row by row."""
+    values = np.asarray(triangle, dtype=float)
+    size = int((np.sqrt(8 * len(values) + 1) - 1) / 2)
+    lower = np.zeros((size, size))
+    lower[np.tril_indices(size)] = values
+    return lower + np.tril(lower, -1).T
+
+
+def parameter_table(model: str, units: Sequence[UnitPosterior]) -> pl.DataFrame:
+    """Return the long form of some units, one row per unit and parameter."""
+    return pl.concat([PARAMETERS.to_frame(), *(_long_form(model, unit) for unit in units)])
+
+
+def _long_form(model: str, unit: UnitPosterior) -> pl.DataFrame:
+    identity, outcome, parts = unit.identity, unit.outcome, unit.quantities
+    columns: dict[str, list | np.ndarray] = {"parameter": [None], "kind": [None], "unit_of_measure": [None]}
+    if parts:
+        columns = {
+            "parameter": [name for part in parts for name in part.names],
+            "kind": [part.kind for part in parts for _ in part.names],
+            "unit_of_measure": [text for part in parts for text in part.units],
+        }
+        for name in ("mean", "sd", "prior_mean", "prior_sd", "from_data"):
+            columns[name] = np.concatenate([getattr(part, name) for part in parts])
+        quantiles = np.concatenate([part.quantiles for part in parts], axis=1)
+        columns |= dict(zip(("q2_5", "q25", "q50", "q75", "q97_5"), quantiles, strict=True))
+    same = {
+        "model": model, "unit": identity.unit, "campaign": identity.campaign, "digest": identity.digest,
+        "date": identity.date, "status": outcome.status, "reason": outcome.reason, "verdict": outcome.verdict,
+        "seconds": outcome.seconds,
+    }  # fmt: skip
+    present = {name: kind for name, kind in PARAMETERS.items() if name in columns}
+    frame = pl.DataFrame(columns, schema=present, nan_to_null=True)
+    return frame.with_columns(
+        pl.lit(same.get(name), dtype=kind).alias(name) for name, kind in PARAMETERS.items() if name not in present
+    ).select(PARAMETERS.names())
+
+
+def unit_table(model: str, code: str, units: Sequence[UnitPosterior]) -> pl.DataFrame:
+    """Return the units as a table, one row each."""
+    rows = [
+        {
+            **vars(unit.identity),
+            **vars(unit.outcome),
+            "model": model,
+            "code": code,
+            "year": unit.identity.date.year if unit.identity.date else None,
+            "names": [name for part in unit.joint for name in part.names],
+            "mean": np.concatenate([part.mean for part in unit.joint]).tolist() if unit.joint else [],
+            "covariance": packed(unit.covariance),
+        }
+        for unit in units
+    ]
+    frame = pl.DataFrame(rows, schema=UNITS, strict=False)
+    return frame.with_columns(pl.col(pl.Float64).fill_nan(None))
+
+
+def models_in(results: str | Path) -> list[str]:
+    """Return the hashes of the models that a results folder holds, oldest first; raises InputError where none."""
+    folders = [place for place in Path(results).glob(f"{_MODEL}*") if place.is_dir()]
+    if not folders:
+        raise input_error(
+            "the folder holds no results of a batch",
+            str(results),
+            "a folder that `imubayes batch` has written",
+            "imubayes batch ARCHIVE --model MODEL --out RESULTS",
+        )
+    ordered = sorted(folders, key=lambda place: ((place / MODEL_FILE).stat().st_mtime, place.name))
+    return [place.name.removeprefix(_MODEL) for place in ordered]
+
+
+def model_folder(results: str | Path, model: str) -> Path:
+    """Return the folder of a model's parts."""
+    return Path(results) / f"{_MODEL}{model}"
+
+
+def part_folder(results: str | Path, model: str, key: str) -> Path:
+    """Return the folder of a part."""
+    return model_folder(results, model) / f"{_PART}{key}"
+
+
+def read_parameters(results: str | Path, model: str | None = None) -> pl.DataFrame:
+    """Return the long form of a batch, one row per unit and parameter, sorted by unit, date and digest.
+
+    Parameters
+    ----------
+    results : the results folder.
+    model : hash of the model, or its beginning; the only one where None.
+
+    Raises
+    ------
+    InputError
+        where there is no such model, or several and none is named.
+    """
+    return pl.concat([PARAMETERS.to_frame(), *_parts(results, model, PARAMETER_FILE)]).sort(_ORDER, maintain_order=True)
+
+
+def read_units(results: str | Path, model: str | None = None) -> pl.DataFrame:
+    """Return the units of a batch, one row each, as `read_parameters` does; `unpacked` gives a covariance."""
+    return pl.concat([UNITS.to_frame(), *_parts(results, model, UNIT_FILE)]).sort(_ORDER, maintain_order=True)
+
+
+def read_scores(results: str | Path, model: str | None = None) -> pl.DataFrame:
+    """Return the scores of candidate effects of a batch, as `read_parameters` does; empty where none were kept."""
+    parts = _parts(results, model, SCORE_FILE)
+    return pl.concat(parts, how="diagonal_relaxed") if parts else pl.DataFrame()
+
+
+def chosen_model(results: str | Path, model: str | None) -> str:
+    """Return the full hash of a model of a results folder."""
+    known = models_in(results)
+    found = [name for name in known if name.startswith(model or "")]
+    if len(found) == 1:
+        return found[0]
+    raise input_error(
+        "the results are of several models" if found else f"there are no results of model '{model}'",
+        str(results),
+        ", ".join(known),
+        "name one of them with --model-hash",
+    )
+
+
+def _parts(results: str | Path, model: str | None, name: str) -> list[pl.DataFrame]:
+    folder = model_folder(results, chosen_model(results, model))
+    return [pl.read_parquet(file) for file in sorted(folder.glob(f"{_PART}*/{name}"))]
