@@ -91,7 +91,7 @@ def _section(step: HistoryStep) -> StepSection:
         floors = {channel.channel: channel.rms for channel in node.floor}
         pictures.append(before_after(step.before, step.after, names, floors, step.group))
     if step.added_variable is not None:
-        pictures.append(added_variable(step.added_variable, names))
+        pictures.append(added_variable(step.added_variable, names, step.before))
     sheets = [coefficient_sheet(addition), channel_sheet(addition), run_change_sheet(addition)]
     drawn = [picture for picture in pictures if picture is not None]
     return StepSection(node.title, verdict, addition_lines(addition), drawn, sheets)

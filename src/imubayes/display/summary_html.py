@@ -3,6 +3,7 @@
 from imubayes.display.combination_tables import combination_sheet, weak_sheet
 from imubayes.display.fit_cautions import alarm_of, notices
 from imubayes.display.fit_quality_tables import contribution_sheet, next_run_sheet, run_sheet
+from imubayes.display.provenance_line import provenance_line
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.display.templates import render
 from imubayes.results.summary import Summary
@@ -19,4 +20,6 @@ def summary_html(summary: Summary) -> str:
         (summary.contributions, contribution_sheet),
     )
     sheets = [parameter_sheet(summary), *(sheet(summary) for content, sheet in optional if content)]
-    return render("summary", summary=summary, alarm=alarm_of(summary), notices=notices(summary), sheets=sheets)
+    origin = provenance_line(summary.provenance)
+    shown = {"alarm": alarm_of(summary), "notices": notices(summary), "sheets": sheets, "origin": origin}
+    return render("summary", summary=summary, **shown)

@@ -1,8 +1,6 @@
-"""The frame of all figures: style, title above, caption below, colours of runs.
+"""The frame of all figures: style, title above, caption below.
 
-Hues are those of Okabe and Ito (2008), which are safe for colour-blind readers; where there are more runs than hues the
-marker distinguishes them, the same in every figure.  Panels are placed in inches: constrained layout would draw every
-figure twice.
+Panels are placed in inches: constrained layout would draw every figure twice.
 """
 
 import textwrap
@@ -23,12 +21,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from imubayes.atomic_files import replacing
-from imubayes.display.labels import shortened
+from imubayes.display.run_signs import RunSigns, Sign
 
 INK, QUIET, FAINT, RED = "#222222", "#666666", "#dddddd", "#b91c1c"
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
-HUES = (BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE, "#555555")
-MARKERS = ("o", "^", "s", "D", "v", "P", "X")
 BAND, BAND_WIDE = "#cfd8e3", "#e9eef4"
 MOST_PANELS = 6
 TEXT, SMALL = 9.0, 8.0
@@ -166,12 +162,11 @@ def dot(colour: str, label: str, **style: Any) -> Line2D:
     return Line2D([], [], linestyle="", **{"marker": "o", "color": colour, "markersize": 5, "label": label, **style})
 
 
-def at_runs(axes: Axes, x: np.ndarray, y: np.ndarray, runs: np.ndarray, signs: "RunSigns", **style: Any) -> None:
-    """Draw points in the colour and marker of their run; `runs` holds a name per point."""
+def at_runs(axes: Axes, x: np.ndarray, y: np.ndarray, runs: np.ndarray, signs: RunSigns, **style: Any) -> None:
+    """Draw points in the hue and marker of their run; `runs` holds a name per point."""
     for run in dict.fromkeys(runs.tolist()):
-        colour, marker = signs.sign(run)
         mask = runs == run
-        axes.plot(x[mask], y[mask], marker, color=colour, zorder=3, **style)
+        axes.plot(x[mask], y[mask], linestyle="", zorder=3, **_style(signs.sign(run)), **style)
 
 
 class FewTicks(MaxNLocator):
@@ -185,25 +180,23 @@ class FewTicks(MaxNLocator):
         return [value for value in super().tick_values(vmin, vmax) if vmin <= value <= vmax]
 
 
-class RunSigns:
-    """The hue and marker of every run, the same in all figures of a result."""
+def runs_legend(figure: Picture, left: float, signs: RunSigns, shown: Sequence[str] | None = None) -> None:
+    """List what hues and markers of the runs mean from `left` inches on, as many as there is room for."""
+    _, bottom, _, top = figure.inside
+    room = int((top - bottom) / 0.185)
+    entries = signs.legend(shown)
+    listed = entries if len(entries) <= room else entries[: room - 1]
+    handles = [dot("none", each.label) if each.sign is None else _entry(each.label, each.sign) for each in listed]
+    if len(listed) < len(entries):
+        handles.append(dot("none", f"… {len(entries) - len(listed)} more"))
+    legend_at(figure, left, top, handles, handlelength=0.8, labelspacing=0.55)
 
-    def __init__(self, runs: Sequence[str]):
-        self.runs = list(runs)
-        self._place = {name: place for place, name in enumerate(runs)}
 
-    def sign(self, run: str) -> tuple[str, str]:
-        """Return colour and marker of a run."""
-        turn, place = divmod(self._place[run], len(HUES))
-        return HUES[place], MARKERS[turn % len(MARKERS)]
+def _entry(label: str, sign: Sign) -> Line2D:
+    return Line2D([], [], linestyle="", markersize=5, label=label, **_style(sign))
 
-    def legend(self, figure: Picture, left: float, shown: Sequence[str] | None = None) -> None:
-        """List the runs below each other from `left` inches on, as many as there is room for."""
-        _, bottom, _, top = figure.inside
-        room = int((top - bottom) / 0.185)
-        names = [run for run in self.runs if shown is None or run in shown]
-        listed = names if len(names) <= room else names[: room - 1]
-        handles = [dot(self.sign(run)[0], shortened(run, 25), marker=self.sign(run)[1]) for run in listed]
-        if len(listed) < len(names):
-            handles.append(dot("none", f"… {len(names) - len(listed)} more"))
-        legend_at(figure, left, top, handles, handlelength=0.8, labelspacing=0.55)
+
+def _style(sign: Sign) -> dict[str, Any]:
+    """Return the style of a sign for matplotlib; open markers have a white face."""
+    face = {} if sign.filled else {"markerfacecolor": "white"}
+    return {"color": sign.hue, "marker": sign.marker, **face}

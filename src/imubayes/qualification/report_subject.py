@@ -1,6 +1,7 @@
 """What a report is about, and what its numbers come from: unit, campaign, equipment, model, hashes, software."""
 
 from imubayes.json_record import Record
+from imubayes.results.provenance import SoftwareVersion
 
 
 class ReportedChannel(Record):
@@ -72,15 +73,14 @@ class ReportedEffect(Record):
     options: dict[str, float]
 
 
-class SoftwareVersion(Record):
-    """A package and its version."""
-
-    package: str
-    version: str
-
-
 class Provenance(Record):
-    """What the numbers come from: model, hashes, seed, software that made the report."""
+    """What the numbers come from: model, hashes, seed, software that made the report.
+
+    Attributes
+    ----------
+    fitted, fit_software : when the fit was made, ISO 8601 in UTC, and the software that made it; None and empty for
+        results of earlier versions.
+    """
 
     model: str
     effects: tuple[ReportedEffect, ...]
@@ -89,3 +89,5 @@ class Provenance(Record):
     seed: int
     sampled: bool
     software: tuple[SoftwareVersion, ...]
+    fitted: str | None = None
+    fit_software: tuple[SoftwareVersion, ...] = ()

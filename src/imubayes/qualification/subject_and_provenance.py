@@ -1,8 +1,6 @@
 """Unit, campaign, site and equipment of a result, and what its numbers come from, as records of the report."""
 
 import math
-import platform
-from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 import polars as pl
@@ -16,13 +14,11 @@ from imubayes.qualification.report_subject import (
     ReportedMounting,
     ReportedRun,
     ReportedTable,
-    SoftwareVersion,
     Subject,
 )
 from imubayes.results.fit_file import read_fit_record
+from imubayes.results.provenance import software
 from imubayes.results.result import Result
-
-_PACKAGES = ("imubayes", "jax", "equinox", "optimistix", "emcee", "arviz-base", "numpy", "scipy", "polars", "pydantic")
 
 
 def _triple(values: np.ndarray) -> tuple[float, float, float]:
@@ -106,6 +102,7 @@ def provenance_of(result: Result) -> Provenance:
     """Return model, hashes, seed and software."""
     assert result.folder is not None
     record, spec = read_fit_record(result.folder), result.fit.model.spec
+    fitted = result.summary.provenance
     return Provenance(
         model=spec.name,
         effects=tuple(
@@ -118,15 +115,7 @@ def provenance_of(result: Result) -> Provenance:
         model_sha256=record.model_hash,
         seed=record.seed,
         sampled=result.summary.sampled,
-        software=(
-            SoftwareVersion(package="Python", version=platform.python_version()),
-            *(SoftwareVersion(package=name, version=_version(name)) for name in _PACKAGES),
-        ),
+        software=software(),
+        fitted=None if fitted is None else fitted.fitted,
+        fit_software=() if fitted is None else fitted.software,
     )
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed as a package"

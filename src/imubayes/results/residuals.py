@@ -120,6 +120,7 @@ def residuals_of(fit: Fit) -> Residuals:
     table = {
         "run": np.array([run.name for run in campaign.runs])[entries.run],
         "procedure": np.array([run.procedure for run in campaign.runs])[entries.run],
+        "mounting": pl.Series([run.mounting for run in campaign.runs], dtype=pl.String).gather(entries.run),
         "row": entries.row,
         "channel": names,
         "kind": kind,

@@ -132,7 +132,7 @@ class Result(Presented):
 def result_of(fit: Fit, folder: Path | None = None, seed: int = 0, load_seconds: float = 0.0) -> Result:
     """Return everything that is reported of a fit, and write the result folder where one is given."""
     residuals = residuals_of(fit)
-    summary = summarise(fit, residuals, load_seconds)
+    summary = summarise(fit, residuals, load_seconds, seed)
     if folder is not None:
         write_result(folder, fit, summary, residuals, seed)
     return Result(summary, residuals, folder, fit)

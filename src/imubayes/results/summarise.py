@@ -26,12 +26,13 @@ from imubayes.procedures.converter_temperature import THRESHOLD
 from imubayes.results.combinations import combinations
 from imubayes.results.estimates import estimated, is_constant
 from imubayes.results.prior_scatter import prior_scatter
+from imubayes.results.provenance import provenance
 from imubayes.results.residuals import Residuals
 from imubayes.results.summary import Conformance, DerivedSummary, ParameterSummary, Seconds, Summary
 
 
-def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0) -> Summary:
-    """Return the summary of a fit made in this process."""
+def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: int = 0) -> Summary:
+    """Return the summary of a fit made in this process; `seed` is that of its sampler."""
     model, mode = fit.model, fit.mode
     assert mode is not None, "a fit read from a folder has its summary there"
     usable = fit.posterior is not None
@@ -46,6 +47,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0) -> Summ
     return Summary(
         campaign=model.campaign.name,
         model=model.spec.name,
+        provenance=provenance(fit, seed),
         converged=fit.converged,
         message=fit.message,
         interval="95 % equal-tailed",

@@ -13,6 +13,7 @@ from imubayes.inference.identifiability import WeakDirection
 from imubayes.inference.prior_agreement import PriorConflict
 from imubayes.inference.procedure_contributions import Contribution
 from imubayes.json_record import Record
+from imubayes.results.provenance import FitProvenance
 
 
 class Quantity(Record):
@@ -120,6 +121,7 @@ class Summary(Record):
 
     Attributes
     ----------
+    provenance : unit, dates, hashes, seed and software; None in results of earlier versions.
     intervals_valid : whether the fit converged and its noise is what the model assumes.
     noise_violations : how the noise is not, the clearest first.
     prior_scatter : noise scales known from their priors alone, on which intervals rest.
@@ -130,6 +132,7 @@ class Summary(Record):
     format: Literal[1] = 1
     campaign: str
     model: str
+    provenance: FitProvenance | None = None
     converged: bool
     message: str
     sampled: bool

@@ -13,7 +13,9 @@ from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.display.figures.recorded_noise import recorded_noise_figure
 from imubayes.display.figures.residual_evidence import added_variable_figure, before_after_figure, evidence_figure
 from imubayes.display.labels import pretty
+from imubayes.display.run_signs import RunSigns, run_signs
 from imubayes.display.theme import Picture
+from imubayes.results.folder_state import RESIDUALS
 
 _LEVELS, _TIME_LAST = 24, 0.1
 
@@ -24,12 +26,18 @@ def save_evidence(folder: Path, evidence: ResidualEvidence) -> Path:
     against = f"part explained by the effect / {unit}"
     if covariate is not None:
         against = covariate.phrase + (f" / {pretty(covariate.unit)}" if covariate.unit else "")
-    return _saved(folder, evidence_figure(evidence, against), "diagnosis.png")
+    return _saved(folder, evidence_figure(evidence, against, _signs_of(folder)), "diagnosis.png")
 
 
 def save_recorded_noise(folder: Path, record: RecordedNoise) -> Path:
     """Draw fitted against recorded noise into the `figures` of a result folder; return the file."""
-    return _saved(folder, recorded_noise_figure(record), "recorded_noise.png")
+    return _saved(folder, recorded_noise_figure(record, _signs_of(folder)), "recorded_noise.png")
+
+
+def _signs_of(folder: Path) -> RunSigns | None:
+    """Return the signs of the runs of a result folder; None where it has no residuals."""
+    file = folder / RESIDUALS
+    return run_signs(pl.read_parquet(file)) if file.is_file() else None
 
 
 def _saved(folder: Path, drawn: Picture, name: str) -> Path:
@@ -68,7 +76,7 @@ def before_after(
     at, label = followed_covariate(own, own["input_residual"].to_numpy() - own["after"].to_numpy(), named)
     return before_after_figure(
         at, own["input_residual"].to_numpy(), own["after"].to_numpy(), own["run"].to_list(), channel,
-        own["input_unit"][0], label, added, (floors or {}).get(channel),
+        own["input_unit"][0], label, added, (floors or {}).get(channel), run_signs(before),
     )  # fmt: skip
 
 
@@ -105,8 +113,13 @@ def _share(x: np.ndarray, y: np.ndarray) -> float:
     return (between - (len(edges) - 2) * (whole - between) / max(free, 1)) / whole if whole > 0 else 0.0
 
 
-def added_variable(table: pl.DataFrame, added: str) -> Picture | None:
-    """Return the added-variable plot of an addition; None where it has no points."""
+def added_variable(table: pl.DataFrame, added: str, residuals: pl.DataFrame | None = None) -> Picture | None:
+    """Return the added-variable plot of an addition; None where it has no points.
+
+    `residuals` of the same campaign tell the mountings and temperatures of its runs.
+    """
     if not table.height:
         return None
-    return added_variable_figure(table["added"].to_numpy(), table["residual"].to_numpy(), table["run"].to_list(), added)
+    signs = None if residuals is None else run_signs(residuals)
+    columns = (table["added"].to_numpy(), table["residual"].to_numpy(), table["run"].to_list())
+    return added_variable_figure(*columns, added, signs)

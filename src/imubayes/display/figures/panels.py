@@ -131,10 +131,10 @@ def _level_starts(x: np.ndarray) -> np.ndarray:
 
 
 def draw_means(axes: Axes, x: np.ndarray, y: np.ndarray, groups: np.ndarray | None = None) -> None:
-    """Draw the means of neighbouring points with ±2 standard errors."""
+    """Draw the means of neighbouring points with ±2 standard errors; no line, which would cross gaps in the data."""
     place, mean, error = neighbour_means(x, y, groups)
     if place.size:
-        axes.plot(place, mean, color=INK, linewidth=0.9, marker="_", markersize=6, markeredgewidth=0.9, zorder=5)
+        axes.plot(place, mean, "_", color=INK, markersize=7, markeredgewidth=1.3, zorder=5)
         axes.vlines(place, mean - 2 * error, mean + 2 * error, INK, linewidth=0.9, zorder=5)
 
 

@@ -8,6 +8,7 @@ from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
 from imubayes.display.figures.panels import limit_of, thinned
 from imubayes.display.labels import shortened
 from imubayes.display.rounding import value_and_sd
+from imubayes.display.run_signs import RunSigns
 from imubayes.display.theme import (
     BAND,
     BLUE,
@@ -15,10 +16,10 @@ from imubayes.display.theme import (
     QUIET,
     VERMILION,
     Picture,
-    RunSigns,
     at_runs,
     panels,
     picture,
+    runs_legend,
     themed,
 )
 
@@ -26,7 +27,7 @@ _LEGEND, _MOST_CHANNELS = 2.05, 12
 
 
 @themed
-def recorded_noise_figure(record: RecordedNoise) -> Picture:
+def recorded_noise_figure(record: RecordedNoise, signs: RunSigns | None = None) -> Picture:
     """Return the rows of the channel that disagrees most, and the ratio of fitted to recorded noise of every channel.
 
     Parameters
@@ -47,8 +48,8 @@ def recorded_noise_figure(record: RecordedNoise) -> Picture:
     )
     title = f"Fitted noise of {worst.channel} is {value} ± {sd} times the recorded noise"
     figure = picture(11.5, 3.5, title, caption)
-    signs = RunSigns(list(dict.fromkeys(runs.tolist())))
-    signs.legend(figure, figure.inside[2] - _LEGEND + 0.3)
+    signs = signs if signs is not None else RunSigns(runs.tolist())
+    runs_legend(figure, figure.inside[2] - _LEGEND + 0.3, signs)
     left, right = panels(figure, 1, 2, (0.75, 0.45, _LEGEND, 0.25), (1.1, 0.36), widths=(1.6, 1.0))[0]
     high = limit_of(scatter, 3.0)
     left.axhspan(-2, 2, color=BAND, linewidth=0, zorder=1)

@@ -18,8 +18,9 @@ from imubayes.display.figures.panels import (
     thinned,
 )
 from imubayes.display.labels import covariate as covariate_of
-from imubayes.display.labels import numbers, ordered, pretty, readable, varies
+from imubayes.display.labels import numbers, pretty, readable, varies
 from imubayes.display.rounding import significant
+from imubayes.display.run_signs import RunSigns, run_signs
 from imubayes.display.theme import (
     BAND,
     BAND_WIDE,
@@ -27,10 +28,10 @@ from imubayes.display.theme import (
     QUIET,
     SMALL,
     Picture,
-    RunSigns,
     at_runs,
     panels,
     picture,
+    runs_legend,
     themed,
 )
 
@@ -60,7 +61,7 @@ def residual_figure(
     runs : all runs of the result, for the same colour of a run in every figure.
     """
     against = covariate if isinstance(covariate, Covariate) else covariate_of(covariate)
-    signs = RunSigns(runs if runs is not None else ordered(residuals, "run"))
+    signs = run_signs(residuals, runs)
     names, left_out = chosen_channels(residuals, channels)
     counted = residuals.filter(pl.col("channel").is_in(names))
     if against.column == "row":
@@ -87,7 +88,7 @@ def residual_figure(
     for axes in grid[-1]:
         axes.set_xlabel(f"{label}, in the order of the runs" if against.column == "row" else label)
     shown = counted.filter(pl.Series(known)).get_column("run").unique().to_list()
-    signs.legend(figure, figure.inside[2] - _LEGEND + 0.3, shown)
+    runs_legend(figure, figure.inside[2] - _LEGEND + 0.3, signs, shown)
     return figure
 
 

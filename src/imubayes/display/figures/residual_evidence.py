@@ -9,33 +9,35 @@ from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.display.figures.panels import draw_means, limit_of, set_range, thinned
 from imubayes.display.labels import pretty, readable
 from imubayes.display.rounding import significant
-from imubayes.display.theme import BAND, INK, QUIET, Picture, RunSigns, at_runs, panels, picture, themed
+from imubayes.display.run_signs import RunSigns
+from imubayes.display.theme import BAND, INK, QUIET, Picture, at_runs, panels, picture, runs_legend, themed
 
 _LEGEND = 2.05
 
 
 @themed
-def evidence_figure(evidence: ResidualEvidence, against: str) -> Picture:
+def evidence_figure(evidence: ResidualEvidence, against: str, signs: RunSigns | None = None) -> Picture:
     """Return the residual against the covariate of a candidate, and against the part that the candidate explains.
 
     Parameters
     ----------
     evidence : the residual; a large unit is replaced by one of plain numbers.
     against : the covariate with its unit.
+    signs : of the runs; without them each run has its own hue.
     """
     channel, effect, runs, at = evidence.channel, evidence.effect, evidence.run.tolist(), evidence.at
     factor, shown = readable(evidence.unit, float(np.median(np.abs(evidence.residual))))
     residual, explained = evidence.residual * factor, evidence.explained * factor
     caption = (
-        f"Left: residual of {channel}, colours are runs; black: the part that {effect} explains and the present model "
-        "cannot absorb. Right: residual against that part; if the candidate is the cause, every run follows the line "
+        f"Left: residual of {channel}; black: the part that {effect} explains and the present model cannot absorb. "
+        "Right: residual against that part; if the candidate is the cause, every run follows the line "
         "of slope 1 within its noise. A good model shows no pattern on the left and an uncorrelated cloud about zero "
         "on the right."
     )
     high = limit_of(np.concatenate([residual, explained]), 1e-12)
     names = np.array(list(runs))
     title = f"Residual of {channel} and the part explained by {effect}"
-    figure, signs, (left, right) = _pair_of_panels(title, caption, names)
+    figure, signs, (left, right) = _pair_of_panels(title, caption, names, signs)
     for axes, x in ((left, at), (right, explained)):
         _cloud(axes, x, residual, names, signs, high)
     left.plot(at, explained, "D", color=INK, markersize=2.6, zorder=6)
@@ -58,6 +60,7 @@ def before_after_figure(
     against: str,
     added: str,
     floor: float | None = None,
+    signs: RunSigns | None = None,
 ) -> Picture:
     """Return the residual of a channel against a covariate, before and after an addition, on one scale.
 
@@ -69,17 +72,18 @@ def before_after_figure(
     channel, unit, against : for the labels.
     added : the effect.
     floor : noise of one row in `unit`, drawn as a band; None for none.
+    signs : of the runs; without them each run has its own hue.
     """
     factor, shown = readable(unit, float(np.median(np.abs(before))))
     before, after = before * factor, after * factor
     caption = (
-        f"Residual of {channel} in input units before and after adding {added}, on one scale; colours are runs, black: "
+        f"Residual of {channel} in input units before and after adding {added}, on one scale; black: "
         "means of neighbouring points with ±2 standard errors. A good model leaves a band without pattern about zero"
         + (", as wide as the grey band, the noise of one row (±1 sd)." if floor is not None else ".")
     )
     high = limit_of(np.concatenate([before, after]), 3 * floor * factor if floor else 1e-12)
     names = np.array(list(runs))
-    figure, signs, grid = _pair_of_panels(f"{channel} before and after adding {added}", caption, names)
+    figure, signs, grid = _pair_of_panels(f"{channel} before and after adding {added}", caption, names, signs)
     for axes, word, y in zip(grid, ("before", "after"), (before, after), strict=True):
         if floor is not None:
             axes.axhspan(-floor * factor, floor * factor, color=BAND, linewidth=0, zorder=1)
@@ -92,7 +96,9 @@ def before_after_figure(
 
 
 @themed
-def added_variable_figure(added: np.ndarray, residual: np.ndarray, runs: Sequence[str], effect: str) -> Picture:
+def added_variable_figure(
+    added: np.ndarray, residual: np.ndarray, runs: Sequence[str], effect: str, signs: RunSigns | None = None
+) -> Picture:
     """Return the added-variable plot: whitened residual against what the effect would explain, one colour per run.
 
     Parameters
@@ -100,15 +106,16 @@ def added_variable_figure(added: np.ndarray, residual: np.ndarray, runs: Sequenc
     added, residual : shape (n,), both whitened and projected off what the present model can absorb.
     runs : of each point.
     effect : for the labels.
+    signs : of the runs; without them each run has its own hue.
     """
     caption = (
         f"Added-variable plot of {effect}: whitened residual against the part that the effect would explain, both "
         "projected off what the present model can absorb. Line: expected slope 1. A real effect shows the same slope "
-        "in every run (colour); a spurious one rests on a few points of one run."
+        "in every run (colours by mounting or run); a spurious one rests on a few points of one run."
     )
     names = np.array(list(runs))
     figure = picture(7.2, 4.0, f"{effect}: consistency between runs", caption)
-    signs = _signs(figure, names)
+    signs = _signs(figure, names, signs)
     axes = panels(figure, 1, 1, (0.65, 0.45, _LEGEND + 0.1, 0.25))[0, 0]
     _cloud(axes, added, residual, names, signs, limit_of(residual, 3.0))
     axes.axline((0, 0), slope=1, color=INK, linewidth=1.3, zorder=6)
@@ -117,14 +124,17 @@ def added_variable_figure(added: np.ndarray, residual: np.ndarray, runs: Sequenc
     return figure
 
 
-def _pair_of_panels(title: str, caption: str, runs: np.ndarray) -> tuple[Picture, RunSigns, np.ndarray]:
+def _pair_of_panels(
+    title: str, caption: str, runs: np.ndarray, signs: RunSigns | None
+) -> tuple[Picture, RunSigns, np.ndarray]:
     figure = picture(11.5, 3.5, title, caption)
-    return figure, _signs(figure, runs), panels(figure, 1, 2, (0.75, 0.45, _LEGEND, 0.25))[0]
+    return figure, _signs(figure, runs, signs), panels(figure, 1, 2, (0.75, 0.45, _LEGEND, 0.25))[0]
 
 
-def _signs(figure: Picture, runs: np.ndarray) -> RunSigns:
-    signs = RunSigns(list(dict.fromkeys(runs.tolist())))
-    signs.legend(figure, figure.inside[2] - _LEGEND + 0.3)
+def _signs(figure: Picture, runs: np.ndarray, signs: RunSigns | None) -> RunSigns:
+    """List the runs of a figure; return their signs, those of the runs themselves where none are given."""
+    signs = signs if signs is not None else RunSigns(runs.tolist())
+    runs_legend(figure, figure.inside[2] - _LEGEND + 0.3, signs, runs.tolist())
     return signs
 
 

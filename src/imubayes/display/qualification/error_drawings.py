@@ -8,7 +8,8 @@ from matplotlib.lines import Line2D
 from imubayes.display.labels import pretty, readable
 from imubayes.display.qualification.document import Drawing, Drawings
 from imubayes.display.qualification.svg_drawing import WIDTH, drawn, hue, legend, line, place, title
-from imubayes.display.theme import BAND, BAND_WIDE, INK, MARKERS, QUIET, RED
+from imubayes.display.run_signs import MARKERS
+from imubayes.display.theme import BAND, BAND_WIDE, INK, QUIET, RED
 from imubayes.qualification.report_pictures import ErrorPicture, PictureData, ResidualMeans, WorstResidual
 
 _NORMAL = 1.96

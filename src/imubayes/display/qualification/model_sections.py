@@ -314,16 +314,21 @@ def provenance_section(found: Provenance) -> list[Block]:
         )
         for effect in found.effects
     ]  # fmt: skip
-    software = [(Text(each.package), Text(each.version)) for each in found.software]
+    fitted = {each.package: each.version for each in found.fit_software}
+    software = [
+        (Text(each.package), Text(fitted.get(each.package, "not recorded")), Text(each.version))
+        for each in found.software
+    ]
     hashes = [
         (Text("data"), Text(hash_text(found.data_sha256))),
         (Text("model"), Text(hash_text(found.model_sha256))),
         (Text("seed"), Text(str(found.seed))),
+        (Text("fitted"), Text(found.fitted or "not recorded")),
     ]
     return [
         Heading("Model, hashes and software"),
         ReportTable("Identification", ("what", "value"), hashes, (0, 1), "SHA-256 of campaign and model."),
         ReportTable("Effects of the model", ("effect", "channels", "priors in the model file", "settings"), effects,
               (0, 1, 2, 3), "Default: of the catalogue, or the uncertainty that the campaign states."),
-        ReportTable("Software that made this report", ("package", "version"), software, (0, 1)),
+        ReportTable("Software", ("package", "fit", "report"), software, (0, 1, 2)),
     ]  # fmt: skip

@@ -15,7 +15,8 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from imubayes.display.qualification.document import Drawing
-from imubayes.display.theme import HUES, INK, STYLE, FewTicks
+from imubayes.display.run_signs import HUES
+from imubayes.display.theme import INK, STYLE, FewTicks
 
 WIDTH = 4.4
 LINES: tuple[Literal["-", "--", "-.", ":"], ...] = ("-", "--", "-.", ":")

@@ -1,0 +1,78 @@
+"""What a fit comes from: unit, dates of the recordings, hashes of data and model, seed and software."""
+
+import platform
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.run_fit import model_hash
+from imubayes.json_record import Record
+from imubayes.results.fit_file import campaign_hash
+
+# Packages whose version can change a number of a result.
+PACKAGES = ("imubayes", "jax", "equinox", "optimistix", "emcee", "arviz-base", "numpy", "scipy", "polars", "pydantic")
+
+
+class SoftwareVersion(Record):
+    """A package and its version."""
+
+    package: str
+    version: str
+
+
+class FitProvenance(Record):
+    """What a fit comes from.
+
+    Attributes
+    ----------
+    serial : serial number of the unit; empty where the campaign states none.
+    first_run, last_run : earliest and latest start of a run, ISO 8601 as in the campaign; None where no run states one.
+    fitted : when the fit was made, ISO 8601 in UTC.
+    data_sha256, model_sha256 : identify the data and the model, as in `fit.json`.
+    seed : of the sampler.
+    software : versions that made the fit.
+    """
+
+    serial: str
+    first_run: str | None
+    last_run: str | None
+    fitted: str
+    data_sha256: str
+    model_sha256: str
+    seed: int
+    software: tuple[SoftwareVersion, ...]
+
+
+def provenance(fit: Fit, seed: int) -> FitProvenance:
+    """Return what a fit made now comes from."""
+    campaign = fit.model.campaign
+    starts = sorted((run.start for run in campaign.runs if run.start), key=_instant)
+    return FitProvenance(
+        serial=campaign.serial,
+        first_run=starts[0] if starts else None,
+        last_run=starts[-1] if starts else None,
+        fitted=datetime.now(UTC).isoformat(timespec="seconds"),
+        data_sha256=campaign_hash(fit.model),
+        model_sha256=model_hash(fit.model),
+        seed=seed,
+        software=software(),
+    )
+
+
+def _instant(start: str) -> datetime:
+    """Return a start as an instant; one without a time zone is taken as UTC."""
+    found = datetime.fromisoformat(start)
+    return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
+
+
+def software() -> tuple[SoftwareVersion, ...]:
+    """Return the versions of Python and of the packages that make the numbers."""
+    found = (SoftwareVersion(package=name, version=_version(name)) for name in PACKAGES)
+    return SoftwareVersion(package="Python", version=platform.python_version()), *found
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed as a package"
