@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import tomllib
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +52,23 @@ def test_the_fit_comes_back(place, result):
     whitened = np.asarray(residuals(found.model.problem, found.z, found.h))
     assert np.allclose(whitened, np.asarray(residuals(was.model.problem, was.z, was.h)), rtol=0, atol=1e-12)
     assert json.loads((place / "result" / "fit.json").read_text())["seed"] == 3
+
+
+def test_the_summary_says_what_the_fit_comes_from(place, result):
+    written = json.loads((place / "result" / "summary.json").read_text())["provenance"]
+    record = json.loads((place / "result" / "fit.json").read_text())
+    campaign = tomllib.loads((place / "campaign" / "campaign.toml").read_text())
+    assert written["serial"] == campaign["unit"]["serial"] != ""
+    starts = sorted(run["start"].isoformat() for run in campaign["run"])
+    assert [datetime.fromisoformat(written[key]) for key in ("first_run", "last_run")] == [
+        datetime.fromisoformat(starts[0]), datetime.fromisoformat(starts[-1])
+    ]  # fmt: skip
+    assert (written["data_sha256"], written["model_sha256"]) == (record["data_hash"], record["model_hash"])
+    assert written["seed"] == 3
+    assert {"package": "numpy", "version": np.__version__} in written["software"]
+    shown = result._repr_html_()
+    assert written["serial"] in shown
+    assert written["data_sha256"][:12] in shown
 
 
 def test_a_result_that_moved_with_its_campaign_is_found(copy):

@@ -79,18 +79,19 @@ class RunSigns:
     def legend(self, shown: Sequence[str] | None = None) -> list[LegendEntry]:
         """Return the entries of a legend of the runs that are shown: hues first, then markers."""
         runs = [run for run in self.runs if shown is None or run in shown]
+        levels = sorted({self._level_of[run] for run in runs}, key=_level_order)
+        first = {self._hue_of[run]: self.sign(run) for run in reversed(runs)}
         classes = list(dict.fromkeys(self._hue_of[run] for run in runs))
-        one_level = len({self._level_of[run] for run in runs}) < 2
-        found = [LegendEntry(self._heading)] if self._heading != "run" or not one_level else []
-        for name in classes:
-            own = self.sign(next(run for run in runs if self._hue_of[run] == name))
-            marker = own.marker if one_level or self._heading == "run" else MARKERS[0]
-            found.append(LegendEntry(shortened(name, 25), Sign(own.hue, marker, own.filled)))
-        if not one_level:
-            found.append(LegendEntry("temperature"))
-            for level in sorted({self._level_of[run] for run in runs}, key=_level_order):
-                marker = MARKERS[self._levels.index(level)]
-                found.append(LegendEntry(level or "not recorded", Sign("#222222", marker)))
+        if len(levels) < 2:
+            heading = [] if self._heading == "run" else [LegendEntry(self._heading)]
+            return heading + [LegendEntry(shortened(name, 25), first[name]) for name in classes]
+        hues = [Sign(first[name].hue, MARKERS[0], first[name].filled) for name in classes]
+        found = [LegendEntry(self._heading)]
+        found += [LegendEntry(shortened(name, 25), sign) for name, sign in zip(classes, hues, strict=True)]
+        found.append(LegendEntry("temperature"))
+        for level in levels:
+            sign = Sign("#222222", MARKERS[self._levels.index(level)])
+            found.append(LegendEntry(level or "not recorded", sign))
         return found
 
 
