@@ -44,6 +44,7 @@ COMPILED = (
     "campaign/test_new_covariate.py",
     "simulation",
     "qualification/test_uncertainty_budget.py",
+    "batch/test_run_batch.py",
     "reference",
     "study",
 )

@@ -54,10 +54,14 @@ def write_json(file: Path, value: Any) -> None:
 
 
 @contextmanager
-def new_folder(folder: Path) -> Iterator[Path]:
+def new_folder(folder: Path, durable: bool = False) -> Iterator[Path]:
     """Give a scratch folder beside `folder` that takes its place when the block ends; after an error nothing is left.
 
     `folder` must not exist, or be empty.
+
+    Parameters
+    ----------
+    durable : whether to force the content to the disk, so that a power failure leaves the whole folder or none.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
@@ -66,7 +70,12 @@ def new_folder(folder: Path) -> Iterator[Path]:
         mask = os.umask(0)
         os.umask(mask)
         scratch.chmod(0o777 & ~mask)
+        if durable:
+            for place in (*scratch.iterdir(), scratch):
+                _synchronise(place)
         os.rename(scratch, folder)
+        if durable:
+            _synchronise(folder.parent)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
 

@@ -147,7 +147,7 @@ def pack(folders: Sequence[Path], out: Path, progress: Callable[[str], None] | N
     added, refused, present = [], [], 0
     for place, folder in enumerate(folders):
         tell(f"packing {place + 1} of {len(folders)}: {folder.name}")
-        digest = _source_digest(folder)
+        digest = folder_digest(folder)
         if digest[:_DIGITS] in known:
             present += 1
             continue
@@ -163,8 +163,8 @@ def pack(folders: Sequence[Path], out: Path, progress: Callable[[str], None] | N
     return Packed(tuple(added), present, tuple(refused))
 
 
-def _source_digest(folder: Path) -> str:
-    """Return the digest of a campaign's files; of the campaign file alone where its runs cannot be told."""
+def folder_digest(folder: Path) -> str:
+    """Return the digest of the files of a campaign folder; of the campaign file alone where its runs cannot be told."""
     file = folder / CAMPAIGN_FILE
     try:
         runs = tomllib.loads(file.read_text(encoding="utf-8"))["run"]

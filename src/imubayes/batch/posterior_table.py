@@ -2,7 +2,7 @@
 
 Both are plain Parquet, written in parts: a results folder holds
 
-    model-<hash>/model.toml                      the model
+    model-<hash>/model.toml                      the model; the hash is that of model, settings and code
     model-<hash>/part-<key>/parameters.parquet   PARAMETERS: long form, one row per unit and parameter
     model-<hash>/part-<key>/units.parquet        UNITS: one row per unit, with the covariance of its parameters
     model-<hash>/part-<key>/scores.parquet       scores of candidate effects, where they were asked for
@@ -49,7 +49,7 @@ UNITS = pl.Schema(
         "file": pl.String, "date": pl.Date, "year": pl.Int32, "structure": pl.String,
         "tables": pl.List(pl.String), "mountings": pl.List(pl.String), "procedures": pl.List(pl.String),
         "latitude": pl.Float64, "height": pl.Float64, "gravity": pl.Float64,
-        "status": pl.String, "reason": pl.String, "where": pl.String, "verdict": pl.String,
+        "status": pl.String, "reason": pl.String, "where": pl.String, "fingerprint": pl.String, "verdict": pl.String,
         "method": pl.String, "flagged": pl.Boolean, "pareto_k": pl.Float64, "weight_skewness": pl.Float64,
         "readings": pl.Int64, "chi2": pl.Float64, "log_evidence": pl.Float64, "seconds": pl.Float64,
         "names": pl.List(pl.String), "mean": pl.List(pl.Float64), "covariance": pl.List(pl.Float64),
@@ -113,7 +113,8 @@ class Outcome:
 
     Attributes
     ----------
-    reason, where : what went wrong and the file it is about; empty for a unit that was fitted.
+    reason, where, fingerprint : what went wrong, the file it is about, and a digest of the campaign as it was; empty
+        for a unit that was fitted.
     verdict : of the diagnosis; empty where none was asked for.
     method : `laplace` or `emcee`.
     flagged : whether the Laplace approximation is in doubt by its importance weights; None where they were not asked.
@@ -127,11 +128,12 @@ class Outcome:
     status: Status
     reason: str = ""
     where: str = ""
+    fingerprint: str = ""
     verdict: str = ""
     method: str = ""
     flagged: bool | None = None
-    pareto_k: float = float("nan")
-    weight_skewness: float = float("nan")
+    pareto_k: float | None = None
+    weight_skewness: float | None = None
     readings: int = 0
     chi2: float = float("nan")
     log_evidence: float = float("nan")

@@ -1,0 +1,159 @@
+"""One campaign fitted by itself: the same path as `imubayes fit`, its outcome as a value whatever happens."""
+
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import cache
+
+import equinox as eqx
+import numpy as np
+import polars as pl
+
+from imubayes.batch.batch_settings import BatchSettings
+from imubayes.batch.posterior_table import Kind, Outcome, Quantities, UnitIdentity, UnitPosterior
+from imubayes.batch.run_batch import ChunkTask, FittedChunk
+from imubayes.batch.unit_sources import UnitSource, identity_of, unread
+from imubayes.campaign_data import Campaign
+from imubayes.criticism.diagnose import judge
+from imubayes.errors import InputError
+from imubayes.inference.ensemble_sampling import Settings
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.identifiability import from_data
+from imubayes.inference.posterior_mode import log_evidence
+from imubayes.inference.posterior_tree import in_units
+from imubayes.inference.run_fit import joint_fit
+from imubayes.model.bind import Model, bind
+from imubayes.model.effect_registry import Registry
+from imubayes.model.likelihood import whitened
+from imubayes.model.model_spec import ModelSpec
+from imubayes.results.estimates import is_constant
+
+QUANTILES = (2.5, 25.0, 50.0, 75.0, 97.5)
+# Knots of the quadrature that gives the mean of a prior.
+_KNOTS = 64
+
+_whitened = eqx.filter_jit(whitened)
+
+
+def bound_to(spec: ModelSpec, campaign: Campaign) -> Model:
+    """Return a model bound to a campaign; files with the user's effects are read once a process."""
+    return bind(replace(spec, files=()), campaign, _registry(spec.files))
+
+
+@cache
+def _registry(files: tuple[str, ...]) -> Registry:
+    return Registry().with_files(files)
+
+
+def fit_unit(spec: ModelSpec, settings: BatchSettings, source: UnitSource) -> UnitPosterior:
+    """Read and fit a campaign; whatever goes wrong is the outcome of the unit, not an exception."""
+    clock, identity = time.perf_counter(), unread(source)
+    try:
+        campaign = source.read()
+        identity = identity_of(campaign, source)
+        unit = fit_campaign(spec, settings, campaign, identity)
+    except Exception as error:
+        unit = UnitPosterior(identity, failure(error, source))
+    fingerprint = "" if unit.outcome.status == "fitted" else source.fingerprint()
+    seconds = time.perf_counter() - clock
+    return replace(unit, outcome=replace(unit.outcome, fingerprint=fingerprint, seconds=seconds))
+
+
+def failure(error: Exception, source: UnitSource) -> Outcome:
+    """Return what went wrong with a unit: an input that cannot be used, or an error nobody foresaw."""
+    if isinstance(error, InputError):
+        return Outcome("refused", "; ".join(issue.what for issue in error.issues), error.issues[0].where)
+    return Outcome("failed", f"{type(error).__name__}: {error}", source.path)
+
+
+def fit_campaign(spec: ModelSpec, settings: BatchSettings, campaign: Campaign, identity: UnitIdentity) -> UnitPosterior:
+    """Return the posterior of a campaign; raises InputError where the model does not fit it."""
+    sampling = Settings(seed=settings.seed) if settings.sample == "all" else None
+    fit = joint_fit(bound_to(spec, campaign), sampling)
+    return posterior_of(fit, settings, identity)
+
+
+def posterior_of(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> UnitPosterior:
+    """Return the tables' view of a fit made in this process."""
+    problem, posterior = fit.model.problem, fit.posterior
+    readings = int(np.sum(np.asarray(problem.observations.weight)))
+    if posterior is None or fit.mode is None:
+        return UnitPosterior(identity, Outcome("not_converged", fit.message, identity.file, readings=readings))
+    outcome = Outcome(
+        status="fitted" if fit.converged else "not_converged",
+        reason=fit.message,
+        where="" if fit.converged else identity.file,
+        verdict=judge(fit).verdict if settings.diagnose else "",
+        method="laplace" if posterior.chains is None else "emcee",
+        pareto_k=None if posterior.chains is None else posterior.chains.diagnosis.pareto_k,
+        readings=readings,
+        chi2=float(np.sum(np.asarray(_whitened(problem, fit.mode.h, fit.mode.about.misfit)) ** 2)),
+        log_evidence=float(log_evidence(fit.mode)),
+    )
+    values = in_units(fit.model, posterior.points)
+    return UnitPosterior(identity, outcome, quantities_of(fit, values), np.atleast_2d(np.cov(values.T, ddof=0)))
+
+
+def quantities_of(fit: Fit, values: np.ndarray) -> tuple[Quantities, ...]:
+    """Return the estimates of parameters, noise scales and derived quantities.
+
+    Parameters
+    ----------
+    values : shape (S, P + H), draws in units of measure.
+    """
+    posterior, model = fit.posterior, fit.model
+    assert posterior is not None
+    declared = model.layout.parameters + model.hyper_layout.parameters
+    share = from_data(posterior.points.var(axis=0), 1.0)
+    prior_mean, prior_sd = _prior_moments(model)
+    quantiles = np.percentile(values, QUANTILES, axis=0)
+    size = len(model.layout)
+
+    def of_kind(kind: Kind, chosen: slice) -> Quantities:
+        return Quantities(
+            kind, tuple(p.name for p in declared[chosen]), tuple(p.unit for p in declared[chosen]),
+            values[:, chosen].mean(axis=0), values[:, chosen].std(axis=0), quantiles[:, chosen],
+            prior_mean[chosen], prior_sd[chosen], share[chosen],
+        )  # fmt: skip
+
+    found = (of_kind("parameter", slice(0, size)), of_kind("noise", slice(size, None)))
+    return tuple(part for part in (*found, *_derived(fit)) if part.names)
+
+
+def _derived(fit: Fit) -> tuple[Quantities, ...]:
+    posterior, names = fit.posterior, fit.derived.names
+    assert posterior is not None
+    if not names:
+        return ()
+    draws, prior = posterior.derived, posterior.prior_derived
+    fixed = np.array([is_constant(column) for column in prior.T])
+    share = np.where(fixed, np.nan, from_data(draws.var(axis=0), np.where(fixed, 1.0, prior.var(axis=0))))
+    return (
+        Quantities(
+            "derived", tuple(each.name for each in names), tuple(each.unit for each in names),
+            draws.mean(axis=0), draws.std(axis=0), np.percentile(draws, QUANTILES, axis=0),
+            prior.mean(axis=0), prior.std(axis=0), share,
+        ),
+    )  # fmt: skip
+
+
+def _prior_moments(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and standard deviation of the prior of each component of z in its unit, NaN where it has none."""
+    declared = model.layout.parameters + model.hyper_layout.parameters
+    deviation = np.array([parameter.prior_sd for parameter in declared], dtype=float)
+    knots, weights = np.polynomial.hermite_e.hermegauss(_KNOTS)
+    grid = np.repeat(knots[:, None], len(declared), axis=1)
+    mean = weights @ in_units(model, grid) / weights.sum()
+    known = np.isfinite(deviation)
+    return np.where(known, mean, np.nan), np.where(known, deviation, np.nan)
+
+
+def fit_chunk(task: ChunkTask) -> FittedChunk:
+    """Return the units of a chunk, in its order."""
+    units = tuple(fit_unit(task.spec, task.settings, source) for source in task.sources)
+    return FittedChunk(units, pl.DataFrame())
+
+
+def in_process(tasks: Iterable[ChunkTask]) -> Iterator[FittedChunk]:
+    """Fit chunks one after the other in this process."""
+    return map(fit_chunk, tasks)

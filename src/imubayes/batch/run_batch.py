@@ -1,0 +1,122 @@
+"""The batch: what is missing is fitted in chunks, and each chunk is kept before the next one counts as done.
+
+Chunks are consecutive campaigns; which ones stand together has no influence on any number.  The memory needed is that
+of the chunks in work, whatever the size of the archive.  Nothing here computes: chunks are fitted by an executor.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import polars as pl
+
+from imubayes.batch.batch_settings import BatchSettings, batch_key, code_version
+from imubayes.batch.part_files import PartFiles, still_to_do
+from imubayes.batch.posterior_table import UnitPosterior
+from imubayes.batch.unit_sources import UnitSource, sources_of
+from imubayes.model.model_file import read_model
+from imubayes.model.model_spec import ModelSpec
+
+CHUNK = 32
+"""Units of a chunk: what is lost by a kill, at most, for each worker."""
+
+
+@dataclass(frozen=True)
+class ChunkTask:
+    """A chunk to fit, as it is sent to a worker."""
+
+    spec: ModelSpec
+    settings: BatchSettings
+    sources: tuple[UnitSource, ...]
+
+
+@dataclass(frozen=True)
+class FittedChunk:
+    """The units of a chunk, and the scores of candidate effects, empty where they were not asked for."""
+
+    units: tuple[UnitPosterior, ...]
+    scores: pl.DataFrame
+
+
+@dataclass(frozen=True)
+class BatchProgress:
+    """How far a batch is.
+
+    Attributes
+    ----------
+    key : of model, settings and code.
+    units, before, done, failed : units in all, done before, done now, and of these without estimates.
+    seconds : since the start.
+    """
+
+    key: str
+    units: int
+    before: int
+    done: int
+    failed: int
+    seconds: float
+
+    @property
+    def rate(self) -> float:
+        """Units per second of this run."""
+        return self.done / self.seconds if self.seconds > 0 else 0.0
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Seconds that the rest takes at this rate; None where nothing is done yet."""
+        return (self.units - self.before - self.done) / self.rate if self.rate > 0 else None
+
+
+Executor = Callable[[Iterable[ChunkTask]], Iterator[FittedChunk]]
+"""Fits chunks, and yields them in any order."""
+
+
+def run_batch(
+    place: str | Path,
+    model: str | Path,
+    out: str | Path,
+    executor: Executor,
+    settings: BatchSettings | None = None,
+    *,
+    retry: bool = False,
+    chunk: int = CHUNK,
+    progress: Callable[[BatchProgress], None] | None = None,
+) -> BatchProgress:
+    """Fit every campaign that has no result yet, and return how far the batch is at the end.
+
+    Parameters
+    ----------
+    place : archive, or folder of campaign folders.
+    model : model file.
+    out : results folder; what it holds is kept.
+    executor : fits the chunks.
+    retry : whether campaigns without estimates are tried again; without, only those whose files have changed.
+    chunk : units of a chunk.
+    progress : called after each chunk.
+
+    Raises
+    ------
+    InputError
+        for a place without campaigns, a model that cannot be read, or a results folder that is in use.
+    """
+    settings, spec, sources = settings or BatchSettings(), read_model(model), sources_of(place)
+    parts = PartFiles(Path(out), batch_key(spec, settings), code_version())
+    with parts.writing():
+        parts.keep_model(Path(model).read_bytes())
+        missing = still_to_do(parts, sources, retry)
+        clock, before, done, failed = time.perf_counter(), len(sources) - len(missing), 0, 0
+        state = BatchProgress(parts.key, len(sources), before, 0, 0, 0.0)
+        tasks = (ChunkTask(spec, settings, group) for group in _chunks(missing, chunk))
+        for fitted in executor(tasks):
+            parts.write(fitted.units, fitted.scores)
+            done += len(fitted.units)
+            failed += sum(unit.outcome.status != "fitted" for unit in fitted.units)
+            state = BatchProgress(parts.key, len(sources), before, done, failed, time.perf_counter() - clock)
+            if progress is not None:
+                progress(state)
+    return state
+
+
+def _chunks(sources: Sequence[UnitSource], size: int) -> Iterator[tuple[UnitSource, ...]]:
+    return (tuple(sources[start : start + size]) for start in range(0, len(sources), size))
