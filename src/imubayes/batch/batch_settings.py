@@ -3,10 +3,10 @@
 import hashlib
 from dataclasses import dataclass, replace
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
-import imubayes
 from imubayes.model.model_spec import ModelSpec
 
 Sampling = Literal["all", "flagged", "none"]
@@ -42,11 +42,11 @@ def batch_key(spec: ModelSpec, settings: BatchSettings) -> str:
 @cache
 def code_version() -> str:
     """Return the version of the package and the hash of those of its sources that decide numbers."""
-    root = Path(imubayes.__file__).parent
+    root = Path(__file__).parents[1]
     files = sorted(file.relative_to(root).as_posix() for file in root.rglob("*.py"))
     chosen = [name for name in files if not name.startswith(_SHOWN)]
     content = [(root / name).read_text(encoding="utf-8") for name in chosen]
-    return f"{imubayes.__version__}+{_digest(*chosen, *content)}"
+    return f"{version("imubayes")}+{_digest(*chosen, *content)}"
 
 
 def _digest(*texts: str) -> str:
