@@ -46,7 +46,7 @@ def code_version() -> str:
     files = sorted(file.relative_to(root).as_posix() for file in root.rglob("*.py"))
     chosen = [name for name in files if not name.startswith(_SHOWN)]
     content = [(root / name).read_text(encoding="utf-8") for name in chosen]
-    return f"{version("imubayes")}+{_digest(*chosen, *content)}"
+    return f"{version('imubayes')}+{_digest(*chosen, *content)}"
 
 
 def _digest(*texts: str) -> str:
