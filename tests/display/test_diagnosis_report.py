@@ -87,7 +87,7 @@ def diagnosis(verdict: Verdict = "equivalent_effects", terms: tuple[FormulaTerm,
 
 
 def test_the_answer_comes_first(capsys):
-    print_report(shown.diagnosis_report(diagnosis()))
+    print_report(shown.diagnosis_report(diagnosis(), verbose=True))
     out = capsys.readouterr().out
     lines = out.splitlines()
     assert lines[0].startswith("gyro_scale_asymmetry is missing on gx. The residual of gx depends on rate along")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import cyclopts
 
-from imubayes.cli.options import Json, Names, print_json, split
+from imubayes.cli.options import Flag, Json, Names, print_json, split
 
 
 def add(
@@ -17,6 +17,7 @@ def add(
     sample: Annotated[bool, cyclopts.Parameter(negative="--no-sample")] = False,
     seed: int = 0,
     as_json: Json = False,
+    verbose: Flag = False,
 ) -> int:
     """Add effects to the model of a result, fit again from there, and show what that brought.
 
@@ -38,6 +39,8 @@ def add(
         Seed of the sampler.
     as_json
         Print one JSON object on standard output.
+    verbose
+        List the residual rms of every channel and run, also where it did not change.
     """
     from imubayes.cli.session import progress, start_jax
 
@@ -55,7 +58,7 @@ def add(
     if as_json:
         print_json(addition.model_dump(mode="json") | {"next": next_command(addition)})
     else:
-        print_report(addition_report(addition))
+        print_report(addition_report(addition, verbose))
     if not addition.taken:
         print(addition.message, file=sys.stderr)
     return 0 if addition.taken else 1

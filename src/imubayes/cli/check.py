@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from imubayes.cli.options import Json, print_json
+from imubayes.cli.options import Flag, Json, print_json
 
 
-def check(campaign: Path, *, model: Path | None = None, as_json: Json = False) -> int:
+def check(campaign: Path, *, model: Path | None = None, as_json: Json = False, verbose: Flag = False) -> int:
     """Read everything, say what is there and what is wrong.
 
     Example: imubayes check data/trihedral-imu --model models/trihedral-imu.toml
@@ -18,6 +18,8 @@ def check(campaign: Path, *, model: Path | None = None, as_json: Json = False) -
         Model file to check against the campaign.
     as_json
         Print one JSON object on standard output.
+    verbose
+        List every run and every note; otherwise those of one kind are one line.
     """
     from imubayes.campaign import inspect_campaign
     from imubayes.display.check_report import CheckedModel, check_record, check_report
@@ -42,5 +44,12 @@ def check(campaign: Path, *, model: Path | None = None, as_json: Json = False) -
     if as_json:
         print_json(check_record(inspection, size).model_dump(mode="json"))
     else:
-        print_report(check_report(inspection, size))
+        print_report(check_report(inspection, size, _next(campaign, model), verbose))
     return 0
+
+
+def _next(campaign: Path, model: Path | None) -> str:
+    """Return the command to run next."""
+    if model is None:
+        return f"imubayes check {campaign} --model MODEL"
+    return f"imubayes fit {campaign} --model {model} --out results/{campaign.resolve().name}"

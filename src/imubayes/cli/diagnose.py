@@ -11,6 +11,7 @@ def diagnose(
     effect: str = "",
     as_json: Json = False,
     python: Flag = False,
+    verbose: Flag = False,
 ) -> int:
     """Say which effect the model lacks, from one pass and without a refit.
 
@@ -27,6 +28,8 @@ def diagnose(
     python
         Print an effect class for the pattern that no effect of the catalogue explains: save it in a file beside the
         model and name the file in the model's 'files'.
+    verbose
+        Print every table: all candidates, noise, outliers, structure and undetectable effects.
     """
     from imubayes.cli.session import progress, start_jax
 
@@ -46,5 +49,5 @@ def diagnose(
     elif as_json:
         print_json(diagnosis_json(found))
     else:
-        print_report(diagnosis_report(found, pictures))
+        print_report(diagnosis_report(found, pictures, verbose))
     return 1 if found.verdict == "not_converged" else 0

@@ -5,7 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.criticism.cross_validation import CrossValidation, cross_validate, objection, observed_delta_chi2
+from imubayes.criticism.cross_validation import (
+    CrossValidation,
+    cross_validate,
+    delta_chi2_at_remaining_noise,
+    objection,
+    observed_delta_chi2,
+)
 from imubayes.criticism.diagnosis_record import CoefficientEstimate, Diagnosis, ScreenedEffect
 from imubayes.criticism.warm_start import Extension, extend
 from imubayes.errors import InputError, Issue
@@ -20,7 +26,7 @@ class Prediction(Record):
     Attributes
     ----------
     delta_chi2, coefficients : by the linear model; by the screening where that has no gradient.
-    screened : Δχ² of the screening; None without one.
+    screened : Δχ² of the screening, in units of the noise that then remains; None without one.
     """
 
     delta_chi2: float | None
@@ -38,6 +44,7 @@ class Refit:
     extension : the extended model before its fit, with the prediction.
     fit : the refit.
     delta_chi2 : observed; NaN where the refit did not converge.
+    delta_chi2_remaining : the same in units of the noise after the refit; None where a noise scale is new.
     objection : why the refit is not taken; empty where nothing speaks against it.
     held_out : cross-validation; None where there was none.
     predicted : what was predicted.
@@ -47,6 +54,7 @@ class Refit:
     extension: Extension
     fit: Fit
     delta_chi2: float
+    delta_chi2_remaining: float | None
     objection: str
     held_out: CrossValidation | None
     predicted: Prediction
@@ -91,7 +99,8 @@ def refit_with(
     against = objection(fit, delta_chi2)
     unseen = None if against else cross_validate(before, fit, progress)
     known = screened[0] if len(effects) == 1 and screened else None
-    return Refit(before, extension, fit, delta_chi2, against, unseen, _prediction(extension, known))
+    remaining = None if against else delta_chi2_at_remaining_noise(before, extension, fit)
+    return Refit(before, extension, fit, delta_chi2, remaining, against, unseen, _prediction(extension, known))
 
 
 def _screened(effects: Sequence[str], diagnosis: Diagnosis | None) -> list[ScreenedEffect]:

@@ -98,6 +98,9 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         recorded_noise=found.record.comparisons,
         more_remains=verdict in MISSING and bool(found.remaining or found.groups[1:]),
     )
+    if diagnosis.noise_outweighs:
+        noise = EffectChoice(effect=found.adopted[0].effect, channels=None)
+        diagnosis = diagnosis.model_copy(update={"suggested": noise})
     return diagnosis.with_evidence(evidence[0] if evidence else None, found.record)
 
 
@@ -215,6 +218,7 @@ def _group(
         effects=group.effects,
         channels=leader.owners,
         delta_chi2=leader.delta_chi2,
+        delta_chi2_at_fit=leader.score.delta_chi2_at_fit,
         dof=leader.dof,
         p_global=found.against_budget(group.p),
         candidates=tuple(

@@ -109,6 +109,7 @@ class EffectGroup(Record):
     Attributes
     ----------
     channels, delta_chi2, dof : of the first.
+    delta_chi2_at_fit : Δχ² of the first at the noise scales of the fit; None of diagnoses of earlier versions.
     p_global : p-value of the first, corrected for the number of looks and families of tests.
     candidates : one per effect.
     residual : rms of the channel that shows it best, before and after adding the first.
@@ -121,6 +122,7 @@ class EffectGroup(Record):
     effects: tuple[str, ...]
     channels: tuple[str, ...]
     delta_chi2: float
+    delta_chi2_at_fit: float | None = None
     dof: int
     p_global: float
     candidates: tuple[GroupMember, ...]
@@ -304,6 +306,15 @@ class Diagnosis(Presented, Record):
         """The channels whose fitted and recorded noise do not agree, the largest ratio first."""
         apart = [each for each in self.recorded_noise if not each.agrees]
         return tuple(sorted(apart, key=lambda each: -each.ratio))
+
+    @property
+    def noise_outweighs(self) -> bool:
+        """Whether noise that the model lacks has stronger evidence than the effect or structure of the verdict."""
+        adopted = [noise for noise in self.noise if noise.adopted]
+        others = [group.p_global for group in self.groups] or [each.p for each in self.structure]
+        if not adopted or not others or self.verdict == "noise_model":
+            return False
+        return min(noise.p for noise in adopted) < min(others)
 
     def with_evidence(self, evidence: ResidualEvidence | None, scatter: RecordedNoise | None = None) -> "Diagnosis":
         """Return the same diagnosis with the residual that shows its first group, and with the rows' scatter."""

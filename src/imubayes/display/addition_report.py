@@ -1,6 +1,8 @@
 """An addition in words and tables: predicted and observed, cross-validation, residual rms before and after."""
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from imubayes.criticism.cross_validation import CrossValidation
 from imubayes.criticism.diagnosis_record import RmsChange
@@ -11,6 +13,9 @@ from imubayes.display.rounding import significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.results.addition import Addition, RunRmsChange
 
+_PERCENT, _MOST_ROWS, _MOST_CHANGES = 5, 6, 3
+_LEAST_CHANGE = math.log(1 + _PERCENT / 100)
+
 _VERDICTS = {
     "helps": "the addition improves the prediction of {by}s that were left out",
     "unclear": "whether the addition improves the prediction of {by}s that were left out is unclear",
@@ -18,10 +23,51 @@ _VERDICTS = {
 }
 
 
-def addition_report(addition: Addition) -> Report:
-    """Return what an addition brought; tables where the refit is taken."""
-    sheets = [coefficient_sheet(addition), channel_sheet(addition), run_change_sheet(addition)]
-    return Report(addition_lines(addition), sheets if addition.taken else (), [f"next: {next_command(addition)}"])
+def addition_report(addition: Addition, verbose: bool = False) -> Report:
+    """Return what an addition brought; tables where the refit is taken.
+
+    Parameters
+    ----------
+    verbose : whether the tables list all channels, runs and parameters, or only what changed most.
+    """
+    command = f"next: {next_command(addition)}"
+    if verbose or not addition.taken:
+        sheets = [coefficient_sheet(addition), channel_sheet(addition), run_change_sheet(addition)]
+        return Report(addition_lines(addition), sheets if addition.taken else (), [command])
+    shown = addition.model_copy(update={"channels": _changed(addition.channels)})
+    sheets = [_head(coefficient_sheet(addition)), channel_sheet(shown)]
+    return Report(addition_lines(addition), sheets, [*_run_lines(addition), command])
+
+
+def _changed[Change: (RmsChange, RunRmsChange)](changes: Sequence[Change]) -> tuple[Change, ...]:
+    """Return the changes that are worth a line, the largest first."""
+    known = [(abs(math.log(ratio)), each) for each in changes if (ratio := _ratio(each)) is not None]
+    return tuple(each for size, each in sorted(known, key=lambda pair: -pair[0]) if size >= _LEAST_CHANGE)
+
+
+def _ratio(change: RmsChange | RunRmsChange) -> float | None:
+    return change.after / change.before if change.before and change.after else None
+
+
+def _run_lines(addition: Addition) -> list[str]:
+    """Return how many runs and channels changed, and the largest changes."""
+    changed, count = _changed(addition.runs), len(addition.runs)
+    if not changed:
+        return [f"By run and channel, none of {count} residual rms changed by {_PERCENT} % or more."]
+    each = ", ".join(f"{change.name} {change.channel} {_share(change)}" for change in changed[:_MOST_CHANGES])
+    return [
+        f"By run and channel, {len(changed)} of {count} changed by {_PERCENT} % or more: {each}"
+        f"{', …' if len(changed) > _MOST_CHANGES else ''} (all: --verbose)."
+    ]
+
+
+def _head(sheet: Sheet) -> Sheet:
+    """Return the first rows of a table, with a note of how many there are."""
+    left = len(sheet.rows) - _MOST_ROWS
+    if left <= 0:
+        return sheet
+    narrow = _head(sheet.narrow) if sheet.narrow is not None else None
+    return replace(sheet, rows=sheet.rows[:_MOST_ROWS], note=f"{left} more with --verbose.", narrow=narrow)
 
 
 def next_command(addition: Addition) -> str:
@@ -34,7 +80,6 @@ def addition_lines(addition: Addition) -> list[str]:
     names = ", ".join(
         choice.effect + (f" on {', '.join(choice.channels)}" if choice.channels else "") for choice in addition.added
     )
-    predicted, observed = addition.predicted.delta_chi2, addition.observed.delta_chi2
     return [
         f"Added: {names}.",
         *(
@@ -43,10 +88,19 @@ def addition_lines(addition: Addition) -> list[str]:
         ),
         *(conflict_line(conflict) for conflict in addition.prior_conflicts),
         *([addition.message] if addition.message else []),
-        f"Δχ² predicted {significant(predicted)}, observed {significant(observed)}, at the noise scales of the model "
-        "before.",
+        *_chi2_lines(addition),
         *held_out_lines(addition.held_out),
     ]
+
+
+def _chi2_lines(addition: Addition) -> list[str]:
+    """Return Δχ² predicted and observed, in the units in which the diagnosis predicts it."""
+    predicted, observed = addition.predicted, addition.observed
+    pairs = [("at the noise as fitted before", predicted.delta_chi2, observed.delta_chi2)]
+    if predicted.screened is not None and observed.delta_chi2_remaining is not None:
+        pairs = [("at the noise that remains", predicted.screened, observed.delta_chi2_remaining), *pairs]
+    each = [f"predicted {significant(guess)}, observed {significant(found)} {noise}" for noise, guess, found in pairs]
+    return [f"Δχ²: {'; '.join(each)}."]
 
 
 def held_out_lines(held_out: CrossValidation | None) -> list[str]:
@@ -69,14 +123,18 @@ def held_out_lines(held_out: CrossValidation | None) -> list[str]:
 def coefficient_sheet(addition: Addition) -> Sheet:
     """Return the table of coefficients, predicted and estimated."""
     predicted = {each.name: each for each in addition.predicted.coefficients}
-    rows = []
+    rows, slim = [], []
     for estimate in addition.observed.coefficients:
         before = predicted.get(estimate.name)
         value, sd = value_and_sd(estimate.value, estimate.sd)
         guess, width = value_and_sd(before.value, before.sd) if before is not None else value_and_sd(None, None)
-        rows.append(tuple(map(Cell, (estimate.name, guess, width, value, sd, pretty(estimate.unit)))))
+        unit = pretty(estimate.unit)
+        rows.append(tuple(map(Cell, (estimate.name, guess, width, value, sd, unit))))
+        slim.append(tuple(map(Cell, (estimate.name, f"{guess} ± {width}", f"{value} ± {sd}", unit))))
+    title = "Predicted and estimated"
+    narrow = Sheet(title, ("new parameter", "predicted", "estimated", "unit"), slim, (0, 3))
     head = ("new parameter", "predicted", "± ", "estimated", "±", "unit")
-    return Sheet("Predicted and estimated", head, rows, (0, 5))
+    return Sheet(title, head, rows, (0, 5), narrow=narrow)
 
 
 def channel_sheet(addition: Addition) -> Sheet:
@@ -103,6 +161,12 @@ def _change_cells(change: RmsChange | RunRmsChange) -> Sequence[Cell]:
     before, after = change.before, change.after
     factor, unit = readable(change.unit, max((size for size in (before, after) if size is not None), default=0.0))
     texts = [significant(None if size is None else size * factor) for size in (before, after)]
-    ratio = after / before if before and after is not None else None
-    share = "–" if ratio is None else f"{100 * (ratio - 1):+.0f} %".replace("-", "−")
-    return (*map(Cell, texts), Cell(pretty(unit)), Cell(share, "bad" if ratio is not None and ratio > 1.05 else ""))
+    ratio = _ratio(change)
+    worse = ratio is not None and ratio > 1 + _PERCENT / 100
+    return (*map(Cell, texts), Cell(pretty(unit)), Cell(_share(change), "bad" if worse else ""))
+
+
+def _share(change: RmsChange | RunRmsChange) -> str:
+    """Return a change in per cent."""
+    ratio = _ratio(change)
+    return "–" if ratio is None else f"{100 * (ratio - 1):+.0f} %".replace("-", "−")

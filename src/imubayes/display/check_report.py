@@ -1,5 +1,6 @@
 """The outcome of `imubayes check`: the runs, what the reduction did, the findings, and the size of a model."""
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -7,11 +8,16 @@ import numpy as np
 from imubayes.campaign import Inspection
 from imubayes.campaign.unit_grade import grade_of
 from imubayes.campaign_data import Campaign, Run
+from imubayes.display.grouped_notes import grouped
+from imubayes.display.labels import listed
 from imubayes.display.report_layout import Report
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.errors import InputError
 from imubayes.json_record import Record
 from imubayes.parameters.unit_grades import Grade
+
+_MOST_RUNS = 8
+"""Up to so many runs are listed one by one."""
 
 
 class CheckedRun(Record):
@@ -96,39 +102,93 @@ def _grade_lines(campaign: Campaign) -> list[str]:
     return [f"grade of the default priors: {each} ({origin})"]
 
 
-def check_report(inspection: Inspection, model: CheckedModel | None) -> Report:
-    """Return the outcome of a check as a report; raises InputError where the campaign cannot be used."""
+def check_report(
+    inspection: Inspection, model: CheckedModel | None, command: str = "", verbose: bool = False
+) -> Report:
+    """Return the outcome of a check as a report; raises InputError where the campaign cannot be used.
+
+    Parameters
+    ----------
+    command : the next command.
+    verbose : list every run and every note; otherwise runs of one table and notes of one form are one line.
+    """
     campaign = usable(inspection)
-    site = campaign.site
-    heading = (
-        f"{campaign.name}  {len(campaign.channels)} channels, {len(campaign.runs)} runs, "
-        f"latitude {np.degrees(site.latitude):.4f} deg, gravity {site.gravity:.5f} m/s²"
-    )
-    head = ("run", "procedure", "table", "mounting", "rows", "samples", "°C")
-    rows = [_run_row(run) for run in campaign.runs]
-    narrow = Sheet("Runs", (*head[:2], *head[4:]), [[*row[:2], *row[4:]] for row in rows], (0, 1))
-    sheet = Sheet("Runs", head, rows, (0, 1, 2, 3), narrow=narrow)
-    closing = [f"note: {note}" for note in campaign.notes]
-    closing += [f"note: {run.name}: {note}" for run in campaign.runs for note in run.notes]
-    closing += _grade_lines(campaign)
+    site, names = campaign.site, [channel.name for channel in campaign.channels]
+    warnings = warning_lines(inspection, verbose)
+    count = sum(finding.severity == "warning" for finding in inspection.findings)
+    lines = [
+        f"{campaign.name}: {f'{count} warning{"s" if count > 1 else ""}' if count else 'no findings'}",
+        f"{len(campaign.runs)} run{'s' if len(campaign.runs) > 1 else ''}, {len(names)} channels ({listed(names, 8)}), "
+        f"latitude {np.degrees(site.latitude):.4f} deg, gravity {site.gravity:.5f} m/s²",
+    ]
     if model is not None:
-        closing.append(
+        lines.append(
             f"model '{model.name}' fits this campaign: {model.parameters} parameters, "
             f"{model.noise_parameters} of noise, {model.measured_values} measured values"
         )
-    warnings = sum(finding.severity == "warning" for finding in inspection.findings)
-    return Report([heading], [sheet], [*closing, f"{warnings} warnings" if warnings else "no findings"])
+    lines += [*_grade_lines(campaign), *warnings, *([f"next: {command}"] if command else [])]
+    every = verbose or len(campaign.runs) <= _MOST_RUNS
+    sheet = run_sheet(campaign) if every else table_sheet(campaign)
+    closing = [f"note: {note}" for note in _notes(inspection, campaign, verbose)]
+    if not every:
+        closing.append("--verbose lists every run and every note.")
+    return Report(lines, [sheet], closing)
 
 
-def warning_lines(inspection: Inspection) -> list[str]:
-    """Return the warnings about the data of a campaign, one line each."""
-    return [f"warning: {finding}" for finding in inspection.findings if finding.severity == "warning"]
+def warning_lines(inspection: Inspection, verbose: bool = False) -> list[str]:
+    """Return the warnings about the data of a campaign, one line each; one for those of many runs unless verbose."""
+    found = [("", str(finding)) for finding in inspection.findings if finding.severity == "warning"]
+    return [f"warning: {text}" for text in ([text for _, text in found] if verbose else grouped(found))]
+
+
+def _notes(inspection: Inspection, campaign: Campaign, verbose: bool) -> list[str]:
+    """Return the notes on the campaign and its runs that are no warnings."""
+    said = {str(finding) for finding in inspection.findings}
+    said |= {f"{finding.name}: {finding.what}" for finding in inspection.findings}
+    notes = [("", note) for note in campaign.notes] + [(run.name, note) for run in campaign.runs for note in run.notes]
+    kept = [(run, note) for run, note in notes if note not in said]
+    return [f"{run}: {note}" if run else note for run, note in kept] if verbose else grouped(kept)
+
+
+def run_sheet(campaign: Campaign) -> Sheet:
+    """Return the table of the runs."""
+    head = ("run", "procedure", "table", "mounting", "rows", "samples", "°C")
+    rows = [_run_row(run) for run in campaign.runs]
+    narrow = Sheet("Runs", (*head[:2], *head[4:]), [[*row[:2], *row[4:]] for row in rows], (0, 1))
+    return Sheet("Runs", head, rows, (0, 1, 2, 3), narrow=narrow)
+
+
+def table_sheet(campaign: Campaign) -> Sheet:
+    """Return the table of the runs of each procedure and table together."""
+    groups: dict[tuple[str, str | None], list[Run]] = {}
+    for run in campaign.runs:
+        groups.setdefault((run.procedure, run.table), []).append(run)
+    rows = []
+    for (procedure, table), runs in groups.items():
+        mountings = list(dict.fromkeys(run.mounting for run in runs if run.mounting))
+        texts = (
+            procedure,
+            table or "–",
+            listed(mountings, 4) if mountings else "–",
+            str(len(runs)),
+            str(sum(run.rows for run in runs)),
+            f"{sum(np.sum(run.samples) for run in runs):.0f}",
+            _span(runs),
+        )
+        rows.append([Cell(text) for text in texts])
+    head = ("procedure", "table", "mountings", "runs", "rows", "samples", "°C")
+    return Sheet("Runs by procedure and table", head, rows, (0, 1, 2))
+
+
+def _span(runs: Sequence[Run]) -> str:
+    """Return the range of the temperature in runs."""
+    found = [run.covariates["temperature"] for run in runs if "temperature" in run.covariates]
+    values = np.concatenate(found) if found else np.zeros(0)
+    ends = [f"{np.min(values):.1f}", f"{np.max(values):.1f}"] if len(values) else []
+    return "\u00a0…\u00a0".join(dict.fromkeys(ends)) or "–"  # no line break within
 
 
 def _run_row(run: Run) -> list[Cell]:
-    temperature = run.covariates.get("temperature")
-    ends = [] if temperature is None else [f"{np.min(temperature):.1f}", f"{np.max(temperature):.1f}"]
-    span = "\u00a0…\u00a0".join(dict.fromkeys(ends)) or "–"  # no line break within
     texts = (
         run.name,
         run.procedure,
@@ -136,8 +196,9 @@ def _run_row(run: Run) -> list[Cell]:
         run.mounting or "–",
         str(run.rows),
         f"{np.sum(run.samples):.0f}",
+        _span([run]),
     )
-    return [Cell(text) for text in (*texts, span)]
+    return [Cell(text) for text in texts]
 
 
 def usable(inspection: Inspection) -> Campaign:

@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import (
+    MISSING,
     Diagnosis,
     EffectGroup,
     RankedEffect,
@@ -23,22 +25,59 @@ from imubayes.display.table_layout import Cell, Sheet
 from imubayes.errors import InputError, Issue
 
 _MOST_NAMED, _MOST_RANKED, _MOST_STRUCTURES, _MOST_OUTLIERS = 3, 10, 6, 8
+# Rows of the tables that the verdict rests on, so that the whole fits on a screen of 24 lines.
+_MOST_LEADING = 5
 # A bias below this share of a posterior standard deviation is not worth a word.
 _SMALL_BIAS = 0.1
 
 
-def diagnosis_report(found: Diagnosis, pictures: Sequence[Path] = ()) -> Report:
+def diagnosis_report(found: Diagnosis, pictures: Sequence[Path] = (), verbose: bool = False) -> Report:
     """Return the verdict with its evidence; the answer about one effect where one was asked for.
 
     Parameters
     ----------
     pictures : the files that show the residual behind the first group, and the noise.
+    verbose : add every table; otherwise the first rows of those that the verdict rests on, to fit on one screen.
     """
     if found.asked is not None:
         return Report([sentence(found)], [ranking_sheet(found)])
+    told, commands = diagnosis_lines(found), next_lines(found, pictures)
+    if not verbose:
+        return Report(told, leading_sheets(found), [*_omitted(found), *commands])
     noise = [noise_sheet(found), recorded_noise_sheet(found)]
     sheets = [ranking_sheet(found), *noise, outlier_sheet(found), structure_sheet(found)]
-    return Report(diagnosis_lines(found, pictures), [*sheets, undetectable_sheet(found)])
+    return Report([*told, *commands], [*sheets, undetectable_sheet(found)])
+
+
+def leading_sheets(found: Diagnosis) -> list[Sheet]:
+    """Return the tables that the verdict rests on, their first rows alone."""
+    sheets = {
+        "unexplained_structure": [structure_sheet(found)],
+        "noise_model": [noise_sheet(found), recorded_noise_sheet(found)],
+        "not_converged": [],
+    }.get(found.verdict, [ranking_sheet(found)])
+    if found.verdict in MISSING and found.noise_outweighs:
+        sheets.append(noise_sheet(found))
+    each = max(_MOST_LEADING // max(len(sheets), 1), 2)
+    return [_leading(sheet, each) for sheet in sheets]
+
+
+def _leading(sheet: Sheet, most: int) -> Sheet:
+    """Return the first rows of a table, without its note."""
+    narrow = _leading(sheet.narrow, most) if sheet.narrow is not None else None
+    return replace(sheet, rows=sheet.rows[:most], note="", narrow=narrow)
+
+
+def _omitted(found: Diagnosis) -> list[str]:
+    """Return what the tables that are left out hold, in one line."""
+    counts = {
+        "candidate": len(found.ranking),
+        "significant structure": len(found.structure),
+        "outlier": len(found.outliers),
+        "undetectable effect": len(found.undetectable),
+    }
+    each = [f"{count} {name}{'s' if count > 1 else ''}" for name, count in counts.items() if count]
+    return [f"All tables: {', '.join(each)}: imubayes diagnose {found.result} --verbose"] if each else []
 
 
 def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
@@ -52,36 +91,51 @@ def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
     return found.model_dump(mode="json") | shown
 
 
-def diagnosis_lines(found: Diagnosis, pictures: Sequence[Path] = ()) -> list[str]:
-    """Return the verdict, the prediction for the first group, the pictures and the next command."""
+def diagnosis_lines(found: Diagnosis) -> list[str]:
+    """Return the verdict, and the prediction for the first group."""
     lines = [sentence(found)]
     if found.groups:
         lines.append(_prediction(found))
         lines += _discriminating_run(found.groups[0])
     elif found.verdict == "not_converged":
         lines.append("Candidates are not ranked about a fit that did not converge.")
-    lines += [f"picture: {picture}" for picture in pictures]
+    return lines
+
+
+def next_lines(found: Diagnosis, pictures: Sequence[Path] = ()) -> list[str]:
+    """Return the pictures and the next command, one line each."""
     command = next_command(found)
-    return [*lines, f"next: {command}"] if command else lines
+    return [*(f"picture: {picture}" for picture in pictures), *([f"next: {command}"] if command else [])]
 
 
 def sentence(found: Diagnosis) -> str:
-    """Return the verdict in a sentence or two."""
+    """Return the verdict in a few sentences, the finding of the strongest evidence first."""
     if found.asked is not None:
         return _asked_sentence(found)
     if found.verdict == "not_converged":
         return found.message
+    noise = ""
     if found.groups:
         said = _missing_sentence(found.groups[0]) + _more_sentence(found)
+        noise = _adopted_sentence(found)
     elif found.verdict == "unexplained_structure":
         said = _structure_sentence(found)
+        noise = _adopted_sentence(found)
     elif found.verdict == "noise_model":
         said = _noise_sentence(found)
     else:
         said = "The model explains the data: no effect of the catalogue is missing as far as these runs can show."
         hidden = len(found.undetectable)
         said += f" {hidden} effects of the catalogue are undetectable in these runs." if hidden else ""
-    return said + _record_sentence(found) + _outlier_sentence(found)
+    parts = [noise, said] if found.noise_outweighs else [said, noise]
+    return " ".join(part for part in parts if part) + _record_sentence(found) + _outlier_sentence(found)
+
+
+def _adopted_sentence(found: Diagnosis) -> str:
+    """Return which noise the model lacks beside an effect or structure; empty where none."""
+    adopted = [noise for noise in found.noise if noise.adopted]
+    each = [f"{noise.effect} on {listed(noise.channels)} (Δχ² {significant(noise.delta_chi2)})" for noise in adopted]
+    return f"The noise model lacks {' and '.join(each)}." if each else ""
 
 
 def _missing_sentence(group: EffectGroup) -> str:
@@ -218,9 +272,10 @@ def effect_source(found: Diagnosis) -> str:
 
 def _prediction(found: Diagnosis) -> str:
     best = found.groups[0]
-    rms = best.residual
+    rms, at_fit = best.residual, best.delta_chi2_at_fit
     return (
-        f"Predicted for adding it: Δχ² {significant(best.delta_chi2)}, in units of the noise that then remains; "
+        f"Predicted for adding it: Δχ² {significant(best.delta_chi2)} at the noise that remains"
+        f"{'' if at_fit is None else f', {significant(at_fit)} at the noise as fitted'}; "
         f"residual of {rms.channel} {significant(rms.before)} → {significant(rms.after)} {pretty(rms.unit)} rms; "
         f"p {_relation(best.p_global)} corrected for {found.looks:.0f} looks."
     )
@@ -274,8 +329,9 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
         rows.append((name, on, size, drop, Cell(str(line.dof)), p, mark))
         slim.append((name, Cell(_coefficient(line, short=True)), drop, p, mark))
     note = _more(len(found.ranking) - len(rows)) + (
-        "Δχ²: predicted drop of χ² if the effect were added; p: probability that the best of all candidates does so "
-        "well where nothing is missing. These runs cannot distinguish the candidates of one group."
+        "Δχ²: predicted drop of χ² if the effect were added, at the noise that remains; p: probability that the best "
+        "of all candidates does so well where nothing is missing. These runs cannot distinguish the candidates of one "
+        "group."
     )
     head = ("effect", "on", "coefficient", "Δχ²", "dof", "p", "group")
     title = "Candidates in order of evidence"

@@ -1,5 +1,7 @@
 """The text and HTML by which records present themselves in a terminal and a notebook, registered on import."""
 
+from functools import partial
+
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.injection_recovery import Trials
 from imubayes.criticism.model_history import Tree
@@ -22,8 +24,8 @@ from imubayes.results.addition import Addition
 from imubayes.results.result import Result
 
 _REPORTS = {
-    Addition: addition_report,
-    Diagnosis: diagnosis_report,
+    Addition: partial(addition_report, verbose=True),
+    Diagnosis: partial(diagnosis_report, verbose=True),
     Tree: history_report,
     Trials: injection_report,
 }

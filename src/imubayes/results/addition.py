@@ -37,9 +37,18 @@ class BeforeAfter(Record):
 
 
 class Observation(Record):
-    """What the refit found: Δχ² at the noise scales of the fit before, and the new parameters."""
+    """What the refit found.
+
+    Attributes
+    ----------
+    delta_chi2 : at the noise scales of the fit before.
+    delta_chi2_remaining : in units of the noise after the refit, as `Prediction.screened`; None where a noise scale is
+        new, and where the refit is not taken.
+    coefficients : the new parameters.
+    """
 
     delta_chi2: float | None
+    delta_chi2_remaining: float | None = None
     coefficients: tuple[CoefficientEstimate, ...]
 
 
@@ -110,6 +119,7 @@ def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
         predicted=refit.predicted,
         observed=Observation(
             delta_chi2=finite(refit.delta_chi2),
+            delta_chi2_remaining=refit.delta_chi2_remaining,
             coefficients=_estimates(after, fresh),
         ),
         prior_conflicts=tuple(conflict for conflict in after.prior_conflicts if conflict.name in fresh),
