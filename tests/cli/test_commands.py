@@ -127,6 +127,24 @@ def test_resume_without_a_checkpoint(copy, capsys, tmp_path):
     assert not (tmp_path / "result").exists()
 
 
+def test_a_fit_that_no_working_unit_explains_has_failed(copy, capsys, tmp_path):
+    """The campaign accepts that its channel is reversed; whichever parameter takes that up, the fit says so."""
+    campaign, model = copy
+    text = (campaign / "campaign.toml").read_text().replace("scale = 20000.0", "scale = -20000.0")
+    (campaign / "campaign.toml").write_text('accepted = ["channel_unit"]\n' + text)
+    out = tmp_path / "result"
+    status, text, _ = said(capsys, "fit", campaign, "--model", model, "--out", out, "--no-sample")
+    assert status == 1
+    assert text.startswith("FIT FAILED. The outputs of ax differ from the model by ")
+    summary = json.loads((out / "summary.json").read_text())
+    assert not summary["converged"]
+    assert summary["unexplained"][0]["residual"] > 0.5  # g
+    assert all(parameter["mean"] is None for parameter in summary["parameters"])
+    status, text, _ = said(capsys, "diagnose", out)
+    assert status == 1
+    assert "gravity_anomaly" not in text
+
+
 def test_check_says_what_is_there(capsys):
     status, out, err = said(capsys, "check", ROOT / "data" / "accel-channel", "--json-output")
     assert (status, err) == (0, "")

@@ -10,6 +10,7 @@ from imubayes.display.fit_cautions import alarm_of, notices
 from imubayes.display.fit_report import summary_report
 from imubayes.display.report_layout import report_text
 from imubayes.display.summary_html import summary_html
+from imubayes.inference.plausible_estimates import ImplausibleEstimate, UnexplainedOutput
 from imubayes.results.summary import PriorScatter, Summary
 
 GAIN = "injection_error.gain[ax]"
@@ -44,6 +45,26 @@ def test_intervals_that_cannot_be_trusted_are_said_on_the_first_line(plain):
         "p": 3e-7,
         "step": None,
     }
+
+
+def test_a_fit_that_failed_says_so_first(plain):
+    scale = ImplausibleEstimate(
+        reason="outside_domain", name="gyro_scale_factor.scale[gx]", unit="ppm", value=-2_000_088.0,
+        lowest=-1e6, highest=1e6, prior_mean=0.0, prior_sd=2000.0, distance=1000.0,
+    )  # fmt: skip
+    output = UnexplainedOutput(channel="ax", unit="g", residual=0.7, within_runs=0.7, output=0.8, noise=7e-6)
+    failed = plain.model_copy(update={"converged": False, "implausible": (scale,), "unexplained": (output,)})
+    text = " ".join(report_text(summary_report(failed), width=400).split())
+    assert text.startswith("FIT FAILED. gyro_scale_factor.scale[gx] = -2000000 ppm is physically impossible")
+    assert "(possible: -1000000 to 1000000 ppm)" in text
+    assert (
+        "outputs of ax differ from the model by 0.70 g rms, 100000 times their recorded noise, of 0.80 g in all" in text
+    )
+    assert "No estimate of this fit can be used." in text
+    far = scale.model_copy(update={"reason": "far_from_prior", "value": 1e5, "distance": 50.0})
+    assert "is 50 prior standard deviations from its prior, 0 ± 2000 ppm." in alarm_of(
+        plain.model_copy(update={"implausible": (far,)})
+    )
 
 
 def test_what_rests_on_a_prior_is_said_first_unless_a_warning_is(plain):

@@ -6,7 +6,7 @@ Simulations without any effect give the rate of false alarms.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -21,7 +21,8 @@ from imubayes.criticism.diagnosis_record import Diagnosis, Verdict
 from imubayes.criticism.warm_start import extended, whitened
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.posterior_mode import find_mode, message
+from imubayes.inference.posterior_mode import find_mode
+from imubayes.inference.run_fit import judged_fit
 from imubayes.model.bind import Model, bind
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict
@@ -194,7 +195,7 @@ def refitted(fitted: Fit, campaign: Campaign) -> Fit:
     """Return the model fitted to other outputs of the same campaign, from where it stood."""
     model = bind(fitted.model.spec, campaign, fitted.model.registry.without_files())
     mode = find_mode(model.problem, jnp.asarray(fitted.z), jnp.asarray(fitted.h))
-    return Fit(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged), message(mode))
+    return replace(judged_fit(model, mode), mode=None)
 
 
 def _seed(seed: int, name: str) -> int:

@@ -1,6 +1,8 @@
 """What has to be known before the numbers of a fit are used, in sentences."""
 
+from imubayes.display.labels import pretty
 from imubayes.display.rounding import percent, significant
+from imubayes.inference.plausible_estimates import ImplausibleEstimate, UnexplainedOutput
 from imubayes.results.summary import NoiseViolation, PriorScatter, Summary
 
 _WORDS = {
@@ -16,6 +18,8 @@ _MOST_NAMED = 3
 
 def alarm_of(summary: Summary) -> str:
     """Return the warning that precedes everything else; empty where the intervals of the fit can be trusted."""
+    if summary.implausible or summary.unexplained:
+        return " ".join(("FIT FAILED.", *failures(summary), _FAILED_REMEDY))
     if not summary.converged:
         return f"NOT CONVERGED. {summary.message.strip() or 'The numbers below must not be used.'}"
     if summary.noise_violations:
@@ -23,6 +27,41 @@ def alarm_of(summary: Summary) -> str:
         causes = "; ".join(_violation(summary.noise_violations, kind) for kind in kinds)
         return f"DO NOT TRUST THE INTERVALS: {causes}. `imubayes diagnose` looks for the cause."
     return ""
+
+
+_FAILED_REMEDY = (
+    "The usual cause is a mistake in the set-up: run `imubayes check`, and compare mountings, table angles, units, "
+    "channels and files in campaign.toml with how the runs were made. No estimate of this fit can be used."
+)
+
+
+def failures(summary: Summary) -> tuple[str, ...]:
+    """Return why a fit that reached a mode failed, a sentence for each reason, the clearest first."""
+    estimates = [_implausible(found) for found in summary.implausible[:_MOST_NAMED]]
+    channels = [_undescribed(found) for found in summary.unexplained[:_MOST_NAMED]]
+    left = len(summary.implausible) + len(summary.unexplained) - len(estimates) - len(channels)
+    return (*estimates, *channels, *([f"{left} more in summary.json."] if left else []))
+
+
+def _implausible(found: ImplausibleEstimate) -> str:
+    unit = "" if found.unit == "1" else f" {pretty(found.unit)}"
+    estimate = f"{found.name} = {significant(found.value, 4)}{unit}"
+    if found.reason == "outside_domain":
+        ends = f"{significant(found.lowest)} to {significant(found.highest)}{unit}"
+        return f"{estimate} is physically impossible (possible: {ends})."
+    return f"{estimate} is {significant(found.distance, 2)} prior standard deviations from its prior" + (
+        "." if found.prior_mean is None or found.prior_sd is None
+        else f", {significant(found.prior_mean)} ± {significant(found.prior_sd)}{unit}."
+    )  # fmt: skip
+
+
+def _undescribed(found: UnexplainedOutput) -> str:
+    unit = pretty(found.unit)
+    return (
+        f"The outputs of {found.channel} differ from the model by {significant(found.residual, 2)} {unit} rms, "
+        f"{significant(found.residual / found.noise, 2)} times their recorded noise, of {significant(found.output, 2)} "
+        f"{unit} in all."
+    )
 
 
 def _violation(violations: tuple[NoiseViolation, ...], kind: str) -> str:

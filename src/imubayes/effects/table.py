@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from imubayes.array_shapes import Scalar, vector3
 from imubayes.effects.base import MotionEffect, Order, Stage
-from imubayes.parameters.parameter_declarations import parameter
+from imubayes.parameters.parameter_declarations import GRAVITY_ERROR, parameter
 from imubayes.rotations import compose, exponential
 from imubayes.signal_path_state import Ambient, Motion
 
@@ -41,7 +41,9 @@ class GravityAnomaly(MotionEffect):
     per = ()
     confused_with = "a scale factor common to all accelerometers: exactly, where gravity is the only input"
     reference = "Hofmann-Wellenhof and Moritz, Physical Geodesy, gravity anomalies; 1 … 300 µg"
-    anomaly: Scalar = parameter("ug", "normal(0, 50 ug)", (1, 300), "the excess of true over stated gravity")
+    anomaly: Scalar = parameter(
+        "ug", "normal(0, 50 ug)", (1, 300), "the excess of true over stated gravity", domain=GRAVITY_ERROR
+    )
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
         zero = jnp.zeros_like(self.anomaly)

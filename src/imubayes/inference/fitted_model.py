@@ -8,6 +8,7 @@ import numpy as np
 
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.nested_laplace import NestedLaplace
+from imubayes.inference.plausible_estimates import ImplausibleEstimate, UnexplainedOutput
 from imubayes.inference.posterior_mode import Mode
 from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import DerivedQuantities, derived_quantities
@@ -42,8 +43,9 @@ class Fit:
     ----------
     model : as declared.
     z, h : shapes (P,) and (H,), the posterior mode of parameters and noise scales, in z.
-    converged : whether the fit, and the sampling where there was any, converged.
-    message : what did not converge, in a sentence; empty where all did.
+    converged : whether the fit, and the sampling where there was any, converged, at estimates that a unit can have.
+    message : what did not, in a sentence; empty where all did.
+    implausible, unexplained : estimates that no working unit has, and channels that the model does not describe.
     mode : outcome of the optimiser; None for a fit read from a result folder.
     posterior : draws; None where the fit did not converge, or was read from a result folder.
     seconds : time spent, by step.
@@ -57,6 +59,8 @@ class Fit:
     mode: Mode | None = None
     posterior: Posterior | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
+    implausible: tuple[ImplausibleEstimate, ...] = ()
+    unexplained: tuple[UnexplainedOutput, ...] = ()
 
     @cached_property
     def derived(self) -> DerivedQuantities:

@@ -17,6 +17,7 @@ from imubayes.inference.ensemble_sampling import Chains, Settings, sample, thinn
 from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.laplace_move import LaplaceProposal, LogDensity
 from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
+from imubayes.inference.plausible_estimates import implausible_estimates, unexplained_outputs
 from imubayes.inference.posterior_mode import Mode, find_mode, fit_at, heights, log_evidence, message
 from imubayes.inference.proposal_weights import WeighedProposal, weigh
 from imubayes.model.bind import Model
@@ -32,6 +33,8 @@ _TRIAL = 4000
 _PRIOR_DRAWS, _LAPLACE_DRAWS = 2000, 4000
 # Of longer chains some steps are kept: twice the effective size asked for; the checkpoint has them all.
 _MOST_DRAWS = 20_000
+
+FAILED = "The fit failed: it ended where no working unit on the stated equipment can be."
 
 Progress = Callable[[str], None]
 
@@ -72,11 +75,13 @@ def joint_fit(
         tell("fitting")
         dispersed = _DISPERSED if sampling is not None or start is None else 0
         mode, others = _best_start(problem, sampling.seed if sampling else 0, start, dispersed)
-        fit = Fit(model, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged), message(mode), mode)
+        fit = judged_fit(model, mode)
         if not fit.converged:
             return replace(fit, seconds={"fit": time.perf_counter() - clock})
         mode, approximation = _highest(problem, mode, nested_laplace(problem, mode), others)
-        fit = replace(fit, z=np.asarray(mode.z), h=np.asarray(mode.h), mode=mode)
+        fit = judged_fit(model, mode)
+        if not fit.converged:
+            return replace(fit, seconds={"fit": time.perf_counter() - clock})
         proposal = LaplaceProposal(approximation, problem)
         seconds = {"fit": time.perf_counter() - clock}
         clock = time.perf_counter()
@@ -92,6 +97,17 @@ def joint_fit(
         seconds["sample"] = time.perf_counter() - clock
     tell("deriving")
     return replace(fit, posterior=_posterior(fit, points, approximation, chains), seconds=seconds)
+
+
+def judged_fit(model: Model, mode: Mode) -> Fit:
+    """Return the fit at a mode; one without convergence where its estimates cannot be of the unit and the set-up."""
+    z, h = np.asarray(mode.z), np.asarray(mode.h)
+    if not bool(mode.converged):
+        return Fit(model, z, h, False, message(mode), mode)
+    implausible = implausible_estimates(model, z, h)
+    unexplained = unexplained_outputs(model, np.asarray(mode.about.misfit))
+    failed = FAILED if implausible or unexplained else ""
+    return Fit(model, z, h, not failed, failed, mode, implausible=implausible, unexplained=unexplained)
 
 
 def _sampled(

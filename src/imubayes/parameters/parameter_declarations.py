@@ -10,6 +10,32 @@ from imubayes.parameters.unit_grades import Grade, graded_prior
 
 
 @dataclass(frozen=True)
+class Domain:
+    """What a parameter can be in a unit and with equipment that exist: beyond, a fit has gone wrong.
+
+    Attributes
+    ----------
+    low, high : ends, both excluded, in `unit`.
+    unit : any of the parameter's dimension.
+    """
+
+    low: float
+    high: float
+    unit: str
+
+
+_POSITION = Domain(-5, 5, "m")
+DOMAINS: dict[str, Domain] = {
+    "ppm": Domain(-100, 100, "%"), "arcsec": Domain(-45, 45, "deg"), "mm": _POSITION, "um": _POSITION,
+}  # fmt: skip
+"""Domain of a parameter by its unit, where it declares none.  An error in ppm is that of a factor: at −100 % the output
+no longer follows the input, and above 100 % the nominal factor is that of another unit.  An error in arcsec is that of
+a direction: beyond 45° another axis is nearer.  One in mm or µm is that of a place on a table."""
+GRAVITY_ERROR = Domain(-6, 6, "mg")
+"""Of gravity at a site: between the equator and the poles it varies by 5.3 mg, with height by 0.3 mg a kilometre."""
+
+
+@dataclass(frozen=True)
 class Declared:
     """The declaration of one parameter.
 
@@ -28,6 +54,7 @@ class Declared:
         a limit): the grid, in `unit`, of the profile scan.
     coarse : width of the default prior for an industrial and for a consumer unit, in `unit`; None where it is the same
         for all grades.
+    domain : what it can be, by its unit where none is declared; None where only the prior says so.
     """
 
     unit: str
@@ -40,6 +67,7 @@ class Declared:
     spread: str = ""
     shape: tuple[float, ...] = ()
     coarse: tuple[float, float] | None = None
+    domain: Domain | None = None
 
     def prior_of(self, grade: Grade) -> str:
         """Return the default prior for a grade of unit, as written in a model file."""
@@ -57,9 +85,11 @@ def parameter(
     spread: str = "",
     shape: tuple[float, ...] = (),
     coarse: tuple[float, float] | None = None,
+    domain: Domain | None = None,
 ) -> Any:
     """Declare a field of an effect as a parameter; see `Declared` for the arguments."""
-    declared = Declared(unit, prior, typical, meaning, equipment, null, per, spread, shape, coarse)
+    possible = domain or DOMAINS.get(unit)
+    declared = Declared(unit, prior, typical, meaning, equipment, null, per, spread, shape, coarse, possible)
     return eqx.field(metadata={"parameter": declared})
 
 

@@ -50,6 +50,8 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         provenance=provenance(fit, seed),
         converged=fit.converged,
         message=fit.message,
+        implausible=fit.implausible,
+        unexplained=fit.unexplained,
         interval="95 % equal-tailed",
         uncertainty="standard deviation of the joint posterior distribution (GUM, type A and B combined)",
         **_sampling(chains),

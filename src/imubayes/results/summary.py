@@ -10,6 +10,7 @@ from pydantic import field_validator
 from imubayes.criticism.noise_assumptions import NoiseViolation
 from imubayes.inference.experiment_design import NextRun
 from imubayes.inference.identifiability import WeakDirection
+from imubayes.inference.plausible_estimates import ImplausibleEstimate, UnexplainedOutput
 from imubayes.inference.prior_agreement import PriorConflict
 from imubayes.inference.procedure_contributions import Contribution
 from imubayes.json_record import Record
@@ -122,6 +123,7 @@ class Summary(Record):
     Attributes
     ----------
     provenance : unit, dates, hashes, seed and software; None in results of earlier versions.
+    implausible, unexplained : why a fit that reached a mode failed all the same; empty otherwise.
     intervals_valid : whether the fit converged and its noise is what the model assumes.
     noise_violations : how the noise is not, the clearest first.
     prior_scatter : noise scales known from their priors alone, on which intervals rest.
@@ -135,6 +137,8 @@ class Summary(Record):
     provenance: FitProvenance | None = None
     converged: bool
     message: str
+    implausible: tuple[ImplausibleEstimate, ...] = ()
+    unexplained: tuple[UnexplainedOutput, ...] = ()
     sampled: bool
     interval: str
     uncertainty: str

@@ -65,7 +65,7 @@ def _explained(
         evidence += "; equally good: " + "; ".join(each.what for _, each in others[:_MOST_ALTERNATIVES])
         remedy += " (or: " + "; ".join(each.remedy for _, each in others[:_MOST_ALTERNATIVES]) + ")"
     # Weaker evidence is said and stops nothing.
-    sure = first.gain > DECISIVE and first.mistake.kind not in accepted
+    sure = first.gain > DECISIVE and not {each.mistake.kind for each, _ in found} & {*accepted}
     severity: Severity = "error" if sure else "warning"
     if sure:
         remedy += f'; accepted = ["{first.mistake.kind}"] in campaign.toml lets the campaign pass as it is'

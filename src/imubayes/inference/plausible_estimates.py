@@ -1,0 +1,156 @@
+"""Whether a fit that converged can be of the unit and the set-up that the campaign describes.
+
+A mistake in the set-up still has a posterior mode: with a scale factor of −2 000 000 ppm a table turns the other way.
+Three signs of it are looked for.  An estimate lies outside the domain of its parameter; it lies far from its prior; the
+model leaves outputs unexplained that are no noise and no small error.
+"""
+
+import math
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.campaign_data import Channel
+from imubayes.json_record import Record, finite
+from imubayes.model.bind import Model
+from imubayes.model.bound_effects import BoundEffect
+from imubayes.parameters.vector import Parameter
+from imubayes.units import to_si
+
+# Distance from the middle of a prior, in its standard deviations, from which the estimate is of something else.
+# Convention, between what is met: at most 2.6 in the shipped campaigns, hidden effects included, and 30 in a unit
+# fifteen times worse than two standard deviations of its prior; hundreds where a table or a mounting is wrong.  Smaller
+# refuses such units, larger lets gross mistakes pass for estimates.
+FAR_SD = 30.0
+# Residual of a channel, in all and about the mean of each run, over its outputs, and over the recorded noise of the
+# rows' means, from which the model has not described the measurement.  Derived: no error of a working unit is half of
+# its input, none that varies within a run a tenth; rows that scatter less than a hundred times their noise may be
+# noisy.  Smaller refuses models that lack a large effect.
+UNEXPLAINED_SHARE, UNEXPLAINED_WITHIN_RUNS, UNEXPLAINED_NOISE = 0.5, 0.1, 100.0
+# Least size of the outputs of a channel in that comparison: drifts of consumer units over temperature are
+# large against the input of a unit at rest.
+LEAST_OUTPUT = {"deg/s": 30.0, "g": 1.0}
+INPUT_UNIT = {"gyro": "deg/s", "accelerometer": "g"}
+
+
+class ImplausibleEstimate(Record):
+    """An estimate that a working unit on the stated equipment cannot have.
+
+    Attributes
+    ----------
+    reason : outside the domain of the parameter, or far from its prior.
+    name, unit, value : of the parameter, the value being that of the posterior mode.
+    lowest, highest : ends of the domain in the unit; None where the reason is another.
+    prior_mean, prior_sd : median and standard deviation of the prior, in the unit; None where it has none.
+    distance : of the estimate from the middle of the prior, in its standard deviations.
+    """
+
+    reason: Literal["outside_domain", "far_from_prior"]
+    name: str
+    unit: str
+    value: float
+    lowest: float | None = None
+    highest: float | None = None
+    prior_mean: float | None
+    prior_sd: float | None
+    distance: float
+
+
+class UnexplainedOutput(Record):
+    """A channel whose outputs the model does not describe.
+
+    Attributes
+    ----------
+    channel, unit : name, and unit of the input.
+    residual, within_runs : rms of the residual, in all and about its mean in each run, in the unit.
+    output : rms of the outputs, in the unit.
+    noise : recorded standard deviation of the rows' means, in the unit.
+    """
+
+    channel: str
+    unit: str
+    residual: float
+    within_runs: float
+    output: float
+    noise: float
+
+
+def implausible_estimates(model: Model, z: np.ndarray, h: np.ndarray) -> tuple[ImplausibleEstimate, ...]:
+    """Return the estimates that a working unit cannot have, the farthest from its prior first.
+
+    Parameters
+    ----------
+    z, h : shapes (P,) and (H,), posterior mode.
+    """
+    at = dict(zip((*model.layout.names, *model.hyper_layout.names), [*z.tolist(), *h.tolist()], strict=True))
+    judged = [
+        _judged(effect, parameter, at[parameter.name], model.campaign.site.gravity)
+        for effect in model.assembly.effects
+        for parameter in (*effect.parameters, *effect.hyperparameters)
+    ]
+    return tuple(sorted((each for each in judged if each is not None), key=lambda each: -each.distance))
+
+
+def _judged(effect: BoundEffect, parameter: Parameter, z: float, gravity: float) -> ImplausibleEstimate | None:
+    declared = effect.declared[parameter.field]
+    value = _in_unit(parameter, z)
+    lowest, highest = -math.inf, math.inf
+    if declared.domain is not None:
+        unit = to_si(declared.domain.unit, gravity) / parameter.factor
+        lowest, highest = declared.domain.low * unit, declared.domain.high * unit
+    inside = lowest < value < highest
+    # The width of a learnt prior follows the estimates.
+    if inside and (abs(z) <= FAR_SD or declared.spread):
+        return None
+    return ImplausibleEstimate(
+        reason="far_from_prior" if inside else "outside_domain",
+        name=parameter.name,
+        unit=parameter.unit,
+        value=value,
+        lowest=None if inside else finite(lowest),
+        highest=None if inside else finite(highest),
+        prior_mean=finite(_in_unit(parameter, 0.0)),
+        prior_sd=finite(parameter.prior_sd),
+        distance=abs(z),
+    )
+
+
+def _in_unit(parameter: Parameter, z: float) -> float:
+    return float(parameter.prior.value(jnp.asarray(z))) / parameter.factor
+
+
+def unexplained_outputs(model: Model, misfit: np.ndarray) -> tuple[UnexplainedOutput, ...]:
+    """Return the channels whose outputs a fit does not describe, the least described first.
+
+    Parameters
+    ----------
+    misfit : shape (E,), measured less predicted values, output units.
+    """
+    entries, found = model.entries, []
+    for place, channel in enumerate(model.campaign.channels):
+        here = (entries.channel == place) & ~np.asarray(entries.closing)
+        if channel.kind in INPUT_UNIT and channel.noise and here.any():
+            found.append(_described(model, channel, misfit[here], here))
+    return tuple(sorted(filter(_contradicts, found), key=lambda each: -each.residual / each.noise))
+
+
+def _contradicts(found: UnexplainedOutput) -> bool:
+    output = max(found.output, LEAST_OUTPUT[found.unit])
+    if found.residual < UNEXPLAINED_NOISE * found.noise:
+        return False
+    return found.residual > UNEXPLAINED_SHARE * output or found.within_runs > UNEXPLAINED_WITHIN_RUNS * output
+
+
+def _described(model: Model, channel: Channel, misfit: np.ndarray, here: np.ndarray) -> UnexplainedOutput:
+    unit = INPUT_UNIT[channel.kind]
+    per_input = abs(channel.scale_si) * to_si(unit, model.campaign.site.gravity)
+    _, run = np.unique(model.entries.run[here], return_inverse=True)
+    centred = misfit - (np.bincount(run, misfit) / np.bincount(run))[run]
+    outputs = model.entries.value[here] - channel.offset
+    variance = (channel.noise or 0.0) ** 2 / model.entries.samples[here]
+    squares = (misfit**2, centred**2, outputs**2, variance)
+    residual, within_runs, output, noise = (math.sqrt(float(each.mean())) / per_input for each in squares)
+    return UnexplainedOutput(
+        channel=channel.name, unit=unit, residual=residual, within_runs=within_runs, output=output, noise=noise
+    )
