@@ -51,6 +51,7 @@ UNITS = pl.Schema(
         "latitude": pl.Float64, "height": pl.Float64, "gravity": pl.Float64,
         "status": pl.String, "reason": pl.String, "where": pl.String, "fingerprint": pl.String, "verdict": pl.String,
         "method": pl.String, "flagged": pl.Boolean, "pareto_k": pl.Float64, "weight_skewness": pl.Float64,
+        "draws": pl.Float64,
         "readings": pl.Int64, "chi2": pl.Float64, "log_evidence": pl.Float64, "seconds": pl.Float64,
         "names": pl.List(pl.String), "mean": pl.List(pl.Float64), "covariance": pl.List(pl.Float64),
     }
@@ -119,6 +120,7 @@ class Outcome:
     method : `laplace` or `emcee`.
     flagged : whether the Laplace approximation is in doubt by its importance weights; None where they were not asked.
     pareto_k, weight_skewness : of these weights.
+    draws : effective number of draws that means and standard deviations were estimated from; None where they are exact.
     readings : number of readings.
     chi2 : squared norm of the whitened residuals.
     log_evidence : Laplace estimate of log p(y).
@@ -134,6 +136,7 @@ class Outcome:
     flagged: bool | None = None
     pareto_k: float | None = None
     weight_skewness: float | None = None
+    draws: float | None = None
     readings: int = 0
     chi2: float = float("nan")
     log_evidence: float = float("nan")

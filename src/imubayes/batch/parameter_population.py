@@ -1,0 +1,218 @@
+"""From the table of a batch to the population of every parameter.
+
+A unit counts once, with its latest calibration: two calibrations of one unit are not two draws from the population.
+Parameters are taken on the scale on which their prior is normal, or nearly: as they are, or as logarithms.  A prior
+that is neither normal nor lognormal is replaced by the one with its mean and standard deviation; for a parameter that
+the data determine this matters little, and the others carry no information.  Each parameter is treated by itself,
+with its marginal posterior: correlations between parameters of a unit are not used.
+"""
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+import polars as pl
+
+from imubayes.batch.population import Population, ShrunkUnits, population, shrunk
+from imubayes.batch.unit_posteriors import UnitPosteriors
+from imubayes.json_record import Record, finite
+
+# Relative agreement of (sd/prior sd)² with 1 − from_data, which is computed where the prior is normal.
+_NORMAL_PRIOR = 0.05
+
+SHRUNK = pl.Schema(
+    {
+        "unit": pl.String, "digest": pl.String, "date": pl.Date, "parameter": pl.String, "unit_of_measure": pl.String,
+        "estimate": pl.Float64, "estimate_sd": pl.Float64, "shrunk": pl.Float64, "shrunk_sd": pl.Float64,
+        "distance": pl.Float64, "p": pl.Float64, "outlying": pl.Boolean,
+    }
+)  # fmt: skip
+"""One row per unit and parameter: the unit's own estimate without the prior of its model, and with the population."""
+
+
+class OutlyingUnit(Record):
+    """A unit that is unlike the others in a parameter.
+
+    Attributes
+    ----------
+    value, sd : its own estimate, the prior of its model divided out; on the scale of the population.
+    distance : from the population mean, in standard deviations.
+    p : two-sided p-value of the distance.
+    """
+
+    unit: str
+    value: float
+    sd: float
+    distance: float
+    p: float
+
+
+class ParameterPopulation(Record):
+    """The population of one parameter; numbers are None where `reason` says why there is no estimate.
+
+    Attributes
+    ----------
+    scale : ``linear``, or ``log``: the numbers below are of the natural logarithm of the parameter in its unit.
+    units, informative : number of units, and of those whose data carry information.
+    law, freedom : ``normal`` or ``student`` with its degrees of freedom.
+    mean, mean_sd, mean_interval : of the population mean, with its 95 % interval.
+    spread, spread_sd, spread_interval : half the width of the central 68.3 % of the population.
+    predictive_sd : standard deviation of the next unit, mean and spread being uncertain.
+    information_error : bits lost to the Monte Carlo error of the units' posteriors.
+    outlying : units at a false discovery rate of 5 %.
+    """
+
+    parameter: str
+    unit_of_measure: str
+    kind: str
+    scale: Literal["linear", "log"]
+    units: int
+    informative: int
+    reason: str
+    law: Literal["normal", "student"]
+    freedom: float | None
+    mean: float | None
+    mean_sd: float | None
+    mean_interval: tuple[float, float] | None
+    spread: float | None
+    spread_sd: float | None
+    spread_interval: tuple[float, float] | None
+    predictive_sd: float | None
+    information_error: float
+    outlying: tuple[OutlyingUnit, ...]
+
+
+class Populations(Record):
+    """The populations of all parameters of a batch; `left_out` counts campaigns without estimates."""
+
+    format: Literal[1] = 1
+    model: str
+    units: int
+    campaigns: int
+    left_out: int
+    parameters: tuple[ParameterPopulation, ...]
+
+
+def populations(parameters: pl.DataFrame, units: pl.DataFrame) -> tuple[Populations, pl.DataFrame]:
+    """Return the population of every parameter, and the units with it as prior (schema `SHRUNK`).
+
+    Parameters
+    ----------
+    parameters, units : as `imubayes.batch.posterior_table.read_parameters` and `read_units` return them.
+    """
+    draws = dict(zip(units["digest"], units["draws"].fill_null(np.inf), strict=True))
+    found, frames = [], [SHRUNK.to_frame()]
+    for table in _latest(parameters):
+        posteriors, scale = _posteriors(table, draws)
+        outcome = population(posteriors)
+        shares = shrunk(posteriors, outcome) if outcome.posterior is not None else None
+        found.append(_record(table, scale, posteriors, outcome, shares))
+        if shares is not None:
+            frames.append(_frame(table, scale, posteriors, shares))
+    record = Populations(
+        model=units["model"][0] if units.height else "",
+        units=units["unit"].n_unique(),
+        campaigns=units.height,
+        left_out=units.filter(pl.col("status") != "fitted").height,
+        parameters=tuple(found),
+    )
+    return record, pl.concat(frames)
+
+
+def _latest(parameters: pl.DataFrame) -> Iterator[pl.DataFrame]:
+    """Yield the rows of each parameter, one per unit: of its latest campaign that has an estimate."""
+    usable = parameters.filter((pl.col("status") == "fitted") & pl.col("mean").is_not_null())
+    ordered = usable.sort("date", "digest", nulls_last=False, maintain_order=True)
+    for (_,), rows in ordered.group_by(["parameter"], maintain_order=True):
+        yield rows.unique("unit", keep="last", maintain_order=True).sort("unit")
+
+
+def _posteriors(table: pl.DataFrame, draws: dict[str, float]) -> tuple[UnitPosteriors, Literal["linear", "log"]]:
+    """Return the posteriors of the units on the scale on which their prior is nearly normal."""
+    columns = {name: table[name].cast(pl.Float64).fill_null(np.nan).to_numpy() for name in _NUMBERS}
+    mean, sd, prior_mean, prior_sd = (columns[name] for name in _NUMBERS[:4])
+    number = np.array([draws[digest] for digest in table["digest"]], dtype=float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        as_normal = np.abs((sd / prior_sd) ** 2 / (1 - columns["from_data"]) - 1) < _NORMAL_PRIOR
+    positive = bool(np.all(columns["q2_5"] > 0))
+    if np.mean(as_normal) >= 0.5 or not positive:
+        flat = ~np.isfinite(prior_sd) | ~np.isfinite(prior_mean) | (prior_sd <= 0)
+        prior = np.where(flat, 0.0, prior_mean), np.where(flat, np.inf, prior_sd)
+        return UnitPosteriors(mean, sd, *prior, number), "linear"
+    # Of a lognormal distribution; the quantiles are those of the logarithm.
+    middle = np.log(columns["q50"])
+    width = (np.log(columns["q97_5"]) - np.log(columns["q2_5"])) / (2 * 1.959964)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        square = np.log1p((prior_sd / prior_mean) ** 2)
+        median = np.log(prior_mean) - square / 2
+    known = np.isfinite(square) & np.isfinite(median) & (square > 0)
+    prior = np.where(known, median, 0.0), np.where(known, np.sqrt(np.where(known, square, 1.0)), np.inf)
+    return UnitPosteriors(middle, width, *prior, number), "log"
+
+
+_NUMBERS = ("mean", "sd", "prior_mean", "prior_sd", "from_data", "q2_5", "q50", "q97_5")
+
+
+def _record(
+    table: pl.DataFrame,
+    scale: Literal["linear", "log"],
+    posteriors: UnitPosteriors,
+    outcome: Population,
+    shares: ShrunkUnits | None,
+) -> ParameterPopulation:
+    given = outcome.posterior is not None
+    return ParameterPopulation(
+        parameter=table["parameter"][0],
+        unit_of_measure=table["unit_of_measure"][0],
+        kind=table["kind"][0],
+        scale=scale,
+        units=outcome.units,
+        informative=outcome.informative,
+        reason=outcome.reason,
+        law="normal" if np.isinf(outcome.freedom) else "student",
+        freedom=finite(outcome.freedom),
+        mean=finite(outcome.mean),
+        mean_sd=finite(outcome.mean_sd),
+        mean_interval=outcome.mean_interval if given else None,
+        spread=finite(outcome.spread),
+        spread_sd=finite(outcome.spread_sd),
+        spread_interval=outcome.spread_interval if given else None,
+        predictive_sd=finite(outcome.predictive_sd),
+        information_error=outcome.information_error,
+        outlying=_outlying(table, posteriors, shares) if shares is not None else (),
+    )
+
+
+def _outlying(table: pl.DataFrame, posteriors: UnitPosteriors, shares: ShrunkUnits) -> tuple[OutlyingUnit, ...]:
+    """Return the outlying units, the farthest first."""
+    estimate, variance = posteriors.likelihood
+    places = sorted(np.flatnonzero(shares.outlying), key=lambda place: -abs(shares.distance[place]))
+    return tuple(
+        OutlyingUnit(
+            unit=table["unit"][int(place)],
+            value=float(estimate[place]),
+            sd=float(np.sqrt(variance[place])),
+            distance=float(shares.distance[place]),
+            p=float(shares.p[place]),
+        )
+        for place in places
+    )
+
+
+def _frame(table: pl.DataFrame, scale: str, posteriors: UnitPosteriors, shares: ShrunkUnits) -> pl.DataFrame:
+    """Return the units of a parameter with the population as prior; logarithms become values again."""
+    estimate, variance = posteriors.likelihood
+    known = posteriors.informative
+    own, own_sd = np.where(known, estimate, np.nan), np.where(known, np.sqrt(np.where(known, variance, 1.0)), np.nan)
+    mean, sd = shares.mean, shares.sd
+    if scale == "log":
+        own, mean = np.exp(own), np.exp(mean)
+        own_sd, sd = own * own_sd, mean * sd
+    columns = {
+        "estimate": own, "estimate_sd": own_sd, "shrunk": mean, "shrunk_sd": sd,
+        "distance": shares.distance, "p": shares.p, "outlying": shares.outlying,
+    }  # fmt: skip
+    kept = table.select("unit", "digest", "date", "parameter", "unit_of_measure")
+    return kept.with_columns(pl.Series(name, values) for name, values in columns.items()).with_columns(
+        pl.col(pl.Float64).fill_nan(None)
+    )

@@ -1,0 +1,212 @@
+"""The population of a parameter: mean and spread over units, and each unit's estimate with what the others say of it.
+
+The *spread* is half the width of the interval that holds the central 68.3 % of the population: its standard deviation
+under the normal law, and a number of the same meaning under the t law, which replaces it where the units have heavier
+tails.  Units are treated as independent: an error that all of them share, such as that of one table, is in the mean.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import special, stats
+
+from imubayes.batch.information_error import MOST_BITS, information_error
+from imubayes.batch.population_laws import GridPosterior, mixing, mixture, normal_law, student_law
+from imubayes.batch.unit_posteriors import UnitPosteriors
+
+LEAST_UNITS = 5
+"""Fewest informative units: with fewer the spread has no variance under its flat prior (derived, Gelman 2006)."""
+STUDENT_FREEDOM = (2.0, 4.0, 8.0)
+"""Degrees of freedom of the t laws compared with the normal law (convention)."""
+TAIL_ALARM = 0.1
+"""The t laws are tried where the most distant unit has a p-value below this, all units counted (effort)."""
+OUTLYING_RATE = 0.05
+"""False discovery rate of outlying units (convention)."""
+MASS = 0.95
+_CORE = float(stats.norm.cdf(1.0))
+
+
+@dataclass(frozen=True)
+class Population:
+    """Mean and spread of a parameter over units.
+
+    Attributes
+    ----------
+    units, informative : number of units, and of those that carry information.
+    reason : why there is no estimate; empty where there is one.  The numbers below are NaN without one.
+    freedom : degrees of freedom of the t law; infinite for the normal law.
+    mean, mean_sd, mean_interval : of the population mean, the interval with 95 % probability.
+    spread, spread_sd, spread_interval : of the spread, the interval the shortest.
+    predictive_sd : of the next unit, as a normal approximation; mean and spread uncertain.
+    information_error : bits lost to the Monte Carlo error of the units' posteriors.
+    posterior : of centre and scale.
+    """
+
+    units: int
+    informative: int
+    reason: str = ""
+    freedom: float = np.inf
+    mean: float = np.nan
+    mean_sd: float = np.nan
+    mean_interval: tuple[float, float] = (np.nan, np.nan)
+    spread: float = np.nan
+    spread_sd: float = np.nan
+    spread_interval: tuple[float, float] = (np.nan, np.nan)
+    predictive_sd: float = np.nan
+    information_error: float = 0.0
+    posterior: GridPosterior | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True)
+class ShrunkUnits:
+    """What is known of each unit from its own data and from the population, and how unusual it is.
+
+    Attributes
+    ----------
+    mean, sd : shape (n,), posterior mean and standard deviation of each unit, the population as prior.
+    distance : shape (n,), of the unit's own estimate from the population mean, in standard deviations; NaN without
+        information.
+    p : shape (n,), two-sided p-value of that distance, the unit itself not counted to the population; 1 without
+        information.
+    outlying : shape (n,), bool, at a false discovery rate of 5 % (Benjamini–Yekutieli).
+    """
+
+    mean: np.ndarray
+    sd: np.ndarray
+    distance: np.ndarray
+    p: np.ndarray
+    outlying: np.ndarray
+
+
+def population(units: UnitPosteriors) -> Population:
+    """Return the population that units come from, or why it cannot be given."""
+    count, used = len(units.mean), units.informative
+    informative = int(used.sum())
+    if informative < LEAST_UNITS:
+        return Population(count, informative, f"fewer than {LEAST_UNITS} units carry information on it")
+    estimate, variance = (each[used] for each in units.likelihood)
+    posterior = _law(estimate, variance)
+    bits = information_error(posterior, units)
+    if bits > MOST_BITS:
+        reason = f"the information error is {bits:.2g} bits, above {MOST_BITS:g}: the units need more draws"
+        return Population(count, informative, reason, posterior.freedom, information_error=bits)
+    factor = core_width(posterior.freedom)
+    mean, mean_sd = posterior.of_centre()
+    spread, spread_sd = posterior.of_scale(factor)
+    variance = posterior.weight @ (posterior.centre_variance + (posterior.centre - mean) ** 2)
+    variance += factor**2 * posterior.weight @ posterior.scale**2
+    tail = (1 - MASS) / 2
+    return Population(
+        units=count,
+        informative=informative,
+        freedom=posterior.freedom,
+        mean=mean,
+        mean_sd=mean_sd,
+        mean_interval=(posterior.centre_quantile(tail), posterior.centre_quantile(1 - tail)),
+        spread=spread,
+        spread_sd=spread_sd,
+        spread_interval=posterior.scale_interval(MASS, factor),
+        predictive_sd=float(np.sqrt(variance)),
+        information_error=bits,
+        posterior=posterior,
+    )
+
+
+def core_width(freedom: float) -> float:
+    """Return half the width of the central 68.3 % of a t distribution, in units of its scale."""
+    return 1.0 if np.isinf(freedom) else float(stats.t.ppf(_CORE, freedom))
+
+
+def _law(estimate: np.ndarray, variance: np.ndarray) -> GridPosterior:
+    """Return the posterior under the law with the largest evidence; the t laws only where a unit is far out."""
+    normal = normal_law(estimate, variance)
+    middle = float(np.median(estimate))
+    core = max((float(np.median(np.abs(estimate - middle))) / 0.6745) ** 2 - float(np.median(variance)), 0.0)
+    farthest = float(np.max(np.abs(estimate - middle) / np.sqrt(variance + core)))
+    if 2 * special.ndtr(-farthest) * len(estimate) > TAIL_ALARM:
+        return normal
+    laws = [normal, *(student_law(estimate, variance, freedom) for freedom in STUDENT_FREEDOM)]
+    return max(laws, key=lambda each: each.log_evidence)
+
+
+def shrunk(units: UnitPosteriors, found: Population) -> ShrunkUnits:
+    """Return the units with the population as prior; raises ValueError where there is no population."""
+    if found.posterior is None:
+        raise ValueError(found.reason)
+    estimate, variance = units.likelihood
+    moments = _normal_moments if np.isinf(found.freedom) else _student_moments
+    mean, sd = moments(found.posterior, estimate, variance)
+    distance, p = _distances(found, estimate, variance, units.informative)
+    return ShrunkUnits(mean, sd, distance, p, discoveries(p, OUTLYING_RATE))
+
+
+def _normal_moments(
+    posterior: GridPosterior, estimate: np.ndarray, variance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and standard deviation of each unit under the normal law, (n,) each."""
+    first, second = np.zeros(len(estimate)), np.zeros(len(estimate))
+    parts = (posterior.weight, posterior.centre, posterior.centre_variance, posterior.scale**2)
+    for weight, centre, uncertainty, spread in zip(*parts, strict=True):
+        share = spread / (spread + variance)
+        mean = centre + share * (estimate - centre)
+        first += weight * mean
+        second += weight * (mean**2 + spread * (1 - share) + (1 - share) ** 2 * uncertainty)
+    return first, np.sqrt(np.maximum(second - first**2, 0.0))
+
+
+def _student_moments(
+    posterior: GridPosterior, estimate: np.ndarray, variance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and standard deviation of each unit under the t law, (n,) each."""
+    node, _ = mixing(posterior.freedom)
+    first, second = np.zeros(len(estimate)), np.zeros(len(estimate))
+    known = np.isfinite(variance)
+    finite = np.where(known, variance, 1.0)
+    for weight, centre, scale in zip(posterior.weight, posterior.centre, posterior.scale, strict=True):
+        among = mixture((estimate - centre) ** 2, finite, scale, posterior.freedom) + 1e-300
+        among /= np.sum(among, axis=1, keepdims=True)
+        # The t law may have no variance: a unit without information has the core's.
+        spread = scale**2 / node
+        share = np.where(known[:, None], spread / (spread + finite[:, None]), 0.0)
+        mean = centre + share * (estimate - centre)[:, None]
+        left = np.where(known[:, None], spread * (1 - share), (core_width(posterior.freedom) * scale) ** 2)
+        first += weight * np.sum(among * mean, axis=1)
+        second += weight * np.sum(among * (mean**2 + left), axis=1)
+    return first, np.sqrt(np.maximum(second - first**2, 0.0))
+
+
+def _distances(
+    found: Population, estimate: np.ndarray, variance: np.ndarray, used: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distance of each unit from the population mean, in standard deviations, and its p-value, (n,) each.
+
+    Under the normal law each unit is left out of the population in turn.  The t law is hardly moved by a single unit;
+    its core is what a unit is compared with.
+    """
+    sd = np.sqrt(variance + found.mean_sd**2 + found.spread**2)
+    distance = np.where(used, (estimate - found.mean) / sd, np.nan)
+    p = np.ones(len(estimate))
+    posterior = found.posterior
+    if posterior is None or np.isfinite(found.freedom):
+        p[used] = 2 * special.ndtr(-np.abs(distance[used]))
+        return distance, p
+    for place in np.flatnonzero(used):
+        total = variance[place] + posterior.scale**2
+        centre_variance = 1 / (1 / posterior.centre_variance - 1 / total)
+        centre = centre_variance * (posterior.centre / posterior.centre_variance - estimate[place] / total)
+        apart, width = np.abs(estimate[place] - centre), centre_variance + total
+        log_weight = np.log(posterior.weight + 1e-300) + 0.5 * (apart**2 / width + np.log(width))
+        weight = np.exp(log_weight - log_weight.max())
+        p[place] = 2 * (weight / weight.sum()) @ special.ndtr(-apart / np.sqrt(width))
+    return distance, p
+
+
+def discoveries(p: np.ndarray, rate: float) -> np.ndarray:
+    """Return which of n hypotheses are rejected at a false discovery rate, (n,) bool.
+
+    By the procedure of Benjamini and Yekutieli (Annals of Statistics 29, 2001), which holds under any dependence: units
+    share the estimate of their population, and candidate effects share their residuals.
+    """
+    if not len(p):
+        return np.zeros(0, dtype=bool)
+    return stats.false_discovery_control(p, method="by") <= rate
