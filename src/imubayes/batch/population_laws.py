@@ -136,7 +136,7 @@ def _ends(count: int) -> np.ndarray:
 
 
 def _normalised(log_weight: np.ndarray) -> tuple[np.ndarray, float]:
-    log_evidence = float(special.logsumexp(log_weight))
+    log_evidence = float(np.logaddexp.reduce(log_weight))
     return np.exp(log_weight - log_evidence), log_evidence
 
 
