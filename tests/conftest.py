@@ -68,12 +68,14 @@ GROUPS = {
         "criticism/test_localised_structure.py",
         "criticism/test_injection_recovery.py",
         "criticism/test_user_effect.py",
+        "criticism/test_chain_stage.py::test_a_converter",
         "cli/",
         "inference/test_resume.py",
         "results/test_fit_file.py",
         "results/test_arviz.py",
         "procedures/test_converters.py",
     ),
+    "geographic-tumble": ("criticism/test_unlisted_causes.py", "criticism/test_chain_stage.py"),
 }
 
 # Imports and tracing create millions of objects that stay, and looking for garbage among them takes time.

@@ -11,6 +11,7 @@ from imubayes.criticism.detectability import Absorber
 from imubayes.criticism.diagnosis_record import (
     Amplitude,
     AskedEffect,
+    ChainStage,
     CoefficientEstimate,
     CovariateLabel,
     Diagnosis,
@@ -97,6 +98,15 @@ def test_the_answer_comes_first(capsys):
     assert lines[3] == "next: imubayes add gyro_scale_asymmetry --to R --out R-gyro_scale_asymmetry"
     assert "93 % run offsets" in out
     assert "lever_arm (turning)" in " ".join(out.split())
+
+
+@pytest.mark.parametrize("determined", [True, False])
+def test_an_undetermined_stage_is_said(determined):
+    found = diagnosis()
+    stage = ChainStage(named="converter", sensor="gyro", determined=determined)
+    group = found.groups[0].model_copy(update={"stage": stage})
+    said = shown.sentence(found.model_copy(update={"groups": (group,)}))
+    assert ("in the gyro or in its converter is not determined: drive the converter alone." in said) != determined
 
 
 def test_the_ranking_marks_groups_and_chances():

@@ -25,6 +25,8 @@ MODELS = {
     "geographic-tumble": "geographic-tumble", "polar-tumble": "polar-tumble", "servo-table": "servo-table",
     "accel-channel": "accel-channel", "rotation-modulation": "rotation-modulation", "reference-gyro": "reference-gyro",
     "trihedral-imu": "trihedral-imu", "hidden-none": "hidden-effects", "hidden-thermal": "hidden-effects-thermal",
+    "multi-axis-table": "multi-axis-table", "centrifuge": "centrifuge", "desk-imu": "desk-imu",
+    "redundant-imu": "redundant-imu", "static-record": "static-record",
 }  # fmt: skip
 TIMES_DETECTABLE, LARGEST = 10.0, 30.0
 """Planted size over the smallest detectable one, and over the largest typical one: larger plants are passed over."""
@@ -56,14 +58,10 @@ def plants(fitted: Any, seed: int) -> Iterator[tuple[str, str, np.ndarray, float
         direction = np.where(signs != 0, signs * np.abs(direction), direction)
         length = float(np.linalg.norm(one.projected @ direction))
         smallest = detectability(at, one, thresholds.FALSE_ALARM_EFFECT, 50.0)
-        needed = (
-            smallest.smallest_detectable
-            * np.linalg.norm(one.projected, axis=0)[
-                [coefficient.parameter.name for coefficient in coefficients].index(smallest.name)
-            ]
-        )
-        if not np.isfinite(needed) or length <= 0:
-            continue
+        if not np.isfinite(smallest.smallest_detectable) or length <= 0:
+            continue  # absorbed in full: no size can be detected
+        names = [coefficient.parameter.name for coefficient in coefficients]
+        needed = smallest.smallest_detectable * float(np.linalg.norm(one.projected[:, names.index(smallest.name)]))
         scale = TIMES_DETECTABLE * needed / length
         yield effect, owner, scale * (one.response.columns @ direction), float(scale * np.abs(direction / sizes).max())
 
@@ -87,6 +85,8 @@ def judged(fitted: Any, without: str = "") -> Line:
     return {
         "verdict": found.verdict,
         "groups": [list(group.effects) for group in found.groups],
+        "stage_open": [group.stage is not None and not group.stage.determined for group in found.groups],
+        "unlisted": [[[label.name for label in each] for each in group.unlisted] for group in found.groups],
         "nearest": [list(near.effects) for near in found.nearest],
     }
 
@@ -113,21 +113,40 @@ def right(line: Line) -> bool:
     return bool(line["whole"]["groups"]) and line["effect"] in line["whole"]["groups"][0]
 
 
-def wrong_name(line: Line) -> bool:
+def named_alone(line: Line) -> bool:
     """Tell whether, without the effect planted, another one is named alone."""
     return line["without"]["verdict"] == "missing_effect"
+
+
+def at_other_stage(line: Line) -> bool:
+    """Tell whether that is an effect at the other stage of the signal chain, and is said to be undetermined in that."""
+    from imubayes.effects import EFFECTS
+    from imubayes.effects.base import Stage
+
+    stages = {member.name: member.stage for member in EFFECTS}
+    named = line["without"]["groups"][0][0] if named_alone(line) else ""
+    pair = {stages.get(line["effect"]), stages.get(named)}
+    return pair == {Stage.SENSOR, Stage.CONVERTER} and line["without"]["stage_open"][0]
+
+
+def wrong_name(line: Line) -> bool:
+    """Tell whether another effect is named with confidence: alone, and not as one whose stage is undetermined."""
+    return named_alone(line) and not at_other_stage(line)
 
 
 def table(lines: list[Line]) -> str:
     """Return how many plants were judged right, campaign by campaign."""
     rows = [
-        "| campaign | plants | right group first | adequate | without it: another named alone | adequate |",
-        "| --- |" + " --- |" * 5,
+        "| campaign | plants | right group first | adequate | without it: another named alone | right shape, stage "
+        "undetermined | adequate |",
+        "| --- |" + " --- |" * 6,
     ]
     for campaign in dict.fromkeys(line["campaign"] for line in lines):
         own = [line for line in lines if line["campaign"] == campaign and "whole" in line]
         silent = [sum(line[key]["verdict"] == "adequate" for line in own) for key in ("whole", "without")]
-        counts = len(own), sum(map(right, own)), silent[0], sum(map(wrong_name, own)), silent[1]
+        counts = len(own), sum(map(right, own)), silent[0], sum(map(wrong_name, own)), *(
+            sum(map(at_other_stage, own)), silent[1]
+        )  # fmt: skip
         rows.append(f"| {campaign} | " + " | ".join(map(str, counts)) + " |")
     return "\n".join(rows)
 

@@ -4,7 +4,7 @@ The model and all candidates become one problem whose first parameters are the m
 candidates change nothing, so one linearisation gives the Jacobian of the fit and the response to every candidate.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -20,6 +20,7 @@ from imubayes.model.assembly import assemble
 from imubayes.model.bound_effects import (
     BoundEffect,
     ExactEquipmentError,
+    Move,
     NoChannelError,
     NotObservableError,
     bind_effect,
@@ -115,6 +116,18 @@ def candidate_responses(fitted: Fit, only: Sequence[str] = ()) -> Responses:
     acting, unobservable = _candidates(fitted)
     if only:
         acting = tuple(effect for effect in acting if effect.name in only)
+    return _linearised_with(fitted, acting, unobservable)
+
+
+def moved_responses(fitted: Fit, names: Sequence[str], move: Callable[[BoundEffect], Move]) -> Responses:
+    """Return the same for candidates that the model lacks, each at another stage of the signal path."""
+    acting, _ = _candidates(fitted)
+    return _linearised_with(fitted, tuple(replace(each, moved=move(each)) for each in acting if each.name in names), {})
+
+
+def _linearised_with(
+    fitted: Fit, acting: tuple[BoundEffect, ...], unobservable: dict[str, tuple[str, ...]]
+) -> Responses:
     extended = _extend(fitted, acting)
     z = np.concatenate([fitted.z, np.zeros(len(extended.parameters) - extended.own)])
     slopes = np.asarray(_slopes(extended.problem, jnp.asarray(z)))

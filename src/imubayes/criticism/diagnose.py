@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from imubayes.criticism import thresholds
+from imubayes.criticism.chain_stage import FoundStage, stages_of
 from imubayes.criticism.detectability import Detectability, detectability
 from imubayes.criticism.diagnosis_record import (
     MISSING,
     Amplitude,
     AskedEffect,
+    ChainStage,
     CoefficientEstimate,
     CovariateLabel,
     Diagnosis,
@@ -45,7 +47,7 @@ from imubayes.criticism.unexplained_structure import (
     unexplained_structure,
 )
 from imubayes.criticism.unlisted_causes import Causes, unlisted_causes
-from imubayes.effects.base import Effect
+from imubayes.effects.base import Effect, Stage
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.json_record import finite
@@ -80,7 +82,8 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
     verdict = _verdict(found, unexplained, unlisted)
     open_question = verdict == "unexplained_structure"
     evidence = [_evidence(found, group) for group in found.groups]
-    grouped = zip(found.groups, evidence, unlisted, strict=True) if verdict in MISSING else ()
+    named = found.groups if verdict in MISSING else ()
+    grouped = zip(named, evidence[: len(named)], unlisted, stages_of(found, named), strict=True)
     diagnosis = Diagnosis(
         verdict=verdict,
         result=result,
@@ -210,7 +213,12 @@ def _evidence(found: SearchResult, group: EquivalenceGroup) -> ResidualEvidence:
 
 
 def _group(
-    fit: Fit, found: SearchResult, group: EquivalenceGroup, evidence: ResidualEvidence, unlisted: Causes
+    fit: Fit,
+    found: SearchResult,
+    group: EquivalenceGroup,
+    evidence: ResidualEvidence,
+    unlisted: Causes,
+    stage: FoundStage | None,
 ) -> EffectGroup:
     leader = group.leader
     before, after, unit = evidence.rms
@@ -236,7 +244,14 @@ def _group(
         covariate=_label(evidence.covariate) if evidence.covariate is not None else None,
         discriminating_run=discriminating_run(fit, group),
         unlisted=tuple(tuple(map(_label, each)) for each in unlisted),
+        stage=_chain_stage(fit, leader, stage) if stage is not None else None,
     )
+
+
+def _chain_stage(fit: Fit, leader: Candidate, stage: FoundStage) -> ChainStage:
+    kinds = {channel.name: channel.kind for channel in fit.model.campaign.channels}
+    named = "sensor" if stage.stage == Stage.SENSOR else "converter"
+    return ChainStage(named=named, sensor=kinds[leader.owners[0]], determined=stage.determined)
 
 
 def _label(covariate: ResidualCovariate) -> CovariateLabel:

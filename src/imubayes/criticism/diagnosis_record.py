@@ -7,6 +7,7 @@ from typing import Literal
 
 from pydantic import PrivateAttr
 
+from imubayes.campaign_data import Kind
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import Absorber, ParameterBias
 from imubayes.criticism.formula_search import FormulaTerm
@@ -103,6 +104,22 @@ class CovariateLabel(Record):
     phrase: str
 
 
+class ChainStage(Record):
+    """Where in the signal chain of a channel an effect acts: in the sensor, or in its converter.
+
+    Attributes
+    ----------
+    named : the stage of the effect.
+    sensor : kind of sensor.
+    determined : whether these runs would show the same effect at the other stage as another one, which need not be in
+        the catalogue.  Runs that drive the converter alone do so.
+    """
+
+    named: Literal["sensor", "converter"]
+    sensor: Kind
+    determined: bool
+
+
 class EffectGroup(Record):
     """Effects that these runs cannot distinguish, the best first.
 
@@ -117,6 +134,7 @@ class EffectGroup(Record):
     discriminating_run : the feasible run that distinguishes them best; None where there is none.
     unlisted : covariates, one or two, of each plain function that fits as well and is none of the effects: it may be of
         a cause that the catalogue lacks.
+    stage : where in the signal chain the first acts, and whether that is determined; None of an effect outside of it.
     """
 
     effects: tuple[str, ...]
@@ -130,6 +148,7 @@ class EffectGroup(Record):
     covariate: CovariateLabel | None
     discriminating_run: RunDesign | None = None
     unlisted: tuple[tuple[CovariateLabel, ...], ...] = ()
+    stage: ChainStage | None = None
 
 
 class NearestEffect(Record):

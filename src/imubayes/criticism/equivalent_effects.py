@@ -50,6 +50,18 @@ def unexplained_chi2(projection: Projection, leader: Candidate, other: Candidate
     return float(np.sum((explained - basis @ (basis.T @ explained)) ** 2)), float(explained @ explained)
 
 
+def indistinguishable(projection: Projection, leader: Candidate, other: Candidate) -> bool:
+    """Tell whether the data do not distinguish another candidate from the leader."""
+    return _instead(projection, leader, other)[1]
+
+
+def _instead(projection: Projection, leader: Candidate, other: Candidate) -> tuple[float, bool]:
+    """Return the χ² that another candidate instead of the leader would leave, and whether that is indistinguishable."""
+    left, whole = unexplained_chi2(projection, leader, other)
+    near = other.log_p < leader.log_p + thresholds.DECISIVE_LOG_ODDS and left < whole / 2
+    return left, left < thresholds.DISTINGUISHABLE_CHI2 or near
+
+
 def equivalence_group(
     projection: Projection,
     leader: Candidate,
@@ -69,13 +81,12 @@ def equivalence_group(
     for candidate in ranked:
         if candidate.effect == leader.effect:
             continue
-        left, whole = unexplained_chi2(projection, leader, candidate)
-        near = candidate.log_p < leader.log_p + thresholds.DECISIVE_LOG_ODDS and left < whole / 2
+        left, same = _instead(projection, leader, candidate)
         told = any(candidate is each for each in also)
         best = members.get(candidate.effect)
         # Of one effect, the candidate with fewer directions, or that explains more with as many.
         simpler = best is None or (candidate.dof, left) < (best[0].dof, best[1])
-        if (left < thresholds.DISTINGUISHABLE_CHI2 or near or told) and simpler:
+        if (same or told) and simpler:
             members[candidate.effect] = (candidate, left)
     others = sorted(members.values(), key=lambda pair: pair[0].log_p)
     return EquivalenceGroup((leader, *(candidate for candidate, _ in others)), p, (0.0, *(left for _, left in others)))

@@ -150,7 +150,14 @@ def _missing_sentence(group: EffectGroup) -> str:
     if group.unlisted:
         phrase = " and ".join(label.phrase for label in group.unlisted[0])
         said += f" An unlisted cause that depends on {phrase} would fit as well."
-    return said
+    return said + _stage_sentence(group)
+
+
+def _stage_sentence(group: EffectGroup) -> str:
+    """Return that the stage of the signal chain is not determined; empty where it is."""
+    if group.stage is None or group.stage.determined:
+        return ""
+    return f" Whether it acts in the {group.stage.sensor} or in its converter is not determined: drive the converter alone."
 
 
 def _more_sentence(found: Diagnosis) -> str:

@@ -12,7 +12,17 @@ from imubayes.effects.base import Effect, MotionEffect, RecordEffect, Stage
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping
 from imubayes.model.nodes_and_entries import KINDS, NodeTable, outer_axes, records_of
-from imubayes.model.signal_path import AddOffset, Broadcast, Channels, Convert, EffectLayer, Layer, Project, Resolve
+from imubayes.model.signal_path import (
+    AddOffset,
+    Broadcast,
+    Channels,
+    Convert,
+    EffectLayer,
+    Layer,
+    MovedLayer,
+    Project,
+    Resolve,
+)
 from imubayes.parameters.vector import Layout
 from imubayes.signal_path_state import Ambient, Motion, Nodes
 
@@ -67,7 +77,9 @@ class Assembly:
         layers: list[Layer] = [junctions[stage] for stage in stages]
         for effect in self.effects:
             effect_class = effect.effect_class
-            if issubclass(effect_class, Effect) and effect_class.stage in stages and keep(effect, effect_class):
+            if not issubclass(effect_class, Effect) or not keep(effect, effect_class):
+                continue
+            if (effect.moved or effect_class).stage in stages:
                 layers += self._effect_layers(effect, effect_class, chosen)
         return tuple(sorted(layers, key=lambda layer: layer.sort_key()))
 
@@ -92,7 +104,12 @@ class Assembly:
             places: dict[str, Array] = {
                 field: self._places(effect, field, grouping, names) for field in effect.declared
             }
-            layers.append(EffectLayer(effect_class, options, places, kind))
+            move = effect.moved
+            layers.append(
+                EffectLayer(effect_class, options, places, kind)
+                if move is None
+                else MovedLayer(effect_class, options, places, kind, move.stage, move.reads)
+            )
         return layers
 
     def _places(self, effect: BoundEffect, field: str, grouping: Grouping, names: list[str]) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 
 from imubayes.campaign_data import Campaign
 from imubayes.covariates import ambient_names
-from imubayes.effects.base import MotionEffect
+from imubayes.effects.base import MotionEffect, Stage
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.model.effect_registry import EffectClass, Registry, acts_on_channels
 from imubayes.model.grouping import Grouping
@@ -46,6 +46,14 @@ class NoChannelError(NotObservableError):
 
 
 @dataclass(frozen=True)
+class Move:
+    """An effect moved to another stage of the signal path: see `imubayes.model.signal_path.MovedLayer`."""
+
+    stage: Stage
+    reads: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
 class BoundEffect:
     """An effect or noise member bound to a campaign.
 
@@ -59,6 +67,7 @@ class BoundEffect:
     shown_in : indices of those among them whose nominal signals it changes.
     gated : indices of the runs in which it is switched off because they do not supply what it needs.
     parameters, hyperparameters : its scalars, in order.
+    moved : where it acts in place of its own stage of the signal path; None at its own.
     """
 
     spec: EffectSpec
@@ -72,6 +81,7 @@ class BoundEffect:
     gated: set[int]
     parameters: tuple[Parameter, ...]
     hyperparameters: tuple[Parameter, ...]
+    moved: Move | None = None
 
     @property
     def name(self) -> str:

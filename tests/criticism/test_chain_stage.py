@@ -1,0 +1,78 @@
+"""A finding says whether the data tell the stage of the signal chain at which it acts.
+
+What is planted, and what a converter driven alone would do, is worked out here from the outputs, without the package's
+effects.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from null_data import fitted_to, redrawn
+
+from imubayes.criticism import stepwise_search
+from imubayes.criticism.candidate_effects import candidate_responses, moved_responses
+from imubayes.criticism.diagnose import judge
+from imubayes.criticism.diagnosis_record import ChainStage, Diagnosis
+from imubayes.display.diagnosis_report import sentence
+from imubayes.effects.base import Stage
+from imubayes.inference.fitted_model import Fit
+from imubayes.model.bound_effects import Move
+from imubayes.model.problem import predict
+
+
+def signal(fitted: Fit) -> np.ndarray:
+    """Return the predicted outputs less their offset, (E,)."""
+    offsets = np.array([channel.offset for channel in fitted.model.campaign.channels])
+    predicted = np.asarray(predict(fitted.model.problem, jnp.asarray(fitted.z)))
+    return predicted - offsets[fitted.model.entries.channel]
+
+
+def without(monkeypatch: pytest.MonkeyPatch, fitted: Fit, effect: str) -> Diagnosis:
+    """Return the diagnosis with an effect taken out of the catalogue."""
+
+    def lacking(at: Any, *more: Any) -> Any:
+        found = candidate_responses(at, *more)
+        return replace(found, candidates=tuple(each for each in found.candidates if each.scan.effect != effect))
+
+    monkeypatch.setattr(stepwise_search, "candidate_responses", lacking)
+    return judge(fitted)
+
+
+def test_a_dead_zone_is_of_gyro_or_converter(monkeypatch):
+    fitted = fitted_to("geographic-tumble", "geographic-tumble")
+    through = signal(fitted)
+    width = 0.1 * np.abs(through).max()
+    found = without(monkeypatch, redrawn(fitted, 3, change=-np.clip(through, -width, width)), "gyro_dead_zone")
+    assert found.groups[0].effects == ("converter_dead_zone",)
+    assert found.groups[0].stage == ChainStage(named="converter", sensor="gyro", determined=False)
+    assert "Whether it acts in the gyro or in its converter is not determined" in sentence(found)
+
+
+def test_what_acts_across_the_input_axis_is_of_the_sensor():
+    fitted = fitted_to("geographic-tumble", "geographic-tumble")
+    [across] = [each for each in candidate_responses(fitted).candidates if each.scan.effect == "gyro_misalignment"]
+    sizes = 6 * np.array([coefficient.typical[1] for coefficient in across.coefficients])
+    found = judge(redrawn(fitted, 7, change=across.columns @ (sizes * np.array([0.8, -0.6]))))
+    assert "gyro_misalignment" in found.groups[0].effects
+    assert found.groups[0].stage == ChainStage(named="sensor", sensor="gyro", determined=True)
+    assert "not determined" not in sentence(found)
+
+
+def test_a_converter_that_is_driven_alone_shows_its_own():
+    """Moved to the converter, K2 acts on injected inputs as well, and is told from K2 of the sensor by them."""
+    fitted = fitted_to("accel-channel", "accel-channel")
+    own = next(each for each in candidate_responses(fitted, only=["accel_quadratic"]).candidates)
+    to = Move(Stage.CONVERTER, (("temperature", "converter_temperature"),))
+    [moved] = moved_responses(fitted, ["accel_quadratic"], lambda effect: to).candidates
+    entries, [channel] = fitted.model.entries, fitted.model.campaign.channels
+    runs = [run.procedure == "current_injection" for run in fitted.model.campaign.runs]
+    injected = np.array(runs)[entries.run]
+    quadratic = signal(fitted) ** 2 / channel.scale_si
+    unit = own.coefficients[0].parameter.factor
+    assert np.count_nonzero(injected) > 10
+    assert not np.any(own.columns[injected])
+    assert moved.columns[injected, 0] / unit == pytest.approx(quadratic[injected], rel=0.02)
+    assert moved.columns[~injected] == pytest.approx(own.columns[~injected], rel=0.05)
