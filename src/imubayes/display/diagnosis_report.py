@@ -157,7 +157,8 @@ def _stage_sentence(group: EffectGroup) -> str:
     """Return that the stage of the signal chain is not determined; empty where it is."""
     if group.stage is None or group.stage.determined:
         return ""
-    return f" Whether it acts in the {group.stage.sensor} or in its converter is not determined: drive the converter alone."
+    devices = f"the {group.stage.sensor} or in its converter"
+    return f" Whether it acts in {devices} is not determined: drive the converter alone."
 
 
 def _more_sentence(found: Diagnosis) -> str:
