@@ -60,7 +60,7 @@ def _moved(fitted: Fit, effect: BoundEffect) -> Move:
     member = effect.effect_class
     assert issubclass(member, Effect)
     to = _OTHER[member.stage]
-    pairs = [pair if to == Stage.CONVERTER else pair[::-1] for pair in _TEMPERATURES]
+    pairs = [(own, other) if to == Stage.CONVERTER else (other, own) for own, other in _TEMPERATURES]
     supplies = fitted.model.assembly.grouping.nodes.supplies
     acting = [supplied for run, supplied in enumerate(supplies) if run in effect.runs - effect.gated]
     return Move(to, tuple(pair for pair in pairs if all(pair[1] in supplied for supplied in acting)))

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from imubayes.campaign_data import Kind
 from imubayes.criticism import thresholds
 from imubayes.criticism.chain_stage import FoundStage, stages_of
 from imubayes.criticism.detectability import Detectability, detectability
@@ -249,9 +250,9 @@ def _group(
 
 
 def _chain_stage(fit: Fit, leader: Candidate, stage: FoundStage) -> ChainStage:
-    kinds = {channel.name: channel.kind for channel in fit.model.campaign.channels}
+    sensor: Kind = next(channel.kind for channel in fit.model.campaign.channels if channel.name in leader.owners)
     named = "sensor" if stage.stage == Stage.SENSOR else "converter"
-    return ChainStage(named=named, sensor=kinds[leader.owners[0]], determined=stage.determined)
+    return ChainStage(named=named, sensor=sensor, determined=stage.determined)
 
 
 def _label(covariate: ResidualCovariate) -> CovariateLabel:
