@@ -32,8 +32,13 @@ Line = dict[str, Any]
 
 
 def names_it(one: dict[str, Any], group: dict[str, Any]) -> bool:
-    """Tell whether a group names a planted effect, and at least one of its channels."""
-    right_place = not one["channels"] or not group["channels"] or set(one["channels"]) & set(group["channels"])
+    """Tell whether a group names a planted effect, and at least one of its channels.
+
+    The channels are those of the member itself: the first of a group may act on a table.
+    """
+    members = [each for each in group["candidates"] if each["effect"] == one["effect"]]
+    channels = members[0]["channels"] if members else group["channels"]
+    right_place = not one["channels"] or not channels or set(one["channels"]) & set(channels)
     return one["effect"] in group["effects"] and bool(right_place)
 
 

@@ -81,6 +81,14 @@ def test_judgement(fine, one):
     assert (judging.judged(one) == "ok") == fine
 
 
+def test_a_name_is_right_on_its_own_channels():
+    """The first of a group may act on a table, and another member on a channel."""
+    members = [{"effect": "encoder_harmonic", "channels": ["head"]}, {"effect": "gyro_thermal_lag", "channels": ["gx"]}]
+    both = group("encoder_harmonic", "gyro_thermal_lag", channels=("head",)) | {"candidates": members}
+    assert judging.judged(line("hidden", explained(both), LAG)) == "ok"
+    assert judging.judged(line("hidden", explained(both), LAG | {"channels": ["gy"]})) != "ok"
+
+
 def test_a_wrong_name_is_told_from_silence():
     wrong = judging.of_kind(
         [line("outside", explained(group("gyro_thermal_lag")), WAVE), line("outside", EMPTY, WAVE)], "outside"

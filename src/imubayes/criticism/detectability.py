@@ -80,7 +80,7 @@ def detectability(projection: Projection, response: ProjectedResponse, threshold
     sides = np.array([1 if coefficient.sign else 2 for coefficient in coefficients])
     needed = noncentrality_needed(threshold / max(looks, 1.0) / sides, freedom_of(projection, response.projected))
     with np.errstate(divide="ignore"):
-        smallest = needed * np.where(length > 1e-9 * np.sqrt(raw), 1 / length, np.inf)
+        smallest = needed * np.where(length**2 > thresholds.RETAINED_MIN * raw, 1 / length, np.inf)
     best = int(np.argmin(smallest / np.array([coefficient.typical[1] for coefficient in coefficients])))
     coefficient, whitened = coefficients[best], response.whitened[:, best]
     return Detectability(

@@ -232,9 +232,11 @@ def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
     # What runs of one input have in common is no noise, however long that remembers.
     common = tuple(common_courses((at.last if outcome.groups else at.first).projection))
     if _silent(at, outcome) and not common and not adopted:
-        outcome, adopted = _not_passed_over(at, outcome, modelled)
-        if _silent(at, outcome) and not adopted:
+        outcome, suspected = _not_passed_over(at, outcome, modelled)
+        if _silent(at, outcome):
+            # Noise from row to row does not explain what acts between runs, and is adopted where nothing does.
             outcome = _with_evidence_between_runs(given, at, outcome)
+            adopted = suspected if _silent(at, outcome) else []
     structures = at.corrections.significant(outcome.first.structures, outcome.factor)
     remaining = at.corrections.significant(outcome.last.structures, outcome.factor)
     return SearchResult(

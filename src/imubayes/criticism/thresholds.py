@@ -34,9 +34,10 @@ PATTERN_NOT_NOISE_P = 1e-6
 MAX_EFFECTS, MAX_PATTERNS, MAX_OUTLIER_ROUNDS = 4, 8, 4
 
 # ---- Candidates: projected responses (projection, score_test) --------------------------------------------------------
-# A direction of a candidate whose projection retains less than this share of its squared length is rounding.
-# Numerical: larger calls weakly identifiable effects undetectable.
-RETAINED_MIN = 1e-9
+# A direction of a candidate whose projection retains less than this share of its squared length is rounding, and cannot
+# be detected.  Numerical: a drift turns a servo table by 10⁶ times the noise of its angle, and what only the priors of
+# the model speak against is 1e-10 of that; projections are accurate to some 1e-20.  Larger overlooks such effects.
+RETAINED_MIN = 1e-12
 # The same for free forms and formulas, which may all but coincide with what the model has.  Numerical: smaller lets the
 # curvature of the model pass for structure.
 FORM_RETAINED_MIN = 1e-6
