@@ -13,7 +13,7 @@ from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.multiple_testing import look_elsewhere
 from imubayes.criticism.projection import project
-from imubayes.criticism.score_test import project_responses, screen
+from imubayes.criticism.score_test import project_responses, score_test, screen
 from imubayes.criticism.stepwise_search import search
 from imubayes.display.diagnosis_report import diagnosis_json
 
@@ -42,6 +42,24 @@ def test_what_the_model_absorbs_is_orthogonal_to_what_is_screened(fitted):
     assert np.abs(projection.basis.T @ projection.residual).max() < 1e-8
     for one in project_responses(projection, responses.candidates):
         assert np.abs(projection.basis.T @ one.projected).max() < 1e-8 * max(1.0, np.abs(one.whitened).max())
+
+
+def test_what_only_a_prior_speaks_against_is_screened(fitted):
+    """A parameter has taken the place of a candidate of the same response, 10⁵ times the noise, at 20 sd of its prior."""
+    responses = candidate_responses(fitted)
+    at = project(fitted, responses.misfit, responses.jacobian)
+    rows, entries = at.jacobian.copy(), len(responses.misfit)
+    parameter = int(np.argmax(np.linalg.norm(rows[:entries], axis=0)))
+    rows[:entries, parameter] *= 1e5 / np.linalg.norm(rows[:entries, parameter])
+    response = np.concatenate([rows[:entries, [parameter]], np.zeros((len(rows) - entries, 1))])
+    residual = np.zeros(len(rows))
+    residual[entries + parameter] = 20.0
+    basis, upper = np.linalg.qr(rows)
+    there = replace(at, basis=basis, upper=upper, jacobian=rows, residual=residual - basis @ (basis.T @ residual))
+    found = score_test(there, there.project(response), np.array([1e5]))
+    assert found.delta_chi2 == pytest.approx(400, rel=0.1)
+    assert found.prior_share > 0.9
+    assert score_test(there, there.project(response), np.array([1e5]), least=1e-9).p == 1  # what it was
 
 
 def test_what_is_rounding_of_a_response_has_no_coefficient(fitted, monkeypatch):
