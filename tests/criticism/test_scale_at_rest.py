@@ -16,6 +16,7 @@ from null_data import refitted
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 
@@ -25,8 +26,8 @@ SERIES = 8
 SCALE = "gyro_scale_factor.scale[g]"
 
 
-def diagnosed(folder: Path, seed: int, ppm: float) -> Diagnosis:
-    """Return the diagnosis of positions of a gyro whose scale factor is off by so much."""
+def fitted_positions(folder: Path, seed: int, ppm: float) -> Fit:
+    """Return the fit of positions of a gyro whose scale factor is off by so much, without a scale factor."""
     plan = geographic_tumble.plan(seed, series=SERIES)
     simulate.write_simulated(folder, plan, seed, values={**plan.draw(seed), SCALE: ppm})
     whole = read_model(ROOT / "models" / "geographic-tumble.toml")
@@ -34,7 +35,12 @@ def diagnosed(folder: Path, seed: int, ppm: float) -> Diagnosis:
     model = bind(lacking, load_campaign(folder))
     fitted = refitted(model, *(np.zeros(size) for size in model.problem.size))
     assert fitted.converged
-    return judge(fitted)
+    return fitted
+
+
+def diagnosed(folder: Path, seed: int, ppm: float) -> Diagnosis:
+    """Return the diagnosis of such a fit."""
+    return judge(fitted_positions(folder, seed, ppm))
 
 
 def said(found: Diagnosis) -> str:
@@ -64,6 +70,25 @@ def test_the_scale_factor_is_named_in_every_draw(tmp_path, ppm):
     draws = range(100, 125)
     count = Counter(said(diagnosed(tmp_path / str(seed), seed, (-1) ** seed * ppm)) for seed in draws)
     assert count["right"] >= 0.95 * len(draws), count
+    assert count["adequate"] == 0, count
+    assert count["wrong name"] <= 0.02 * len(draws), count
+
+
+@pytest.mark.slow
+def test_a_small_scale_factor_error_gets_no_wrong_name(tmp_path):
+    """500 ppm of the Earth's rate are about what these runs can show: the cause, or nothing where they cannot."""
+    draws, count = range(300, 325), Counter()
+    for seed in draws:
+        fitted = fitted_positions(tmp_path / str(seed), seed, (-1) ** seed * 500.0)
+        answer = said(judge(fitted))
+        if answer == "adequate":
+            asked = judge(fitted, effect="gyro_scale_factor").asked
+            assert asked is not None
+            hidden = asked.smallest_detectable is None or asked.smallest_detectable > 500.0
+            answer = "beyond these runs" if hidden else answer
+        count[answer] += 1
+    print(count)
+    assert count["right"] + count["beyond these runs"] >= 0.95 * len(draws), count
     assert count["adequate"] == 0, count
     assert count["wrong name"] <= 0.02 * len(draws), count
 

@@ -45,7 +45,7 @@ def test_what_the_model_absorbs_is_orthogonal_to_what_is_screened(fitted):
 
 
 def test_what_only_a_prior_speaks_against_is_screened(fitted):
-    """A parameter has taken the place of a candidate of the same response, 10⁵ times the noise, at 20 sd of its prior."""
+    """A parameter has taken the place of a candidate of the same response, 10⁵ times the noise, 20 sd off its prior."""
     responses = candidate_responses(fitted)
     at = project(fitted, responses.misfit, responses.jacobian)
     rows, entries = at.jacobian.copy(), len(responses.misfit)
