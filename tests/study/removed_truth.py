@@ -27,7 +27,7 @@ MODELS = {
     "accel-channel": "accel-channel", "rotation-modulation": "rotation-modulation", "reference-gyro": "reference-gyro",
     "trihedral-imu": "trihedral-imu", "hidden-none": "hidden-effects", "hidden-thermal": "hidden-effects-thermal",
     "multi-axis-table": "multi-axis-table", "centrifuge": "centrifuge", "desk-imu": "desk-imu",
-    "redundant-imu": "redundant-imu", "static-record": "static-record",
+    "redundant-imu": "redundant-imu",
 }  # fmt: skip
 TIMES_DETECTABLE, LARGEST = 10.0, 30.0
 """Planted size over the smallest detectable one, and over the largest typical one: larger plants are passed over."""
