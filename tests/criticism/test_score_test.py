@@ -52,7 +52,7 @@ def test_what_only_a_prior_speaks_against_is_screened(fitted):
     parameter = int(np.argmax(np.linalg.norm(rows[:entries], axis=0)))
     rows[:entries, parameter] *= 1e5 / np.linalg.norm(rows[:entries, parameter])
     response = np.concatenate([rows[:entries, [parameter]], np.zeros((len(rows) - entries, 1))])
-    residual = np.zeros(len(rows))
+    residual = np.concatenate([np.random.default_rng(1).normal(size=entries), np.zeros(len(rows) - entries)])
     residual[entries + parameter] = 20.0
     basis, upper = np.linalg.qr(rows)
     there = replace(at, basis=basis, upper=upper, jacobian=rows, residual=residual - basis @ (basis.T @ residual))
