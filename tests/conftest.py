@@ -45,6 +45,7 @@ COMPILED = (
     "simulation",
     "qualification/test_uncertainty_budget.py",
     "batch/test_run_batch.py",
+    "qualification/test_correct_recording.py",
     "reference",
     "study",
 )
@@ -60,7 +61,7 @@ GROUPS = {
         "criticism/test_shipped.py",
         "criticism/test_dead_zone.py",
     ),
-    "desk-imu": (f"{README}commands_run_as_written[An IMU",),
+    "desk-imu": (f"{README}commands_run_as_written[An IMU", "qualification/test_correct_recording.py"),
     "accel-channel": (
         f"{README}python_runs_as_written",
         "criticism/test_cross_validation.py",

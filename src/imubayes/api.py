@@ -2,7 +2,7 @@
 
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace as with_fields
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import ModelSpec
 from imubayes.qualification.build_report import report_of
+from imubayes.qualification.recording_files import CorrectedRecording, correct_recording, open_recording
 from imubayes.qualification.report_record import QualificationReport
 from imubayes.results.addition import Addition, added_variable, addition_of
 from imubayes.results.apply_calibration import CalibratedInputs, apply_calibration, read_readings
@@ -216,6 +217,34 @@ def apply(result: Result | str | Path, readings: pl.DataFrame | str | Path) -> C
     return apply_calibration(found, read_readings(Path(readings)), str(readings))
 
 
+def correct(
+    result: Result | str | Path,
+    recording: str | Path,
+    out: str | Path,
+    *,
+    run: str = "",
+    temperatures: Mapping[str, float] | None = None,
+) -> CorrectedRecording:
+    """Write a recording with rate and specific force in body axes, solved from all channels jointly, with uncertainty.
+
+    Parameters
+    ----------
+    result : a fit of the unit, or its folder.
+    recording : a CSV or Parquet table with a column per channel, of any length, or a campaign folder.
+    out : the table to write, CSV or Parquet.
+    run : of the campaign, where it has several.
+    temperatures : `temperature` and `converter_temperature` of all rows, °C, where no column gives them.
+
+    Raises
+    ------
+    InputError
+        for a result without a posterior, and a recording that cannot be read or lacks what the model needs.
+    """
+    found = result if isinstance(result, Result) else read_result(result)
+    source = open_recording(Path(recording), found.fit.model.campaign.channels, run, temperatures)
+    return correct_recording(found, source, Path(out))
+
+
 def report(result: Result | str | Path, specification: str | Path | None = None) -> QualificationReport:
     """Return the uncertainty report of a result as a record; `imubayes report` writes it as page, PDF and JSON.
 
@@ -312,9 +341,11 @@ def export(folder: str | Path, file: str | Path) -> str:
 __all__ = [
     "Addition",
     "CalibratedInputs",
+    "CorrectedRecording",
     "Result",
     "add",
     "apply",
+    "correct",
     "diagnose",
     "export",
     "fit",

@@ -1,29 +1,71 @@
-"""`imubayes apply`: outputs of a calibrated unit to inputs, with uncertainty."""
+"""`imubayes apply`: recordings of a calibrated unit to rate and specific force, with uncertainty."""
 
 from pathlib import Path
 
+from imubayes.cli.options import Flag
 
-def apply(result: Path, readings: Path, *, out: Path) -> int:
-    """Turn readings of a calibrated unit into accelerations and rates, with uncertainty.
 
-    The fitted model is inverted at the recorded temperatures: output and converter temperature give the input along the
-    axis of each channel, with the uncertainty of the calibration and that of the row.
+def apply(
+    result: Path,
+    recording: Path,
+    *,
+    out: Path,
+    run: str = "",
+    temperature: float | None = None,
+    converter_temperature: float | None = None,
+    along_axes: Flag = False,
+) -> int:
+    """Correct a recording of a calibrated unit: outputs become rates and accelerations, with uncertainty.
 
-    Example: imubayes apply results/accel-channel readings.csv --out accelerations.csv
+    A recording with all gyros or accelerometers of a unit is solved for rate and specific force in body axes, all
+    channels jointly; the systematic uncertainty of the calibration and the random one of the row are given apart.
+    Readings of single channels, or of channels that do not span three axes, become inputs along the axis of each
+    channel.
+
+    Example: imubayes apply results/desk-imu data/desk-imu --out results/desk-imu-corrected.csv
 
     Parameters
     ----------
     result
         Result folder of a fit of the unit.
-    readings
+    recording
         Table (CSV or Parquet) with a column per channel in output units, and `converter_temperature_degC` and
-        `temperature_degC` where the model depends on them.
+        `temperature_degC` where the model depends on them; or a campaign folder.
     out
-        The table to write (CSV).
+        The table to write: CSV, or Parquet by the ending .parquet.
+    run
+        Run of the campaign, where it has several.
+    temperature
+        Temperature of the sensors in °C, where no column gives it.
+    converter_temperature
+        Temperature of the converters in °C, where no column gives it.
+    along_axes
+        Treat every channel alone, as if there were no input across its axis.
     """
     from imubayes.cli.session import start_jax
 
     start_jax()
+    from imubayes import api
+    from imubayes.campaign.run_tables import read_header
+    from imubayes.qualification.sensor_posterior import complete_kinds
+    from imubayes.results.result import read_result
+
+    found = read_result(result)
+    channels = found.fit.model.campaign.channels
+    whole = not recording.is_file() or bool(complete_kinds(channels, read_header(recording)))
+    if along_axes or not whole:
+        return _along_axes(found, recording, out)
+    from imubayes.display.correction_report import correction_lines
+
+    stated = {"temperature": temperature, "converter_temperature": converter_temperature}
+    known = {name: value for name, value in stated.items() if value is not None}
+    for line in correction_lines(api.correct(found, recording, out, run=run, temperatures=known)):
+        print(line)
+    print(f"wrote {out}")
+    return 0
+
+
+def _along_axes(result, readings: Path, out: Path) -> int:
     from imubayes import api
     from imubayes.atomic_files import write_text
 

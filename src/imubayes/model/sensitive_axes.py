@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from imubayes.array_shapes import Array, Float
+from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.covariates import ambient_names
 from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
 from imubayes.signal_path_state import Ambient, Experience, Nodes, SignalPath
@@ -61,7 +61,26 @@ def sensitivities(inputs: SensitivityInputs, values: Float[Array, " V"]) -> dict
 
 
 def _respond(inputs: SensitivityInputs, values, stimulus: Float[Array, " 6"]) -> dict[str, Float[Array, " C"]]:
-    """Return the outputs at a rate and a specific force, kind → (C,)."""
+    """Return the outputs at a rate and a specific force at the reference temperatures, kind → (C,)."""
+    warm = jnp.asarray(REFERENCE_TEMPERATURE)
+    return outputs_in_body(inputs, values, stimulus, warm, warm)
+
+
+def outputs_in_body(
+    inputs: SensitivityInputs,
+    values: Float[Array, " V"],
+    stimulus: Float[Array, " 6"],
+    temperature: Scalar,
+    converter_temperature: Scalar,
+) -> dict[str, Float[Array, " C"]]:
+    """Return the outputs of a unit that has warmed up, kind → (C,), output units.
+
+    Parameters
+    ----------
+    values : all values the layers refer to, SI.
+    stimulus : rate (rad/s), then specific force (m/s²), in body axes.
+    temperature, converter_temperature : °C.
+    """
     zero = jnp.zeros(1)
     nothing = jnp.zeros(3)
     rate, force = stimulus[:3], stimulus[3:]
@@ -69,8 +88,11 @@ def _respond(inputs: SensitivityInputs, values, stimulus: Float[Array, " 6"]) ->
         name: Experience(*(jnp.broadcast_to(v, (1, known.scale.shape[0], 3)) for v in (rate, force, *(nothing,) * 4)))
         for name, known in inputs.channels.items()
     }
-    warm, long = jnp.full(1, REFERENCE_TEMPERATURE), jnp.full(1, WARMED_UP)
-    known = {"temperature": warm, "converter_temperature": warm, "power_on": long}
+    known = {
+        "temperature": temperature[None],
+        "converter_temperature": converter_temperature[None],
+        "power_on": jnp.full(1, WARMED_UP),
+    }
     ambient = Ambient(**{name: known.get(name, zero) for name in ambient_names()})
     path = SignalPath(inputs.mountings.stands, ambient, experience, {}, {})
     signal = propagate(inputs.sensor_layers, path, values).signal

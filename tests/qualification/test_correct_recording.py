@@ -1,0 +1,204 @@
+"""Recordings corrected by a calibration: on the shipped tumble and on outputs written down from formulas in NumPy."""
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from imubayes.api import correct, fit
+from imubayes.campaign.run_tables import RowBatch
+from imubayes.errors import InputError
+from imubayes.inference.fitted_model import Fit
+from imubayes.model.bind import bind
+from imubayes.qualification.correct_recording import Correction, RowTally
+from imubayes.qualification.reading_noise import ReadingNoise
+from imubayes.qualification.recording_files import open_recording
+from imubayes.qualification.sensor_posterior import SensorPosterior, complete_kinds
+from small_campaign import GRAVITY, campaign, spec
+
+ROOT = Path(__file__).parents[2]
+DESK = ROOT / "data" / "desk-imu"
+TRUTH = tomllib.loads((DESK / "truth.toml").read_text())
+ARCSEC, DEG_H = np.pi / 648000, np.pi / 648000
+G = 9.807983  # m/s² at 48° and 520 m, WGS 84 normal gravity
+
+
+@pytest.fixture(scope="module")
+def result():
+    return fit(DESK, ROOT / "models" / "desk-imu.toml", sample=False)
+
+
+def true_outputs(rate, force):
+    """Outputs of the true unit in rad/s and m/s², shape (R, 6): bias and scale factor on misaligned axes."""
+    values, columns = TRUTH["parameters"], {}
+    for channel, vector, family, third, bias_si in (
+        *((f"a{axis}", force, "accel", "p", 1e-6 * G) for axis in "xyz"),
+        *((f"g{axis}", rate, "gyro", "s", DEG_H) for axis in "xyz"),
+    ):
+        first = "xyz".index(channel[1])
+        axis = np.zeros(3)
+        axis[first] = 1.0
+        axis[(first + 1) % 3] = ARCSEC * values[f"{family}_misalignment.toward_o[{channel}]"]
+        axis[(first + 2) % 3] = ARCSEC * values[f"{family}_misalignment.toward_{third}[{channel}]"]
+        along = vector @ (axis / np.linalg.norm(axis)) + bias_si * values[f"{family}_bias.bias[{channel}]"]
+        columns[channel] = (1 + 1e-6 * values[f"{family}_scale_factor.scale[{channel}]"]) * along
+    return columns
+
+
+def attitudes(count: int, seed: int = 5):
+    directions = np.random.default_rng(seed).normal(size=(count, 3))
+    return G * directions / np.linalg.norm(directions, axis=1)[:, None]
+
+
+def test_at_rest_the_length_is_g_within_the_uncertainty_in_every_pose(result, tmp_path):
+    out = tmp_path / "corrected.parquet"
+    found = correct(result, DESK, out)
+    assert found.kinds == ("accelerometer", "gyro")
+    table = pl.read_parquet(out)
+    starts = [0.0, *TRUTH["nuisance"]["move_end_s"]]
+    ends = [*TRUTH["nuisance"]["move_start_s"], table["time_s"].max()]
+    scores, ratios = [], []
+    for start, end in zip(starts, ends, strict=True):
+        rest = table.filter(pl.col("time_s").is_between(start + 0.1, end - 0.1))
+        length = rest["force_norm_m_s2"].to_numpy()
+        random = rest["force_norm_random_sd_m_s2"].to_numpy()
+        systematic = rest["force_norm_systematic_sd_m_s2"].to_numpy()[0]
+        scores.append((length.mean() - G) / np.hypot(systematic, random[0] / np.sqrt(len(rest))))
+        ratios.append(length.std() / random.mean())
+        # Fault planted: the outputs as they are.
+        raw = np.linalg.norm(rest.select("ax", "ay", "az").to_numpy(), axis=1).mean()
+        assert abs(raw - G) > 10 * systematic
+    assert np.abs(scores).max() < 4
+    assert 0.5 < np.mean(np.square(scores)) < 1.6
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_recording_that_was_left_out_is_right_within_the_systematic_uncertainty(result, tmp_path):
+    """New attitudes, each a mean of so many samples that only the calibration is uncertain."""
+    force, rate = attitudes(300), 0.7 * attitudes(300, 6) / G
+    columns = true_outputs(rate, force)
+    samples = np.full(300, 10**8)
+    pl.DataFrame({"pose": [f"p{k}" for k in range(300)], **columns, "samples": samples}).write_csv(tmp_path / "new.csv")
+    correct(result, tmp_path / "new.csv", tmp_path / "out.csv")
+    found = pl.read_csv(tmp_path / "out.csv")
+    assert found["pose"].to_list() == [f"p{k}" for k in range(300)]
+    truth = {"force_norm": np.full(300, G)}
+    truth |= {f"force_{axis}": force[:, k] for k, axis in enumerate("xyz")}
+    truth |= {f"rate_{axis}": rate[:, k] for k, axis in enumerate("xyz")}
+    for name, true in truth.items():
+        unit = "m_s2" if name.startswith("force") else "rad_s"
+        error = found[f"{name}_{unit}"].to_numpy() - true
+        score = error / found[f"{name}_systematic_sd_{unit}"].to_numpy()
+        assert np.abs(score).max() < 4, name
+        # Fault planted: a tenth of the uncertainty would not cover the errors.
+        assert np.abs(10 * score).max() > 4, name
+
+
+def test_missing_cells_and_other_columns_are_kept(result, tmp_path):
+    columns = true_outputs(np.zeros((4, 3)), attitudes(4))
+    frame = pl.DataFrame({"note": ["a", "b, c", "d", "e"], **columns})
+    frame = frame.with_columns(ax=pl.Series([None, *columns["ax"][1:]]), gy=pl.Series([*columns["gy"][:3], None]))
+    frame.write_csv(tmp_path / "gaps.csv")
+    summary = correct(result, tmp_path / "gaps.csv", tmp_path / "out.csv")
+    found = pl.read_csv(tmp_path / "out.csv")
+    assert found["note"].to_list() == ["a", "b, c", "d", "e"]
+    assert found["force_x_m_s2"].is_null().to_list() == [True, False, False, False]
+    assert found["rate_x_rad_s"].is_null().to_list() == [True, False, False, True]
+    assert (summary.tally.rows, summary.tally.incomplete) == (4, 2)
+
+
+def test_what_cannot_be_corrected_is_refused(result, tmp_path):
+    frame = pl.DataFrame(true_outputs(np.zeros((2, 3)), attitudes(2)))
+    frame.drop("ay", "gz").write_csv(tmp_path / "two.csv")
+    with pytest.raises(InputError, match="no complete set"):
+        correct(result, tmp_path / "two.csv", tmp_path / "out.csv")
+    with pytest.raises(InputError, match="no such file"):
+        correct(result, tmp_path / "none.csv", tmp_path / "out.csv")
+    with pytest.raises(InputError, match="no run 'swing'"):
+        correct(result, DESK, tmp_path / "out.csv", run="swing")
+    other = [replace(channel, offset=1.0) for channel in result.fit.model.campaign.channels]
+    with pytest.raises(InputError, match="not the one that was fitted"):
+        open_recording(DESK, other)
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_channels_that_do_not_span_three_axes_are_read_along_their_own():
+    six = campaign().channels
+    names = [channel.name for channel in six]
+    assert complete_kinds(six, names) == ("accelerometer", "gyro")
+    assert complete_kinds(six, names[:3]) == ("gyro",)
+    assert complete_kinds(six, [*names[:2], *names[4:]]) == ()
+    assert complete_kinds([replace(channel, axes=six[0].axes) for channel in six], names) == ()
+
+
+EFFECTS = (
+    "gyro_bias", "gyro_scale_factor", "gyro_misalignment", "gyro_g_sensitivity", "gyro_scale_g_dependence",
+    "gyro_scale_temperature", "accel_bias", "accel_scale_factor", "accel_quadratic", "accel_cross_coupling",
+    "accel_bias_temperature", "converter_gain_drift",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def nonlinear() -> tuple[SensorPosterior, dict[str, float]]:
+    """A unit with nonlinear terms, nothing fitted: its parameters are drawn from their priors, small campaign."""
+    model = bind(spec(*EFFECTS), campaign())
+    derived = Fit(model, np.zeros(len(model.layout)), np.zeros(0), True).derived
+    rng = np.random.default_rng(3)
+    truth = np.array([p.prior_sd * rng.normal() * p.factor for p in model.layout.parameters])
+    values = np.concatenate([truth, np.asarray(model.problem.nulls)])
+    places = np.arange(len(truth))
+    scatter = truth + 1e-6 * np.abs(truth) * rng.normal(size=(200, len(truth)))
+    inputs = derived.derivation.inputs
+    posterior = SensorPosterior(campaign(), inputs, model.layout.names, places, scatter, values)
+    return posterior, dict(zip(model.layout.names, truth, strict=True))
+
+
+def test_all_axes_are_solved_jointly_with_the_nonlinear_terms(nonlinear):
+    posterior, p = nonlinear
+    rng = np.random.default_rng(8)
+    rows = 40
+    force, rate = 3 * GRAVITY * rng.uniform(-1, 1, (rows, 3)), 2 * rng.uniform(-1, 1, (rows, 3))
+    warm, converter = rng.uniform(10, 45, rows), rng.uniform(15, 50, rows)
+    numbers = {"temperature_degC": warm, "converter_temperature_degC": converter}
+    for k, channel in enumerate(posterior.campaign.channels):
+        a = channel.name
+        order = [(k % 3 + i) % 3 for i in range(3)]
+        w, f = rate[:, order].T, force[:, order].T
+        if channel.kind == "gyro":
+            toward = np.array([1, p[f"gyro_misalignment.toward_o[{a}]"], p[f"gyro_misalignment.toward_s[{a}]"]])
+            signal = toward @ w / np.linalg.norm(toward) + p[f"gyro_bias.bias[{a}]"]
+            signal += sum(p[f"gyro_g_sensitivity.d_{i}[{a}]"] * f[j] for j, i in enumerate("ios"))
+            signal += p[f"gyro_scale_g_dependence.dependence[{a}]"] * f[0] * w[0]
+            signal *= 1 + p[f"gyro_scale_factor.scale[{a}]"]
+            signal *= 1 + p[f"gyro_scale_temperature.slope[{a}]"] * (warm - 25)
+        else:
+            signal = f[0] + p[f"accel_bias.bias[{a}]"] + p[f"accel_bias_temperature.slope[{a}]"] * (warm - 25)
+            signal += p[f"accel_quadratic.quadratic[{a}]"] * f[0] ** 2
+            signal += (p[f"accel_cross_coupling.k_ip[{a}]"] * f[2] + p[f"accel_cross_coupling.k_io[{a}]"] * f[1]) * f[0]
+            signal *= 1 + p[f"accel_scale_factor.scale[{a}]"]
+        gain = p.get(f"converter_gain_drift.slope[{a}]", 0.0)
+        numbers[a] = channel.offset + channel.scale_si * signal * (1 + gain * (converter - 25))
+    names = [channel.name for channel in posterior.campaign.channels]
+    noise = ReadingNoise(dict.fromkeys(names, ()), {}, dict.fromkeys(names, 0.0), ())
+    needs = ("temperature", "converter_temperature")
+    correction = Correction(posterior, noise, ("accelerometer", "gyro"), needs, {"temperature": (15.0, 40.0)})
+    tally = RowTally()
+    found = correction.columns(RowBatch(0, rows, numbers, {}, {}), {}, tally)
+    for k, axis in enumerate("xyz"):
+        np.testing.assert_allclose(found[f"force_{axis}_m_s2"], force[:, k], rtol=0, atol=1e-8)
+        np.testing.assert_allclose(found[f"rate_{axis}_rad_s"], rate[:, k], rtol=0, atol=1e-9)
+    assert tally.beyond == {"temperature": int(np.sum((warm < 15) | (warm > 40)))}
+    # The systematic uncertainty is that of repeated solutions at draws of the parameters.
+    repeated = [
+        replace(correction, posterior=replace(posterior, values=posterior.at(draw))).columns(
+            RowBatch(0, rows, numbers, {}, {}), {}, RowTally()
+        )
+        for draw in posterior.draws[:25]
+    ]
+    for column, unit in (("force_y", "m_s2"), ("rate_x", "rad_s"), ("force_norm", "m_s2")):
+        spread = np.std([each[f"{column}_{unit}"] for each in repeated], axis=0)
+        stated = found[f"{column}_systematic_sd_{unit}"]
+        assert np.median(spread / stated) == pytest.approx(1.0, abs=0.3)
