@@ -1,6 +1,7 @@
 """`compare`: the files it makes, what it keeps and removes, and what it says of a folder it cannot use."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -12,7 +13,8 @@ import synthetic_results as made
 import xarray as xr
 from PIL import Image
 
-from imubayes.display.figure_selection import corner_choice
+from imubayes.display.figure_selection import corner_choice, most_telling_first, pattern
+from imubayes.display.labels import covariate
 from imubayes.display.model_against_measurement import Comparison, compare
 from imubayes.errors import InputError
 from imubayes.results.posterior_draws import draws_of
@@ -23,7 +25,7 @@ def test_all_pictures_are_made_with_captions(compared: Comparison, trihedral: Pa
     overview = ["fit-of-runs.png", "identifiability.png", "mounting-prior-posterior.png", "corner.png"]
     covariates = ["row", "time", "power-on", "table-rate", "table-angle", "temperature"]
     assert set(names[:10]) == {*overview, *(f"residuals-{one}.png" for one in covariates)}
-    assert sum(name.startswith("run-") for name in names) == 21
+    assert sum(name.startswith("run-") for name in names) == 6
     folder = trihedral / "figures"
     assert {path.name for path in folder.iterdir()} == {*names, "captions.json"}
     captions = json.loads((folder / "captions.json").read_text())
@@ -35,6 +37,45 @@ def test_all_pictures_are_made_with_captions(compared: Comparison, trihedral: Pa
         with Image.open(path) as image:
             assert 600 <= image.width <= 1400
             assert np.asarray(image.convert("L")).std() > 5
+
+
+def test_the_page_shows_five_figures_first(compared: Comparison, trihedral: Path):
+    page = compared.page.read_text(encoding="utf-8")
+    assert compared.page == trihedral / "compare.html"
+    files = re.findall(r'<img [^>]*src="figures/([^"]*)"', page)
+    assert sorted(files) == sorted(path.name for path in compared.pictures)
+    assert [files[place] for place in (0, 3, 4)] == [
+        "fit-of-runs.png", "mounting-prior-posterior.png", "identifiability.png"
+    ]  # fmt: skip
+    assert files[1].startswith("residuals-")
+    assert files[2].startswith("run-")
+    assert page.index("All other figures") > page.index(f"figures/{files[4]}")
+    assert not re.search(r"<script|<link|@import|https?:", page)
+
+
+def test_the_clearest_pattern_comes_first():
+    """A residual that follows the temperature puts its figure before those against other covariates."""
+    residuals = made.trihedral_residuals(temperatures=(-40, 25, 60), channels=("gx", "ax"))
+    planted = residuals.with_columns(pl.col("whitened") + pl.col("temperature_degC") / 40)
+    for frame, first in ((planted, "residuals-temperature"), (residuals, None)):
+        names = ["residuals-time", "residuals-temperature", "residuals-table-rate", "fit-of-runs"]
+        ranked = most_telling_first(names, made.summary_of(frame), frame, [])
+        assert ranked[0] == "fit-of-runs"
+        assert first is None or ranked[1] == first
+    clearest = {each.name: pattern(planted, each) for each in map(covariate, ("temperature", "table_rate"))}
+    assert clearest["temperature"] > 10 > 3 > pattern(residuals, covariate("temperature"))
+    assert clearest["temperature"] > clearest["table_rate"]
+
+
+def test_chosen_runs(tmp_path: Path):
+    residuals = made.trihedral_residuals(temperatures=(25,), channels=("gx",))
+    folder = made.write_folder(tmp_path / "runs", residuals, made.summary_of(residuals, sampled=False))
+    found = compare(folder, runs=["rate-y-up-25C"])
+    assert [path.name for path in found.pictures if path.name.startswith("run-")] == ["run-rate-y-up-25C.png"]
+    assert any("--runs all" in note for note in found.notes)
+    with pytest.raises(InputError) as caught:
+        compare(folder, runs=["rate-y-up-26C"])
+    assert caught.value.issues[0].allowed.startswith("rate-y-up-25C")
 
 
 def test_it_shows_itself(compared: Comparison):

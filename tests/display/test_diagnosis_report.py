@@ -1,10 +1,13 @@
 """A diagnosis as it is displayed: the answer first, then the evidence."""
 
+import io
 import json
 
 import numpy as np
 import polars as pl
 import pytest
+from matplotlib.collections import LineCollection
+from rich.console import Console
 
 from imubayes.criticism.cross_validation import CrossValidation
 from imubayes.criticism.detectability import Absorber
@@ -39,11 +42,12 @@ from imubayes.display.figures.evidence_pictures import (
     save_evidence,
     save_recorded_noise,
 )
-from imubayes.display.figures.history_steps import error_per_step_figure, history_figure
+from imubayes.display.figures.history_steps import ChannelSteps, error_per_step_figure
 from imubayes.display.figures.residual_evidence import added_variable_figure
 from imubayes.display.history_table import history_json, history_sheet
 from imubayes.display.injection_report import injection_json, injection_report, injection_sheet
 from imubayes.display.report_layout import print_report
+from imubayes.display.table_layout import terminal
 from imubayes.errors import InputError
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.results.loop_files import read_diagnosis, write_diagnosis
@@ -282,18 +286,35 @@ def test_the_tree_is_told():
     assert made.path_to("/r/c") == ("/r/a", "/r/b", "/r/c")
     assert made.together_with("/r/c") == ("/r/a", "/r/b", "/r/c", "/r/d")
     rows = [" ".join(cell.text for cell in row) for row in history_sheet(made).rows]
-    assert rows[1].startswith("● └─ + gyro_g_sensitivity")
-    assert rows[2].startswith("○    └─ + gyro_scale_quadratic")
+    assert rows[1].startswith("● └ + gyro_g_sensitivity")
+    assert rows[2].startswith("○   └ + gyro_scale_quadratic")
     assert "no gain" in rows[2]
     assert rows[3].startswith("✕")
     assert json.dumps(history_json(made))
-    assert history_figure(made).png()[:4] == PNG
+    narrow = history_sheet(made).narrow
+    assert narrow is not None
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(terminal(history_sheet(made)))
+    lines = console.export_text().splitlines()
+    assert any(line.strip().startswith("○   └ + gyro_scale_quadratic ") for line in lines), (
+        "no name is broken at 80 columns"
+    )
+
+
+def test_a_noise_effect_is_not_punished_by_the_error_per_step():
+    """Noise that was too small moves the bar to the line; the channel counts as changed though its rms did not."""
+    noise_step = ChannelSteps("gx", "deg/s", [5e-4, 5e-4], [2e-4, 5e-4])
+    assert noise_step.changed
+    assert not ChannelSteps("gy", "deg/s", [5e-4, 5.05e-4], [5e-4, 5e-4]).changed
+    drawn = error_per_step_figure(["first", "+ run_scatter"], [noise_step], {"gx": 1.9e-4})
+    assert drawn.png()[:4] == PNG
+    bars = [each for each in drawn.axes[0].collections if isinstance(each, LineCollection)]
+    heights = np.concatenate([each.get_segments() for each in bars])[:, 0, 1]
+    assert heights[1] == pytest.approx(2.5 * heights[0])
+    assert heights[1] == pytest.approx(drawn.axes[0].lines[0].get_ydata()[1])
 
 
 def test_small_pictures():
-    drawn = error_per_step_figure(["first", "+ gyro_g_sensitivity"], {"deg/s": [5e-4, 2e-4]}, {"deg/s": 1.9e-4})
-    assert drawn.png()[:4] == PNG
-    assert "noise of single rows" in drawn.caption
     x = np.linspace(-2, 2, 40)
     assert "slope 1.00" in added_variable_figure(x, x, ["a", "b"] * 20, "effect").axes[0].get_title(loc="left")
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 
-def compare(result: Path, *, parameters: list[str] | None = None) -> int:
+def compare(result: Path, *, parameters: list[str] | None = None, runs: list[str] | None = None) -> int:
     """Compare the model with the measurements: figures, and goodness of fit per run and channel.
 
     Example: imubayes compare results/trihedral-imu
@@ -14,9 +14,11 @@ def compare(result: Path, *, parameters: list[str] | None = None) -> int:
         Result folder of a fit.
     parameters
         Names for the corner plot; by default the mounting angles and scale factors that are determined least.
+    runs
+        Runs that have a figure of their own, or 'all'; by default the six that fit worst.
     """
     from imubayes.display.model_against_measurement import compare as compare_result
     from imubayes.display.model_against_measurement import print_comparison
 
-    print_comparison(compare_result(result, parameters=parameters))
+    print_comparison(compare_result(result, parameters=parameters, runs=runs))
     return 0

@@ -17,11 +17,17 @@ from imubayes.representation import Presented
 
 
 class ChannelRms(Record):
-    """An rms of one channel: its residual, or its noise floor."""
+    """An rms of one channel: its residual, or its noise floor.
+
+    Attributes
+    ----------
+    noise : standard deviation that the model assumes of the residual; None where it is unknown.
+    """
 
     channel: str
     rms: float
     unit: str
+    noise: float | None = None
 
 
 class ChiSquareDrop(Record):

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import polars as pl
 
 from imubayes.covariates import Covariate
@@ -14,25 +15,28 @@ from imubayes.display.figures import (
     residual_figure,
     run_chi2_figure,
 )
+from imubayes.display.figures.panels import neighbour_means
 from imubayes.display.figures.prior_posterior import mounting_quantities
 from imubayes.display.goodness_of_fit import worst_first
 from imubayes.display.labels import covariates_of, numbers, ordered, varies
 from imubayes.display.theme import MOST_PANELS, Picture
 from imubayes.results.summary import Quantity, Summary
 
-MOST_RUNS, MOST_CORNER = 24, 6
+MOST_RUNS, MOST_CORNER = 6, 6
 Plan = Iterator[tuple[str, Callable[[], Picture]]]
 
 
-def plan(summary: Summary, residuals: pl.DataFrame, names: Sequence[str], draws: Mapping[str, Any]) -> Plan:
-    """Yield a name and a function that draws it for every figure, the overview first."""
+def plan(
+    summary: Summary, residuals: pl.DataFrame, names: Sequence[str], draws: Mapping[str, Any], chosen: Sequence[str]
+) -> Plan:
+    """Yield a name and a function that draws it for every figure, the overview first; `chosen` runs have one each."""
     runs = ordered(residuals, "run")
     if summary.runs:
         yield "fit-of-runs", lambda: run_chi2_figure(summary)
     for covariate in covariates_of(residuals):
         for page, channels in _pages(_channels_with(residuals, covariate)):
             yield (
-                f"residuals-{covariate.name.replace('_', '-')}{page}",
+                f"{_against(covariate)}{page}",
                 lambda covariate=covariate, channels=channels: residual_figure(residuals, covariate, channels, runs),
             )
     if any(entry.from_data is not None for entry in (*summary.parameters, *summary.derived)):
@@ -42,13 +46,52 @@ def plan(summary: Summary, residuals: pl.DataFrame, names: Sequence[str], draws:
     drawn = [name for name in names if name in draws]
     if drawn:
         yield "corner", lambda: corner_figure(draws, drawn, summary)
-    for run, file in _files_of_runs(runs_shown(summary, residuals)):
+    for run, file in _files_of_runs(chosen):
         own = residuals.filter(pl.col("run") == run)
         for page, channels in _pages(ordered(own, "channel")):
             yield (
                 f"run-{file}{page}",
                 lambda own=own, run=run, channels=channels: measurement_figure(own, run, channels),
             )
+
+
+def most_telling_first(
+    names: Sequence[str], summary: Summary, residuals: pl.DataFrame, chosen: Sequence[str]
+) -> list[str]:
+    """Return the names of figures in the order in which to look at them.
+
+    The map of χ², the residuals against the covariate with the clearest pattern, the run that fits worst, the true
+    mounting angles, and what the data determined; then all others.
+    """
+    covariates = sorted(covariates_of(residuals), key=lambda each: -pattern(residuals, each))
+    files = dict(_files_of_runs(chosen))
+    worst = [f"run-{files[run]}" for run in worst_first(summary) if run in files]
+    wanted = [
+        "fit-of-runs", *map(_against, covariates[:1]), *worst[:1], "mounting-prior-posterior", "identifiability",
+        "corner", *map(_against, covariates[1:]), *worst[1:],
+    ]  # fmt: skip
+    place = {name: number for number, name in reversed(list(enumerate(wanted)))}
+    return sorted(names, key=lambda name: place.get(name, place.get(name.rpartition("-")[0], len(wanted))))
+
+
+def pattern(residuals: pl.DataFrame, covariate: Covariate) -> float:
+    """Return how clearly whitened residuals follow a covariate.
+
+    This is the largest (χ² − k)/√2k of a channel, χ² of the means of k groups of neighbouring points.
+    """
+    clearest = 0.0
+    for channel in _channels_with(residuals, covariate):
+        own = residuals.filter(pl.col("channel") == channel)
+        _, mean, error = neighbour_means(numbers(own, covariate.column), numbers(own, "whitened"))
+        known = error > 0
+        count = int(known.sum())
+        if count:
+            clearest = max(clearest, float((np.sum((mean[known] / error[known]) ** 2) - count) / np.sqrt(2 * count)))
+    return clearest
+
+
+def _against(covariate: Covariate) -> str:
+    return f"residuals-{covariate.name.replace('_', '-')}"
 
 
 def _channels_with(residuals: pl.DataFrame, covariate: Covariate) -> list[str]:
@@ -63,7 +106,7 @@ def _pages(channels: Sequence[str]) -> list[tuple[str, list[str]]]:
 
 
 def runs_shown(summary: Summary, residuals: pl.DataFrame) -> list[str]:
-    """Return the runs that get a figure of their own: all, or those that fit worst where there are many."""
+    """Return the runs that get a figure of their own where none are named: all, or of many those that fit worst."""
     runs = ordered(residuals, "run")
     if len(runs) <= MOST_RUNS:
         return runs

@@ -1,29 +1,30 @@
-"""The models tried on one HTML page: the tree, residual rms per step, the evidence of each step, the next command.
+"""The models tried on one HTML page: the tree, the error by step, the evidence of each step, and the selected model.
 
 One file without scripts, links or external styles; pictures are embedded, on white, so that the page reads in light and
 dark mode.
 """
 
 import base64
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
-from imubayes.criticism.model_history import Node, Tree, rms_by_unit
-from imubayes.display.addition_report import (
-    addition_lines,
-    channel_sheet,
-    coefficient_sheet,
-    next_command,
-    run_change_sheet,
-)
+from imubayes.criticism.model_history import Node, Tree
+from imubayes.display.addition_report import addition_lines, channel_sheet, coefficient_sheet, run_change_sheet
+from imubayes.display.diagnosis_report import next_command, sentence
 from imubayes.display.figures.evidence_pictures import added_variable, before_after
-from imubayes.display.figures.history_steps import error_per_step_figure, history_figure
+from imubayes.display.figures.history_steps import ChannelSteps, error_per_step_figure
 from imubayes.display.history_table import history_sheet
+from imubayes.display.provenance_line import provenance_line
+from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.display.table_layout import Sheet
 from imubayes.display.templates import render
 from imubayes.display.theme import Picture
+from imubayes.errors import InputError
 from imubayes.results.history_file import shown_place
-from imubayes.results.loop_files import HistoryStep
+from imubayes.results.loop_files import HistoryStep, read_diagnosis
+from imubayes.results.result_folder import read_summary_and_residuals
 
 
 @dataclass(frozen=True)
@@ -39,12 +40,23 @@ class StepSection:
 
 @dataclass(frozen=True)
 class PathSection:
-    """What the page shows of the path to a selected model."""
+    """What the page shows of the path to a selected model.
+
+    Attributes
+    ----------
+    verdict : lines on what the diagnosis of the selected model says.
+    sheets : parameters and derived quantities of the selected model.
+    next : command to run next; empty where nothing is left to do.
+    origin : serial number, dates, hashes and software.
+    """
 
     place: str
     errors: Picture | None
     steps: Sequence[StepSection]
+    verdict: Sequence[str]
+    sheets: Sequence[Sheet]
     next: str
+    origin: str
 
 
 def history_page(tree: Tree, paths: Mapping[str, Sequence[HistoryStep]]) -> str:
@@ -55,8 +67,7 @@ def history_page(tree: Tree, paths: Mapping[str, Sequence[HistoryStep]]) -> str:
     paths : place of each selected model → the steps that lead to it.
     """
     sections = [_path(tree, place, steps) for place, steps in paths.items()]
-    models, drawn = history_sheet(tree), history_figure(tree)
-    return render("history", models=models, tree=drawn, paths=sections, data=_data).lstrip() + "\n"
+    return render("history", models=history_sheet(tree), paths=sections, data=_data).lstrip() + "\n"
 
 
 def _data(picture: Picture) -> str:
@@ -65,19 +76,34 @@ def _data(picture: Picture) -> str:
 
 def _path(tree: Tree, place: str, steps: Sequence[HistoryStep]) -> PathSection:
     nodes = [tree.nodes[each] for each in tree.path_to(place)]
-    addition = steps[-1].addition if steps else None
-    command = next_command(addition) if addition is not None else f"imubayes diagnose {shown_place(place)}"
-    return PathSection(shown_place(place), _errors(nodes), [_section(step) for step in steps], command)
+    folder, sections = Path(place), [_section(step) for step in steps]
+    diagnosis = read_diagnosis(folder)
+    shown = shown_place(place)
+    if diagnosis is None:
+        verdict, command = ["Not diagnosed yet."], f"imubayes diagnose {shown}"
+    else:
+        verdict, command = [sentence(diagnosis)], next_command(diagnosis)
+    try:
+        summary = read_summary_and_residuals(folder)[0]
+    except InputError:
+        return PathSection(shown, _errors(nodes), sections, verdict, (), command, "")
+    sheets = [parameter_sheet(summary), *([derived_sheet(summary)] if summary.derived else [])]
+    return PathSection(shown, _errors(nodes), sections, verdict, sheets, command, provenance_line(summary.provenance))
 
 
 def _errors(nodes: Sequence[Node]) -> Picture | None:
-    """Return the picture of the residual rms of each node; None where no fit was taken."""
-    errors = [rms_by_unit(node.rms) for node in nodes]
-    units = dict.fromkeys(unit for error in errors for unit in error)
-    series = {unit: [error.get(unit, float("nan")) for error in errors] for unit in units}
-    if not series:
+    """Return the picture of the residual rms of each model; None where no fit was taken."""
+    names = dict.fromkeys((each.channel, each.unit) for node in nodes for each in node.rms)
+    channels = []
+    for name, unit in names:
+        found = [next((each for each in node.rms if each.channel == name), None) for node in nodes]
+        rms = [math.nan if each is None else each.rms for each in found]
+        noise = [math.nan if each is None or each.noise is None else each.noise for each in found]
+        channels.append(ChannelSteps(name, unit, rms, noise))
+    if not channels:
         return None
-    return error_per_step_figure([node.title for node in nodes], series, rms_by_unit(nodes[-1].floor))
+    floors = {each.channel: each.rms for each in nodes[-1].floor}
+    return error_per_step_figure([node.title for node in nodes], channels, floors)
 
 
 def _section(step: HistoryStep) -> StepSection:

@@ -1,12 +1,12 @@
 """The models tried as a table and as JSON: the tree, residual rms, cross-validation, and which one is selected."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from imubayes.criticism.model_history import Node, Tree, rms_by_unit
 from imubayes.display.labels import pretty, readable
 from imubayes.display.report_layout import Report
-from imubayes.display.rounding import ratio_text, significant
+from imubayes.display.rounding import ratio_text, significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.results.history_file import shown_place
 
@@ -35,16 +35,27 @@ def history_sheet(tree: Tree) -> Sheet:
     scales = {unit: readable(unit, max(error.get(unit, 0.0) for error in errors)) for unit in units}
     ordered = tree.in_order()
     rows = [_row(tree.nodes[place], depth, place, scales) for depth, place in ordered]
-    slim = [(row[0], *row[3:-1]) for row in rows]
-    columns = (*(f"residual / {pretty(unit)}" for _, unit in scales.values()), "Δ elpd")
-    head = ("model", "χ²/dof", "Δχ²", *columns, "folder")
+    columns = tuple(f"residual / {pretty(unit)}" for _, unit in scales.values())
+    head = ("model", "χ²/dof", "Δχ²", *columns, "Δ elpd", "folder")
     note = (
-        "● selected, the model that is exported; ✕ not taken. Δχ²: drop at the noise scales of the model before; "
-        "Δ elpd: rise of the log predictive density in cross-validation."
+        "● selected, the model that is exported; ✕ not taken. Residual: rms over the channels of one unit. Δχ²: drop "
+        "at the noise scales of the model before; Δ elpd: rise of the log predictive density in cross-validation."
     )
     dividers = frozenset(index for index, (depth, _) in enumerate(ordered) if index and depth == 0)
-    narrow = Sheet("Models tried", ("model", *columns), slim, (0,), "", note, dividers)
+    slim = [_slim_row(row, tree.nodes[place]) for row, (_, place) in zip(rows, ordered, strict=True)]
+    short = tuple(f"rms {pretty(unit)}" for _, unit in scales.values())
+    narrow = Sheet("Models tried", ("model", "Δχ²", *short, "Δ elpd"), slim, (0,), "", note, dividers)
     return Sheet("Models tried", head, rows, (0, len(head) - 1), "", note, dividers, narrow)
+
+
+def _slim_row(row: Sequence[Cell], node: Node) -> tuple[Cell, ...]:
+    """Return a row for a narrow terminal: no χ²/dof, no folder, the gain without its runs and verdict."""
+    found = node.held_out
+    gain = row[-2].text
+    if found is not None:
+        value, sd = value_and_sd(found.delta, found.se)
+        gain = f"{'+' if found.delta > 0 else ''}{value} ± {sd}"
+    return (row[0], row[2], *row[3:-2], Cell(gain, row[-2].mood))
 
 
 def _row(node: Node, depth: int, place: str, scales: Mapping[str, tuple[float, str]]) -> tuple[Cell, ...]:
@@ -52,7 +63,7 @@ def _row(node: Node, depth: int, place: str, scales: Mapping[str, tuple[float, s
     error = rms_by_unit(node.rms)
     sizes = [significant(error[unit] * factor) if unit in error else "–" for unit, (factor, _) in scales.items()]
     mark = "●" if node.selected else ("○" if node.taken else "✕")
-    title = f"{'   ' * (depth - 1)}└─ {node.title}" if depth else node.title
+    title = f"{'  ' * (depth - 1)}└ {node.title}" if depth else node.title
     useless = node.held_out is not None and node.held_out.verdict == "not"
     return (
         Cell(f"{mark} {title}", "" if node.taken else "dim"),

@@ -15,10 +15,11 @@ from typing import Any
 import polars as pl
 from rich.console import Console, ConsoleOptions
 
-from imubayes.atomic_files import write_json
+from imubayes.atomic_files import write_json, write_text
 from imubayes.display.classical_comparison import ClassicalComparison, compare_classical, discrepancy_sheet
 from imubayes.display.combination_tables import combination_sheet, weak_sheet
-from imubayes.display.figure_selection import Plan, corner_choice, plan, runs_shown
+from imubayes.display.comparison_page import comparison_page
+from imubayes.display.figure_selection import Plan, corner_choice, most_telling_first, plan, runs_shown
 from imubayes.display.fit_quality_tables import fit_sheet, run_sheet
 from imubayes.display.labels import ordered
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
@@ -34,6 +35,7 @@ from imubayes.results.summary import Summary
 
 _MOST_COLUMNS = 9
 _INDEX = "captions.json"
+PAGE = "compare.html"
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class Comparison:
     captions : file name → caption.
     summary : of the fit.
     notes : what was left out.
+    page : the index page of the figures, `compare.html` of the result folder.
     classical : classical estimates beside those of the joint fit; None where the campaign is not available.
     """
 
@@ -55,6 +58,7 @@ class Comparison:
     captions: Mapping[str, str]
     summary: Summary
     notes: tuple[str, ...]
+    page: Path
     classical: ClassicalComparison | None = None
 
     @property
@@ -83,24 +87,27 @@ class Comparison:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterable[Any]:
         yield self.runs
         yield from self.notes
-        yield f"{len(self.pictures)} figures in {self.folder / 'figures'}"
+        yield f"{len(self.pictures)} figures in {self.folder / 'figures'}; look at these first: {self.page}"
 
     def _repr_html_(self) -> str:
         return summary_html(self.summary)
 
 
-def compare(folder: str | Path, parameters: Sequence[str] | None = None) -> Comparison:
-    """Make all tables and pictures of a result folder.
+def compare(
+    folder: str | Path, parameters: Sequence[str] | None = None, runs: Sequence[str] | None = None
+) -> Comparison:
+    """Make the tables and figures of a result folder, and a page that shows the five that matter most first.
 
     Parameters
     ----------
     folder : as written by the fit.
     parameters : for the corner plot; without them the mounting angles and scale factors that tell most, at most six.
+    runs : that have a figure of their own, or ``("all",)``; without them the six that fit worst.
 
     Raises
     ------
     InputError
-        if the folder is missing or damaged, a parameter is not in it, or no prediction is a finite number.
+        if the folder is missing or damaged, a parameter or run is not in it, or no prediction is a finite number.
     """
     folder = Path(folder)
     result = read_result(folder)
@@ -110,11 +117,34 @@ def compare(folder: str | Path, parameters: Sequence[str] | None = None) -> Comp
     if parameters and result.posterior_file is None:
         raise InputError(_no_draws(folder))
     draws = {} if result.posterior_file is None else _draws(result.posterior_file, names, asked=bool(parameters))
-    made, captions = _draw(plan(summary, residuals, names, draws), folder / "figures")
+    chosen = _chosen_runs(residuals, folder, runs) if runs else runs_shown(summary, residuals)
+    made, captions = _draw(plan(summary, residuals, names, draws, chosen), folder / "figures")
     campaign = campaign_of(folder)
     classical_estimates = None if campaign is None else compare_classical(classical(campaign), summary)
-    notes = tuple(_notes(summary, residuals, draws))
-    return Comparison(folder, tuple(made), captions, summary, notes, classical_estimates)
+    notes = tuple(_notes(residuals, draws, chosen))
+    ranked = most_telling_first([file.stem for file in made], summary, residuals, chosen)
+    page = folder / PAGE
+    write_text(page, comparison_page(summary, [f"{name}.png" for name in ranked], captions, notes))
+    return Comparison(folder, tuple(made), captions, summary, notes, page, classical_estimates)
+
+
+def _chosen_runs(residuals: pl.DataFrame, folder: Path, runs: Sequence[str]) -> list[str]:
+    known = ordered(residuals, "run")
+    if list(runs) == ["all"]:
+        return known
+    issues = [
+        Issue(
+            f"'{name}' is not a run of the result",
+            f"{folder}, option --runs",
+            closest_first(name, known),
+            "take names of runs, or 'all'",
+        )
+        for name in runs
+        if name not in known
+    ]
+    if issues:
+        raise InputError(issues)
+    return [name for name in known if name in runs]
 
 
 def _draw(figures: Plan, target: Path) -> tuple[list[Path], dict[str, str]]:
@@ -187,10 +217,10 @@ def _draws(file: Path, names: Sequence[str], asked: bool) -> Mapping[str, Any]:
     return draws
 
 
-def _notes(summary: Summary, residuals: pl.DataFrame, draws: Mapping[str, Any]) -> Iterator[str]:
-    runs, shown = ordered(residuals, "run"), runs_shown(summary, residuals)
-    if len(shown) < len(runs):
-        yield f"Of {len(runs)} runs the {len(shown)} with the worst fit have a figure of their own."
+def _notes(residuals: pl.DataFrame, draws: Mapping[str, Any], chosen: Sequence[str]) -> Iterator[str]:
+    runs = ordered(residuals, "run")
+    if len(chosen) < len(runs):
+        yield f"{len(chosen)} of {len(runs)} runs have a figure of their own; others: --runs NAME, or --runs all."
     if not draws:
         yield "No corner plot: the result holds no posterior draws."
 
@@ -201,8 +231,11 @@ def print_comparison(comparison: Comparison) -> None:
     console.print(comparison.runs)
     if comparison.classical is not None and (sheet := discrepancy_sheet(comparison.classical)).rows:
         console.print(terminal(sheet))
-    for path in comparison.pictures:
-        console.print(str(path), highlight=False, soft_wrap=True)
+    for note in comparison.notes:
+        console.print(note, highlight=False)
+    count = len(comparison.pictures)
+    console.print(f"{count} figures in {comparison.folder / 'figures'}", highlight=False, soft_wrap=True)
+    console.print(f"look at these first: {comparison.page}", highlight=False, soft_wrap=True)
 
 
 @contextmanager

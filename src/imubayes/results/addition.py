@@ -1,5 +1,7 @@
 """The record of an addition: what was predicted and observed, cross-validation, residual rms before and after."""
 
+import math
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -168,15 +170,23 @@ def _by_channel(before: Summary, after: Summary) -> tuple[RmsChange, ...]:
 
 
 def channel_rms(summary: Summary) -> tuple[ChannelRms, ...]:
-    """Return the residual rms of each channel over all runs."""
+    """Return residual rms and assumed noise of each channel over all runs."""
     found = []
     for channel in dict.fromkeys(run.channel for run in summary.runs):
         runs = [run for run in summary.runs if run.channel == channel and run.n]
-        square = [(run.n, run.n * run.rms**2, run.unit) for run in runs if run.rms is not None]
-        if square:
-            rms = (sum(part for _, part, _ in square) / sum(n for n, _, _ in square)) ** 0.5
-            found.append(ChannelRms(channel=channel, rms=rms, unit=square[0][2]))
+        rms = _pooled([(run.n, run.rms) for run in runs])
+        if rms is not None:
+            noise = _pooled([(run.n, run.noise) for run in runs])
+            found.append(ChannelRms(channel=channel, rms=rms, unit=runs[0].unit, noise=noise))
     return tuple(found)
+
+
+def _pooled(sizes: Sequence[tuple[int, float | None]]) -> float | None:
+    """Return the rms over runs of (number, rms); None where no run has one."""
+    known = [(count, size) for count, size in sizes if size is not None]
+    if not known:
+        return None
+    return math.sqrt(sum(count * size**2 for count, size in known) / sum(count for count, _ in known))
 
 
 def added_variable(extension: Extension) -> pl.DataFrame:

@@ -58,7 +58,7 @@ def remember(parent: Path, folder: Path, addition: Addition, diagnosis: Diagnosi
         verdict=diagnosis.verdict if diagnosis is not None else None,
         chi2=addition.chi2.after,
         dof=addition.dof.after,
-        rms=tuple(ChannelRms(channel=each.channel, rms=each.after, unit=each.unit) for each in addition.channels),
+        rms=channel_rms(addition.result.summary) if addition.channels else (),
         delta_chi2=ChiSquareDrop(predicted=addition.predicted.delta_chi2, observed=addition.observed.delta_chi2),
         held_out=held_out.model_copy(update={"each": (), "rates": ()}) if held_out is not None else None,
         data_hash=data,

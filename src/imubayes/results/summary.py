@@ -82,13 +82,20 @@ class CombinationSummary(Quantity):
 
 
 class RunSummary(Record):
-    """Goodness of fit of one channel in one run; `rms` of the residual in input units, deg/s or g."""
+    """Goodness of fit of one channel in one run.
+
+    Attributes
+    ----------
+    rms : of the residual in input units, deg/s or g.
+    noise : standard deviation that the model assumes of it, run offset included; None in results of earlier versions.
+    """
 
     name: str
     channel: str
     n: int
     chi2: float | None
     rms: float | None
+    noise: float | None = None
     unit: str
 
 
