@@ -1,6 +1,8 @@
 """Pictures: drawn, captioned, with units, nothing outside the paper, readable where the data are odd."""
 
 from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -9,10 +11,13 @@ import synthetic_results as made
 from matplotlib import rcParams
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.dates import num2date
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
+from imubayes.campaign import load_campaign
 from imubayes.display.figures import (
+    campaign_timeline_figure,
     corner_figure,
     identifiability_figure,
     measurement_figure,
@@ -25,6 +30,8 @@ from imubayes.display.figures.panels import neighbour_means, set_abscissa
 from imubayes.display.labels import covariate, covariates_of
 from imubayes.display.theme import FewTicks, Picture
 from imubayes.results.summary import Summary
+
+DATA = Path(__file__).parents[2] / "data"
 
 
 def texts_of(figure: Picture) -> Iterator[tuple[str, Bbox]]:
@@ -271,3 +278,21 @@ def test_rates_are_ticked_in_decades():
     set_abscissa(axes, np.array([-300.0, -1.0, 0.0, 1.0, 300.0]), covariate("table_rate"))
     labels = {axes.xaxis.get_major_formatter()(place) for place in axes.get_xticks()}
     assert labels >= {"−100", "−10", "−1", "0", "1", "10", "100"}
+
+
+def test_runs_on_a_time_axis():
+    campaign = load_campaign(DATA / "full-qualification")
+    figure = campaign_timeline_figure(campaign)
+    assert_readable(figure)
+    upper = figure.axes[0]
+    bars = [line for line in upper.lines if line.get_linewidth() == 8]
+    assert len(bars) == len(campaign.runs)
+    first = campaign.runs[0]
+    assert num2date(bars[0].get_xdata()[0]).isoformat() == first.start
+    seconds = 86400 * float(np.ptp(bars[0].get_xdata()))
+    assert seconds == pytest.approx(first.covariates["time"].max(), abs=1e-3)
+    hues = {run.mounting: line.get_color() for run, line in zip(campaign.runs, bars, strict=True)}
+    assert len(set(hues.values())) == len(hues)
+    without = replace(campaign, runs=tuple(replace(run, start=None) for run in campaign.runs))
+    with pytest.raises(ValueError, match="no run states its start"):
+        campaign_timeline_figure(without)

@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from imubayes.campaign_data import Campaign
 from imubayes.covariates import Covariate
 from imubayes.display.figures import (
+    campaign_timeline_figure,
     corner_figure,
     identifiability_figure,
     measurement_figure,
@@ -27,7 +29,12 @@ Plan = Iterator[tuple[str, Callable[[], Picture]]]
 
 
 def plan(
-    summary: Summary, residuals: pl.DataFrame, names: Sequence[str], draws: Mapping[str, Any], chosen: Sequence[str]
+    summary: Summary,
+    residuals: pl.DataFrame,
+    names: Sequence[str],
+    draws: Mapping[str, Any],
+    chosen: Sequence[str],
+    campaign: Campaign | None = None,
 ) -> Plan:
     """Yield a name and a function that draws it for every figure, the overview first; `chosen` runs have one each."""
     runs = ordered(residuals, "run")
@@ -46,6 +53,8 @@ def plan(
     drawn = [name for name in names if name in draws]
     if drawn:
         yield "corner", lambda: corner_figure(draws, drawn, summary)
+    if campaign is not None and any(run.start is not None for run in campaign.runs):
+        yield "campaign-timeline", lambda: campaign_timeline_figure(campaign)
     for run, file in _files_of_runs(chosen):
         own = residuals.filter(pl.col("run") == run)
         for page, channels in _pages(ordered(own, "channel")):
@@ -68,7 +77,7 @@ def most_telling_first(
     worst = [f"run-{files[run]}" for run in worst_first(summary) if run in files]
     wanted = [
         "fit-of-runs", *map(_against, covariates[:1]), *worst[:1], "mounting-prior-posterior", "identifiability",
-        "corner", *map(_against, covariates[1:]), *worst[1:],
+        "corner", "campaign-timeline", *map(_against, covariates[1:]), *worst[1:],
     ]  # fmt: skip
     place = {name: number for number, name in reversed(list(enumerate(wanted)))}
     return sorted(names, key=lambda name: place.get(name, place.get(name.rpartition("-")[0], len(wanted))))

@@ -1,5 +1,6 @@
 """Pictures of a result, one call each: `figure = residual_figure(residuals, "table_rate")`."""
 
+from imubayes.display.figures.campaign_timeline import campaign_timeline_figure
 from imubayes.display.figures.corner import corner_figure
 from imubayes.display.figures.identifiability import identifiability_figure
 from imubayes.display.figures.measurement import measurement_figure
@@ -8,6 +9,7 @@ from imubayes.display.figures.residual import residual_figure
 from imubayes.display.figures.run_chi2 import run_chi2_figure
 
 __all__ = [
+    "campaign_timeline_figure",
     "corner_figure",
     "identifiability_figure",
     "measurement_figure",
