@@ -1,20 +1,20 @@
 """`imubayes noise`: table, record, figure, and priors that the fit of another campaign uses."""
 
-import json
-import shutil
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 import pytest
 
 from imubayes.campaign import load_campaign
 from imubayes.cli.main import run
 from imubayes.display.figures.allan import allan_figure
+from imubayes.display.noise_priors_file import priors_text
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
+from imubayes.model.model_spec import ModelSpec
 from imubayes.noise_analysis.noise_record import StaticNoise, fitted_deviations
 from imubayes.noise_analysis.noise_spectra import NoiseTerm
+from imubayes.results.result_folder import model_text
 
 SHIPPED = Path(__file__).parents[2] / "data" / "static-record"
 # The truth of the shipped record, from its truth.toml.
@@ -69,29 +69,51 @@ def test_the_figure_shows_every_channel(record: StaticNoise, written: Path):
     assert (written / "allan-night.png").stat().st_size > 20_000
 
 
-def test_the_terms_are_priors_of_another_campaign_of_the_unit(written: Path, tmp_path: Path):
-    """Ten one-minute rows at 100 Hz cannot tell the noise of a sample so well: the static record has told it."""
-    out = tmp_path / "noise"
-    assert run(["noise", str(SHIPPED), "--out", str(out), "--sample-rate", "100"]) == 0
-    other = tmp_path / "other"
-    shutil.copytree(SHIPPED, other)
-    random, names = np.random.default_rng(1), list(WHITE)
-    rows = {"time_s": 30.0 + 60.0 * np.arange(10), "samples": np.full(10, 6000.0)}
-    rows |= {name: 1e-6 * random.normal(size=10) + (name == "az") for name in names}
-    pl.DataFrame(rows).write_parquet(other / "runs" / "night.parquet")
+def test_the_terms_are_priors_of_another_campaign_of_the_unit(record: StaticNoise, written: Path, tmp_path: Path):
+    (tmp_path / "priors.toml").write_text(priors_text(record, 100.0))
+    assert (written / "noise-priors.toml").read_text() == priors_text(record)
     model = tmp_path / "model.toml"
-    effects = 'format = 1\nname = "other"\n\n[[effect]]\nname = "gyro_bias"\n\n[[effect]]\nname = "accel_bias"\n\n'
-    model.write_text(effects + (out / "noise-priors.toml").read_text())
-    bound = bind(read_model(model), load_campaign(other))
-    sigma = dict(zip(bound.hyper_layout.names, np.asarray(bound.problem.hyper_priors.values(np.zeros(6))), strict=True))
-    for name in names:
+    own = ["gyro_bias", "accel_bias", "white_noise", "random_walk_noise"]
+    effects = "".join(f'[[effect]]\nname = "{name}"\n\n' for name in own)
+    model.write_text(f'format = 1\nname = "other"\nnoise_priors = "priors.toml"\n\n{effects}')
+    bound = bind(read_model(model), load_campaign(SHIPPED))
+    names, size = bound.hyper_layout.names, len(bound.hyper_layout)
+    median = dict(zip(names, np.asarray(bound.problem.hyper_priors.values(np.zeros(size))), strict=True))
+    for name in WHITE:
         # deg/√h to deg/s: 1/60 per √s; µg to g: 1e-6; times the root of the sampling rate.
         expected = WHITE[name] * (1 / 60 if name[0] == "g" else 1e-6) * np.sqrt(100.0)
-        assert sigma[f"white_noise.sigma[{name}]"] == pytest.approx(expected, rel=0.1)
-    assert run(["fit", str(other), "--model", str(model), "--out", str(tmp_path / "fit"), "--no-sample"]) in (0, 1)
-    found = json.loads((tmp_path / "fit" / "summary.json").read_text())["parameters"]
-    fitted = next(p for p in found if p["name"] == "white_noise.sigma[gx]")
-    assert fitted["prior_sd"] / fitted["mean"] < 0.05
+        assert median[f"white_noise.sigma[{name}]"] == pytest.approx(expected, rel=0.1)
+        assert f"flicker_noise.b[{name}]" in names
+        assert f"random_walk_noise.k[{name}]" in names
+    assert [name for name in names if "pulse_quantisation" in name] == ["pulse_quantisation.q[az]"]
+    # The truth is 2.62 °/h/√h: °/s over an hour, within the width of the prior.
+    walk = next(p for p in bound.hyper_layout.parameters if p.name == "random_walk_noise.k[gx]")
+    assert abs(float(walk.prior.z(2.624516534655075 / 3600))) < 3
+    # Flicker noise and random walk share the scatter that they explain.
+    places = [names.index("flicker_noise.b[gx]"), names.index("random_walk_noise.k[gx]")]
+    root = np.asarray(bound.problem.hyper_correlation.root)
+    assert (root @ root.T)[places[0], places[1]] < -0.2
+    again = read_model_text(tmp_path / "again.toml", model_text(bound.spec))
+    assert again.correlations[0].matrix == bound.spec.correlations[0].matrix
+
+
+def test_ramp_and_markov_noise_are_priors_too(record: StaticNoise):
+    """A record that determines them: its own terms stand in for those of this one."""
+    gx = record.channels[0]
+    found = {"determined": True, "value": 1.5, "sd": 0.2, "low": 1.1, "high": 1.9, "upper_limit": None}
+    terms = [
+        term.model_copy(update=found) if term.term in (NoiseTerm.RAMP, NoiseTerm.MARKOV) else term for term in gx.terms
+    ]
+    times = {"correlation_time_s": 300.0, "correlation_time_sd_s": 60.0, "correlated_terms": []}
+    text = priors_text(record.model_copy(update={"channels": [gx.model_copy(update={"terms": terms, **times})]}))
+    assert 'slope = "normal(0, 1.51327 deg/h/h)"' in text
+    assert 'sigma = "lognormal(0.00040157' in text  # the middle of the logarithms of the ends, in °/s
+    assert 'time = "lognormal(300 s, 0.2)"' in text
+
+
+def read_model_text(file: Path, text: str) -> ModelSpec:
+    file.write_text(text)
+    return read_model(file)
 
 
 @pytest.mark.parametrize(

@@ -17,10 +17,10 @@ import jax
 import numpy as np
 
 from imubayes.campaign import load_campaign
-from imubayes.inference.ensemble_sampling import Settings, burn_in
-from imubayes.inference.fitted_model import Fit
+from imubayes.inference import run_fit
+from imubayes.inference.ensemble_sampling import _MOST_NUMBERS, Settings, burn_in
 from imubayes.inference.run_fit import joint_fit
-from imubayes.model.bind import bind
+from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 
 jax.config.update("jax_enable_x64", True)
@@ -80,20 +80,21 @@ def compare(campaign: str, seed: int = 0, times: int = TIMES) -> Comparison:
     """Return the comparison for one shipped campaign."""
     model = bind(read_model(ROOT / "models" / f"{campaign}.toml"), load_campaign(ROOT / "data" / campaign))
     short = joint_fit(model, Settings(seed=seed))
-    steps = short.posterior.chains.points.shape[1]
-    long = joint_fit(model, Settings(seed=seed + 1000, least_steps=times * steps, most_steps=times * steps))
-    assert long.posterior.chains.points.shape[1] >= times * steps - burn_in(times * steps)
+    assert short.posterior is not None
+    chains = short.posterior.chains
+    assert chains is not None
+    draws = chains.points.reshape(-1, chains.points.shape[-1])
+    reference = long_chain(model, seed + 1000, chains.points.shape, times)
     names = model.layout.names + model.hyper_layout.names
-    draws, reference = short.posterior.points, long.posterior.points
     ratio = draws.std(axis=0) / reference.std(axis=0)
-    distance = np.abs(_ends(short) - _ends(long)).max(axis=0) / reference.std(axis=0)
+    distance = np.abs(_ends(draws) - _ends(reference)).max(axis=0) / reference.std(axis=0)
     sd, end = int(np.argmax(np.abs(ratio - 1))), int(np.argmax(distance))
     return Comparison(
         campaign=campaign,
         converged=short.converged,
         draws=len(draws),
         long_draws=len(reference),
-        pareto_k=short.posterior.chains.diagnosis.pareto_k,
+        pareto_k=chains.diagnosis.pareto_k or 0.0,
         sd=float(ratio[sd]),
         sd_name=names[sd],
         end=float(distance[end]),
@@ -102,8 +103,28 @@ def compare(campaign: str, seed: int = 0, times: int = TIMES) -> Comparison:
     )
 
 
-def _ends(fit: Fit) -> np.ndarray:
-    return np.quantile(fit.posterior.points, (0.025, 0.975), axis=0)
+def long_chain(model: Model, seed: int, shape: tuple[int, ...], times: int) -> np.ndarray:
+    """Return the draws of chains of `times` the length of one of a shape (ensembles, steps, walkers, D), (S, D).
+
+    The sampler stores a chain up to a size; what is longer is several, with seeds of their own.
+    """
+    ensembles, steps, walkers, dimensions = shape
+    most = _MOST_NUMBERS // (ensembles * walkers * dimensions) * 3 // 5
+    pieces = -(-times * steps // most)
+    each, found = -(-times * steps // pieces), []
+    for piece in range(pieces):
+        fit = joint_fit(model, Settings(seed=seed + piece, least_steps=each, most_steps=each))
+        assert fit.posterior is not None
+        assert fit.posterior.chains is not None
+        points = fit.posterior.chains.points
+        assert points.shape[1] >= each - burn_in(each)
+        found.append(points.reshape(-1, dimensions).astype(np.float32))
+        del fit, points
+    return np.concatenate(found).astype(float)
+
+
+def _ends(draws: np.ndarray) -> np.ndarray:
+    return np.quantile(draws, (0.025, 0.975), axis=0)
 
 
 def report(found: list[Comparison]) -> str:
@@ -134,6 +155,7 @@ def main() -> None:
     """Compare the campaigns named on the command line, or all."""
     jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax-study"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    run_fit._MOST_DRAWS = sys.maxsize  # all steps of a chain, not those that a result keeps
     chosen = [name for name in CAMPAIGNS if not sys.argv[1:] or name in sys.argv[1:]]
     found = []
     for name in chosen:

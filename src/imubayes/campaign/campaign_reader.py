@@ -132,6 +132,10 @@ def read_model_file(path: str | Path) -> ModelFile:
             near = closest_first(name, [file.name for file in folder.glob("*.py")])
             allowed = near or "a Python file beside the model file"
             document.ledger.add(f"the file '{name}' does not exist", ("files", index), allowed, "correct the path")
+    priors = document.entry.noise_priors if document.entry else None
+    if priors is not None and not (folder / priors).is_file():
+        allowed = "noise-priors.toml, as `imubayes noise CAMPAIGN --out FOLDER` writes it"
+        document.ledger.add(f"the file '{priors}' does not exist", ("noise_priors",), allowed, "correct the path")
     document.ledger.stop_if_any()
     assert document.entry is not None
     return document.entry

@@ -190,6 +190,14 @@ class EffectEntry(BaseModel):
         return dict(self.__pydantic_extra__ or {})
 
 
+class PriorCorrelationEntry(_Entry):
+    """Correlation of the priors of noise parameters; of their logarithms where these are lognormal."""
+
+    parameters: list[str] = Field(min_length=2, description="names as in results: flicker_noise.b[gx]")
+    matrix: list[list[float]] = Field(min_length=2, description="symmetric, with ones on the diagonal")
+    optional: bool = Field(default=False, description="leave out the parameters that the model does not have")
+
+
 class ModelFile(_Entry):
     """A model: a list of effects; `files` are Python sources of user-defined effects."""
 
@@ -198,6 +206,10 @@ class ModelFile(_Entry):
     files: list[str] = []
     delta_k_threshold_percent: Positive | None = None
     effect: list[EffectEntry] = Field(min_length=1)
+    prior_correlation: list[PriorCorrelationEntry] = []
+    noise_priors: str | None = Field(
+        default=None, description="noise-priors.toml of `imubayes noise`, in place of the model's noise on its channels"
+    )
 
 
 PATTERNS = {

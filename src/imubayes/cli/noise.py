@@ -25,8 +25,8 @@ def noise(
     runs
         Runs of procedure static_record; by default all of them.
     out
-        Folder to write: noise.json, the Allan deviation of every run as a figure, and noise-priors.toml, the white
-        noise as effects for models of other campaigns of the unit.
+        Folder to write: noise.json, the Allan deviation of every run as a figure, and noise-priors.toml, the
+        terms as priors for models of other campaigns of the unit (key `noise_priors` of a model file).
     shortest_tau
         Shortest averaging time in s that the terms have to describe; above 0 where a filter shapes the noise of
         single samples.

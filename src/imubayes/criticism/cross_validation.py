@@ -23,7 +23,7 @@ from imubayes.inference.posterior_precision import Linearised, linearise
 from imubayes.json_record import Record, finite
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import residuals
-from imubayes.model.problem import masked
+from imubayes.model.problem import hyper_prior_square, masked
 from imubayes.model.robust_likelihood import has_heavy_tails
 from imubayes.parameters.vector import Layout
 from imubayes.units import to_si
@@ -224,7 +224,7 @@ def _log_likelihood(fitted: Fit) -> float:
     """Return log p(y | h) with θ integrated out about the mode."""
     problem, h = fitted.model.problem, jnp.asarray(fitted.h)
     about = linearise(problem, jnp.asarray(fitted.z))
-    prior = 0.5 * float(h @ h) + 0.5 * len(fitted.h) * np.log(2 * np.pi)
+    prior = 0.5 * float(hyper_prior_square(problem, h)) + 0.5 * len(fitted.h) * np.log(2 * np.pi)
     return float(slope(problem, about, h).value) + prior
 
 

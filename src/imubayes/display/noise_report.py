@@ -1,12 +1,11 @@
 """The noise terms of static records as tables, sentences, a figure per record, and a model snippet of priors."""
 
-import math
-from collections.abc import Sequence
 from pathlib import Path
 
 from imubayes.atomic_files import write_text
 from imubayes.display.figures.allan import allan_figure
 from imubayes.display.labels import pretty
+from imubayes.display.noise_priors_file import priors_text
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import rounded, significant
 from imubayes.display.table_layout import Cell, Sheet
@@ -79,39 +78,10 @@ def _warnings(noise: ChannelNoise) -> list[str]:
 def write_noise(folder: Path, noise: StaticNoise, sample_rate: float | None = None) -> list[Path]:
     """Write the record, the priors and a figure of each static record into a folder; return the files."""
     write_text(folder / NOISE_FILE, noise.json_text())
-    write_text(folder / PRIORS_FILE, priors_text(noise.channels, sample_rate))
+    write_text(folder / PRIORS_FILE, priors_text(noise, sample_rate))
     written = [folder / NOISE_FILE, folder / PRIORS_FILE]
     for run in dict.fromkeys(channel.run for channel in noise.channels):
         drawn = allan_figure([channel for channel in noise.channels if channel.run == run])
         plain = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in run)
         written.append(drawn.save(folder / f"allan-{plain}.png"))
     return written
-
-
-def priors_text(channels: Sequence[ChannelNoise], sample_rate: float | None = None) -> str:
-    """Return the white noise of the last record of every channel as effects for the model of other campaigns.
-
-    Parameters
-    ----------
-    sample_rate : of the raw samples of those campaigns, Hz; that of the record where None.
-    """
-    last = {noise.channel: noise for noise in channels if noise.of(NoiseTerm.WHITE).determined}
-    text = [
-        "# White noise of the unit from its static record: one effect per channel, in place of a model's white_noise.",
-        "# sigma is that of one raw sample: N times the square root of the sampling rate.",
-    ]
-    for noise in last.values():
-        term, rate = noise.of(NoiseTerm.WHITE), sample_rate or 1 / noise.interval_s
-        assert term.in_output_units is not None
-        assert term.value is not None
-        assert term.sd is not None
-        median, width = term.in_output_units * math.sqrt(rate), max(term.sd / term.value, 1e-3)
-        text += [
-            "",
-            "[[effect]]",
-            'name = "white_noise"',
-            f'channels = ["{noise.channel}"]',
-            f'prior = {{ sigma = "lognormal({median:.8g} output, {width:.3g})" }}'
-            f"  # {rate:.6g} Hz, from run {noise.run}",
-        ]
-    return "\n".join(text) + "\n"

@@ -77,7 +77,10 @@ def posterior_tree(fit: Fit) -> xarray.DataTree:
     if posterior is None:
         raise ValueError("the fit has no posterior draws")
     chains, problem = posterior.chains, model.problem
-    draws, prior = by_ensemble(posterior.points, chains), _prior_points(posterior, np.random.default_rng(1))
+    draws, prior = (
+        by_ensemble(posterior.points, chains),
+        _prior_points(model.problem, posterior, np.random.default_rng(1)),
+    )
     random = np.random.default_rng(2)
     kept = draws[:, evenly_spaced(draws.shape[1], min(draws.shape[1], _kept(len(model.entries), len(draws))))]
     predicted, likelihood = _predicted(problem, kept, random)
@@ -125,11 +128,12 @@ def _kept(entries: int, chains: int) -> int:
     return int(np.clip(_KEPT_VALUES // max(entries, 1), _FEWEST_KEPT, _MOST_KEPT)) // chains
 
 
-def _prior_points(posterior: Posterior, random: np.random.Generator) -> np.ndarray:
+def _prior_points(problem: Problem, posterior: Posterior, random: np.random.Generator) -> np.ndarray:
     """Return draws of the prior in z, (S″, P + H)."""
     parameters = posterior.prior_points
     noise = random.normal(size=(len(parameters), posterior.points.shape[1] - parameters.shape[1]))
-    return np.concatenate([parameters, noise], axis=1)
+    correlation = problem.hyper_correlation
+    return np.concatenate([parameters, noise if correlation is None else correlation.coloured(noise)], axis=1)
 
 
 def _predicted(problem: Problem, draws: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -169,7 +169,8 @@ def model_hash(model: Model) -> str:
     """Return the SHA-256 of the model: its effects with channels, priors and settings, in order."""
     listed = sorted(repr(replace(effect, where="")) for effect in model.spec.effects)
     sources = [Path(file).read_text() for file in model.spec.files]
-    return _digest(*(text.encode() for text in (*listed, *sources)))
+    correlated = [repr((each.parameters, each.matrix)) for each in model.spec.correlations]
+    return _digest(*(text.encode() for text in (*listed, *correlated, *sources)))
 
 
 def _best_start(

@@ -23,9 +23,11 @@ from imubayes.model.compile_cache_limit import clear_if_crowded
 from imubayes.model.dry_run import dry_run
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.grouping import Grouping
+from imubayes.model.hyper_prior import hyper_correlation
 from imubayes.model.likelihood import log_density
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.model.nodes_and_entries import Entries, NodeTable, join_entries, join_nodes, servo_runs
+from imubayes.model.noise_priors import with_noise_priors
 from imubayes.model.nominal_response import is_independent
 from imubayes.model.problem import Problem
 from imubayes.noise.base import EntryNoise
@@ -114,13 +116,13 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None) 
     _refuse_unknown_procedures(campaign)
     new_files = registry is None
     registry = (registry or Registry()).with_files(spec.files)
-    spec = _with_implied(spec, campaign)
+    spec = _with_implied(with_noise_priors(spec, campaign, registry), campaign)
     nodes, entries = join_nodes(campaign), join_entries(campaign)
     grouping = Grouping(campaign, nodes, entries)
     effects = _bind_effects(spec, grouping, registry)
     clear_if_crowded()  # compiled code belongs to the structure of one model, and every model bound may be another
     assembly = assemble(effects, grouping)
-    problem = on_device(build_problem(assembly))
+    problem = on_device(build_problem(assembly, hyper_correlation(spec.correlations, assembly.hyper_layout)))
     if new_files:
         dry_run(problem, effects, spec.files)
     return Model(spec, registry, campaign, assembly.layout, assembly.hyper_layout, problem, nodes, entries, assembly)

@@ -7,6 +7,7 @@ from imubayes.model.assembly import Assembly
 from imubayes.model.attitude_closure import bind_transitions
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping, colour_columns
+from imubayes.model.hyper_prior import HyperCorrelation
 from imubayes.model.nodes_and_entries import nominal_rates, output_indices, reference_scales, time_ranks
 from imubayes.model.problem import NoiseLayer, Observations, Problem, Sparsity
 from imubayes.model.row_times import timeline
@@ -15,7 +16,7 @@ from imubayes.noise.base import Entry, EntryNoise, Noise, SlowNoise
 from imubayes.parameters.vector import Priors
 
 
-def build_problem(assembly: Assembly) -> Problem:
+def build_problem(assembly: Assembly, hyper_correlation: HyperCorrelation | None = None) -> Problem:
     """Return the arrays of an assembly, as NumPy arrays on the host."""
     nodes = assembly.grouping.nodes
     spread_of, spread_unit = _learnt_prior_widths(assembly)
@@ -32,6 +33,7 @@ def build_problem(assembly: Assembly) -> Problem:
         nulls=assembly.nulls,
         priors=Priors.stack([parameter.prior for parameter in assembly.layout.parameters]),
         hyper_priors=Priors.stack([parameter.prior for parameter in assembly.hyper_layout.parameters]),
+        hyper_correlation=hyper_correlation,
         noise=tuple(
             _noise_layer(effect, assembly) for effect in assembly.effects if issubclass(effect.effect_class, Noise)
         ),

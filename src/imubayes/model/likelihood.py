@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.model.noise_covariance import group_sum, inverse_covariance, noise_distribution, whiten, whitener
-from imubayes.model.problem import Problem, predict, prior_widths
+from imubayes.model.problem import Problem, hyper_prior_square, predict, prior_widths
 from imubayes.model.robust_likelihood import least_squares_form, pseudo_values
 from imubayes.model.student_t import deviance, log_determinant_correction, normaliser
 
@@ -40,7 +40,7 @@ def log_normaliser(problem: Problem, h: Float[Array, " H"]) -> Scalar:
     widths = jnp.sum(jnp.log(prior_widths(problem, h)))
     entries = jnp.sum(problem.observations.weight)
     constant = 0.5 * jnp.log(2 * jnp.pi) * (entries + problem.size[0] + problem.size[1])
-    return -0.5 * whitening.log_determinant - widths - 0.5 * jnp.sum(h**2) - constant
+    return -0.5 * whitening.log_determinant - widths - 0.5 * hyper_prior_square(problem, h) - constant
 
 
 def log_density(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) -> Scalar:

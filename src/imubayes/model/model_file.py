@@ -4,7 +4,7 @@ from pathlib import Path
 
 from imubayes.campaign.campaign_reader import read_model_file
 from imubayes.campaign.file_schemas import ModelFile
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.model.model_spec import EffectSpec, ModelSpec, PriorCorrelation
 
 
 def read_model(path: str | Path) -> ModelSpec:
@@ -35,7 +35,29 @@ def spec_of_file(file: ModelFile, path: Path) -> ModelSpec:
     )
     percent = file.delta_k_threshold_percent
     own = tuple(str(path.parent / name) for name in file.files)
-    return ModelSpec(file.name, effects, own, str(path), None if percent is None else percent / 100)
+    correlations = tuple(
+        PriorCorrelation(
+            tuple(entry.parameters),
+            tuple(map(tuple, entry.matrix)),
+            entry.optional,
+            f"{path}: prior_correlation {place + 1}",
+        )
+        for place, entry in enumerate(file.prior_correlation)
+    )
+    return ModelSpec(
+        name=file.name,
+        effects=effects,
+        files=own,
+        where=str(path),
+        delta_k_threshold=None if percent is None else percent / 100,
+        correlations=correlations,
+        noise_priors=None if file.noise_priors is None else _noise_priors(path.parent / file.noise_priors),
+    )
+
+
+def _noise_priors(path: Path) -> ModelSpec:
+    """Read the noise of static records; it names no further file of its kind."""
+    return spec_of_file(read_model_file(path).model_copy(update={"noise_priors": None}), path)
 
 
 load_model = read_model  # the public name

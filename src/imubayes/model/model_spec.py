@@ -29,11 +29,30 @@ class EffectSpec:
 
 
 @dataclass(frozen=True)
+class PriorCorrelation:
+    """Correlation of the priors of noise parameters, of their logarithms where these are lognormal.
+
+    Attributes
+    ----------
+    parameters : names of K noise parameters, `effect.parameter[label]`.
+    matrix : K rows of K correlations.
+    optional : leave out the parameters that the model does not have, instead of refusing it.
+    where : file and key, for errors.
+    """
+
+    parameters: tuple[str, ...]
+    matrix: tuple[tuple[float, ...], ...]
+    optional: bool = False
+    where: str = "model"
+
+
+@dataclass(frozen=True)
 class ModelSpec:
     """A model: a name and its effects; `files` are sources of the user's own effects, as given.
 
     `delta_k_threshold` is the Δk up to which the 1 g line of a converter applies to all inputs, as a ratio; None for
-    that of the campaign.
+    that of the campaign.  `correlations` are those of the priors of noise parameters.  `noise_priors` is the noise
+    of the unit from its static records, which takes the place of the model's own once bound to a campaign.
     """
 
     name: str
@@ -41,3 +60,5 @@ class ModelSpec:
     files: tuple[str, ...] = ()
     where: str = "model"
     delta_k_threshold: float | None = None
+    correlations: tuple[PriorCorrelation, ...] = ()
+    noise_priors: "ModelSpec | None" = None

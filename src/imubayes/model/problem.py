@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.array_shapes import Array, Bool, Float, Int
+from imubayes.array_shapes import Array, Bool, Float, Int, Scalar
 from imubayes.gather import in_batches, take
 from imubayes.model.attitude_closure import Transitions, closing_rotations
+from imubayes.model.hyper_prior import HyperCorrelation
 from imubayes.model.row_times import Timeline
 from imubayes.model.servo_ode import Servos, servo_angles
 from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
@@ -121,6 +122,7 @@ class Problem(eqx.Module):
     timeline : times of the entries; None in a model without slow noise.
     nulls : shape (V − P,), null values of effects, appended to the parameters.
     priors, hyper_priors : from z to SI values, θ and h.
+    hyper_correlation : of the prior of h; None where its components are independent.
     spread_of : shape (P,), place in h of the parameter's learnt prior width, H where the prior is fixed.
     spread_unit : shape (P,), width of the parameter's own prior, SI.
     """
@@ -135,6 +137,7 @@ class Problem(eqx.Module):
     nulls: Float[Array, " nulls"]
     priors: Priors
     hyper_priors: Priors
+    hyper_correlation: HyperCorrelation | None
     noise: tuple[NoiseLayer, ...]
     observations: Observations
     timeline: Timeline | None
@@ -213,6 +216,11 @@ def predict_with_jacobian(problem: Problem, z: Float[Array, " P"]) -> tuple[Floa
     predicted, push = jax.linearize(lambda point: predict(problem, point), z)
     packed = jax.vmap(push)(sparsity.seeds)
     return predicted, jnp.where(sparsity.reach, take(packed, sparsity.colour).T, 0.0)
+
+
+def hyper_prior_square(problem: Problem, h: Float[Array, " H"]) -> Scalar:
+    """Return −2 log p(h), up to the constant H log 2π."""
+    return jnp.sum(h**2) if problem.hyper_correlation is None else problem.hyper_correlation.square(h)
 
 
 @jax.jit

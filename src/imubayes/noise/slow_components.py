@@ -1,4 +1,4 @@
-"""Slow noise of IEEE Std 952 in continuous time: flicker noise, random walk and Gauss–Markov noise.
+"""Noise of IEEE Std 952 in continuous time: flicker, random walk, Gauss–Markov and quantisation noise.
 
 The parameters are those of `imubayes noise`, shared by all runs of a channel, so that a static record determines them
 for short runs too.  Rows are means over time: covariances are integrals of the autocovariance over the rows.  What is
@@ -16,6 +16,8 @@ from imubayes.parameters.parameter_declarations import parameter
 _HOUR = 3600.0
 # Below this x a series replaces (x − 1 + exp(−x))/x², which cancels there; the first neglected term is x³/120.
 _SMALL = 1e-3
+# Rows are without a gap where the time between them is below this share of a row: rounding of recorded times.
+_TOUCHING = 1e-6
 
 
 class FlickerNoise(SlowNoise):
@@ -81,6 +83,35 @@ class GaussMarkovNoise(SlowNoise):
 
     def states(self, row: RowSpan) -> StateCovariance:
         return _decaying(jnp.reshape(self.sigma**2, (1,)), jnp.reshape(self.time, (1,)), row)
+
+
+class PulseQuantisation(SlowNoise):
+    """Variance 2Q²/T² of a row of T s, covariance −Q²/(T₁T₂) of rows that follow one another without a gap.
+
+    The output counts pulses: their sum, an angle or a velocity, errs by white noise of standard deviation Q at the ends
+    of a row (a twelfth of the squared weight of a pulse is Q²), and what one row lacks the next one has.
+    """
+
+    name = "pulse_quantisation"
+    kinds = ("gyro", "accelerometer")
+    excludes = ("correlated_noise", "outliers", "quantisation")
+    confused_with = "white_noise, where all rows are equally long and apart"
+    reference = "IEEE Std 952, annex C, quantization noise"
+
+    q: Scalar = parameter(
+        "output", "lognormal(0.01 noise, 2.0)", (1e-6, 1e3), "the coefficient Q, in output units times 1 s"
+    )
+
+    def states(self, row: RowSpan) -> StateCovariance:
+        follows = row.gap < _TOUCHING * row.length
+        one = jnp.ones(1)
+        return StateCovariance(
+            2 * (self.q / row.length) ** 2,
+            -one / row.length,
+            self.q**2 / row.length * one,
+            jnp.where(follows, 1.0, 0.0) * one,
+            0.0 * one,
+        )
 
 
 def _decaying(variance: Float[Array, " J"], times: Float[Array, " J"], row: RowSpan) -> StateCovariance:

@@ -42,7 +42,10 @@ _ACCELEROMETER = {
 
 
 class TermRecord(Record):
-    """One coefficient with its interval of `probability`, or its upper limit of that probability."""
+    """One coefficient with its interval of `probability`, or its upper limit of that probability.
+
+    `output_per_unit` is one unit of the coefficient in output units and seconds.
+    """
 
     term: NoiseTerm
     unit: str
@@ -55,6 +58,7 @@ class TermRecord(Record):
     evidence: float | None
     in_output_units: float | None
     maximum_in_output_units: float
+    output_per_unit: float
 
 
 class AllanPoint(Record):
@@ -219,6 +223,7 @@ def _term(found: TermEstimate, channel: Channel, gravity: float) -> TermRecord:
         evidence=finite(found.evidence),
         in_output_units=finite(found.value),
         maximum_in_output_units=found.maximum,
+        output_per_unit=per,
     )
 
 

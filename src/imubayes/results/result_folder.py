@@ -75,6 +75,16 @@ def model_text(spec: ModelSpec) -> str:
             entry[key] = value
         effects.append(entry)
     document["effect"] = effects
+    if spec.correlations:
+        blocks = tomlkit.aot()
+        for block in spec.correlations:
+            entry = tomlkit.table()
+            entry["parameters"] = list(block.parameters)
+            entry["matrix"] = [list(row) for row in block.matrix]
+            if block.optional:
+                entry["optional"] = True
+            blocks.append(entry)
+        document["prior_correlation"] = blocks
     return tomlkit.dumps(document)
 
 

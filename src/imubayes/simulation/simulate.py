@@ -69,6 +69,9 @@ def simulate(model: Model, seed: int, truth: Mapping[str, float] | None = None, 
     _refuse_unknown(given, model, where)
     problem = model.problem
     h = _true_z(model.hyper_layout, given, np.ones(len(model.hyper_layout)), seed, where)
+    if problem.hyper_correlation is not None:
+        drawn = np.array([name not in given for name in model.hyper_layout.names])
+        h = np.where(drawn, problem.hyper_correlation.coloured(np.where(drawn, h, 0.0)), h)
     widths = np.asarray(prior_widths(problem, jnp.asarray(h)))
     z = _true_z(model.layout, given, widths, seed, where)
     clean, law, series = _expected(problem, jnp.asarray(z), jnp.asarray(h))
