@@ -91,6 +91,7 @@ def test_the_terms_are_priors_of_another_campaign_of_the_unit(record: StaticNois
     assert abs(float(walk.prior.z(2.624516534655075 / 3600))) < 3
     # Flicker noise and random walk share the scatter that they explain.
     places = [names.index("flicker_noise.b[gx]"), names.index("random_walk_noise.k[gx]")]
+    assert bound.problem.hyper_correlation is not None
     root = np.asarray(bound.problem.hyper_correlation.root)
     assert (root @ root.T)[places[0], places[1]] < -0.2
     again = read_model_text(tmp_path / "again.toml", model_text(bound.spec))

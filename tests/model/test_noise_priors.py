@@ -1,4 +1,4 @@
-"""The noise of a static record in other runs of the unit: as priors, and jointly in one campaign."""
+"""The noise of a static record as priors of other runs of the unit."""
 
 from pathlib import Path
 
@@ -10,13 +10,10 @@ import slow_noise_campaign as simulated
 from imubayes.campaign import load_campaign
 from imubayes.cli.main import run
 from imubayes.errors import InputError
-from imubayes.inference.posterior_mode import find_mode
-from imubayes.inference.posterior_precision import knowledge
 from imubayes.model.bind import Model, bind
 from imubayes.model.likelihood import log_normaliser
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import EffectSpec, ModelSpec, PriorCorrelation
-from imubayes.parameters.priors import LogNormal
 
 REPEATS, BIAS, SCALE = 3, 4.0, 300.0
 PLAIN = ("gyro_bias", "gyro_scale_factor", "white_noise")
@@ -42,60 +39,15 @@ def of_effects(*names: str) -> ModelSpec:
     return ModelSpec("m", tuple(EffectSpec(name) for name in names))
 
 
-def fitted(spec: ModelSpec, folder: Path):
-    """Return the model, the standard deviation of the bias in °/h, and values and log sds of the noise scales."""
-    model = bind(spec, load_campaign(folder))
-    problem = model.problem
-    mode = find_mode(problem, jnp.zeros(problem.size[0]), jnp.zeros(problem.size[1]))
-    assert bool(mode.converged)
-    precision = knowledge(problem, mode.about, mode.h).precision + jnp.eye(problem.size[0])
-    place = model.layout.index("gyro_bias.bias[gx]")
-    parameter = model.layout.parameters[place]
-    sd = float(np.sqrt(np.linalg.inv(np.asarray(precision))[place, place])) * parameter.prior_sd
-    values = dict(zip(model.hyper_layout.names, np.asarray(problem.hyper_priors.values(mode.h)), strict=True))
-    spread = np.sqrt(np.diag(np.linalg.inv(np.asarray(mode.marginal.information))))
-    priors = [parameter.prior for parameter in model.hyper_layout.parameters]
-    widths = [prior.log_deviation * s for prior, s in zip(priors, spread, strict=True) if isinstance(prior, LogNormal)]
-    return model, sd, values, dict(zip(model.hyper_layout.names, widths, strict=len(widths) == len(priors)))
-
-
 @pytest.fixture(scope="module")
-def with_priors(written: Path):
-    return fitted(read_model(written / "model.toml"), written / "turns")
+def with_priors(written: Path) -> Model:
+    return bind(read_model(written / "model.toml"), load_campaign(written / "turns"))
 
 
-def scatter_of_bias() -> float:
-    """Return the standard deviation of the mean of rate table runs under the true noise, °/h."""
-    random = np.random.default_rng(3)
-    samples = REPEATS * len(simulated.RATES) * round(simulated.ROW_S / simulated.DT)
-    return 3600 * float(np.std([simulated.slow_noise(samples, random).mean() for _ in range(300)]))
-
-
-def test_priors_of_a_static_record_widen_the_intervals_as_its_noise_has_it(written: Path, with_priors):
-    model, sd, values, _ = with_priors
-    assert {"flicker_noise.b[gx]", "random_walk_noise.k[gx]"} <= set(model.hyper_layout.names)
-    assert model.problem.hyper_correlation is not None
-    true = scatter_of_bias()
-    assert 0.6 * true < sd < 1.6 * true
-    assert fitted(of_effects(*PLAIN), written / "turns")[1] < sd / 2
-    assert values["flicker_noise.b[gx]"] == pytest.approx(simulated.NOISE["flicker"] / 3600, rel=0.5)
-
-
-def test_a_static_record_informs_the_noise_of_other_runs(written: Path, with_priors):
-    """One campaign of both: B and K are known several times better than from the short run alone."""
-    _, alone, _, unknown = fitted(of_effects(*SLOW), written / "turns")
-    _, joint, values, known = fitted(of_effects(*SLOW), written / "both")
-    for name in ("flicker_noise.b[gx]", "random_walk_noise.k[gx]"):
-        assert known[name] < unknown[name] / 2
-    assert values["flicker_noise.b[gx]"] == pytest.approx(simulated.NOISE["flicker"] / 3600, rel=0.4)
-    assert values["random_walk_noise.k[gx]"] == pytest.approx(simulated.NOISE["random_walk"] / 3600, rel=0.6)
-    # The runs are independent beyond the bias that they share: the record adds to its precision.
-    assert joint < alone
-
-
-def test_the_prior_of_correlated_parameters_is_that_of_a_normal_distribution(with_priors):
-    model: Model = with_priors[0]
+def test_the_prior_of_correlated_parameters_is_that_of_a_normal_distribution(with_priors: Model):
+    model = with_priors
     problem = model.problem
+    assert problem.hyper_correlation is not None
     root = np.asarray(problem.hyper_correlation.root)
     matrix = root @ root.T
     assert np.abs(matrix - np.eye(len(matrix))).max() > 0.2
