@@ -1,0 +1,118 @@
+"""Chunks of a batch on Dask workers: local processes, or a cluster whose scheduler is running.
+
+Workers compute, and the process that started the batch writes: a worker that was given up and goes on cannot write a
+unit twice.  A few chunks for each worker are under way at a time.  Dask gives the chunk of a lost worker to another.
+A chunk whose workers die again and again is divided, until the unit that kills them is alone; that unit failed.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import islice
+from typing import Any
+
+import polars as pl
+from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+from distributed.comm.core import CommClosedError
+
+from imubayes.batch.posterior_table import Outcome, UnitPosterior
+from imubayes.batch.run_batch import ChunkTask, Executor, FittedChunk
+from imubayes.batch.unit_sources import unread
+from imubayes.errors import InputError, input_error
+
+# Chunks under way for each thread of the workers: one in work, one waiting.
+_AHEAD = 2
+_RETRIES = 2
+
+
+@contextmanager
+def local_workers(count: int, fit: Callable[[ChunkTask], FittedChunk]) -> Iterator[Executor]:
+    """Give an executor with local worker processes, spawned, of one thread each; one that dies is replaced."""
+    with (
+        LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster,
+        Client(cluster) as client,
+    ):
+        yield on_client(client, fit)
+
+
+@contextmanager
+def cluster_workers(address: str, fit: Callable[[ChunkTask], FittedChunk], timeout: float = 10.0) -> Iterator[Executor]:
+    """Give an executor on the workers of a Dask scheduler.
+
+    Parameters
+    ----------
+    address : such as ``tcp://node:8786``.
+    timeout : of the connection, s.
+
+    Raises
+    ------
+    InputError
+        where no scheduler answers.
+    """
+    try:
+        client = Client(address, timeout=timeout)
+    except (OSError, ValueError) as error:
+        raise input_error(
+            f"no Dask scheduler answers: {error}",
+            address,
+            "the address of a running scheduler, such as tcp://127.0.0.1:8786",
+            "start one with `dask scheduler`, and workers with `dask worker ADDRESS`",
+        ) from error
+    with client:
+        yield on_client(client, fit)
+
+
+def on_client(client: Client, fit: Callable[[ChunkTask], FittedChunk]) -> Executor:
+    """Return an executor on a Dask client."""
+
+    def execute(tasks: Iterable[ChunkTask]) -> Iterator[FittedChunk]:
+        waiting, tasks_of = iter(tasks), {}
+        results = as_completed()
+
+        def submit(chosen: Iterable[ChunkTask]) -> None:
+            for task in chosen:
+                future = client.submit(fit, task, pure=False, retries=_RETRIES)
+                tasks_of[future] = task
+                results.add(future)
+
+        submit(islice(waiting, _wanted(client)))
+        for future in results:
+            task = tasks_of.pop(future)
+            found = _fitted(future, task)
+            submit(found if isinstance(found, list) else [])
+            submit(islice(waiting, max(0, _wanted(client) - len(tasks_of))))
+            if isinstance(found, FittedChunk):
+                yield found
+
+    return execute
+
+
+def _wanted(client: Client) -> int:
+    workers: Any = client.nthreads()
+    return _AHEAD * max(1, sum(workers.values()))
+
+
+def _fitted(future: Future, task: ChunkTask) -> FittedChunk | list[ChunkTask]:
+    """Return the result of a chunk, or its halves where it has killed its workers."""
+    try:
+        return future.result()
+    except KilledWorker as error:
+        if len(task.sources) > 1:
+            half = len(task.sources) // 2
+            return [replace(task, sources=part) for part in (task.sources[:half], task.sources[half:])]
+        source = next(iter(task.sources))
+        outcome = Outcome("failed", f"the worker died: {error}", source.path, source.fingerprint())
+        return FittedChunk((UnitPosterior(unread(source), outcome),), pl.DataFrame())
+    except (CommClosedError, CancelledError, OSError) as error:
+        raise scheduler_lost(str(error)) from error
+
+
+def scheduler_lost(what: str) -> InputError:
+    """Return the error of a batch whose scheduler has gone."""
+    return input_error(
+        f"the Dask scheduler has gone: {what}",
+        "the cluster of the batch",
+        "a scheduler that runs as long as the batch",
+        "start it, and run the same command again: the batch goes on with what is missing",
+    )
