@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -78,10 +79,12 @@ def importable(monkeypatch):
 @pytest.mark.slow
 def test_a_killed_worker_is_replaced(campaigns, expected, tmp_path, importable):
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster, Client(cluster) as client:
-        pids = list(client.run(os.getpid).values())
-        threading.Timer(0.8, os.kill, (pids[0], signal.SIGKILL)).start()
+        before: Any = client.run(os.getpid)
+        threading.Timer(0.8, os.kill, (min(before.values()), signal.SIGKILL)).start()
         run_batch(campaigns, MODEL, tmp_path, on_client(client, slow_toy_chunk), chunk=1)
-        assert len(client.run(os.getpid)) == 2
+        after: Any = client.run(os.getpid)
+        assert len(after) == 2
+        assert after != before
     assert_same_tables(tmp_path, expected)
 
 

@@ -13,6 +13,7 @@ from itertools import islice
 from typing import Any
 
 import polars as pl
+from dask import config as dask_config
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.comm.core import CommClosedError
 
@@ -24,12 +25,15 @@ from imubayes.errors import InputError, input_error
 # Chunks under way for each thread of the workers: one in work, one waiting.
 _AHEAD = 2
 _RETRIES = 2
+# Workers that may die with a chunk before it is divided.
+_DEATHS = 1
 
 
 @contextmanager
 def local_workers(count: int, fit: Callable[[ChunkTask], FittedChunk]) -> Iterator[Executor]:
     """Give an executor with local worker processes, spawned, of one thread each; one that dies is replaced."""
     with (
+        dask_config.set({"distributed.scheduler.allowed-failures": _DEATHS}),
         LocalCluster(n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster,
         Client(cluster) as client,
     ):

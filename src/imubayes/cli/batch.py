@@ -1,11 +1,17 @@
 """`imubayes batch`: every campaign of an archive fitted with one model."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import cyclopts
 
 from imubayes.cli.options import Flag, Json, print_json
+from imubayes.errors import input_error
+
+if TYPE_CHECKING:
+    from imubayes.batch.run_batch import Executor
 
 batch = cyclopts.App(name="batch", help="Fit every campaign of an archive with one model, and compare the units.")
 
@@ -20,6 +26,8 @@ def fit_all(
     diagnose: Flag = False,
     seed: int = 0,
     retry: Flag = False,
+    workers: int | None = None,
+    scheduler: str | None = None,
     as_json: Json = False,
 ) -> int:
     """Fit every campaign of an archive, or of a folder of campaigns, that has no result yet.
@@ -45,6 +53,10 @@ def fit_all(
         Seed of the sampler.
     retry
         Try campaigns without estimates again, not only those whose files have changed.
+    workers
+        Fit in so many local processes; in this one where neither this nor a scheduler is given.
+    scheduler
+        Fit on the workers of this Dask scheduler, such as tcp://node:8786.
     as_json
         Print one JSON object on standard output.
     """
@@ -52,7 +64,6 @@ def fit_all(
 
     start_jax()
     from imubayes.batch.batch_settings import BatchSettings
-    from imubayes.batch.fit_unit import in_process
     from imubayes.batch.posterior_table import read_units
     from imubayes.batch.run_batch import run_batch
     from imubayes.display.batch_report import batch_json, batch_report, progress_text
@@ -61,12 +72,49 @@ def fit_all(
     settings = BatchSettings(sample, diagnose, seed)
     with progress() as tell:
         tell("listing the campaigns")
-        state = run_batch(
-            archive, model, out, in_process, settings, retry=retry, progress=lambda state: tell(progress_text(state))
-        )
+        with executor(workers, scheduler) as execute:
+            state = run_batch(
+                archive, model, out, execute, settings, retry=retry, progress=lambda state: tell(progress_text(state))
+            )
     units = read_units(out, state.key)
     if as_json:
         print_json(batch_json(state, units, state.key))
     else:
         print_report(batch_report(state, units, out))
     return 1 if (units["status"] != "fitted").any() else 0
+
+
+@contextmanager
+def executor(workers: int | None, scheduler: str | None) -> Iterator["Executor"]:
+    """Give what fits the chunks: this process, local workers, or those of a scheduler.
+
+    Raises
+    ------
+    InputError
+        where both are asked for, the number of workers is not positive, or Dask is not installed.
+    """
+    from imubayes.batch.fit_unit import fit_chunk, in_process
+
+    if workers is None and scheduler is None:
+        yield in_process
+        return
+    if (workers is not None and scheduler is not None) or (workers is not None and workers < 1):
+        raise input_error(
+            "workers cannot be started", "--workers, --scheduler", "--workers N with N ≥ 1, or --scheduler ADDRESS",
+            "give one of the two",
+        )  # fmt: skip
+    try:
+        from imubayes.batch.dask_workers import cluster_workers, local_workers
+    except ModuleNotFoundError as error:
+        raise input_error(
+            f"the package '{error.name}' is not installed",
+            "--workers, --scheduler",
+            "",
+            "pip install imubayes[cluster]",
+        ) from error
+    if scheduler is not None:
+        with cluster_workers(scheduler, fit_chunk) as execute:
+            yield execute
+    else:
+        with local_workers(workers or 1, fit_chunk) as execute:
+            yield execute
