@@ -1,18 +1,14 @@
-"""One campaign fitted by itself: the same path as `imubayes fit`, its outcome as a value whatever happens."""
+"""One unit of a batch: the path of `imubayes fit`, and a fit as rows of the tables; an error is an outcome as well."""
 
-import time
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cache
 
 import equinox as eqx
 import numpy as np
-import polars as pl
 
 from imubayes.batch.batch_settings import BatchSettings
 from imubayes.batch.posterior_table import Kind, Outcome, Quantities, UnitIdentity, UnitPosterior
-from imubayes.batch.run_batch import ChunkTask, FittedChunk
-from imubayes.batch.unit_sources import UnitSource, identity_of, unread
+from imubayes.batch.unit_sources import UnitSource
 from imubayes.campaign_data import Campaign
 from imubayes.criticism.diagnose import judge
 from imubayes.errors import InputError
@@ -45,20 +41,6 @@ def _registry(files: tuple[str, ...]) -> Registry:
     return Registry().with_files(files)
 
 
-def fit_unit(spec: ModelSpec, settings: BatchSettings, source: UnitSource) -> UnitPosterior:
-    """Read and fit a campaign; whatever goes wrong is the outcome of the unit, not an exception."""
-    clock, identity = time.perf_counter(), unread(source)
-    try:
-        campaign = source.read()
-        identity = identity_of(campaign, source)
-        unit = fit_campaign(spec, settings, campaign, identity)
-    except Exception as error:
-        unit = UnitPosterior(identity, failure(error, source))
-    fingerprint = "" if unit.outcome.status == "fitted" else source.fingerprint()
-    seconds = time.perf_counter() - clock
-    return replace(unit, outcome=replace(unit.outcome, fingerprint=fingerprint, seconds=seconds))
-
-
 def failure(error: Exception, source: UnitSource) -> Outcome:
     """Return what went wrong with a unit: an input that cannot be used, or an error nobody foresaw."""
     if isinstance(error, InputError):
@@ -66,11 +48,10 @@ def failure(error: Exception, source: UnitSource) -> Outcome:
     return Outcome("failed", f"{type(error).__name__}: {error}", source.path)
 
 
-def fit_campaign(spec: ModelSpec, settings: BatchSettings, campaign: Campaign, identity: UnitIdentity) -> UnitPosterior:
-    """Return the posterior of a campaign; raises InputError where the model does not fit it."""
+def fit_alone(model: Model, settings: BatchSettings, identity: UnitIdentity) -> UnitPosterior:
+    """Return the posterior of a unit by the path of `imubayes fit`."""
     sampling = Settings(seed=settings.seed) if settings.sample == "all" else None
-    fit = joint_fit(bound_to(spec, campaign), sampling)
-    return posterior_of(fit, settings, identity)
+    return posterior_of(joint_fit(model, sampling), settings, identity)
 
 
 def posterior_of(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> UnitPosterior:
@@ -146,14 +127,3 @@ def _prior_moments(model: Model) -> tuple[np.ndarray, np.ndarray]:
     mean = weights @ in_units(model, grid) / weights.sum()
     known = np.isfinite(deviation)
     return np.where(known, mean, np.nan), np.where(known, deviation, np.nan)
-
-
-def fit_chunk(task: ChunkTask) -> FittedChunk:
-    """Return the units of a chunk, in its order."""
-    units = tuple(fit_unit(task.spec, task.settings, source) for source in task.sources)
-    return FittedChunk(units, pl.DataFrame())
-
-
-def in_process(tasks: Iterable[ChunkTask]) -> Iterator[FittedChunk]:
-    """Fit chunks one after the other in this process."""
-    return map(fit_chunk, tasks)

@@ -93,7 +93,7 @@ def executor(workers: int | None, scheduler: str | None) -> Iterator["Executor"]
     InputError
         where both are asked for, the number of workers is not positive, or Dask is not installed.
     """
-    from imubayes.batch.fit_unit import fit_chunk, in_process
+    from imubayes.batch.fit_chunk import fit_chunk, in_process
 
     if workers is None and scheduler is None:
         yield in_process

@@ -11,6 +11,8 @@ not change w, so its determinant is 1 and it is inverted by subtraction: the den
 its quality.
 """
 
+from dataclasses import dataclass
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -149,16 +151,36 @@ def _log_marginals(problem: Problem, mode: Mode, h: Float[Array, "n H"]) -> Floa
 
 def _marginal(problem: Problem, mode: Mode) -> tuple[Float[Array, "H H"], TabulatedDensity]:
     """Return axes of the marginal of h, and the marginal along each."""
-    eigenvalues, vectors = np.linalg.eigh(np.asarray(mode.marginal.information))
+    probes = hyper_probes(np.asarray(mode.h), np.asarray(mode.marginal.information))
+    values = np.asarray(_log_marginals(problem, mode, jnp.asarray(probes.points)))
+    return jnp.asarray(probes.axes), probes.tabulated(values - float(mode.marginal.value))
+
+
+@dataclass(frozen=True)
+class HyperProbes:
+    """Where the marginal of h is evaluated: axes (H, H), knots along each (H, n), and the points (H n, H)."""
+
+    axes: np.ndarray
+    knots: np.ndarray
+    deviation: np.ndarray
+    points: np.ndarray
+
+    def tabulated(self, log_density: np.ndarray) -> TabulatedDensity:
+        """Return the marginal along each axis, from its logarithm at the points (H n,) relative to that at the mode."""
+        values = np.nan_to_num(log_density, nan=_NOWHERE, neginf=_NOWHERE, posinf=_NOWHERE)
+        return tabulate(self.knots, np.maximum(values, _NOWHERE).reshape(self.knots.shape), self.deviation)
+
+
+def hyper_probes(h: np.ndarray, information: np.ndarray) -> HyperProbes:
+    """Return where to evaluate the marginal of h, from its mode (H,) and its negative Hessian (H, H) there."""
+    eigenvalues, vectors = np.linalg.eigh(information)
     # Where the marginal is flatter than the prior, the Laplace width is unbounded; the prior has width 1.
     factor = np.linalg.cholesky((vectors / np.maximum(eigenvalues, 1.0)) @ vectors.T)
     deviation = np.diagonal(factor)
     axes = factor / deviation
     knots = deviation[:, None] * _PROBES
-    points = np.asarray(mode.h) + knots[..., None] * axes.T[:, None, :]
-    values = np.asarray(_log_marginals(problem, mode, jnp.asarray(points.reshape(-1, len(axes))))).reshape(knots.shape)
-    values = np.nan_to_num(values - float(mode.marginal.value), nan=_NOWHERE, neginf=_NOWHERE, posinf=_NOWHERE)
-    return jnp.asarray(axes), tabulate(knots, np.maximum(values, _NOWHERE), deviation)
+    points = h + knots[..., None] * axes.T[:, None, :]
+    return HyperProbes(axes, knots, deviation, points.reshape(-1, len(axes)))
 
 
 def _conditional(approximation: NestedLaplace, problem: Problem, h: Float[Array, " H"]):

@@ -1,0 +1,125 @@
+"""A chunk of a batch: its units are read and bound, and fitted in lanes with those of the same structure.
+
+A unit that lanes do not serve is fitted by itself: one whose noise is correlated or has heavy tails, free tumbles, one
+that did not converge in its lane, or whose noise scales have several modes.  Which of the two it is depends on the unit
+alone.  Whatever goes wrong with a unit is its outcome and stops nothing.
+"""
+
+import time
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import polars as pl
+
+from imubayes.batch.fit_unit import bound_to, failure, fit_alone, posterior_of
+from imubayes.batch.lane_mode import find_modes
+from imubayes.batch.lane_posterior import posteriors
+from imubayes.batch.lanes import LANES, Structure, structure_key
+from imubayes.batch.posterior_table import UnitIdentity, UnitPosterior
+from imubayes.batch.run_batch import ChunkTask, FittedChunk
+from imubayes.batch.unit_sources import UnitSource, identity_of, unread
+from imubayes.inference.fitted_model import Fit
+from imubayes.model.bind import Model
+
+# Structures of which a process keeps the places; the compiled code is JAX's.
+_MOST_STRUCTURES = 64
+_structures: OrderedDict[str, Structure | None] = OrderedDict()
+
+
+@dataclass(frozen=True)
+class BoundUnit:
+    """A unit that was read and bound, and the seconds that took."""
+
+    source: UnitSource
+    identity: UnitIdentity
+    model: Model
+    seconds: float
+
+
+def fit_chunk(task: ChunkTask) -> FittedChunk:
+    """Return the units of a chunk, in its order."""
+    done: dict[str, UnitPosterior] = {}
+    bound: list[BoundUnit] = []
+    for source in task.sources:
+        found = _bound(task, source)
+        if isinstance(found, BoundUnit):
+            bound.append(found)
+        else:
+            done[source.digest] = found
+    for group in _groups(bound):
+        done |= _fitted(task, group)
+    return FittedChunk(tuple(done[source.digest] for source in task.sources), pl.DataFrame())
+
+
+def in_process(tasks: Iterable[ChunkTask]) -> Iterator[FittedChunk]:
+    """Fit chunks one after the other in this process."""
+    return map(fit_chunk, tasks)
+
+
+def _bound(task: ChunkTask, source: UnitSource) -> BoundUnit | UnitPosterior:
+    clock, identity = time.perf_counter(), unread(source)
+    try:
+        campaign = source.read()
+        identity = identity_of(campaign, source)
+        model = bound_to(task.spec, campaign)
+        identity = replace(identity, structure=structure_key(model.problem))
+    except Exception as error:
+        return _timed(UnitPosterior(identity, failure(error, source)), source, time.perf_counter() - clock)
+    return BoundUnit(source, identity, model, time.perf_counter() - clock)
+
+
+def _groups(bound: Sequence[BoundUnit]) -> Iterator[list[BoundUnit]]:
+    """Yield units of the same structure, as many as there are lanes at most."""
+    by_structure: dict[str, list[BoundUnit]] = {}
+    for unit in bound:
+        by_structure.setdefault(unit.identity.structure, []).append(unit)
+    for units in by_structure.values():
+        for start in range(0, len(units), LANES):
+            yield units[start : start + LANES]
+
+
+def _fitted(task: ChunkTask, group: Sequence[BoundUnit]) -> dict[str, UnitPosterior]:
+    clock = time.perf_counter()
+    try:
+        fits = _in_lanes(group) if task.settings.sample == "none" else [None] * len(group)
+    except Exception:
+        fits = [None] * len(group)  # each is tried by itself, where the error is that of one unit
+    shared, done = (time.perf_counter() - clock) / len(group), {}
+    for unit, fit in zip(group, fits, strict=True):
+        clock = time.perf_counter()
+        try:
+            if fit is None:
+                found = fit_alone(unit.model, task.settings, unit.identity)
+            else:
+                found = posterior_of(fit, task.settings, unit.identity)
+        except Exception as error:
+            found = UnitPosterior(unit.identity, failure(error, unit.source))
+        seconds = unit.seconds + shared + time.perf_counter() - clock
+        done[unit.source.digest] = _timed(found, unit.source, seconds)
+    return done
+
+
+def _in_lanes(group: Sequence[BoundUnit]) -> list[Fit | None]:
+    """Return the fits of units of one structure; None for those that have to be fitted alone."""
+    models = [unit.model for unit in group]
+    structure = _structure(group[0])
+    if structure is None:
+        return [None] * len(group)
+    varying = structure.stacked(models)
+    return posteriors(structure, varying, find_modes(structure, varying), models)
+
+
+def _structure(unit: BoundUnit) -> Structure | None:
+    key = unit.identity.structure
+    if key not in _structures:
+        _structures[key] = Structure.of(unit.model.problem)
+        if len(_structures) > _MOST_STRUCTURES:
+            _structures.popitem(last=False)
+    _structures.move_to_end(key)
+    return _structures[key]
+
+
+def _timed(unit: UnitPosterior, source: UnitSource, seconds: float) -> UnitPosterior:
+    fingerprint = "" if unit.outcome.status == "fitted" else source.fingerprint()
+    return replace(unit, outcome=replace(unit.outcome, fingerprint=fingerprint, seconds=seconds))

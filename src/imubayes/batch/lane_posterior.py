@@ -1,0 +1,166 @@
+"""The posterior of units in lanes: the curved nested Laplace approximation of `imubayes.inference.nested_laplace`.
+
+The same approximation, from the sums over groups instead of the whole Jacobian.  θ is drawn given each of a few hundred
+noise scales, several times each.  The normal vectors behind the draws are the same for all units: a quasi-random
+sequence with the mean and the covariance of the standard normal, so that mean and covariance of a posterior that is
+normal have no Monte Carlo error.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from imubayes.array_shapes import Array, Float
+from imubayes.batch.group_moments import GroupedModel, GroupIndex, log_marginal_of, normal_equations
+from imubayes.batch.lane_mode import LaneMode
+from imubayes.batch.lanes import LANES, Structure, of_lane
+from imubayes.inference.conditional_precision import ExactPrecision
+from imubayes.inference.fitted_model import Fit, Posterior
+from imubayes.inference.nested_laplace import HyperProbes, NestedLaplace, curved_directions, hyper_probes
+from imubayes.inference.noise_marginal import Curvature
+from imubayes.inference.posterior_mode import Mode
+from imubayes.inference.posterior_precision import linearise
+from imubayes.inference.tabulated_density import TabulatedDensity, from_normal
+from imubayes.model.bind import Model
+from imubayes.model.derived_quantities import evaluate_derived
+from imubayes.model.problem import Problem
+
+# Noise scales drawn, and draws of θ for each: powers of two for the quasi-random sequence.
+_SCALES, _EACH = 256, 8
+_PRIOR_DRAWS = 1000
+# Half the distance of the central differences of the gradient.
+_APART = 1e-3
+
+
+class Draws(eqx.Module):
+    """Steps of θ from the mode, shape (scales, each, P), before the bend, and the noise scales (scales, H)."""
+
+    delta: Float[Array, "S M P"]
+    h: Float[Array, "S H"]
+
+
+def hyper_curvature(problem: Problem, index: GroupIndex, model: GroupedModel, h: Float[Array, " H"]) -> Curvature:
+    """Return value, gradient and negative Hessian of the Laplace marginal of h."""
+    slope = jax.value_and_grad(lambda point: log_marginal_of(problem, index, model, point))
+    value, gradient = slope(h)
+
+    def row(axis: Array) -> Array:
+        return (slope(h - _APART * axis)[1] - slope(h + _APART * axis)[1]) / (2 * _APART)
+
+    rows = jax.lax.map(row, jnp.eye(h.shape[0]))
+    return Curvature(value, gradient, 0.5 * (rows + rows.T))
+
+
+def marginals(
+    problem: Problem, index: GroupIndex, model: GroupedModel, points: Float[Array, "n H"]
+) -> Float[Array, " n"]:
+    """Return the Laplace marginal at several h."""
+    return jax.lax.map(lambda h: log_marginal_of(problem, index, model, h), points)
+
+
+def draws(
+    problem: Problem,
+    index: GroupIndex,
+    model: GroupedModel,
+    h: Float[Array, " H"],
+    axes: Float[Array, "H H"],
+    along: TabulatedDensity,
+    normal: tuple[Float[Array, "S H"], Float[Array, "S M P"]],
+) -> Draws:
+    """Return draws of the approximation before they are bent, for standard normal vectors."""
+
+    def at(vectors: tuple[Array, Array]) -> Draws:
+        here = h + axes @ from_normal(along, vectors[0])
+        known = normal_equations(problem, index, model, here)
+        factor = jnp.linalg.cholesky(known.precision)
+        mean = jax.scipy.linalg.cho_solve((factor, True), known.gradient)
+        spread = jax.scipy.linalg.solve_triangular(factor.T, vectors[1].T, lower=False).T
+        return Draws(mean[None, :] + spread, here)
+
+    return jax.lax.map(at, normal)
+
+
+@cache
+def normal_vectors(size: int, hyper: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return standard normal vectors for noise scales, (S, H), and for θ, (S, M, P), each with covariance 1."""
+    scales = _standardised(_sobol(_SCALES, hyper))
+    parameters = _standardised(_sobol(_SCALES * _EACH, size))
+    return scales, parameters.reshape(_EACH, _SCALES, size).transpose(1, 0, 2)
+
+
+def _sobol(count: int, dimensions: int) -> np.ndarray:
+    points = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(0)).random(count)
+    return ndtri(np.clip(points, 1e-12, 1 - 1e-12))
+
+
+def _standardised(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors with mean 0 and covariance 1; as they are where there are too few for the dimensions."""
+    centred = vectors - vectors.mean(axis=0)
+    if len(vectors) <= 2 * vectors.shape[1]:
+        return centred / centred.std(axis=0)
+    return np.linalg.solve(np.linalg.cholesky(centred.T @ centred / len(vectors)), centred.T).T
+
+
+def posteriors(structure: Structure, varying: Problem, mode: LaneMode, models: list[Model]) -> list[Fit | None]:
+    """Return the fits of the units in lanes; None for one whose noise scales have another mode, or no curvature."""
+    at: Curvature = structure.run(hyper_curvature, varying, mode.model, mode.h)
+    probes = [_probes(mode, at, lane) for lane in range(len(models))]
+    usable = next((each for each in probes if each is not None), None)
+    if usable is None:
+        return [None] * len(models)
+    chosen = [each or usable for each in probes] + [usable] * (LANES - len(models))
+    values = structure.run(marginals, varying, mode.model, jnp.asarray(np.stack([each.points for each in chosen])))
+    relative = np.asarray(values) - np.asarray(at.value)[:, None]
+    tables = [each.tabulated(row) for each, row in zip(chosen, relative, strict=True)]
+    along = jax.tree.map(lambda *leaves: jnp.stack(leaves), *tables)
+    axes = jnp.asarray(np.stack([each.axes for each in chosen]))
+    vectors = tuple(jnp.broadcast_to(each, (LANES, *each.shape)) for each in normal_vectors(*structure.problem.size))
+    found = structure.run(draws, varying, mode.model, mode.h, axes, along, vectors)
+    return [
+        None
+        if probes[lane] is None
+        else _fit(model, of_lane(mode, lane), of_lane(at, lane), axes[lane], tables[lane], of_lane(found, lane))
+        for lane, model in enumerate(models)
+    ]
+
+
+def _probes(mode: LaneMode, at: Curvature, lane: int) -> HyperProbes | None:
+    information = np.asarray(at.information)[lane]
+    if not (bool(mode.converged[lane]) and np.all(np.isfinite(information))):
+        return None
+    return hyper_probes(np.asarray(mode.h)[lane], information)
+
+
+def _fit(
+    model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: Draws
+) -> Fit | None:
+    """Return the fit of one unit; None where the marginal of the noise scales has another maximum."""
+    problem, z = model.problem, found.model.z
+    about = linearise(problem, z)
+    true = jnp.asarray(True)
+    mode = Mode(z, found.h, found.decrement, about, at, jnp.asarray(0), true, true)
+    weak, bend = curved_directions(problem, mode)
+    approximation = NestedLaplace(z, found.h, axes, along, ExactPrecision(about), weak, bend)
+    if approximation.other_modes():
+        return None
+    delta = np.asarray(drawn.delta).reshape(-1, len(z))
+    bent = delta + _bent(delta, np.asarray(weak), np.asarray(bend))
+    points = np.concatenate([np.asarray(z) + bent, np.repeat(np.asarray(drawn.h), _EACH, axis=0)], axis=1)
+    prior = np.random.default_rng(0).normal(size=(_PRIOR_DRAWS, len(z)))
+    fit = Fit(model, np.asarray(z), np.asarray(found.h), True, "", mode)
+    derived = evaluate_derived(fit.derived.derivation, problem, np.concatenate([points[:, : len(z)], prior]))
+    posterior = Posterior(points, derived[: len(points)], prior, derived[len(points) :], approximation)
+    return replace(fit, posterior=posterior)
+
+
+def _bent(delta: np.ndarray, weak: np.ndarray, bend: np.ndarray) -> np.ndarray:
+    """Return the bend of steps (S, P)."""
+    along = delta @ weak
+    pairs = (along[:, :, None] * along[:, None, :]).reshape(len(delta), -1)
+    return 0.5 * pairs @ bend.reshape(-1, delta.shape[1])

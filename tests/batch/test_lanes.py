@@ -1,0 +1,93 @@
+"""Units fitted in lanes have the optimum and the posterior of `imubayes fit`, whatever stands beside them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_units import DATA, MODELS, change_readings, make_units
+
+from imubayes.batch.batch_settings import BatchSettings
+from imubayes.batch.fit_chunk import fit_chunk
+from imubayes.batch.fit_unit import bound_to
+from imubayes.batch.lane_mode import find_modes
+from imubayes.batch.lanes import Structure, structure_key
+from imubayes.batch.posterior_table import UnitPosterior
+from imubayes.batch.run_batch import ChunkTask
+from imubayes.batch.unit_sources import sources_of
+from imubayes.campaign import load_campaign
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.run_fit import joint_fit
+from imubayes.model.bind import Model
+from imubayes.model.model_file import read_model
+
+
+def model_of(folder: Path, name: str = "polar-tumble") -> Model:
+    return bound_to(read_model(MODELS / f"{name}.toml"), load_campaign(folder))
+
+
+def marginal_sd(fit: Fit) -> np.ndarray:
+    assert fit.posterior is not None
+    return fit.posterior.points.std(axis=0)
+
+
+def distance(model: Model) -> float:
+    """Return the largest distance of the two optima, in posterior standard deviations."""
+    structure = Structure.of(model.problem)
+    assert structure is not None
+    found, fit = find_modes(structure, structure.stacked([model])), joint_fit(model, None)
+    assert bool(found.converged[0])
+    ours, theirs = np.concatenate([found.model.z[0], found.h[0]]), np.concatenate([fit.z, fit.h])
+    return float(np.max(np.abs(ours - theirs) / marginal_sd(fit)))
+
+
+@pytest.fixture(scope="module")
+def units(tmp_path_factory) -> list[Path]:
+    return make_units(tmp_path_factory.mktemp("units"), 6)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "polar-tumble",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("trihedral-imu", "redundant-imu", "accel-channel")),
+    ],
+)
+def test_the_optimum_is_that_of_a_single_fit(name):
+    assert distance(model_of(DATA / name, name)) < 0.01
+
+
+def fitted(units: list[Path], name: str = "polar-tumble") -> list[UnitPosterior]:
+    sources = tuple(source for unit in units for source in sources_of(unit))
+    return list(fit_chunk(ChunkTask(read_model(MODELS / f"{name}.toml"), BatchSettings(), sources)).units)
+
+
+def test_posteriors_in_lanes_are_those_of_single_fits(units):
+    for unit, alone in ((fitted(units[:1])[0], joint_fit(model_of(units[0]), None)),):
+        assert alone.posterior is not None
+        mean = np.concatenate([part.mean for part in unit.quantities])
+        sd = np.concatenate([part.sd for part in unit.quantities])
+        from imubayes.inference.posterior_tree import in_units
+
+        draws = np.concatenate([in_units(alone.model, alone.posterior.points), alone.posterior.derived], axis=1)
+        varies = draws.std(axis=0) > 0
+        assert np.max(np.abs(mean - draws.mean(axis=0))[varies] / draws.std(axis=0)[varies]) < 0.08
+        assert np.max(np.abs(np.log(sd[varies] / draws.std(axis=0)[varies]))) < 0.1
+
+
+def test_a_unit_is_the_same_whatever_stands_beside_it(units):
+    together = fitted(units)
+    for place, unit in enumerate(units):
+        if place in (0, 5):
+            (alone,) = fitted([unit])
+            for a, b in zip(alone.quantities, together[place].quantities, strict=True):
+                assert np.allclose(a.mean, b.mean, rtol=0, atol=1e-6 * np.max(b.sd))
+                assert np.allclose(a.sd, b.sd, rtol=1e-6)
+
+
+def test_a_missing_reading_makes_another_structure(units, tmp_path):
+    (other,) = make_units(tmp_path, 1)
+    file = sorted((other / "runs").glob("*.csv"))[0]
+    change_readings(file, lambda values: np.where(np.arange(len(values)) == 3, np.nan, values))
+    first, second = model_of(units[0]).problem, model_of(units[1]).problem
+    assert structure_key(first) == structure_key(second)
+    assert structure_key(model_of(other).problem) != structure_key(first)
