@@ -44,7 +44,7 @@ COMPILED = (
     "campaign/test_new_covariate.py",
     "simulation",
     "qualification/test_uncertainty_budget.py",
-    "batch/test_run_batch.py",
+    "batch",
     "qualification/test_correct_recording.py",
     "reference",
     "study",
@@ -61,6 +61,7 @@ GROUPS = {
         "criticism/test_shipped.py",
         "criticism/test_dead_zone.py",
     ),
+    "polar-tumble": ("batch/test_run_batch.py", "batch/test_lanes.py"),
     "desk-imu": (f"{README}commands_run_as_written[An IMU", "qualification/test_correct_recording.py"),
     "accel-channel": (
         f"{README}python_runs_as_written",

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_units import DATA, MODELS, change_readings, make_units
+from small_units import DATA, MODELS, change_readings, edit, make_units
 
 from imubayes.batch.batch_settings import BatchSettings
 from imubayes.batch.fit_chunk import fit_chunk
@@ -16,6 +16,7 @@ from imubayes.batch.run_batch import ChunkTask
 from imubayes.batch.unit_sources import sources_of
 from imubayes.campaign import load_campaign
 from imubayes.inference.fitted_model import Fit
+from imubayes.inference.posterior_tree import in_units
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model
 from imubayes.model.model_file import read_model
@@ -62,16 +63,15 @@ def fitted(units: list[Path], name: str = "polar-tumble") -> list[UnitPosterior]
 
 
 def test_posteriors_in_lanes_are_those_of_single_fits(units):
-    for unit, alone in ((fitted(units[:1])[0], joint_fit(model_of(units[0]), None)),):
-        assert alone.posterior is not None
-        mean = np.concatenate([part.mean for part in unit.quantities])
-        sd = np.concatenate([part.sd for part in unit.quantities])
-        from imubayes.inference.posterior_tree import in_units
-
-        draws = np.concatenate([in_units(alone.model, alone.posterior.points), alone.posterior.derived], axis=1)
-        varies = draws.std(axis=0) > 0
-        assert np.max(np.abs(mean - draws.mean(axis=0))[varies] / draws.std(axis=0)[varies]) < 0.08
-        assert np.max(np.abs(np.log(sd[varies] / draws.std(axis=0)[varies]))) < 0.1
+    (unit,), alone = fitted(units[:1]), joint_fit(model_of(units[0]), None)
+    assert alone.posterior is not None
+    draws = np.concatenate([in_units(alone.model, alone.posterior.points), alone.posterior.derived], axis=1)
+    varies = draws.std(axis=0) > 0
+    mean, sd = draws.mean(axis=0)[varies], draws.std(axis=0)[varies]
+    found = [np.concatenate([getattr(part, name) for part in unit.quantities])[varies] for name in ("mean", "sd")]
+    # The draws of the single fit have a Monte Carlo error of 1.6 % of the standard deviation.
+    assert np.max(np.abs(found[0] - mean) / sd) < 0.08
+    assert np.max(np.abs(np.log(found[1] / sd))) < 0.1
 
 
 def test_a_unit_is_the_same_whatever_stands_beside_it(units):
@@ -88,6 +88,7 @@ def test_a_missing_reading_makes_another_structure(units, tmp_path):
     (other,) = make_units(tmp_path, 1)
     file = sorted((other / "runs").glob("*.csv"))[0]
     change_readings(file, lambda values: np.where(np.arange(len(values)) == 3, np.nan, values))
+    edit(file, ",nan,", ",,")  # an empty cell is a missing reading
     first, second = model_of(units[0]).problem, model_of(units[1]).problem
     assert structure_key(first) == structure_key(second)
     assert structure_key(model_of(other).problem) != structure_key(first)
