@@ -1,4 +1,4 @@
-"""Run the benchmarks: all of them, or those named on the command line (fit, batch, sampling, startup, reduction, allan).
+"""Run the benchmarks: all, or those named on the command line (fit, batch, sampling, startup, reduction, allan).
 
 Each prints its tables and writes them to benchmarks/results/.  Let nothing else run meanwhile.
 """
