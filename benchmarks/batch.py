@@ -21,7 +21,7 @@ from imubayes.batch.fit_unit import posterior_of
 from imubayes.batch.group_moments import grouped_misfit, grouped_model
 from imubayes.batch.lane_mode import LaneMode, advance, find_modes, first_curvature
 from imubayes.batch.lane_posterior import posteriors
-from imubayes.batch.lanes import LANES, Structure
+from imubayes.batch.lanes import LANES, LaneStructure
 from imubayes.batch.posterior_table import UnitIdentity
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import residuals
@@ -66,7 +66,7 @@ def measure(quick: bool = False) -> Report:
     size, hyper = model.problem.size
     report.say(f"{size} parameters, {hyper} noise scales, {len(model.problem.observations.value)} readings a unit.\n")
     chosen = units(model, LANES)
-    structure = Structure.of(model.problem)
+    structure = LaneStructure.of(model.problem)
     assert structure is not None
     clock = time.perf_counter()
     varying = structure.stacked(chosen)
@@ -113,7 +113,7 @@ def _scipy_loop(chosen: list[Model], mode: LaneMode, method: str, exact: bool) -
     return taken / len(chosen), off, method, exact
 
 
-def _shares(report: Report, structure: Structure, varying: Problem, whole: float) -> None:
+def _shares(report: Report, structure: LaneStructure, varying: Problem, whole: float) -> None:
     size, hyper = structure.problem.size
     z, h = jnp.zeros((LANES, size)), jnp.zeros((LANES, hyper))
     linear = structure.run(grouped_model, varying, z)
@@ -132,7 +132,7 @@ def _shares(report: Report, structure: Structure, varying: Problem, whole: float
     report.table(["part, called once", "CPU time a unit", "share of the optimum"], rows)
 
 
-def _whole(report: Report, structure: Structure, varying: Problem, chosen: list[Model], mode: LaneMode) -> None:
+def _whole(report: Report, structure: LaneStructure, varying: Problem, chosen: list[Model], mode: LaneMode) -> None:
     identity, settings = UnitIdentity("", "", "", ""), BatchSettings()
 
     def rows_of_units() -> None:

@@ -10,7 +10,7 @@ from imubayes.batch.batch_settings import BatchSettings
 from imubayes.batch.fit_chunk import fit_chunk
 from imubayes.batch.fit_unit import bound_to
 from imubayes.batch.lane_mode import find_modes
-from imubayes.batch.lanes import Structure, structure_key
+from imubayes.batch.lanes import LaneStructure, structure_key
 from imubayes.batch.posterior_table import UnitPosterior
 from imubayes.batch.run_batch import ChunkTask
 from imubayes.batch.unit_sources import sources_of
@@ -33,7 +33,7 @@ def marginal_sd(fit: Fit) -> np.ndarray:
 
 def distance(model: Model) -> float:
     """Return the largest distance of the two optima, in posterior standard deviations."""
-    structure = Structure.of(model.problem)
+    structure = LaneStructure.of(model.problem)
     assert structure is not None
     found, fit = find_modes(structure, structure.stacked([model])), joint_fit(model, None)
     assert bool(found.converged[0])

@@ -15,7 +15,7 @@ import polars as pl
 from imubayes.batch.fit_unit import bound_to, failure, fit_alone, posterior_of
 from imubayes.batch.lane_mode import find_modes
 from imubayes.batch.lane_posterior import posteriors
-from imubayes.batch.lanes import LANES, Structure, structure_key
+from imubayes.batch.lanes import LANES, LaneStructure, structure_key
 from imubayes.batch.posterior_table import UnitIdentity, UnitPosterior
 from imubayes.batch.run_batch import ChunkTask, FittedChunk
 from imubayes.batch.unit_sources import UnitSource, identity_of, unread
@@ -24,7 +24,7 @@ from imubayes.model.bind import Model
 
 # Structures of which a process keeps the places; the compiled code is JAX's.
 _MOST_STRUCTURES = 64
-_structures: OrderedDict[str, Structure | None] = OrderedDict()
+_structures: OrderedDict[str, LaneStructure | None] = OrderedDict()
 
 
 @dataclass(frozen=True)
@@ -110,10 +110,10 @@ def _in_lanes(group: Sequence[BoundUnit]) -> list[Fit | None]:
     return posteriors(structure, varying, find_modes(structure, varying), models)
 
 
-def _structure(unit: BoundUnit) -> Structure | None:
+def _structure(unit: BoundUnit) -> LaneStructure | None:
     key = unit.identity.structure
     if key not in _structures:
-        _structures[key] = Structure.of(unit.model.problem)
+        _structures[key] = LaneStructure.of(unit.model.problem)
         if len(_structures) > _MOST_STRUCTURES:
             _structures.popitem(last=False)
     _structures.move_to_end(key)

@@ -24,7 +24,7 @@ from imubayes.batch.group_moments import (
     normal_equations,
     with_misfit,
 )
-from imubayes.batch.lanes import LANES, Structure
+from imubayes.batch.lanes import LANES, LaneStructure
 from imubayes.model.problem import Problem
 
 # The decrement, in posterior standard deviations, below which a fit has converged, and that of a fit that is done.
@@ -138,7 +138,7 @@ def moved(
     return ahead, height(ahead) - height(model)
 
 
-def find_modes(structure: Structure, varying: Problem) -> LaneMode:
+def find_modes(structure: LaneStructure, varying: Problem) -> LaneMode:
     """Return the joint fits of stacked units, from the middle of the prior."""
     size, hyper = structure.problem.size
     z, h = jnp.zeros((LANES, size)), jnp.zeros((LANES, hyper))
@@ -159,7 +159,7 @@ def find_modes(structure: Structure, varying: Problem) -> LaneMode:
 
 
 def _one_linearisation(
-    structure: Structure, varying: Problem, model: GroupedModel, h: Array, curvature: Array
+    structure: LaneStructure, varying: Problem, model: GroupedModel, h: Array, curvature: Array
 ) -> tuple[LaneMode, Array]:
     """Return where the fits end with one Jacobian, and the curvature of the noise scales learnt on the way."""
     first = structure.run(advance, varying, model, h, curvature)
@@ -177,7 +177,7 @@ def _one_linearisation(
     return LaneMode(ended, second.climb.h, jnp.asarray(error), jnp.asarray(converged)), second.climb.curvature
 
 
-def _stepped(structure: Structure, varying: Problem, model: GroupedModel, first: Advance) -> GroupedModel:
+def _stepped(structure: LaneStructure, varying: Problem, model: GroupedModel, first: Advance) -> GroupedModel:
     """Return the models after their steps, halved where the log density would fall."""
     length = np.ones(LANES)
     near, gain = structure.run(moved, varying, model, first.climb.h, first.step)

@@ -19,7 +19,7 @@ from scipy.stats import qmc
 from imubayes.array_shapes import Array, Float
 from imubayes.batch.group_moments import GroupedModel, GroupIndex, log_marginal_of, normal_equations
 from imubayes.batch.lane_mode import LaneMode
-from imubayes.batch.lanes import LANES, Structure, of_lane
+from imubayes.batch.lanes import LANES, LaneStructure, of_lane
 from imubayes.inference.conditional_precision import ExactPrecision
 from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.nested_laplace import HyperProbes, NestedLaplace, curved_directions, hyper_probes
@@ -38,7 +38,7 @@ _PRIOR_DRAWS = 1000
 _APART = 1e-3
 
 
-class Draws(eqx.Module):
+class LaneDraws(eqx.Module):
     """Steps of θ from the mode, shape (scales, each, P), before the bend, and the noise scales (scales, H)."""
 
     delta: Float[Array, "S M P"]
@@ -72,16 +72,16 @@ def draws(
     axes: Float[Array, "H H"],
     along: TabulatedDensity,
     normal: tuple[Float[Array, "S H"], Float[Array, "S M P"]],
-) -> Draws:
+) -> LaneDraws:
     """Return draws of the approximation before they are bent, for standard normal vectors."""
 
-    def at(vectors: tuple[Array, Array]) -> Draws:
+    def at(vectors: tuple[Array, Array]) -> LaneDraws:
         here = h + axes @ from_normal(along, vectors[0])
         known = normal_equations(problem, index, model, here)
         factor = jnp.linalg.cholesky(known.precision)
         mean = jax.scipy.linalg.cho_solve((factor, True), known.gradient)
         spread = jax.scipy.linalg.solve_triangular(factor.T, vectors[1].T, lower=False).T
-        return Draws(mean[None, :] + spread, here)
+        return LaneDraws(mean[None, :] + spread, here)
 
     return jax.lax.map(at, normal)
 
@@ -107,7 +107,7 @@ def _standardised(vectors: np.ndarray) -> np.ndarray:
     return np.linalg.solve(np.linalg.cholesky(centred.T @ centred / len(vectors)), centred.T).T
 
 
-def posteriors(structure: Structure, varying: Problem, mode: LaneMode, models: list[Model]) -> list[Fit | None]:
+def posteriors(structure: LaneStructure, varying: Problem, mode: LaneMode, models: list[Model]) -> list[Fit | None]:
     """Return the fits of the units in lanes; None for one whose noise scales have another mode, or no curvature."""
     at: Curvature = structure.run(hyper_curvature, varying, mode.model, mode.h)
     probes = [_probes(mode, at, lane) for lane in range(len(models))]
@@ -138,7 +138,7 @@ def _probes(mode: LaneMode, at: Curvature, lane: int) -> HyperProbes | None:
 
 
 def _fit(
-    model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: Draws
+    model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: LaneDraws
 ) -> Fit | None:
     """Return the fit of one unit; None where the marginal of the noise scales has another maximum."""
     problem, z = model.problem, found.model.z

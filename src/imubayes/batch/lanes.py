@@ -42,17 +42,17 @@ def _is_shared(path: tuple, leaf: Any) -> bool:
 
 
 @dataclass(frozen=True)
-class Structure:
+class LaneStructure:
     """The compiled functions of a structure, by its first problem."""
 
     problem: Problem
     index: GroupIndex
 
     @staticmethod
-    def of(problem: Problem) -> "Structure | None":
+    def of(problem: Problem) -> "LaneStructure | None":
         """Return the structure of a problem; None where its readings cannot be summed up by groups."""
         index = group_index(problem)
-        return None if index is None else Structure(problem, index)
+        return None if index is None else LaneStructure(problem, index)
 
     @cached_property
     def _mask(self) -> Problem:

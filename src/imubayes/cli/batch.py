@@ -1,7 +1,7 @@
 """`imubayes batch`: every campaign of an archive fitted with one model."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -11,7 +11,8 @@ from imubayes.cli.options import Flag, Json, print_json
 from imubayes.errors import input_error
 
 if TYPE_CHECKING:
-    from imubayes.batch.run_batch import Executor
+    from imubayes.batch.batch_settings import BatchSettings
+    from imubayes.batch.run_batch import BatchProgress, Executor
 
 batch = cyclopts.App(name="batch", help="Fit every campaign of an archive with one model, and compare the units.")
 
@@ -60,22 +61,35 @@ def fit_all(
     as_json
         Print one JSON object on standard output.
     """
-    from imubayes.cli.session import progress, start_jax
+    from imubayes.cli.session import start_jax
 
     start_jax()
     from imubayes.batch.batch_settings import BatchSettings
-    from imubayes.batch.posterior_table import read_units
+
+    state = _run(archive, model, out, BatchSettings(sample, diagnose, seed), retry, executor(workers, scheduler))
+    return _report(state, out, as_json)
+
+
+def _run(
+    archive: Path, model: Path, out: Path, settings: "BatchSettings", retry: bool,
+    executor: AbstractContextManager["Executor"],
+) -> "BatchProgress":  # fmt: skip
     from imubayes.batch.run_batch import run_batch
-    from imubayes.display.batch_report import batch_json, batch_report, progress_text
+    from imubayes.cli.session import progress
+    from imubayes.display.batch_report import progress_text
+
+    with progress() as tell, executor as execute:
+        tell("listing the campaigns")
+        return run_batch(
+            archive, model, out, execute, settings, retry=retry, progress=lambda state: tell(progress_text(state))
+        )
+
+
+def _report(state: "BatchProgress", out: Path, as_json: bool) -> int:
+    from imubayes.batch.posterior_table import read_units
+    from imubayes.display.batch_report import batch_json, batch_report
     from imubayes.display.report_layout import print_report
 
-    settings = BatchSettings(sample, diagnose, seed)
-    with progress() as tell:
-        tell("listing the campaigns")
-        with executor(workers, scheduler) as execute:
-            state = run_batch(
-                archive, model, out, execute, settings, retry=retry, progress=lambda state: tell(progress_text(state))
-            )
     units = read_units(out, state.key)
     if as_json:
         print_json(batch_json(state, units, state.key))
