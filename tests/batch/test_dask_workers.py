@@ -133,7 +133,7 @@ def test_in_process_two_workers_and_an_external_scheduler_give_the_same_numbers(
 def test_a_killed_scheduler_ends_the_batch_and_run_again_it_goes_on(campaigns, expected, tmp_path):
     address = "tcp://127.0.0.1:18787"
     scheduler = started_by_hand("scheduler", "--host", "127.0.0.1", "--port", "18787", "--no-dashboard")
-    worker = started_by_hand("worker", address, "--nthreads", "1", "--no-dashboard", "--death-timeout", "5")
+    worker = started_by_hand("worker", address, "--nthreads", "1", "--no-dashboard")
     try:
         with (
             pytest.raises(InputError, match="scheduler has gone"),
