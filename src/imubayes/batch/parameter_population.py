@@ -100,10 +100,11 @@ def populations(parameters: pl.DataFrame, units: pl.DataFrame) -> tuple[Populati
     ----------
     parameters, units : as `imubayes.batch.posterior_table.read_parameters` and `read_units` return them.
     """
-    draws = dict(zip(units["digest"], units["draws"].fill_null(np.inf), strict=True))
     found, frames = [], [SHRUNK.to_frame()]
-    for table in _latest(parameters):
-        posteriors, scale = _posteriors(table, draws)
+    for rows in usable_rows(parameters):
+        # Rows are in the order of the dates: the last one of a unit is its latest calibration.
+        table = rows.unique("unit", keep="last", maintain_order=True).sort("unit")
+        posteriors, scale = posteriors_of(table, units)
         outcome = population(posteriors)
         shares = shrunk(posteriors, outcome) if outcome.posterior is not None else None
         found.append(_record(table, scale, posteriors, outcome, shares))
@@ -119,16 +120,23 @@ def populations(parameters: pl.DataFrame, units: pl.DataFrame) -> tuple[Populati
     return record, pl.concat(frames)
 
 
-def _latest(parameters: pl.DataFrame) -> Iterator[pl.DataFrame]:
-    """Yield the rows of each parameter, one per unit: of its latest campaign that has an estimate."""
+def usable_rows(parameters: pl.DataFrame) -> Iterator[pl.DataFrame]:
+    """Yield the rows of each parameter that have an estimate, in the order of their dates, undated ones first."""
     usable = parameters.filter((pl.col("status") == "fitted") & pl.col("mean").is_not_null())
     ordered = usable.sort("date", "digest", nulls_last=False, maintain_order=True)
     for (_,), rows in ordered.group_by(["parameter"], maintain_order=True):
-        yield rows.unique("unit", keep="last", maintain_order=True).sort("unit")
+        yield rows
 
 
-def _posteriors(table: pl.DataFrame, draws: dict[str, float]) -> tuple[UnitPosteriors, Literal["linear", "log"]]:
-    """Return the posteriors of the units on the scale on which their prior is nearly normal."""
+def posteriors_of(table: pl.DataFrame, units: pl.DataFrame) -> tuple[UnitPosteriors, Literal["linear", "log"]]:
+    """Return the posteriors of one parameter on the scale on which its prior is nearly normal.
+
+    Parameters
+    ----------
+    table : rows of the parameter.
+    units : table of the units, with the number of draws behind each.
+    """
+    draws = dict(zip(units["digest"], units["draws"].fill_null(np.inf), strict=True))
     columns = {name: table[name].cast(pl.Float64).fill_null(np.nan).to_numpy() for name in _NUMBERS}
     mean, sd, prior_mean, prior_sd = (columns[name] for name in _NUMBERS[:4])
     number = np.array([draws[digest] for digest in table["digest"]], dtype=float)

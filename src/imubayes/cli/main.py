@@ -11,7 +11,7 @@ from imubayes import __version__
 from imubayes.cli.add import add
 from imubayes.cli.apply import apply
 from imubayes.cli.archive import archive
-from imubayes.cli.batch import batch
+from imubayes.cli.batch_questions import batch
 from imubayes.cli.carrier import carrier
 from imubayes.cli.check import check
 from imubayes.cli.classical import classical

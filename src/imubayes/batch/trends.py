@@ -1,0 +1,218 @@
+"""Trends of parameters over dates and serial numbers, and drift between calibrations of one unit.
+
+A trend is the slope of a regression of the units' estimates, the prior of their model divided out, in which units
+scatter about the line by a spread that is estimated with it:
+
+    yᵢ ~ N(a + b xᵢ, vᵢ + τ²),   flat priors on a, b and τ ≥ 0.
+
+Each unit counts once, with its first dated calibration.  Drift is the change between consecutive calibrations of one
+unit, whose data are independent: the variances add.
+"""
+
+import re
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+import polars as pl
+from scipy import special, stats
+
+from imubayes.batch.parameter_population import posteriors_of, usable_rows
+from imubayes.batch.population import LEAST_UNITS, discoveries
+from imubayes.batch.population_laws import normal_law
+from imubayes.json_record import Record
+
+RATE = 0.05
+"""False discovery rate of trends, and of drifts (convention)."""
+DAYS_PER_YEAR = 365.25
+_NUMBER = re.compile(r"(\d+)\D*$")
+
+DRIFTS = pl.Schema(
+    {
+        "unit": pl.String, "parameter": pl.String, "unit_of_measure": pl.String, "from": pl.Date, "to": pl.Date,
+        "years": pl.Float64, "change": pl.Float64, "change_sd": pl.Float64, "p": pl.Float64,
+        "significant": pl.Boolean,
+    }
+)  # fmt: skip
+"""One row per unit, parameter and pair of consecutive calibrations; the change of the logarithm for scales."""
+
+
+class Trend(Record):
+    """The trend of a parameter over dates or serial numbers.
+
+    Attributes
+    ----------
+    over, per : ``date`` with ``year``, or ``serial`` with ``100 serial numbers``.
+    scale : ``linear``, or ``log``: the slope is of the natural logarithm.
+    slope, slope_sd : per year, or per 100 serial numbers.
+    p : two-sided, of no slope.
+    significant : at a false discovery rate of 5 % over all parameters.
+    """
+
+    parameter: str
+    unit_of_measure: str
+    scale: Literal["linear", "log"]
+    over: Literal["date", "serial"]
+    per: str
+    units: int
+    slope: float
+    slope_sd: float
+    p: float
+    significant: bool
+
+
+class Drift(Record):
+    """How a parameter changes between calibrations of one unit.
+
+    Attributes
+    ----------
+    pairs, significant : pairs of consecutive calibrations, and those whose change is significant.
+    mean, mean_sd : change per year, common to all units.
+    spread : standard deviation of the change between two calibrations beyond its uncertainty; None for few pairs.
+    p : of no change in any unit.
+    units : with significant changes, the clearest first.
+    """
+
+    parameter: str
+    unit_of_measure: str
+    scale: Literal["linear", "log"]
+    pairs: int
+    significant: int
+    mean: float
+    mean_sd: float
+    spread: float | None
+    p: float
+    units: tuple[str, ...]
+
+
+class Trends(Record):
+    """Trends and drifts of a batch, the most significant first."""
+
+    format: Literal[1] = 1
+    model: str
+    rate: float = RATE
+    trends: tuple[Trend, ...]
+    drifts: tuple[Drift, ...]
+
+
+def trends(parameters: pl.DataFrame, units: pl.DataFrame) -> tuple[Trends, pl.DataFrame]:
+    """Return the trends and drifts of every parameter, and every change between calibrations (schema `DRIFTS`).
+
+    Parameters
+    ----------
+    parameters, units : as `imubayes.batch.posterior_table.read_parameters` and `read_units` return them.
+    """
+    lines, drifts = [], [DRIFTS.to_frame()]
+    scales: dict[str, Literal["linear", "log"]] = {}
+    for rows in usable_rows(parameters):
+        posteriors, scale = posteriors_of(rows, units)
+        estimate, variance = posteriors.likelihood
+        known = rows.with_columns(estimate=estimate, variance=variance).filter(pl.Series(posteriors.informative))
+        scales[rows["parameter"][0]] = scale
+        lines.extend(_trends(known, scale))
+        drifts.append(_drifts(known))
+    changes = pl.concat(drifts)
+    changes = changes.with_columns(pl.Series("significant", discoveries(changes["p"].to_numpy(), RATE), pl.Boolean))
+    significant = discoveries(np.array([line.p for line in lines]), RATE)
+    told = [line.model_copy(update={"significant": bool(each)}) for line, each in zip(lines, significant, strict=True)]
+    found = [_drift(each, scales[each["parameter"][0]]) for each in changes.partition_by("parameter")]
+    record = Trends(
+        model=units["model"][0] if units.height else "",
+        trends=tuple(sorted(told, key=lambda line: line.p)),
+        drifts=tuple(sorted(found, key=lambda each: each.p)),
+    )
+    return record, changes
+
+
+def serial_number(unit: str) -> float | None:
+    """Return the last number in the name of a unit; None where it has none."""
+    found = _NUMBER.search(unit)
+    return float(found[1]) if found else None
+
+
+def _trends(rows: pl.DataFrame, scale: Literal["linear", "log"]) -> Iterator[Trend]:
+    """Yield the trends over dates and over serial numbers, where units differ in them."""
+    first = rows.sort("date", "digest", nulls_last=True).unique("unit", keep="first", maintain_order=True)
+    dated = first.filter(pl.col("date").is_not_null())
+    years = (dated["date"].cast(pl.Int32).cast(pl.Float64) / DAYS_PER_YEAR).to_numpy()
+    numbers = [serial_number(unit) for unit in first["unit"]]
+    numbered = first.filter(pl.Series([number is not None for number in numbers], dtype=pl.Boolean))
+    serials = np.array([number for number in numbers if number is not None], dtype=float) / 100
+    over: tuple[tuple[Literal["date", "serial"], str, pl.DataFrame, np.ndarray], ...] = (
+        ("date", "year", dated, years), ("serial", "100 serial numbers", numbered, serials),
+    )  # fmt: skip
+    for name, per, chosen, place in over:
+        if chosen.height <= LEAST_UNITS or np.ptp(place) == 0:
+            continue
+        slope, deviation = regression(chosen["estimate"].to_numpy(), chosen["variance"].to_numpy(), place)
+        yield Trend(
+            parameter=rows["parameter"][0],
+            unit_of_measure=rows["unit_of_measure"][0],
+            scale=scale,
+            over=name,
+            per=per,
+            units=chosen.height,
+            slope=slope,
+            slope_sd=deviation,
+            p=float(2 * special.stdtr(chosen.height - 2, -abs(slope) / deviation)),
+            significant=False,
+        )
+
+
+def regression(estimate: np.ndarray, variance: np.ndarray, place: np.ndarray) -> tuple[float, float]:
+    """Return posterior mean and standard deviation of the slope of estimates (n,) over `place` (n,)."""
+    centred = place - place.mean()
+    rest = estimate - np.polynomial.Polynomial.fit(centred, estimate, 1)(centred)
+    # The grid of τ of a population without trend, about the residuals of an ordinary line.
+    scale = normal_law(rest, variance).scale
+    total = variance + scale[:, None] ** 2
+    weight = 1 / total
+    design = np.stack([np.ones_like(centred), centred])
+    information = np.einsum("pn,gn,qn->gpq", design, weight, design)
+    covariance = np.linalg.inv(information)
+    coefficient = np.einsum("gpq,qn,gn,n->gp", covariance, design, weight, estimate)
+    misfit = np.sum((estimate - coefficient @ design) ** 2 * weight, axis=1)
+    log_density = -0.5 * (np.linalg.slogdet(information)[1] + np.sum(np.log(total), axis=1) + misfit)
+    share = np.exp(log_density - log_density.max()) * np.gradient(scale)
+    share /= share.sum()
+    mean = float(share @ coefficient[:, 1])
+    return mean, float(np.sqrt(share @ (covariance[:, 1, 1] + (coefficient[:, 1] - mean) ** 2)))
+
+
+def _drifts(rows: pl.DataFrame) -> pl.DataFrame:
+    """Return the changes between consecutive calibrations of each unit."""
+    ordered = rows.filter(pl.col("date").is_not_null()).sort("unit", "date", "digest")
+    pairs = ordered.select(
+        "unit",
+        "parameter",
+        "unit_of_measure",
+        pl.col("date").shift(1).over("unit").alias("from"),
+        pl.col("date").alias("to"),
+        (pl.col("estimate") - pl.col("estimate").shift(1).over("unit")).alias("change"),
+        (pl.col("variance") + pl.col("variance").shift(1).over("unit")).sqrt().alias("change_sd"),
+    ).filter(pl.col("change").is_not_null())
+    distance = (pairs["change"] / pairs["change_sd"]).abs().to_numpy()
+    return pairs.with_columns(
+        ((pl.col("to") - pl.col("from")).dt.total_days() / DAYS_PER_YEAR).alias("years"),
+        pl.Series("p", 2 * special.ndtr(-distance), pl.Float64),
+        pl.lit(False).alias("significant"),
+    ).select(DRIFTS.names())
+
+
+def _drift(changes: pl.DataFrame, scale: Literal["linear", "log"]) -> Drift:
+    change, variance = changes["change"].to_numpy(), changes["change_sd"].to_numpy() ** 2
+    years = changes["years"].to_numpy()
+    information = float(np.sum(years**2 / variance))
+    several = changes.height >= LEAST_UNITS
+    return Drift(
+        parameter=changes["parameter"][0],
+        unit_of_measure=changes["unit_of_measure"][0],
+        scale=scale,
+        pairs=changes.height,
+        significant=int(changes["significant"].sum()),
+        mean=float(np.sum(years * change / variance)) / information if information > 0 else 0.0,
+        mean_sd=information**-0.5 if information > 0 else 0.0,
+        spread=normal_law(change, variance).of_scale()[0] if several else None,
+        p=float(stats.chi2.sf(np.sum(change**2 / variance), changes.height)),
+        units=tuple(changes.filter("significant").sort("p")["unit"].unique(maintain_order=True)[:8]),
+    )

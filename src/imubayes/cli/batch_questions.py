@@ -1,0 +1,196 @@
+"""`imubayes batch population|prior|diagnose|compare|trends`: questions asked of all units of a batch."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from imubayes.cli.batch import batch
+from imubayes.cli.options import Json, print_json
+
+if TYPE_CHECKING:
+    import polars as pl
+
+
+def _tables(results: Path, model_hash: str | None) -> tuple["pl.DataFrame", "pl.DataFrame"]:
+    """Return the tables of a batch; a folder may also be that of one model, `RESULTS/model-<hash>`."""
+    from imubayes.batch.posterior_table import read_parameters, read_units
+
+    if results.name.startswith("model-") and model_hash is None:
+        results, model_hash = results.parent, results.name.removeprefix("model-")
+    return read_parameters(results, model_hash), read_units(results, model_hash)
+
+
+def _write(table: "pl.DataFrame", file: Path | None) -> None:
+    from imubayes.atomic_files import replacing
+
+    if file is not None:
+        with replacing(file) as scratch:
+            table.write_parquet(scratch)
+
+
+@batch.command
+def population(results: Path, *, out: Path | None = None, model_hash: str | None = None, as_json: Json = False) -> int:
+    """Show mean and spread of every parameter over the units, and the units that are unlike the others.
+
+    Example: imubayes batch population results/batch --out units.parquet
+
+    Parameters
+    ----------
+    results
+        Results folder of a batch.
+    out
+        Parquet file to write: each unit with the population as its prior.
+    model_hash
+        Model, where the folder holds results of several.
+    as_json
+        Print one JSON object on standard output.
+    """
+    from imubayes.batch.parameter_population import populations
+    from imubayes.display.batch_questions import population_report
+    from imubayes.display.report_layout import print_report
+
+    found, units = populations(*_tables(results, model_hash))
+    _write(units, out)
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        print_report(population_report(found))
+    return 0
+
+
+@batch.command
+def prior(results: Path, *, out: Path, name: str = "", model_hash: str | None = None, as_json: Json = False) -> int:
+    """Write a model for the next unit, whose priors are the population of the units so far.
+
+    Example: imubayes batch prior results/batch --out models/next-unit.toml
+
+    Parameters
+    ----------
+    results
+        Results folder of a batch.
+    out
+        Model file to write.
+    name
+        Name of the new model.
+    model_hash
+        Model, where the folder holds results of several.
+    as_json
+        Print one JSON object on standard output.
+    """
+    from dataclasses import asdict
+
+    from imubayes.atomic_files import refuse_existing, write_text
+    from imubayes.batch.next_prior import next_unit_model
+    from imubayes.batch.parameter_population import populations
+    from imubayes.batch.posterior_table import MODEL_FILE, model_folder
+    from imubayes.display.batch_questions import prior_report
+    from imubayes.display.report_layout import print_report
+    from imubayes.model.model_file import read_model
+    from imubayes.results.result_folder import model_text
+
+    found, _ = populations(*_tables(results, model_hash))
+    folder = results.parent if results.name.startswith("model-") else results
+    spec, replaced = next_unit_model(read_model(model_folder(folder, found.model) / MODEL_FILE), found, name)
+    refuse_existing(out)
+    write_text(out, model_text(spec))
+    if as_json:
+        print_json({"format": 1, "model": str(out), "priors": [asdict(each) for each in replaced]})
+    else:
+        print_report(prior_report(replaced, out))
+    return 0
+
+
+@batch.command
+def diagnose(results: Path, *, model_hash: str | None = None, as_json: Json = False) -> int:
+    """Look for effects that the model lacks, with the evidence of all units added up.
+
+    The scores of every unit are computed once and kept in the results folder.  Exit status 1: an effect is missing.
+
+    Example: imubayes batch diagnose results/batch
+
+    Parameters
+    ----------
+    results
+        Results folder of a batch.
+    model_hash
+        Model, where the folder holds results of several.
+    as_json
+        Print one JSON object on standard output.
+    """
+    from imubayes.cli.session import progress, start_jax
+
+    start_jax()
+    from imubayes.batch.pooled_discovery import pooled_discovery
+    from imubayes.batch.posterior_table import read_units
+    from imubayes.batch.score_files import complete_scores, read_unit_scores
+    from imubayes.display.batch_questions import discovery_report
+    from imubayes.display.report_layout import print_report
+
+    with progress() as tell:
+        issues = complete_scores(results, model_hash, lambda done, all_: tell(f"scores of {done} of {all_} campaigns"))
+        tell("adding up the evidence")
+        found = pooled_discovery(read_unit_scores(results, model_hash), read_units(results, model_hash))
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        print_report(discovery_report(found, issues))
+    return 1 if found.alarm else 0
+
+
+@batch.command
+def compare(old: Path, new: Path, *, out: Path | None = None, as_json: Json = False) -> int:
+    """Show what changed with the model: per parameter and unit, with significance.
+
+    Example: imubayes batch compare results/old results/new --out changes.parquet
+
+    Parameters
+    ----------
+    old
+        Results of the old model: a results folder, or RESULTS/model-HASH.
+    new
+        Results of the new model.
+    out
+        Parquet file to write: every change.
+    as_json
+        Print one JSON object on standard output.
+    """
+    from imubayes.batch.compare_models import compare_models
+    from imubayes.display.batch_questions import comparison_report
+    from imubayes.display.report_layout import print_report
+
+    found, changes = compare_models(_tables(old, None), _tables(new, None))
+    _write(changes, out)
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        print_report(comparison_report(found))
+    return 0
+
+
+@batch.command
+def trends(results: Path, *, out: Path | None = None, model_hash: str | None = None, as_json: Json = False) -> int:
+    """Show trends over dates and serial numbers, and drift between calibrations of one unit.
+
+    Example: imubayes batch trends results/batch --out drifts.parquet
+
+    Parameters
+    ----------
+    results
+        Results folder of a batch.
+    out
+        Parquet file to write: every change between two calibrations of a unit.
+    model_hash
+        Model, where the folder holds results of several.
+    as_json
+        Print one JSON object on standard output.
+    """
+    from imubayes.batch.trends import trends as trends_of
+    from imubayes.display.batch_questions import trends_report
+    from imubayes.display.report_layout import print_report
+
+    found, changes = trends_of(*_tables(results, model_hash))
+    _write(changes, out)
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        print_report(trends_report(found))
+    return 0
