@@ -155,7 +155,7 @@ def _changes(joined: pl.DataFrame) -> pl.DataFrame:
         "change": change, "change_sd": deviation, "p": p, "significant": discoveries(p, RATE),
     }  # fmt: skip
     kept = joined.select("unit", "campaign", "digest", "date", "parameter", "unit_of_measure")
-    return kept.with_columns(pl.Series(name, values) for name, values in columns.items()).cast(dict(CHANGES))
+    return kept.with_columns(pl.Series(name, values) for name, values in columns.items()).match_to_schema(CHANGES)
 
 
 def _parameter(changes: pl.DataFrame) -> ParameterChange:

@@ -359,7 +359,7 @@ def _stronger(inside: PooledEvidence, outside: PooledEvidence) -> bool:
         return distance > DISTINCT_SD**2 + inside.common_dof - 1 and own > 4 * theirs
     own, theirs = inside.chi2 - inside.dof, outside.chi2 - outside.dof
     error = math.sqrt(float(np.var(own)) / len(own) + float(np.var(theirs)) / len(theirs))
-    return float(own.mean() - theirs.mean()) > DISTINCT_SD * error and own.mean() > 2 * theirs.mean()
+    return bool(own.mean() - theirs.mean() > DISTINCT_SD * error and own.mean() > 2 * theirs.mean())
 
 
 def _groups(scores: PooledScores, units: pl.DataFrame) -> Iterator[tuple[Equipment, str, np.ndarray]]:
