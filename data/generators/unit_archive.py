@@ -56,7 +56,7 @@ def generate(folder: Path, units: int, seed: int = SEED, hidden: Hidden | None =
         effect = _effect(hidden, table, random)
         truths[serial] = {"values": own, "table": table, "hidden": effect}
         day = FIRST_DAY + timedelta(days=int(1000 * place / units))
-        values = unit_plan(serial, table, day).draw(seed + place) | own | effect
+        values = {**unit_plan(serial, table, day).draw(seed + place), **own, **effect}
         write_unit(Path(folder), serial, table, day, seed + 2 * place, values)
         if place % 3 == 0:
             later = values | {"accel_bias.bias[ax]": values["accel_bias.bias[ax]"] + DRIFT_UG_PER_YEAR}

@@ -57,8 +57,9 @@ def test_the_duckdb_queries_run_as_written():
     block = re.search(r"```sql\n(.*?)```", README, re.DOTALL)
     assert block is not None
     first, second = (text for text in block[1].split(";") if text.strip())
-    assert duckdb.sql(first).pl()["units"].to_list() == [6]
-    assert duckdb.sql(second).pl()["campaigns"].to_list() == [3, 3]
+    database = duckdb.connect()
+    assert [row[1] for row in database.execute(first).fetchall()] == [6]
+    assert [row[-1] for row in database.execute(second).fetchall()] == [3, 3]
 
 
 @pytest.mark.usefixtures("results")
