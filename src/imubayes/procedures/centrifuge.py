@@ -6,7 +6,7 @@ against the arm holds the unit's attitude to the Earth, and `table_angle_deg` is
 
 The textbook fits a polynomial over the levels of all rows of a temperature: for an accelerometer
 
-    E = K1·(K0 + a_i + K2 a_i² + K3 a_i³ + K_oq a_i|a_i| + δ_o a_o + δ_p a_p + cross terms)
+    E = K1·(K0 + a_i + K2 a_i² + K3 a_i³ + K_oq a_i|a_i| + δ_o a_p − δ_p a_o + cross terms)
 
 (IEEE Std 836 and 1293), for a gyro the drift terms D_F … D_SI (IEEE Std 517), as far as the rows separate them.
 Counter-rotated, squares average to A²/2 and products to 0, A = Ω²R.  Radius, tilts and seats are taken as exact: K1 has

@@ -1,7 +1,7 @@
 """Textbook regression on known inputs: the terms of the model equation that a set of rows separates, by least squares.
 
 The output is E = K·(Σ c_j x_j) with the input itself first, c = 1: for an accelerometer
-a_i + K0 + δ_o a_o + δ_p a_p + K2 a_i² + … (IEEE Std 1293), for a gyro ω_i + D_F + δ_o ω_o + … + D_I a_i + … (IEEE Std
+a_i + K0 + δ_o a_p − δ_p a_o + K2 a_i² + … (IEEE Std 1293), for a gyro ω_i + D_F + δ_o ω_o + … + D_I a_i + … (IEEE Std
 517).  Terms enter in the order of their list as long as the rows tell them from those before.  Of those left out the
 higher orders of an accelerometer are assumed zero and named; those of a gyro stay in sums with what they are not
 separable from, such as D_F + D_II.
@@ -45,7 +45,7 @@ class FittedTerm:
 
     Attributes
     ----------
-    symbol : as in the standard.
+    symbol : of the coefficient, as in the standard; with a minus sign where that has one, −δ_p a_o.
     name : of the parameter in the joint fit.
     unit : of the coefficient.
     column : the known input → its values at the nodes, (n,), in the unit of the input: rad/s or g.
@@ -77,8 +77,8 @@ def _with_sign(known: KnownInput) -> np.ndarray:
 ACCELEROMETER = (
     FittedTerm("K1", "scale_factor", "", _force(0)),
     FittedTerm("K0", "accel_bias.bias", "ug", _force()),
-    FittedTerm("δ_o", "accel_misalignment.toward_o", "arcsec", _force(1), assumed_zero=True),
-    FittedTerm("δ_p", "accel_misalignment.toward_p", "arcsec", _force(2), assumed_zero=True),
+    FittedTerm("−δ_p", "accel_misalignment.toward_o", "arcsec", _force(1), assumed_zero=True),
+    FittedTerm("δ_o", "accel_misalignment.toward_p", "arcsec", _force(2), assumed_zero=True),
     FittedTerm("K2", "accel_quadratic.quadratic", "ug/g^2", _force(0, 0), assumed_zero=True),
     FittedTerm("K3", "accel_cubic.cubic", "ug/g^3", _force(0, 0, 0), assumed_zero=True),
     FittedTerm("K_oq", "accel_odd_quadratic.odd_quadratic", "ug/g^2", _with_sign, assumed_zero=True),
@@ -215,7 +215,7 @@ def _over_first(value: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, 
 def _left_open(channel: Channel, terms: Sequence[FittedTerm], kept: Sequence[int], runs: str) -> list[TextbookResult]:
     """Return which terms are assumed zero, and which are estimated together with others only."""
     left = [term for place, term in enumerate(terms) if place not in kept]
-    zero = ", ".join(term.symbol for term in left if term.assumed_zero)
+    zero = ", ".join(term.symbol.removeprefix("−") for term in left if term.assumed_zero)
     unseen = ", ".join(term.symbol for term in left if not term.assumed_zero)
     sentences = [f"{zero} cannot be separated; assumed zero"] if zero else []
     sentences += [f"{unseen} by themselves"] if unseen else []
