@@ -90,6 +90,46 @@ def test_the_quantities_of_the_standards_have_posteriors(result, tmp_path):
     assert record.provenance.data_sha256 in re.sub(r"\s", "", visible(page))
 
 
+def test_every_quantity_has_a_budget_that_adds_up(result, tmp_path):
+    _, record, page = written(result, tmp_path)
+    assert record.budgets is not None
+    budgets = {each.name: each for each in record.budgets.quantities}
+    assert {
+        line.name for line in record.results if line.monte_carlo and not line.name.startswith("run_scatter")
+    } <= set(budgets)
+    for each in budgets.values():
+        lines = sum(line.contribution**2 for line in each.lines)
+        assert lines == pytest.approx(each.contributed**2, rel=1e-9)
+        assert lines + each.remainder * each.standard_uncertainty**2 == pytest.approx(each.standard_uncertainty**2)
+        assert abs(each.remainder) < 0.02, each.name
+        assert sum(line.share for line in each.lines) == pytest.approx(1 - each.remainder)
+        for line in each.lines:
+            if line.sensitivity is not None:
+                assert abs(line.sensitivity) * line.input_uncertainty == pytest.approx(line.contribution)
+    bias = budgets["accel_bias.bias[ax]"]
+    assert bias.coverage_factor * bias.standard_uncertainty == pytest.approx(bias.expanded_uncertainty)
+    assert {line.type for line in bias.lines} >= {"A", "B"}
+    assert bias.halved[0].standard_uncertainty < bias.standard_uncertainty
+    matrix = record.budgets.correlation
+    assert [len(row) for row in matrix.rows] == list(range(1, len(budgets) + 1))
+    assert all(row[-1] == 1.0 for row in matrix.rows)
+    said = visible(page)
+    assert "Uncertainty budgets" in said
+    assert "What to improve first" in said
+    assert f"{100 * bias.lines[0].share:.1f} %" in said
+
+
+def test_budgets_that_are_kept_are_those_of_the_result(result, tmp_path):
+    file = result / "budgets.json"
+    _, first, _ = written(result, tmp_path)
+    kept = json.loads(file.read_text())
+    kept["budgets"]["quantities"] = kept["budgets"]["quantities"][:1]
+    file.write_text(json.dumps(kept))
+    assert len(written(result, tmp_path)[1].budgets.quantities) == 1, "what is kept is not computed again"
+    file.write_text(json.dumps(kept | {"sha256": "of another result"}))
+    assert written(result, tmp_path)[1] == first
+
+
 def test_a_result_that_was_never_diagnosed_cannot_pass(result, tmp_path):
     status, record, page = written(result, tmp_path, "--spec", specification(tmp_path))
     assert status == 1

@@ -6,8 +6,9 @@ import pytest
 from imubayes.qualification.budget_algebra import (
     degrees_of_freedom,
     deviation_with_exact_priors,
-    deviation_with_halved_noise,
+    deviation_with_halved_groups,
     deviation_with_halved_priors,
+    deviation_with_more_of_a_run,
     effective_degrees,
     linear_contributions,
     posterior_covariance,
@@ -64,10 +65,19 @@ def test_halved_inputs_agree_with_refits():
     for prior in range(6):
         widths = np.where(np.arange(6) == prior, WIDTHS / 2, WIDTHS)
         np.testing.assert_allclose(priors[:, prior], refitted(WHITENED, widths), rtol=1e-9)
-    noise = deviation_with_halved_noise(GRADIENTS, WHITENED, MEMBER, WIDTHS)
+    noise = deviation_with_more_of_a_run(GRADIENTS, WHITENED, MEMBER, WIDTHS, 3.0)
     for group in range(3):
         quieter = np.where((group == GROUP)[:, None], 2 * WHITENED, WHITENED)
         np.testing.assert_allclose(noise[:, group], refitted(quieter, WIDTHS), rtol=1e-9)
+    again = deviation_with_more_of_a_run(GRADIENTS, WHITENED, MEMBER, WIDTHS, 1.0)
+    groups = [np.arange(6) < 2, np.arange(6) == 5]
+    together = deviation_with_halved_groups(GRADIENTS, WHITENED, WIDTHS, groups)
+    for group in range(3):
+        twice = np.concatenate([WHITENED, WHITENED[group == GROUP]])
+        np.testing.assert_allclose(again[:, group], refitted(twice, WIDTHS), rtol=1e-9)
+    for place, chosen in enumerate(groups):
+        expected = refitted(WHITENED, np.where(chosen, WIDTHS / 2, WIDTHS))
+        np.testing.assert_allclose(together[:, place], expected, rtol=1e-9)
 
 
 def test_degrees_of_freedom_of_a_sample_variance():

@@ -12,7 +12,7 @@ from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.model.model_file import read_model
 from imubayes.qualification.assess import assess
 from imubayes.qualification.posterior_quantities import posterior_quantities
-from imubayes.qualification.uncertainty_budget import BudgetArrays, budget_of
+from imubayes.qualification.uncertainty_budget import BudgetArrays, FunctionOfQuantities, budget_of
 
 ROOT = Path(__file__).parents[2]
 NAMES = ["converter_gain_drift.slope[ax]", "accel_scale_factor.scale[ax]", "accel_bias.bias[ax]", "scale_factor[ax]"]
@@ -108,6 +108,29 @@ def test_an_angle_at_zero_has_a_budget_of_its_components(result):
     # Width of the draws, whatever the linear model says.
     draws = posterior_quantities(result).marginal("mounting_angle[ax,up]").draws
     assert found.posterior[0] == pytest.approx(np.var(draws), rel=1e-6)
+
+
+def test_functions_of_quantities_have_budgets(result):
+    """A sum has that of the sum of gradients; a length near zero adds up over its components."""
+    draws = posterior_quantities(result).draws
+    first, second = NAMES[1], NAMES[2]
+    away = {name: draws[name] - draws[name].mean() for name in (first, second)}
+    functions = {
+        "sum": FunctionOfQuantities(draws[first] + 2 * draws[second], (first, second)),
+        "length": FunctionOfQuantities(np.hypot(away[first], away[second]), (first, second), length=True),
+        "far": FunctionOfQuantities(np.hypot(1e6 + away[first], away[second]), (first, second), length=True),
+        "of another": FunctionOfQuantities(draws[first], ("accel_bias.bias[az]",)),
+    }
+    found = budget_of(result, NAMES, functions)
+    assert found.names == (*NAMES, "sum", "length", "far")
+    assert np.all(np.abs(found.remainder) < 0.02 * found.posterior)
+    assert found.posterior[4] == pytest.approx(np.var(draws[first] + 2 * draws[second]), rel=0.1)
+    place = [parameter.name for parameter in found.priors].index("accel_bias.bias[ax]")
+    along = found.averaged.sensitivity[:, place]
+    assert along[4] == pytest.approx(along[1] + 2 * along[2], rel=1e-6)
+    assert along[6] == pytest.approx(along[1], rel=1e-3), "far from zero a length has the gradient of its large member"
+    assert "length" in found.at_zero
+    assert "far" not in found.at_zero
 
 
 def test_all_quantities_add_up_within_two_percent(result):

@@ -96,40 +96,51 @@ def rank(fit: Fit, quantities: Sequence[str]) -> list[list[NextRun]]:
     """
     if not quantities:
         return []
+    designs, sd_before, sd_after = narrowed(fit, _gradients(fit, quantities))
+    units = {name.name: name.unit for name in fit.derived.names} | {p.name: p.unit for p in fit.model.layout.parameters}
+    found = []
+    for row, quantity in enumerate(quantities):
+        lines = [
+            NextRun(
+                run=design,
+                quantity=quantity,
+                sd_before=float(sd_before[row]),
+                sd_after=float(after[row]),
+                unit=units[quantity],
+            )
+            for design, after in zip(designs, sd_after, strict=True)
+        ]
+        found.append(sorted(lines, key=lambda line: line.sd_after))
+    return found
+
+
+def narrowed(fit: Fit, gradients: np.ndarray) -> tuple[list[RunDesign], np.ndarray, np.ndarray]:
+    """Return the candidate runs, and the standard deviation of quantities before, (n,), and after each of them, (C, n).
+
+    What came with the candidate runs, such as their tables and mountings, changes no quantity of the fit.
+
+    Parameters
+    ----------
+    fit : a converged fit.
+    gradients : shape (n, P), of the quantities with respect to z.
+    """
     wide, candidates = with_planned(fit)
     model = wide.model
     about = linearise(model.problem, jnp.asarray(wide.z))
-    gradients = _gradients(fit, model, quantities)
+    rows = np.stack([model.layout.carried(fit.model.layout, gradient) for gradient in gradients])
     known_runs = len(fit.model.campaign.runs)
 
     def precision(included: Iterable[int]) -> np.ndarray:
         return precision_of(model.problem, about, jnp.asarray(wide.h), np.isin(model.entries.run, list(included)))
 
     before = precision(range(known_runs)) + np.eye(len(wide.z))
-    sd_before = deviations(gradients, before)
-    sd_after = [deviations(gradients, before + precision([known_runs + place])) for place in range(len(candidates))]
-    units = {name.name: name.unit for name in fit.derived.names} | {p.name: p.unit for p in model.layout.parameters}
-    found = []
-    for row, quantity in enumerate(quantities):
-        lines = [
-            NextRun(
-                run=candidate.design,
-                quantity=quantity,
-                sd_before=float(sd_before[row]),
-                sd_after=float(after[row]),
-                unit=units[quantity],
-            )
-            for candidate, after in zip(candidates, sd_after, strict=True)
-        ]
-        found.append(sorted(lines, key=lambda line: line.sd_after))
-    return found
+    after = [deviations(rows, before + precision([known_runs + place])) for place in range(len(candidates))]
+    designs = [candidate.design for candidate in candidates]
+    return designs, deviations(rows, before), np.array(after).reshape(-1, len(rows))
 
 
-def _gradients(fit: Fit, wide: Model, quantities: Sequence[str]) -> np.ndarray:
-    """Return the gradient of derived quantities and parameters, in their units, with respect to z of `wide`, (n, P).
-
-    What came with the candidate runs, such as their tables and mountings, changes no quantity of the fit.
-    """
+def _gradients(fit: Fit, quantities: Sequence[str]) -> np.ndarray:
+    """Return the gradient of derived quantities and parameters, in their units, with respect to z, (n, P)."""
     layout, problem = fit.model.layout, fit.model.problem
     names = [name.name for name in fit.derived.names]
     of_derived = derived_jacobian(fit.derived.derivation, problem, fit.z)
@@ -141,7 +152,7 @@ def _gradients(fit: Fit, wide: Model, quantities: Sequence[str]) -> np.ndarray:
         else:
             place = layout.index(quantity)
             gradient = np.eye(len(layout))[place] * slopes[place]
-        rows.append(wide.layout.carried(layout, gradient))
+        rows.append(gradient)
     return np.array(rows)
 
 

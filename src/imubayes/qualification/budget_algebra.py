@@ -11,6 +11,7 @@ up to the posterior variance exactly.  A prior that becomes exact, or noise that
 other inputs too; what is then left follows from updates of C.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,14 +84,29 @@ def deviation_with_halved_priors(gradients: np.ndarray, covariance: np.ndarray, 
     return np.sqrt(np.maximum(variance - along**2 * added / (1 + added * np.diagonal(covariance)), 0.0))
 
 
-def deviation_with_halved_noise(
-    gradients: np.ndarray, whitened: np.ndarray, member: np.ndarray, widths: np.ndarray
+def deviation_with_halved_groups(
+    gradients: np.ndarray, whitened: np.ndarray, widths: np.ndarray, groups: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Return the standard deviation of each quantity if the noise of one group were halved, shape (Q, G)."""
+    """Return the standard deviation of each quantity if the priors of one group, (P,) bool, were halved; (Q, N)."""
+    precision = whitened.T @ whitened + np.diag(widths**-2.0)
+    found = np.zeros((len(gradients), len(groups)))
+    for place, chosen in enumerate(groups):
+        covariance = inverse_of(precision + np.diag(np.where(chosen, 3 / widths**2, 0.0)))
+        found[:, place] = np.sqrt(np.sum((gradients @ covariance) * gradients, axis=1))
+    return found
+
+
+def deviation_with_more_of_a_run(
+    gradients: np.ndarray, whitened: np.ndarray, member: np.ndarray, widths: np.ndarray, times: float
+) -> np.ndarray:
+    """Return the standard deviation of each quantity if the data of one group counted so many times more, (Q, G).
+
+    Once more is the run repeated, three times more is its noise halved.
+    """
     precision = whitened.T @ whitened + np.diag(widths**-2.0)
     found = np.zeros((len(gradients), len(member)))
     for place, chosen in enumerate(member):
-        covariance = inverse_of(precision + 3 * whitened[chosen].T @ whitened[chosen])
+        covariance = inverse_of(precision + times * whitened[chosen].T @ whitened[chosen])
         found[:, place] = np.sqrt(np.sum((gradients @ covariance) * gradients, axis=1))
     return found
 

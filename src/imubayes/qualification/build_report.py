@@ -16,6 +16,7 @@ from imubayes.qualification.assess import Assessment, assess, standards_input, t
 from imubayes.qualification.conformance import ProbabilityByTwoMethods
 from imubayes.qualification.conformity import ConformityOfQuantity, TestedUnit
 from imubayes.qualification.d_si import digital_unit
+from imubayes.qualification.report_budgets import budgets_of
 from imubayes.qualification.report_estimates import (
     mounting_angles,
     not_estimated,
@@ -87,6 +88,7 @@ def report_of(result: Result | str | Path, specification: str | Path | None = No
         standards=standard_estimates(found, unit),
         not_estimated=not_estimated(found, unit, diagnosis),
         thermal_linearity=thermal_linearity(found, unit),
+        budgets=budgets_of(found, unit),
         left_out=left_out_of(campaign, found, diagnosis),
         scope=scope_of(campaign, found, diagnosis),
         pictures=pictures_of(found, unit, assessment, angles),

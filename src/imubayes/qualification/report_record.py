@@ -13,6 +13,7 @@ from imubayes.inference.identifiability import WeakDirection
 from imubayes.inference.prior_agreement import PriorConflict
 from imubayes.json_record import Record
 from imubayes.qualification.assess import Obstacle
+from imubayes.qualification.budget_record import UncertaintyBudgets
 from imubayes.qualification.conformance import Withheld
 from imubayes.qualification.d_si import DigitalUnit
 from imubayes.qualification.decision_rules import Outcome, RuleName
@@ -377,6 +378,7 @@ class QualificationReport(Record):
     ----------
     interval : kind of all coverage intervals.
     conformity : None where no specification was given.
+    budgets : None where the fit did not converge.
     pictures : what the pictures show, as numbers.
     """
 
@@ -392,6 +394,7 @@ class QualificationReport(Record):
     standards: tuple[StandardEstimate, ...]
     not_estimated: tuple[NotEstimated, ...]
     thermal_linearity: tuple[ThermalLinearity, ...]
+    budgets: UncertaintyBudgets | None = None
     left_out: Omissions
     scope: StatisticalScope
     pictures: PictureData

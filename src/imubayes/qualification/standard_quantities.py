@@ -45,12 +45,16 @@ class UnitUnderTest:
 
 @dataclass(frozen=True)
 class StandardDraws:
-    """Draws of a quantity of the standards, (S,), with its unit and the quantities that it was computed from."""
+    """Draws of a quantity of the standards, (S,), with its unit and the quantities that it was computed from.
+
+    `length` says whether it is the length of the vector of these.
+    """
 
     label: str
     unit: str
     draws: np.ndarray
     members: tuple[str, ...]
+    length: bool = False
 
 
 Source = Callable[[UnitUnderTest, Channel], list[StandardDraws]]
@@ -102,7 +106,7 @@ def _total_angle(*families: str) -> Source:
         if not all(name in unit.quantities.draws for name in names):
             return []
         size = np.sqrt(sum(unit.quantities.draws[name] ** 2 for name in names))
-        return [StandardDraws(channel.name, unit.quantities.entries[names[0]].unit, size, names)]
+        return [StandardDraws(channel.name, unit.quantities.entries[names[0]].unit, size, names, length=True)]
 
     return draws
 

@@ -38,6 +38,13 @@ ADDS_UP = 0.02
 Origin: the budget is required to add up to the posterior variance within 2 %.
 """
 
+USEFUL_RUN = 0.99
+"""Share of a standard uncertainty that a further run may leave at most, to be proposed in a budget.
+
+Origin: a change by a hundredth is the least that two significant digits show.  The report states by how much each run
+narrows a quantity; a larger value proposes runs that narrow nothing visibly.
+"""
+
 CONTRADICTION_ERRORS = 4.0
 """Monte Carlo errors by which the sampled variance of a linear part may differ from the one that is known.
 

@@ -9,9 +9,8 @@ What is not linear has a line of its own too, the variance of the second-order p
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -23,18 +22,21 @@ from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.parameters.priors import HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal, Prior, Uniform
 from imubayes.parameters.vector import Layout, Parameter
-from imubayes.qualification.angle_components import component_gradients
+from imubayes.qualification.angle_components import NEAR, component_gradients
 from imubayes.qualification.budget_algebra import (
     LinearContributions,
     degrees_of_freedom,
     deviation_with_exact_priors,
-    deviation_with_halved_noise,
+    deviation_with_halved_groups,
     deviation_with_halved_priors,
+    deviation_with_more_of_a_run,
     posterior_covariance,
     type_a_contributions,
 )
+from imubayes.qualification.budget_record import Source
 from imubayes.qualification.linear_part import (
     LinearPart,
+    QuantityDerivatives,
     conditional_covariance,
     conditional_moments,
     derivatives_of,
@@ -46,7 +48,6 @@ from imubayes.qualification.tolerances import CONDITIONING_WORK, SPLIT_DRAWS
 from imubayes.results.posterior_draws import complete, draws_of
 from imubayes.results.result import Result
 
-Source = Literal["fixture", "table", "site", "reference", "unit"]
 SOURCES: dict[str, Source] = {
     "mounting_error": "fixture", "pose_attitude": "fixture", "lever_arm": "fixture", "servo_start": "fixture",
     "table_axis_tilt": "table", "table_rate_error": "table", "table_wobble": "table", "encoder_harmonic": "table",
@@ -78,11 +79,17 @@ class BudgetArrays:
     posterior : shape (Q,), posterior variance.
     posterior_error : shape (Q,), its Monte Carlo standard error.
     exact_prior, halved_prior : shape (Q, P), standard deviation at the mode if one prior were exact, or half as wide.
+    groups : names of effects whose parameters have no interest of their own, such as attitudes of poses; their priors
+        are halved together.
+    halved_groups : shape (Q, N), standard deviation at the mode if the priors of such an effect were half as wide.
     halved_noise : shape (Q, G), the same if the noise of one run were halved.
+    repeated : shape (Q, G), the same if one run were made once more.
     at_mode : shape (Q,), standard deviation at the mode.
     correlation : shape (Q, Q), of the posterior draws.
     at_zero : angles too close to 0° or 180° to have a gradient: inputs contribute through the two components of the
         direction, and contributions are scaled to the posterior variance of the angle.
+    gradient, owner : shapes (R, P) and (R,), gradients with respect to z, and the quantity of each; two components of
+        an angle at zero.
     """
 
     names: tuple[str, ...]
@@ -96,10 +103,15 @@ class BudgetArrays:
     posterior_error: np.ndarray
     exact_prior: np.ndarray
     halved_prior: np.ndarray
+    groups: tuple[str, ...]
+    halved_groups: np.ndarray
     halved_noise: np.ndarray
+    repeated: np.ndarray
     at_mode: np.ndarray
     correlation: np.ndarray
     at_zero: tuple[str, ...]
+    gradient: np.ndarray
+    owner: np.ndarray
 
     @cached_property
     def contributions(self) -> np.ndarray:
@@ -115,6 +127,22 @@ class BudgetArrays:
 def distribution(prior: Prior) -> str:
     """Return the name of a prior's distribution, as a GUM budget calls it."""
     return _DISTRIBUTIONS.get(type(prior), type(prior).__name__.lower())
+
+
+@dataclass(frozen=True)
+class FunctionOfQuantities:
+    """A function of parameters and derived quantities, such as the total of two angles.
+
+    Attributes
+    ----------
+    draws : shape (S,), NaN where it was not computed.
+    members : the quantities that it is computed from.
+    length : whether it is the length of the vector of its members, which near zero has no gradient.
+    """
+
+    draws: np.ndarray
+    members: tuple[str, ...]
+    length: bool = False
 
 
 @dataclass(frozen=True)
@@ -139,26 +167,32 @@ class _Rows:
         return found
 
 
-def budget_of(result: Result, names: Sequence[str]) -> BudgetArrays:
-    """Return the uncertainty budgets of parameters and derived quantities of a result.
+def budget_of(
+    result: Result, names: Sequence[str], functions: Mapping[str, FunctionOfQuantities] | None = None
+) -> BudgetArrays:
+    """Return the uncertainty budgets of parameters and derived quantities of a result, and of functions of them.
 
     Parameters
     ----------
     result : a fit that converged, with its campaign in place.
     names : of the quantities, as in the summary; those without draws, and noise scales, are left out.
+    functions : name → function of them, linearised by regression of its draws on those of its members (statistical
+        linearisation); those of other members are left out.
 
     Raises
     ------
     InputError
         where the campaign or the draws are gone.
     """
-    fit, draws = result.fit, _draws(result, names)
+    fit, quantities = result.fit, _draws(result, names)
+    draws, slopes = _with_functions(quantities, functions or {})
     problem, campaign = fit.model.problem, fit.model.campaign
     about = linearise(problem, jnp.asarray(fit.z))
     whitened, widths = (np.asarray(each) for each in _whitened(problem, about, jnp.asarray(fit.h)))
     part, covariance = linear_part(fit, about), posterior_covariance(whitened, widths)
-    derivatives = derivatives_of(fit, part, list(draws.values))
+    derivatives = _with_slopes(derivatives_of(fit, part, list(quantities.values)), slopes)
     components = component_gradients(fit, list(draws.values), covariance)
+    components |= _short_lengths(functions or {}, draws, derivatives.gradient, covariance)
     rows = _rows([components.get(name, derivatives.gradient[[q]]) for q, name in enumerate(draws.values)], len(fit.z))
     member = np.arange(len(campaign.runs))[:, None] == np.asarray(fit.model.entries.run)
     per_draw = (len(fit.z) / 3 + 2 * len(rows.gradient)) * len(fit.z) ** 2
@@ -176,6 +210,8 @@ def budget_of(result: Result, names: Sequence[str]) -> BudgetArrays:
     sensitivity = np.sqrt(rows.summed(moments.sensitivity**2))
     sensitivity = np.where(at_zero[:, None], sensitivity, rows.summed(moments.sensitivity))
 
+    groups = nuisance_groups(fit.model.layout)
+
     def deviation(values: np.ndarray) -> np.ndarray:
         return np.sqrt(factor * rows.summed(values**2))
 
@@ -191,11 +227,25 @@ def budget_of(result: Result, names: Sequence[str]) -> BudgetArrays:
         posterior_error=variances.error,
         exact_prior=deviation(deviation_with_exact_priors(rows.gradient, covariance)),
         halved_prior=deviation(deviation_with_halved_priors(rows.gradient, covariance, widths)),
-        halved_noise=deviation(deviation_with_halved_noise(rows.gradient, whitened, member, widths)),
+        groups=tuple(groups),
+        halved_groups=deviation(deviation_with_halved_groups(rows.gradient, whitened, widths, list(groups.values()))),
+        halved_noise=deviation(deviation_with_more_of_a_run(rows.gradient, whitened, member, widths, 3.0)),
+        repeated=deviation(deviation_with_more_of_a_run(rows.gradient, whitened, member, widths, 1.0)),
         at_mode=deviation(np.sqrt(np.sum((rows.gradient @ covariance) * rows.gradient, axis=1))[:, None])[:, 0],
         correlation=_correlation(complete(draws.values)),
         at_zero=tuple(components),
+        gradient=rows.gradient,
+        owner=rows.owner,
     )
+
+
+def nuisance_groups(layout: Layout) -> dict[str, np.ndarray]:
+    """Return, for each effect with nuisance parameters, which parameters of the layout are its, (P,) bool."""
+    effects = dict.fromkeys(parameter.effect for parameter in layout.parameters if parameter.nuisance)
+    return {
+        effect: np.array([parameter.nuisance and parameter.effect == effect for parameter in layout.parameters])
+        for effect in effects
+    }
 
 
 def _draws(result: Result, names: Sequence[str]) -> PosteriorDraws:
@@ -207,6 +257,50 @@ def _draws(result: Result, names: Sequence[str]) -> PosteriorDraws:
     least = min(effective.values(), default=float("inf"))
     known = {name: effective.get(name, least) for name in values}
     return PosteriorDraws(_standardised(layout, stored), _standardised(hyper, stored), values, known)
+
+
+def _with_functions(
+    known: PosteriorDraws, functions: Mapping[str, FunctionOfQuantities]
+) -> tuple[PosteriorDraws, np.ndarray]:
+    """Return the draws with those of the functions, and the slopes (F, Q) of these on the quantities."""
+    values, effective, slopes = dict(known.values), dict(known.effective), []
+    order = {name: place for place, name in enumerate(known.values)}
+    for name, function in functions.items():
+        if not set(function.members) <= order.keys() or name in values:
+            continue
+        columns = [known.values[member] for member in function.members]
+        finite = np.isfinite(np.stack([function.draws, *columns])).all(axis=0)
+        about = np.stack([column[finite] - column[finite].mean() for column in columns], axis=1)
+        width = np.maximum(about.std(axis=0), np.finfo(float).tiny)
+        slope = np.linalg.lstsq(about / width, function.draws[finite] - function.draws[finite].mean())[0] / width
+        row = np.zeros(len(order))
+        row[[order[member] for member in function.members]] = slope
+        slopes.append(row)
+        values[name] = function.draws
+        effective[name] = min(known.effective[member] for member in function.members)
+    return replace(known, values=values, effective=effective), np.array(slopes).reshape(-1, len(order))
+
+
+def _short_lengths(
+    functions: Mapping[str, FunctionOfQuantities], draws: PosteriorDraws, gradient: np.ndarray, covariance: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return the gradients (m, P) of the m members of every length that is short against their uncertainty."""
+    order, found = {name: place for place, name in enumerate(draws.values)}, {}
+    for name, function in functions.items():
+        if function.length and name in order:
+            rows = gradient[[order[member] for member in function.members]]
+            widest = np.sqrt(np.linalg.eigvalsh(rows @ covariance @ rows.T)[-1])
+            if np.nanmean(function.draws) < NEAR * widest:
+                found[name] = rows
+    return found
+
+
+def _with_slopes(known: QuantityDerivatives, slopes: np.ndarray) -> QuantityDerivatives:
+    """Return the derivatives of the quantities and of functions with slopes (F, Q) on them."""
+    none = np.zeros((len(slopes), *known.curvature.shape[1:]))
+    return QuantityDerivatives(
+        np.concatenate([known.gradient, slopes @ known.gradient]), np.concatenate([known.curvature, none])
+    )
 
 
 def _rows(gradients: Sequence[np.ndarray], size: int) -> _Rows:
@@ -254,6 +348,8 @@ def _z(parameter: Parameter, values: np.ndarray) -> np.ndarray:
     prior, si = parameter.prior, values * parameter.factor
     if isinstance(prior, Normal):
         return (si - np.asarray(prior.mean)) / np.asarray(prior.deviation)
+    if isinstance(prior, LogNormal):
+        return np.log(si / np.asarray(prior.median)) / np.asarray(prior.log_deviation)
     return np.array([prior.z(value) for value in si.tolist()])
 
 

@@ -17,8 +17,9 @@ from imubayes.display.qualification.document import ReportDocument, ReportTable
 from imubayes.errors import InputError, Issue
 
 typst: Any = lazy_loader.load("typst")
-# A column whose longest text is shorter than this keeps its width; wider ones share what is left.
-_NARROW, _WIDEST = 24, 60
+# A column whose longest text is shorter than this keeps its width; wider ones share what is left.  All keep theirs
+# where a row of the longest texts, with the gap beside each, fits the page.
+_NARROW, _WIDEST, _GAP, _PAGE = 24, 60, 2, 125
 
 
 def pdf_file(document: ReportDocument, record: str) -> bytes:
@@ -71,7 +72,7 @@ def _content(document: ReportDocument) -> dict[str, Any]:
     content = _members(document) | {"blocks": [_members(block) for block in document.blocks]}
     for part, block in zip(content["blocks"], document.blocks, strict=True):
         if isinstance(block, ReportTable):
-            part["widths"] = [_width(block, column) for column in range(len(block.head))]
+            part["widths"] = _widths(block)
     return content
 
 
@@ -80,7 +81,11 @@ def _members(value: Any) -> dict[str, Any]:
     return {field.name: getattr(value, field.name) for field in fields(value)}
 
 
-def _width(table: ReportTable, column: int) -> int:
-    """Return the share of a column in the free width; 0 for a column as wide as its content."""
-    longest = max((len(row[column].text) for row in table.rows), default=0)
-    return 0 if longest <= _NARROW else min(longest, _WIDEST)
+def _widths(table: ReportTable) -> list[int]:
+    """Return the share of each column in the free width; 0 for a column as wide as its content."""
+    longest = [
+        max(len(head), *(len(row[column].text) for row in table.rows), 0) for column, head in enumerate(table.head)
+    ]
+    if sum(length + _GAP for length in longest) <= _PAGE:
+        return [0] * len(longest)
+    return [0 if length <= _NARROW else min(length, _WIDEST) for length in longest]

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from imubayes.display.qualification.budget_sections import budget_section
 from imubayes.display.qualification.document import Block, Heading, Paragraph, ReportDocument
 from imubayes.display.qualification.error_drawings import error_drawings, worst_drawing
 from imubayes.display.qualification.first_page import alarms, banner, facts, limits_table, risk_table
@@ -60,6 +61,7 @@ def _blocks(report: QualificationReport) -> Iterator[Block]:
         if drawings is not None:
             yield drawings
     yield from converter_section(report.thermal_linearity)
+    yield from budget_section(report)
     yield from adequacy_section(report.adequacy)
     if pictures.worst is not None:
         yield worst_drawing(pictures.worst)

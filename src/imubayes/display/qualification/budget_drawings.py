@@ -1,0 +1,136 @@
+"""Drawings of uncertainty budgets: shares as bars, and correlations as a matrix of squares."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, PathPatch
+from matplotlib.path import Path
+
+from imubayes.display.labels import shortened
+from imubayes.display.qualification.document import Drawing, Drawings
+from imubayes.display.qualification.svg_drawing import WIDTH, drawn, place, title
+from imubayes.display.theme import BLUE, GREEN, INK, ORANGE, PURPLE, QUIET, SKY, VERMILION
+from imubayes.qualification.budget_record import BudgetLine, CorrelationMatrix, QuantityBudget
+
+_MOST_ROWS, _ROW, _NAMES, _LEGEND = 30, 0.155, 2.0, 0.62
+# Part of a bar → colour, in the order in which the parts follow each other.
+_PARTS = {
+    "noise of runs": BLUE, "noise scales": SKY, "fixture": VERMILION, "table": ORANGE, "site": GREEN,
+    "reference": PURPLE, "unit": QUIET, "second order": INK, "small": "#c9ced6",
+}  # fmt: skip
+_WORDS = {"noise of runs": "A: noise of runs", "noise scales": "A: noise scales", "unit": "B: unit under test",
+          "second order": "second order", "small": "smaller"}  # fmt: skip
+_BARS = (
+    "Shares of the posterior variance of each quantity: noise of the runs and of its scales (type A), then priors by "
+    "what they are about (type B), in the order of the legend. A good test leaves no bar that is mostly “unit under "
+    "test”, which is what the data did not determine, and a bar of one colour says what to improve: longer runs for "
+    "noise, a better certificate for fixture, table, site or reference."
+)
+_MATRIX = (
+    "Correlations of the posterior: blue positive, red negative, area by size; none below 0.05 is drawn. A good set of "
+    "runs separates its quantities, so that squares are small. A large square says that only a combination of the two "
+    "is well known, which a further run can separate."
+)
+_LEAST, _STEPS = 0.05, 4
+
+
+def bar_drawings(budgets: Sequence[QuantityBudget]) -> Drawings | None:
+    """Return the bars of budgets in drawings of at most 30 rows; None where there are none."""
+    if not budgets:
+        return None
+    count = -(-len(budgets) // _MOST_ROWS)
+    size = -(-len(budgets) // count)
+    parts = [budgets[start : start + size] for start in range(0, len(budgets), size)]
+    return Drawings([_bars(part, k, len(parts)) for k, part in enumerate(parts, 1)], _BARS)
+
+
+def part_of(line: BudgetLine) -> str:
+    """Return the part of a bar that a contribution belongs to."""
+    if line.kind == "run":
+        return "noise of runs"
+    if line.source is not None:
+        return line.source
+    return line.kind.replace("_", " ")
+
+
+def _bars(budgets: Sequence[QuantityBudget], number: int, of: int) -> Drawing:
+    name = "Shares of the posterior variance" + (f", {number} of {of}" if of > 1 else "")
+    height = _ROW * len(budgets)
+    shares = np.zeros((len(budgets), len(_PARTS)))
+    for row, budget in enumerate(budgets):
+        for line in budget.lines:
+            shares[row, list(_PARTS).index(part_of(line))] += line.share
+    ends = np.cumsum(shares, axis=1)
+
+    def draw(figure: Figure) -> None:
+        title(figure, name)
+        axes = place(figure, _NAMES, 0.42, WIDTH - _NAMES - 0.15, height)
+        for column, colour in enumerate(_PARTS.values()):
+            rectangles = [
+                (ends[row, column] - shares[row, column], row - 0.36, shares[row, column], 0.72)
+                for row in range(len(budgets))
+                if shares[row, column] > 1e-3
+            ]
+            _fill(axes, rectangles, colour)
+        axes.set(xlim=(0, max(1.0, float(ends.max()))), ylim=(len(budgets) - 0.4, -0.6))
+        axes.set_yticks(range(len(budgets)), [shortened(each.name, 34) for each in budgets], fontsize=7)
+        axes.set_xticks([0, 0.25, 0.5, 0.75, 1.0], ["0", "25", "50", "75", "100"])
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        axes.set_xlabel("share of the posterior variance / %")
+        used = [part for part, share in zip(_PARTS, shares.sum(axis=0), strict=True) if share > 0]
+        handles = [Patch(color=_PARTS[part], label=_WORDS.get(part, f"B: {part}")) for part in used]
+        width, whole = figure.get_size_inches()
+        figure.legend(
+            handles=handles, loc="upper left", bbox_to_anchor=(0.06 / width, 1 - 0.22 / whole), ncols=3,
+            columnspacing=1.0, handlelength=1.2, handletextpad=0.4, fontsize=7,
+        )  # fmt: skip
+
+    return drawn(f"budget-{number}", name, height + 0.42 + _LEGEND + 0.1, draw)
+
+
+def _fill(axes: Axes, rectangles: Iterable[tuple[float, float, float, float]], colour: str, alpha: float = 1.0) -> None:
+    """Fill rectangles (left, bottom, width, height) with one path: an SVG of one element."""
+    outlines = [
+        Path([(x, y), (x + width, y), (x + width, y + height), (x, y + height), (x, y)], closed=True)
+        for x, y, width, height in rectangles
+    ]
+    if outlines:
+        axes.add_patch(PathPatch(Path.make_compound_path(*outlines), facecolor=colour, alpha=alpha, linewidth=0))
+
+
+def correlation_drawing(matrix: CorrelationMatrix, names: Sequence[str]) -> Drawings:
+    """Return the correlations of some quantities as a lower triangle of squares."""
+    places = [matrix.names.index(name) for name in names]
+    name, cell = "Correlations of the posterior", min(0.155, (WIDTH - _NAMES - 0.15) / max(len(names), 1))
+    size = cell * len(names)
+
+    def draw(figure: Figure) -> None:
+        title(figure, name)
+        axes = place(figure, _NAMES, 0.15, size, size)
+        for sign, colour in ((1, BLUE), (-1, VERMILION)):
+            squares = [
+                (column - side / 2, row - side / 2, side, side)
+                for row in range(len(names))
+                for column in range(row)
+                for value in (_value(matrix, places[row], places[column]),)
+                if sign * value >= _LEAST
+                for side in (0.9 * abs(value) ** 0.5,)
+            ]
+            _fill(axes, squares, colour)
+        axes.plot([-0.5, len(names) - 0.5], [-0.5, len(names) - 0.5], color=QUIET, linewidth=0.5)
+        axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(len(names) - 0.5, -0.5))
+        size_of_text = min(7.0, cell * 72 * 0.8)
+        axes.set_yticks(range(len(names)), [shortened(each, 34) for each in names], fontsize=size_of_text)
+        axes.set_xticks([])
+        axes.tick_params(axis="y", length=0)
+        for side in ("left", "bottom"):
+            axes.spines[side].set_visible(False)
+
+    return Drawings([drawn("correlations", name, size + 0.5, draw)], _MATRIX)
+
+
+def _value(matrix: CorrelationMatrix, first: int, second: int) -> float:
+    return matrix.rows[max(first, second)][min(first, second)]

@@ -1,0 +1,258 @@
+"""Section on uncertainty budgets: what contributes to each uncertainty, and what would narrow it first."""
+
+from collections.abc import Sequence
+
+from imubayes.display.labels import pretty
+from imubayes.display.qualification.budget_drawings import bar_drawings, correlation_drawing
+from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
+from imubayes.display.rounding import NO_NUMBER, significant
+from imubayes.display.run_design_words import run_design_text
+from imubayes.qualification.budget_record import (
+    BudgetLine,
+    CorrelationMatrix,
+    HalvedInput,
+    NarrowingRun,
+    QuantityBudget,
+    Source,
+    UncertaintyBudgets,
+)
+from imubayes.qualification.report_record import QualificationReport
+from imubayes.qualification.tolerances import ADDS_UP
+
+_SOURCES: dict[Source, str] = {
+    "fixture": "fixture", "table": "table", "site": "site", "reference": "reference", "unit": "unit under test",
+}  # fmt: skip
+# Lines of a table: those with at least this share, and so many at most; the others are summed.
+_SHOWN_SHARE, _MOST_LINES = 0.01, 7
+# Correlations in the table of the strongest.
+_STRONG, _MOST_STRONG = 0.5, 30
+_MOST_DRAWN = 36
+_METHOD = (
+    "Posterior variance = Σ (cᵢ u(xᵢ))² of independent inputs: the noise of the runs (type A) and each prior (type B), "
+    "which states what was known of fixture, table, site, reference and unit before the test."
+)
+_NOTES = (
+    "Type A contributions are evaluated from all rows of the runs of a procedure, so that they have no single input; "
+    "their degrees of freedom say how well the scatter of these runs is known (GUM E.4.3). Those of priors are "
+    "infinite. The record has the contribution of each run.",
+    "Noise scales: the scatter itself is estimated, and where it is uncertain the estimate moves with it; this is the "
+    "variance of the conditional mean. Second order: what is quadratic in the inputs (GUM 5.1.2, note).",
+    "Remainder: posterior variance less all contributions, hence higher orders and Monte Carlo error.",
+    "U: half the length of the 95 % coverage interval of the posterior; k = U/u. ν: effective degrees of freedom by "
+    "Welch–Satterthwaite (GUM G.4.1).",
+)
+_TABLE_NOTE = (
+    "u(x): standard uncertainty of the input; c: sensitivity, in the unit of the quantity over that of the input; "
+    "|c| u(x): standard uncertainty that it contributes; share: of the posterior variance."
+)
+_FIRST_NOTE = (
+    "Halve first: the contribution whose halving, by a better certificate or less noise, leaves the smallest u; the "
+    "weights of all other inputs change with it. Next run: of repetitions of the runs made, and "
+    "of other runs that the equipment allows, the one that narrows the quantity most; a dash where none narrows it by "
+    "1 %. Both are linear predictions."
+)
+
+
+def budget_section(report: QualificationReport) -> list[Block]:
+    """Return the uncertainty budgets of the quantities of the standards, the mounting angles and all limits."""
+    budgets = report.budgets
+    if budgets is None:
+        return []
+    shown = reported_budgets(report, budgets)
+    found: list[Block] = [
+        Heading("Uncertainty budgets"),
+        Paragraph(_METHOD),
+        Items(_NOTES),
+        Paragraph(_sum_text(budgets)),
+    ]
+    bars = bar_drawings(shown)
+    if bars is not None:
+        found.append(bars)
+    found += _improvements(shown)
+    found += [_budget_table(each, place == 0) for place, each in enumerate(shown)]
+    found.append(Heading("Correlations", 3))
+    drawn = [each.name for each in shown][:_MOST_DRAWN]
+    found.append(correlation_drawing(budgets.correlation, drawn))
+    return [*found, *_strongest(budgets.correlation, {each.name for each in shown})]
+
+
+def reported_budgets(report: QualificationReport, budgets: UncertaintyBudgets) -> list[QuantityBudget]:
+    """Return the budgets that the document shows, limits first; the record has those of all quantities."""
+    known = {each.name: each for each in budgets.quantities}
+    limits = report.conformity.limits if report.conformity is not None else ()
+    names = [limit.name for limit in limits] + [angle.name for angle in report.mounting_angles]
+    names += [each.name if each.name in known else each.members[0] for each in report.standards]
+    names += [each.name for each in report.thermal_linearity]
+    return [known[name] for name in dict.fromkeys(names) if name in known]
+
+
+def _sum_text(budgets: UncertaintyBudgets) -> str:
+    off = [each for each in budgets.quantities if abs(each.remainder) > ADDS_UP]
+    largest = max((abs(each.remainder) for each in budgets.quantities), default=0.0)
+    if not off:
+        return (
+            f"The contributions of all {len(budgets.quantities)} quantities add up to their posterior variances within "
+            f"{100 * ADDS_UP:g} %; the largest remainder is {100 * largest:.1f} %."
+        )
+    named = ", ".join(f"{each.name} ({100 * each.remainder:+.0f} %)" for each in off[:6])
+    rest = f" and {len(off) - 6} more" if len(off) > 6 else ""
+    return (
+        f"The contributions add up to the posterior variance within {100 * ADDS_UP:g} %, except for {named}{rest}: "
+        "these are not linear in their inputs over the width of the posterior."
+    )
+
+
+def input_text(line: BudgetLine | HalvedInput) -> str:
+    """Return what contributes, as a phrase."""
+    match line.kind:
+        case "run" if isinstance(line, BudgetLine) and not line.input:
+            return f"noise of {line.inputs} runs, {str(line.group).replace('_', ' ')}"
+        case "run":
+            return f"noise of {line.input}"
+        case "priors":
+            count = f" ({line.inputs} inputs)" if isinstance(line, BudgetLine) else ""
+            return line.input.replace("_", " ") + count
+        case "prior":
+            return line.input
+        case "noise_scales":
+            return "noise scales"
+        case "second_order":
+            return "second order"
+        case "small":
+            return f"{line.inputs} smaller" if isinstance(line, BudgetLine) else ""
+
+
+def _improvements(shown: Sequence[QuantityBudget]) -> list[Block]:
+    """Return what to improve first, and the runs that it names by letters."""
+    texts = list(dict.fromkeys(run_text(each.next_run) for each in shown if each.next_run is not None))
+    letters = {text: _letter(place) for place, text in enumerate(texts)}
+    rows = [
+        (
+            Text(each.name),
+            Text(significant(each.standard_uncertainty, 2)),
+            Text(pretty(each.unit)),
+            Text(input_text(each.halved[0]) if each.halved else NO_NUMBER),
+            Text(_fall(each, each.halved[0].standard_uncertainty) if each.halved else NO_NUMBER),
+            Text(letters[run_text(each.next_run)] if each.next_run is not None else NO_NUMBER),
+            Text(_fall(each, each.next_run.standard_uncertainty) if each.next_run is not None else NO_NUMBER),
+        )
+        for each in shown
+    ]
+    head = ("quantity", "u", "unit", "halve first", "u falls by", "next run", "u falls by")
+    found: list[Block] = [ReportTable("What to improve first", head, rows, (0, 2, 3, 5), _FIRST_NOTE)]
+    if letters:
+        found += [Paragraph("Next runs:"), Items([f"{letter}: {text}." for text, letter in letters.items()])]
+    return found
+
+
+def run_text(run: NarrowingRun) -> str:
+    """Return a further run as a phrase."""
+    return f"{run.repeats} once more" if run.run is None else run_design_text(run.run)
+
+
+def _fall(budget: QuantityBudget, after: float) -> str:
+    return f"{100 * (1 - after / budget.standard_uncertainty):.0f} %"
+
+
+def _letter(place: int) -> str:
+    return "ABCDEFGHIJKLMNOPQRSTUVWXYZ"[place] if place < 26 else f"R{place + 1}"
+
+
+def _budget_table(budget: QuantityBudget, first: bool) -> ReportTable:
+    lines = sorted(_grouped(budget.lines), key=lambda line: -line.share)
+    large = [line for line in lines if line.kind != "small" and line.share >= _SHOWN_SHARE][:_MOST_LINES]
+    rest = [line for line in lines if line not in large]
+    rows = [_line(line) for line in large]
+    if rest:
+        share = sum(line.share for line in rest)
+        contribution = sum(line.contribution**2 for line in rest) ** 0.5
+        count = sum(line.inputs for line in rest)
+        rows.append(_cells(f"{count} smaller", contribution=contribution, share=share))
+    rows.append(_cells("remainder", share=budget.remainder))
+    u, unit = significant(budget.standard_uncertainty, 2), pretty(budget.unit)
+    degrees = "= ∞" if budget.degrees_of_freedom is None else _degrees(budget.degrees_of_freedom)
+    degrees = degrees if degrees.startswith((">", "=")) else f"= {degrees}"
+    caption = (
+        f"{budget.name}: u = {u} {unit}, ν {degrees}, k = {budget.coverage_factor:.2f}, "
+        f"U = {significant(budget.expanded_uncertainty, 2)} {unit}"
+    )
+    head = ("contribution", "type", "source", "distribution", "u(x)", "unit", "c", "|c| u(x)", "share", "ν")
+    note = (
+        "Near zero inputs contribute through the components of the direction, and shares are of these."
+        if budget.components
+        else ""
+    )
+    return ReportTable(caption, head, rows, (0, 1, 2, 3, 5), " ".join([_TABLE_NOTE if first else "", note]).strip())
+
+
+def _grouped(lines: Sequence[BudgetLine]) -> list[BudgetLine]:
+    """Return the contributions with runs of one procedure taken together."""
+    found = [line for line in lines if line.kind != "run"]
+    for group in dict.fromkeys(line.group for line in lines if line.kind == "run"):
+        own = [line for line in lines if line.kind == "run" and line.group == group]
+        if len(own) == 1:
+            found += own
+            continue
+        share, variance = sum(line.share for line in own), sum(line.contribution**2 for line in own)
+        spread = sum(line.contribution**4 / line.degrees_of_freedom for line in own if line.degrees_of_freedom)
+        found.append(
+            own[0].model_copy(
+                update={
+                    "input": "", "inputs": len(own), "share": share, "contribution": variance**0.5,
+                    "degrees_of_freedom": variance**2 / spread if spread else None,
+                }
+            )
+        )  # fmt: skip
+    return found
+
+
+def _line(line: BudgetLine) -> tuple[Text, ...]:
+    infinite = "∞" if line.type == "B" else ""
+    return _cells(
+        input_text(line),
+        line.type or "",
+        _SOURCES[line.source] if line.source is not None else "",
+        line.distribution or "",
+        "" if line.input_uncertainty is None else significant(line.input_uncertainty, 2),
+        "" if line.unit is None else pretty(line.unit),
+        "" if line.sensitivity is None else significant(line.sensitivity, 2),
+        contribution=line.contribution,
+        share=line.share,
+        degrees=infinite if line.degrees_of_freedom is None else _degrees(line.degrees_of_freedom),
+    )
+
+
+def _cells(
+    name: str, *middle: str, contribution: float | None = None, share: float = 0.0, degrees: str = ""
+) -> tuple[Text, ...]:
+    filled = [*middle, *[""] * (6 - len(middle))]
+    last = "" if contribution is None else significant(contribution, 2)
+    return tuple(Text(text) for text in (name, *filled, last, _share(share), degrees))
+
+
+def _share(share: float) -> str:
+    return f"{100 * share + 0.0:.1f} %".replace("-0.0", "0.0").replace("-", "−")
+
+
+def _degrees(value: float) -> str:
+    return f"{value:.0f}" if value < 1000 else "> 1000"
+
+
+def _strongest(matrix: CorrelationMatrix, shown: set[str]) -> list[Block]:
+    pairs = [
+        (abs(value), value, first, matrix.names[column])
+        for first, row in zip(matrix.names, matrix.rows, strict=True)
+        for column, value in enumerate(row[:-1])
+        if abs(value) >= _STRONG and first in shown and matrix.names[column] in shown
+    ]
+    pairs.sort(key=lambda pair: -pair[0])
+    if not pairs:
+        return [Paragraph(f"No two of these quantities have a correlation beyond ± {_STRONG:g}.")]
+    rows = [(Text(second), Text(first), Text(f"{value:+.3f}".replace("-", "−"))) for _, value, first, second in pairs]
+    note = (
+        f"Correlations beyond ± {_STRONG:g} of the posterior draws"
+        + (f", the strongest {_MOST_STRONG} of {len(rows)}" if len(rows) > _MOST_STRONG else "")
+        + ". Uncertainties of strongly correlated quantities must not be added as if they were independent. The whole "
+        "matrix is in the JSON record."
+    )
+    return [ReportTable("Strongest correlations", ("quantity", "and", "r"), rows[:_MOST_STRONG], (0, 1), note)]
