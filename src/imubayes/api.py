@@ -28,8 +28,10 @@ from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import ModelSpec
 from imubayes.qualification.build_report import report_of
+from imubayes.qualification.digits import Digits
 from imubayes.qualification.recording_files import CorrectedRecording, correct_recording, open_recording
 from imubayes.qualification.report_record import QualificationReport
+from imubayes.qualification.until_digits import fit_until_digits
 from imubayes.results.addition import Addition, added_variable, addition_of
 from imubayes.results.apply_calibration import CalibratedInputs, apply_calibration, read_readings
 from imubayes.results.folder_state import CHECKPOINT, claim, claim_new
@@ -48,6 +50,7 @@ def fit(
     resume: bool = False,
     replace: bool = False,
     settings: Settings | None = None,
+    until_digits: Digits | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Result:
     """Fit all runs of a campaign jointly and sample the posterior.
@@ -62,6 +65,8 @@ def fit(
     resume : continue the checkpoint in `out`.
     replace : whether a sampled result in `out` may be replaced; one that was not sampled always is.
     settings : of the sampler, beyond the seed.
+    until_digits : significant digits of the standard uncertainty that every quantity is to deserve (JCGM 101, 7.9.4);
+        sampling goes on until then, or until memory allows no more.
     progress : called with a short text as the work goes on.
 
     Raises
@@ -78,7 +83,10 @@ def fit(
         claim(folder, resume, replace)
     sampling = with_fields(settings or Settings(), seed=seed) if sample else None
     with progress_of(progress) as tell:
-        fitted = joint_fit(declared, sampling, checkpoint, resume, tell)
+        if until_digits is not None:
+            fitted = fit_until_digits(declared, sampling, until_digits, checkpoint, resume, tell)
+        else:
+            fitted = joint_fit(declared, sampling, checkpoint, resume, tell)
     result = result_of(fitted, folder, seed, load_seconds)
     if folder is not None:
         write_node(folder, first_node(fitted.model, result.summary, seed))

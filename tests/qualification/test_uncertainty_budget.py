@@ -49,7 +49,7 @@ def test_contributions_add_up_to_the_posterior_variance(budget):
     assert budget.names == tuple(NAMES)
     assert np.all(np.abs(budget.remainder) < 0.02 * budget.posterior)
     # The average over the noise scales is that at their mode but for the width of their posterior.
-    np.testing.assert_allclose(budget.averaged.total, budget.at_mode**2, rtol=0.03)
+    np.testing.assert_allclose(budget.averaged.total, budget.improved.at_mode**2, rtol=0.03)
 
 
 def test_a_prior_made_exact_agrees_with_a_refit(budget):
@@ -59,7 +59,7 @@ def test_a_prior_made_exact_agrees_with_a_refit(budget):
     for row, name in enumerate(budget.names):
         if name != "accel_bias.bias[ax]":
             # 4000 independent draws give the standard deviation of the refit to 1.1 %.
-            assert budget.exact_prior[row, place] == pytest.approx(after[name], rel=0.04), name
+            assert budget.improved.exact_prior[row, place] == pytest.approx(after[name], rel=0.04), name
     shares = budget.averaged.type_b[:, place] / budget.posterior
     assert shares[NAMES.index("accel_bias.bias[ax]")] > 0.05, "the prior of the bias contributes to the bias"
 
@@ -127,7 +127,7 @@ def test_functions_of_quantities_have_budgets(result):
     assert found.posterior[4] == pytest.approx(np.var(draws[first] + 2 * draws[second]), rel=0.1)
     place = [parameter.name for parameter in found.priors].index("accel_bias.bias[ax]")
     along = found.averaged.sensitivity[:, place]
-    assert along[4] == pytest.approx(along[1] + 2 * along[2], rel=1e-6)
+    assert along[4] == pytest.approx(along[1] + 2 * along[2], rel=1e-3)
     assert along[6] == pytest.approx(along[1], rel=1e-3), "far from zero a length has the gradient of its large member"
     assert "length" in found.at_zero
     assert "far" not in found.at_zero

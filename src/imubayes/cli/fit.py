@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Literal
 
 from imubayes.cli.options import Flag, Json, print_json
 
@@ -15,6 +16,7 @@ def fit(
     seed: int = 0,
     resume: bool = False,
     replace: Flag = False,
+    until_digits: Literal[1, 2] | None = None,
     as_json: Json = False,
     verbose: bool = False,
 ) -> int:
@@ -38,6 +40,8 @@ def fit(
         Continue the sampling that was interrupted.
     replace
         Replace a sampled result in the result folder.
+    until_digits
+        Sample until every standard uncertainty deserves so many significant digits (JCGM 101, 7.9.4).
     as_json
         Print summary.json on standard output.
     verbose
@@ -57,8 +61,9 @@ def fit(
     print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
     with progress() as tell:
         result = fit_campaign(
-            recorded, model, out, sample=sample, seed=seed, resume=resume, replace=replace, progress=tell
-        )
+            recorded, model, out, sample=sample, seed=seed, resume=resume, replace=replace,
+            until_digits=until_digits, progress=tell,
+        )  # fmt: skip
     if as_json:
         print_json(result.summary.model_dump(mode="json"))
     else:

@@ -45,7 +45,8 @@ class Settings:
     """How to sample; `walkers` of 0 takes the smallest number that emcee's moves allow.
 
     `least_steps` are taken by each ensemble after the burn-in even when fewer would do; `most_steps` of 0 is what
-    memory allows.
+    memory allows.  Of longer chains some steps are kept, `most_kept` draws in all: twice the effective size asked for;
+    the checkpoint has them all.
     """
 
     ensembles: int = 4
@@ -53,6 +54,7 @@ class Settings:
     seed: int = 0
     least_steps: int = 0
     most_steps: int = 0
+    most_kept: int = 20_000
 
 
 @dataclass(frozen=True)

@@ -30,9 +30,7 @@ _SAME, _HOPELESS = 0.5, 30.0
 _DISPERSED = 3
 # Draws whose importance weights judge the proposal, of all ensembles together.
 _TRIAL = 4000
-_PRIOR_DRAWS, _LAPLACE_DRAWS = 2000, 4000
-# Of longer chains some steps are kept: twice the effective size asked for; the checkpoint has them all.
-_MOST_DRAWS = 20_000
+_PRIOR_DRAWS, LAPLACE_DRAWS = 2000, 4000
 
 FAILED = "The fit failed: it ended where no working unit on the stated equipment can be."
 
@@ -46,6 +44,7 @@ def joint_fit(
     resume: bool = False,
     progress: Progress | None = None,
     start: tuple[np.ndarray, np.ndarray] | None = None,
+    laplace_draws: int = LAPLACE_DRAWS,
 ) -> Fit:
     """Fit a model and sample its posterior.
 
@@ -58,6 +57,7 @@ def joint_fit(
     progress : called with a short text as the work goes on.
     start : z and h to begin the fit at, where a fit of nearly the same model is known; the middle of the prior where
         None.  Other starts are tried only where the posterior is to be sampled, or none is known.
+    laplace_draws : number of draws of the Laplace approximation, where it is not sampled.
 
     Raises
     ------
@@ -89,11 +89,11 @@ def joint_fit(
             if not resume:
                 file.create()
             chains = _sampled(model, proposal, mode, others, sampling, file, tell)
-            chains = thinned(chains, _MOST_DRAWS)
+            chains = thinned(chains, sampling.most_kept)
             points = chains.points.reshape(-1, chains.points.shape[-1])
             fit = replace(fit, converged=chains.diagnosis.converged, message=chains.diagnosis.message)
         else:
-            chains, points = None, proposal.draw(np.random.RandomState(0), _LAPLACE_DRAWS)
+            chains, points = None, proposal.draw(np.random.RandomState(0), laplace_draws)
         seconds["sample"] = time.perf_counter() - clock
     tell("deriving")
     return replace(fit, posterior=_posterior(fit, points, approximation, chains), seconds=seconds)

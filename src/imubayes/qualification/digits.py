@@ -11,6 +11,7 @@ from typing import Literal
 from imubayes.qualification.marginal import Marginal
 
 Statistic = Literal["mean", "sd", "low", "high"]
+Digits = Literal[1, 2]
 
 
 @dataclass(frozen=True)

@@ -203,26 +203,26 @@ def _halved(parts: _Parts, place: int) -> tuple[HalvedInput, ...]:
     Deviations are those at the mode, scaled to the posterior one.
     """
     arrays = parts.arrays
-    if not arrays.at_mode[place] > 0:
+    if not arrays.improved.at_mode[place] > 0:
         return ()
-    scale = float(np.sqrt(arrays.posterior[place]) / arrays.at_mode[place])
+    scale = float(np.sqrt(arrays.posterior[place]) / arrays.improved.at_mode[place])
     found = [
         HalvedInput(kind="run", input=run, source=None, standard_uncertainty=scale * float(after))
-        for run, after in zip(arrays.runs, arrays.halved_noise[place], strict=True)
+        for run, after in zip(arrays.runs, arrays.improved.halved_noise[place], strict=True)
     ]
     found += [
         HalvedInput(
             kind="prior", input=parameter.name, source=SOURCES.get(parameter.effect, "unit"),
             standard_uncertainty=scale * float(after),
         )
-        for parameter, after in zip(arrays.priors, arrays.halved_prior[place], strict=True)
+        for parameter, after in zip(arrays.priors, arrays.improved.halved_prior[place], strict=True)
         if not parameter.nuisance
     ]  # fmt: skip
     found += [
         HalvedInput(
             kind="priors", input=effect, source=SOURCES.get(effect, "unit"), standard_uncertainty=scale * float(after)
         )
-        for effect, after in zip(arrays.groups, arrays.halved_groups[place], strict=True)
+        for effect, after in zip(arrays.improved.groups, arrays.improved.halved_groups[place], strict=True)
     ]
     return tuple(sorted(found, key=lambda each: each.standard_uncertainty)[:_MOST_HALVED])
 
@@ -230,9 +230,9 @@ def _halved(parts: _Parts, place: int) -> tuple[HalvedInput, ...]:
 def _next_runs(result: Result, arrays: BudgetArrays) -> list[NarrowingRun | None]:
     """Return, for each quantity, the run that would narrow it most; None where no run would."""
     count, runs = len(arrays.names), result.fit.model.campaign.runs
-    before = np.maximum(arrays.at_mode, np.finfo(float).tiny)
+    before = np.maximum(arrays.improved.at_mode, np.finfo(float).tiny)
     # Share of the standard deviation that each run leaves, predicted from the mode: (C, Q).
-    left = (arrays.repeated / before[:, None]).T
+    left = (arrays.improved.repeated / before[:, None]).T
     designs: list[RunDesign] = []
     if len(arrays.gradient):
         designs, start, after = narrowed(result.fit, arrays.gradient)

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.array_shapes import Array, Float
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import Linearised, linearise
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, prior_widths
@@ -64,6 +65,30 @@ _DISTRIBUTIONS: dict[type[Prior], str] = {
 
 
 @dataclass(frozen=True)
+class Improvements:
+    """Standard deviations of Q quantities at the mode of the noise scales, as they are and if one input were better.
+
+    Attributes
+    ----------
+    at_mode : shape (Q,), as they are.
+    exact_prior, halved_prior : shape (Q, P), if one prior were exact, or half as wide.
+    groups : names of effects whose parameters have no interest of their own, such as attitudes of poses; their priors
+        are halved together.
+    halved_groups : shape (Q, N), if the priors of such an effect were half as wide.
+    halved_noise : shape (Q, G), if the noise of one run were halved.
+    repeated : shape (Q, G), if one run were made once more.
+    """
+
+    at_mode: np.ndarray
+    exact_prior: np.ndarray
+    halved_prior: np.ndarray
+    groups: tuple[str, ...]
+    halved_groups: np.ndarray
+    halved_noise: np.ndarray
+    repeated: np.ndarray
+
+
+@dataclass(frozen=True)
 class BudgetArrays:
     """The budget of Q quantities as arrays; variances in the squared units of the quantities.
 
@@ -78,13 +103,7 @@ class BudgetArrays:
     second_order : shape (Q,), variance of the second-order part of the quantity.
     posterior : shape (Q,), posterior variance.
     posterior_error : shape (Q,), its Monte Carlo standard error.
-    exact_prior, halved_prior : shape (Q, P), standard deviation at the mode if one prior were exact, or half as wide.
-    groups : names of effects whose parameters have no interest of their own, such as attitudes of poses; their priors
-        are halved together.
-    halved_groups : shape (Q, N), standard deviation at the mode if the priors of such an effect were half as wide.
-    halved_noise : shape (Q, G), the same if the noise of one run were halved.
-    repeated : shape (Q, G), the same if one run were made once more.
-    at_mode : shape (Q,), standard deviation at the mode.
+    improved : standard deviations if one input were better.
     correlation : shape (Q, Q), of the posterior draws.
     at_zero : angles too close to 0° or 180° to have a gradient: inputs contribute through the two components of the
         direction, and contributions are scaled to the posterior variance of the angle.
@@ -101,13 +120,7 @@ class BudgetArrays:
     second_order: np.ndarray
     posterior: np.ndarray
     posterior_error: np.ndarray
-    exact_prior: np.ndarray
-    halved_prior: np.ndarray
-    groups: tuple[str, ...]
-    halved_groups: np.ndarray
-    halved_noise: np.ndarray
-    repeated: np.ndarray
-    at_mode: np.ndarray
+    improved: Improvements
     correlation: np.ndarray
     at_zero: tuple[str, ...]
     gradient: np.ndarray
@@ -194,7 +207,7 @@ def budget_of(
     components = component_gradients(fit, list(draws.values), covariance)
     components |= _short_lengths(functions or {}, draws, derivatives.gradient, covariance)
     rows = _rows([components.get(name, derivatives.gradient[[q]]) for q, name in enumerate(draws.values)], len(fit.z))
-    member = np.arange(len(campaign.runs))[:, None] == np.asarray(fit.model.entries.run)
+    member = _members(fit)
     per_draw = (len(fit.z) / 3 + 2 * len(rows.gradient)) * len(fit.z) ** 2
     h = _evenly(draws.h, max(SPLIT_DRAWS, int(CONDITIONING_WORK / per_draw)))
     moments = conditional_moments(part, problem, rows.gradient, h)
@@ -210,11 +223,6 @@ def budget_of(
     sensitivity = np.sqrt(rows.summed(moments.sensitivity**2))
     sensitivity = np.where(at_zero[:, None], sensitivity, rows.summed(moments.sensitivity))
 
-    groups = nuisance_groups(fit.model.layout)
-
-    def deviation(values: np.ndarray) -> np.ndarray:
-        return np.sqrt(factor * rows.summed(values**2))
-
     return BudgetArrays(
         names=tuple(draws.values),
         runs=tuple(run.name for run in campaign.runs),
@@ -225,17 +233,35 @@ def budget_of(
         second_order=np.where(at_zero, 0.0, variances.second_order),
         posterior=variances.posterior,
         posterior_error=variances.error,
-        exact_prior=deviation(deviation_with_exact_priors(rows.gradient, covariance)),
-        halved_prior=deviation(deviation_with_halved_priors(rows.gradient, covariance, widths)),
-        groups=tuple(groups),
-        halved_groups=deviation(deviation_with_halved_groups(rows.gradient, whitened, widths, list(groups.values()))),
-        halved_noise=deviation(deviation_with_more_of_a_run(rows.gradient, whitened, member, widths, 3.0)),
-        repeated=deviation(deviation_with_more_of_a_run(rows.gradient, whitened, member, widths, 1.0)),
-        at_mode=deviation(np.sqrt(np.sum((rows.gradient @ covariance) * rows.gradient, axis=1))[:, None])[:, 0],
+        improved=_improvements(fit, rows, whitened, widths, factor),
         correlation=_correlation(complete(draws.values)),
         at_zero=tuple(components),
         gradient=rows.gradient,
         owner=rows.owner,
+    )
+
+
+def _members(fit: Fit) -> np.ndarray:
+    """Return whether each entry, (E,), is of each run: shape (G, E), bool."""
+    return np.arange(len(fit.model.campaign.runs))[:, None] == np.asarray(fit.model.entries.run)
+
+
+def _improvements(fit: Fit, rows: _Rows, whitened: np.ndarray, widths: np.ndarray, factor: np.ndarray) -> Improvements:
+    """Return what better inputs would leave; `factor`, (Q, 1), scales variances at the mode."""
+    gradient, member = rows.gradient, _members(fit)
+    covariance, groups = posterior_covariance(whitened, widths), nuisance_groups(fit.model.layout)
+
+    def deviation(values: np.ndarray) -> np.ndarray:
+        return np.sqrt(factor * rows.summed(values**2))
+
+    return Improvements(
+        at_mode=deviation(np.sqrt(np.sum((gradient @ covariance) * gradient, axis=1))[:, None])[:, 0],
+        exact_prior=deviation(deviation_with_exact_priors(gradient, covariance)),
+        halved_prior=deviation(deviation_with_halved_priors(gradient, covariance, widths)),
+        groups=tuple(groups),
+        halved_groups=deviation(deviation_with_halved_groups(gradient, whitened, widths, list(groups.values()))),
+        halved_noise=deviation(deviation_with_more_of_a_run(gradient, whitened, member, widths, 3.0)),
+        repeated=deviation(deviation_with_more_of_a_run(gradient, whitened, member, widths, 1.0)),
     )
 
 
