@@ -33,7 +33,8 @@ def test_draws_are_made_until_every_quantity_deserves_a_digit():
     lacking, name = draws_lacking(before.fit, 1)
     assert (fewest_digits(before), fewest_digits(after)) == (0, 1)
     assert digits_deserved(posterior_quantities(before).marginal(name)).digits == 0
-    assert len(after.fit.posterior.points) == pytest.approx(1.15 * lacking * LAPLACE_DRAWS, rel=0.3)
+    assert lacking > 1
+    assert len(after.fit.posterior.points) > lacking * LAPLACE_DRAWS
     # The first draws are the same: the mode and what was asked for change nothing else.
     np.testing.assert_array_equal(after.fit.z, before.fit.z)
 

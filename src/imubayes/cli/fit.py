@@ -2,9 +2,12 @@
 
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from imubayes.cli.options import Flag, Json, print_json
+
+if TYPE_CHECKING:
+    from imubayes.results.summary import Summary
 
 
 def fit(
@@ -53,11 +56,8 @@ def fit(
     from imubayes.api import fit as fit_campaign
     from imubayes.campaign import inspect_campaign
     from imubayes.display.check_report import usable, warning_lines
-    from imubayes.display.fit_report import summary_report
-    from imubayes.display.report_layout import print_report
 
-    inspection = inspect_campaign(campaign)
-    recorded = usable(inspection)
+    recorded = usable(inspection := inspect_campaign(campaign))
     print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
     with progress() as tell:
         result = fit_campaign(
@@ -67,6 +67,13 @@ def fit(
     if as_json:
         print_json(result.summary.model_dump(mode="json"))
     else:
-        print_report(summary_report(result.summary, verbose=verbose))
+        _print_summary(result.summary, verbose)
         print(f"\nresult in {out}; next: imubayes compare {out}")
     return 0 if result.converged else 1
+
+
+def _print_summary(summary: "Summary", verbose: bool) -> None:
+    from imubayes.display.fit_report import summary_report
+    from imubayes.display.report_layout import print_report
+
+    print_report(summary_report(summary, verbose=verbose))

@@ -60,7 +60,7 @@ def fit_until_digits(
                 break
             tell(f"{name}: {lacking:.1f} times the draws for {digits} digits")
             if sampling is None:
-                more = min(_MOST_DRAWS, math.ceil(_MARGIN * lacking * draws))
+                more = min(_MOST_DRAWS, LAPLACE_DRAWS * math.ceil(_MARGIN * lacking * draws / LAPLACE_DRAWS))
                 if more == draws:
                     break
                 draws = more

@@ -42,7 +42,7 @@ WITHHELD: dict[Withheld, str] = {
 }
 WITHHELD_NUMBER = (
     "Withheld: twice the Monte Carlo error exceeds half a unit of the first digit of u (JCGM 101, 7.9); more draws are "
-    "needed."
+    "needed (`imubayes fit --until-digits 1`)."
 )
 _RULES: dict[RuleName, str] = {
     "simple_acceptance": "simple acceptance",
