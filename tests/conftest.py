@@ -46,6 +46,7 @@ COMPILED = (
     "qualification/test_uncertainty_budget.py",
     "batch",
     "qualification/test_correct_recording.py",
+    "qualification/test_until_digits.py",
     "reference",
     "study",
 )
@@ -76,6 +77,7 @@ GROUPS = {
         "results/test_fit_file.py",
         "results/test_arviz.py",
         "procedures/test_converters.py",
+        "qualification/test_until_digits.py",
     ),
     "geographic-tumble": ("criticism/test_unlisted_causes.py", "criticism/test_chain_stage.py"),
 }
