@@ -80,8 +80,8 @@ def test_halved_inputs_agree_with_refits():
         np.testing.assert_allclose(together[:, place], expected, rtol=1e-9)
 
 
-def test_degrees_of_freedom_of_a_sample_variance():
-    variances = np.random.default_rng(2).chisquare(9, size=(200_000, 1)) / 9
+def test_degrees_of_freedom_of_the_posterior_of_a_variance():
+    variances = 9 / np.random.default_rng(2).chisquare(9, size=(200_000, 1))
     assert degrees_of_freedom(variances)[0] == pytest.approx(9, rel=0.02)
     assert degrees_of_freedom(np.ones((5, 1)))[0] == np.inf
 

@@ -112,14 +112,15 @@ def deviation_with_more_of_a_run(
 
 
 def degrees_of_freedom(variances: np.ndarray) -> np.ndarray:
-    """Return the degrees of freedom of variances from their spread: ν = 2 E[u²]²/Var[u²] (GUM E.4.3), shape (…,).
+    """Return the degrees of freedom of variances from posterior draws of them, (H, …) → (…,); infinite where known.
 
-    Parameters
-    ----------
-    variances : shape (H, …), over H draws of what the variances depend on.
+    With ν degrees of freedom the posterior of 1/u² is proportional to χ²(ν), so that ν = 2 E[1/u²]²/Var[1/u²], which is
+    GUM E.4.3 for the estimate of a variance.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(variances.var(axis=0) > 0, 2 * variances.mean(axis=0) ** 2 / variances.var(axis=0), np.inf)
+        precision = 1 / variances
+        spread = precision.var(axis=0)
+        return np.where(np.isfinite(spread) & (spread > 0), 2 * precision.mean(axis=0) ** 2 / spread, np.inf)
 
 
 def effective_degrees(contributions: np.ndarray, degrees: np.ndarray) -> float:

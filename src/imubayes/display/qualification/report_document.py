@@ -60,7 +60,7 @@ def _blocks(report: QualificationReport) -> Iterator[Block]:
     for drawings in (mounting_drawings(pictures), angle_drawings(pictures)):
         if drawings is not None:
             yield drawings
-    yield from converter_section(report.thermal_linearity)
+    yield from converter_section(report.thermal_linearity, report.results)
     yield from budget_section(report)
     yield from adequacy_section(report.adequacy)
     if pictures.worst is not None:

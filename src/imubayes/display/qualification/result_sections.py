@@ -17,11 +17,13 @@ from imubayes.qualification.report_record import (
     NotEstimated,
     QualificationReport,
     ReportedEstimate,
+    ResultLine,
     StandardEstimate,
     ThermalLinearity,
 )
 
 _UNDETERMINED = 0.1
+_CONVERTER = "converter_"
 _REASONS = {
     "not_in_model": "not in the model",
     "undetectable": "these runs cannot show it",
@@ -159,10 +161,20 @@ def _determined_by(angle: MountingAngle) -> str:
     return f"{alone}; all runs {significant(gain, 2)} × better" if gain > 1.05 else alone
 
 
-def converter_section(lines: Sequence[ThermalLinearity]) -> list[Block]:
-    """Return Δk per input with P(Δk ≤ threshold)."""
-    if not lines:
-        return []
+def converter_section(lines: Sequence[ThermalLinearity], results: Sequence[ResultLine]) -> list[Block]:
+    """Return the drift of the converters, and Δk per input with P(Δk ≤ threshold)."""
+    drift = [line for line in results if line.name.startswith(_CONVERTER)]
+    found: list[Block] = [Heading("Converters")] if lines or drift else []
+    if drift:
+        head = ("quantity", "estimate", "u", "95 % interval", "unit", "from data")
+        note = "Temperature sensitivity of gain and offset, and what else the model has of the converter."
+        found.append(ReportTable("Drift of the converters", head, [_result_row(line) for line in drift], (0, 4), note))
+    if lines:
+        found.append(_delta_k_table(lines))
+    return found
+
+
+def _delta_k_table(lines: Sequence[ThermalLinearity]) -> ReportTable:
     rows = []
     for each in lines:
         estimate, u, _, _ = stated(each)
@@ -178,7 +190,7 @@ def converter_section(lines: Sequence[ThermalLinearity]) -> list[Block]:
         "Δk is probably below the threshold, the temperature line measured at 1 g stands for all inputs; where it is "
         "above, each input needs its own line."
     )
-    return [Heading("Thermal linearity of the converters"), ReportTable("Δk of each input", head, rows, (0, 1), note)]
+    return ReportTable("Thermal linearity: Δk of each input", head, rows, (0, 1), note)
 
 
 def result_section(report: QualificationReport) -> list[Block]:
