@@ -81,7 +81,8 @@ def test_the_quantities_of_the_standards_have_posteriors(result, tmp_path):
     for symbol in ("K_0", "K_1", "K_2"):
         if symbol in symbols:
             assert symbols[symbol].standard_uncertainty
-            assert symbols[symbol].low < symbols[symbol].estimate < symbols[symbol].high
+            low, middle, high = (getattr(symbols[symbol], end) for end in ("low", "estimate", "high"))
+            assert low < middle < high
     assert {"K_0", "K_1"} <= set(symbols)
     assert {each.symbol for each in record.not_estimated} & {"K_oo", "K_pp", "K_ip"}
     assert symbols["K_0"].d_si is not None
@@ -105,6 +106,7 @@ def test_every_quantity_has_a_budget_that_adds_up(result, tmp_path):
         assert sum(line.share for line in each.lines) == pytest.approx(1 - each.remainder)
         for line in each.lines:
             if line.sensitivity is not None:
+                assert line.input_uncertainty is not None
                 assert abs(line.sensitivity) * line.input_uncertainty == pytest.approx(line.contribution)
     bias = budgets["accel_bias.bias[ax]"]
     assert bias.coverage_factor * bias.standard_uncertainty == pytest.approx(bias.expanded_uncertainty)
@@ -125,7 +127,9 @@ def test_budgets_that_are_kept_are_those_of_the_result(result, tmp_path):
     kept = json.loads(file.read_text())
     kept["budgets"]["quantities"] = kept["budgets"]["quantities"][:1]
     file.write_text(json.dumps(kept))
-    assert len(written(result, tmp_path)[1].budgets.quantities) == 1, "what is kept is not computed again"
+    again = written(result, tmp_path)[1].budgets
+    assert again is not None
+    assert len(again.quantities) == 1, "what is kept is not computed again"
     file.write_text(json.dumps(kept | {"sha256": "of another result"}))
     assert written(result, tmp_path)[1] == first
 
@@ -133,6 +137,7 @@ def test_budgets_that_are_kept_are_those_of_the_result(result, tmp_path):
 def test_a_result_that_was_never_diagnosed_cannot_pass(result, tmp_path):
     status, record, page = written(result, tmp_path, "--spec", specification(tmp_path))
     assert status == 1
+    assert record.conformity is not None
     assert record.conformity.outcome == "withheld"
     assert "never diagnosed" in visible(page)[:1500]
 
@@ -141,6 +146,7 @@ def test_a_result_that_was_never_diagnosed_cannot_pass(result, tmp_path):
 def test_an_inadequate_model_cannot_pass(result, tmp_path, verdict):
     judged(result, verdict)
     status, record, page = written(result, tmp_path, "--spec", specification(tmp_path))
+    assert record.conformity is not None
     assert (status, record.conformity.outcome) == (1, "withheld")
     assert all(limit.outcome == "pass" for limit in record.conformity.limits)
     assert "The model is inadequate" in visible(page)[:1500]
@@ -155,6 +161,7 @@ def test_a_fit_that_did_not_converge_says_so_and_cannot_pass(result, tmp_path):
     file.write_text(json.dumps(summary | {"converged": False, "message": "The gradient did not vanish.", "chi2": None}))
     status, record, page = written(result, tmp_path, "--spec", specification(tmp_path))
     assert (status, record.accepted) == (1, False)
+    assert record.conformity is not None
     assert record.conformity.obstacles == ("not_converged",)
     assert "The fit did not converge" in visible(page)[:1500]
     assert "The gradient did not vanish." in visible(page)[:1500]
@@ -165,6 +172,7 @@ def test_a_unit_outside_its_limits_fails(result, tmp_path):
     judged(result, "adequate")
     narrow = '[[limit]]\nquantity = "accel_bias.bias"\nlower = 1\nupper = 2\nunit = "ug"\n'
     status, record, page = written(result, tmp_path, "--spec", specification(tmp_path, narrow))
+    assert record.conformity is not None
     assert (status, record.conformity.outcome) == (1, "fail")
     assert " FAIL " in visible(page)
 

@@ -67,13 +67,13 @@ def test_halved_inputs_agree_with_refits():
         np.testing.assert_allclose(priors[:, prior], refitted(WHITENED, widths), rtol=1e-9)
     noise = deviation_with_more_of_a_run(GRADIENTS, WHITENED, MEMBER, WIDTHS, 3.0)
     for group in range(3):
-        quieter = np.where((group == GROUP)[:, None], 2 * WHITENED, WHITENED)
+        quieter = np.where(np.equal(GROUP, group)[:, None], 2 * WHITENED, WHITENED)
         np.testing.assert_allclose(noise[:, group], refitted(quieter, WIDTHS), rtol=1e-9)
     again = deviation_with_more_of_a_run(GRADIENTS, WHITENED, MEMBER, WIDTHS, 1.0)
     groups = [np.arange(6) < 2, np.arange(6) == 5]
     together = deviation_with_halved_groups(GRADIENTS, WHITENED, WIDTHS, groups)
     for group in range(3):
-        twice = np.concatenate([WHITENED, WHITENED[group == GROUP]])
+        twice = np.concatenate([WHITENED, WHITENED[np.equal(GROUP, group)]])
         np.testing.assert_allclose(again[:, group], refitted(twice, WIDTHS), rtol=1e-9)
     for place, chosen in enumerate(groups):
         expected = refitted(WHITENED, np.where(chosen, WIDTHS / 2, WIDTHS))
