@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -154,10 +155,10 @@ def _lines(parts: _Parts, place: int) -> list[BudgetLine]:
     if small:
         share = sum(line.share for line in small)
         together = float(np.sqrt(sum(line.contribution**2 for line in small)))
-        types = {line.type for line in small}
+        types: list[Literal["A", "B"] | None] = list({line.type: None for line in small})
         large.append(
             BudgetLine(
-                kind="small", input="", type=types.pop() if len(types) == 1 else None, contribution=together,
+                kind="small", input="", type=types[0] if len(types) == 1 else None, contribution=together,
                 share=share, inputs=sum(line.inputs for line in small),
             )
         )  # fmt: skip
