@@ -124,6 +124,26 @@ def trends(parameters: pl.DataFrame, units: pl.DataFrame) -> tuple[Trends, pl.Da
     return record, changes
 
 
+def dated_estimates(parameters: pl.DataFrame, units: pl.DataFrame) -> pl.DataFrame:
+    """Return the estimates of every calibration with a date, the prior of the model divided out.
+
+    The columns are unit, date, parameter, unit_of_measure, estimate and estimate_sd; logarithms become values again.
+    """
+    found = []
+    for rows in usable_rows(parameters):
+        posteriors, scale = posteriors_of(rows, units)
+        estimate, variance = posteriors.likelihood
+        own, deviation = estimate, np.sqrt(np.where(posteriors.informative, variance, 1.0))
+        if scale == "log":
+            own = np.exp(estimate)
+            deviation = own * deviation
+        kept = rows.select("unit", "date", "parameter", "unit_of_measure").with_columns(
+            estimate=own, estimate_sd=deviation
+        )
+        found.append(kept.filter(pl.Series(posteriors.informative) & kept["date"].is_not_null()))
+    return pl.concat(found) if found else pl.DataFrame()
+
+
 def serial_number(unit: str) -> float | None:
     """Return the last number in the name of a unit; None where it has none."""
     found = _NUMBER.search(unit)

@@ -39,6 +39,8 @@ def population(results: Path, *, out: Path | None = None, model_hash: str | None
         Results folder of a batch.
     out
         Parquet file to write: each unit with the population as its prior.
+    picture
+        PNG file to write: a strip of units for each parameter.
     model_hash
         Model, where the folder holds results of several.
     as_json
@@ -50,6 +52,10 @@ def population(results: Path, *, out: Path | None = None, model_hash: str | None
 
     found, units = populations(*_tables(results, model_hash))
     _write(units, out)
+    if picture is not None:
+        from imubayes.display.figures.batch_pictures import population_picture
+
+        population_picture(found, units).save(picture)
     if as_json:
         print_json(found.model_dump(mode="json"))
     else:
@@ -100,7 +106,9 @@ def prior(results: Path, *, out: Path, name: str = "", model_hash: str | None = 
 
 
 @batch.command
-def diagnose(results: Path, *, model_hash: str | None = None, as_json: Json = False) -> int:
+def diagnose(
+    results: Path, *, picture: Path | None = None, model_hash: str | None = None, as_json: Json = False
+) -> int:
     """Look for effects that the model lacks, with the evidence of all units added up.
 
     The scores of every unit are computed once and kept in the results folder.  Exit status 1: an effect is missing.
@@ -111,6 +119,8 @@ def diagnose(results: Path, *, model_hash: str | None = None, as_json: Json = Fa
     ----------
     results
         Results folder of a batch.
+    picture
+        PNG file to write: the evidence of every unit.
     model_hash
         Model, where the folder holds results of several.
     as_json
@@ -129,6 +139,10 @@ def diagnose(results: Path, *, model_hash: str | None = None, as_json: Json = Fa
         issues = complete_scores(results, model_hash, lambda done, all_: tell(f"scores of {done} of {all_} campaigns"))
         tell("adding up the evidence")
         found = pooled_discovery(read_unit_scores(results, model_hash), read_units(results, model_hash))
+    if picture is not None:
+        from imubayes.display.figures.batch_pictures import evidence_picture
+
+        evidence_picture(found).save(picture)
     if as_json:
         print_json(found.model_dump(mode="json"))
     else:
@@ -137,7 +151,9 @@ def diagnose(results: Path, *, model_hash: str | None = None, as_json: Json = Fa
 
 
 @batch.command
-def compare(old: Path, new: Path, *, out: Path | None = None, as_json: Json = False) -> int:
+def compare(
+    old: Path, new: Path, *, out: Path | None = None, picture: Path | None = None, as_json: Json = False
+) -> int:
     """Show what changed with the model: per parameter and unit, with significance.
 
     Example: imubayes batch compare results/old results/new --out changes.parquet
@@ -150,6 +166,8 @@ def compare(old: Path, new: Path, *, out: Path | None = None, as_json: Json = Fa
         Results of the new model.
     out
         Parquet file to write: every change.
+    picture
+        PNG file to write: the changes of every parameter.
     as_json
         Print one JSON object on standard output.
     """
@@ -159,6 +177,10 @@ def compare(old: Path, new: Path, *, out: Path | None = None, as_json: Json = Fa
 
     found, changes = compare_models(_tables(old, None), _tables(new, None))
     _write(changes, out)
+    if picture is not None:
+        from imubayes.display.figures.batch_pictures import change_picture
+
+        change_picture(changes).save(picture)
     if as_json:
         print_json(found.model_dump(mode="json"))
     else:
@@ -167,7 +189,14 @@ def compare(old: Path, new: Path, *, out: Path | None = None, as_json: Json = Fa
 
 
 @batch.command
-def trends(results: Path, *, out: Path | None = None, model_hash: str | None = None, as_json: Json = False) -> int:
+def trends(
+    results: Path,
+    *,
+    out: Path | None = None,
+    picture: Path | None = None,
+    model_hash: str | None = None,
+    as_json: Json = False,
+) -> int:
     """Show trends over dates and serial numbers, and drift between calibrations of one unit.
 
     Example: imubayes batch trends results/batch --out drifts.parquet
@@ -178,17 +207,26 @@ def trends(results: Path, *, out: Path | None = None, model_hash: str | None = N
         Results folder of a batch.
     out
         Parquet file to write: every change between two calibrations of a unit.
+    picture
+        PNG file to write: estimates over dates of the parameters with the clearest trends and drifts.
     model_hash
         Model, where the folder holds results of several.
     as_json
         Print one JSON object on standard output.
     """
+    from imubayes.batch.trends import dated_estimates
     from imubayes.batch.trends import trends as trends_of
     from imubayes.display.batch_questions import trends_report
     from imubayes.display.report_layout import print_report
 
-    found, changes = trends_of(*_tables(results, model_hash))
+    tables = _tables(results, model_hash)
+    found, changes = trends_of(*tables)
     _write(changes, out)
+    if picture is not None:
+        from imubayes.display.figures.batch_pictures import trend_picture
+
+        names = dict.fromkeys(each.parameter for each in (*found.drifts[:3], *found.trends))
+        trend_picture(dated_estimates(*tables), list(names)).save(picture)
     if as_json:
         print_json(found.model_dump(mode="json"))
     else:
