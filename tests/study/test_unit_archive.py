@@ -1,13 +1,13 @@
 """From campaign folders to the questions asked of an archive, on campaigns of the independent generator."""
 
-import sys
+from importlib import import_module
 from pathlib import Path
 
 import polars as pl
 import pytest
 
 from imubayes.archive import campaign_folders, pack
-from imubayes.batch.fit_unit import in_process
+from imubayes.batch.fit_chunk import in_process
 from imubayes.batch.parameter_population import populations
 from imubayes.batch.pooled_discovery import pooled_discovery
 from imubayes.batch.posterior_table import read_parameters, read_units
@@ -15,10 +15,8 @@ from imubayes.batch.run_batch import run_batch
 from imubayes.batch.score_files import complete_scores, read_unit_scores
 from imubayes.cli.main import run
 
+unit_archive = import_module("unit_archive")
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "data" / "generators"))
-import unit_archive  # noqa: E402
-
 pytestmark = pytest.mark.slow
 UNITS = 24
 

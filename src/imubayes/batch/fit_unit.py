@@ -13,7 +13,7 @@ from imubayes.campaign_data import Campaign
 from imubayes.criticism.diagnose import judge
 from imubayes.errors import InputError
 from imubayes.inference.ensemble_sampling import Settings
-from imubayes.inference.fitted_model import Fit
+from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.identifiability import from_data
 from imubayes.inference.posterior_mode import log_evidence
 from imubayes.inference.posterior_tree import in_units
@@ -67,12 +67,20 @@ def posterior_of(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> U
         verdict=judge(fit).verdict if settings.diagnose else "",
         method="laplace" if posterior.chains is None else "emcee",
         pareto_k=None if posterior.chains is None else posterior.chains.diagnosis.pareto_k,
+        draws=_effective_draws(posterior),
         readings=readings,
         chi2=float(np.sum(np.asarray(_whitened(problem, fit.mode.h, fit.mode.about.misfit)) ** 2)),
         log_evidence=float(log_evidence(fit.mode)),
     )
     values = in_units(fit.model, posterior.points)
     return UnitPosterior(identity, outcome, quantities_of(fit, values), np.atleast_2d(np.cov(values.T, ddof=0)))
+
+
+def _effective_draws(posterior: Posterior) -> float:
+    """Return how many independent draws the estimates are worth, those of the worst component."""
+    if posterior.chains is None:
+        return float(len(posterior.points))
+    return float(np.min(posterior.chains.diagnosis.ess_bulk))
 
 
 def quantities_of(fit: Fit, values: np.ndarray) -> tuple[Quantities, ...]:

@@ -28,7 +28,14 @@ def _write(table: "pl.DataFrame", file: Path | None) -> None:
 
 
 @batch.command
-def population(results: Path, *, out: Path | None = None, model_hash: str | None = None, as_json: Json = False) -> int:
+def population(
+    results: Path,
+    *,
+    out: Path | None = None,
+    picture: Path | None = None,
+    model_hash: str | None = None,
+    as_json: Json = False,
+) -> int:
     """Show mean and spread of every parameter over the units, and the units that are unlike the others.
 
     Example: imubayes batch population results/batch --out units.parquet

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
 from matplotlib.patches import Patch
 
 from imubayes.batch.parameter_population import ParameterPopulation, Populations
@@ -84,11 +85,11 @@ def _strip(axes: Axes, row: int, each: ParameterPopulation, units: pl.DataFrame,
         own, sd = np.log(own), sd / own
     place = np.clip((own - each.mean) / each.spread, -5.9, 5.9)
     outlying = shown["outlying"].to_numpy()
-    colours = np.where(outlying, VERMILION, BLUE)
     height = row + random.uniform(-0.28, 0.28, len(place))
     # A unit known to its spread or worse says little of it.
     alpha = np.clip(1 / (1 + (sd / each.spread) ** 2), 0.15, 0.9)
-    axes.scatter(place, height, s=14, c=colours, alpha=np.where(outlying, 1.0, alpha), linewidths=0, zorder=3)
+    colours = [to_rgba(VERMILION) if out else to_rgba(BLUE, float(a)) for out, a in zip(outlying, alpha, strict=True)]
+    axes.scatter(place, height, s=14, c=colours, linewidths=0, zorder=3)
     middle, width = value_and_sd(each.mean, each.spread)
     text = f"{middle} ± {width} {pretty(each.unit_of_measure)}{' (log)' if each.scale == 'log' else ''}"
     axes.text(6.15, row, text, va="center", fontsize=8, color=QUIET)
