@@ -1,7 +1,7 @@
 """Mistakes planted into campaigns drawn at random: what was done to the files, and what a remedy has to say.
 
-The campaigns come from `data/generators`; a mistake edits `campaign.toml` or the columns of run tables as text, so that
-nothing here is shared with the package.
+The campaigns come from `data/generators`, in other units and under other names than there; a mistake edits
+`campaign.toml` or the columns of run tables as text, so that nothing here is shared with the package.
 """
 
 import csv
@@ -10,13 +10,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import full_qualification
 import numpy as np
+import redundant_imu
+import rotation_modulation
 import tomlkit
-from random_plans import TEMPLATES, random_plan
+import trihedral_imu
+from random_plans import random_plan
 from simulate import write_simulated
 
-PLANS = ("table", "temperatures", "head", "cycle", "gyros", "converter")
-MODELS = {"head": "hidden-effects", "converter": "hidden-effects-thermal", "cycle": "hidden-effects-thermal"}
+PLANS = ("table", "temperatures", "head", "cycle", "gyros", "converter", "converter_cycle")
+SHIPPED = {
+    "trihedral-imu": trihedral_imu, "redundant-imu": redundant_imu,
+    "rotation-modulation": rotation_modulation, "full-qualification": full_qualification,
+}  # fmt: skip
+KINDS = (*PLANS, *SHIPPED)
+THERMAL = ("temperatures", "cycle", "gyros", "converter", "converter_cycle")
+ANGLED, RATED = ("dividing_head", "polar_tumble"), ("rate_table", "rotation_modulation")
 
 
 @dataclass(frozen=True)
@@ -43,6 +53,10 @@ class Files:
 
     def of(self, *procedures: str) -> list[dict]:
         return [run for run in self.runs if run["procedure"] in procedures]
+
+    def has(self, run: dict, column: str) -> bool:
+        with (self.folder / run["file"]).open(encoding="utf-8", newline="") as stream:
+            return column in next(csv.reader(stream))
 
     def channels(self, kind: str) -> list[str]:
         return [str(channel["name"]) for channel in self.document["channel"] if channel["kind"] == kind]
@@ -96,15 +110,19 @@ def _turn(offset: float) -> Callable[[dict[str, list[str]]], None]:
 
 def zero_of_table(files: Files, generator: np.random.Generator) -> Planted | None:
     """Read all angles of the dividing head from another zero."""
-    heads, offset = files.of("dividing_head"), _angle(generator)
-    for run in heads:
-        files.edit(run, _turn(offset))
-    return Planted("table_zero", ("zero of the table angle", "'head'", _angle_text(offset))) if heads else None
+    heads, offset = files.of(*ANGLED), _angle(generator)
+    if not heads:
+        return None
+    table = heads[generator.integers(len(heads))]["table"]
+    for run in files.of(*ANGLED, "rotation_modulation"):
+        if run["table"] == table:
+            files.edit(run, _turn(offset))
+    return Planted("table_zero", ("zero of the table angle", f"'{table}'", _angle_text(offset)))
 
 
 def zero_of_run(files: Files, generator: np.random.Generator) -> Planted | None:
     """Read the angles of one run from another zero."""
-    heads, offset = files.of("dividing_head"), _angle(generator)
+    heads, offset = files.of(*ANGLED), _angle(generator)
     if not heads:
         return None
     run = heads[generator.integers(len(heads))]
@@ -125,8 +143,6 @@ def elevation(files: Files, generator: np.random.Generator) -> Planted | None:
     used = {run.get("table") for run in files.runs}
     tables = [table for table in files.document["table"] if table["name"] in used]
     table = tables[generator.integers(len(tables))]
-    if table["name"] == "rate" and not files.channels("accelerometer"):
-        return None
     right = float(table["elevation_deg"])
     step = float(generator.choice([5, 10, 15, 30, 45, 60, 90]))
     table["elevation_deg"] = right + step * (-1 if right > 0 else float(generator.choice([-1, 1])))
@@ -136,7 +152,7 @@ def elevation(files: Files, generator: np.random.Generator) -> Planted | None:
 
 def mislabelled(files: Files, generator: np.random.Generator) -> Planted | None:
     """Name another mounting for one run."""
-    runs = files.of("rate_table", "dividing_head")
+    runs = files.of(*RATED, *ANGLED)
     run = runs[generator.integers(len(runs))]
     names = [str(mounting["name"]) for mounting in files.document["mounting"] if mounting["name"] != run["mounting"]]
     wrong = str(generator.choice(names))
@@ -147,7 +163,7 @@ def mislabelled(files: Files, generator: np.random.Generator) -> Planted | None:
 
 def files_exchanged(files: Files, generator: np.random.Generator) -> Planted | None:
     """Exchange the files of two runs of a procedure in different mountings."""
-    procedure = str(generator.choice(["rate_table", "dividing_head"]))
+    procedure = str(generator.choice([*RATED, *ANGLED]))
     pairs = [(a, b) for a in files.of(procedure) for b in files.of(procedure) if a["mounting"] < b["mounting"]]
     if not pairs:
         return None
@@ -160,12 +176,14 @@ def files_exchanged(files: Files, generator: np.random.Generator) -> Planted | N
 
 def axes_exchanged(files: Files, generator: np.random.Generator) -> Planted | None:
     """Exchange two channels of a kind, in all runs or one."""
-    kinds = [kind for kind in ("gyro", "accelerometer") if files.channels(kind)]
+    kinds = [kind for kind in ("gyro", "accelerometer") if len(files.channels(kind)) > 1]
+    if not kinds:
+        return None
     names = files.channels(str(generator.choice(kinds)))
     a, b = (names[k] for k in generator.choice(len(names), 2, replace=False))
-    runs = files.of("rate_table", "dividing_head", "thermal_ramp", "current_injection")
+    runs = files.of(*RATED, *ANGLED, "thermal_ramp", "current_injection", "reference_gyro")
     if generator.random() < 0.5:
-        runs = files.of("rate_table" if a.startswith("g") else "dividing_head")
+        runs = files.of(*(RATED if a.startswith("g") else ANGLED))
         runs = [run for run in runs if not a.startswith("g") or files.contrast(run, a, b) > 0.1]
         runs = [runs[generator.integers(len(runs))]] if runs else []
 
@@ -190,10 +208,11 @@ def axis_reversed(files: Files, generator: np.random.Generator) -> Planted | Non
 
 def sense_reversed(files: Files, generator: np.random.Generator) -> Planted | None:
     """Write rates and angles of a table with the opposite sign."""
-    heads = files.of("dividing_head")
-    runs = heads if heads and generator.random() < 0.5 else files.of("rate_table")
+    heads = files.of(*ANGLED)
+    runs = heads if heads and generator.random() < 0.5 else files.of(*RATED)
     if not runs:
         return None
+    runs = [run for run in runs if run["table"] == runs[0]["table"]]
 
     def change(columns: dict[str, list[str]]) -> None:
         for name in ("table_rate_deg_s", "table_angle_deg"):
@@ -207,7 +226,7 @@ def sense_reversed(files: Files, generator: np.random.Generator) -> Planted | No
 
 def rate_unit(files: Files, generator: np.random.Generator) -> Planted | None:
     """Write the rates in another unit, in one run or all."""
-    runs = files.of("rate_table")
+    runs = files.of(*RATED)
     if not runs:
         return None
     unit, factor = [("rpm", 1 / 6), ("rad/s", np.pi / 180), ("deg/h", 3600.0)][generator.integers(3)]
@@ -233,7 +252,7 @@ def latitude(files: Files, generator: np.random.Generator) -> Planted | None:
 
 def time_shift(files: Files, generator: np.random.Generator) -> Planted | None:
     """Shift the outputs of a run by a row or two against the table."""
-    runs = files.of("rate_table")
+    runs = files.of(*RATED)
     if not runs:
         return None
     run, shift = runs[generator.integers(len(runs))], int(generator.choice([-2, -1, 1, 2]))
@@ -250,23 +269,192 @@ def time_shift(files: Files, generator: np.random.Generator) -> Planted | None:
     return Planted("time_shift", ("later" if shift > 0 else "earlier", f"{abs(shift)} rows", f"'{run['name']}'"))
 
 
+def azimuth(files: Files, generator: np.random.Generator) -> Planted | None:
+    """State another azimuth of a table."""
+    used = {run.get("table") for run in files.of(*ANGLED)}
+    tables = [table for table in files.document["table"] if table["name"] in used]
+    if not tables or not files.channels("gyro"):
+        return None
+    table = tables[generator.integers(len(tables))]
+    table["azimuth_deg"] = (float(table["azimuth_deg"]) + float(generator.choice([90, 180, 270]))) % 360
+    files.save()
+    return Planted("table_azimuth", ("azimuth", f"'{table['name']}'"))
+
+
+def mounting_matrix(files: Files, generator: np.random.Generator) -> Planted | None:
+    """State a mounting as its transpose, or turned over."""
+    used = {run.get("mounting") for run in files.of(*RATED, *ANGLED)}
+    stated = [each for each in files.document["mounting"] if each["name"] in used and "body_to_table" in each]
+    if not stated:
+        return None
+    mounting = stated[generator.integers(len(stated))]
+    matrix = np.array(mounting["body_to_table"], dtype=float)
+    turned_over = matrix * [[1], [-1], [-1]]
+    wrong = matrix.T if generator.random() < 0.5 and not np.allclose(matrix, matrix.T) else turned_over
+    mounting["body_to_table"] = [[float(value) for value in row] for row in wrong]
+    files.save()
+    return Planted("mounting_wrong", ("body_to_table", f"'{mounting['name']}'"))
+
+
+def channel_unit(files: Files, generator: np.random.Generator) -> Planted | None:
+    """State the scale of one channel, or of all of a kind, in another unit."""
+    kinds = [kind for kind in ("gyro", "accelerometer") if files.channels(kind)]
+    kind = str(generator.choice(kinds))
+    factor = float(generator.choice([180 / np.pi, np.pi / 180, 3600.0] if kind == "gyro" else [9.80665, 1000.0]))
+    entries = [each for each in files.document["channel"] if each["kind"] == kind]
+    chosen = entries if generator.random() < 0.5 else [entries[generator.integers(len(entries))]]
+    for channel in chosen:
+        channel["scale"] = float(channel["scale"]) * factor
+    files.save()
+    name = f"'{chosen[0]['name']}'"
+    named = (name, "every gyro") if chosen is entries else (name,)
+    return Planted(
+        "channel_unit", (named, ("times too", "times its nominal scale", "'per'", "correct the gyros' scale"))
+    )
+
+
+def angle_unit(files: Files, generator: np.random.Generator) -> Planted | None:
+    """Write the angles of all heads in radians."""
+    heads = files.of(*ANGLED)
+
+    def change(columns: dict[str, list[str]]) -> None:
+        columns["table_angle_deg"] = _numbers(columns["table_angle_deg"], np.radians)
+
+    for run in heads:
+        files.edit(run, change)
+    return Planted("angle_unit", ("table_angle_deg", ("radians", "in rad"))) if heads else None
+
+
+def latitude_value(files: Files, generator: np.random.Generator) -> Planted | None:
+    """State another latitude."""
+    right = float(files.document["site"]["latitude_deg"])
+    wrong = [value for value in (0.0, 15.0, -25.0, 34.25, 48.0, -60.0, 75.0) if abs(value - right) > 20]
+    files.document["site"]["latitude_deg"] = float(generator.choice(wrong))
+    files.save()
+    near = tuple(f"latitude_deg = {round(right + step)}" for step in range(-15, 16))
+    return Planted("latitude_value", ((f"latitude_deg = {right:.6g}", *near),))
+
+
+def height(files: Files, generator: np.random.Generator) -> Planted | None:
+    """State the height in feet, or one that is 3 km off."""
+    right = float(files.document["site"]["height_m"])
+    files.document["site"]["height_m"] = float(generator.choice([right * 3.2808, right + 3000.0]))
+    files.save()
+    return Planted("height", ("height_m",))
+
+
+def _with_temperatures(files: Files) -> list[dict]:
+    return files.of(*RATED, *ANGLED, "thermal_ramp")
+
+
+def _fahrenheit(columns: dict[str, list[str]]) -> None:
+    for name in ("temperature_degC", "converter_temperature_degC"):
+        if name in columns:
+            columns[name] = _numbers(columns[name], lambda value: 1.8 * value + 32)
+
+
+def fahrenheit(files: Files, generator: np.random.Generator) -> Planted | None:
+    """Write the temperatures of one run in degrees Fahrenheit."""
+    runs = _with_temperatures(files)
+    run = runs[generator.integers(len(runs))]
+    files.edit(run, _fahrenheit)
+    return Planted("temperature_unit", ("Fahrenheit", f"'{run['name']}'"))
+
+
+def fahrenheit_throughout(files: Files, generator: np.random.Generator) -> Planted | None:
+    """Write all temperatures in degrees Fahrenheit."""
+    for run in files.runs:
+        files.edit(run, _fahrenheit)
+    return Planted("temperature_unit", ("Fahrenheit",))
+
+
+def thermometers(files: Files, generator: np.random.Generator) -> Planted | None:
+    """Exchange the thermometers of sensor and converter, in all runs or one."""
+    names = ("temperature_degC", "converter_temperature_degC")
+    runs = [run for run in _with_temperatures(files) if files.has(run, names[1])]
+    if not runs:
+        return None
+    chosen = runs if generator.random() < 0.5 else [runs[generator.integers(len(runs))]]
+
+    def change(columns: dict[str, list[str]]) -> None:
+        columns[names[0]], columns[names[1]] = columns[names[1]], columns[names[0]]
+
+    for run in chosen:
+        files.edit(run, change)
+    return Planted("thermometers_exchanged", (names[1], "exchanged"))
+
+
+def temperature_reversed(files: Files, generator: np.random.Generator) -> Planted | None:
+    """Turn the columns of temperatures of a thermal run round."""
+    runs = files.of("thermal_ramp")
+    if not runs:
+        return None
+    run = runs[generator.integers(len(runs))]
+
+    def change(columns: dict[str, list[str]]) -> None:
+        for name in ("temperature_degC", "converter_temperature_degC"):
+            if name in columns:
+                columns[name] = columns[name][::-1]
+
+    files.edit(run, change)
+    return Planted("temperature_reversed", ("backwards", f"'{run['name']}'"))
+
+
 MISTAKES: dict[str, Mistake] = {
     function.__name__: function
     for function in (
         zero_of_table, zero_of_run, elevation, mislabelled, files_exchanged, axes_exchanged, axis_reversed,
-        sense_reversed, rate_unit, latitude, time_shift,
+        sense_reversed, rate_unit, latitude, time_shift, azimuth, mounting_matrix, channel_unit, angle_unit,
+        latitude_value, height, fahrenheit, fahrenheit_throughout, thermometers, temperature_reversed,
     )
 }  # fmt: skip
 
 
 def valid_campaign(folder: Path, seed: int) -> str:
-    """Write a valid campaign drawn at random; return the name of its template."""
+    """Write a valid campaign drawn at random, in units and under names of its own; return its kind."""
     generator = np.random.default_rng([seed, 1])
-    template = PLANS[seed % len(PLANS)]
-    assert template in TEMPLATES
-    plan = random_plan(template, generator, MODELS.get(template, "hidden-effects"))
-    write_simulated(folder, plan, seed)
-    return template
+    kind = KINDS[seed % len(KINDS)]
+    if kind in SHIPPED:
+        SHIPPED[kind].generate(folder, seed)
+    else:
+        model = "hidden-effects-thermal" if kind in THERMAL else "hidden-effects"
+        write_simulated(folder, random_plan(kind, generator, model), seed)
+    if generator.random() < 0.5:
+        _expressed_otherwise(Files(folder), generator)
+    return kind
+
+
+def _expressed_otherwise(files: Files, generator: np.random.Generator) -> None:
+    """Write the outputs of some channels in mV about an offset, and give tables and mountings other names."""
+    document = files.document
+    gains = {str(channel["name"]): float(np.round(generator.uniform(0.01, 3), 3)) for channel in document["channel"]}
+    offsets = {name: float(generator.choice([0.0, 2500.0])) for name in gains}
+    drawn = {str(channel["name"]): float(channel["noise"]) for channel in document["channel"]}
+    for channel in document["channel"]:
+        name = str(channel["name"])
+        channel["output_unit"] = "mV"
+        for key in ("scale", "noise"):
+            channel[key] = float(channel[key]) * gains[name]
+        channel["offset"] = float(channel.get("offset", 0.0)) * gains[name] + offsets[name]
+    for section, word in (("table", "stand"), ("mounting", "seat")):
+        names = {str(entry["name"]): f"{word}-{number + 1}" for number, entry in enumerate(document[section])}
+        for entry in document[section]:
+            entry["name"] = names[str(entry["name"])]
+        for run in document["run"]:
+            if section in run:
+                run[section] = names[str(run[section])]
+    files.save()
+
+    def change(columns: dict[str, list[str]]) -> None:
+        for column in [*columns]:
+            name, spread = column.removesuffix("_sd"), column.endswith("_sd")
+            if name in gains:
+                gain, offset = gains[name], 0.0 if spread else offsets[name]
+                columns[column] = [f"{float(cell) * gain + offset:.9g}" if cell else "" for cell in columns[column]]
+
+    for run in files.runs:
+        files.edit(run, change)
+    (files.folder / "drawn_noise.toml").write_text(tomlkit.dumps(drawn), encoding="utf-8")
 
 
 def plant(folder: Path, name: str, seed: int) -> Planted | None:

@@ -1,23 +1,29 @@
 """Mistakes in a set-up are named with their remedy before any fit, and valid campaigns pass."""
 
 import shutil
+from collections import Counter
 from pathlib import Path
 
 import pytest
-from seeded_mistakes import MISTAKES, Planted, plant, says, valid_campaign
+from generating_law import DETECTABLE, chi_square
+from seeded_mistakes import KINDS, MISTAKES, Planted, plant, says, valid_campaign
 
 from imubayes.campaign import FINDINGS, Inspection, inspect_campaign
-from imubayes.campaign.setup_gate.mistakes import MISTAKES as REGISTERED
+from imubayes.campaign.setup_gate.mistakes import TableZero
+from imubayes.campaign.setup_gate.setup_findings import SETUP_FINDINGS
 from imubayes.errors import InputError
 
-DATA = Path(__file__).parents[2] / "data"
+ROOT = Path(__file__).parents[2]
+DATA = ROOT / "data"
 SHIPPED = sorted(file.parent.name for file in DATA.glob("*/campaign.toml"))
-SEEDS = (0, 2, 4, 8, 10)
+SEEDS = tuple(range(7000, 7000 + len(KINDS)))
+PER_MISTAKE = 2
+"""Campaigns that each mistake is planted into, in the default tests."""
 
 
 @pytest.fixture(scope="module")
 def valid(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
-    """Valid campaigns drawn at random, by seed."""
+    """Valid campaigns drawn at random, by seed: one of each kind."""
     folders = {seed: tmp_path_factory.mktemp("valid") / str(seed) for seed in SEEDS}
     for seed, folder in folders.items():
         valid_campaign(folder, seed)
@@ -25,8 +31,25 @@ def valid(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
 
 
 def gate(inspection: Inspection) -> set[str]:
-    kinds = {kind.kind for kind in REGISTERED} | {"setup_disagrees"}
+    kinds = {*SETUP_FINDINGS, "setup_disagrees"}
     return {finding.name for finding in inspection.findings} & kinds
+
+
+def said(folder: Path) -> str:
+    inspection = inspect_campaign(folder)
+    return " ".join(map(str, (*inspection.issues, *inspection.findings)))
+
+
+def planted_into(valid: Path, folder: Path, name: str, seed: int) -> Planted | None:
+    """Plant a mistake into a copy of a campaign; None where it has no such runs, or nobody could detect it."""
+    shutil.copytree(valid, folder)
+    planted = plant(folder, name, seed)
+    return planted if planted is not None and _detectable(valid, folder) else None
+
+
+def _detectable(valid: Path, folder: Path) -> bool:
+    # An input that the law does not know, such as an angle beyond a turn, is no number.
+    return not chi_square(folder) - chi_square(valid) < DETECTABLE
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -39,31 +62,59 @@ def test_drawn_campaigns_pass(valid: dict[int, Path]) -> None:
         assert not gate(inspect_campaign(folder))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("name", [name for name in MISTAKES if name != "latitude"])
-def test_a_seeded_mistake_is_named(valid: dict[int, Path], tmp_path: Path, name: str, seed: int) -> None:
-    folder = Path(shutil.copytree(valid[seed], tmp_path / "campaign"))
-    planted = plant(folder, name, seed)
-    if planted is None:
-        return  # the template has no run or channel of this kind
-    text = " ".join(str(issue) for issue in inspect_campaign(folder).issues)
-    assert says(planted, text), text
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_seeded_mistake_is_named(valid: dict[int, Path], tmp_path: Path, name: str) -> None:
+    made, first = 0, sorted(MISTAKES).index(name)
+    for turn in range(len(SEEDS)):
+        seed = SEEDS[(first + turn) % len(SEEDS)]
+        folder = tmp_path / str(seed)
+        planted = planted_into(valid[seed], folder, name, seed)
+        if planted is not None:
+            text = said(folder)
+            assert says(planted, text), (planted, text)
+            made += 1
+        if made == PER_MISTAKE:
+            break
+    assert made or name in ("height", "fahrenheit_throughout"), "no campaign shows the mistake"
 
 
 def test_a_negated_latitude_is_named_where_the_gyros_show_it(tmp_path: Path) -> None:
     folder = Path(shutil.copytree(DATA / "trihedral-imu", tmp_path / "campaign"))
     file = folder / "campaign.toml"
     file.write_text(file.read_text(encoding="utf-8").replace("latitude_deg = 34.25", "latitude_deg = -34.25"))
-    passed = inspect_campaign(folder)
-    # Evidence that is worth a warning, not an error.
-    assert not passed.issues
-    (finding,) = passed.findings
-    assert finding.severity == "warning"
-    assert says(Planted("latitude_sign", ("latitude_deg to 34.25",)), str(finding))
+    assert says(Planted("latitude_sign", ("latitude_deg = 34.25",)), said(folder))
+
+
+def test_without_a_kind_of_mistake_none_is_named(
+    valid: dict[int, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The planted fault of these tests: a gate that does not look for the zero does not pass them."""
+    seed = SEEDS[0]
+    planted = planted_into(valid[seed], tmp_path / "campaign", "zero_of_table", seed)
+    assert planted is not None
+    assert says(planted, said(tmp_path / "campaign"))
+    monkeypatch.setattr(TableZero, "suspected", classmethod(lambda cls, campaign, views: iter(())))
+    assert not says(planted, said(tmp_path / "campaign"))
+
+
+def test_a_remedy_is_a_line_to_write(valid: dict[int, Path], tmp_path: Path) -> None:
+    """What the remedy says at the line that it names makes the campaign pass."""
+    folder, seed = tmp_path / "campaign", SEEDS[0]
+    planted = planted_into(valid[seed], folder, "elevation", seed)
+    assert planted is not None
+    (issue,) = inspect_campaign(folder).issues
+    line = int(issue.where.split("campaign.toml:")[1].split(",")[0])
+    remedy = issue.remedy.split("write ")[1].split(";")[0].split(",")[0]
+    file = folder / "campaign.toml"
+    lines = file.read_text(encoding="utf-8").splitlines()
+    assert lines[line - 1].split(" = ")[0] == remedy.split(" = ")[0] == "elevation_deg"
+    lines[line - 1] = remedy
+    file.write_text("\n".join(lines), encoding="utf-8")
+    assert not inspect_campaign(folder).issues
 
 
 def test_an_accepted_finding_is_a_warning(valid: dict[int, Path], tmp_path: Path) -> None:
-    folder = Path(shutil.copytree(valid[0], tmp_path / "campaign"))
+    folder = Path(shutil.copytree(valid[SEEDS[0]], tmp_path / "campaign"))
     plant(folder, "zero_of_table", 0)
     assert inspect_campaign(folder).campaign is None
     file = folder / "campaign.toml"
@@ -75,11 +126,11 @@ def test_an_accepted_finding_is_a_warning(valid: dict[int, Path], tmp_path: Path
 
 
 def test_every_kind_has_a_meaning() -> None:
-    assert {kind.kind for kind in REGISTERED} <= set(FINDINGS)
+    assert set(SETUP_FINDINGS) <= set(FINDINGS)
 
 
 def test_an_unknown_name_is_no_finding_to_accept(valid: dict[int, Path], tmp_path: Path) -> None:
-    folder = Path(shutil.copytree(valid[0], tmp_path / "campaign"))
+    folder = Path(shutil.copytree(valid[SEEDS[0]], tmp_path / "campaign"))
     file = folder / "campaign.toml"
     file.write_text('accepted = ["table_zer"]\n' + file.read_text(encoding="utf-8"), encoding="utf-8")
     with pytest.raises(InputError, match="table_zero"):
@@ -88,26 +139,41 @@ def test_an_unknown_name_is_no_finding_to_accept(valid: dict[int, Path], tmp_pat
 
 @pytest.mark.slow
 def test_a_thousand_seeded_mistakes(tmp_path: Path) -> None:
-    """Of 1000 mistakes 99 % are named with their remedy; of the valid campaigns among them at most 0.5 % are doubted.
-
-    The sign of a latitude counts where its effect exceeds what the gyros' errors conceal: see the test above.
-    """
-    named, made, doubted, seed = 0, 0, 0, 1000
-    missed = []
+    """Of 1000 mistakes that somebody could detect 99 % are named with their remedy, on seeds of the study alone."""
+    counts, missed, made, seed = Counter(), [], 0, 100_000
     while made < 1000:
         folder = tmp_path / str(seed)
         valid_campaign(folder, seed)
-        doubted += bool(gate(inspect_campaign(folder)))
         for name in MISTAKES:
             wrong = tmp_path / f"{seed}-{name}"
             shutil.copytree(folder, wrong)
-            planted = None if name == "latitude" else plant(wrong, name, seed)
+            planted = plant(wrong, name, seed)
             if planted is not None:
-                found = says(planted, " ".join(str(issue) for issue in inspect_campaign(wrong).issues))
-                named, made = named + found, made + 1
-                missed += [] if found else [f"{name} of seed {seed}"]
+                seen, named = _detectable(folder, wrong), says(planted, said(wrong))
+                counts[name, "named" if named else "missed", seen] += 1
+                made += seen
+                missed += [f"{name} of seed {seed}"] if seen and not named else []
             shutil.rmtree(wrong)
         shutil.rmtree(folder)
         seed += 1
-    assert doubted <= 0.005 * (seed - 1000)
-    assert named >= 0.99 * made, missed
+    print("\n".join(_line(name, counts) for name in MISTAKES))
+    print(f"{made - len(missed)} of {made} named; missed: {', '.join(missed)}")
+    assert len(missed) <= 0.01 * made, missed
+
+
+def _line(name: str, counts: Counter) -> str:
+    named, missed = counts[name, "named", True], counts[name, "missed", True]
+    hidden = counts[name, "missed", False] + counts[name, "named", False]
+    return f"| {name} | {named + missed} | {named} | {hidden} |"
+
+
+@pytest.mark.slow
+def test_valid_campaigns_are_not_doubted(tmp_path: Path) -> None:
+    """At most 0.5 % of 420 campaigns with errors as large as their stated uncertainties allow."""
+    doubted = []
+    for seed in range(200_000, 200_420):
+        kind = valid_campaign(tmp_path / str(seed), seed)
+        doubted += [f"{kind} of seed {seed}: {found}" for found in gate(inspect_campaign(tmp_path / str(seed)))]
+        shutil.rmtree(tmp_path / str(seed))
+    print(f"{len(doubted)} of 420 doubted: {doubted}")
+    assert len(doubted) <= 0.005 * 420, doubted

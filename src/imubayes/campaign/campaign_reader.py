@@ -27,6 +27,7 @@ from imubayes.campaign.file_schemas import CampaignFile, ModelFile, RunEntry
 from imubayes.campaign.findings import SYMPTOMS, Finding
 from imubayes.campaign.load_run import Equipment, Loaded, load_run
 from imubayes.campaign.servo_angle import with_angles
+from imubayes.campaign.setup_gate.remedies import Places
 from imubayes.campaign.setup_gate.setup_findings import SETUP_FINDINGS, setup_findings
 from imubayes.campaign.toml_documents import Ledger, read_document
 from imubayes.campaign.valid_entries import Draft, draft_of
@@ -100,13 +101,13 @@ def inspect_campaign(path: str | Path) -> Inspection:
     issues += [finding.problem() for finding in findings if finding.severity == "error"]
     if issues or document.entry is None:
         return Inspection(None, tuple(issues), findings)
-    return _with_setup(_campaign(document.entry, equipment, loaded, findings, file), document.entry, findings, file)
+    campaign = _campaign(document.entry, equipment, loaded, findings, file)
+    return _with_setup(campaign, document.entry, findings, Places(document.entry, ledger))
 
 
-def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Finding], file: Path) -> Inspection:
+def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Finding], places: Places) -> Inspection:
     """Return the inspection of a valid campaign with what its outputs say against its set-up."""
-    tables = {run.name: str(file.parent / run.file) for run in entry.run}
-    found = setup_findings(campaign, str(file), tables, tuple(entry.accepted))
+    found = setup_findings(campaign, places, tuple(entry.accepted))
     # One wrong run makes others disagree with it; what is wrong has been said of the run itself.
     noticed = any(finding.name in SYMPTOMS for finding in findings)
     found = [finding for finding in found if not (noticed and finding.name == "setup_disagrees")]

@@ -61,7 +61,11 @@ class ChannelEntry(_Entry):
 
 
 class TableEntry(_Entry):
-    """A table: directions of its axes, the outer one by azimuth and elevation; one-sigma uncertainties, 0 is exact."""
+    """A table: directions of its axes, the outer one by azimuth and elevation; one-sigma uncertainties, 0 is exact.
+
+    Angles and rates count right-handed about the axis z.  At angle 0 x is horizontal, 90 deg clockwise from the azimuth
+    as seen from above, and y = z x x; see the picture in data/README.md.
+    """
 
     name: Name
     azimuth_deg: Degrees = Field(default=0.0, description="of the rotation axis, clockwise from North")
@@ -70,7 +74,8 @@ class TableEntry(_Entry):
     )
     zero_angle_deg: Degrees = Field(
         default=0.0,
-        description="reading of table_angle_deg at which table x is horizontal, at azimuth_deg + 90, and y = z x x",
+        description="reading of table_angle_deg at the zero of the table, subtracted from the column: there table x is "
+        "horizontal, at azimuth_deg + 90, and y = z x x (East and North for azimuth 0 and elevation 90)",
     )
     settling_s: NotNegative = Field(
         default=0.0, description="least time left out of raw logs after each change of the stimulus"
@@ -84,7 +89,10 @@ class TableEntry(_Entry):
     inner_axis: Vector | None = Field(default=None, description="at zero angles, in axes with z along the outer axis")
     middle_axis: Vector | None = Field(default=None, description="as inner_axis, of a table of three axes")
     arm_radius_m: Positive | None = Field(default=None, description="of a centrifuge: from the outer to the inner axis")
-    zero_uncertainty_arcsec: NotNegative | None = None
+    zero_uncertainty_arcsec: NotNegative | None = Field(
+        default=None,
+        description="of the zero of each axis: the prior of inner_axis_zero, outer_axis_zero, middle_axis_zero",
+    )
     squareness_uncertainty_arcsec: NotNegative | None = None
     intersection_uncertainty_um: NotNegative | None = None
     arm_uncertainty_um: NotNegative | None = None

@@ -16,7 +16,8 @@ STUCK_RUN = 300  # raw samples of one value; coarse converters repeat tens of ti
 COARSE_CODES = 100  # a channel that spans fewer codes than this repeats values for lack of resolution
 PLATEAU_RUN = 5  # consecutive raw samples at the extreme
 PLATEAU_RATIO = 3  # so many times longer than any run of one value inside the range, which coarse converters repeat
-KELVIN_ABOVE = 150.0
+KELVIN_ABOVE = 200.0
+FAHRENHEIT_ABOVE = 100.0  # °C, beyond which few chambers go; 100 °F are 38 °C
 TEMPERATURES = ("temperature_degC", "converter_temperature_degC")
 MUST_BE_FILLED = ("time_s", "table_rate_deg_s", "current_mA", "samples")
 
@@ -126,6 +127,7 @@ class Monitor:
     _empty: dict[str, _Tally] = field(default_factory=dict)
     _not_finite: dict[str, _Tally] = field(default_factory=dict)
     _kelvin: dict[str, _Tally] = field(default_factory=dict)
+    _fahrenheit: dict[str, _Tally] = field(default_factory=dict)
     _repeats: dict[str, _Repeat] = field(default_factory=dict)
     _previous: dict[str, float] = field(default_factory=dict)
     _longest_gap: float = 0.0
@@ -144,6 +146,8 @@ class Monitor:
             if name in batch.numbers:
                 hot = np.flatnonzero(batch.numbers[name] > KELVIN_ABOVE)
                 self._kelvin.setdefault(name, _Tally()).note(batch.first + hot)
+                warm = (batch.numbers[name] > FAHRENHEIT_ABOVE) & (batch.numbers[name] <= KELVIN_ABOVE)
+                self._fahrenheit.setdefault(name, _Tally()).note(batch.first + np.flatnonzero(warm))
         for name in self.source.layout.channels:
             self._repeats.setdefault(name, _Repeat()).add(batch.numbers[name])
         if "time_s" in batch.numbers and batch.rows:
@@ -198,6 +202,10 @@ class Monitor:
             what = f"{_count(tally, 'value')} of '{name}' above {KELVIN_ABOVE:g}, as in kelvin"
             allowed = f"degrees Celsius up to {KELVIN_ABOVE:g}"
             found += self._at("kelvin_temperature", tally, name, what, allowed, "subtract 273.15 from the column")
+        for name, tally in self._fahrenheit.items():
+            what = f"{_count(tally, 'value')} of '{name}' above {FAHRENHEIT_ABOVE:g}, as in degrees Fahrenheit"
+            remedy = "where they are degrees Fahrenheit, replace T by (T - 32) / 1.8 in the column"
+            found += self._at("temperature_unit", tally, name, what, "degrees Celsius", remedy, "warning")
         return found
 
     def _time_findings(self) -> list[Finding]:

@@ -8,6 +8,10 @@ from imubayes.cli.options import Flag, Json, print_json
 def check(campaign: Path, *, model: Path | None = None, as_json: Json = False, verbose: Flag = False) -> int:
     """Read everything, say what is there and what is wrong.
 
+    The outputs are compared with the stated set-up: zero, sense, azimuth and elevation of tables, mountings, units,
+    channels, files, latitude, thermometers. The zero of a table: table x is horizontal, 90 deg clockwise from
+    azimuth_deg, y = z x x, and angles are right-handed about z (picture in data/README.md).
+
     Example: imubayes check data/trihedral-imu --model models/trihedral-imu.toml
 
     Parameters

@@ -4,7 +4,7 @@ Output over nominal scale factor, less the nominal input u along the input axis 
 
     e = (δk u·I + α u·O + β u·S) + b + b_r + c·T + …  + δ_m·(u × I) + τ_t·(v × C I) + noise,
 
-with errors of scale factor and input axis, a bias, one offset per run, slopes with temperature, for gyros a
+with errors of scale factor and input axis, a bias, one offset per run, slopes with the temperatures, for gyros a
 g-sensitivity, a small rotation of every mounting and of every table.  All have Gaussian priors (`plausible_errors`), so
 the marginal likelihood is in closed form.  Every run adds a term to the normal equations, and a suspected mistake
 changes the terms of the runs that it concerns: one evaluation is the solution of some hundred equations.
@@ -23,7 +23,6 @@ from imubayes.campaign.setup_gate.plausible_errors import (
     MOUNTING_UNSTATED,
     TABLE_LEAST,
     TABLE_UNSTATED,
-    Widths,
     widths,
 )
 from imubayes.campaign.setup_gate.run_view import RunView
@@ -31,7 +30,9 @@ from imubayes.campaign.unit_grade import grade_of
 from imubayes.campaign_data import Campaign
 from imubayes.earth import earth_rate
 
-_OWN = 10  # parameters of a channel: scale, two misalignments, bias, three of temperature, three of g-sensitivity
+# Parameters of a channel: scale, two misalignments, bias, three of the temperature, three of g-sensitivity, two of the
+# converter's temperature.
+_OWN = 12
 _WARM = 25.0
 
 
@@ -77,13 +78,22 @@ class NormalTerms:
 
 
 class ErrorModel:
-    """The linear model of plausible errors of one campaign; of gross ones, where missing effects may be large."""
+    """The linear model of plausible errors of one campaign.
 
-    def __init__(self, campaign: Campaign, gross: bool = False):
+    Parameters
+    ----------
+    gross : whether missing effects may be large.
+    steadiness : of the unit: its run offsets, and what the linear model leaves out, over those of a poor unit.
+    """
+
+    def __init__(self, campaign: Campaign, gross: bool = False, steadiness: float = 1.0):
         self.gross = gross
         self.places = [k for k, channel in enumerate(campaign.channels) if channel.kind != "angle"]
         self.channels = [campaign.channels[k] for k in self.places]
-        self.widths = [widths(channel.kind, grade_of(campaign, channel.kind)) for channel in self.channels]
+        self.widths = [
+            widths(channel.kind, grade_of(campaign, channel.kind)).steadier(steadiness) for channel in self.channels
+        ]
+        self._stack()
         start = _OWN * len(self.channels)
         self.mountings = {name: start + 3 * k for k, name in enumerate(campaign.mountings)}
         start += 3 * len(self.mountings)
@@ -93,11 +103,24 @@ class ErrorModel:
         gyro = [k for k, channel in enumerate(self.channels) if channel.kind == "gyro"]
         self.g_sensitive = np.array([_OWN * k + 7 + axis for k in gyro for axis in range(3)], dtype=int)
 
+    def _stack(self) -> None:
+        """Set the facts about the channels as arrays: axes (K, 3, 3), gyro and run_offset (K,), others (K, 1)."""
+        self.axes = np.stack([channel.axes for channel in self.channels])
+        self.gyro = np.array([channel.kind == "gyro" for channel in self.channels])
+        self.offset = np.array([[channel.offset] for channel in self.channels])
+        self.scale = np.array([[channel.scale_si] for channel in self.channels])
+        self.noise = np.array([[channel.noise or 0.0] for channel in self.channels])
+        self.share = np.array([[width.share] for width in self.widths])
+        gross = [GROSS[channel.kind] if self.gross else 0.0 for channel in self.channels]
+        self.rest = np.array([[np.hypot(width.rest, more)] for width, more in zip(self.widths, gross, strict=True)])
+        self.run_offset = np.array([width.offset for width in self.widths])
+
     def _standard_deviations(self, campaign: Campaign) -> np.ndarray:
         sd = np.ones(self.size)
         for k, width in enumerate(self.widths):
             own = [width.scale, width.misalignment, width.misalignment, width.bias, width.bias_slope]
             sd[_OWN * k : _OWN * k + 7] = [*own, width.bias_slope / 3, width.scale_slope]
+            sd[_OWN * k + 10 : _OWN * (k + 1)] = width.bias_slope, width.scale_slope
         for name, place in self.mountings.items():
             stated = campaign.mountings[name].uncertainty
             sd[place : place + 3] = MOUNTING_UNSTATED if stated is None else max(2 * stated, MOUNTING_LEAST)
@@ -108,57 +131,59 @@ class ErrorModel:
 
     def terms(self, view: RunView) -> NormalTerms:
         """Return what a run adds to the normal equations."""
-        matrix, vector = np.zeros((self.size, self.size)), np.zeros(self.size)
-        square, volume, values = 0.0, 0.0, 0
         stand = view.local_to_body()
         up, earth = np.array([0.0, 0.0, view.gravity]), earth_rate(view.latitude)
         force, rate = stand @ up, view.rate_in_body(stand)
-        warm = (view.temperatures.get("temperature", np.full(view.rows, _WARM)) - _WARM) / 10
-        left_out = {"gyro": _cross(earth), "accelerometer": _cross(up)}
-        size = {"gyro": np.linalg.norm(rate, axis=1), "accelerometer": np.full(view.rows, view.gravity)}
+        felt = np.where(self.gyro[:, None, None], rate, force)  # of each channel, (K, R, 3)
+        along = felt @ self.axes.swapaxes(1, 2)
         shared = self._shared(view)
-        design = np.zeros((view.rows, _OWN + len(shared)))
-        for k, channel in enumerate(self.channels):
-            output = view.observed[:, self.places[k]]
-            there = np.isfinite(output)
-            if not there.any():
-                continue
-            gyro = channel.kind == "gyro"
-            along = (rate if gyro else force) @ channel.axes.T
-            design[:, :3], design[:, 3], design[:, 4], design[:, 5] = along, 1.0, warm, warm**2
-            design[:, 6] = warm * along[:, 0]
-            design[:, 7:10] = force @ channel.axes.T / view.gravity if gyro else 0.0
-            place = _OWN
-            if view.mounting is not None:
-                design[:, place : place + 3] = (rate if gyro else force) @ _cross(channel.axes[0])
-                place += 3
-            if view.table is not None:
-                design[:, place : place + 3] = (channel.axes[0] @ stand) @ left_out[channel.kind]
-            error = (output - channel.offset) / channel.scale_si - along[:, 0]
-            noise = (channel.noise or 0.0) / abs(channel.scale_si)
-            variance = noise**2 / view.samples + self._left_out(view, k, size[channel.kind])
-            found = _weighted(design[there], error[there], variance[there], self.widths[k])
-            own = slice(_OWN * k, _OWN * (k + 1))
-            matrix[own, own] += found.matrix[:_OWN, :_OWN]
-            matrix[own, shared] += found.matrix[:_OWN, _OWN:]
-            matrix[shared, own] += found.matrix[_OWN:, :_OWN]
-            matrix[np.ix_(shared, shared)] += found.matrix[_OWN:, _OWN:]
-            vector[own] += found.vector[:_OWN]
-            vector[shared] += found.vector[_OWN:]
-            square, volume, values = square + found.square, volume + found.volume, values + found.values
-        return NormalTerms(matrix, vector, square, volume, values)
+        design = self._design(view, stand, felt, along, np.where(self.gyro[:, None, None], earth, up), len(shared))
+        output = view.observed[:, self.places].T
+        there = np.isfinite(output)
+        error = np.where(there, (output - self.offset) / self.scale - along[:, :, 0], 0.0)
+        variance = (self.noise / self.scale) ** 2 / view.samples + self._left_out(view, np.linalg.norm(felt, axis=2))
+        found = _weighted(design, error, np.where(there, 1 / variance, 0.0), self.run_offset)
+        own = np.arange(_OWN * len(self.channels))
+        blocks = own.reshape(-1, _OWN)
+        matrix, vector = np.zeros((self.size, self.size)), np.zeros(self.size)
+        matrix[blocks[:, :, None], blocks[:, None, :]] = found.matrix[:, :_OWN, :_OWN]
+        across = found.matrix[:, :_OWN, _OWN:].reshape(len(own), len(shared))
+        matrix[np.ix_(own, shared)], matrix[np.ix_(shared, own)] = across, across.T
+        matrix[np.ix_(shared, shared)] = found.matrix[:, _OWN:, _OWN:].sum(axis=0)
+        vector[own], vector[shared] = found.vector[:, :_OWN].ravel(), found.vector[:, _OWN:].sum(axis=0)
+        volume = float(np.log(variance)[there].sum()) + found.volume
+        return NormalTerms(matrix, vector, found.square, volume, int(there.sum()))
+
+    def _design(
+        self, view: RunView, stand: np.ndarray, felt: np.ndarray, along: np.ndarray, still: np.ndarray, shared: int
+    ) -> np.ndarray:
+        """Return the response of each output to each error, shape (K, R, parameters of a channel and shared ones)."""
+        warm, converter = (
+            (view.temperatures.get(name, np.full(view.rows, _WARM)) - _WARM) / 10
+            for name in ("temperature", "converter_temperature")
+        )
+        in_g = (stand[:, :, 2] @ self.axes.swapaxes(1, 2)) * self.gyro[:, None, None]
+        design = np.empty((len(self.channels), view.rows, _OWN + shared))
+        design[:, :, :3], design[:, :, 3], design[:, :, 4], design[:, :, 5] = along, 1.0, warm, warm**2
+        design[:, :, 6], design[:, :, 7:10] = warm * along[:, :, 0], in_g
+        design[:, :, 10], design[:, :, 11] = converter, converter * along[:, :, 0]
+        place, input_axis = _OWN, self.axes[:, :1]
+        if view.mounting is not None:
+            design[:, :, place : place + 3] = np.cross(felt, input_axis)
+            place += 3
+        if view.table is not None:
+            design[:, :, place : place + 3] = np.cross(np.einsum("kj,rji->kri", self.axes[:, 0], stand), still)
+        return design
 
     def _shared(self, view: RunView) -> np.ndarray:
         places = [self.mountings[view.mounting]] if view.mounting is not None else []
         places += [self.tables[view.table]] if view.table is not None else []
         return np.concatenate([np.arange(0), *(np.arange(place, place + 3) for place in places)]).astype(int)
 
-    def _left_out(self, view: RunView, k: int, size: np.ndarray) -> np.ndarray:
-        """Return the variance of what the linear model leaves out of inputs of a size, SI, shape (R,)."""
-        width = self.widths[k]
-        found = (size * width.share) ** 2 + width.rest**2
-        found = found + GROSS[self.channels[k].kind] ** 2 if self.gross else found
-        return found if self.channels[k].kind == "gyro" else found + view.largest_rate() ** 4 * LEVER_ARM**2
+    def _left_out(self, view: RunView, size: np.ndarray) -> np.ndarray:
+        """Return the variance of what the linear model leaves out of inputs of a size, SI, shape (K, R)."""
+        arm = np.where(self.gyro[:, None], 0.0, view.largest_rate() ** 4 * LEVER_ARM**2)
+        return (size * self.share) ** 2 + self.rest**2 + arm
 
     def score(self, terms: NormalTerms) -> float:
         """Return −2 log of the evidence, up to a constant, with the g-sensitivity that the gyros show."""
@@ -190,22 +215,25 @@ class ErrorModel:
         return float(terms.square - solved @ solved)
 
 
-def _weighted(design: np.ndarray, error: np.ndarray, variance: np.ndarray, width: Widths) -> NormalTerms:
-    """Return the terms of one channel in one run; the offset of the run is integrated out."""
-    weight = 1 / variance
-    weighted = design * weight[:, None]
-    total = 1 / width.offset**2 + weight.sum()
-    mean, at = weighted.sum(axis=0), float(weight @ error)
-    matrix = design.T @ weighted - np.outer(mean, mean) / total
-    square = float(error @ (weight * error)) - at**2 / total
-    volume = float(np.log(variance).sum() + np.log(total * width.offset**2))
-    return NormalTerms(matrix, weighted.T @ error - mean * at / total, square, volume, len(error))
+@dataclass(frozen=True)
+class _Weighted:
+    """The normal equations of each channel in one run: (K, n, n), (K, n), and sums over the channels."""
+
+    matrix: np.ndarray
+    vector: np.ndarray
+    square: float
+    volume: float
 
 
-def _cross(vector: np.ndarray) -> np.ndarray:
-    """Return the matrix M of a vector v with u M = u × v."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+def _weighted(design: np.ndarray, error: np.ndarray, weight: np.ndarray, offset: np.ndarray) -> _Weighted:
+    """Return the normal equations of the channels in one run; the offset of each in the run is integrated out."""
+    weighted = design * weight[:, :, None]
+    total = 1 / offset**2 + weight.sum(axis=1)
+    mean, at = weighted.sum(axis=1), np.sum(weight * error, axis=1)
+    matrix = design.swapaxes(1, 2) @ weighted - mean[:, :, None] * mean[:, None, :] / total[:, None, None]
+    vector = np.sum(weighted * error[:, :, None], axis=1) - mean * (at / total)[:, None]
+    square = float(np.sum(weight * error**2) - np.sum(at**2 / total))
+    return _Weighted(matrix, vector, square, float(np.log(total * offset**2).sum()))
 
 
 def total(terms: Sequence[NormalTerms]) -> NormalTerms:

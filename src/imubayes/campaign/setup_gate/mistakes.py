@@ -16,30 +16,9 @@ from typing import ClassVar
 import numpy as np
 
 from imubayes.campaign.setup_gate.run_view import RunView
-from imubayes.campaign_data import Campaign, Channel
+from imubayes.campaign_data import Campaign
 
 _DEGREE = math.pi / 180
-RATE_UNITS = {
-    "rpm": 6.0, "rev/s": 360.0, "rad/s": 1 / _DEGREE, "deg/min": 1 / 60, "deg/h": 1 / 3600, "mdeg/s": 1e-3,
-    "rad/h": 1 / _DEGREE / 3600,
-}  # fmt: skip
-"""Units of rate in deg/s."""
-ANGLE_UNITS = {
-    "rad": 1 / _DEGREE, "gon": 0.9, "turns": 360.0, "arcmin": 1 / 60, "arcsec": 1 / 3600, "mrad": 1e-3 / _DEGREE,
-}  # fmt: skip
-"""Units of angle in degrees."""
-_GAINS = {
-    "gyro": {
-        "rad/s for deg/s": 1 / _DEGREE, "deg/s for rad/s": _DEGREE, "deg/h for deg/s": 3600.0,
-        "deg/s for deg/h": 1 / 3600, "deg/h for rad/s": 3600.0 * _DEGREE, "rpm for deg/s": 1 / 6, "deg/s for rpm": 6.0,
-        "mdeg/s for deg/s": 1000.0, "deg/s for mdeg/s": 1e-3,
-    },
-    "accelerometer": {
-        "m/s² for g": 9.80665, "g for m/s²": 1 / 9.80665, "mg for g": 1000.0, "g for mg": 1e-3,
-        "ft/s² for g": 32.174, "mg for m/s²": 1000 / 9.80665, "cm/s² for m/s²": 100.0,
-    },
-}  # fmt: skip
-"""Mistaken units of an output, and the factor by which it is too large."""
 
 
 @dataclass(frozen=True)
@@ -60,11 +39,16 @@ class Scope:
 
 @dataclass(frozen=True)
 class Mistake(ABC):
-    """A suspected mistake in the set-up of some runs."""
+    """A suspected mistake in the set-up of some runs.
+
+    `rarity` is −2 times the logarithm of how usual it is, over the most usual mistakes: its evidence has to make up for
+    that.
+    """
 
     scope: Scope
     kind: ClassVar[str]
     sizes: ClassVar[tuple[float, ...]] = ()
+    rarity: ClassVar[float] = 0.0
 
     @classmethod
     @abstractmethod
@@ -79,6 +63,11 @@ class Mistake(ABC):
         """Return log |det| of the change of the outputs of a run, for their density; 0 where they only move."""
         return 0.0
 
+    @property
+    def unlikelihood(self) -> float:
+        """−2 times the logarithm of how usual the mistake is where it is suspected."""
+        return self.rarity
+
 
 MISTAKES: list[type[Mistake]] = []
 """Every kind of mistake, from the most to the least usual."""
@@ -90,7 +79,8 @@ def register[Kind: type[Mistake]](kind: Kind) -> Kind:
     return kind
 
 
-def _tables(views: Sequence[RunView]) -> list[Scope]:
+def tables_of(views: Sequence[RunView]) -> list[Scope]:
+    """Return the scope of each table."""
     names = dict.fromkeys(view.table for view in views if view.table is not None)
     return [Scope("table", name, tuple(k for k, v in enumerate(views) if v.table == name)) for name in names]
 
@@ -100,41 +90,25 @@ def _mountings(views: Sequence[RunView]) -> list[Scope]:
     return [Scope("mounting", name, tuple(k for k, v in enumerate(views) if v.mounting == name)) for name in names]
 
 
-def _runs(views: Sequence[RunView], tables_only: bool = True) -> list[Scope]:
+def single_runs(views: Sequence[RunView], tables_only: bool = True) -> list[Scope]:
+    """Return the scope of each run; of those on tables alone."""
     return [Scope("run", v.name, (k,)) for k, v in enumerate(views) if v.table is not None or not tables_only]
 
 
-def _whole(views: Sequence[RunView]) -> Scope:
-    return Scope("campaign", "", tuple(range(len(views))))
+def all_runs(places: Sequence[int]) -> Scope:
+    """Return the scope of a mistake in the whole campaign."""
+    return Scope("campaign", "", tuple(places))
 
 
-def _wide_first(scopes: Sequence[Scope], runs: Sequence[Scope]) -> list[Scope]:
+def wide_first(scopes: Sequence[Scope], runs: Sequence[Scope]) -> list[Scope]:
     """Return scopes of several runs, and then the single runs that are not one of them."""
     single = {scope.runs for scope in scopes if len(scope.runs) == 1}
     return [*scopes, *(run for run in runs if run.runs not in single)]
 
 
-def _still(view: RunView) -> bool:
+def has_angles(view: RunView) -> bool:
     """Whether the angle of the table is known in some rows."""
     return bool(np.isfinite(view.angle).any()) and view.attitude is None
-
-
-@register
-@dataclass(frozen=True)
-class LatitudeSign(Mistake):
-    """The latitude has the wrong sign."""
-
-    kind: ClassVar[str] = "latitude_sign"
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield the one mistake, where there are gyros."""
-        if any(channel.kind == "gyro" for channel in campaign.channels) and campaign.site.latitude:
-            yield cls(_whole(views))
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the view on the other hemisphere."""
-        return replace(views[place], latitude=-views[place].latitude)
 
 
 @register
@@ -176,7 +150,7 @@ class MountingMislabelled(Mistake):
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield every other mounting of every run, and of all runs of a mounting."""
-        for scope in _wide_first(_mountings(views), _runs(views)):
+        for scope in wide_first(_mountings(views), single_runs(views)):
             for name, mounting in campaign.mountings.items():
                 if name != views[scope.runs[0]].mounting:
                     yield cls(scope, name, mounting.body_to_table)
@@ -193,10 +167,15 @@ class TableSense(Mistake):
 
     kind: ClassVar[str] = "table_reversed"
 
+    @property
+    def unlikelihood(self) -> float:
+        """A table turns the same way in all runs."""
+        return 6.0 if self.scope.section == "run" else 0.0
+
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield every table and every run on one."""
-        for scope in _wide_first(_tables(views), _runs(views)):
+        for scope in wide_first(tables_of(views), single_runs(views)):
             yield cls(scope)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
@@ -216,8 +195,8 @@ class TableZero(Mistake):
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield every table and run whose angle is recorded."""
-        tables = [scope for scope in _tables(views) if any(_still(views[k]) for k in scope.runs)]
-        for scope in _wide_first(tables, [run for run in _runs(views) if _still(views[run.runs[0]])]):
+        tables = [scope for scope in tables_of(views) if any(has_angles(views[k]) for k in scope.runs)]
+        for scope in wide_first(tables, [run for run in single_runs(views) if has_angles(views[run.runs[0]])]):
             yield cls(scope)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
@@ -231,6 +210,7 @@ class MountingTurned(TableZero):
     """A mounting is turned about the axis of its tables."""
 
     kind: ClassVar[str] = "mounting_turned"
+    rarity: ClassVar[float] = 8.0
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
@@ -246,12 +226,18 @@ class TableElevation(Mistake):
     """The elevation of the axis of a table is wrong."""
 
     kind: ClassVar[str] = "table_elevation"
+    rarity: ClassVar[float] = 2.0
     sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-180, 180, 30) * _DEGREE)
+
+    @property
+    def unlikelihood(self) -> float:
+        """A table is not tilted for one run."""
+        return 25.0 if self.scope.section == "run" else self.rarity
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield every table, and every run on one."""
-        for scope in _wide_first(_tables(views), _runs(views)):
+        for scope in wide_first(tables_of(views), single_runs(views)):
             yield cls(scope)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
@@ -265,13 +251,14 @@ class TableAzimuth(Mistake):
     """The azimuth of the axis of a table is wrong."""
 
     kind: ClassVar[str] = "table_azimuth"
+    rarity: ClassVar[float] = 4.0
     sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-150, 181, 30) * _DEGREE)
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield every table, where there are gyros."""
         if any(channel.kind == "gyro" for channel in campaign.channels):
-            for scope in _tables(views):
+            for scope in tables_of(views):
                 yield cls(scope)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
@@ -288,6 +275,11 @@ class ChannelsExchanged(Mistake):
     order: tuple[int, ...]
     kind: ClassVar[str] = "axes_exchanged"
 
+    @property
+    def unlikelihood(self) -> float:
+        """Cables are exchanged for all runs, or columns in one file."""
+        return 10.0 if self.scope.section == "run" else 0.0
+
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield every pair and, of three channels, both cycles; in all runs or one."""
@@ -296,7 +288,8 @@ class ChannelsExchanged(Mistake):
             orders = [((a, b), (b, a)) for a, b in itertools.combinations(places, 2)]
             orders += [((a, b, c), turned) for a, b, c in itertools.combinations(places, 3)
                        for turned in ((b, c, a), (c, a, b))]  # fmt: skip
-            for scope, (before, after) in itertools.product([_whole(views), *_runs(views, False)], orders):
+            scopes = [all_runs(range(len(views))), *single_runs(views, False)]
+            for scope, (before, after) in itertools.product(scopes, orders):
                 yield cls(scope, before, after)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
@@ -304,104 +297,6 @@ class ChannelsExchanged(Mistake):
         observed = views[place].observed.copy()
         observed[:, list(self.order)] = views[place].observed[:, list(self.places)]
         return replace(views[place], observed=observed)
-
-
-_LEAST_INPUT = {"gyro": 0.5 * _DEGREE, "accelerometer": 0.5}  # rad/s and m/s²
-
-
-def _driven(channel: Channel, views: Sequence[RunView]) -> bool:
-    """Whether a channel has an input from which its scale factor shows.
-
-    Without one a large factor would only make the errors of the channel small.
-    """
-    for view in views:
-        stand = view.local_to_body()
-        felt = view.rate_in_body(stand) if channel.kind == "gyro" else stand[:, :, 2] * view.gravity
-        if np.abs(felt @ channel.axes[0]).max() > _LEAST_INPUT[channel.kind]:
-            return True
-    return False
-
-
-@register
-@dataclass(frozen=True)
-class ChannelGain(Mistake):
-    """Channels respond with a factor: another sign, or another unit (`units`)."""
-
-    channels: tuple[str, ...]
-    places: tuple[int, ...]
-    offsets: tuple[float, ...]
-    factor: float
-    units: str
-    kind: ClassVar[str] = "channel_unit"
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every channel and all of a kind, in all runs or one."""
-        for kind, gains in _GAINS.items():
-            places = [k for k, channel in enumerate(campaign.channels) if channel.kind == kind]
-            groups = [(k,) for k in places] + ([tuple(places)] if len(places) > 1 else [])
-            factors = {"": -1.0} | gains
-            for scope, group in itertools.product([_whole(views), *_runs(views, False)], groups):
-                channels = [campaign.channels[k] for k in group]
-                if not all(_driven(channel, [views[k] for k in scope.runs]) for channel in channels):
-                    continue
-                names, offsets = tuple(c.name for c in channels), tuple(c.offset for c in channels)
-                for units, factor in factors.items():
-                    yield cls(scope, names, group, offsets, factor, units)
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the outputs divided by the factor."""
-        observed, at = views[place].observed.copy(), list(self.places)
-        observed[:, at] = self.offsets + (observed[:, at] - self.offsets) / self.factor
-        return replace(views[place], observed=observed)
-
-    def rescaled(self, view: RunView) -> float:
-        """Return the number of outputs divided by the factor, times its logarithm."""
-        return float(np.isfinite(view.observed[:, list(self.places)]).sum() * np.log(abs(self.factor)))
-
-
-@register
-@dataclass(frozen=True)
-class RateUnit(Mistake):
-    """The rate column is in another unit."""
-
-    unit: str
-    kind: ClassVar[str] = "rate_unit"
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every unit for every table and run that turns."""
-        turning = [scope for scope in _tables(views) if any(np.any(views[k].rate) for k in scope.runs)]
-        runs = [scope for scope in _runs(views) if np.any(views[scope.runs[0]].rate)]
-        for scope, unit in itertools.product(_wide_first(turning, runs), RATE_UNITS):
-            yield cls(scope, unit)
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the rate converted."""
-        return replace(views[place], rate=views[place].rate * RATE_UNITS[self.unit])
-
-
-@register
-@dataclass(frozen=True)
-class AngleUnit(Mistake):
-    """The angle column is in another unit."""
-
-    unit: str
-    kind: ClassVar[str] = "angle_unit"
-
-    @classmethod
-    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield every unit for every table and run at several angles."""
-        several = [k for k, view in enumerate(views) if _still(view) and np.nanmax(np.abs(view.angle)) > 0]
-        tables = [scope for scope in _tables(views) if set(scope.runs) & set(several)]
-        runs = [scope for scope in _runs(views) if scope.runs[0] in several]
-        for scope, unit in itertools.product(_wide_first(tables, runs), ANGLE_UNITS):
-            yield cls(scope, unit)
-
-    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the angles converted."""
-        factor = ANGLE_UNITS[self.unit]
-        return replace(views[place], angle=views[place].angle * factor, span=views[place].span * factor)
 
 
 @register
@@ -458,10 +353,15 @@ class MountingWrong(Mistake):
     transposed: bool
     kind: ClassVar[str] = "mounting_wrong"
 
+    @property
+    def unlikelihood(self) -> float:
+        """A mounting is the same in all its runs."""
+        return 15.0 if self.scope.section == "run" else 8.0
+
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield the transpose and the other orientations for every mounting and every run."""
-        for scope in _wide_first(_mountings(views), _runs(views)):
+        for scope in wide_first(_mountings(views), single_runs(views)):
             matrix = views[scope.runs[0]].body_to_table
             if not np.allclose(matrix, matrix.T, atol=1e-6):
                 yield cls(scope, matrix.T, True)

@@ -5,7 +5,7 @@ values of data sheets (see `imubayes.parameters.unit_grades`), since the model o
 linear model leaves out, nonlinearity and cross coupling above all, is a share of the input.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from imubayes.parameters.unit_grades import Grade
 from imubayes.units import to_si
@@ -35,6 +35,10 @@ class Widths:
     share: float
     rest: float
 
+    def steadier(self, factor: float) -> "Widths":
+        """Return the widths of a unit with so much smaller run offsets and nonlinearities."""
+        return replace(self, offset=self.offset * factor, share=self.share * factor, rest=self.rest * factor)
+
 
 _GYRO = {
     "navigation": Widths(0.005, 0.3 * _DEG, _DEG_S, 10 * _DEG_H, 50 * _DEG_H, 0.001, 0.002, 1.0 * _DEG_H),
@@ -51,6 +55,9 @@ _ACCELEROMETER = {
 G_SENSITIVITIES = (1.5 * _DEG_H, 5 * _DEG_H, 15 * _DEG_H, 50 * _DEG_H, 150 * _DEG_H, 500 * _DEG_H)
 """Standard deviations of the g-sensitivity of gyros that are tried, rad/s per g: gyros of a make share it, and no
 data sheet of a grade tells it within a factor of ten."""
+STEADINESS = (1.0, 0.3, 0.1, 0.03)
+"""Factors of run offsets and nonlinearities that are tried where a small input or a temperature is at stake: a good
+unit tells what the errors of a poor one conceal."""
 GROSS = {"gyro": 0.1 * _DEG_S, "accelerometer": 20 * _MG}
 """Standard deviation of errors at zero input beyond which outputs contradict the set-up although no mistake is known
 that explains it; smaller ones are the business of a diagnosis."""

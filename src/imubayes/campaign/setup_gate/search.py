@@ -1,17 +1,23 @@
 """The search for the mistake that explains why a campaign does not show what its set-up says.
 
 Evidence of the set-up as stated is compared with that of every suspected correction.  The misfit of the linear model of
-plausible errors tells a valid campaign: there only the mistakes are tried that such errors could conceal.
+plausible errors tells a campaign without gross mistakes.  There only the mistakes are tried that such errors could
+conceal, and the unit is taken for as steady as its outputs show (`hidden_mistakes`).
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, total
-from imubayes.campaign.setup_gate.mistakes import MISTAKES, LatitudeSign, Mistake
-from imubayes.campaign.setup_gate.run_view import views_of
+from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake, TableAzimuth
+from imubayes.campaign.setup_gate.plausible_errors import STEADINESS
+from imubayes.campaign.setup_gate.run_view import RunView, views_of
+from imubayes.campaign.setup_gate.site_mistakes import LATITUDE_MISTAKES, LatitudeSign
+from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
+from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES
 from imubayes.campaign_data import Campaign
 
 ORDINARY_MISFIT, ORDINARY_ERROR = 1.0, 3.5
@@ -19,12 +25,20 @@ ORDINARY_MISFIT, ORDINARY_ERROR = 1.0, 3.5
 the linear model is assumed several times as large as it is in good units: shipped campaigns, hidden effects included,
 have a misfit of 0.01 to 0.4 and errors within 1.6 standard deviations."""
 DECISIVE = 25.0
-"""Gain in twice the log evidence for a mistake to be named: odds of e^12 to 1 outweigh some thousand suspected mistakes
-and priors of 1 in 100."""
+"""Gain in twice the log evidence, less the `unlikelihood` of a mistake, for it to be named: odds of e^12 to 1 outweigh
+some thousand suspected mistakes and priors of 1 in 100."""
 DECISIVE_LATITUDE = 10.0
 """The same for the sign of the latitude, which is a single suspected mistake; up to `DECISIVE` it is a warning."""
+MOST_MISFIT_LEFT = 1.25
+"""Misfit per output of a unit that is taken for steady, up to which a correction explains its outputs.  Of a unit that
+is taken for too steady any correction explains something."""
+LEAST_TURN = math.radians(25.0)
+"""Least error of an azimuth that is doubted where plausible errors would explain the outputs as well: the Earth rate
+of a tactical gyro tells no less."""
 LEAST_SHARE = 0.98
 """Least share of the excess misfit that the correction of a mistake removes."""
+MOST_MISTAKES, TRIED_FIRST = 3, 4
+"""Mistakes that are looked for together, and how many of the best are tried as the first of several."""
 EQUIVALENT = 10.0
 """Mistakes whose gain is within this of the best are equally good explanations."""
 _REFINEMENTS = 4
@@ -40,6 +54,11 @@ class Explanation:
     gain: float
     misfit: float
 
+    @property
+    def support(self) -> float:
+        """The gain less what speaks against the mistake beforehand."""
+        return self.gain - self.mistake.unlikelihood
+
 
 @dataclass(frozen=True)
 class Judgement:
@@ -47,27 +66,68 @@ class Judgement:
 
     Attributes
     ----------
-    explanations : equally good ones, the most usual mistake first; empty where there is none.
+    mistakes : each with its equally good explanations, the best first; empty where there is none.
     misfit : of the set-up as stated, per output.
     unexplained : run → misfit per output of the runs that disagree, where no mistake explains it.
     """
 
-    explanations: tuple[Explanation, ...] = ()
+    mistakes: tuple[tuple[Explanation, ...], ...] = ()
     misfit: float = 0.0
     unexplained: tuple[tuple[str, float], ...] = ()
 
 
 def judge_setup(campaign: Campaign) -> Judgement:
-    """Return the mistake in the set-up of a campaign, if its outputs show one."""
+    """Return the mistakes in the set-up of a campaign, if its outputs show any."""
     search = Search(campaign)
     if not search.views or not search.total.values:
         return Judgement()
-    found = list(search.explanations())
-    if not found:
-        return Judgement(misfit=search.misfit, unexplained=tuple(search.disagreements()))
-    best = max(found, key=lambda each: each.gain)
-    equal = [each for each in found if each.gain >= best.gain - EQUIVALENT]
-    return Judgement(tuple(_distinct(equal)), search.misfit)
+    if search.ordinary:
+        hidden = hidden_mistakes(campaign)
+        return Judgement((_equally_good(hidden),) if hidden else (), search.misfit)
+    if found := search.several_mistakes(MOST_MISTAKES):
+        return Judgement(tuple(found), search.misfit)
+    return Judgement(misfit=search.misfit, unexplained=tuple(search.disagreements()))
+
+
+def _equally_good(found: Sequence[Explanation]) -> tuple[Explanation, ...]:
+    """Return the best explanations, the first of each kind and scope."""
+    best = max(each.support for each in found)
+    equal = [each for each in found if each.support >= best - EQUIVALENT]
+    return tuple(_distinct(sorted(equal, key=lambda each: -each.support)))
+
+
+def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
+    """Return the mistakes that explain the outputs of a campaign decisively although plausible errors would do.
+
+    A small input, such as the Earth rate or what a temperature does, shows in a good unit only.  How good it is follows
+    from the outputs themselves: of several degrees of steadiness that of most evidence is taken, for the set-up as
+    stated and for each correction.
+    """
+    searches = [Search(campaign, steadiness) for steadiness in STEADINESS]
+    # The outputs of a unit look no steadier with a mistake than without.
+    first = min(range(len(searches)), key=lambda k: searches[k].stated)
+    stated, searches = searches[first].stated, searches[first:]
+    found = []
+    for kind in (*LATITUDE_MISTAKES, TableAzimuth, *TEMPERATURE_MISTAKES):
+        for mistake in kind.suspected(campaign, searches[0].views):
+            tried = [(search.stated, search.explain(mistake)) for search in searches]
+            well = [(own - each.gain, each) for own, each in tried if each.misfit < MOST_MISFIT_LEFT]
+            if well:
+                score, best = min(well, key=lambda pair: pair[0])
+                found.append(Explanation(mistake, best.size, stated - score, best.misfit))
+    return [each for each in found if each.support > _bar(each.mistake) and not _small(each)]
+
+
+def _small(found: Explanation) -> bool:
+    return isinstance(found.mistake, TableAzimuth) and abs(found.size) < LEAST_TURN
+
+
+def _support(first: Explanation, rest: Sequence[tuple[Explanation, ...]]) -> float:
+    return first.support + sum(equal[0].support for equal in rest)
+
+
+def _bar(mistake: Mistake) -> float:
+    return DECISIVE_LATITUDE if isinstance(mistake, LatitudeSign) else DECISIVE
 
 
 def _distinct(found: Sequence[Explanation]) -> Iterator[Explanation]:
@@ -83,12 +143,13 @@ def _distinct(found: Sequence[Explanation]) -> Iterator[Explanation]:
 class Search:
     """Evidence of a campaign as stated, and of corrected ones."""
 
-    def __init__(self, campaign: Campaign):
+    def __init__(self, campaign: Campaign, steadiness: float = 1.0, views: Sequence[RunView] | None = None):
         self.campaign = campaign
-        self.views = views_of(campaign)
+        self.views = views_of(campaign) if views is None else tuple(views)
         if not self.views:
             return
-        self.model = ErrorModel(campaign)
+        self.model = ErrorModel(campaign, steadiness=steadiness)
+        self.known: dict[tuple[int, tuple[bytes | str | float, ...]], NormalTerms] = {}
         self.terms = [self.model.terms(view) for view in self.views]
         self.total = total(self.terms)
         self.stated = self.model.score(self.total)
@@ -100,22 +161,40 @@ class Search:
         largest = float(np.abs(self.model.errors(self.total)).max())
         return self.misfit < ORDINARY_MISFIT and largest < ORDINARY_ERROR
 
-    def explanations(self) -> Iterator[Explanation]:
-        """Yield the mistakes that explain the outputs decisively, each kind in the order of the registry."""
-        latitude_only = self.ordinary
-        suspects = set() if latitude_only else self.suspects()
-        for kind in [LatitudeSign] if latitude_only else MISTAKES:
+    def several_mistakes(self, most: int) -> list[tuple[Explanation, ...]]:
+        """Return the fewest mistakes that explain the outputs together; none where so many do not."""
+        found = [each for each in self._suspected() if each.support > DECISIVE]
+        whole = [each for each in found if self._explains(each)]
+        if whole:
+            return [_equally_good(whole)]
+        if most == 1:
+            return []
+        # The first of several need not be the one that gains most: two wrong files may look like one wrong table.
+        partial = list(_distinct(sorted(found, key=lambda each: -each.support)))[:TRIED_FIRST]
+        chains = [(each, self._corrected_by(each).several_mistakes(most - 1)) for each in partial]
+        chains = [(each, rest) for each, rest in chains if rest]
+        if not chains:
+            return []
+        first, rest = min(chains, key=lambda chain: (len(chain[1]), -_support(chain[0], chain[1])))
+        return [(first,), *rest]
+
+    def _corrected_by(self, found: Explanation) -> "Search":
+        """Return the search in the campaign without a mistake."""
+        views = list(self.views)
+        for place in found.mistake.scope.runs:
+            views[place] = found.mistake.corrected(self.views, place, found.size)
+        return Search(self.campaign, views=views)
+
+    def _suspected(self) -> Iterator[Explanation]:
+        suspects = self.suspects()
+        for kind in (*MISTAKES, *UNIT_MISTAKES):
             for mistake in kind.suspected(self.campaign, self.views):
                 if mistake.scope.section != "run" or suspects.issuperset(mistake.scope.runs):
-                    found = self.explain(mistake)
-                    if self._explains(found):
-                        yield found
+                    yield self.explain(mistake)
 
     def _explains(self, found: Explanation) -> bool:
-        if isinstance(found.mistake, LatitudeSign):
-            return found.gain > DECISIVE_LATITUDE
         excess, left = self.misfit - ORDINARY_MISFIT / 2, found.misfit - ORDINARY_MISFIT / 2
-        return found.gain > DECISIVE and (excess <= 0 or left < (1 - LEAST_SHARE) * excess)
+        return excess <= 0 or left < (1 - LEAST_SHARE) * excess
 
     def disagreements(self) -> list[tuple[str, float]]:
         """Return the runs that disagree with the others and their misfit per output, worst first."""
@@ -177,8 +256,33 @@ class Search:
         return terms
 
     def _terms(self, mistake: Mistake, place: int, size: float) -> NormalTerms:
-        found = self.model.terms(mistake.corrected(self.views, place, size))
+        found = self._seen(mistake, place, size)
         whole = self.terms[place].values
         # Rows without stimulus, at the end of a shifted run, count like the others on average.
         found = found if found.values in (whole, 0) else found.scaled(whole / found.values)
         return found.with_volume(2 * mistake.rescaled(self.views[place]))
+
+    def _seen(self, mistake: Mistake, place: int, size: float) -> NormalTerms:
+        """Return the terms of a corrected run; the same correction is tried of a run, of its table and its mounting."""
+        view = mistake.corrected(self.views, place, size)
+        key = (place, _identity(view, self.views[place]))
+        if key not in self.known:
+            self.known[key] = self.model.terms(view)
+        return self.known[key]
+
+
+def _identity(view: RunView, stated: RunView) -> tuple[bytes | str | float, ...]:
+    """Return what tells a corrected view from others of the same run."""
+    found: list[bytes | str | float] = []
+    for each in fields(RunView):
+        value = getattr(view, each.name)
+        if value is getattr(stated, each.name):
+            continue
+        found.append(each.name)
+        if isinstance(value, np.ndarray):
+            found.append(value.tobytes())
+        elif isinstance(value, Mapping):
+            found += [part for name, array in value.items() for part in (name, array.tobytes())]
+        else:
+            found.append(value)
+    return tuple(found)

@@ -1,0 +1,351 @@
+"""How every kind of set-up mistake is said: what is wrong, where it stands, and the line to write instead."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.campaign.file_schemas import CampaignFile
+from imubayes.campaign.setup_gate.mistakes import (
+    ChannelsExchanged,
+    FilesExchanged,
+    Mistake,
+    MountingMislabelled,
+    MountingWrong,
+)
+from imubayes.campaign.setup_gate.search import Explanation
+from imubayes.campaign.setup_gate.temperature_mistakes import TemperatureReversed, TemperatureUnit
+from imubayes.campaign.setup_gate.unit_mistakes import ANGLE_UNITS, RATE_UNITS, AngleUnit, ChannelGain, RateUnit
+from imubayes.campaign.toml_documents import Ledger
+from imubayes.campaign_data import Campaign
+
+_COLUMN = {"temperature": "temperature_degC", "converter_temperature": "converter_temperature_degC"}
+
+
+@dataclass(frozen=True)
+class Words:
+    """How a mistake is said: what is wrong, where it stands, what would be right, and what to do."""
+
+    what: str
+    where: str
+    allowed: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where what a campaign says stands in its files."""
+
+    entry: CampaignFile
+    ledger: Ledger
+
+    def table(self, run: str) -> str:
+        """Return the path of the table of a run."""
+        return str(self.ledger.file.parent / self.file(run))
+
+    def file(self, run: str) -> str:
+        """Return the file of a run as the campaign states it."""
+        return next((entry.file for entry in self.entry.run if entry.name == run), self.ledger.file.name)
+
+    def line(self, section: str, name: str, key: str) -> str:
+        """Return file, line and key of an entry of the campaign."""
+        named = {"table": self.entry.table, "mounting": self.entry.mounting, "channel": self.entry.channel}
+        members = [each.name for each in (self.entry.run if section == "run" else named[section])]
+        return self.ledger.where(section, members.index(name), key)
+
+    def site(self, key: str) -> str:
+        """Return file, line and key of an entry of the site."""
+        return self.ledger.where("site", key)
+
+    def zero(self, table: str) -> float:
+        """Return the stated reading of the angle at the zero of a table, deg."""
+        return next((entry.zero_angle_deg for entry in self.entry.table if entry.name == table), 0.0)
+
+    def column(self, mistake: Mistake, column: str) -> str:
+        """Return where a column of the runs concerned stands."""
+        if mistake.scope.section == "run":
+            return f"{self.table(mistake.scope.name)}, column '{column}'"
+        return f"{self.ledger.file}, column '{column}' of the runs"
+
+
+def _subject(mistake: Mistake) -> str:
+    scope = mistake.scope
+    if scope.section == "run":
+        return f"in run '{scope.name}'"
+    if scope.section == "campaign":
+        return "in all runs"
+    return f"in all runs on table '{scope.name}'" if scope.section == "table" else f"in all runs in '{scope.name}'"
+
+
+def _degrees(angle: float) -> float:
+    """Return an angle in deg as one would state it: whole where it is nearly that, else to a tenth."""
+    whole = round(angle)
+    return float(whole) if abs(angle - whole) < 0.3 else round(angle, 1)
+
+
+def _folded(angle: float) -> float:
+    """Return an angle in deg, within −180 … 180, the end above included."""
+    folded = _degrees((angle + 180) % 360 - 180)
+    return 180.0 if folded == -180 else folded + 0.0
+
+
+def _zero(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    mistake, subject, off = found.mistake, _subject(found.mistake), _folded(-math.degrees(found.size))
+    what = f"the zero of the table angle is off by {off:+g} deg {subject}"
+    allowed = "angles from the zero, at which the table axes are as azimuth and elevation say"
+    if mistake.scope.section == "table":
+        zero = _folded(places.zero(mistake.scope.name) + off)
+        where = places.line("table", mistake.scope.name, "zero_angle_deg")
+        remedy = f"write zero_angle_deg = {zero:g} for table '{mistake.scope.name}'"
+        return Words(what, where, allowed, remedy)
+    remedy = f"add {_folded(-off):+g} to column 'table_angle_deg' of {places.file(mistake.scope.name)}"
+    return Words(what, places.column(mistake, "table_angle_deg"), allowed, remedy)
+
+
+def _turned(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    name, by = found.mistake.scope.name, _folded(math.degrees(found.size))
+    turn = math.radians(by)
+    about = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
+    return Words(
+        f"mounting '{name}' is turned by {by:+g} deg about the axis of the table",
+        places.line("mounting", name, "body_to_table"),
+        "body_to_table of the unit as it was mounted",
+        f"write body_to_table = {_rows(about @ campaign.mountings[name].body_to_table)}, or correct the angles",
+    )
+
+
+def _rows(matrix: np.ndarray) -> str:
+    return str((np.round(matrix, 6) + 0.0).tolist())
+
+
+def _sense(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    return Words(
+        f"the table turns against the stated sense {_subject(found.mistake)}",
+        places.column(found.mistake, "table_angle_deg"),
+        "rates and angles right-handed about the axis of the table",
+        f"reverse the sign of 'table_rate_deg_s' and 'table_angle_deg' {_subject(found.mistake)}",
+    )
+
+
+def _table_of(campaign: Campaign, mistake: Mistake) -> str:
+    if mistake.scope.section == "table":
+        return mistake.scope.name
+    return next(str(run.table) for run in campaign.runs if run.name == mistake.scope.name)
+
+
+def _elevation(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    name = _table_of(campaign, found.mistake)
+    stated = math.degrees(campaign.tables[name].elevation)
+    actual = _folded(stated + math.degrees(found.size))
+    over = abs(actual) > 90
+    elevation = math.copysign(180, actual) - actual if over else actual
+    return Words(
+        f"the elevation of the axis of table '{name}' is {elevation:g} deg, not {stated:g} deg "
+        f"{_subject(found.mistake)}",
+        places.line("table", name, "elevation_deg"),
+        "the elevation of the axis above the horizontal",
+        f"write elevation_deg = {elevation:g}" + (", and turn azimuth_deg and zero_angle_deg by 180" if over else ""),
+    )
+
+
+def _azimuth(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    name = found.mistake.scope.name
+    stated = math.degrees(campaign.tables[name].azimuth)
+    actual = round(stated + math.degrees(found.size)) % 360
+    return Words(
+        f"the azimuth of the axis of table '{name}' is about {actual:g} deg, not {stated:g} deg",
+        places.line("table", name, "azimuth_deg"),
+        "the azimuth of the axis, clockwise from North",
+        f"write azimuth_deg = {actual:g}, as exactly as it is known",
+    )
+
+
+def _label(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    mistake = found.mistake
+    assert isinstance(mistake, MountingMislabelled)
+    name = mistake.scope.name
+    what = f"the unit sat in mounting '{mistake.actual}' {_subject(mistake)}"
+    if mistake.scope.section == "run":
+        remedy = f"write mounting = \"{mistake.actual}\" for run '{name}'"
+        return Words(what, places.line("run", name, "mounting"), "the mounting that the run was made in", remedy)
+    remedy = f"write body_to_table = {_rows(mistake.matrix)} for mounting '{name}', that of '{mistake.actual}'"
+    return Words(what, places.line("mounting", name, "body_to_table"), "the orientation of the unit", remedy)
+
+
+def _files(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    mistake = found.mistake
+    assert isinstance(mistake, FilesExchanged)
+    first, second = mistake.scope.name, mistake.second
+    return Words(
+        f"the tables of runs '{first}' and '{second}' are exchanged",
+        f"{places.line('run', first, 'file')} and {places.line('run', second, 'file')}",
+        "the file of the run itself",
+        f"exchange them: write file = \"{places.file(second)}\" for run '{first}' and "
+        f"file = \"{places.file(first)}\" for run '{second}'",
+    )
+
+
+def _matrix(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    mistake = found.mistake
+    assert isinstance(mistake, MountingWrong)
+    name, run = mistake.scope.name, mistake.scope.section == "run"
+    what = "the transpose of body_to_table fits" if mistake.transposed else "the unit sat in another orientation"
+    remedy = f"write body_to_table = {_rows(mistake.matrix)}"
+    return Words(
+        f"{what} {_subject(mistake)}",
+        places.line("run", name, "mounting") if run else places.line("mounting", name, "body_to_table"),
+        "column k of body_to_table is body axis k in the table frame",
+        f"{remedy} in a mounting of its own" if run else f"{remedy} for mounting '{name}'",
+    )
+
+
+def _latitude(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    latitude = math.degrees(campaign.site.latitude)
+    return Words(
+        f"the gyros show the Earth rate at latitude {-latitude:.6g} deg, not {latitude:.6g} deg",
+        places.site("latitude_deg"),
+        "degrees, positive north of the equator",
+        f"write latitude_deg = {-latitude:.6g}",
+    )
+
+
+def _latitude_value(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    latitude, actual = math.degrees(campaign.site.latitude), round(math.degrees(found.size))
+    return Words(
+        f"the gyros show the Earth rate at a latitude of about {actual} deg, not {latitude:.6g} deg",
+        places.site("latitude_deg"),
+        "degrees, positive north of the equator",
+        f"write latitude_deg = {actual}, as exactly as it is known",
+    )
+
+
+def _channels(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    mistake = found.mistake
+    assert isinstance(mistake, ChannelsExchanged)
+    pairs = [(campaign.channels[a].name, campaign.channels[b].name) for a, b in
+             zip(mistake.places, mistake.order, strict=True)]  # fmt: skip
+    columns = ", ".join(f"'{name}'" for name, _ in pairs)
+    return Words(
+        f"channels {columns} are exchanged {_subject(mistake)}",
+        places.column(mistake, pairs[0][0]),
+        "every channel in its own column, with its own input_axis",
+        "rename the columns: " + ", ".join(f"'{a}' holds '{b}'" for a, b in pairs),
+    )
+
+
+def _gain(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    mistake = found.mistake
+    assert isinstance(mistake, ChannelGain)
+    subject, names = _subject(mistake), ", ".join(f"'{name}'" for name in mistake.channels)
+    noun = "channel" if len(mistake.channels) == 1 else "channels"
+    run = mistake.scope.section == "run"
+    chosen = [channel for channel in campaign.channels if channel.name in mistake.channels]
+    key = "scale" if mistake.units else "input_axis"
+    where = places.column(mistake, mistake.channels[0]) if run else places.line("channel", mistake.channels[0], key)
+    if not mistake.units:
+        axes = "; ".join(f"input_axis = {(-c.axes[0].round(6) + 0.0).tolist()} for '{c.name}'" for c in chosen)
+        return Words(
+            f"{noun} {names} reversed in sign {subject}", where, "outputs that rise with the input along input_axis",
+            f"reverse the sign of the columns {names} {subject}" if run else f"write {axes} (and reverse output_axis)",
+        )  # fmt: skip
+    scales = "; ".join(f"scale = {c.scale * mistake.factor:.6g} for '{c.name}'" for c in chosen)
+    factor, large = mistake.factor, mistake.factor > 1
+    size = f"{factor if large else 1 / factor:.4g} times too {'large' if large else 'small'}"
+    return Words(
+        f"{noun} {names} {size} {subject}: {mistake.units}?", where,
+        "outputs in 'output_unit', 'scale' of them per 'per'",
+        f"divide the columns {names} by {mistake.factor:.6g} {subject}" if run
+        else f"write {scales}, or correct 'per', or divide the columns by {mistake.factor:.6g}",
+    )  # fmt: skip
+
+
+def _rate(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    assert isinstance(found.mistake, RateUnit)
+    unit = found.mistake.unit
+    return _unit(found.mistake, places, "table_rate_deg_s", unit, RATE_UNITS[unit], "degrees per second")
+
+
+def _angle(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    assert isinstance(found.mistake, AngleUnit)
+    unit = found.mistake.unit
+    return _unit(found.mistake, places, "table_angle_deg", unit, ANGLE_UNITS[unit], "degrees")
+
+
+def _unit(mistake: Mistake, places: Places, column: str, unit: str, factor: float, allowed: str) -> Words:
+    return Words(
+        f"column '{column}' is in {unit} {_subject(mistake)}",
+        places.column(mistake, column),
+        allowed,
+        f"multiply '{column}' by {factor:.10g} {_subject(mistake)}",
+    )
+
+
+def _time(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    subject, runs = _subject(found.mistake), {run.name: run for run in campaign.runs}
+    run, size = runs.get(found.mistake.scope.name), round(2 * found.size) / 2
+    seconds = ""
+    if run is not None and "time" in run.covariates and run.rows > 1:
+        seconds = f" ({abs(found.size) * float(np.median(np.diff(run.covariates['time']))):.3g} s)"
+    sense = "later" if found.size > 0 else "earlier"
+    return Words(
+        f"the outputs stand {abs(size):g} rows{seconds} {sense} than the columns of the table {subject}",
+        places.column(found.mistake, "time_s"),
+        "outputs and table recorded on one clock",
+        f"shift the outputs by {-size:+g} rows{seconds} against the columns of the table {subject}",
+    )
+
+
+def _fahrenheit(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    mistake = found.mistake
+    assert isinstance(mistake, TemperatureUnit)
+    columns = " and ".join(f"'{_COLUMN[name]}'" for name in mistake.names)
+    return Words(
+        f"column {columns} in degrees Fahrenheit {_subject(mistake)}",
+        places.column(mistake, _COLUMN[mistake.names[0]]),
+        "degrees Celsius",
+        f"replace T by (T - 32) / 1.8 in {columns} {_subject(mistake)}",
+    )
+
+
+def _thermometers(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    return Words(
+        f"columns 'temperature_degC' and 'converter_temperature_degC' are exchanged {_subject(found.mistake)}",
+        places.column(found.mistake, _COLUMN["temperature"]),
+        "the temperature of the sensors, and that of the converter",
+        f"exchange the names of the two columns {_subject(found.mistake)}",
+    )
+
+
+def _backwards(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    assert isinstance(found.mistake, TemperatureReversed)
+    column = _COLUMN[found.mistake.name]
+    return Words(
+        f"column '{column}' runs backwards in time {_subject(found.mistake)}",
+        places.column(found.mistake, column),
+        "temperatures in the order of the rows",
+        f"reverse the order of column '{column}' {_subject(found.mistake)}",
+    )
+
+
+REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Words]] = {
+    "latitude_sign": _latitude,
+    "latitude_value": _latitude_value,
+    "files_exchanged": _files,
+    "mounting_mislabelled": _label,
+    "table_reversed": _sense,
+    "table_zero": _zero,
+    "mounting_turned": _turned,
+    "table_elevation": _elevation,
+    "table_azimuth": _azimuth,
+    "axes_exchanged": _channels,
+    "channel_unit": _gain,
+    "rate_unit": _rate,
+    "angle_unit": _angle,
+    "time_shift": _time,
+    "mounting_wrong": _matrix,
+    "temperature_unit": _fahrenheit,
+    "thermometers_exchanged": _thermometers,
+    "temperature_reversed": _backwards,
+}
+"""Kind of mistake → how it is said."""

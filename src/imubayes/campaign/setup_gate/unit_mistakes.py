@@ -1,0 +1,148 @@
+"""Mistakes in units and signs: of channels, and of the columns of rate and angle."""
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from imubayes.campaign.setup_gate.mistakes import (
+    Mistake,
+    all_runs,
+    has_angles,
+    single_runs,
+    tables_of,
+    wide_first,
+)
+from imubayes.campaign.setup_gate.run_view import RunView
+from imubayes.campaign_data import Campaign, Channel
+
+_DEGREE = math.pi / 180
+RATE_UNITS = {
+    "rpm": 6.0, "rev/s": 360.0, "rad/s": 1 / _DEGREE, "deg/min": 1 / 60, "deg/h": 1 / 3600, "mdeg/s": 1e-3,
+    "rad/h": 1 / _DEGREE / 3600,
+}  # fmt: skip
+"""Units of rate in deg/s."""
+ANGLE_UNITS = {
+    "rad": 1 / _DEGREE, "gon": 0.9, "turns": 360.0, "arcmin": 1 / 60, "arcsec": 1 / 3600, "mrad": 1e-3 / _DEGREE,
+}  # fmt: skip
+"""Units of angle in degrees."""
+_GAINS = {
+    "gyro": {
+        "rad/s for deg/s": 1 / _DEGREE, "deg/s for rad/s": _DEGREE, "deg/h for deg/s": 3600.0,
+        "deg/s for deg/h": 1 / 3600, "deg/h for rad/s": 3600.0 * _DEGREE, "rpm for deg/s": 1 / 6, "deg/s for rpm": 6.0,
+        "mdeg/s for deg/s": 1000.0, "deg/s for mdeg/s": 1e-3,
+    },
+    "accelerometer": {
+        "m/s² for g": 9.80665, "g for m/s²": 1 / 9.80665, "mg for g": 1000.0, "g for mg": 1e-3,
+        "ft/s² for g": 32.174, "mg for m/s²": 1000 / 9.80665, "cm/s² for m/s²": 100.0,
+    },
+}  # fmt: skip
+"""Mistaken units of an output, and the factor by which it is too large."""
+_LEAST_INPUT = {"gyro": 0.5 * _DEGREE, "accelerometer": 0.5}  # rad/s and m/s²
+
+
+def _driven(channel: Channel, views: Sequence[RunView]) -> bool:
+    """Whether a channel has an input from which its scale factor shows.
+
+    Without one a large factor would only make the errors of the channel small.
+    """
+    for view in views:
+        stand = view.local_to_body()
+        felt = view.rate_in_body(stand) if channel.kind == "gyro" else stand[:, :, 2] * view.gravity
+        if np.abs(felt @ channel.axes[0]).max() > _LEAST_INPUT[channel.kind]:
+            return True
+    return False
+
+
+@dataclass(frozen=True)
+class ChannelGain(Mistake):
+    """Channels respond with a factor: another sign, or another unit (`units`)."""
+
+    channels: tuple[str, ...]
+    places: tuple[int, ...]
+    offsets: tuple[float, ...]
+    factor: float
+    units: str
+    kind: ClassVar[str] = "channel_unit"
+
+    @property
+    def unlikelihood(self) -> float:
+        """A unit or a sign is that of a channel in all runs, a unit that of all channels of a kind."""
+        single = len(self.channels) == 1
+        if self.scope.section == "run":
+            return (30.0 if single else 15.0) if self.units else 15.0
+        return (8.0 if single else 2.0) if self.units else (0.0 if single else 8.0)
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every channel and all of a kind, in all runs or one."""
+        for kind, gains in _GAINS.items():
+            places = [k for k, channel in enumerate(campaign.channels) if channel.kind == kind]
+            groups = [(k,) for k in places] + ([tuple(places)] if len(places) > 1 else [])
+            factors = {"": -1.0} | gains
+            scopes = [all_runs(range(len(views))), *single_runs(views, False)]
+            for scope, group in itertools.product(scopes, groups):
+                channels = [campaign.channels[k] for k in group]
+                if not all(_driven(channel, [views[k] for k in scope.runs]) for channel in channels):
+                    continue
+                names, offsets = tuple(c.name for c in channels), tuple(c.offset for c in channels)
+                for units, factor in factors.items():
+                    yield cls(scope, names, group, offsets, factor, units)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the outputs divided by the factor."""
+        observed, at = views[place].observed.copy(), list(self.places)
+        observed[:, at] = self.offsets + (observed[:, at] - self.offsets) / self.factor
+        return replace(views[place], observed=observed)
+
+    def rescaled(self, view: RunView) -> float:
+        """Return the number of outputs divided by the factor, times its logarithm."""
+        return float(np.isfinite(view.observed[:, list(self.places)]).sum() * np.log(abs(self.factor)))
+
+
+@dataclass(frozen=True)
+class RateUnit(Mistake):
+    """The rate column is in another unit."""
+
+    unit: str
+    kind: ClassVar[str] = "rate_unit"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every unit for every table and run that turns."""
+        turning = [scope for scope in tables_of(views) if any(np.any(views[k].rate) for k in scope.runs)]
+        runs = [scope for scope in single_runs(views) if np.any(views[scope.runs[0]].rate)]
+        for scope, unit in itertools.product(wide_first(turning, runs), RATE_UNITS):
+            yield cls(scope, unit)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the rate converted."""
+        return replace(views[place], rate=views[place].rate * RATE_UNITS[self.unit])
+
+
+@dataclass(frozen=True)
+class AngleUnit(Mistake):
+    """The angle column is in another unit."""
+
+    unit: str
+    kind: ClassVar[str] = "angle_unit"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every unit for every table and run at several angles."""
+        several = [k for k, view in enumerate(views) if has_angles(view) and np.nanmax(np.abs(view.angle)) > 0]
+        tables = [scope for scope in tables_of(views) if set(scope.runs) & set(several)]
+        runs = [scope for scope in single_runs(views) if scope.runs[0] in several]
+        for scope, unit in itertools.product(wide_first(tables, runs), ANGLE_UNITS):
+            yield cls(scope, unit)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run with the angles converted."""
+        factor = ANGLE_UNITS[self.unit]
+        return replace(views[place], angle=views[place].angle * factor, span=views[place].span * factor)
+
+
+UNIT_MISTAKES: tuple[type[Mistake], ...] = (ChannelGain, RateUnit, AngleUnit)
