@@ -27,7 +27,7 @@ have a misfit of 0.01 to 0.4 and errors within 1.6 standard deviations."""
 DECISIVE = 25.0
 """Gain in twice the log evidence, less the `unlikelihood` of a mistake, for it to be named: odds of e^12 to 1 outweigh
 some thousand suspected mistakes and priors of 1 in 100."""
-DECISIVE_LATITUDE = 10.0
+DECISIVE_LATITUDE = 8.0
 """The same for the sign of the latitude, which is a single suspected mistake; up to `DECISIVE` it is a warning."""
 MOST_MISFIT_LEFT = 1.25
 """Misfit per output of a unit that is taken for steady, up to which a correction explains its outputs.  Of a unit that

@@ -29,6 +29,8 @@ ANGLE_UNITS = {
     "rad": 1 / _DEGREE, "gon": 0.9, "turns": 360.0, "arcmin": 1 / 60, "arcsec": 1 / 3600, "mrad": 1e-3 / _DEGREE,
 }  # fmt: skip
 """Units of angle in degrees."""
+_MOST_TURNS = 4
+"""Angles of more turns are in no other unit; multiples of 15 degrees in turns would all be one angle."""
 _GAINS = {
     "gyro": {
         "rad/s for deg/s": 1 / _DEGREE, "deg/s for rad/s": _DEGREE, "deg/h for deg/s": 3600.0,
@@ -137,7 +139,9 @@ class AngleUnit(Mistake):
         tables = [scope for scope in tables_of(views) if set(scope.runs) & set(several)]
         runs = [scope for scope in single_runs(views) if scope.runs[0] in several]
         for scope, unit in itertools.product(wide_first(tables, runs), ANGLE_UNITS):
-            yield cls(scope, unit)
+            largest = max(float(np.nanmax(np.abs(views[k].angle), initial=0.0)) for k in scope.runs)
+            if largest * ANGLE_UNITS[unit] < _MOST_TURNS * 2 * math.pi:
+                yield cls(scope, unit)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the angles converted."""
