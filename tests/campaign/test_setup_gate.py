@@ -18,7 +18,7 @@ DATA = ROOT / "data"
 SHIPPED = sorted(file.parent.name for file in DATA.glob("*/campaign.toml"))
 SEEDS = tuple(range(7000, 7000 + len(KINDS)))
 FIRST = next(seed for seed in SEEDS if KINDS[seed % len(KINDS)] == "table")
-PER_MISTAKE = 3
+PER_MISTAKE = 2
 """Campaigns that each mistake is planted into, in the default tests."""
 SUBTLE = (
     "latitude", "latitude_value", "height", "fahrenheit", "fahrenheit_throughout", "thermometers",

@@ -81,7 +81,7 @@ def _subject(mistake: Mistake) -> str:
 def _degrees(angle: float) -> float:
     """Return an angle in deg as one would state it: whole where it is nearly that, else to a tenth."""
     whole = round(angle)
-    return float(whole) if abs(angle - whole) < 0.3 else round(angle, 1)
+    return float(whole) if abs(angle - whole) < 0.15 else round(angle, 1)
 
 
 def _folded(angle: float) -> float:
