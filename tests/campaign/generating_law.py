@@ -62,7 +62,8 @@ def chi_square(folder: Path) -> float:
     tables = [table["name"] for table in said["table"]]
     shared = count * len(channels)
     offsets = shared + 3 * len(seats) + 3 * len(tables)
-    system = System(*(np.zeros([offsets + len(channels) * len(runs)] * n) for n in (2, 1)))
+    size = offsets + len(channels) * len(runs)
+    system = System(np.zeros((size, size)), np.zeros(size))
     for number, run in enumerate(runs):
         rows = _columns(folder / run["file"])
         stand, rate = _stand(said, run, rows)
