@@ -1,3 +1,4 @@
+# pyright: reportMissingImports=false
 """What the outputs of a drawn campaign say of its set-up, to one who knows the law that they were drawn from.
 
 χ² of the outputs under a linear Gaussian law: the nominal input of every row, worked out here from the files, and all

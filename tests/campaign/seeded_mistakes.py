@@ -1,3 +1,4 @@
+# pyright: reportMissingImports=false
 """Mistakes planted into campaigns drawn at random: what was done to the files, and what a remedy has to say.
 
 The campaigns come from `data/generators`, in other units and under other names than there; a mistake edits
