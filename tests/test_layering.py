@@ -18,6 +18,7 @@ FLOORS = (
         "json_record",
         "representation",
         "atomic_files",
+        "step_counter",
     ),
     ("parameters",),
     ("covariates", "campaign_data", "signal_path_state"),

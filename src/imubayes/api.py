@@ -34,9 +34,11 @@ from imubayes.qualification.report_record import QualificationReport
 from imubayes.qualification.until_digits import fit_until_digits
 from imubayes.results.addition import Addition, added_variable, addition_of
 from imubayes.results.apply_calibration import CalibratedInputs, apply_calibration, read_readings
-from imubayes.results.folder_state import CHECKPOINT, claim, claim_new
-from imubayes.results.history_file import first_node, read_tree, remember, write_node
+from imubayes.results.folder_state import claim, claim_new
+from imubayes.results.history_file import first_node, remember
+from imubayes.results.history_tree import read_tree, write_node
 from imubayes.results.loop_files import read_diagnosis, write_addition, write_diagnosis
+from imubayes.results.record_names import CHECKPOINT
 from imubayes.results.result import Result, read_result, result_of
 
 
@@ -87,7 +89,8 @@ def fit(
             fitted = fit_until_digits(declared, sampling, until_digits, checkpoint, resume, tell)
         else:
             fitted = joint_fit(declared, sampling, checkpoint, resume, tell)
-    result = result_of(fitted, folder, seed, load_seconds)
+        tell("summarising")
+        result = result_of(fitted, folder, seed, load_seconds)
     if folder is not None:
         write_node(folder, first_node(fitted.model, result.summary, seed))
     return result
@@ -117,11 +120,11 @@ def diagnose(
         for a folder that holds no result, or one whose campaign is gone or has changed.
     """
     with progress_of(progress) as tell:
-        tell("looking for what is missing")
+        tell("reading the fit")
         if isinstance(result, Fit):
-            return judge(result, effect=effect)
+            return judge(result, effect=effect, progress=tell)
         read = result if isinstance(result, Result) else read_result(result)
-        found = judge(read.fit, str(read.folder or "RESULT"), effect)
+        found = judge(read.fit, str(read.folder or "RESULT"), effect, tell)
     if read.folder is not None and not effect:
         write_diagnosis(read.folder, found)
     return found
@@ -169,7 +172,8 @@ def add(
         refit = refit_with(before.fit, effects, channels, diagnosis, tell)
         if sample and not refit.objection:
             refit = _sampled(refit, folder, seed, tell)
-    after = result_of(refit.fit, folder, seed)
+        tell("summarising")
+        after = result_of(refit.fit, folder, seed)
     addition = addition_of(refit, before, after)
     if folder is not None:
         write_addition(folder, addition, added_variable(refit.extension))

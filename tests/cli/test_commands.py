@@ -1,6 +1,7 @@
 """The command line as a user meets it: exit statuses, four-part errors, JSON, no traceback, nothing half-written."""
 
 import json
+import re
 import shutil
 import tomllib
 from pathlib import Path
@@ -16,7 +17,8 @@ PARTS = ("error: ", "  where:   ", "  do:      ")
 def said(capsys, *words: str) -> tuple[int, str, str]:
     status = run([str(word) for word in words])
     captured = capsys.readouterr()
-    return status, captured.out, captured.err
+    # Lines of progress, "fitting: mode · 3 s", come as slowly as the machine is.
+    return status, captured.out, re.sub(r"^.* · \d+ s\n", "", captured.err, flags=re.MULTILINE)
 
 
 def refused(capsys, *words: str) -> str:

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from imubayes.cli.main import run
-from imubayes.criticism.diagnosis_record import Diagnosis, Verdict
+from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.criticism.verdict import Verdict
 from imubayes.display.qualification.html_page import html_page
 from imubayes.display.qualification.report_document import report_document
 from imubayes.qualification.report_record import QualificationReport

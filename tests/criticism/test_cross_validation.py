@@ -15,7 +15,8 @@ from scipy import stats
 import imubayes.criticism.addition as addition_module
 from imubayes.api import Addition, Result, add, export, fit
 from imubayes.criticism.cross_validation import groups, objection, predict_left_out, summarise_gains
-from imubayes.criticism.diagnosis_record import CoefficientEstimate, EffectChoice
+from imubayes.criticism.diagnosis_record import CoefficientEstimate
+from imubayes.criticism.verdict import EffectChoice
 from imubayes.criticism.warm_start import _contradicting, extend
 from imubayes.errors import InputError
 from imubayes.inference.fitted_model import Fit
@@ -26,7 +27,7 @@ from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import masked
 from imubayes.parameters.priors import Normal
 from imubayes.parameters.vector import Parameter
-from imubayes.results.history_file import read_node, read_tree, select
+from imubayes.results.history_tree import read_node, read_tree, select
 from imubayes.results.result import read_result
 
 

@@ -9,7 +9,6 @@ import pytest
 from matplotlib.collections import LineCollection
 from rich.console import Console
 
-from imubayes.criticism.cross_validation import CrossValidation
 from imubayes.criticism.detectability import Absorber
 from imubayes.criticism.diagnosis_record import (
     Amplitude,
@@ -18,23 +17,22 @@ from imubayes.criticism.diagnosis_record import (
     CoefficientEstimate,
     CovariateLabel,
     Diagnosis,
-    EffectChoice,
     EffectGroup,
     GroupMember,
     RankedEffect,
     ResidualStructure,
-    RmsChange,
     StrongestStructure,
     UndetectableEffect,
-    Verdict,
 )
 from imubayes.criticism.formula_search import FormulaTerm
+from imubayes.criticism.held_out_record import CrossValidation
 from imubayes.criticism.injection_recovery import Size, Trial, Trials
 from imubayes.criticism.localised_structure import Step
 from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, Tree, node_id
 from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence
+from imubayes.criticism.verdict import EffectChoice, RmsChange, Verdict
 from imubayes.display import diagnosis_report as shown
 from imubayes.display.figures.evidence_pictures import (
     before_after,

@@ -9,8 +9,9 @@ from rich.console import Console
 from display.test_diagnosis_report import diagnosis
 from imubayes.campaign import Inspection, inspect_campaign
 from imubayes.criticism.addition import Prediction
-from imubayes.criticism.cross_validation import CrossValidation
-from imubayes.criticism.diagnosis_record import CoefficientEstimate, EffectChoice, NoiseFinding, RmsChange
+from imubayes.criticism.diagnosis_record import CoefficientEstimate, NoiseFinding
+from imubayes.criticism.held_out_record import CrossValidation
+from imubayes.criticism.verdict import EffectChoice, RmsChange
 from imubayes.display.addition_report import addition_report
 from imubayes.display.check_report import check_report
 from imubayes.display.diagnosis_report import diagnosis_report, sentence

@@ -5,12 +5,12 @@ import json
 import pytest
 import synthetic_results as made
 
-from imubayes.criticism.noise_assumptions import NoiseViolation
+from imubayes.criticism.noise_violation import NoiseViolation
 from imubayes.display.fit_cautions import alarm_of, notices
 from imubayes.display.fit_report import summary_report
 from imubayes.display.report_layout import report_text
 from imubayes.display.summary_html import summary_html
-from imubayes.inference.plausible_estimates import ImplausibleEstimate, UnexplainedOutput
+from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
 from imubayes.results.summary import PriorScatter, Summary
 
 GAIN = "injection_error.gain[ax]"

@@ -25,6 +25,7 @@ from imubayes.atomic_files import replacing
 from imubayes.campaign.campaign_reader import CAMPAIGN_FILE, inspect_campaign, source_digest
 from imubayes.campaign_data import Campaign
 from imubayes.errors import InputError, Issue, input_error
+from imubayes.step_counter import counted, silent
 
 _DIGITS = 16
 _THREADS = 4
@@ -82,11 +83,11 @@ class Archive:
         """Return a campaign; raises InputError for a damaged file."""
         return read_campaign(campaign.file)
 
-    def check(self) -> tuple[Issue, ...]:
+    def check(self, progress: Callable[[str], None] | None = None) -> tuple[Issue, ...]:
         """Return what is wrong with the files: content, checksum, name and place."""
         issues: list[Issue] = []
         files = self.files()
-        for file in files:
+        for file in counted(progress or silent, "checking", files):
             try:
                 head = read_head(file)
                 expected = file_of(self.folder, read_campaign(file))
@@ -145,8 +146,7 @@ def pack(folders: Sequence[Path], out: Path, progress: Callable[[str], None] | N
     archive, tell = Archive(out), progress or (lambda text: None)
     known = {file.stem[-_DIGITS:] for file in archive.files()}
     added, refused, present = [], [], 0
-    for place, folder in enumerate(folders):
-        tell(f"packing {place + 1} of {len(folders)}: {folder.name}")
+    for folder in counted(tell, "packing", folders):
         digest = folder_digest(folder)
         if digest[:_DIGITS] in known:
             present += 1

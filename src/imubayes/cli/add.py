@@ -43,17 +43,16 @@ def add(
         List the residual rms of every channel and run, also where it did not change.
     """
     from imubayes.cli.session import progress, start_jax
-
-    start_jax()
     from imubayes.errors import input_error
 
     if not effects:
         raise input_error("no effect is named", "command line", "imubayes effects lists them", "name one")
-    from imubayes.api import add as add_effects
-    from imubayes.display.addition_report import addition_report, next_command
-    from imubayes.display.report_layout import print_report
-
     with progress() as tell:
+        start_jax()
+        from imubayes.api import add as add_effects
+        from imubayes.display.addition_report import addition_report, next_command
+        from imubayes.display.report_layout import print_report
+
         addition = add_effects(to, effects, out, split(channels), sample=sample, seed=seed, progress=tell)
     if as_json:
         print_json(addition.model_dump(mode="json") | {"next": next_command(addition)})

@@ -24,13 +24,14 @@ def pack(*folders: Path, out: Path, as_json: Json = False) -> int:
     as_json
         Print one JSON object on standard output.
     """
-    from imubayes.archive import campaign_folders
-    from imubayes.archive import pack as pack_folders
     from imubayes.cli.session import progress
-    from imubayes.display.archive_report import packed_json, packed_report
-    from imubayes.display.report_layout import print_report
 
     with progress() as tell:
+        from imubayes.archive import campaign_folders
+        from imubayes.archive import pack as pack_folders
+        from imubayes.display.archive_report import packed_json, packed_report
+        from imubayes.display.report_layout import print_report
+
         packed = pack_folders(campaign_folders(folders), out, tell)
     if as_json:
         print_json(packed_json(packed))
@@ -78,11 +79,13 @@ def check(archive: Path, *, as_json: Json = False) -> int:
         Print one JSON object on standard output.
     """
     from imubayes.archive.store import open_archive
+    from imubayes.cli.session import progress
     from imubayes.display.archive_report import check_json, check_report
     from imubayes.display.report_layout import print_report
 
     opened = open_archive(archive)
-    issues = opened.check()
+    with progress() as tell:
+        issues = opened.check(tell)
     if as_json:
         print_json(check_json(len(opened.files()), issues))
     else:

@@ -26,19 +26,22 @@ def check(campaign: Path, *, model: Path | None = None, as_json: Json = False, v
         List every run and every note; otherwise those of one kind are one line.
     """
     from imubayes.campaign import inspect_campaign
+    from imubayes.cli.session import progress
     from imubayes.display.check_report import CheckedModel, check_record, check_report
     from imubayes.display.report_layout import print_report
 
-    inspection = inspect_campaign(campaign)
+    with progress("reading the campaign"):
+        inspection = inspect_campaign(campaign)
     size = None
     if model is not None and inspection.campaign is not None:
         from imubayes.cli.session import start_jax
 
-        start_jax()
-        from imubayes.model.bind import bind
-        from imubayes.model.model_file import read_model
+        with progress("binding the model"):
+            start_jax()
+            from imubayes.model.bind import bind
+            from imubayes.model.model_file import read_model
 
-        declared = bind(read_model(model), inspection.campaign)
+            declared = bind(read_model(model), inspection.campaign)
         size = CheckedModel(
             name=declared.spec.name,
             parameters=len(declared.layout),

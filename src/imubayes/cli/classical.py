@@ -24,16 +24,20 @@ def classical(
     as_json
         Print one JSON object on standard output.
     """
-    from imubayes.campaign import load_campaign
-    from imubayes.display.classical_comparison import classical_json, compare_classical
-    from imubayes.display.fit_report import classical_report
-    from imubayes.display.report_layout import print_report
-    from imubayes.errors import input_error
-    from imubayes.procedures.classical import classical as evaluate
-    from imubayes.results.fit_file import refuse_other_data
-    from imubayes.results.result import read_result
+    from imubayes.cli.session import progress
 
-    loaded = load_campaign(campaign)
+    with progress() as tell:
+        from imubayes.campaign import load_campaign
+        from imubayes.display.classical_comparison import classical_json, compare_classical
+        from imubayes.display.fit_report import classical_report
+        from imubayes.display.report_layout import print_report
+        from imubayes.errors import input_error
+        from imubayes.procedures.classical import classical as evaluate
+        from imubayes.results.fit_record import refuse_other_data
+        from imubayes.results.result import read_result
+
+        tell("reading the campaign")
+        loaded = load_campaign(campaign)
     if delta_k_threshold is not None and not delta_k_threshold > 0:
         raise input_error(
             f"a threshold of {delta_k_threshold:g} %", "--delta-k-threshold", "a percentage above 0", "correct it"

@@ -17,8 +17,12 @@ def compare(result: Path, *, parameters: list[str] | None = None, runs: list[str
     runs
         Runs that have a figure of their own, or 'all'; by default the six that fit worst.
     """
-    from imubayes.display.model_against_measurement import compare as compare_result
-    from imubayes.display.model_against_measurement import print_comparison
+    from imubayes.cli.session import progress
 
-    print_comparison(compare_result(result, parameters=parameters, runs=runs))
+    with progress() as tell:
+        from imubayes.display.model_against_measurement import compare as compare_result
+        from imubayes.display.model_against_measurement import print_comparison
+
+        comparison = compare_result(result, parameters=parameters, runs=runs, progress=tell)
+    print_comparison(comparison)
     return 0

@@ -33,17 +33,18 @@ def diagnose(
     """
     from imubayes.cli.session import progress, start_jax
 
-    start_jax()
-    from imubayes.api import diagnose as find_missing
-    from imubayes.display.diagnosis_report import diagnosis_json, diagnosis_report, effect_source
-    from imubayes.display.figures.evidence_pictures import save_evidence, save_recorded_noise
-    from imubayes.display.report_layout import print_report
-
     with progress() as tell:
+        start_jax()
+        from imubayes.api import diagnose as find_missing
+        from imubayes.display.diagnosis_report import diagnosis_json, diagnosis_report, effect_source
+        from imubayes.display.figures.evidence_pictures import save_evidence, save_recorded_noise
+        from imubayes.display.report_layout import print_report
+
         found = find_missing(result, effect, progress=tell)
-    pictures = [save_evidence(result, found.evidence)] if found.evidence is not None else []
-    if found.disagreeing_noise and found.scatter is not None:
-        pictures.append(save_recorded_noise(result, found.scatter))
+        tell("drawing")
+        pictures = [save_evidence(result, found.evidence)] if found.evidence is not None else []
+        if found.disagreeing_noise and found.scatter is not None:
+            pictures.append(save_recorded_noise(result, found.scatter))
     if python:
         print(effect_source(found))
     elif as_json:

@@ -18,10 +18,11 @@ def effects(name: str | None = None, *, campaign: Annotated[Path | None, Paramet
     campaign
         Folder with campaign.toml: which effects its runs could show, and what is missing for the others.
     """
-    from imubayes.cli.session import start_jax
+    from imubayes.cli.session import progress, start_jax
 
-    start_jax()
-    from imubayes.display.effect_catalogue import print_catalogue, print_effect, print_observable
+    with progress():
+        start_jax()
+        from imubayes.display.effect_catalogue import print_catalogue, print_effect, print_observable
 
     if campaign is not None:
         from imubayes.campaign import load_campaign

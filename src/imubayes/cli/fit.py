@@ -52,14 +52,17 @@ def fit(
     """
     from imubayes.cli.session import progress, start_jax
 
-    start_jax()
-    from imubayes.api import fit as fit_campaign
-    from imubayes.campaign import inspect_campaign
-    from imubayes.display.check_report import usable, warning_lines
-
-    recorded = usable(inspection := inspect_campaign(campaign))
-    print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
     with progress() as tell:
+        start_jax()
+        from imubayes.api import fit as fit_campaign
+        from imubayes.campaign import inspect_campaign
+        from imubayes.display.check_report import usable, warning_lines
+
+        tell("reading the campaign")
+        inspection = inspect_campaign(campaign)
+        recorded = usable(inspection)
+    print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
+    with progress("compiling") as tell:
         result = fit_campaign(
             recorded, model, out, sample=sample, seed=seed, resume=resume, replace=replace,
             until_digits=until_digits, progress=tell,

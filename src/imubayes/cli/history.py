@@ -29,35 +29,40 @@ def history(
     as_json
         Print one JSON object on standard output.
     """
-    from imubayes.cli.session import start_jax
+    from imubayes.cli.session import progress, start_jax
     from imubayes.errors import input_error
 
     folders = [*results, *([select] if select is not None and not results else [])]
     if not folders:
         raise input_error("no result is named", "command line", "result folders", "name at least one")
-    start_jax()
-    from imubayes.api import export as export_model
-    from imubayes.api import history as read
-    from imubayes.atomic_files import refuse_existing
-    from imubayes.display.history_table import history_json, history_report
-    from imubayes.display.report_layout import print_report
-    from imubayes.results.history_file import select as select_node
+    with progress() as tell:
+        # What reads alone needs no JAX, which takes seconds to import.
+        from imubayes.atomic_files import refuse_existing
+        from imubayes.display.history_table import history_json, history_report
+        from imubayes.display.report_layout import print_report
+        from imubayes.results.history_tree import read_tree
+        from imubayes.results.history_tree import select as select_node
 
-    if export is not None:
-        refuse_existing(export)
-    if html is not None:
-        refuse_existing(html, but=lambda content: content.startswith(b"<!doctype html>"))
-    if select is not None:
-        select_node(select)
-    tree = read(*folders)
-    if export is not None:
-        export_model(folders[0], export)
-    if html is not None:
-        from imubayes.atomic_files import write_text
-        from imubayes.display.history_page import history_page
-        from imubayes.results.loop_files import read_steps
+        if export is not None:
+            refuse_existing(export)
+        if html is not None:
+            refuse_existing(html, but=lambda content: content.startswith(b"<!doctype html>"))
+        if select is not None:
+            select_node(select)
+        tree = read_tree(folders)
+        if export is not None:
+            start_jax()
+            from imubayes.api import export as export_model
 
-        write_text(html, history_page(tree, {place: read_steps(tree, place) for place in tree.selected}))
+            export_model(folders[0], export)
+        if html is not None:
+            start_jax()
+            from imubayes.atomic_files import write_text
+            from imubayes.display.history_page import history_page
+            from imubayes.results.loop_files import read_steps
+
+            tell("drawing")
+            write_text(html, history_page(tree, {place: read_steps(tree, place) for place in tree.selected}))
     if as_json:
         print_json(history_json(tree))
     else:

@@ -36,19 +36,22 @@ def noise(
         Print one JSON object on standard output.
     """
     from imubayes.campaign import load_campaign
+    from imubayes.cli.session import progress
     from imubayes.errors import input_error
     from imubayes.noise_analysis.noise_record import static_noise
 
     for name, value in (("--shortest-tau", shortest_tau), ("--sample-rate", sample_rate or 0.0)):
         if not 0 <= value < float("inf"):
             raise input_error(f"a value of {value:g}", name, "a number above 0", "correct it")
-    found = static_noise(load_campaign(campaign), split(runs) or (), shortest_tau)
     written: list[Path] = []
-    if out is not None:
-        from imubayes.display.noise_report import write_noise
+    with progress("reading the campaign") as tell:
+        found = static_noise(load_campaign(campaign), split(runs) or (), shortest_tau, tell)
+        if out is not None:
+            from imubayes.display.noise_report import write_noise
 
-        out.mkdir(parents=True, exist_ok=True)
-        written = write_noise(out, found, sample_rate)
+            tell("drawing")
+            out.mkdir(parents=True, exist_ok=True)
+            written = write_noise(out, found, sample_rate)
     if as_json:
         print_json(found.model_dump(mode="json"))
     else:

@@ -47,13 +47,13 @@ def plant(
     """
     from imubayes.cli.session import progress, start_jax
 
-    start_jax()
-    from imubayes.api import plant as plant_effects
-    from imubayes.criticism.injection_recovery import Size
-    from imubayes.display.injection_report import injection_json, injection_report
-    from imubayes.display.report_layout import print_report
-
     with progress() as tell:
+        start_jax()
+        from imubayes.api import plant as plant_effects
+        from imubayes.criticism.injection_recovery import Size
+        from imubayes.display.injection_report import injection_json, injection_report
+        from imubayes.display.report_layout import print_report
+
         trials = plant_effects(
             campaign, model, result=result, effects=split(effects),
             size=Size(delta_chi2, size), draws=draws, seed=seed, progress=tell,

@@ -26,12 +26,12 @@ def report(result: Path, *, out: Out, spec: Path | None = None) -> int:
     """
     from imubayes.cli.session import progress, start_jax
 
-    start_jax()
-    from imubayes.api import report as make_report
-    from imubayes.display.qualification.report_files import check_places, write_report
-
-    check_places(out)
     with progress() as tell:
+        start_jax()
+        from imubayes.api import report as make_report
+        from imubayes.display.qualification.report_files import check_places, write_report
+
+        check_places(out)
         tell("evaluating the posterior")
         found = make_report(result, spec)
         tell("drawing")

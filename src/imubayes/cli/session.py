@@ -1,8 +1,9 @@
 """Start-up of the computing commands: double precision, persistent compilation cache, progress display."""
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+
+from imubayes.display.terminal_progress import terminal_progress
 
 
 def start_jax() -> None:
@@ -12,13 +13,9 @@ def start_jax() -> None:
     prepare_jax()
 
 
-@contextmanager
-def progress(quiet: bool = False) -> Iterator[Callable[[str], None]]:
-    """Yield a function that shows a status text on a terminal (standard error); silent elsewhere."""
-    if quiet or not sys.stderr.isatty():
-        yield lambda text: None
-        return
-    from rich.console import Console
+def progress(text: str = "loading") -> AbstractContextManager[Callable[[str], None]]:
+    """Show what goes on, on standard error, from the first second on; yield a function that tells the step.
 
-    with Console(stderr=True).status("starting") as status:
-        yield lambda text: status.update(text)
+    Enter it before what takes long to import, and print nothing to standard error within.
+    """
+    return terminal_progress(text=text)

@@ -17,11 +17,13 @@ def simulate(plan: Path, *, out: Path, seed: int | None = None) -> int:
     seed
         Random seed; by default that of the plan.
     """
-    from imubayes.cli.session import start_jax
+    from imubayes.cli.session import progress, start_jax
 
-    start_jax()
-    from imubayes.simulation.simulated_campaign import simulate_plan
+    with progress() as tell:
+        start_jax()
+        from imubayes.simulation.simulated_campaign import simulate_plan
 
-    folder = simulate_plan(plan, out, seed)
+        tell("simulating")
+        folder = simulate_plan(plan, out, seed)
     print(f"campaign in {folder}, truth in {folder / 'truth.toml'}; next: imubayes check {folder}")
     return 0

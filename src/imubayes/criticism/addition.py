@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.criticism.cross_validation import (
-    CrossValidation,
     cross_validate,
     delta_chi2_at_remaining_noise,
     objection,
     observed_delta_chi2,
 )
 from imubayes.criticism.diagnosis_record import CoefficientEstimate, Diagnosis, ScreenedEffect
+from imubayes.criticism.held_out_record import CrossValidation
 from imubayes.criticism.warm_start import Extension, extend
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit

@@ -14,52 +14,23 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.diagnosis_record import RmsChange
+from imubayes.criticism.held_out_record import CrossValidation, GroupGain
+from imubayes.criticism.verdict import RmsChange
 from imubayes.criticism.warm_start import Extension
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.noise_marginal import slope
 from imubayes.inference.posterior_mode import find_mode, fit_at, mode_near
 from imubayes.inference.posterior_precision import Linearised, linearise
-from imubayes.json_record import Record, finite
+from imubayes.json_record import finite
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import residuals
 from imubayes.model.problem import hyper_prior_square, masked
 from imubayes.model.robust_likelihood import has_heavy_tails
 from imubayes.parameters.vector import Layout
+from imubayes.step_counter import counted
 from imubayes.units import to_si
 
 _residuals = eqx.filter_jit(residuals)
-
-
-class GroupGain(Record):
-    """Rise of the log predictive density of one group of rows that was left out."""
-
-    name: str
-    delta: float
-
-
-class CrossValidation(Record):
-    """What an addition does to the prediction of rows that were left out.
-
-    Attributes
-    ----------
-    by : what is left out at a time.
-    delta, se : rise of the expected log predictive density (Δ elpd) and its standard error, from the scatter among the
-        groups; None for a single group.
-    helped, of : number of groups that are predicted better, and of all groups.
-    verdict : whether the addition ``helps``, that it is ``unclear``, or does ``not`` help.
-    each : Δ elpd of each group.
-    rates : of poses: rms of each gyro at rest about its prediction, before and after.
-    """
-
-    by: Literal["run", "pose", "block"]
-    delta: float
-    se: float | None
-    helped: int
-    of: int
-    verdict: Literal["helps", "unclear", "not"]
-    each: tuple[GroupGain, ...] = ()
-    rates: tuple[RmsChange, ...] = ()
 
 
 def summarise_gains(
@@ -100,10 +71,10 @@ def cross_validate(before: Fit, after: Fit, progress: Callable[[str], None] | No
     tell = progress or (lambda text: None)
     by, names, masks = groups(before.model)
     about = [linearise(fit.model.problem, jnp.asarray(fit.z)) for fit in (before, after)]
-    seen = []
-    for place, mask in enumerate(masks):
-        tell(f"leave-one-{by}-out, {place + 1} of {len(masks)}")
-        seen.append([predict_left_out(fit, at, mask) for fit, at in zip((before, after), about, strict=True)])
+    seen = [
+        [predict_left_out(fit, at, mask) for fit, at in zip((before, after), about, strict=True)]
+        for mask in counted(tell, f"leave-one-{by}-out", masks)
+    ]
     gains = np.array([now.density - was.density for was, now in seen])
     finite_gains = np.isfinite(gains)
     if not finite_gains.any():

@@ -10,14 +10,12 @@ from imubayes.criticism import thresholds
 from imubayes.criticism.chain_stage import FoundStage, stages_of
 from imubayes.criticism.detectability import Detectability, detectability
 from imubayes.criticism.diagnosis_record import (
-    MISSING,
     Amplitude,
     AskedEffect,
     ChainStage,
     CoefficientEstimate,
     CovariateLabel,
     Diagnosis,
-    EffectChoice,
     EffectGroup,
     GroupMember,
     NearestEffect,
@@ -25,10 +23,8 @@ from imubayes.criticism.diagnosis_record import (
     Outlier,
     RankedEffect,
     ResidualStructure,
-    RmsChange,
     StrongestStructure,
     UndetectableEffect,
-    Verdict,
 )
 from imubayes.criticism.discriminating_run import discriminating_run
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
@@ -48,13 +44,15 @@ from imubayes.criticism.unexplained_structure import (
     unexplained_structure,
 )
 from imubayes.criticism.unlisted_causes import Causes, unlisted_causes
+from imubayes.criticism.verdict import MISSING, EffectChoice, RmsChange, Verdict
 from imubayes.effects.base import Effect, Stage
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.json_record import finite
+from imubayes.step_counter import Tell, silent
 
 
-def judge(fit: Fit, result: str = "RESULT", effect: str = "") -> Diagnosis:
+def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = silent) -> Diagnosis:
     """Return the diagnosis of a fit.
 
     Parameters
@@ -62,6 +60,7 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "") -> Diagnosis:
     fit : one that did not converge is not screened.
     result : its result folder, for the next command.
     effect : ask about one effect only: whether it is there, absent or undetectable.
+    progress : called with a short text as the work goes on.
 
     Raises
     ------
@@ -73,7 +72,8 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "") -> Diagnosis:
     if not fit.converged:
         message = fit.message or "The fit did not converge."
         return Diagnosis(verdict="not_converged", message=message, result=result)
-    found = search(fit)
+    found = search(fit, progress)
+    progress("interpreting what was found")
     return _asked(effect, found, result) if effect else _diagnosis(fit, found, result)
 
 

@@ -14,21 +14,10 @@ from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.localised_structure import Step
 from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
 from imubayes.criticism.residual_evidence import ResidualEvidence
+from imubayes.criticism.verdict import EffectChoice, RmsChange, Verdict
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.json_record import Record
 from imubayes.representation import Presented
-
-Verdict = Literal[
-    "adequate",
-    "missing_effect",
-    "equivalent_effects",
-    "unexplained_structure",
-    "noise_model",
-    "undetectable",
-    "not_converged",
-]
-MISSING: tuple[Verdict, ...] = ("missing_effect", "equivalent_effects")
-"""Verdicts that name effects."""
 
 
 class CoefficientEstimate(Record):
@@ -38,13 +27,6 @@ class CoefficientEstimate(Record):
     value: float | None
     sd: float | None
     unit: str
-
-
-class EffectChoice(Record):
-    """An effect with the channels it acts on; None for all that it can act on."""
-
-    effect: str
-    channels: tuple[str, ...] | None
 
 
 class ScreenedEffect(Record):
@@ -85,15 +67,6 @@ class GroupMember(ScreenedEffect):
     """A member of an equivalence group; `unexplained`: χ² left by a refit with it instead of the leader."""
 
     unexplained: float
-
-
-class RmsChange(Record):
-    """Residual rms of one channel before and after an addition, in `unit`."""
-
-    channel: str
-    before: float
-    after: float
-    unit: str
 
 
 class CovariateLabel(Record):

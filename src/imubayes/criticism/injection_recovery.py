@@ -17,7 +17,8 @@ from imubayes.campaign_data import Campaign
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import searchable
 from imubayes.criticism.diagnose import judge
-from imubayes.criticism.diagnosis_record import Diagnosis, Verdict
+from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.criticism.verdict import Verdict
 from imubayes.criticism.warm_start import extended, whitened
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
@@ -29,6 +30,7 @@ from imubayes.model.problem import Problem, predict
 from imubayes.parameters.parameter_declarations import Declared
 from imubayes.representation import Presented
 from imubayes.simulation.simulate import random_stream, simulate
+from imubayes.step_counter import counted
 
 Screen = Callable[[Fit], Diagnosis]
 
@@ -172,16 +174,14 @@ def plant_effects(
     if draws < 0:
         raise InputError(Issue(f"draws = {draws}", "plant", "a number of simulations, 0 or more", "correct draws"))
     threshold, nulls, trials, skipped = 0.0, [], [], {}
-    for draw in range(draws):
-        tell(f"without injection, {draw + 1} of {draws}")
+    for draw in counted(tell, "without injection", range(draws)):
         simulated = simulate(fitted.model, _seed(seed, f"null {draw}"), _truth(fitted.model, fitted.z, fitted.h))
         found = screen(refitted(fitted, simulated.campaign))
         threshold = found.threshold
         nulls.append(found.verdict)
     names = list(effects) if effects else list(_lacking(fitted))
     clear = _Clear.of(fitted)
-    for place, name in enumerate(names):
-        tell(f"{name}, {place + 1} of {len(names)}")
+    for name in counted(tell, "injecting effects", names):
         trial = _trial(fitted, clear, name, size, seed, screen, asked=effects is not None)
         if isinstance(trial, str):
             skipped[name] = trial

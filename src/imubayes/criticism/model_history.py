@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from imubayes.criticism.cross_validation import CrossValidation
-from imubayes.criticism.diagnosis_record import EffectChoice, Verdict
+from imubayes.criticism.held_out_record import CrossValidation
+from imubayes.criticism.verdict import EffectChoice, Verdict
 from imubayes.json_record import Record
 from imubayes.representation import Presented
 

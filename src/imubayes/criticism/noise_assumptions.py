@@ -6,22 +6,17 @@ be.  The statistics are those of the diagnosis (`imubayes.criticism.noise_tests`
 white noise, and two more: power at the lowest frequencies of each run, and the step between neighbouring outputs.
 """
 
-from typing import Literal
-
 import jax.numpy as jnp
 import numpy as np
 from scipy.fft import dct
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.noise_tests import KINDS, OUTLIERS, screen_noise
+from imubayes.criticism.noise_violation import NoiseKind, NoiseViolation
 from imubayes.criticism.projection import Projection, project
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import linearise
-from imubayes.json_record import Record
 
-NoiseKind = Literal[
-    "autocorrelation", "low_frequency", "scatter_between_runs", "grows_with_input", "heavy_tails", "quantisation"
-]
 SLOW = "slow"
 _NAMES: dict[str, NoiseKind] = {
     "correlated_noise": "autocorrelation",
@@ -30,23 +25,6 @@ _NAMES: dict[str, NoiseKind] = {
     "rate_proportional_noise": "grows_with_input",
     OUTLIERS: "heavy_tails",
 }
-
-
-class NoiseViolation(Record):
-    """A way in which the noise is not as the model says.
-
-    Attributes
-    ----------
-    kind : what is wrong.
-    channels : names.
-    p : p-value under the noise of the model; None for quantisation, which is no matter of chance.
-    step : quantisation step over the noise standard deviation; None for all else.
-    """
-
-    kind: NoiseKind
-    channels: tuple[str, ...]
-    p: float | None = None
-    step: float | None = None
 
 
 def noise_violations(fit: Fit) -> tuple[NoiseViolation, ...]:

@@ -30,6 +30,7 @@ from imubayes.criticism.score_test import Candidate, ProjectedResponse, project_
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.problem import masked
+from imubayes.step_counter import Tell, counted, silent
 
 # Noise that passes for effects where the model lacks it.
 _CONFOUNDED_NOISE = ("correlated_noise", "run_scatter")
@@ -136,15 +137,18 @@ class FirstPass:
     cleared: Projection
 
 
-def search(fitted: Fit) -> SearchResult:
+def search(fitted: Fit, tell: Tell = silent) -> SearchResult:
     """Return what is missing in a converged fit; it is refitted only where there are outliers."""
+    tell("responses of the candidates")
     given = SearchInput(fitted, candidate_responses(fitted), tuple(covariates(fitted)))
+    tell("screening candidates and structure")
     first = _first_pass(given)
     noise, outlying = _outliers(given, first)
+    tell("judging the noise")
     if not noise:
         return _with_noise(given, first)
     current, at, sizes = given, first, np.zeros(len(outlying))
-    for _ in range(thresholds.MAX_OUTLIER_ROUNDS):
+    for _ in counted(tell, "fitting without outliers", range(thresholds.MAX_OUTLIER_ROUNDS)):
         # Deviations caused by a missing effect are no outliers: only those that remain without it are rejected.
         rest, sizes = _refit_without(fitted, outlying, 1 if at.groups else thresholds.MAX_OUTLIER_ROUNDS)
         current = SearchInput(rest, candidate_responses(rest), given.covariates)

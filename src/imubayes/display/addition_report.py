@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from imubayes.criticism.cross_validation import CrossValidation
-from imubayes.criticism.diagnosis_record import RmsChange
+from imubayes.criticism.held_out_record import CrossValidation
+from imubayes.criticism.verdict import RmsChange
 from imubayes.display.labels import pretty, readable
 from imubayes.display.prior_conflicts import conflict_line
 from imubayes.display.report_layout import Report
@@ -130,7 +130,8 @@ def coefficient_sheet(addition: Addition) -> Sheet:
         guess, width = value_and_sd(before.value, before.sd) if before is not None else value_and_sd(None, None)
         unit = pretty(estimate.unit)
         rows.append(tuple(map(Cell, (estimate.name, guess, width, value, sd, unit))))
-        slim.append(tuple(map(Cell, (estimate.name, f"{guess} ± {width}", f"{value} ± {sd}", unit))))
+        name = estimate.name.partition(".")[2] if len(addition.added) == 1 else estimate.name
+        slim.append(tuple(map(Cell, (name or estimate.name, f"{guess} ± {width}", f"{value} ± {sd}", unit))))
     title = "Predicted and estimated"
     narrow = Sheet(title, ("new parameter", "predicted", "estimated", "unit"), slim, (0, 3))
     head = ("new parameter", "predicted", "± ", "estimated", "±", "unit")

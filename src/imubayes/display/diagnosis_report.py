@@ -8,14 +8,9 @@ from typing import Any
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import ParameterBias
-from imubayes.criticism.diagnosis_record import (
-    MISSING,
-    Diagnosis,
-    EffectGroup,
-    RankedEffect,
-    UndetectableEffect,
-)
+from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, RankedEffect, UndetectableEffect
 from imubayes.criticism.recorded_noise import NoiseComparison
+from imubayes.criticism.verdict import MISSING
 from imubayes.display.labels import listed, pretty
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import percent, significant, value_and_sd

@@ -2,7 +2,7 @@
 
 from imubayes.display.labels import pretty
 from imubayes.display.rounding import percent, significant
-from imubayes.inference.plausible_estimates import ImplausibleEstimate, UnexplainedOutput
+from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
 from imubayes.results.summary import NoiseViolation, PriorScatter, Summary
 
 _WORDS = {

@@ -1,11 +1,12 @@
 """The one line by which a record shows itself where the whole report would be too much."""
 
-from imubayes.criticism.diagnosis_record import Diagnosis, EffectChoice
+from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.injection_recovery import Trials
 from imubayes.criticism.model_history import Tree
+from imubayes.criticism.verdict import EffectChoice
 from imubayes.display.rounding import significant
 from imubayes.results.addition import Addition
-from imubayes.results.history_file import shown_place
+from imubayes.results.history_tree import shown_place
 from imubayes.results.result import Result
 
 

@@ -22,9 +22,9 @@ from imubayes.display.table_layout import Sheet
 from imubayes.display.templates import render
 from imubayes.display.theme import Picture
 from imubayes.errors import InputError
-from imubayes.results.history_file import shown_place
+from imubayes.results.history_tree import shown_place
 from imubayes.results.loop_files import HistoryStep, read_diagnosis
-from imubayes.results.result_folder import read_summary_and_residuals
+from imubayes.results.read_folder import read_summary_and_residuals
 
 
 @dataclass(frozen=True)

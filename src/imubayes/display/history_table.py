@@ -8,7 +8,7 @@ from imubayes.display.labels import pretty, readable
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import ratio_text, significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
-from imubayes.results.history_file import shown_place
+from imubayes.results.history_tree import shown_place
 
 
 def history_report(tree: Tree) -> Report:

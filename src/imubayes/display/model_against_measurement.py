@@ -22,16 +22,19 @@ from imubayes.display.comparison_page import comparison_page
 from imubayes.display.figure_selection import Plan, corner_choice, most_telling_first, plan, runs_shown
 from imubayes.display.fit_quality_tables import fit_sheet, run_sheet
 from imubayes.display.labels import ordered
+from imubayes.display.notebook_progress import progress_of
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.display.summary_html import summary_html
 from imubayes.display.table_layout import SheetTable, terminal
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.procedures.classical import classical
-from imubayes.results.fit_file import campaign_of
-from imubayes.results.folder_state import damaged
+from imubayes.results.fit_record import campaign_of
 from imubayes.results.posterior_draws import draws_of
-from imubayes.results.result import read_result
+from imubayes.results.read_folder import read_summary_and_residuals
+from imubayes.results.record_files import damaged
+from imubayes.results.record_names import POSTERIOR
 from imubayes.results.summary import Summary
+from imubayes.step_counter import Tell, counted
 
 _MOST_COLUMNS = 9
 _INDEX = "captions.json"
@@ -94,7 +97,11 @@ class Comparison:
 
 
 def compare(
-    folder: str | Path, parameters: Sequence[str] | None = None, runs: Sequence[str] | None = None
+    folder: str | Path,
+    parameters: Sequence[str] | None = None,
+    runs: Sequence[str] | None = None,
+    *,
+    progress: Tell | None = None,
 ) -> Comparison:
     """Make the tables and figures of a result folder, and a page that shows the five that matter most first.
 
@@ -103,6 +110,7 @@ def compare(
     folder : as written by the fit.
     parameters : for the corner plot; without them the mounting angles and scale factors that tell most, at most six.
     runs : that have a figure of their own, or ``("all",)``; without them the six that fit worst.
+    progress : called with a short text as the work goes on.
 
     Raises
     ------
@@ -110,16 +118,18 @@ def compare(
         if the folder is missing or damaged, a parameter or run is not in it, or no prediction is a finite number.
     """
     folder = Path(folder)
-    result = read_result(folder)
-    summary, residuals = result.summary, result.residuals.table
+    summary, read = read_summary_and_residuals(folder)
+    residuals = read.table
     _refuse_non_finite(residuals, folder)
     names = _checked(summary, folder, parameters) if parameters else corner_choice(summary)
-    if parameters and result.posterior_file is None:
+    posterior = folder / POSTERIOR
+    if parameters and not posterior.is_file():
         raise InputError(_no_draws(folder))
-    draws = {} if result.posterior_file is None else _draws(result.posterior_file, names, asked=bool(parameters))
+    draws = _draws(posterior, names, asked=bool(parameters)) if posterior.is_file() else {}
     chosen = _chosen_runs(residuals, folder, runs) if runs else runs_shown(summary, residuals)
     campaign = campaign_of(folder)
-    made, captions = _draw(plan(summary, residuals, names, draws, chosen, campaign), folder / "figures")
+    with progress_of(progress) as tell:
+        made, captions = _draw(plan(summary, residuals, names, draws, chosen, campaign), folder / "figures", tell)
     classical_estimates = None if campaign is None else compare_classical(classical(campaign), summary)
     notes = tuple(_notes(residuals, draws, chosen))
     ranked = most_telling_first([file.stem for file in made], summary, residuals, chosen)
@@ -147,13 +157,13 @@ def _chosen_runs(residuals: pl.DataFrame, folder: Path, runs: Sequence[str]) -> 
     return [name for name in known if name in runs]
 
 
-def _draw(figures: Plan, target: Path) -> tuple[list[Path], dict[str, str]]:
+def _draw(figures: Plan, target: Path, tell: Tell) -> tuple[list[Path], dict[str, str]]:
     """Write figures one by one; return the files, and the caption of each by file name."""
     _make_folder(target)
     made: list[Path] = []
     captions: dict[str, str] = {}
     with _light_collection():
-        for name, draw in figures:
+        for name, draw in counted(tell, "drawing", list(figures)):
             figure = draw()
             made.append(figure.save(target / f"{name}.png"))
             captions[f"{name}.png"] = figure.caption

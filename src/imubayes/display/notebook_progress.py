@@ -1,30 +1,41 @@
-"""Progress in a notebook: one line below the cell that changes as the work goes on and is gone when it is done."""
+"""Progress of a call from Python: a line below the cell of a notebook, or on the terminal.
+
+It changes as the work goes on and is gone when it is done.
+"""
 
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from html import escape
 from typing import Any
 
-# A line changes no faster than this, seconds: each change is a message to the browser.
-_SHORTEST = 0.2
+from imubayes.display.terminal_progress import ShownProgress, terminal_progress
+from imubayes.step_counter import Tell
 
-Tell = Callable[[str], None]
+# Seconds between two changes of the line: each is a message to the browser.
+_TICK = 0.5
 
 
 @contextmanager
 def progress_of(given: Tell | None) -> Iterator[Tell]:
-    """Yield the function that was given, one that shows its text below the cell in a notebook, or a silent one."""
-    display = None if given is not None else _display()
+    """Yield the function that was given, or one that shows its text below the cell in a notebook or on the terminal.
+
+    Where standard error is no terminal nothing is said: a script that wants lines gives a function.
+    """
+    if given is not None:
+        yield given
+        return
+    display = _display()
     if display is None:
-        yield given or (lambda text: None)
+        with terminal_progress(lines=False) as tell:
+            yield tell
         return
     line = _Line(display)
+    line.start()
     try:
-        yield line.show
+        yield line.tell
     finally:
-        line.clear()
+        line.stop()
 
 
 def _display() -> Callable[..., Any] | None:
@@ -39,25 +50,18 @@ def _display() -> Callable[..., Any] | None:
     return sys.modules["IPython.core.display_functions"].display
 
 
-class _Line:
-    """The line below the cell, with the seconds since it began."""
+class _Line(ShownProgress):
+    """The line below the cell, with the seconds since it began; it ticks while a step goes on without news."""
 
     def __init__(self, display: Callable[..., Any]):
-        self._display, self._handle = display, None
-        self._began = self._changed = time.monotonic()
+        super().__init__("starting")
+        self._cell = display(self._content(), raw=True, display_id=True)
 
-    def show(self, text: str) -> None:
-        now = time.monotonic()
-        if self._handle is not None and now - self._changed < _SHORTEST:
-            return
-        self._changed = now
-        shown = f"{text} … {now - self._began:.0f} s"
-        content = {"text/plain": shown, "text/html": f'<span style="opacity:.75">{escape(shown)}</span>'}
-        if self._handle is None:
-            self._handle = self._display(content, raw=True, display_id=True)
-        else:
-            self._handle.update(content, raw=True)
+    def show(self) -> None:
+        while not self._done.wait(_TICK):
+            self._cell.update(self._content(), raw=True)
+        self._cell.update({"text/plain": ""}, raw=True)
 
-    def clear(self) -> None:
-        if self._handle is not None:
-            self._handle.update({"text/plain": ""}, raw=True)
+    def _content(self) -> dict[str, str]:
+        shown = f"{self._text} … {self._seconds():.0f} s"
+        return {"text/plain": shown, "text/html": f'<span style="opacity:.75">{escape(shown)}</span>'}

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from imubayes.display.labels import pretty
 from imubayes.display.rounding import significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
-from imubayes.inference.prior_agreement import PriorConflict
+from imubayes.inference.prior_conflict import PriorConflict
 
 
 def conflict_sheet(conflicts: Sequence[PriorConflict]) -> Sheet:

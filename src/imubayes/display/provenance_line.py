@@ -1,6 +1,6 @@
 """What a result comes from, in one line for the foot of a page."""
 
-from imubayes.results.provenance import FitProvenance
+from imubayes.results.provenance_record import FitProvenance
 
 _MOST_DIGITS = 12
 

@@ -9,6 +9,7 @@ weight of its place, so the chain takes several times the largest weight found (
 """
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,9 +19,10 @@ from emcee.backends import HDFBackend
 from emcee.moves import DEMove, StretchMove
 
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.convergence import PROPOSED_EFFECTIVE_SIZE, STAYS, Convergence, diagnose
+from imubayes.inference.convergence import EFFECTIVE_SIZE, PROPOSED_EFFECTIVE_SIZE, STAYS, Convergence, diagnose
 from imubayes.inference.laplace_move import LaplaceMove
 from imubayes.inference.proposal_weights import BatchedDensity, WeighedProposal
+from imubayes.step_counter import duration, silent
 
 # The safety net for what is not Gaussian takes this share of the steps.  DESnookerMove of emcee 3.1.6 is biased.
 _STRETCH_SHARE = _DE_SHARE = 0.02
@@ -94,7 +96,7 @@ def sample(
     settings: Settings,
     checkpoint: Checkpoint,
     weighed: WeighedProposal | None = None,
-    progress: Callable[[int, str], None] | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> Chains:
     """Sample until converged, or until the longest chain allowed.
 
@@ -105,7 +107,7 @@ def sample(
     names : of the D parameters.
     checkpoint : created or checked before; where it holds steps, they are continued.
     weighed : the Laplace proposal with its importance weights; None for stretch and DE moves alone.
-    progress : called with the number of steps done and a word on convergence.
+    progress : called with a line on the steps done, the time left, and how far the chains are from their goals.
     """
     hard = weighed is not None and weighed.acceptance < _HARD_ACCEPTANCE
     short_share = _SHORT_SHARE_HARD if hard else _SHORT_SHARE
@@ -116,12 +118,12 @@ def sample(
         state = _state(number, start, settings, checkpoint)
         ensembles.append(_Ensemble(_sampler(log_density, walkers, dimensions, move), move, state))
     least, most = _lengths(len(starts), walkers, dimensions, settings, weighed)
-    tell = progress or (lambda steps, word: None)
-    taken = checkpoint.steps
+    tell, clock, begun = progress or silent, time.monotonic(), checkpoint.steps
+    taken, mixing = begun, ""
     while True:
         if taken >= least:
             chains = _judged(checkpoint, names, weighed)
-            tell(taken, chains.diagnosis.message or "converged")
+            mixing = _mixing(chains.diagnosis, weighed)
             if chains.diagnosis.settled or taken >= most:
                 return chains
         steps = min(max(_BLOCK, taken // 4), (least if taken < least else most) - taken)
@@ -129,7 +131,16 @@ def sample(
             for ensemble, backend in zip(ensembles, backends, strict=True):
                 ensemble.advance(steps, backend)
         taken += steps
-        tell(taken, "")
+        each = (time.monotonic() - clock) / (taken - begun)
+        left = f" of {least}, about {duration(each * (least - taken))} left" if taken < least else ""
+        tell(f"sampling: step {taken}{left}{mixing}")
+
+
+def _mixing(found: Convergence, weighed: WeighedProposal | None) -> str:
+    """Return how far chains are from the goals of sampling."""
+    goal = EFFECTIVE_SIZE if weighed is None else PROPOSED_EFFECTIVE_SIZE
+    size = np.nanmin(np.concatenate([found.ess_bulk, found.ess_tail]), initial=goal)
+    return f"; effective size {size:.0f} of {goal:.0f}, nested R-hat {np.nanmax(found.r_hat, initial=1.0):.3f}"
 
 
 def _lengths(

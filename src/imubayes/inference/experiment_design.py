@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import Effect, Stage
-from imubayes.inference.candidate_runs import CandidateRun, RunDesign, candidate_runs
+from imubayes.inference.candidate_runs import CandidateRun, candidate_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.identifiability import WeakDirection
+from imubayes.inference.next_run import NextRun
 from imubayes.inference.posterior_precision import deviations, linearise, precision_of
-from imubayes.json_record import Record
 from imubayes.model.bind import Model, bind
 from imubayes.model.derived_quantities import derived_jacobian
 
@@ -26,16 +26,6 @@ _WANTED_SHARE = 0.5
 _MOST_LISTED = 6
 # A run that leaves more than this share of a standard deviation is not proposed.
 _USEFUL = 0.9
-
-
-class NextRun(Record):
-    """A run that would narrow a quantity: expected standard deviation before and after it."""
-
-    run: RunDesign
-    quantity: str
-    sd_before: float
-    sd_after: float
-    unit: str
 
 
 def with_planned(fit: Fit, elsewhere: bool = False) -> tuple[Fit, list[CandidateRun]]:

@@ -48,13 +48,19 @@ def slope(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Slope:
 
 def curvature(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Curvature:
     """Return value, gradient and negative Hessian of the Laplace marginal of h, the latter by central differences."""
-    here = slope(problem, about, h)
-    rows = []
-    for axis in np.eye(len(h)):
-        above, below = (slope(problem, about, h + side * _APART * axis).gradient for side in (1.0, -1.0))
-        rows.append((np.asarray(below) - np.asarray(above)) / (2 * _APART))
-    information = np.reshape(rows, (len(h), len(h)))
+    here, count = slope(problem, about, h), len(h)
+    if not count:
+        return Curvature(here.value, here.gradient, jnp.zeros((0, 0)))
+    apart = _APART * np.eye(count)
+    gradients = np.asarray(_gradients(problem, about, jnp.asarray(np.asarray(h) + np.concatenate([apart, -apart]))))
+    information = (gradients[count:] - gradients[:count]) / (2 * _APART)
     return Curvature(here.value, here.gradient, jnp.asarray(0.5 * (information + information.T)))
+
+
+@eqx.filter_jit
+def _gradients(problem: Problem, about: Linearised, points: Float[Array, "N H"]) -> Float[Array, "N H"]:
+    """Return the gradient of the Laplace marginal at several h, one after another in one call of compiled code."""
+    return jax.lax.map(lambda h: jax.grad(log_marginal, argnums=2)(problem, about, h), points)
 
 
 def climb(

@@ -11,12 +11,11 @@ value in least-squares adjustment.  Where the data decide, v is small and it is 
 prior mean in prior standard deviations; where the prior decides, the estimate itself looks like any other.
 """
 
-from typing import Literal
-
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.json_record import Record, finite
+from imubayes.inference.prior_conflict import PriorConflict
+from imubayes.json_record import finite
 from imubayes.model.bind import Model
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.parameters.priors import HalfNormal, Normal, rounded_width
@@ -27,37 +26,6 @@ from imubayes.parameters.vector import Parameter
 CONFLICT_SD = 3.0
 # Below this share of information from the data nothing can be said of what they ask for.  Numerical.
 _LEAST_FROM_DATA = 1e-9
-
-
-class PriorConflict(Record):
-    """A parameter whose prior disagrees with the data.
-
-    Attributes
-    ----------
-    name, unit, effect, parameter : of the parameter.
-    prior_mean, prior_sd : median and standard deviation of the prior, in the unit; None where it has none.
-    value, sd : posterior mode and standard deviation, in the unit.
-    data_value, data_sd : what the data alone ask for, in the unit.
-    distance : between prior and data, in standard deviations of their difference.
-    decided_by : which of the two contributes more to the estimate.
-    stated_in : where the prior is to be changed: the model file, or the equipment's uncertainty in the campaign file.
-    wider : a prior that has room for what the data ask for, as written in a model file; empty for other families.
-    """
-
-    name: str
-    unit: str
-    effect: str
-    parameter: str
-    prior_mean: float
-    prior_sd: float | None
-    value: float
-    sd: float
-    data_value: float
-    data_sd: float
-    distance: float
-    decided_by: Literal["prior", "data"]
-    stated_in: Literal["model", "campaign"]
-    wider: str
 
 
 def prior_conflicts(model: Model, z: np.ndarray, precision: np.ndarray) -> tuple[PriorConflict, ...]:

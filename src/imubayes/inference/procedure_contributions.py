@@ -14,9 +14,9 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.inference.contribution_record import Contribution, ProcedureShare
 from imubayes.inference.fitted_model import Fit, evenly_spaced
 from imubayes.inference.posterior_precision import deviations, precision_of
-from imubayes.json_record import Record
 from imubayes.model.problem import prior_widths
 
 _QUANTITIES = ("mounting_angle[", "scale_factor[")
@@ -24,23 +24,6 @@ _QUANTITIES = ("mounting_angle[", "scale_factor[")
 _FEWEST_SCALES, _MOST_SCALES, _MOST_WORK = 8, 200, 3e9
 # Least share of the posterior variance that a linear function of the parameters explains.
 _LINEAR = 0.9
-
-
-class ProcedureShare(Record):
-    """Standard deviation of a quantity from the runs of one procedure alone, and without them."""
-
-    procedure: str
-    alone: float
-    without: float
-
-
-class Contribution(Record):
-    """Posterior standard deviation of a quantity, and by test procedure."""
-
-    quantity: str
-    unit: str
-    sd: float
-    by: tuple[ProcedureShare, ...]
 
 
 def contributions(fit: Fit) -> tuple[Contribution, ...]:

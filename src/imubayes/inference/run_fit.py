@@ -23,6 +23,7 @@ from imubayes.inference.proposal_weights import WeighedProposal, weigh
 from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import evaluate_derived
 from imubayes.model.problem import Problem
+from imubayes.step_counter import counted
 
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
 # they are out of the running whatever their width.
@@ -72,12 +73,13 @@ def joint_fit(
         file = _checkpoint(model, sampling, checkpoint or Path(folder) / "checkpoint.h5") if sampling else None
         if file is not None and resume:
             file.check()
-        tell("fitting")
+        tell("fitting: mode")
         dispersed = _DISPERSED if sampling is not None or start is None else 0
-        mode, others = _best_start(problem, sampling.seed if sampling else 0, start, dispersed)
+        mode, others = _best_start(problem, sampling.seed if sampling else 0, start, dispersed, tell)
         fit = judged_fit(model, mode)
         if not fit.converged:
             return replace(fit, seconds={"fit": time.perf_counter() - clock})
+        tell("fitting: noise scales")
         mode, approximation = _highest(problem, mode, nested_laplace(problem, mode), others)
         fit = judged_fit(model, mode)
         if not fit.converged:
@@ -95,7 +97,7 @@ def joint_fit(
         else:
             chains, points = None, proposal.draw(np.random.RandomState(0), laplace_draws)
         seconds["sample"] = time.perf_counter() - clock
-    tell("deriving")
+    tell("deriving quantities")
     return replace(fit, posterior=_posterior(fit, points, approximation, chains), seconds=seconds)
 
 
@@ -119,15 +121,13 @@ def _sampled(
     file: Checkpoint,
     tell: Progress,
 ) -> Chains:
-    def report(steps: int, word: str) -> None:
-        tell(f"sampling: {steps} steps" + (f" ({word})" if word else ""))
-
     names = model.layout.names + model.hyper_layout.names
     density = LogDensity(model.problem, file.walkers // 2)
+    tell("sampling: weighing the proposal")
     count = max(_TRIAL, file.walkers * sampling.ensembles) // sampling.ensembles
     weighed = weigh(density, proposal, sampling.ensembles, count, sampling.seed)
     starts = _starts(proposal, weighed, mode, others, file, sampling)
-    return sample(density, starts, names, sampling, file, weighed, report)
+    return sample(density, starts, names, sampling, file, weighed, tell)
 
 
 def _require_double_precision() -> None:
@@ -178,13 +178,15 @@ def _best_start(
     seed: int,
     start: tuple[np.ndarray, np.ndarray] | None,
     dispersed: int,
+    tell: Progress,
 ) -> tuple[Mode, list[np.ndarray]]:
     """Fit from the start and from draws of the prior; return the best, and other ends worth a look."""
     size, hyper_size = problem.size
     z, h = start if start is not None else (np.zeros(size), np.zeros(hyper_size))
     mode = find_mode(problem, jnp.asarray(z), jnp.asarray(h))
     random = np.random.default_rng([seed, 1])
-    ends = [fit_at(problem, jnp.asarray(random.normal(size=size)), mode.h) for _ in range(dispersed)]
+    draws = [jnp.asarray(random.normal(size=size)) for _ in range(dispersed)]
+    ends = [fit_at(problem, draw, mode.h) for draw in counted(tell, "fitting: dispersed start", draws)]
     here, *densities = heights(problem, [mode.z, *ends], mode.h).tolist()
     best = int(np.argmax(densities)) if densities else -1
     if densities and (densities[best] > here + _SAME or (not bool(mode.converged) and np.isfinite(densities[best]))):

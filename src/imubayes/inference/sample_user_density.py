@@ -70,7 +70,7 @@ def sample(
     settings: Settings | None = None,
     checkpoint: str | Path | None = None,
     resume: bool = False,
-    progress: Callable[[int, str], None] | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> Samples:
     """Sample a log density of your own by independent ensembles of stretch and differential-evolution moves.
 
@@ -87,7 +87,7 @@ def sample(
     settings : number of ensembles and walkers, seed, fewest and most steps.
     checkpoint : file in which the chains are kept; a temporary one where None.
     resume : continue the checkpoint.
-    progress : called with the number of steps and a word on convergence.
+    progress : called with a line on the steps done and how far the chains are from their goals.
 
     Raises
     ------

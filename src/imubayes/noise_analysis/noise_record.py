@@ -1,7 +1,7 @@
 """The noise of the static records of a campaign, as a record: terms in the units of datasheets, Allan deviations."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from imubayes.noise_analysis.likelihood import NoiseLikelihood
 from imubayes.noise_analysis.noise_spectra import NoiseTerm, allan_shape
 from imubayes.noise_analysis.running_sum import RunningSum, running_sums
 from imubayes.noise_analysis.term_selection import PROBABILITY, NoiseEstimate, TermEstimate, estimate_terms
+from imubayes.step_counter import counted, silent
 
 PROCEDURE = "static_record"
 LEAST_SAMPLES = 256
@@ -130,7 +131,12 @@ def coefficient_unit(channel: Channel, term: NoiseTerm, gravity: float) -> tuple
     return unit, 1.0 if term is NoiseTerm.QUANTISATION else factor * 1e-6 * gravity
 
 
-def static_noise(campaign: Campaign, runs: Sequence[str] = (), shortest_tau: float = 0.0) -> StaticNoise:
+def static_noise(
+    campaign: Campaign,
+    runs: Sequence[str] = (),
+    shortest_tau: float = 0.0,
+    progress: Callable[[str], None] | None = None,
+) -> StaticNoise:
     """Return the noise of the static records of a campaign.
 
     Parameters
@@ -138,6 +144,7 @@ def static_noise(campaign: Campaign, runs: Sequence[str] = (), shortest_tau: flo
     campaign : read from a folder.
     runs : names of static records; all where empty.
     shortest_tau : leave out frequencies above 1/(2 `shortest_tau`), s, where a filter shapes the noise.
+    progress : called with a short text as the work goes on.
 
     Raises
     ------
@@ -145,13 +152,15 @@ def static_noise(campaign: Campaign, runs: Sequence[str] = (), shortest_tau: flo
         where there is no static record, or one is too short.
     """
     found: list[ChannelNoise] = []
+    tell = progress or silent
     for run in _chosen(campaign, runs):
+        tell(f"reading {run.name}")
         source = raw_log(campaign, run)
         sums = running_sums(source, source.layout.channels, str(source.file))
+        recorded = [channel for channel in campaign.channels if channel.name in sums]
         found += [
             _of_channel(campaign, run, channel, sums.pop(channel.name), shortest_tau)
-            for channel in campaign.channels
-            if channel.name in sums
+            for channel in counted(tell, f"noise of {run.name}, channel", recorded)
         ]
     return StaticNoise(campaign=campaign.name, channels=found)
 

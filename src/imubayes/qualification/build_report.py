@@ -46,7 +46,7 @@ from imubayes.qualification.report_record import (
     StructureFound,
 )
 from imubayes.qualification.subject_and_provenance import omitted_values, provenance_of, subject_of
-from imubayes.results.history_file import read_tree
+from imubayes.results.history_tree import read_tree
 from imubayes.results.loop_files import read_diagnosis
 from imubayes.results.posterior_draws import draws_of
 from imubayes.results.result import Result, read_result

@@ -36,7 +36,7 @@ from imubayes.qualification.uncertainty_budget import (
     nuisance_groups,
 )
 from imubayes.results.estimates import is_constant
-from imubayes.results.folder_state import FIT, POSTERIOR
+from imubayes.results.record_names import FIT, POSTERIOR
 from imubayes.results.result import Result
 
 BUDGETS = "budgets.json"

@@ -7,10 +7,10 @@ None.
 
 from typing import Literal
 
-from imubayes.criticism.diagnosis_record import Verdict
 from imubayes.criticism.model_history import ChannelRms
+from imubayes.criticism.verdict import Verdict
 from imubayes.inference.identifiability import WeakDirection
-from imubayes.inference.prior_agreement import PriorConflict
+from imubayes.inference.prior_conflict import PriorConflict
 from imubayes.json_record import Record
 from imubayes.qualification.assess import Obstacle
 from imubayes.qualification.budget_record import UncertaintyBudgets

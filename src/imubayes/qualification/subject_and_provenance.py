@@ -16,7 +16,7 @@ from imubayes.qualification.report_subject import (
     ReportedTable,
     Subject,
 )
-from imubayes.results.fit_file import read_fit_record
+from imubayes.results.fit_record import read_fit_record
 from imubayes.results.provenance import software
 from imubayes.results.result import Result
 

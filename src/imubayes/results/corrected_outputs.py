@@ -14,7 +14,7 @@ import polars as pl
 from imubayes.campaign_data import Campaign, Run
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.procedures.kinematics import nominal_outputs
-from imubayes.results.residuals import Residuals
+from imubayes.results.residual_table import Residuals
 from imubayes.results.summary import Summary
 
 

@@ -7,51 +7,25 @@ has moved is found and one that has changed is noticed.
 import math
 import os
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from imubayes.campaign import load_campaign
 from imubayes.campaign_data import Campaign
-from imubayes.errors import InputError, Issue, input_error
+from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import data_hash, model_hash
-from imubayes.json_record import Record, finite
+from imubayes.json_record import finite
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 from imubayes.parameters.vector import Layout
-from imubayes.results.folder_state import FIT, MODEL, read_record, way_back
-
-
-class CampaignPlaces(Record):
-    """Folder of a campaign as given, whole, and as seen from the result; None where it has none."""
-
-    given: str | None = None
-    absolute: str | None = None
-    from_result: str | None = None
-
-
-class FitRecord(Record):
-    """The contents of `fit.json`.
-
-    Attributes
-    ----------
-    campaign : where the data were.
-    data_hash, model_hash : identify campaign and model.
-    z, h : parameters and hyperparameters at the mode by name, on the scale of the layout; None for a non-finite value.
-    converged, message : of the fit.
-    seed : of the sampler.
-    """
-
-    format: Literal[1] = 1
-    campaign: CampaignPlaces
-    data_hash: str
-    model_hash: str
-    z: dict[str, float | None]
-    h: dict[str, float | None]
-    converged: bool
-    message: str
-    seed: int
+from imubayes.results.fit_record import (
+    CampaignPlaces,
+    FitRecord,
+    _folder,
+    read_fit_record,
+)
+from imubayes.results.record_names import FIT, MODEL
 
 
 def fit_record(fit: Fit, folder: Path, seed: int) -> FitRecord:
@@ -85,24 +59,6 @@ def _places(campaign: Campaign, folder: Path) -> CampaignPlaces:
 def _by_name(layout: Layout, z: np.ndarray) -> dict[str, float | None]:
     numbers = np.asarray(z).tolist()
     return {name: finite(value) for name, value in zip(layout.names, numbers, strict=True)}
-
-
-def read_fit_record(folder: str | Path) -> FitRecord:
-    """Return `fit.json` of a result folder; raises InputError where there is none or it is damaged."""
-    file = Path(folder) / FIT
-    allowed = "a folder written by `imubayes fit … --out FOLDER`"
-    return read_record(file, FitRecord, Issue("this result holds no fit", str(file), allowed, way_back(Path(folder))))
-
-
-def refuse_other_data(folder: str | Path, campaign: Campaign) -> None:
-    """Raise InputError where a result folder is not of a campaign as it is now."""
-    if read_fit_record(folder).data_hash != campaign.digest:
-        raise input_error(
-            f"the result is not of the campaign '{campaign.name}' as it is now",
-            str(folder),
-            f"the result of a fit of {campaign.folder or campaign.name}",
-            "name the result that belongs to it, or fit the campaign as it is now",
-        )
 
 
 def read_fit(folder: str | Path) -> Fit:
@@ -143,34 +99,6 @@ def read_fit(folder: str | Path) -> Fit:
             )
         )
     return Fit(model, z, h, record.converged, record.message)
-
-
-def campaign_of(folder: str | Path) -> Campaign | None:
-    """Return the campaign of a result folder, read again; None where it is gone or no longer what was fit."""
-    try:
-        record = read_fit_record(folder)
-        found = load_campaign(_folder(record.campaign, Path(folder)))
-    except InputError:
-        return None
-    return found if found.digest == record.data_hash else None
-
-
-def _folder(places: CampaignPlaces, folder: Path) -> Path:
-    """Return the first place that holds a campaign: where it was, or as far from the result as it was."""
-    roots = ((Path(), places.absolute), (Path(), places.given), (folder, places.from_result))
-    candidates = [root / place for root, place in roots if place]
-    for place in candidates:
-        if (place / "campaign.toml").is_file():
-            return place
-    what = f"the campaign is not at '{places.given}' any more" if candidates else "the campaign was never in a folder"
-    raise InputError(
-        Issue(
-            what,
-            f"{folder / FIT}, key 'campaign'",
-            " or ".join(str(place) for place in candidates) or "a fit of a campaign folder",
-            "put the campaign back, or fit it at its new place",
-        )
-    )
 
 
 def _in_order(layout: Layout, by_name: dict[str, float | None], folder: Path) -> np.ndarray:

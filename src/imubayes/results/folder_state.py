@@ -3,18 +3,14 @@
 import json
 from pathlib import Path
 
-from pydantic import ValidationError
-
-from imubayes.errors import InputError, Issue, closest_first
+from imubayes.errors import InputError, Issue
 from imubayes.inference.checkpoint import steps_in
-from imubayes.json_record import Record
-
-SUMMARY, FIT, MODEL = "summary.json", "fit.json", "model.toml"
-RESIDUALS, POSTERIOR, CHECKPOINT = "residuals.parquet", "posterior.nc", "checkpoint.h5"
-AGAIN = "run `imubayes fit` again with this folder as --out"
-_NEEDED = (SUMMARY, RESIDUALS)
-# Faults of a damaged record that are listed.
-_MOST_FAULTS = 3
+from imubayes.results.record_names import (
+    CHECKPOINT,
+    FIT,
+    POSTERIOR,
+    SUMMARY,
+)
 
 
 def claim(folder: Path, resume: bool = False, replace: bool = False) -> None:
@@ -88,57 +84,3 @@ def _interrupted(folder: Path) -> bool:
     if not steps_in(checkpoint):
         return False
     return not summary.is_file() or summary.stat().st_mtime_ns < checkpoint.stat().st_mtime_ns
-
-
-def missing(folder: Path) -> list[Issue]:
-    """Return what keeps a folder from being a result, before any of its files is read."""
-    allowed = "a result folder with " + ", ".join(_NEEDED)
-    if not folder.exists():
-        parent = folder.parent if folder.parent.is_dir() else Path()
-        near = sorted(path.parent.name for path in parent.glob(f"*/{SUMMARY}"))
-        listed = f"{allowed}; in the same place: {closest_first(folder.name, near)}" if near else allowed
-        return [Issue("there is no such result folder", str(folder), listed, "name the folder given to --out")]
-    if not folder.is_dir():
-        return [Issue("this is a file, not a result folder", str(folder), allowed, "name the folder it lies in")]
-    if _only_begun(folder):
-        return [Issue("there is no result yet", str(folder / SUMMARY), allowed, way_back(folder))]
-    absent = [name for name in _NEEDED if not (folder / name).is_file()]
-    return [Issue(f"the result folder has no {name}", str(folder / name), allowed, AGAIN) for name in absent]
-
-
-def way_back(folder: Path) -> str:
-    """Return what to do where a folder holds no result."""
-    if _only_begun(folder):
-        return "its sampling was interrupted: run the same `imubayes fit` again with --resume"
-    return "correct the path, or run the fit again"
-
-
-def _only_begun(folder: Path) -> bool:
-    return (folder / CHECKPOINT).is_file() and not (folder / SUMMARY).is_file()
-
-
-def damaged(file: Path, reason: object, key: str = "") -> Issue:
-    """Return the issue of a file that is there but cannot be read."""
-    detail = " ".join(str(reason).split())[:200]
-    where = f"{file}, key {key}" if key else str(file)
-    return Issue(f"{file.name} cannot be read: {detail}", where, "a whole file, as the fit wrote it", AGAIN)
-
-
-def read_record[Kept: Record](file: Path, record: type[Kept], absent: Issue | None = None) -> Kept:
-    """Read a JSON file of a result folder as its typed record.
-
-    Raises
-    ------
-    InputError
-        with its first faults where it cannot be read; `absent` where there is no such file.
-    """
-    if absent is not None and not file.is_file():
-        raise InputError(absent)
-    try:
-        return record.model_validate_json(file.read_bytes())
-    except OSError as error:
-        raise InputError(damaged(file, error)) from error
-    except ValidationError as error:
-        faults = error.errors()[:_MOST_FAULTS]
-        issues = [damaged(file, fault["msg"], ".".join(map(str, fault["loc"]))) for fault in faults]
-        raise InputError(issues) from error

@@ -11,7 +11,7 @@ from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup
 from imubayes.criticism.model_history import Node, Tree
 from imubayes.json_record import Record
 from imubayes.results.addition import Addition
-from imubayes.results.folder_state import RESIDUALS
+from imubayes.results.record_names import RESIDUALS
 
 DIAGNOSIS, ADDITION, ADDED_VARIABLE = "diagnosis.json", "addition.json", "added_variable.parquet"
 

@@ -6,41 +6,11 @@ from importlib.metadata import PackageNotFoundError, version
 
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import model_hash
-from imubayes.json_record import Record
 from imubayes.results.fit_file import campaign_hash
+from imubayes.results.provenance_record import FitProvenance, SoftwareVersion
 
 # Packages whose version can change a number of a result.
 PACKAGES = ("imubayes", "jax", "equinox", "optimistix", "emcee", "arviz-base", "numpy", "scipy", "polars", "pydantic")
-
-
-class SoftwareVersion(Record):
-    """A package and its version."""
-
-    package: str
-    version: str
-
-
-class FitProvenance(Record):
-    """What a fit comes from.
-
-    Attributes
-    ----------
-    serial : serial number of the unit; empty where the campaign states none.
-    first_run, last_run : earliest and latest start of a run, ISO 8601 as in the campaign; None where no run states one.
-    fitted : when the fit was made, ISO 8601 in UTC.
-    data_sha256, model_sha256 : identify the data and the model, as in `fit.json`.
-    seed : of the sampler.
-    software : versions that made the fit.
-    """
-
-    serial: str
-    first_run: str | None
-    last_run: str | None
-    fitted: str
-    data_sha256: str
-    model_sha256: str
-    seed: int
-    software: tuple[SoftwareVersion, ...]
 
 
 def provenance(fit: Fit, seed: int) -> FitProvenance:

@@ -1,6 +1,5 @@
 """Residuals of a fit in output and input units, with every covariate: what compare and criticism look at."""
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import equinox as eqx
@@ -8,77 +7,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
-import xarray
 
 from imubayes.covariates import shown
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
-from imubayes.json_record import finite
 from imubayes.model.noise_covariance import Whitener, group_sum, whiten, whitener
 from imubayes.model.problem import Problem
 from imubayes.model.robust_likelihood import pseudo_values
-from imubayes.results.summary import RunSummary
+from imubayes.results.residual_table import INPUT_UNIT, Residuals
 from imubayes.units import to_si
 
 if TYPE_CHECKING:
-    import pandas
-
-# Columns that every residuals table has, besides the covariates.
-COLUMNS = (
-    "run", "procedure", "row", "channel", "kind", "observed", "predicted", "sd", "model_sd", "residual",
-    "output_unit", "input_residual", "input_sd", "input_unit", "whitened",
-)  # fmt: skip
-INPUT_UNIT = {"gyro": "deg/s", "accelerometer": "g", "angle": "deg"}
-
-
-@dataclass(frozen=True)
-class Residuals:
-    """Residuals as a table, one line per run, row and channel."""
-
-    table: pl.DataFrame
-
-    def to_dataframe(self) -> pl.DataFrame:
-        """Return one row per run, row and channel, with covariates, observed and predicted output and residuals."""
-        return self.table
-
-    def to_polars(self) -> pl.DataFrame:
-        """Return the table; the same as `to_dataframe`."""
-        return self.table
-
-    def to_pandas(self) -> "pandas.DataFrame":
-        """Return the table for pandas."""
-        return self.table.to_pandas()
-
-    def to_xarray(self) -> xarray.Dataset:
-        """Return the table as a dataset with the dimension `entry`."""
-        return xarray.Dataset({name: ("entry", self.table[name].to_numpy()) for name in self.table.columns})
-
-    @property
-    def chi2(self) -> float:
-        """Sum of squares of the whitened residuals."""
-        return float((self.table["whitened"] ** 2).sum())
-
-    def by_run_and_channel(self) -> tuple[RunSummary, ...]:
-        """Return n, χ², rms and noise in input units for each run and channel; None where they are not finite."""
-        grouped = self.table.group_by("run", "channel", maintain_order=True).agg(
-            pl.len().alias("n"),
-            (pl.col("whitened") ** 2).sum().alias("chi2"),
-            (pl.col("input_residual") ** 2).mean().sqrt().alias("rms"),
-            (pl.col("input_sd") ** 2).mean().sqrt().alias("noise"),
-            pl.col("input_unit").first().alias("unit"),
-        )
-        return tuple(
-            RunSummary(
-                name=line["run"],
-                channel=line["channel"],
-                n=line["n"],
-                chi2=finite(line["chi2"]),
-                rms=finite(line["rms"]),
-                noise=finite(line["noise"]),
-                unit=line["unit"],
-            )
-            for line in grouped.iter_rows(named=True)
-        )
+    pass
 
 
 @eqx.filter_jit

@@ -13,9 +13,12 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_tree import posterior_tree
 from imubayes.representation import Presented
 from imubayes.results.fit_file import read_fit
-from imubayes.results.folder_state import POSTERIOR, damaged
-from imubayes.results.residuals import Residuals, residuals_of
-from imubayes.results.result_folder import read_summary_and_residuals, write_result
+from imubayes.results.read_folder import read_summary_and_residuals
+from imubayes.results.record_files import damaged
+from imubayes.results.record_names import POSTERIOR
+from imubayes.results.residual_table import Residuals
+from imubayes.results.residuals import residuals_of
+from imubayes.results.result_folder import write_result
 from imubayes.results.summarise import summarise
 from imubayes.results.summary import Quantity, Summary
 

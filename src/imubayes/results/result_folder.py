@@ -6,27 +6,15 @@ A result is written to a scratch folder and put in place as a whole, so that the
 import shutil
 from pathlib import Path
 
-import polars as pl
 import tomlkit
 
 from imubayes.atomic_files import replacing_files
-from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_tree import posterior_tree
 from imubayes.model.model_spec import ModelSpec
 from imubayes.results.fit_file import fit_record
-from imubayes.results.folder_state import (
-    AGAIN,
-    FIT,
-    MODEL,
-    POSTERIOR,
-    RESIDUALS,
-    SUMMARY,
-    damaged,
-    missing,
-    read_record,
-)
-from imubayes.results.residuals import COLUMNS, Residuals
+from imubayes.results.record_names import FIT, MODEL, POSTERIOR, RESIDUALS, SUMMARY
+from imubayes.results.residual_table import Residuals
 from imubayes.results.summary import Summary
 
 
@@ -86,45 +74,3 @@ def model_text(spec: ModelSpec) -> str:
             blocks.append(entry)
         document["prior_correlation"] = blocks
     return tomlkit.dumps(document)
-
-
-def read_summary_and_residuals(folder: Path) -> tuple[Summary, Residuals]:
-    """Read what every result folder has.
-
-    Raises
-    ------
-    InputError
-        if it is missing, incomplete or damaged; every issue is in it.
-    """
-    issues = missing(folder)
-    if issues:
-        raise InputError(issues)
-    try:
-        summary = read_record(folder / SUMMARY, Summary)
-    except InputError as error:
-        summary, issues = None, [*error.issues]
-    residuals = _read_residuals(folder / RESIDUALS, issues)
-    if summary is not None and summary.sampled and not (folder / POSTERIOR).is_file():
-        where = str(folder / POSTERIOR)
-        issues.append(Issue("the posterior is missing", where, f"{POSTERIOR}, as written by the fit", AGAIN))
-    if issues or summary is None or residuals is None:
-        raise InputError(issues)
-    return summary, residuals
-
-
-def _read_residuals(file: Path, issues: list[Issue]) -> Residuals | None:
-    try:
-        frame = pl.read_parquet(file)
-    except (OSError, pl.exceptions.PolarsError) as error:
-        issues.append(damaged(file, error))
-        return None
-    absent = [name for name in COLUMNS if name not in frame.columns]
-    if absent:
-        issues.append(
-            Issue(f"the residuals lack the columns {', '.join(absent)}", str(file), ", ".join(COLUMNS), AGAIN)
-        )
-        return None
-    if frame.is_empty():
-        issues.append(Issue("the residuals have no rows", str(file), "one row per run, row and channel", AGAIN))
-        return None
-    return Residuals(frame)

@@ -27,7 +27,7 @@ from imubayes.results.combinations import combinations
 from imubayes.results.estimates import estimated, is_constant
 from imubayes.results.prior_scatter import prior_scatter
 from imubayes.results.provenance import provenance
-from imubayes.results.residuals import Residuals
+from imubayes.results.residual_table import Residuals
 from imubayes.results.summary import Conformance, DerivedSummary, ParameterSummary, Seconds, Summary
 
 

@@ -7,14 +7,14 @@ from typing import Any, Literal
 
 from pydantic import field_validator
 
-from imubayes.criticism.noise_assumptions import NoiseViolation
-from imubayes.inference.experiment_design import NextRun
+from imubayes.criticism.noise_violation import NoiseViolation
+from imubayes.inference.contribution_record import Contribution
 from imubayes.inference.identifiability import WeakDirection
-from imubayes.inference.plausible_estimates import ImplausibleEstimate, UnexplainedOutput
-from imubayes.inference.prior_agreement import PriorConflict
-from imubayes.inference.procedure_contributions import Contribution
+from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
+from imubayes.inference.next_run import NextRun
+from imubayes.inference.prior_conflict import PriorConflict
 from imubayes.json_record import Record
-from imubayes.results.provenance import FitProvenance
+from imubayes.results.provenance_record import FitProvenance
 
 
 class Quantity(Record):

@@ -15,7 +15,7 @@ from imubayes.display.figures.residual_evidence import added_variable_figure, be
 from imubayes.display.labels import pretty
 from imubayes.display.run_signs import RunSigns, run_signs
 from imubayes.display.theme import Picture
-from imubayes.results.folder_state import RESIDUALS
+from imubayes.results.record_names import RESIDUALS
 
 _LEVELS, _TIME_LAST = 24, 0.1
 

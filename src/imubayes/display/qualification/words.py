@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from imubayes.criticism.diagnosis_record import Verdict
+from imubayes.criticism.verdict import Verdict
 from imubayes.display.labels import pretty
 from imubayes.display.qualification.document import Mood, Text
 from imubayes.display.rounding import NO_NUMBER, rounded, significant

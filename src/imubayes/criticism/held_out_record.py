@@ -1,0 +1,37 @@
+"""What an addition does to the prediction of rows that were left out, as a record."""
+
+from typing import Literal
+
+from imubayes.criticism.verdict import RmsChange
+from imubayes.json_record import Record
+
+
+class GroupGain(Record):
+    """Rise of the log predictive density of one group of rows that was left out."""
+
+    name: str
+    delta: float
+
+
+class CrossValidation(Record):
+    """What an addition does to the prediction of rows that were left out.
+
+    Attributes
+    ----------
+    by : what is left out at a time.
+    delta, se : rise of the expected log predictive density (Δ elpd) and its standard error, from the scatter among the
+        groups; None for a single group.
+    helped, of : number of groups that are predicted better, and of all groups.
+    verdict : whether the addition ``helps``, that it is ``unclear``, or does ``not`` help.
+    each : Δ elpd of each group.
+    rates : of poses: rms of each gyro at rest about its prediction, before and after.
+    """
+
+    by: Literal["run", "pose", "block"]
+    delta: float
+    se: float | None
+    helped: int
+    of: int
+    verdict: Literal["helps", "unclear", "not"]
+    each: tuple[GroupGain, ...] = ()
+    rates: tuple[RmsChange, ...] = ()

@@ -1,0 +1,35 @@
+"""What a diagnosis decides, and what an addition changes: verdicts, effects with their channels, residual rms."""
+
+from typing import Literal
+
+from imubayes.json_record import Record
+
+Verdict = Literal[
+    "adequate",
+    "missing_effect",
+    "equivalent_effects",
+    "unexplained_structure",
+    "noise_model",
+    "undetectable",
+    "not_converged",
+]
+
+
+MISSING: tuple[Verdict, ...] = ("missing_effect", "equivalent_effects")
+"""Verdicts that name effects."""
+
+
+class EffectChoice(Record):
+    """An effect with the channels it acts on; None for all that it can act on."""
+
+    effect: str
+    channels: tuple[str, ...] | None
+
+
+class RmsChange(Record):
+    """Residual rms of one channel before and after an addition, in `unit`."""
+
+    channel: str
+    before: float
+    after: float
+    unit: str
