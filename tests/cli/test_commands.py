@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 PARTS = ("error: ", "  where:   ", "  do:      ")
 
 
-def said(capsys, *words: str) -> tuple[int, str, str]:
+def said(capsys, *words: str | Path) -> tuple[int, str, str]:
     status = run([str(word) for word in words])
     captured = capsys.readouterr()
     # Lines of progress, "fitting: mode · 3 s", come as slowly as the machine is.

@@ -234,6 +234,7 @@ def test_the_history_is_a_tree_with_one_selected(place, third, tmp_path):
     assert (tmp_path / "selected.toml").read_text() == (folders[1] / "model.toml").read_text()
     node = read_node(folders[1])
     assert node.added == (EffectChoice(effect=LACKING, channels=("ax",)),)
+    assert node.held_out is not None
     assert node.held_out.verdict == "helps"
     assert node.data_hash == read_node(folders[0]).data_hash
     assert node.model_hash != read_node(folders[0]).model_hash

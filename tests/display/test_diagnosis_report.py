@@ -309,7 +309,7 @@ def test_a_noise_effect_is_not_punished_by_the_error_per_step():
     bars = [each for each in drawn.axes[0].collections if isinstance(each, LineCollection)]
     heights = np.concatenate([each.get_segments() for each in bars])[:, 0, 1]
     assert heights[1] == pytest.approx(2.5 * heights[0])
-    assert heights[1] == pytest.approx(drawn.axes[0].lines[0].get_ydata()[1])
+    assert heights[1] == pytest.approx(np.asarray(drawn.axes[0].lines[0].get_ydata())[1])
 
 
 def test_small_pictures():
@@ -319,7 +319,8 @@ def test_small_pictures():
 
 def test_injection_names_what_was_missed(capsys):
     trial = Trial("gyro_warm_up", (), 50.0, Diagnosis(verdict="adequate", p_global=0.3))
-    nulls: tuple[Verdict, ...] = ("missing_effect", *["adequate"] * 19)
+    quiet: tuple[Verdict, ...] = ("adequate",) * 19
+    nulls: tuple[Verdict, ...] = ("missing_effect", *quiet)
     trials = Trials("c", "m", Size(), 0, (trial,), {"lever_arm": "no run"}, nulls, 0.05)
     print_report(injection_report(trials))
     out = " ".join(capsys.readouterr().out.split())

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from imubayes.cli.options import Flag, Json, print_json
+from imubayes.cli.session import progress, start_jax
 
 if TYPE_CHECKING:
     from imubayes.results.summary import Summary
@@ -50,8 +51,6 @@ def fit(
     verbose
         List every parameter, also those of single poses.
     """
-    from imubayes.cli.session import progress, start_jax
-
     with progress() as tell:
         start_jax()
         from imubayes.api import fit as fit_campaign
@@ -59,8 +58,7 @@ def fit(
         from imubayes.display.check_report import usable, warning_lines
 
         tell("reading the campaign")
-        inspection = inspect_campaign(campaign)
-        recorded = usable(inspection)
+        recorded = usable(inspection := inspect_campaign(campaign))
     print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
     with progress("compiling") as tell:
         result = fit_campaign(

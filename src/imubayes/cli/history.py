@@ -1,8 +1,13 @@
 """`imubayes history`: the models tried."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from imubayes.cli.options import Json, print_json
+from imubayes.cli.session import progress, start_jax
+
+if TYPE_CHECKING:
+    from imubayes.criticism.model_history import Tree
 
 
 def history(
@@ -29,7 +34,6 @@ def history(
     as_json
         Print one JSON object on standard output.
     """
-    from imubayes.cli.session import progress, start_jax
     from imubayes.errors import input_error
 
     folders = [*results, *([select] if select is not None and not results else [])]
@@ -56,13 +60,8 @@ def history(
 
             export_model(folders[0], export)
         if html is not None:
-            start_jax()
-            from imubayes.atomic_files import write_text
-            from imubayes.display.history_page import history_page
-            from imubayes.results.loop_files import read_steps
-
             tell("drawing")
-            write_text(html, history_page(tree, {place: read_steps(tree, place) for place in tree.selected}))
+            _write_page(html, tree)
     if as_json:
         print_json(history_json(tree))
     else:
@@ -70,3 +69,12 @@ def history(
         for file in (file for file in (export, html) if file is not None):
             print(f"written: {file}")
     return 0
+
+
+def _write_page(html: Path, tree: "Tree") -> None:
+    start_jax()
+    from imubayes.atomic_files import write_text
+    from imubayes.display.history_page import history_page
+    from imubayes.results.loop_files import read_steps
+
+    write_text(html, history_page(tree, {place: read_steps(tree, place) for place in tree.selected}))

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.effects.base import Effect, Stage
-from imubayes.inference.candidate_runs import CandidateRun, candidate_runs
+from imubayes.inference.candidate_runs import CandidateRun, RunDesign, candidate_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.identifiability import WeakDirection
 from imubayes.inference.next_run import NextRun

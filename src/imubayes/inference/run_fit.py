@@ -90,8 +90,7 @@ def joint_fit(
         if sampling is not None and file is not None:
             if not resume:
                 file.create()
-            chains = _sampled(model, proposal, mode, others, sampling, file, tell)
-            chains = thinned(chains, sampling.most_kept)
+            chains = thinned(_sampled(model, proposal, mode, others, sampling, file, tell), sampling.most_kept)
             points = chains.points.reshape(-1, chains.points.shape[-1])
             fit = replace(fit, converged=chains.diagnosis.converged, message=chains.diagnosis.message)
         else:
