@@ -19,6 +19,7 @@ from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.injection_recovery import Size, Trials, plant_effects
 from imubayes.criticism.model_history import Tree
 from imubayes.display.notebook_progress import progress_of
+from imubayes.display.onboard.export_files import ExportOptions, Format, write_constants
 from imubayes.errors import input_error
 from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.ensemble_sampling import Settings
@@ -29,6 +30,10 @@ from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import ModelSpec
 from imubayes.qualification.build_report import report_of
 from imubayes.qualification.digits import Digits
+from imubayes.qualification.noise_densities import of_fit, of_record, read_noise
+from imubayes.qualification.onboard_constants import onboard_constants as constants_of
+from imubayes.qualification.onboard_losses import Loss
+from imubayes.qualification.onboard_record import OnboardConstants
 from imubayes.qualification.recording_files import CorrectedRecording, correct_recording, open_recording
 from imubayes.qualification.report_record import QualificationReport
 from imubayes.qualification.until_digits import fit_until_digits
@@ -257,6 +262,56 @@ def correct(
     return correct_recording(found, source, Path(out))
 
 
+def onboard_constants(result: Result | str | Path) -> OnboardConstants:
+    """Return the constants of a unit to use on board: matrix, biases, gains over temperature, with joint covariance.
+
+    Parameters
+    ----------
+    result : a fit of the unit, or its folder.
+
+    Raises
+    ------
+    InputError
+        for a result without a posterior, and a unit whose channels do not span three axes.
+    """
+    return constants_of(result if isinstance(result, Result) else read_result(result))
+
+
+def export_constants(
+    result: Result | str | Path,
+    out: str | Path,
+    format: Format = "json",
+    *,
+    noise: str | Path | None = None,
+    rate: float | None = None,
+    topic: str = "/imu0",
+    accept_loss: bool = False,
+) -> tuple[Loss, ...]:
+    """Write the constants of a unit in the format of another program; return what that format leaves out.
+
+    Parameters
+    ----------
+    result : a fit of the unit, or its folder.
+    out : the file to write.
+    format : json, c, kalibr, px4, ardupilot or ros.
+    noise : record of `imubayes noise`, for kalibr.
+    rate : of the samples on board, Hz, for kalibr.
+    topic : ROS topic, for kalibr.
+    accept_loss : whether to leave out what is larger than its uncertainty.
+
+    Raises
+    ------
+    InputError
+        where the format cannot hold the constants, or needs what is not known.
+    """
+    found = result if isinstance(result, Result) else read_result(result)
+    constants = constants_of(found)
+    known = of_fit(found, constants, rate)
+    if noise is not None:
+        known |= of_record(read_noise(Path(noise)), found.fit.model.campaign)
+    return write_constants(constants, format, Path(out), ExportOptions(rate, topic, known, accept_loss))
+
+
 def report(result: Result | str | Path, specification: str | Path | None = None) -> QualificationReport:
     """Return the uncertainty report of a result as a record; `imubayes report` writes it as page, PDF and JSON.
 
@@ -360,9 +415,11 @@ __all__ = [
     "correct",
     "diagnose",
     "export",
+    "export_constants",
     "fit",
     "history",
     "load",
+    "onboard_constants",
     "plant",
     "read_result",
     "report",

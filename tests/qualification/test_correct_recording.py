@@ -8,12 +8,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.api import correct, fit
+from imubayes.api import correct, fit, onboard_constants
 from imubayes.campaign.run_tables import RowBatch
 from imubayes.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
 from imubayes.qualification.correct_recording import Correction, RowTally
+from imubayes.qualification.onboard_response import linear_response, sufficient_grid
 from imubayes.qualification.reading_noise import ReadingNoise
 from imubayes.qualification.recording_files import open_recording
 from imubayes.qualification.sensor_posterior import SensorPosterior, complete_kinds
@@ -202,3 +203,60 @@ def test_all_axes_are_solved_jointly_with_the_nonlinear_terms(nonlinear):
         spread = np.std([each[f"{column}_{unit}"] for each in repeated], axis=0)
         stated = found[f"{column}_systematic_sd_{unit}"]
         assert np.median(spread / stated) == pytest.approx(1.0, abs=0.3)
+
+
+def test_the_constants_give_the_truth_within_their_joint_covariance(result, tmp_path):
+    """M (r − b) in NumPy on outputs of the true unit, with the covariance of the constants propagated to each row."""
+    constants = onboard_constants(result)
+    force, rate = attitudes(60), 0.7 * attitudes(60, 6) / G
+    columns = true_outputs(rate, force)
+    pl.DataFrame({**columns, "samples": np.full(60, 10**8)}).write_csv(tmp_path / "new.csv")
+    correct(result, tmp_path / "new.csv", tmp_path / "out.csv")
+    solved = pl.read_csv(tmp_path / "out.csv")
+    names = [constant.name for constant in constants.constants]
+    covariance = np.array(constants.covariance)
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [c.sd for c in constants.constants], rtol=1e-6)
+    for kind, true, name, unit in (("accelerometer", force, "force", "m_s2"), ("gyro", rate, "rate", "rad_s")):
+        triad = constants.triad(kind)
+        assert triad is not None
+        assert triad.error_left < 1e-6
+        r = np.stack([columns[channel] for channel in triad.channels], axis=1)
+        bias = np.array(triad.bias.coefficients)[:, 0]
+        found = (r - bias) @ np.array(triad.matrix).T
+        for k, axis in enumerate("xyz"):
+            gradient = np.zeros((60, len(names)))
+            for i, channel in enumerate(triad.channels):
+                gradient[:, names.index(f"M[{axis},{channel}]")] = r[:, i] - bias[i]
+                gradient[:, names.index(f"bias[{channel}]")] = -triad.matrix[k][i]
+            sd = np.sqrt(np.einsum("rn,nm,rm->r", gradient, covariance, gradient))
+            assert np.abs((found[:, k] - true[:, k]) / sd).max() < 4
+            np.testing.assert_allclose(sd, solved[f"{name}_{axis}_systematic_sd_{unit}"], rtol=0.05)
+    # The angles that define the body axes are held by their priors, and known to be.
+    assert not constants.unexpressed
+    sample = constants.worked_sample
+    assert sample.force_m_s2 is not None
+    np.testing.assert_allclose(sample.force_m_s2, [1.5, -2.5, 9.0], atol=2e-6)
+
+
+def test_bias_and_gain_are_polynomials_of_both_temperatures(nonlinear):
+    posterior, p = nonlinear
+    needs = ("temperature", "converter_temperature")
+    ranges = {"temperature": (0.0, 50.0), "converter_temperature": (10.0, 60.0)}
+    grid = sufficient_grid(posterior, ranges, needs, ("accelerometer", "gyro"))
+    found = linear_response(posterior, posterior.values[None], grid, ("accelerometer", "gyro"))
+    for warm, converter in ((3.0, 55.0), (48.0, 12.0), (25.0, 25.0)):
+        powers = (warm - 25) ** grid.powers[:, 0] * (converter - 25) ** grid.powers[:, 1]
+        for k, axis in enumerate("xyz"):
+            a, g = f"a{axis}", f"g{axis}"
+            gain = 1 + p.get(f"converter_gain_drift.slope[{a}]", 0.0) * (converter - 25)
+            scale = (1 + p[f"accel_scale_factor.scale[{a}]"]) * gain
+            bias = p[f"accel_bias.bias[{a}]"] + p[f"accel_bias_temperature.slope[{a}]"] * (warm - 25)
+            assert found["accelerometer"].gain[0, k] @ powers == pytest.approx(scale, abs=1e-9)
+            assert found["accelerometer"].zero[0, k] @ powers == pytest.approx(scale * bias, abs=1e-9)
+            gain = 1 + p.get(f"converter_gain_drift.slope[{g}]", 0.0) * (converter - 25)
+            thermal = 1 + p[f"gyro_scale_temperature.slope[{g}]"] * (warm - 25)
+            scale = (1 + p[f"gyro_scale_factor.scale[{g}]"]) * thermal * gain
+            assert found["gyro"].gain[0, k] @ powers == pytest.approx(scale, abs=1e-9)
+            assert found["gyro"].zero[0, k] @ powers == pytest.approx(scale * p[f"gyro_bias.bias[{g}]"], abs=1e-10)
+        sensitivity = p["gyro_g_sensitivity.d_o[gx]"] * (1 + p["gyro_scale_factor.scale[gx]"])
+        assert found["gyro"].by_force[0, 0, 1] == pytest.approx(sensitivity, rel=1e-9)

@@ -11,13 +11,13 @@ from imubayes import __version__
 from imubayes.cli.add import add
 from imubayes.cli.apply import apply
 from imubayes.cli.archive import archive
-from imubayes.cli.batch_questions import batch
 from imubayes.cli.carrier import carrier
 from imubayes.cli.check import check
 from imubayes.cli.classical import classical
 from imubayes.cli.compare import compare
 from imubayes.cli.diagnose import diagnose
 from imubayes.cli.effects import effects
+from imubayes.cli.export import export
 from imubayes.cli.fit import fit
 from imubayes.cli.history import history
 from imubayes.cli.noise import noise
@@ -30,7 +30,7 @@ from imubayes.errors import InputError, Issue, closest_first
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 _COLLECTION_THRESHOLD = 100_000
 _COMMANDS = (
-    check, fit, compare, classical, noise, carrier, apply, diagnose, add, history, plant, report, effects,
+    check, fit, compare, classical, noise, carrier, apply, export, diagnose, add, history, plant, report, effects,
     simulate, schema,
 )  # fmt: skip
 
@@ -45,7 +45,6 @@ app = cyclopts.App(
 for _command in _COMMANDS:
     app.command(_command)
 app.command(archive)
-app.command(batch)
 # Its options are a dataclass of the campaign package: imported only when the command runs.
 app.command("imubayes.cli.convert:convert", name="convert")
 

@@ -9,6 +9,7 @@ _RECORDS = {
     "campaign": ("imubayes.campaign.file_schemas", "CampaignFile"),
     "model": ("imubayes.campaign.file_schemas", "ModelFile"),
     "plan": ("imubayes.simulation.test_plan", "PlanFile"),
+    "constants": ("imubayes.qualification.onboard_record", "OnboardConstants"),
     "diagnosis": ("imubayes.criticism.diagnosis_record", "Diagnosis"),
     "addition": ("imubayes.results.addition", "Addition"),
     "history": ("imubayes.criticism.model_history", "Node"),
@@ -27,8 +28,8 @@ def schema(kind: str) -> int:
     Parameters
     ----------
     kind
-        campaign (campaign.toml), model, plan; report; summary, fit, diagnosis, addition, or history (JSON files of
-        a result).
+        campaign (campaign.toml), model, plan; report; constants (of `imubayes export`); summary, fit, diagnosis,
+        addition, or history (JSON files of a result).
     """
     if kind not in _RECORDS:
         allowed = closest_first(kind, _RECORDS)

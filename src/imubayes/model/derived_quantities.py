@@ -131,7 +131,7 @@ def derived_quantities(assembly: Assembly) -> DerivedQuantities:
     names += thermal_names
     inputs = SensitivityInputs(
         channels=assembly.channels,
-        sensor_layers=assembly.path(None, (Stage.PLACE, Stage.SENSOR, Stage.CONVERTER), keep=_is_lasting),
+        sensor_layers=assembly.path(None, (Stage.PLACE, Stage.SENSOR, Stage.CONVERTER), keep=is_lasting),
         mountings=assembly.nodes.at(mounting_nodes),
         mounting_layers=assembly.path(mounting_nodes, (Stage.STAND, Stage.TABLE)),
         thermal=assembly.nodes.at(thermal.nodes) if thermal.runs else None,
@@ -241,7 +241,7 @@ def _whole_path(assembly: Assembly, nodes: np.ndarray) -> tuple[Layer, ...]:
     return assembly.path(nodes, tuple(Stage), injected=assembly.grouping.nodes.injected[nodes])
 
 
-def _is_lasting(effect: BoundEffect, effect_class: type[Effect]) -> bool:
+def is_lasting(effect: BoundEffect, effect_class: type[Effect]) -> bool:
     """Tell whether an effect belongs to the scale factor: the small-signal response common to all runs.
 
     Effects of single runs and of injected currents do not, nor do dead zones and limits: a scale factor is the slope

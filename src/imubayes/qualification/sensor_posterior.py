@@ -93,3 +93,16 @@ def sensor_posterior(result: Result) -> SensorPosterior:
     values = np.concatenate([np.zeros(count), np.asarray(model.problem.nulls)])
     values[places] = draws.mean(axis=0)
     return SensorPosterior(model.campaign, inputs, names, places, draws, values)
+
+
+def prior_values(result: Result, posterior: SensorPosterior) -> np.ndarray | None:
+    """Return all values at draws of the prior, shape (S', V); None where the result has none."""
+    tree = result.posterior
+    if "prior" not in tree.children or not posterior.names:
+        return None
+    found = complete(draws_of(tree["prior"].to_dataset(), posterior.names))
+    if set(found) != set(posterior.names):
+        return None
+    factors = result.fit.model.layout.factors()[posterior.places]
+    draws = np.stack([found[name] for name in posterior.names], axis=1) * factors
+    return np.stack([posterior.at(draw) for draw in draws])

@@ -1,0 +1,1 @@
+"""Constants for use on board in the formats of other programs."""

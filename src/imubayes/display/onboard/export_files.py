@@ -1,0 +1,66 @@
+"""Constants for use on board, written in the format that a program reads."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from imubayes.atomic_files import write_text
+from imubayes.display.onboard.autopilot_parameters import ardupilot_parameters, px4_parameters
+from imubayes.display.onboard.c_header import c_header
+from imubayes.display.onboard.kalibr_yaml import kalibr_yaml
+from imubayes.display.onboard.losses_in_words import refuse_losses
+from imubayes.display.onboard.ros_covariances import ros_covariances
+from imubayes.errors import input_error
+from imubayes.qualification.noise_densities import NoiseDensity
+from imubayes.qualification.onboard_losses import Loss, losses
+from imubayes.qualification.onboard_record import OnboardConstants
+
+Format = Literal["json", "c", "kalibr", "px4", "ardupilot", "ros"]
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What formats need beside the constants.
+
+    Attributes
+    ----------
+    rate : of the samples, Hz; None where unknown.
+    topic : ROS topic.
+    noise : kind of channel → noise density.
+    accept_loss : whether a file may leave out what is larger than its uncertainty.
+    """
+
+    rate: float | None = None
+    topic: str = "/imu0"
+    noise: Mapping[str, NoiseDensity] = field(default_factory=dict)
+    accept_loss: bool = False
+
+
+def write_constants(constants: OnboardConstants, format: Format, out: Path, options: ExportOptions) -> tuple[Loss, ...]:
+    """Write the constants; return what the format leaves out.
+
+    Raises
+    ------
+    InputError
+        where the format cannot hold the constants, or needs what is not known.
+    """
+    found = () if format in ("json", "ros") else losses(constants, format)
+    if not options.accept_loss:
+        refuse_losses(found, format, str(out))
+    write_text(out, constants_text(constants, format, found, options))
+    return found
+
+
+def constants_text(constants: OnboardConstants, format: Format, found: tuple[Loss, ...], options: ExportOptions) -> str:
+    """Return the text of the file."""
+    if format == "json":
+        return constants.json_text()
+    if format == "kalibr":
+        if not options.rate:
+            raise input_error(
+                "the rate of the samples is not known", "--format kalibr", "a rate in Hz", "give --rate-hz"
+            )
+        return kalibr_yaml(constants, found, options.noise, options.rate, options.topic)
+    writers = {"c": c_header, "px4": px4_parameters, "ardupilot": ardupilot_parameters, "ros": ros_covariances}
+    return writers[format](constants, found)
