@@ -89,15 +89,13 @@ def onboard_constants(result: Result) -> OnboardConstants:
                 "`imubayes apply` gives the inputs along single channels",
             )
         )  # fmt: skip
-    effects = [effect for effect in result.fit.model.assembly.effects if acts_linearly(effect)]
-    felt = {need for effect in effects for need in effect.effect_class.needs}
-    needs = tuple(name for name in TEMPERATURES if name in felt)
+    needs = _needs(result)
     ranges = {name: span for name, span in _ranges(posterior).items() if name in needs}
     grid = sufficient_grid(posterior, ranges, needs, kinds)
     triads = _triads(posterior, np.stack([posterior.at(draw) for draw in posterior.draws]), grid, kinds)
     before = prior_values(result, posterior)
     prior = None if before is None else _triads(posterior, before, grid, kinds, triads)
-    noise = reading_noise(result, [c for kind in kinds for c in posterior.campaign.of_kind(kind)])
+    noise = reading_noise(result, [channel for channel in channels if channel.kind in kinds])
     spans = input_ranges(posterior.campaign)
     made = {kind: _record(kind, triads[kind], posterior, grid, noise, spans[kind]) for kind in sorted(kinds)}
     records = _checked(made, posterior, ranges)
@@ -120,13 +118,24 @@ def onboard_constants(result: Result) -> OnboardConstants:
         triads=tuple(records.values()),
         constants=constants,
         covariance=_covariance(triads),
-        not_determined=tuple(c.name for c in constants if c.from_data is not None and c.from_data < WEAK_SHARE),
+        not_determined=_not_determined(constants),
         weak_directions=summary.weak_directions,
         unexpressed=unexpressed_effects(result, posterior, spans),
         slow_noise=noise.slow,
         conventions=CONVENTIONS,
         worked_sample=_sample(records, posterior, ranges),
     )
+
+
+def _needs(result: Result) -> tuple[str, ...]:
+    """Return the temperatures that constants can depend on."""
+    effects = [effect for effect in result.fit.model.assembly.effects if acts_linearly(effect)]
+    felt = {need for effect in effects for need in effect.effect_class.needs}
+    return tuple(name for name in TEMPERATURES if name in felt)
+
+
+def _not_determined(constants: tuple[Constant, ...]) -> tuple[str, ...]:
+    return tuple(c.name for c in constants if c.from_data is not None and c.from_data < WEAK_SHARE)
 
 
 def _covariance(triads: dict[str, _Triad]) -> tuple[tuple[float, ...], ...]:
