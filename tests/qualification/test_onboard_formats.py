@@ -7,6 +7,7 @@ What they make of outputs must be what was put in: the outputs are made in the t
 import itertools
 import shutil
 import subprocess
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -45,7 +46,9 @@ def thermal(order: int, converter: bool, size: float, constant: bool, seed: int)
     return ThermalPolynomial(terms=powers, coefficients=tuple(rows))
 
 
-def triad(kind: str, matrix: np.ndarray, bias: ThermalPolynomial, gain: ThermalPolynomial, a=None) -> TriadConstants:
+def triad(
+    kind: Literal["gyro", "accelerometer"], matrix: np.ndarray, bias: ThermalPolynomial, gain: ThermalPolynomial, a=None
+) -> TriadConstants:
     letter = kind[0]
     return TriadConstants(
         kind=kind, unit="rad/s" if kind == "gyro" else "m/s^2", channels=tuple(f"{letter}{axis}" for axis in "xyz"),
