@@ -6,10 +6,10 @@ covariance is that of all constants jointly, of gyros and accelerometers alike.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.metadata import version
 
 import numpy as np
 
-from imubayes import __version__
 from imubayes.errors import InputError, Issue
 from imubayes.inference.identifiability import WEAK_SHARE, from_data
 from imubayes.inference.run_fit import data_hash, model_hash
@@ -105,7 +105,7 @@ def onboard_constants(result: Result) -> OnboardConstants:
         serial=posterior.campaign.serial,
         campaign=summary.campaign,
         model=summary.model,
-        version=__version__,
+        version=version("imubayes"),
         data_sha256=data_hash(model),
         model_sha256=model_hash(model),
         gravity_m_s2=posterior.campaign.site.gravity,
