@@ -45,8 +45,8 @@ class LatitudeValue(Mistake):
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield the one mistake, where there are gyros."""
-        if _feels_the_earth(campaign, views):
+        """Yield the one mistake, where gyros sat in several mountings: in few, biases pass for the Earth rate."""
+        if _feels_the_earth(campaign, views) and len({view.mounting for view in views}) > 2:
             yield cls(all_runs(range(len(views))))
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
