@@ -33,7 +33,7 @@ def refuse_losses(found: Sequence[Loss], target: str, where: str) -> None:
                 f"{PROGRAMS[target]} cannot hold the {in_words(loss)}",
                 where,
                 "an error within its expanded uncertainty (k = 2)",
-                "export as json, c or kalibr, or accept the errors with --accept-loss",
+                "export as json, which holds all terms, or accept the errors with --accept-loss",
             )
             for loss in significant
         )
