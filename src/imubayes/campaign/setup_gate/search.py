@@ -37,8 +37,10 @@ LEAST_TURN = math.radians(25.0)
 of a tactical gyro tells no less."""
 LEAST_SHARE = 0.98
 """Least share of the excess misfit that the correction of a mistake removes."""
-MOST_MISTAKES, TRIED_FIRST = 3, 4
-"""Mistakes that are looked for together, and how many of the best are tried as the first of several."""
+MOST_MISTAKES = 3
+"""Mistakes that are looked for together."""
+TRIED_FIRST, TRIED_NEXT = 4, 1
+"""How many of the best are tried as the first of several, and as each one after it: every trial is a search."""
 EQUIVALENT = 10.0
 """Mistakes whose gain is within this of the best are equally good explanations."""
 _REFINEMENTS = 4
@@ -161,8 +163,14 @@ class Search:
         largest = float(np.abs(self.model.errors(self.total)).max())
         return self.misfit < ORDINARY_MISFIT and largest < ORDINARY_ERROR
 
-    def several_mistakes(self, most: int) -> list[tuple[Explanation, ...]]:
-        """Return the fewest mistakes that explain the outputs together; none where so many do not."""
+    def several_mistakes(self, most: int, tried: int = TRIED_FIRST) -> list[tuple[Explanation, ...]]:
+        """Return the fewest mistakes that explain the outputs together; none where so many do not.
+
+        Parameters
+        ----------
+        most : mistakes together.
+        tried : how many of the best are tried as the first of several.
+        """
         found = [each for each in self._suspected() if each.support > DECISIVE]
         whole = [each for each in found if self._explains(each)]
         if whole:
@@ -170,8 +178,8 @@ class Search:
         if most == 1:
             return []
         # The first of several need not be the one that gains most: two wrong files may look like one wrong table.
-        partial = list(_distinct(sorted(found, key=lambda each: -each.support)))[:TRIED_FIRST]
-        chains = [(each, self._corrected_by(each).several_mistakes(most - 1)) for each in partial]
+        partial = list(_distinct(sorted(found, key=lambda each: -each.support)))[:tried]
+        chains = [(each, self._corrected_by(each).several_mistakes(most - 1, TRIED_NEXT)) for each in partial]
         chains = [(each, rest) for each, rest in chains if rest]
         if not chains:
             return []
