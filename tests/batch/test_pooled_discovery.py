@@ -132,5 +132,5 @@ def test_the_adjustment_is_that_of_benjamini_and_yekutieli():
 
 
 def test_a_batch_without_scores_is_refused():
-    with pytest.raises(InputError, match="no scores"):
+    with pytest.raises(InputError, match="no campaign of the batch has scores"):
         pooled_discovery(SCORES.to_frame(), archive(7, np.zeros((2, 6)))[1])

@@ -175,14 +175,14 @@ def pooled_discovery(scores: pl.DataFrame, units: pl.DataFrame) -> PooledDiscove
     Raises
     ------
     InputError
-        where the batch was made without scores.
+        where no campaign has scores.
     """
     if scores.is_empty():
         raise input_error(
-            "the batch has no scores of candidate effects",
+            "no campaign of the batch has scores of candidate effects",
             "results folder",
-            "a batch with scores",
-            "run imubayes batch again with --scores",
+            "a batch with campaigns that were fitted",
+            "run imubayes batch again: it lists why campaigns have no estimates",
         )
     together = pooled_scores(scores)
     ranked = all_evidence(together)
