@@ -11,6 +11,7 @@ from imubayes import __version__
 from imubayes.cli.add import add
 from imubayes.cli.apply import apply
 from imubayes.cli.archive import archive
+from imubayes.cli.batch_questions import batch
 from imubayes.cli.carrier import carrier
 from imubayes.cli.check import check
 from imubayes.cli.classical import classical
@@ -45,6 +46,7 @@ app = cyclopts.App(
 for _command in _COMMANDS:
     app.command(_command)
 app.command(archive)
+app.command(batch)
 # Its options are a dataclass of the campaign package: imported only when the command runs.
 app.command("imubayes.cli.convert:convert", name="convert")
 
