@@ -59,7 +59,7 @@ def test_the_optimum_is_that_of_a_single_fit(name):
 
 def fitted(units: list[Path], name: str = "polar-tumble") -> list[UnitPosterior]:
     sources = tuple(source for unit in units for source in sources_of(unit))
-    return list(fit_chunk(ChunkTask(read_model(MODELS / f"{name}.toml"), BatchSettings(), sources)).units)
+    return list(fit_chunk(ChunkTask(read_model(MODELS / f"{name}.toml"), BatchSettings(), sources)))
 
 
 def test_posteriors_in_lanes_are_those_of_single_fits(units):

@@ -24,7 +24,7 @@ from imubayes.batch.posterior_table import (
     read_parameters,
     read_units,
 )
-from imubayes.batch.run_batch import BatchProgress, ChunkTask, FittedChunk, run_batch
+from imubayes.batch.run_batch import BatchProgress, ChunkTask, run_batch
 from imubayes.batch.unit_sources import sources_of, unread
 from imubayes.errors import InputError
 from imubayes.model.model_file import read_model
@@ -45,7 +45,7 @@ def toy_executor(tasks, seconds: float = 0.0):
             failed = source.digest.startswith("0")
             outcome = Outcome("failed", "toy", source.path, source.fingerprint()) if failed else Outcome("fitted")
             units.append(UnitPosterior(unread(source), outcome, () if failed else (parts,), np.eye(2) * (not failed)))
-        yield FittedChunk(tuple(units), pl.DataFrame())
+        yield tuple(units)
 
 
 @pytest.fixture(scope="module")
@@ -151,11 +151,11 @@ def test_a_unit_without_estimates_is_tried_again_when_its_file_has_changed(tmp_p
         for task in tasks:
             outcomes = [Outcome("refused", "no", source.path, source.fingerprint()) for source in task.sources]
             pairs = zip(task.sources, outcomes, strict=True)
-            yield FittedChunk(tuple(UnitPosterior(unread(s), o) for s, o in pairs), pl.DataFrame())
+            yield tuple(UnitPosterior(unread(s), o) for s, o in pairs)
 
     def all_succeed(tasks):
         for task in tasks:
-            yield FittedChunk(tuple(UnitPosterior(unread(s), Outcome("fitted")) for s in task.sources), pl.DataFrame())
+            yield tuple(UnitPosterior(unread(s), Outcome("fitted")) for s in task.sources)
 
     out = tmp_path / "out"
     assert run_batch(tmp_path / "units", MODEL, out, all_fail).failed == 3

@@ -12,7 +12,6 @@ from dataclasses import replace
 from itertools import islice
 from typing import Any
 
-import polars as pl
 from dask import config as dask_config
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.comm.core import CommClosedError
@@ -84,9 +83,10 @@ def on_client(client: Client, fit: Callable[[ChunkTask], FittedChunk]) -> Execut
         for future in results:
             task = tasks_of.pop(future)
             found = _fitted(future, task)
-            submit(found if isinstance(found, list) else [])
+            divided = isinstance(found, list)
+            submit(found if divided else [])
             submit(islice(waiting, max(0, _wanted(client) - len(tasks_of))))
-            if isinstance(found, FittedChunk):
+            if not divided:
                 yield found
 
     return execute
@@ -107,7 +107,7 @@ def _fitted(future: Future, task: ChunkTask) -> FittedChunk | list[ChunkTask]:
             return [replace(task, sources=part) for part in (task.sources[:half], task.sources[half:])]
         source = next(iter(task.sources))
         outcome = Outcome("failed", f"the worker died: {error}", source.path, source.fingerprint())
-        return FittedChunk((UnitPosterior(unread(source), outcome),), pl.DataFrame())
+        return (UnitPosterior(unread(source), outcome),)
     except (CommClosedError, CancelledError, OSError) as error:
         raise scheduler_lost(str(error)) from error
 

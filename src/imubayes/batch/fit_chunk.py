@@ -10,8 +10,6 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import polars as pl
-
 from imubayes.batch.fit_unit import bound_to, failure, fit_alone, posterior_of
 from imubayes.batch.lane_mode import find_modes
 from imubayes.batch.lane_posterior import posteriors
@@ -49,7 +47,7 @@ def fit_chunk(task: ChunkTask) -> FittedChunk:
             done[source.digest] = found
     for group in _groups(bound):
         done |= _fitted(task, group)
-    return FittedChunk(tuple(done[source.digest] for source in task.sources), pl.DataFrame())
+    return tuple(done[source.digest] for source in task.sources)
 
 
 def in_process(tasks: Iterable[ChunkTask]) -> Iterator[FittedChunk]:

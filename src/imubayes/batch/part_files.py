@@ -19,7 +19,6 @@ from imubayes.atomic_files import new_folder, replacing
 from imubayes.batch.posterior_table import (
     MODEL_FILE,
     PARAMETER_FILE,
-    SCORE_FILE,
     UNIT_FILE,
     UnitPosterior,
     model_folder,
@@ -87,23 +86,15 @@ class PartFiles:
             )
         return found
 
-    def write(self, units: Sequence[UnitPosterior], scores: pl.DataFrame) -> None:
-        """Write units as a part, those without estimates as a part each.
-
-        Parameters
-        ----------
-        scores : of candidate effects, with a column `digest`; empty where they were not asked for.
-        """
+    def write(self, units: Sequence[UnitPosterior]) -> None:
+        """Write units as a part, those without estimates as a part each."""
         fitted = [unit for unit in units if unit.outcome.status == "fitted"]
         others = [[unit] for unit in units if unit.outcome.status != "fitted"]
         for chosen in ([fitted] if fitted else []) + others:
             digests = [unit.identity.digest for unit in chosen]
-            own = scores.filter(pl.col("digest").is_in(digests)) if not scores.is_empty() else scores
             with new_folder(part_folder(self.results, self.key, _part_key(self.key, digests)), durable=True) as scratch:
                 parameter_table(self.key, chosen).write_parquet(scratch / PARAMETER_FILE)
                 unit_table(self.key, self.code, chosen).write_parquet(scratch / UNIT_FILE)
-                if not own.is_empty():
-                    own.write_parquet(scratch / SCORE_FILE)
 
     def remove(self, part: Path) -> None:
         """Remove a part as a whole."""

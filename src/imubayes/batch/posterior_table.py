@@ -5,7 +5,7 @@ Both are plain Parquet, written in parts: a results folder holds
     model-<hash>/model.toml                      the model; the hash is that of model, settings and code
     model-<hash>/part-<key>/parameters.parquet   PARAMETERS: long form, one row per unit and parameter
     model-<hash>/part-<key>/units.parquet        UNITS: one row per unit, with the covariance of its parameters
-    model-<hash>/part-<key>/scores.parquet       scores of candidate effects, where they were asked for
+    model-<hash>/scores-<key>.parquet            scores of candidate effects, once `imubayes batch diagnose` has run
 
 A part is a folder that appears as a whole or not at all.  A campaign is identified by the digest of its files: the
 columns `model` and `digest` join the tables.  A unit that could not be fitted has one row in each, without a parameter.
@@ -22,9 +22,7 @@ import polars as pl
 
 from imubayes.errors import input_error
 
-PARAMETER_FILE, UNIT_FILE, SCORE_FILE, MODEL_FILE = (
-    "parameters.parquet", "units.parquet", "scores.parquet", "model.toml",
-)  # fmt: skip
+PARAMETER_FILE, UNIT_FILE, MODEL_FILE = "parameters.parquet", "units.parquet", "model.toml"
 _MODEL, _PART = "model-", "part-"
 _ORDER = ["unit", "date", "digest"]
 
@@ -270,12 +268,6 @@ def read_parameters(results: str | Path, model: str | None = None) -> pl.DataFra
 def read_units(results: str | Path, model: str | None = None) -> pl.DataFrame:
     """Return the units of a batch, one row each, as `read_parameters` does; `unpacked` gives a covariance."""
     return pl.concat([UNITS.to_frame(), *_parts(results, model, UNIT_FILE)]).sort(_ORDER, maintain_order=True)
-
-
-def read_scores(results: str | Path, model: str | None = None) -> pl.DataFrame:
-    """Return the scores of candidate effects of a batch, as `read_parameters` does; empty where none were kept."""
-    parts = _parts(results, model, SCORE_FILE)
-    return pl.concat(parts, how="diagonal_relaxed") if parts else pl.DataFrame()
 
 
 def chosen_model(results: str | Path, model: str | None) -> str:

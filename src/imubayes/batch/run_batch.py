@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import polars as pl
-
 from imubayes.batch.batch_settings import BatchSettings, batch_key, code_version
 from imubayes.batch.part_files import PartFiles, still_to_do
 from imubayes.batch.posterior_table import UnitPosterior
@@ -29,14 +27,6 @@ class ChunkTask:
     spec: ModelSpec
     settings: BatchSettings
     sources: tuple[UnitSource, ...]
-
-
-@dataclass(frozen=True)
-class FittedChunk:
-    """The units of a chunk, and the scores of candidate effects, empty where they were not asked for."""
-
-    units: tuple[UnitPosterior, ...]
-    scores: pl.DataFrame
 
 
 @dataclass(frozen=True)
@@ -68,6 +58,8 @@ class BatchProgress:
         return (self.units - self.before - self.done) / self.rate if self.rate > 0 else None
 
 
+FittedChunk = tuple[UnitPosterior, ...]
+"""The units of a chunk."""
 Executor = Callable[[Iterable[ChunkTask]], Iterator[FittedChunk]]
 """Fits chunks, and yields them in any order."""
 
@@ -109,9 +101,9 @@ def run_batch(
         state = BatchProgress(parts.key, len(sources), before, 0, 0, 0.0)
         tasks = (ChunkTask(spec, settings, group) for group in _chunks(missing, chunk))
         for fitted in executor(tasks):
-            parts.write(fitted.units, fitted.scores)
-            done += len(fitted.units)
-            failed += sum(unit.outcome.status != "fitted" for unit in fitted.units)
+            parts.write(fitted)
+            done += len(fitted)
+            failed += sum(unit.outcome.status != "fitted" for unit in fitted)
             state = BatchProgress(parts.key, len(sources), before, done, failed, time.perf_counter() - clock)
             if progress is not None:
                 progress(state)

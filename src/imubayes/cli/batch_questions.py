@@ -9,6 +9,9 @@ from imubayes.cli.options import Json, print_json
 if TYPE_CHECKING:
     import polars as pl
 
+    from imubayes.display.report_layout import Report
+    from imubayes.json_record import Record
+
 
 def _tables(results: Path, model_hash: str | None) -> tuple["pl.DataFrame", "pl.DataFrame"]:
     """Return the tables of a batch; a folder may also be that of one model, `RESULTS/model-<hash>`."""
@@ -25,6 +28,15 @@ def _write(table: "pl.DataFrame", file: Path | None) -> None:
     if file is not None:
         with replacing(file) as scratch:
             table.write_parquet(scratch)
+
+
+def _show(found: "Record", report: "Report", as_json: bool) -> None:
+    from imubayes.display.report_layout import print_report
+
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        print_report(report)
 
 
 @batch.command
@@ -55,7 +67,6 @@ def population(
     """
     from imubayes.batch.parameter_population import populations
     from imubayes.display.batch_questions import population_report
-    from imubayes.display.report_layout import print_report
 
     found, units = populations(*_tables(results, model_hash))
     _write(units, out)
@@ -63,10 +74,7 @@ def population(
         from imubayes.display.figures.batch_pictures import population_picture
 
         population_picture(found, units).save(picture)
-    if as_json:
-        print_json(found.model_dump(mode="json"))
-    else:
-        print_report(population_report(found))
+    _show(found, population_report(found), as_json)
     return 0
 
 
@@ -140,7 +148,6 @@ def diagnose(
     from imubayes.batch.posterior_table import read_units
     from imubayes.batch.score_files import complete_scores, read_unit_scores
     from imubayes.display.batch_questions import discovery_report
-    from imubayes.display.report_layout import print_report
 
     with progress() as tell:
         issues = complete_scores(results, model_hash, lambda done, all_: tell(f"scores of {done} of {all_} campaigns"))
@@ -150,10 +157,7 @@ def diagnose(
         from imubayes.display.figures.batch_pictures import evidence_picture
 
         evidence_picture(found).save(picture)
-    if as_json:
-        print_json(found.model_dump(mode="json"))
-    else:
-        print_report(discovery_report(found, issues))
+    _show(found, discovery_report(found, issues), as_json)
     return 1 if found.alarm else 0
 
 
@@ -180,7 +184,6 @@ def compare(
     """
     from imubayes.batch.compare_models import compare_models
     from imubayes.display.batch_questions import comparison_report
-    from imubayes.display.report_layout import print_report
 
     found, changes = compare_models(_tables(old, None), _tables(new, None))
     _write(changes, out)
@@ -188,10 +191,7 @@ def compare(
         from imubayes.display.figures.batch_pictures import change_picture
 
         change_picture(changes).save(picture)
-    if as_json:
-        print_json(found.model_dump(mode="json"))
-    else:
-        print_report(comparison_report(found))
+    _show(found, comparison_report(found), as_json)
     return 0
 
 
@@ -224,7 +224,6 @@ def trends(
     from imubayes.batch.trends import dated_estimates
     from imubayes.batch.trends import trends as trends_of
     from imubayes.display.batch_questions import trends_report
-    from imubayes.display.report_layout import print_report
 
     tables = _tables(results, model_hash)
     found, changes = trends_of(*tables)
@@ -234,8 +233,5 @@ def trends(
 
         names = dict.fromkeys(each.parameter for each in (*found.drifts[:3], *found.trends))
         trend_picture(dated_estimates(*tables), list(names)).save(picture)
-    if as_json:
-        print_json(found.model_dump(mode="json"))
-    else:
-        print_report(trends_report(found))
+    _show(found, trends_report(found), as_json)
     return 0
