@@ -15,13 +15,23 @@ from imubayes.cli.main import run
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "README.md").read_text()
-SECTIONS = {
-    heading: [line.split("#")[0].strip() for line in "".join(blocks).splitlines() if line.startswith("imubayes ")]
-    for heading, blocks in (
-        (part.splitlines()[0], re.findall(r"```sh\n(.*?)```", part, re.DOTALL)) for part in TEXT.split("\n## ")[1:]
-    )
-}
-COMMANDS = {heading: commands for heading, commands in SECTIONS.items() if commands}
+GUIDE = (ROOT / "data" / "archives.md").read_text()
+
+
+def sections(text: str) -> dict[str, list[str]]:
+    """Return the commands under each heading of a document."""
+    blocks = {
+        part.splitlines()[0]: "".join(re.findall(r"```sh\n(.*?)```", part, re.DOTALL))
+        for part in text.split("\n## ")[1:]
+    }
+    found = {
+        heading: [line.split("#")[0].strip() for line in block.splitlines() if line.startswith("imubayes ")]
+        for heading, block in blocks.items()
+    }
+    return {heading: commands for heading, commands in found.items() if commands}
+
+
+COMMANDS = sections(TEXT) | sections(GUIDE)
 
 
 def test_there_are_commands():
@@ -30,6 +40,7 @@ def test_there_are_commands():
 
 # What takes long is run by `make study`: the fit of a whole qualification compiles for a minute.
 LONG = ("Procedures",)
+WRITTEN = {"archive": "unit=*/*.parquet", "batch": "model-*/part-*/units.parquet"}
 
 
 @pytest.fixture
@@ -46,25 +57,33 @@ def like_the_repository(tmp_path, monkeypatch) -> Path:
 )
 def test_commands_run_as_written(heading, like_the_repository, capsys):
     """Those of a section, in order, in a folder that looks like the repository."""
-    told: list[str] = []
+    told: dict[str, list[str]] = {}
     for command in COMMANDS[heading]:
         status = run(shlex.split(command)[1:])
         said = capsys.readouterr()
         assert status == 0, f"{command}\n{said.err}"
-        if command.startswith("imubayes diagnose"):
-            told.append(re.sub(r"\s+", " ", said.out))
+        words = command.removeprefix("imubayes ").split()
+        verb = " ".join(words[: 2 if words[0] == "batch" and words[1].isalpha() else 1])
+        told.setdefault(verb, []).append(one_line(said.out))
         if "--out" in command:
             out = Path(command.split("--out ")[1].split()[0])
-            written = "unit=*/*.parquet" if command.startswith("imubayes archive") else "summary.json"
-            assert out.is_file() if out.suffix else any(out.glob(written))
-    if told and heading not in LONG:
+            assert out.is_file() if out.suffix else any(out.glob(WRITTEN.get(verb, "summary.json")))
+    if heading in LONG:
+        return
+    for verb in {"diagnose", "batch diagnose"} & set(told):
         # What the README shows is what the command prints.
-        shown = re.search(r"<!-- output of diagnose -->\n```text\n(.*?)```", TEXT, re.DOTALL)
+        shown = re.search(rf"<!-- output of {verb} -->\n```text\n(.*?)```", TEXT, re.DOTALL)
         assert shown is not None
         for line in shown[1].splitlines():
-            assert re.sub(r"\s+", " ", line.strip()) in told[0]
-        assert "The model explains the data" in told[1]
+            assert one_line(line) in told[verb][0]
+    if "diagnose" in told:
+        assert "The model explains the data" in told["diagnose"][1]
         assert Path("results", "history.html").is_file()
+
+
+def one_line(text: str) -> str:
+    """Return a text with single spaces."""
+    return re.sub(r"\s+", " ", text.strip())
 
 
 def test_a_command_runs_in_a_process_of_its_own(like_the_repository, command_environment):

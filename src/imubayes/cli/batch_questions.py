@@ -13,12 +13,18 @@ if TYPE_CHECKING:
     from imubayes.json_record import Record
 
 
+def _of_one_model(results: Path, model_hash: str | None) -> tuple[Path, str | None]:
+    """Return results folder and hash; the folder may also be that of one model, `RESULTS/model-<hash>`."""
+    if results.name.startswith("model-") and model_hash is None:
+        return results.parent, results.name.removeprefix("model-")
+    return results, model_hash
+
+
 def _tables(results: Path, model_hash: str | None) -> tuple["pl.DataFrame", "pl.DataFrame"]:
-    """Return the tables of a batch; a folder may also be that of one model, `RESULTS/model-<hash>`."""
+    """Return the tables of parameters and of units."""
     from imubayes.batch.posterior_table import read_parameters, read_units
 
-    if results.name.startswith("model-") and model_hash is None:
-        results, model_hash = results.parent, results.name.removeprefix("model-")
+    results, model_hash = _of_one_model(results, model_hash)
     return read_parameters(results, model_hash), read_units(results, model_hash)
 
 
@@ -109,7 +115,7 @@ def prior(results: Path, *, out: Path, name: str = "", model_hash: str | None = 
     from imubayes.results.result_folder import model_text
 
     found, _ = populations(*_tables(results, model_hash))
-    folder = results.parent if results.name.startswith("model-") else results
+    folder, _ = _of_one_model(results, model_hash)
     spec, replaced = next_unit_model(read_model(model_folder(folder, found.model) / MODEL_FILE), found, name)
     refuse_existing(out)
     write_text(out, model_text(spec))
@@ -126,7 +132,7 @@ def diagnose(
 ) -> int:
     """Look for effects that the model lacks, with the evidence of all units added up.
 
-    The scores of every unit are computed once and kept in the results folder.  Exit status 1: an effect is missing.
+    The scores of every unit are computed once and kept in the results folder.
 
     Example: imubayes batch diagnose results/batch
 
@@ -147,8 +153,9 @@ def diagnose(
     from imubayes.batch.pooled_discovery import pooled_discovery
     from imubayes.batch.posterior_table import read_units
     from imubayes.batch.score_files import complete_scores, read_unit_scores
-    from imubayes.display.batch_questions import discovery_report
+    from imubayes.display.pooled_discovery_report import discovery_report
 
+    results, model_hash = _of_one_model(results, model_hash)
     with progress() as tell:
         issues = complete_scores(results, model_hash, lambda done, all_: tell(f"scores of {done} of {all_} campaigns"))
         tell("adding up the evidence")
@@ -158,7 +165,7 @@ def diagnose(
 
         evidence_picture(found).save(picture)
     _show(found, discovery_report(found, issues), as_json)
-    return 1 if found.alarm else 0
+    return 0
 
 
 @batch.command

@@ -1,26 +1,21 @@
-"""What the questions asked of a batch answer: populations, priors, pooled evidence, comparisons, trends."""
+"""What the questions asked of a batch answer: populations, priors, comparisons, trends."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from imubayes.batch.compare_models import ModelComparison, ParameterChange
 from imubayes.batch.next_prior import ReplacedPrior
 from imubayes.batch.parameter_population import ParameterPopulation, Populations
-from imubayes.batch.pooled_discovery import EquipmentEvidence, PooledCandidate, PooledDiscovery, PooledFinding
 from imubayes.batch.trends import Drift, Trend, Trends
 from imubayes.display.archive_report import counted
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import concise, significant
-from imubayes.display.table_layout import Cell, Sheet
-from imubayes.errors import Issue
+from imubayes.display.table_layout import Cell, Sheet, of_columns
 
-_SHOWN = 15
-_LAWS = {
-    "common": "the same in all units",
-    "own": "of its own size in each unit",
-    "some": "in some units only",
-}
+_MOST_OUTLYING = 15
+# Trends and drifts that are not significant, shown beside those that are.
+_MOST_OTHERS = 5
 
 
 def population_report(found: Populations) -> Report:
@@ -29,10 +24,11 @@ def population_report(found: Populations) -> Report:
     known = [each for each in found.parameters if each.mean is not None]
     head = ("parameter", "unit", "units", "mean", "spread", "law", "error / bit")
     sheet = Sheet("Population", head, [_population_row(each) for each in known], left=(0, 1, 5), note=_NOTE)
+    sheet = replace(sheet, narrow=of_columns(sheet, (0, 3, 4, 1)))
     rows = [
         [Cell(each.parameter), Cell(unit.unit), Cell(concise(unit.value, unit.sd)), Cell(f"{unit.distance:+.1f} sd")]
         for each in known
-        for unit in each.outlying[:_SHOWN]
+        for unit in each.outlying[:_MOST_OUTLYING]
     ]
     outlying = Sheet("Outlying units", ("parameter", "unit", "estimate", "distance"), rows, left=(0, 1))
     unknown = [f"{each.parameter}: {each.reason}" for each in found.parameters if each.mean is None]
@@ -62,63 +58,6 @@ def prior_report(replaced: Sequence[ReplacedPrior], out: Path) -> Report:
     return Report([], [sheet], [f"model written to {out}"])
 
 
-def discovery_report(found: PooledDiscovery, issues: Sequence[Issue] = ()) -> Report:
-    """Return what the units show together, and the units that speak for it and against it."""
-    looked = f"{counted(found.campaigns, 'campaign')} of {counted(found.units, 'unit')}, {found.candidates} candidates"
-    lines = [f"{looked}; false discovery rate {100 * found.rate:g} %"]
-    lines += [_finding_line(each) for each in found.findings] or ["no effect is missing that these units show together"]
-    lines += [_equipment_line(each) for each in found.equipment]
-    sheets = [
-        Sheet(f"Units for and against {each.effects[0]}", ("", "unit", "Δχ²", "p alone"), _unit_rows(each), left=(0, 1))
-        for each in found.findings
-    ]
-    head = ("effect", "acts on", "law", "units", "Δχ² common", "Δχ² own", "log10 p adjusted")
-    ranking = Sheet("Candidates", head, [_candidate_row(each) for each in found.ranking], left=(0, 1, 2))
-    return Report(lines, [*sheets, ranking], [str(issue) for issue in issues])
-
-
-def _finding_line(each: PooledFinding) -> str:
-    names = each.effects[0] + (f" ({', '.join(each.effects[1:])} fits as well)" if each.effects[1:] else "")
-    evidence, named = each.evidence, ""
-    if each.named:
-        shown = ", ".join(each.named[:_SHOWN]) + (", …" if len(each.named) > _SHOWN else "")
-        named = f"; alone it shows in {counted(len(each.named), 'unit')}: {shown}"
-    sizes = "; ".join(
-        f"{c.name} = {concise(c.value, c.sd)} {c.unit}"
-        for c in each.coefficients
-        if c.value is not None and c.sd is not None
-    )
-    size = f", {sizes}" if evidence.law == "common" and sizes else ""
-    chance = f"adjusted p = 1e{math.floor(evidence.log10_adjusted)}"
-    return f"missing: {names}, {_LAWS[evidence.law]} ({evidence.scope}), {chance}{size}{named}"
-
-
-def _equipment_line(each: EquipmentEvidence) -> str:
-    return (
-        f"{each.kind} {each.name}: {' or '.join(each.effects)} in its {counted(each.inside, 'campaign')}, "
-        f"log10 p = {each.log10_p:.1f}; in the {each.outside} others {each.log10_p_outside:.1f}"
-    )
-
-
-def _unit_rows(each: PooledFinding) -> list[list[Cell]]:
-    common = each.evidence.law == "common"
-    return [
-        [Cell(word), Cell(unit.unit), Cell(f"{unit.contribution if common else unit.chi2:.1f}"),
-         Cell(significant(unit.p, 2))]
-        for word, listed in (("for", each.supporting), ("against", each.opposing))
-        for unit in listed
-    ]  # fmt: skip
-
-
-def _candidate_row(each: PooledCandidate) -> list[Cell]:
-    name = each.effect + (f" ({each.shape})" if each.shape else "")
-    return [
-        Cell(name), Cell(each.scope), Cell(each.law), Cell(str(each.units)),
-        Cell(f"{each.chi2:.1f} ({each.dof})"), Cell(f"{each.chi2_own:.1f} ({each.dof_own})"),
-        Cell(f"{each.log10_adjusted:.1f}"),
-    ]  # fmt: skip
-
-
 def comparison_report(found: ModelComparison) -> Report:
     """Return what changed from one model to another."""
     alone = f"{found.only_old} in {found.old} alone, {found.only_new} in {found.new} alone"
@@ -131,7 +70,8 @@ def comparison_report(found: ModelComparison) -> Report:
     head = ("parameter", "unit", "changed", "mean change", "rms / sd", "sd new/old", "p", "units")
     rows = [_change_row(each) for each in found.parameters]
     note = "changes beyond the variance that the new model adds, at a false discovery rate of 5 %"
-    return Report(said, [Sheet("Changes", head, rows, left=(0, 1, 7), note=note)])
+    sheet = Sheet("Changes", head, rows, left=(0, 1, 7), note=note)
+    return Report(said, [replace(sheet, narrow=of_columns(sheet, (0, 3, 1, 2, 6)))])
 
 
 def _change_row(each: ParameterChange) -> list[Cell]:
@@ -144,32 +84,53 @@ def _change_row(each: ParameterChange) -> list[Cell]:
 
 
 def trends_report(found: Trends) -> Report:
-    """Return trends over dates and serial numbers, and drifts between calibrations."""
+    """Return trends over dates and serial numbers, and drifts between calibrations: the significant ones first."""
+    head = ("parameter", "slope", "unit", "per", "units", "p")
     trends = Sheet(
-        "Trends", ("parameter", "over", "slope", "per", "units", "p"), [_trend_row(each) for each in found.trends],
-        left=(0, 1, 3),
+        _title("Trends", sum(each.significant for each in found.trends), len(found.trends)), head,
+        [_trend_row(each) for each in _leading(found.trends, lambda each: each.significant)], left=(0, 2, 3),
     )  # fmt: skip
+    head = ("parameter", "per year", "unit", "pairs", "changed", "p", "in units")
+    changed = sum(each.significant > 0 for each in found.drifts)
     drifts = Sheet(
-        "Drift between calibrations of a unit", ("parameter", "unit", "pairs", "per year", "changed", "p", "units"),
-        [_drift_row(each) for each in found.drifts], left=(0, 1, 6),
+        _title("Drift between calibrations of a unit", changed, len(found.drifts)), head,
+        [_drift_row(each) for each in _leading(found.drifts, lambda each: each.significant > 0)], left=(0, 2, 6),
+        note="changed: pairs of consecutive calibrations with a significant change",
     )  # fmt: skip
-    count = sum(each.significant for each in found.trends)
-    said = f"{counted(count, 'significant trend')} of {len(found.trends)}; false discovery rate {100 * found.rate:g} %"
-    return Report([said], [trends, drifts])
+    told = [
+        f"{counted(sum(each.significant for each in found.trends), 'significant trend')} of {len(found.trends)}, "
+        f"{counted(changed, 'drifting parameter')} of {len(found.drifts)}; false discovery rate {100 * found.rate:g} %"
+    ]
+    sheets = [replace(trends, narrow=of_columns(trends, (0, 1, 2, 3, 5)))] if trends.rows else []
+    sheets += [replace(drifts, narrow=replace(of_columns(drifts, (0, 1, 2, 5)), note=""))] if drifts.rows else []
+    return Report(told, sheets)
+
+
+def _title(words: str, significant_ones: int, count: int) -> str:
+    left = count - significant_ones - _MOST_OTHERS
+    return f"{words} (the {left} least significant are in --json)" if left > 0 else words
+
+
+def _leading[T: (Trend, Drift)](ordered: Sequence[T], holds: Callable[[T], bool]) -> list[T]:
+    """Return the significant ones and the first few of the others."""
+    return [*filter(holds, ordered), *[each for each in ordered if not holds(each)][:_MOST_OTHERS]]
+
+
+def _unit(each: Trend | Drift) -> str:
+    return "log " * (each.scale == "log") + each.unit_of_measure
 
 
 def _trend_row(each: Trend) -> list[Cell]:
-    unit = f"{'log ' if each.scale == 'log' else ''}{each.unit_of_measure} per {each.per}"
-    mood = "bad" if each.significant else ""
+    mood, per = "bad" if each.significant else "", each.per.replace("serial numbers", "serials")
     return [
-        Cell(each.parameter, mood), Cell(each.over), Cell(concise(each.slope, each.slope_sd)), Cell(unit),
+        Cell(each.parameter, mood), Cell(concise(each.slope, each.slope_sd)), Cell(_unit(each)), Cell(per),
         Cell(str(each.units)), Cell(significant(each.p, 2)),
     ]  # fmt: skip
 
 
 def _drift_row(each: Drift) -> list[Cell]:
     return [
-        Cell(each.parameter, "bad" if each.significant else ""), Cell(each.unit_of_measure), Cell(str(each.pairs)),
-        Cell(concise(each.mean, each.mean_sd)), Cell(str(each.significant)), Cell(significant(each.p, 2)),
-        Cell(", ".join(each.units[:4])),
+        Cell(each.parameter, "bad" if each.significant else ""), Cell(concise(each.mean, each.mean_sd)),
+        Cell(_unit(each)), Cell(str(each.pairs)), Cell(str(each.significant)),
+        Cell(significant(each.p, 2)), Cell(", ".join(each.units[:4])),
     ]  # fmt: skip

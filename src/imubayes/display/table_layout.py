@@ -1,7 +1,7 @@
 """A table independent of the medium: one renderer for the terminal, one for HTML."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rich import box
@@ -46,6 +46,17 @@ class Sheet:
     note: str = ""
     dividers: frozenset[int] = field(default_factory=frozenset)
     narrow: "Sheet | None" = None
+
+
+def of_columns(sheet: Sheet, places: Sequence[int]) -> Sheet:
+    """Return a sheet with some of its columns alone."""
+    return replace(
+        sheet,
+        head=[sheet.head[place] for place in places],
+        rows=[[row[place] for place in places] for row in sheet.rows],
+        left=[new for new, old in enumerate(places) if old in sheet.left],
+        narrow=None,
+    )
 
 
 def sheet_html(sheet: Sheet, folded: bool = False) -> str:

@@ -29,6 +29,8 @@ from imubayes.display.theme import (
 )
 
 _MOST_ROWS, _MOST_PANELS, _MOST_UNITS = 20, 6, 60
+# Standard uncertainties above so many times the median do not set the limits of an axis.
+_VAGUE = 5.0
 _POPULATION = (
     "A point is one unit with its own estimate, the prior of its model divided out, in spreads from the "
     "population mean; faint points carry little information. Bands: one and two spreads. Units in vermilion are "
@@ -37,7 +39,8 @@ _POPULATION = (
 )
 _TREND = (
     "Each point is one calibration: the estimate with its standard uncertainty, the prior of the model divided "
-    "out. Lines join the calibrations of one unit. Without trend and drift the points scatter about a level line."
+    "out; very uncertain ones may reach beyond the axis. Lines join the calibrations of one unit. Without trend and "
+    "drift the points scatter about a level line."
 )
 _EVIDENCE = (
     "Drop of χ² by unit: above zero a unit speaks for the effect, below against it. Where the effect has one size"
@@ -120,10 +123,21 @@ def trend_picture(estimates: pl.DataFrame, parameters: Sequence[str]) -> Picture
             if mine.sum() > 1:
                 axes.plot(years[mine], value[mine], color=VERMILION, linewidth=0.9, zorder=2)
         axes.errorbar(years, value, sd, linestyle="", marker="o", markersize=3, color=BLUE, elinewidth=0.6, zorder=3)
+        _limit(axes, value, sd)
         unit = pretty(table["unit_of_measure"][0]) if table.height else ""
         axes.set_title(f"{name} / {unit}" if unit else name, loc="left", fontsize=9)
         axes.set_xlabel("year")
     return figure
+
+
+def _limit(axes: Axes, value: np.ndarray, sd: np.ndarray) -> None:
+    """Bound an axis by the estimates that are well known: one vague estimate would flatten all others."""
+    known = sd <= _VAGUE * np.median(sd) if len(sd) else np.zeros(0, bool)
+    if known.all():
+        return
+    low, high = np.min((value - sd)[known]), np.max((value + sd)[known])
+    margin = 0.08 * (high - low)
+    axes.set_ylim(low - margin, high + margin)
 
 
 @themed

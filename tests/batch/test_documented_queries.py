@@ -1,4 +1,4 @@
-"""The queries of the README run as written on the results of a batch."""
+"""The queries of `data/archives.md` run as written on the results of a batch."""
 
 import datetime
 import re
@@ -20,7 +20,7 @@ from imubayes.batch.posterior_table import (
     unit_table,
 )
 
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+GUIDE = (Path(__file__).parents[2] / "data" / "archives.md").read_text(encoding="utf-8")
 MODEL = "abc"
 
 
@@ -42,7 +42,7 @@ def campaigns() -> list[UnitPosterior]:
 
 @pytest.fixture
 def results(tmp_path, monkeypatch) -> None:
-    """Write the results of a batch where the README has them."""
+    """Write the results of a batch where the guide has them."""
     monkeypatch.chdir(tmp_path)
     folder = part_folder("results/batch", MODEL, "1")
     folder.mkdir(parents=True)
@@ -54,7 +54,7 @@ def results(tmp_path, monkeypatch) -> None:
 
 @pytest.mark.usefixtures("results")
 def test_the_duckdb_queries_run_as_written():
-    block = re.search(r"```sql\n(.*?)```", README, re.DOTALL)
+    block = re.search(r"```sql\n(.*?)```", GUIDE, re.DOTALL)
     assert block is not None
     first, second = (text for text in block[1].split(";") if text.strip())
     database = duckdb.connect()
@@ -64,7 +64,7 @@ def test_the_duckdb_queries_run_as_written():
 
 @pytest.mark.usefixtures("results")
 def test_the_polars_queries_run_as_written():
-    block = re.search(r"```py\n(.*?)```", README, re.DOTALL)
+    block = re.search(r"```py\n(.*?)```", GUIDE, re.DOTALL)
     assert block is not None
     names: dict[str, pl.DataFrame] = {}
     exec(block[1], names)
