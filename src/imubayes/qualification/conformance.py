@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from imubayes.qualification.marginal import Marginal, fitted_to
+from imubayes.qualification.marginal import Marginal
 from imubayes.qualification.tolerances import LEAST_EFFECTIVE, RISK_ERRORS, RISK_SHAPE
 
 Withheld = Literal["disagreement", "too_few_draws"]
@@ -85,5 +85,5 @@ def conformance_probability(marginal: Marginal, tolerance: ToleranceInterval) ->
     error = fraction_error(inside, marginal.effective)
     if not marginal.sd > 0:
         return compared(inside, inside, 0.0, marginal.effective)
-    smooth = fitted_to(marginal.draws).probability(tolerance.lower, tolerance.upper)
+    smooth = marginal.smooth.probability(tolerance.lower, tolerance.upper)
     return compared(inside, smooth, error, marginal.effective)

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import optimize, special
 
 from imubayes.qualification.conformance import ProbabilityByTwoMethods, ToleranceInterval, compared, fraction_error
+from imubayes.qualification.marginal import gauss_legendre
 
 _NODES, _FAR, _CLIMB, _UNITS = 100, 9.0, 8.0, 400_000
 # Widest guard band that is tried: in standard uncertainties, where no unit beyond a limit is accepted, and as a share
@@ -84,7 +85,7 @@ def _by_quadrature(
         reach = _FAR * production.sd
         low, high = max(low, production.mean - reach), min(high, production.mean + reach)
         ends = [low, *sorted(climb for climb in climbs if low < climb < high), high]
-        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        nodes, weights = gauss_legendre(_NODES)
         pieces = [(first, (last - first) / 2) for first, last in pairwise(ends) if last > first]
         return sum(float(half * np.sum(weights * joint(first + half * (nodes + 1))[which])) for first, half in pieces)
 

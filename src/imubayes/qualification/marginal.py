@@ -8,7 +8,7 @@ A quantity of one sign that crowds at zero, such as a small angle, has a logarit
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy import optimize, special, stats
@@ -18,6 +18,8 @@ _NODES, _FAR = 400, 8.0
 _INTERVAL = (0.025, 0.975)
 # Draws to which the smooth marginal is fitted at most: its four parameters are then known to a per cent.
 _MOST_FITTED = 20_000
+# Log density below which a draw no longer counts in the fit of the marginal.
+_LEAST_LOG_DENSITY = -1e3
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,11 @@ class Marginal:
         return float(low), float(high)
 
     @cached_property
+    def smooth(self) -> "FittedMarginal":
+        """The distribution fitted to the draws; raises `ValueError` where they do not vary."""
+        return fitted_to(self.draws)
+
+    @cached_property
     def errors(self) -> MonteCarloErrors:
         """Monte Carlo errors: of the sd by the kurtosis, of the ends by order statistics (Vehtari et al. 2021, § 4)."""
         excess = float(np.mean((self.draws - self.mean) ** 4)) / self.sd**4 if self.sd > 0 else 1.0
@@ -101,6 +108,14 @@ class FittedMarginal:
         slope = np.log(self.tail * np.cosh(angle)) - 0.5 * np.log1p(standard**2) - np.log(self.scale)
         return slope - 0.5 * np.sinh(angle) ** 2 - 0.5 * np.log(2 * np.pi)
 
+    def slopes(self, y: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the log density by ξ, log η, ε and log δ, shape (4, …)."""
+        standard = (y - self.location) / self.scale
+        stretched = self.tail * np.arcsinh(standard)
+        by_angle = np.tanh(stretched - self.skewness) - 0.5 * np.sinh(2 * (stretched - self.skewness))
+        by_standard = by_angle * self.tail / np.hypot(1.0, standard) - standard / (1 + standard**2)
+        return np.stack([-by_standard / self.scale, -by_standard * standard - 1, -by_angle, 1 + by_angle * stretched])
+
     def probability(self, lower: float, upper: float) -> float:
         """Return the probability of an interval of x, which may be infinite, by Gauss–Legendre quadrature."""
         if self.sign:
@@ -113,11 +128,17 @@ class FittedMarginal:
             return 0.0
         # In arsinh of the standardised value the density is smooth on the scale of the nodes, whatever its tails.
         ends = np.arcsinh((np.array([low, high]) - self.location) / self.scale)
-        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        nodes, weights = gauss_legendre(_NODES)
         half = (ends[1] - ends[0]) / 2
         angle = ends[0] + half * (nodes + 1)
         values = np.exp(self.log_density(self.location + self.scale * np.sinh(angle))) * self.scale * np.cosh(angle)
         return float(np.clip(half * np.sum(weights * values), 0.0, 1.0))
+
+
+@cache
+def gauss_legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return nodes on [−1, 1] and weights of Gauss–Legendre quadrature, (count,) each, not to be changed."""
+    return np.polynomial.legendre.leggauss(count)
 
 
 def fitted_to(draws: np.ndarray) -> FittedMarginal:
@@ -145,13 +166,16 @@ def _likeliest(values: np.ndarray, sign: int) -> tuple[FittedMarginal, float]:
     centre, spread = float(np.median(values)), float(np.std(values))
     standard = (values - centre) / spread
 
-    def loss(parameters: np.ndarray) -> float:
+    def loss(parameters: np.ndarray) -> tuple[float, np.ndarray]:
         location, log_scale, skewness, log_tail = parameters
         own = FittedMarginal(location, float(np.exp(log_scale)), skewness, float(np.exp(log_tail)))
-        with np.errstate(over="ignore"):
-            return -float(np.mean(np.maximum(own.log_density(standard), -1e3)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            height, slopes = own.log_density(standard), own.slopes(standard)
+            usable = height > _LEAST_LOG_DENSITY
+            return -float(np.mean(np.where(usable, height, _LEAST_LOG_DENSITY))), -np.where(usable, slopes, 0.0).mean(1)
 
-    found = optimize.minimize(loss, np.zeros(4), method="L-BFGS-B", bounds=[(-20, 20), (-8, 4), (-6, 6), (-2.5, 2.5)])
+    limits = [(-20, 20), (-8, 4), (-6, 6), (-2.5, 2.5)]
+    found = optimize.minimize(loss, np.zeros(4), method="L-BFGS-B", jac=True, bounds=limits)
     location, log_scale, skewness, log_tail = (float(each) for each in found.x)
     scale = spread * math.exp(log_scale)
     fitted = FittedMarginal(centre + spread * location, scale, skewness, math.exp(log_tail), sign)
