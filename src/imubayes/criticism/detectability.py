@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy  # loads its parts when they are first used
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.projection import Projection
@@ -119,14 +119,14 @@ def noncentrality_needed(p: np.ndarray, freedom: np.ndarray) -> np.ndarray:
     ----------
     p, freedom : shape (C,).
     """
-    critical = stats.t.isf(p, freedom)
+    critical = scipy.stats.t.isf(p, freedom)
     # Student's t is normal over √(χ²/ν): the power is a mean over quantiles of the latter.
     quantiles = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
-    scale = np.sqrt(stats.chi2.ppf(quantiles[:, None], freedom) / freedom)
+    scale = np.sqrt(scipy.stats.chi2.ppf(quantiles[:, None], freedom) / freedom)
     low, high = np.zeros_like(critical), critical * scale.max(axis=0) + 10
     for _ in range(60):
         middle = (low + high) / 2
-        enough = stats.norm.cdf(middle - critical * scale).mean(axis=0) > thresholds.DETECTION_POWER
+        enough = scipy.stats.norm.cdf(middle - critical * scale).mean(axis=0) > thresholds.DETECTION_POWER
         low, high = np.where(enough, low, middle), np.where(enough, middle, high)
     return high
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy  # loads its parts when they are first used
 from scipy.interpolate import BSpline
 
 from imubayes.criticism import thresholds
@@ -178,7 +178,7 @@ def _best(projection: Projection, of: FeatureScan) -> list[Feature]:
     """Return the feature with the strongest evidence against each covariate."""
     best: dict[str, tuple[float, Feature]] = {}
     for batch, scores in of.scores(projection.residual[None, :]):
-        log_p = stats.chi2.logsf(scores[0], np.maximum(batch.freedom, 1))
+        log_p = scipy.stats.chi2.logsf(scores[0], np.maximum(batch.freedom, 1))
         for place, value, freedom in zip(batch.members.tolist(), log_p.tolist(), batch.freedom.tolist(), strict=True):
             feature = of.features.found[place]
             key = " × ".join(covariate.phrase for covariate in feature.covariates)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
+import scipy  # loads its parts when they are first used
 
 from imubayes.campaign_data import Campaign
 from imubayes.criticism import thresholds
@@ -140,8 +140,8 @@ class Trials(Presented):
     def false_alarm_interval(self) -> tuple[float, float]:
         """The 95 % interval of the false-alarm rate (Clopper & Pearson)."""
         count, alarms = len(self.nulls), self.false_alarms
-        low = float(stats.beta.ppf(0.025, alarms, count - alarms + 1)) if alarms else 0.0
-        high = float(stats.beta.ppf(0.975, alarms + 1, count - alarms)) if alarms < count else 1.0
+        low = float(scipy.stats.beta.ppf(0.025, alarms, count - alarms + 1)) if alarms else 0.0
+        high = float(scipy.stats.beta.ppf(0.975, alarms + 1, count - alarms)) if alarms < count else 1.0
         return low, high
 
 

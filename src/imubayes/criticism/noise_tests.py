@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy  # loads its parts when they are first used
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.gauss_markov import WHITE, InnovationsFilter, MarkovNoise, estimate_markov_noise
@@ -120,8 +120,8 @@ def screen_noise(
             mean, sd = float(np.mean(values[1:])), float(np.std(values[1:]))
             z = (float(values[0]) - mean) / max(sd, 1e-12)
             # Quadratic statistics are skew: a normal tail would understate the p-value.
-            skew = float(np.clip(stats.skew(values[1:]), 0.0, 4.0)) if sd > 1e-9 * abs(mean) else 0.0
-            p = float(stats.pearson3.sf(z, skew)) if np.isfinite(skew) else float(stats.norm.sf(z))
+            skew = float(np.clip(scipy.stats.skew(values[1:]), 0.0, 4.0)) if sd > 1e-9 * abs(mean) else 0.0
+            p = float(scipy.stats.pearson3.sf(z, skew)) if np.isfinite(skew) else float(scipy.stats.norm.sf(z))
             value = float(np.clip(values[0] - mean, -thresholds.STRONGEST_ANTICORRELATION, None))
             found.append(NoiseCandidate(effect, names, value, max(p, 1e-300), max(z, 0.0) ** 2))
     return sorted(found, key=lambda candidate: candidate.p)

@@ -8,7 +8,7 @@ other half χ² with one degree of freedom.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy  # loads its parts when they are first used
 from scipy.special import logsumexp
 
 from imubayes.criticism import thresholds
@@ -63,7 +63,7 @@ class Cone:
         weights = self.weights[1:].reshape(freedom.shape)
         if not len(freedom):
             return np.zeros_like(chi2)
-        tails = np.asarray(logsumexp(stats.chi2.logsf(chi2, freedom), axis=0, b=weights))
+        tails = np.asarray(logsumexp(scipy.stats.chi2.logsf(chi2, freedom), axis=0, b=weights))
         return np.where(chi2 > 0, tails, 0.0)
 
     def f_survival(self, total: float, denominator: float) -> float:
@@ -71,7 +71,7 @@ class Cone:
         if not total > 0:
             return 1.0
         freedom = np.arange(1, len(self.weights))
-        return float(np.sum(self.weights[1:] * stats.f.sf(total / freedom, freedom, denominator)))
+        return float(np.sum(self.weights[1:] * scipy.stats.f.sf(total / freedom, freedom, denominator)))
 
 
 def _solved(columns: np.ndarray, bounded: np.ndarray, targets: np.ndarray) -> np.ndarray:

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy import special, stats
+import scipy  # loads its parts when they are first used
+from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Coefficient, Response, ShapeScan
@@ -84,7 +85,7 @@ class Candidate:
         that.
         """
         chi2, cone = 2 * self.score.log_likelihood_gain, self.score.cone
-        return float(cone.log_survival(chi2) if cone is not None else stats.chi2.logsf(chi2, max(self.dof, 1)))
+        return float(cone.log_survival(chi2) if cone is not None else scipy.stats.chi2.logsf(chi2, max(self.dof, 1)))
 
     @property
     def delta_chi2(self) -> float:

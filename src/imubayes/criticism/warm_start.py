@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
+import scipy  # loads its parts when they are first used
 from scipy.linalg import solve_triangular
 
 from imubayes.array_shapes import Array, Float
@@ -332,7 +332,7 @@ def _contradicting(
     beyond = thresholds.PRIOR_CONFLICT_SD
     alone = np.abs(estimate) > beyond * np.sqrt(width**2 + slope**2 * variance)
     score = float(np.sum((along + axes[:, told].T @ null) ** 2 / (1 + 1 / values[told])))
-    together = stats.chi2.sf(score, int(told.sum())) < 2 * stats.norm.sf(beyond)
+    together = scipy.stats.chi2.sf(score, int(told.sum())) < 2 * scipy.stats.norm.sf(beyond)
     return np.where(alone | (together & (np.abs(estimate) > beyond * width)), estimate, 0.0)
 
 

@@ -9,13 +9,19 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import h5py
+import lazy_loader
 import numpy as np
-from emcee.backends import HDFBackend
 
 from imubayes.atomic_files import replacing
 from imubayes.errors import InputError, Issue
+
+if TYPE_CHECKING:
+    import emcee
+else:
+    emcee = lazy_loader.load("emcee")  # takes long to import, and only sampling needs it
 
 _WORDS = {
     "data": "the data have changed",
@@ -47,7 +53,7 @@ class Checkpoint:
         """Begin anew."""
         with replacing(self.path, durable=True) as scratch:
             for name in self._names():
-                HDFBackend(str(scratch), name=name).reset(self.walkers, self.dimensions)
+                emcee.backends.HDFBackend(str(scratch), name=name).reset(self.walkers, self.dimensions)
             with h5py.File(scratch, "a") as file:
                 file.attrs.update(self.fingerprints)
 
@@ -79,15 +85,15 @@ class Checkpoint:
             )
 
     @contextmanager
-    def block(self) -> Iterator[list[HDFBackend]]:
+    def block(self) -> "Iterator[list[emcee.backends.HDFBackend]]":
         """Give backends to sample a block into; their content becomes the checkpoint when the block is complete."""
         with replacing(self.path, durable=True) as scratch:
             shutil.copyfile(self.path, scratch)
-            yield [HDFBackend(str(scratch), name=name) for name in self._names()]
+            yield [emcee.backends.HDFBackend(str(scratch), name=name) for name in self._names()]
 
-    def read(self) -> list[HDFBackend]:
+    def read(self) -> "list[emcee.backends.HDFBackend]":
         """Return read-only backends on what is there."""
-        return [HDFBackend(str(self.path), name=name, read_only=True) for name in self._names()]
+        return [emcee.backends.HDFBackend(str(self.path), name=name, read_only=True) for name in self._names()]
 
     def chains(self) -> tuple[np.ndarray, np.ndarray]:
         """Return points (ensembles, steps, walkers, dimensions) and log densities without the last axis."""

@@ -13,11 +13,17 @@ a tail that lets them (Pareto k̂), and the standard deviations must agree.
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
-from arviz_stats.sampling_diagnostics import ess, rhat_nested
 
 from imubayes.inference.proposal_weights import WeighedProposal
+
+if TYPE_CHECKING:
+    import arviz_stats.sampling_diagnostics
+else:
+    arviz_stats = lazy_loader.load("arviz_stats")  # takes long to import, and only sampling needs it
 
 NESTED_R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
 # With a proposal draws are cheap.  This many in the tails put the ends of a 95 % interval within 0.1 of a standard
@@ -75,8 +81,10 @@ def diagnose(
     flat = chain.transpose(0, 2, 1, 3).reshape(ensembles * walkers, steps, dimensions)
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
-        bulk = np.asarray(ess(flat, chain_axis=0, draw_axis=1, method="bulk"))
-        tail = np.asarray(ess(flat, chain_axis=0, draw_axis=1, method="tail", prob=INTERVAL))
+        bulk = np.asarray(arviz_stats.sampling_diagnostics.ess(flat, chain_axis=0, draw_axis=1, method="bulk"))
+        tail = np.asarray(
+            arviz_stats.sampling_diagnostics.ess(flat, chain_axis=0, draw_axis=1, method="tail", prob=INTERVAL)
+        )
     r_hat = nested_r_hat(chain)
     bar = EFFECTIVE_SIZE if weighed is None else PROPOSED_EFFECTIVE_SIZE
     faults = [*_immobile(flat, log_density, names), *_too_few(r_hat, bulk, tail, bar, names)]
@@ -159,5 +167,7 @@ def nested_r_hat(chain: np.ndarray) -> np.ndarray:
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         return np.asarray(
-            rhat_nested(flat, superchain_ids=np.repeat(np.arange(ensembles), walkers), chain_axis=0, draw_axis=1)
+            arviz_stats.sampling_diagnostics.rhat_nested(
+                flat, superchain_ids=np.repeat(np.arange(ensembles), walkers), chain_axis=0, draw_axis=1
+            )
         )

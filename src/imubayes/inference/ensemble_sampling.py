@@ -12,17 +12,21 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-import emcee
+import lazy_loader
 import numpy as np
-from emcee.backends import HDFBackend
-from emcee.moves import DEMove, StretchMove
 
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.convergence import EFFECTIVE_SIZE, PROPOSED_EFFECTIVE_SIZE, STAYS, Convergence, diagnose
 from imubayes.inference.laplace_move import LaplaceMove
 from imubayes.inference.proposal_weights import BatchedDensity, WeighedProposal
 from imubayes.step_counter import duration, silent
+
+if TYPE_CHECKING:
+    import emcee
+else:
+    emcee = lazy_loader.load("emcee")  # takes long to import, and only sampling needs it
 
 # The safety net for what is not Gaussian takes this share of the steps.  DESnookerMove of emcee 3.1.6 is biased.
 _STRETCH_SHARE = _DE_SHARE = 0.02
@@ -162,11 +166,11 @@ def _lengths(
 class _Ensemble:
     """An ensemble with its sampler and where it stands."""
 
-    sampler: emcee.EnsembleSampler
+    sampler: "emcee.EnsembleSampler"
     move: LaplaceMove | None
-    state: emcee.State
+    state: "emcee.State"
 
-    def advance(self, steps: int, backend: HDFBackend) -> None:
+    def advance(self, steps: int, backend: "emcee.backends.HDFBackend") -> None:
         """Take a block of steps into a backend."""
         self.sampler.backend = backend
         if self.move is not None:
@@ -177,14 +181,14 @@ class _Ensemble:
 
 def _sampler(
     log_density: BatchedDensity, walkers: int, dimensions: int, move: LaplaceMove | None
-) -> emcee.EnsembleSampler:
-    moves = [(StretchMove(), _STRETCH_SHARE), (DEMove(), _DE_SHARE)]
+) -> "emcee.EnsembleSampler":
+    moves = [(emcee.moves.StretchMove(), _STRETCH_SHARE), (emcee.moves.DEMove(), _DE_SHARE)]
     if move is not None:
         moves.append((move, 1 - _STRETCH_SHARE - _DE_SHARE))
     return emcee.EnsembleSampler(walkers, dimensions, log_density, moves=moves, vectorize=True)
 
 
-def _state(number: int, start: np.ndarray, settings: Settings, checkpoint: Checkpoint) -> emcee.State:
+def _state(number: int, start: np.ndarray, settings: Settings, checkpoint: Checkpoint) -> "emcee.State":
     """Return where an ensemble stands: its last checkpoint, or its start with a random stream of its own."""
     if checkpoint.steps:
         state = checkpoint.read()[number].get_last_sample()

@@ -5,19 +5,22 @@ has the posterior as its stationary distribution; the quality decides the accept
 """
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import emcee
 import equinox as eqx
 import jax
+import lazy_loader
 import numpy as np
-from emcee.moves import Move
-from emcee.state import State
 
 from imubayes.array_shapes import Array, Float
 from imubayes.inference.nested_laplace import NestedLaplace, to_normal, to_point
 from imubayes.model.likelihood import log_density
 from imubayes.model.problem import Problem
+
+if TYPE_CHECKING:
+    import emcee
+else:
+    emcee = lazy_loader.load("emcee")  # takes long to import, and only sampling needs it
 
 _to_point = eqx.filter_jit(
     lambda approximation, problem, normal: jax.vmap(lambda vector: to_point(approximation, problem, vector))(normal)
@@ -87,7 +90,7 @@ class LaplaceProposal:
         return self.to_point(random.normal(size=(count, self.dimensions)))[0]
 
 
-class LaplaceMove(Move):
+class LaplaceMove:
     """Move every walker in the coordinates of the proposal, where the posterior is close to standard normal.
 
     u′ = √(1 − β²) u + β ξ leaves the standard normal invariant (preconditioned Crank–Nicolson, Cotter et al. 2013), so
@@ -121,8 +124,8 @@ class LaplaceMove(Move):
             return self._known[1:]
         return self.proposal.to_normal(points)
 
-    def propose(self, model: Any, state: Any) -> tuple[State, np.ndarray]:
-        """Advance the whole ensemble; see `emcee.moves.Move`."""
+    def propose(self, model: Any, state: Any) -> "tuple[emcee.State, np.ndarray]":
+        """Advance the whole ensemble; emcee asks nothing else of a move."""
         count = len(state.coords)
         normal, old_proposal = self._normal(state.coords)
         step = np.where(model.random.uniform(size=count) < self.short_share, self.short_step, 1.0)[:, None]
@@ -138,7 +141,7 @@ class LaplaceMove(Move):
         independent = step[:, 0] == 1
         self.proposed += int(independent.sum())
         self.taken += int(accepted[independent].sum())
-        state = self.update(state, emcee.State(points, log_prob=new), accepted)
+        state = emcee.moves.Move().update(state, emcee.State(points, log_prob=new), accepted)
         normal = np.where(accepted[:, None], fresh, normal)
         self._known = state.coords.copy(), normal, np.where(accepted, new_proposal, old_proposal)
         return state, accepted

@@ -1,12 +1,13 @@
 """The posterior as an ArviZ tree: variables with named dimensions, and every group that model criticism asks for."""
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lazy_loader
 import numpy as np
-import xarray
 
 from imubayes.array_shapes import Array, Float
 from imubayes.gather import in_batches
@@ -20,6 +21,11 @@ from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import Problem, predict_many
 from imubayes.model.student_t import heavy_tailed
 from imubayes.units import to_si
+
+if TYPE_CHECKING:
+    import xarray
+else:
+    xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
 
 # Predictions and likelihoods are kept for so many values a variable (8 MB), of so many draws at least and at most.
 _KEPT_VALUES, _FEWEST_KEPT, _MOST_KEPT = 1_000_000, 100, 1000
@@ -59,7 +65,7 @@ def in_units(model: Model, points: np.ndarray) -> np.ndarray:
     return np.asarray(_values(model.problem, flat)).reshape(points.shape) / factors
 
 
-def posterior_tree(fit: Fit) -> xarray.DataTree:
+def posterior_tree(fit: Fit) -> "xarray.DataTree":
     """Return prior, posterior, predictive, likelihood and data groups of a fit, for ArviZ.
 
     A variable has a dimension for each kind of label of its members, and no gaps (`posterior_variables`).  A chain is
@@ -148,7 +154,7 @@ def _predicted(problem: Problem, draws: np.ndarray, random: np.random.Generator)
     return tuple(part.reshape(*draws.shape[:2], -1) for part in (replicated, entry))
 
 
-def _dataset(variables: Mapping[str, Variable], draws: np.ndarray, labels: Mapping[str, Labels]) -> xarray.Dataset:
+def _dataset(variables: Mapping[str, Variable], draws: np.ndarray, labels: Mapping[str, Labels]) -> "xarray.Dataset":
     """Return variables of draws (chain, draw, D) with the coordinates of their dimensions."""
     found = {name: variable.of(draws) for name, variable in variables.items()}
     used = dict.fromkeys(dimension for variable in variables.values() for dimension in variable.dimensions)
@@ -159,12 +165,12 @@ def _sample_coordinates(draws: np.ndarray) -> dict[str, np.ndarray]:
     return {name: np.arange(size) for name, size in zip(SAMPLE, draws.shape, strict=False)}
 
 
-def _outputs(model: Model, values: np.ndarray) -> xarray.Dataset:
+def _outputs(model: Model, values: np.ndarray) -> "xarray.Dataset":
     """Return outputs (…, E) in output units, closing rotations in degrees."""
     return _at_entries(model, values * np.where(model.entries.closing, 1 / to_si("deg"), 1.0))
 
 
-def _at_entries(model: Model, values: np.ndarray, meaning: str = "") -> xarray.Dataset:
+def _at_entries(model: Model, values: np.ndarray, meaning: str = "") -> "xarray.Dataset":
     """Return what belongs to the entries, (…, E), with run, channel and row of each."""
     entries = model.entries
     place = {
@@ -182,7 +188,7 @@ def _channel_names(model: Model) -> np.ndarray:
     return np.array([*(channel.name for channel in model.campaign.channels), "closure_x", "closure_y", "closure_z"])
 
 
-def _constant_data(model: Model) -> xarray.Dataset:
+def _constant_data(model: Model) -> "xarray.Dataset":
     """Return what is known of the entries: run, channel, row, number of samples and unit of the output."""
     entries, channels = model.entries, model.campaign.channels
     about = _at_entries(model, entries.samples)

@@ -9,13 +9,19 @@ labels do not make a full grid, such as the angles between pairs of axes, they s
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
+from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
-import xarray
 
 from imubayes.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
+
+if TYPE_CHECKING:
+    import xarray
+else:
+    xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
 
 SAMPLE = ("chain", "draw")
 # What the labels of a derived quantity are.
@@ -72,7 +78,7 @@ class Variable:
     dimensions: Labels
     columns: np.ndarray
 
-    def of(self, draws: np.ndarray) -> xarray.Variable:
+    def of(self, draws: np.ndarray) -> "xarray.Variable":
         """Return draws (chain, draw, D) as (chain, draw, dimensions…)."""
         return xarray.Variable((*SAMPLE, *self.dimensions), draws[..., self.columns], {"units": self.unit})
 

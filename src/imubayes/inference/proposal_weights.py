@@ -9,11 +9,17 @@ the number of steps for which a walker stays where it was found, and so the meas
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
-from arviz_stats.base.array import array_stats
 
 from imubayes.inference.laplace_move import LaplaceProposal
+
+if TYPE_CHECKING:
+    import arviz_stats.base.array
+else:
+    arviz_stats = lazy_loader.load("arviz_stats")  # takes long to import, and only sampling needs it
 
 # Weights that differ by less are those of the posterior itself, and have no tail.
 _ALIKE = 1e-6
@@ -97,4 +103,4 @@ def pareto_k(log_weight: np.ndarray) -> float:
     if np.ptp(finite) < _ALIKE:
         return 0.0
     # ArviZ takes the negative, as of log likelihoods that are left out.
-    return float(array_stats.psislw(-finite)[1])
+    return float(arviz_stats.base.array.array_stats.psislw(-finite)[1])

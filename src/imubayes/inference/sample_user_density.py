@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
-import xarray
 from arviz_base import from_dict
 
 from imubayes.errors import InputError, Issue
@@ -16,6 +17,11 @@ from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.ensemble_sampling import Chains, Settings, walkers_for
 from imubayes.inference.ensemble_sampling import sample as sample_ensembles
 from imubayes.inference.proposal_weights import BatchedDensity
+
+if TYPE_CHECKING:
+    import xarray
+else:
+    xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
 
 # Starts are wider than the target is said to be, so that a second mode nearby is met by one of the ensembles.
 _OVERDISPERSION = 2.0
@@ -52,7 +58,7 @@ class Samples:
         return self.chains.diagnosis.message
 
     @cached_property
-    def posterior(self) -> xarray.DataTree:
+    def posterior(self) -> "xarray.DataTree":
         """The draws as an ArviZ tree, one variable per name; a chain is an ensemble, walker after walker."""
         ensembles, steps, walkers, _ = self.chains.points.shape
         points = self.chains.points.swapaxes(1, 2).reshape(ensembles, walkers * steps, -1)

@@ -7,12 +7,12 @@ with memory are taken at rest.
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lazy_loader
 import numpy as np
 
 from imubayes.array_shapes import Array, Float
@@ -28,6 +28,11 @@ from imubayes.model.signal_path import (
 )
 from imubayes.procedures.servo_table import driving_channel, turns_of
 from imubayes.signal_path_state import Ambient, Motion, Nodes, SignalPath
+
+if TYPE_CHECKING:
+    import diffrax
+else:
+    diffrax = lazy_loader.load("diffrax")  # takes long to import, and few fits need it
 
 # Fixed-point rounds; each shrinks the error of the null by the size of the calibration errors: 1 % to the fourth.
 _ROUNDS = 4

@@ -8,7 +8,7 @@ in the notation there: d = 2 differences of the phase, stride factor S = m, filt
 import math
 
 import numpy as np
-from scipy.stats import chi2
+import scipy  # loads its parts when they are first used
 
 _DIFFERENCES = 2
 _MOST_TERMS = 100  # of the sum before its asymptotic form is used
@@ -44,7 +44,7 @@ def equivalent_degrees(exponent: int, factor: int, phases: int) -> float:
 def chi_square_interval(deviation: float, degrees: float, probability: float) -> tuple[float, float]:
     """Return the interval of a deviation whose square has a chi-square distribution (NIST SP 1065, eq. 45)."""
     tail = (1 - probability) / 2
-    low, high = (deviation * math.sqrt(degrees / float(chi2.ppf(p, degrees))) for p in (1 - tail, tail))
+    low, high = (deviation * math.sqrt(degrees / float(scipy.stats.chi2.ppf(p, degrees))) for p in (1 - tail, tail))
     return low, high
 
 

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 from scipy.optimize import brentq
-from scipy.stats import chi2, norm
 
 from imubayes.noise_analysis.likelihood import Maximum, NoiseLikelihood
 from imubayes.noise_analysis.noise_spectra import NoiseTerm
@@ -217,9 +217,9 @@ def _of_term(
         return _unknown(term, _upper_limit(likelihood, full, place), 0.0, math.exp(full.parameters[place] / 2))
     value = math.exp(full.parameters[place] / 2)
     log_sd = 1 / math.sqrt(max(float(likelihood.information(full)[place, place]), 1.0))
-    level = full.log_likelihood - float(chi2.isf(1 - PROBABILITY, 1)) / 2
+    level = full.log_likelihood - float(scipy.stats.chi2.isf(1 - PROBABILITY, 1)) / 2
     low, high = (_bracketed(likelihood, full, place, side, level, 2 * log_sd) for side in (-1, 1))
-    sd = (high - low) / (2 * float(norm.isf((1 - PROBABILITY) / 2)))
+    sd = (high - low) / (2 * float(scipy.stats.norm.isf((1 - PROBABILITY) / 2)))
     return TermEstimate(term, value, sd, low, high, math.nan, evidence.get(term, math.inf), value)
 
 
@@ -229,7 +229,7 @@ def _unknown(term: NoiseTerm, limit: float, evidence: float, maximum: float = 0.
 
 def _upper_limit(likelihood: NoiseLikelihood, full: Maximum, place: int) -> float:
     """Return the coefficient above the estimate at which the profile has fallen by the one-sided quantile."""
-    level = full.log_likelihood - float(chi2.isf(2 * (1 - PROBABILITY), 1)) / 2
+    level = full.log_likelihood - float(scipy.stats.chi2.isf(2 * (1 - PROBABILITY), 1)) / 2
     # At zero the likelihood is flat: the search starts where the term begins to matter.
     information = float(likelihood.information(full)[place, place])
     start = full.parameters.copy()
@@ -286,7 +286,7 @@ def _ramp(likelihood: NoiseLikelihood, full: Maximum, walk: TermEstimate) -> Ter
     mean, sd = np.array(slopes).T
 
     def below(slope: float) -> float:
-        return float(weight @ norm.cdf((slope - mean) / sd))
+        return float(weight @ scipy.stats.norm.cdf((slope - mean) / sd))
 
     reach = 20 * float(sd.max())
     ends = (float(mean.min()) - reach, float(mean.max()) + reach)
@@ -296,7 +296,7 @@ def _ramp(likelihood: NoiseLikelihood, full: Maximum, walk: TermEstimate) -> Ter
     middle = float(weight @ mean)
     spread = math.sqrt(float(weight @ (sd**2 + (mean - middle) ** 2)))
     chance = 2 * min(below(0.0), 1 - below(0.0))
-    evidence = float(chi2.isf(max(chance, 1e-300), 1))
+    evidence = float(scipy.stats.chi2.isf(max(chance, 1e-300), 1))
     if chance > _CHANCE_RAMP:
         return _unknown(NoiseTerm.RAMP, max(-first, last), evidence)
     return TermEstimate(NoiseTerm.RAMP, middle, spread, first, last, math.nan, evidence, middle)
@@ -306,7 +306,7 @@ def _octaves(likelihood: NoiseLikelihood, best: Maximum) -> list[Octave]:
     squares, found = likelihood.power / likelihood.variance(best), []
     for at in likelihood.octaves():
         total, count = float(squares[at].sum()), round(float(likelihood.count[at].sum()))
-        chance = 2 * min(float(chi2.cdf(total, count)), float(chi2.sf(total, count)))
+        chance = 2 * min(float(scipy.stats.chi2.cdf(total, count)), float(scipy.stats.chi2.sf(total, count)))
         frequency = likelihood.frequency[at]
         found.append(Octave(float(frequency.min()), float(frequency.max()), total, count, min(chance, 1.0)))
     return found

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-from scipy import optimize, special, stats
+import scipy  # loads its parts when they are first used
+from scipy import special
 
 # Nodes of the quadrature, and how far beyond the draws an infinite end is placed, in standard normals.
 _NODES, _FAR = 400, 8.0
@@ -81,7 +82,7 @@ class Marginal:
 
     def _quantile_error(self, probability: float) -> float:
         shape = self.effective * probability + 1, self.effective * (1 - probability) + 1
-        below, above = np.quantile(self.draws, stats.beta.ppf(special.ndtr([-1.0, 1.0]), *shape))
+        below, above = np.quantile(self.draws, scipy.stats.beta.ppf(special.ndtr([-1.0, 1.0]), *shape))
         return float((above - below) / 2)
 
 
@@ -175,7 +176,7 @@ def _likeliest(values: np.ndarray, sign: int) -> tuple[FittedMarginal, float]:
             return -float(np.mean(np.where(usable, height, _LEAST_LOG_DENSITY))), -np.where(usable, slopes, 0.0).mean(1)
 
     limits = [(-20, 20), (-8, 4), (-6, 6), (-2.5, 2.5)]
-    found = optimize.minimize(loss, np.zeros(4), method="L-BFGS-B", jac=True, bounds=limits)
+    found = scipy.optimize.minimize(loss, np.zeros(4), method="L-BFGS-B", jac=True, bounds=limits)
     location, log_scale, skewness, log_tail = (float(each) for each in found.x)
     scale = spread * math.exp(log_scale)
     fitted = FittedMarginal(centre + spread * location, scale, skewness, math.exp(log_tail), sign)

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 import polars as pl
-from scipy.stats import gaussian_kde, norm
+import scipy  # loads its parts when they are first used
 
 from imubayes.campaign_data import Campaign, Channel
 from imubayes.json_record import Record
@@ -353,7 +353,7 @@ def worst_residual(
     if largest is None:
         return None
     size, means, phrase, unit = largest
-    expected = float(norm.isf(0.025 / classes))
+    expected = float(scipy.stats.norm.isf(0.025 / classes))
     return WorstResidual(
         channel=means.channel, abscissa=phrase, unit=unit, means=means, largest=size, expected=expected, classes=classes
     )
@@ -402,4 +402,4 @@ def _density(draws: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
     if not high > low:
         return (float(low),), (1.0,)
     x = np.linspace(low, high, _DENSITY)
-    return _numbers(x), _numbers(gaussian_kde(draws)(x))
+    return _numbers(x), _numbers(scipy.stats.gaussian_kde(draws)(x))

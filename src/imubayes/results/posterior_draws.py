@@ -3,9 +3,15 @@
 from collections.abc import Iterable, Mapping
 from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
-import xarray
+
+if TYPE_CHECKING:
+    import xarray
+else:
+    xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
 
 _SAMPLE = ("chain", "draw")
 
@@ -13,7 +19,7 @@ _SAMPLE = ("chain", "draw")
 Draws = dict[str, np.ndarray]
 
 
-def draws_of(posterior: xarray.DataTree | xarray.Dataset | Draws | Path | str, names: Iterable[str]) -> Draws:
+def draws_of(posterior: "xarray.DataTree | xarray.Dataset | Draws | Path | str", names: Iterable[str]) -> Draws:
     """Return the draws of the named members, each (chain · draw,); what is not there is left out.
 
     Parameters
@@ -41,7 +47,7 @@ def draws_of(posterior: xarray.DataTree | xarray.Dataset | Draws | Path | str, n
     return {name: found[name] for name in wanted if name in found}
 
 
-def _members(name: str, variable: xarray.DataArray) -> dict[str, np.ndarray]:
+def _members(name: str, variable: "xarray.DataArray") -> dict[str, np.ndarray]:
     """Return the members of a variable by name; combinations of labels that do not exist are left out."""
     dimensions = [dimension for dimension in variable.dims if dimension not in _SAMPLE]
     values = variable.transpose(*_SAMPLE, *dimensions).to_numpy()

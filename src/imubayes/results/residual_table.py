@@ -3,14 +3,17 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import lazy_loader
 import polars as pl
-import xarray
 
 from imubayes.json_record import finite
 from imubayes.results.summary import RunSummary
 
 if TYPE_CHECKING:
     import pandas
+    import xarray
+else:
+    xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
 
 
 # Columns that every residuals table has, besides the covariates.
@@ -41,7 +44,7 @@ class Residuals:
         """Return the table for pandas."""
         return self.table.to_pandas()
 
-    def to_xarray(self) -> xarray.Dataset:
+    def to_xarray(self) -> "xarray.Dataset":
         """Return the table as a dataset with the dimension `entry`."""
         return xarray.Dataset({name: ("entry", self.table[name].to_numpy()) for name in self.table.columns})
 

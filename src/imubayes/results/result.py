@@ -5,8 +5,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import lazy_loader
 import polars as pl
-import xarray
 
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.inference.fitted_model import Fit
@@ -24,6 +24,9 @@ from imubayes.results.summary import Quantity, Summary
 
 if TYPE_CHECKING:
     import pandas
+    import xarray
+else:
+    xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
 
 
 @dataclass(frozen=True, repr=False)
@@ -68,7 +71,7 @@ class Result(Presented):
         return file if file is not None and file.is_file() else None
 
     @cached_property
-    def posterior(self) -> xarray.DataTree:
+    def posterior(self) -> "xarray.DataTree":
         """The posterior as an ArviZ tree.
 
         Raises
@@ -116,7 +119,7 @@ class Result(Presented):
         """Return the table of `to_polars` for pandas, with the name as index."""
         return self.to_polars().to_pandas().set_index("name")
 
-    def to_xarray(self) -> xarray.Dataset:
+    def to_xarray(self) -> "xarray.Dataset":
         """Return the table of `to_polars` as a dataset with the dimension `name`; the draws are in `posterior`."""
         frame = self.to_polars()
         columns = {name: ("name", frame[name].to_numpy()) for name in frame.columns if name != "name"}
