@@ -60,6 +60,26 @@ def exact_outputs(design: Plan, values: Values, moves: list[Move], times: np.nda
     return total
 
 
+def write_samples(
+    folder: Path,
+    design: Plan,
+    seed: int,
+    values: Values,
+    times: np.ndarray,
+    outputs: np.ndarray,
+    full_scale: dict[str, float] | None = None,
+) -> None:
+    """Write raw samples, with white noise, beside the campaign file."""
+    columns = {"time_s": times}
+    for channel, exact in zip(design.channels, outputs.T, strict=True):
+        noise = truth.stream(seed, f"noise/{channel.name}").normal(size=len(times))
+        sigma = values[f"white_noise.sigma[{channel.name}]"]
+        limit = (full_scale or {}).get(channel.kind, np.inf)
+        columns[channel.name] = np.round(np.clip(exact + sigma * noise, -limit, limit), DECIMALS[channel.kind])
+    (folder / "runs").mkdir(parents=True, exist_ok=True)
+    polars.DataFrame(columns).write_parquet(folder / "runs" / "tumble.parquet", compression="zstd")
+
+
 def generate(
     folder: Path, seed: int, hidden: Values | None = None, full_scale: dict[str, float] | None = None
 ) -> dict[str, float]:
@@ -71,19 +91,11 @@ def generate(
     full_scale : kind of channel → largest output, where the converter clips.
     """
     folder, design = Path(folder), plan()
-    values = design.draw(seed) | (hidden or {})
+    values = design.draw(seed) | dict(hidden or {})
     moves, end = hand_moves(POSES, FIRST_REST, truth.stream(seed, "moves"))
     times = np.arange(round(end * SAMPLE_RATE)) / SAMPLE_RATE
     outputs = exact_outputs(design, values, moves, times)
-    columns = {"time_s": times}
-    for channel, exact in zip(design.channels, outputs.T, strict=True):
-        noise = truth.stream(seed, f"noise/{channel.name}").normal(size=len(times))
-        sigma = values[f"white_noise.sigma[{channel.name}]"]
-        limit = (full_scale or {}).get(channel.kind, np.inf)
-        columns[channel.name] = np.round(np.clip(exact + sigma * noise, -limit, limit), DECIMALS[channel.kind])
-    (folder / "runs").mkdir(parents=True, exist_ok=True)
-    polars.DataFrame(columns).write_parquet(folder / "runs" / "tumble.parquet", compression="zstd")
-
+    write_samples(folder, design, seed, values, times, outputs, full_scale)
     runs = [write.run_entry(run, "parquet", temperature_degC=25.0) for run in design.runs]
     write.write_campaign_file(folder, design, seed, runs)
     derived = truth.scale_factors(design.channels, values)

@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 
 import truth
-from plan import Moments, Plan, rate_noise
+from plan import NoiseFree, Plan, rate_noise
 from sensor import Values
 
 STEP = 0.05
@@ -35,7 +35,7 @@ def beside_reference(plan: Plan) -> tuple[str, ...]:
 
 def baseline_widths(plan: Plan) -> dict[str, float]:
     """One sigma of the prior of every parameter of the plan's model that moves the readings."""
-    widths = dict(plan.equipment)
+    widths = dict(plan.equipment) | plan.nuisances
     for name, prior in truth.priors(plan.effects, plan.channels).items():
         if not name.startswith(("white_noise", "run_scatter")):
             widths[name] = truth.width(prior, truth.UNITS[name.split("[")[0]])
@@ -53,7 +53,7 @@ class Sight:
     basis : orthonormal columns of everything that the baseline absorbs: whitened readings, then prior rows.
     """
 
-    moments: Moments
+    moments: NoiseFree
     values: Values
     exact: np.ndarray
     whiteners: tuple[tuple[np.ndarray, ...], ...]
@@ -97,7 +97,7 @@ class Sight:
                 one = np.zeros_like(self.exact)
                 one[self.moments.run_of_row == run, column] = 1.0
                 white = self._whiten(one)
-                columns.append(white / np.linalg.norm(white))
+                columns.append(white / (np.linalg.norm(white) or 1.0))
         return np.array(columns).T
 
     def seen(self, effect: Values, also: np.ndarray | None = None) -> float:
@@ -105,8 +105,9 @@ class Sight:
         rest, count, channels = self.left(self.shift(effect), also), self.exact.size, self.exact.shape[1]
         channel_of = np.arange(count) % channels
         between = (self.offsets.T @ rest[:count]) ** 2
-        free_between = 1 - np.sum((self.basis[:count].T @ self.offsets) ** 2, axis=0)
-        free = 1 - np.sum(self.basis[:count] ** 2, axis=1)
+        recorded = np.abs(self._whiten(np.ones_like(self.exact))) > 0
+        free_between = np.sum(self.offsets**2, axis=0) - np.sum((self.basis[:count].T @ self.offsets) ** 2, axis=0)
+        free = recorded - np.sum(self.basis[:count] ** 2, axis=1)
         total = float(np.sum(rest[count:] ** 2))
         for channel in range(channels):
             own = np.arange(len(between)) % channels == channel
@@ -115,10 +116,30 @@ class Sight:
             freedom_within = free[channel_of == channel].sum() - freedom_between
             total += freedom_between * np.log1p(s_between / freedom_between)
             total += freedom_within * np.log1p(max(s_within, 0.0) / freedom_within)
+        if any(listed["name"] == "correlated_noise" for listed in self.moments.plan.effects):
+            shift = self.shift(effect).reshape(self.exact.shape)
+            ends = np.flatnonzero(np.diff(self.moments.run_of_row)) + 1
+            total = min(total, sum(seen_past_correlation(each) for run in np.split(shift, ends) for each in run.T))
         return total
 
 
-def whitened(moments: Moments, whiteners, readings: np.ndarray) -> np.ndarray:
+def seen_past_correlation(shift: np.ndarray) -> float:
+    """What is left to be seen of a shift (rows,) in units of white noise, if that may be taken for an AR(1) process.
+
+    The least expected rise of −2 log likelihood, n log((tr R⁻¹ + q)/n) + log det R, over the correlation φ of
+    neighbouring rows, q = shiftᵀR⁻¹shift past a constant; the best variance is put in.
+    """
+    n, phi = len(shift), np.linspace(-0.9, 0.995, 380)
+    own, next_to = float(shift @ shift), float(shift[1:] @ shift[:-1])
+    inner = float(shift[1:-1] @ shift[1:-1])
+    square = own + phi**2 * inner - 2 * phi * next_to
+    with_one = shift.sum() - phi * (shift[1:].sum() + shift[:-1].sum()) + phi**2 * shift[1:-1].sum()
+    ones = n - 2 * phi * (n - 1) + phi**2 * (n - 2)
+    rest = (square - with_one**2 / ones + 2 + (n - 2) * (1 + phi**2)) / (1 - phi**2)
+    return float(np.min(n * np.log(rest / n) + (n - 1) * np.log(1 - phi**2)))
+
+
+def whitened(moments: NoiseFree, whiteners, readings: np.ndarray) -> np.ndarray:
     """Readings (rows, channels) times L⁻¹, flattened."""
     white = np.empty_like(readings)
     for run, of_channel in enumerate(whiteners):
@@ -138,10 +159,11 @@ def covariance_whiteners(plan: Plan, values: Values) -> tuple[tuple[np.ndarray, 
         for channel in plan.channels:
             own = values[f"white_noise.sigma[{channel.name}]"] ** 2 / samples
             own = own + rate_noise(plan, run, channel, values) ** 2
-            covariance = np.diag(own) + values[f"run_scatter.tau[{channel.name}]"] ** 2
+            covariance = np.diag(own) + values.get(f"run_scatter.tau[{channel.name}]", 0.0) ** 2
             if slow := values.get(f"correlated_noise.sigma[{channel.name}]", 0.0):
                 covariance += slow**2 * values[f"correlated_noise.correlation[{channel.name}]"] ** apart
-            of_channel.append(np.linalg.inv(np.linalg.cholesky(covariance)))
+            white = np.linalg.inv(np.linalg.cholesky(covariance))
+            of_channel.append(white if run.records(channel) else np.zeros_like(white))
         whiteners.append(tuple(of_channel))
     return tuple(whiteners)
 
@@ -157,7 +179,7 @@ def _together(names: list[str], channels: set[str]) -> list[list[str]]:
 
 def look(plan: Plan, values: Values) -> Sight:
     """Set up S for a plan and the truth of its baseline."""
-    moments, whiteners = Moments(plan), covariance_whiteners(plan, values)
+    moments, whiteners = plan.moments(), covariance_whiteners(plan, values)
     exact = moments.means(moments.outputs(values))
     widths = baseline_widths(plan)
     column = {channel.name: index for index, channel in enumerate(plan.channels)}

@@ -11,6 +11,7 @@ from datetime import datetime
 from functools import cached_property
 from math import radians
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -65,6 +66,11 @@ class Run:
     table: str | None = None
     mounting: str | None = None
     start: str | None = None
+    recorded: tuple[str, ...] = ()
+
+    def records(self, channel: Channel) -> bool:
+        """Whether a channel is recorded: all are where none is named."""
+        return not self.recorded or channel.name in self.recorded
 
 
 @dataclass(frozen=True)
@@ -111,14 +117,25 @@ class Plan:
     def equipment(self) -> dict[str, float]:
         """One sigma of each error of seats and tables that the plan's model lists."""
         commanded = [run for run in self.runs if run.procedure != "reference_gyro"]
-        turning = {run.table for run in commanded if any(row.rate for row in run.rows)}
+        turning = {run.table for run in commanded if run.table is not None and any(row.rate for row in run.rows)}
         spreads = truth.equipment_spreads(self.mountings, self.tables, turning)
+        for table in self.tables:
+            spreads |= getattr(table, "spreads", dict)()
         listed = {effect["name"] for effect in self.effects}
         return {name: spread for name, spread in spreads.items() if name.split(".")[0] in listed}
 
+    @property
+    def nuisances(self) -> dict[str, float]:
+        """One sigma of what is unknown besides the parameters of the model."""
+        return {}
+
+    def moments(self) -> "NoiseFree":
+        """All instants at which the truth is evaluated."""
+        return Moments(self)
+
     def draw(self, seed: int) -> dict[str, float]:
         """True values of everything that goes wrong in this plan."""
-        beside = dict.fromkeys(run.table for run in self.runs if run.procedure == "reference_gyro")
+        beside = dict.fromkeys(str(run.table) for run in self.runs if run.procedure == "reference_gyro")
         drawn = truth.from_spreads(self.equipment, seed) | truth.from_model(self.effects, self.channels, seed)
         return drawn | truth.of_reference(self.effects, beside, seed)
 
@@ -166,6 +183,25 @@ def place_in_loop(temperature: np.ndarray, play: float) -> np.ndarray:
         middle = min(max(middle, now - play), now + play)
         place[index] = (now - middle) / play
     return place
+
+
+class NoiseFree(Protocol):
+    """What evaluates the rows of a plan without noise."""
+
+    run_of_row: np.ndarray
+
+    @property
+    def plan(self) -> Plan:
+        """Unit, equipment and runs."""
+        ...
+
+    def outputs(self, values: Values) -> np.ndarray:
+        """Noise-free outputs (instants, channels)."""
+        ...
+
+    def means(self, outputs: np.ndarray) -> np.ndarray:
+        """Means over the instants of each row, (rows, channels)."""
+        ...
 
 
 class Moments:
@@ -277,7 +313,9 @@ class Moments:
         for index, run in enumerate(self.plan.runs):
             at = self.run == index
             if run.rows[0].axes is not None:
-                stand = np.stack([named_attitude(*row.axes, self.plan.channels[0].axes) for row in run.rows])
+                stand = np.stack(
+                    [named_attitude(*row.axes, self.plan.channels[0].axes) for row in run.rows if row.axes]
+                )
                 station = [values.get(f"station_level.{axis}[all]", 0.0) for axis in ("east", "north")]
                 station = rotation(np.array([*station, values.get("station_heading.heading[all]", 0.0)]) * ARCSEC)
                 local = station @ stand[self.row[at] - self.row[at].min()]
@@ -312,7 +350,7 @@ class Moments:
             )
             for whole, part in zip(felt, moved, strict=True):
                 whole[at] = part
-        return felt
+        return felt[0], felt[1], felt[2]
 
     def outputs(self, values: Values) -> np.ndarray:
         """Noise-free outputs (instants, channels)."""
@@ -396,7 +434,7 @@ def read_out(plan: Plan, values: Values, seed: int) -> list[Readings]:
         for column, channel in enumerate(plan.channels):
             generator = truth.stream(seed, f"{plan.name}/{run.name}/{channel.name}")
             sigma = values[f"white_noise.sigma[{channel.name}]"]
-            run_offset[column] = generator.normal(0.0, values[f"run_scatter.tau[{channel.name}]"])
+            run_offset[column] = generator.normal(0.0, values.get(f"run_scatter.tau[{channel.name}]", 0.0))
             mean[:, column] += run_offset[column] + generator.normal(0.0, sigma / np.sqrt(samples))
             # squares of normal samples about their mean, the stimulus varying underneath: noncentral chi-square
             squares = generator.noncentral_chisquare(samples - 1, samples * variance[:, column] / sigma**2)
@@ -460,4 +498,5 @@ def square_pyramid_axis(half_angle_deg: float, azimuth_deg: float) -> tuple[floa
     """Direction at `half_angle_deg` to body z; rounded as it is written to the campaign file."""
     half, azimuth = radians(half_angle_deg), radians(azimuth_deg)
     axis = [np.sin(half) * np.cos(azimuth), np.sin(half) * np.sin(azimuth), np.cos(half)]
-    return tuple(float(round(component, 9)) + 0.0 for component in axis)
+    x, y, z = (float(round(component, 9)) + 0.0 for component in axis)
+    return x, y, z

@@ -19,6 +19,8 @@ from plan import Plan, Row, Run, turning_rows
 from random_plans import WITH_CURRENT, Content, converter_cycle_rows, mounting, rate_rows, steady
 from reference_gyro import wandering
 from sensor import Channel
+from serial_plans import on_an_arm, several_axes
+from tumble_plans import tumble
 
 _POLAR_SEATS = {
     "O-north": polar_tumble.NORTH, "O-south": polar_tumble.SOUTH, "I-north": polar_tumble.ALONG,
@@ -149,6 +151,26 @@ def ramps(generator: np.random.Generator) -> Plan:
     return _from_content("thermal_ramp", WITH_CURRENT, content, generator)
 
 
+def record(generator: np.random.Generator) -> Plan:
+    """Five hours at rest from power-on in a room whose temperature drifts; rows are means of three minutes."""
+    rows, seconds = 100, 180.0
+    hours = np.arange(rows + 1) * seconds / 3600
+    swing, period, phase = generator.uniform(1, 3), generator.uniform(2, 6), generator.uniform(0, 2 * np.pi)
+    room = generator.uniform(20, 30) + swing * np.sin(2 * np.pi * hours / period + phase)
+    held = [
+        Row(
+            (k + 0.5) * seconds, round(seconds * random_plans.RAW_RATE), round(float(room[k] + room[k + 1]) / 2, 3),
+            temperature_rate=float(room[k + 1] - room[k]) / (seconds / 60), power_on=(k + 0.5) * seconds,
+        )
+        for k in range(rows)
+    ]  # fmt: skip
+    runs = [Run("night", "static_record", held, "rate", "z-up", _start(0, 20))]
+    return _plan(
+        "static_record", _site(generator), (*random_plans.GYROS, *random_plans.ACCELEROMETERS), runs,
+        tables=(Table("rate", 0.0, 90.0, 20.0),), mountings=(mounting("z-up"),),
+    )  # fmt: skip
+
+
 PLANS = {
     "rate_table": Alone(rates, "hidden-effects"),
     "thermal_ramp": Alone(ramps, "hidden-effects-thermal"),
@@ -156,5 +178,9 @@ PLANS = {
     "geographic_tumble": Alone(geographic, "geographic-tumble"),
     "rotation_modulation": Alone(modulation, "rotation-modulation"),
     "reference_gyro": Alone(reference, "reference-gyro"),
+    "free_tumble": Alone(lambda generator: tumble(generator, _site(generator)), "desk-imu"),
+    "static_record": Alone(record, "static-record"),
+    "multi_axis_table": Alone(lambda generator: several_axes(generator, _site(generator)), "multi-axis-table"),
+    "centrifuge": Alone(lambda generator: on_an_arm(generator, _site(generator)), "centrifuge"),
 }
 """Procedure → how its plans are drawn.  A dividing head by itself is the template `head` of `random_plans`."""

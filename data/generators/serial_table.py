@@ -6,6 +6,7 @@ few instants about the one of interest, and differentiated numerically.  Whateve
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from kinematics import ARCSEC, Mounting, Site, Table, about, rotation
 from plan import Plan, Readings, Run
 from sensor import Surroundings, Values, accelerometer_signal, converted, gyro_signal
 
+PAUSE = 10.0  # s, from the end of a row to the start of the next
 STEP = 1e-3  # s, of the differences
 STENCIL = STEP * np.arange(-2, 3)
 FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / (12 * STEP)
@@ -145,16 +147,23 @@ class Chain:
         return attitude, place + attitude @ lever
 
 
-def felt(chain: Chain, pose: Pose, site: Site, time: np.ndarray, lever: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inertial rate and specific force in body axes, (K, 3) each, of a sensor at `lever`."""
-    attitude, place = chain.at(pose, time[:, None] + STENCIL, lever)
-    spin = rotation(STENCIL[:, None] * site.earth_rate)  # local level at the instant is inertial
-    attitude, place = spin @ attitude, np.einsum("sij,ksj->ksi", spin, place)
-    now = attitude[:, 2]
-    turning = np.einsum("kji,kjl->kil", now, np.einsum("s,ksij->kij", FIRST, attitude))
-    rate = np.stack([turning[:, 2, 1], turning[:, 0, 2], turning[:, 1, 0]], axis=-1)
-    force = np.einsum("s,ksi->ki", SECOND, place) + site.upward_force
-    return rate, np.einsum("kji,kj->ki", now, force)
+class Felt:
+    """Inertial rate (K, 3) and specific force in body axes at times from the middle of a row."""
+
+    def __init__(self, chain: Chain, pose: Pose, site: Site, time: np.ndarray):
+        self.body, self.place = chain.at(pose, time[:, None] + STENCIL, np.zeros(3))
+        self.site = site
+        self.spin = rotation(STENCIL[:, None] * site.earth_rate)  # local level at the instant is inertial
+        attitude = self.spin @ self.body
+        self.now = attitude[:, 2]
+        turning = np.einsum("kji,kjl->kil", self.now, np.einsum("s,ksij->kij", FIRST, attitude))
+        self.rate = np.stack([turning[:, 2, 1], turning[:, 0, 2], turning[:, 1, 0]], axis=-1)
+
+    def force(self, lever: np.ndarray) -> np.ndarray:
+        """Specific force (K, 3) of a sensor at `lever`."""
+        place = np.einsum("sij,ksj->ksi", self.spin, self.place + self.body @ lever)
+        force = np.einsum("s,ksi->ki", SECOND, place) + self.site.upward_force
+        return np.einsum("kji,kj->ki", self.now, force)
 
 
 def instants(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
@@ -168,22 +177,46 @@ def instants(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
     return 0.5 * points * pose.seconds * share, weights / 2
 
 
-def exact(plan: Plan, run: SerialRun, values: Values) -> tuple[np.ndarray, np.ndarray]:
-    """Noise-free means and variances within the rows, (rows, channels) each."""
-    table = next(each for each in plan.tables if each.name == run.table)
+def felt(chain: Chain, pose: Pose, site: Site, time: np.ndarray, lever: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inertial rate and specific force in body axes, (K, 3) each, of a sensor at `lever`."""
+    here = Felt(chain, pose, site, time)
+    return here.rate, here.force(lever)
+
+
+def since_first(runs: list[SerialRun]) -> list[float]:
+    """Hours from the start of the first run to the start of each."""
+    starts = [datetime.fromisoformat(run.start) for run in runs]
+    return [(start - min(starts)).total_seconds() / 3600 for start in starts]
+
+
+def table_of(plan: Plan, name: str) -> SerialTable:
+    """The table of a plan by its name."""
+    return next(each for each in plan.tables if isinstance(each, SerialTable) and each.name == name)
+
+
+def middles(run: SerialRun) -> np.ndarray:
+    """Times of the middles of the rows, s."""
+    ends = np.cumsum([pose.seconds + PAUSE for pose in run.poses])
+    return np.array([end - PAUSE - pose.seconds / 2 for end, pose in zip(ends, run.poses, strict=True)])
+
+
+def exact(plan: Plan, run: SerialRun, values: Values, since: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Noise-free means and variances within the rows, (rows, channels) each; `since` are hours since the first run."""
+    table = table_of(plan, run.table)
     seat = next(each for each in plan.mountings if each.name == run.mounting)
-    chain, around = Chain(table, seat, values, plan.site.gravity), Surroundings(temperature=run.temperature)
+    chain, hours = Chain(table, seat, values, plan.site.gravity), since + middles(run) / 3600
     mean, variance = np.empty((2, len(run.poses), len(plan.channels)))
     for row, pose in enumerate(run.poses):
         time, weight = instants(pose)
         time = time / chain.faster  # the clock errs, the angles are read
+        here = Felt(chain, pose, plan.site, time)
+        around = Surroundings(temperature=run.temperature, hours=float(hours[row]))
         for column, channel in enumerate(plan.channels):
             arm = 1e-3 * np.array([values.get(f"lever_arm.{axis}[{channel.name}]", 0.0) for axis in "xyz"])
-            rate, force = felt(chain, pose, plan.site, time, arm)
             if channel.kind == "gyro":
-                signal = gyro_signal(channel, values, plan.site, rate, force, around)
+                signal = gyro_signal(channel, values, plan.site, here.rate, here.force(arm), around)
             else:
-                signal = accelerometer_signal(channel, values, plan.site, force, around)
+                signal = accelerometer_signal(channel, values, plan.site, here.force(arm), around)
             read = converted(channel, values, plan.site, signal, around)
             mean[row, column] = weight @ read
             variance[row, column] = weight @ (read - mean[row, column]) ** 2
@@ -193,8 +226,8 @@ def exact(plan: Plan, run: SerialRun, values: Values) -> tuple[np.ndarray, np.nd
 def read_out(plan: Plan, runs: list[SerialRun], values: Values, seed: int, raw_rate: float) -> list[Readings]:
     """For each run means and standard deviations of noisy samples, and one offset per run and channel."""
     readings = []
-    for run in runs:
-        mean, variance = exact(plan, run, values)
+    for run, since in zip(runs, since_first(runs), strict=True):
+        mean, variance = exact(plan, run, values, since)
         samples = np.array([round(pose.seconds * raw_rate) for pose in run.poses])
         sd, offset = np.empty_like(mean), np.empty(len(plan.channels))
         for column, channel in enumerate(plan.channels):
@@ -208,13 +241,10 @@ def read_out(plan: Plan, runs: list[SerialRun], values: Values, seed: int, raw_r
     return readings
 
 
-def columns(
-    plan: Plan, run: SerialRun, readings: Readings, raw_rate: float, decimals: int, pause: float = 10.0
-) -> dict[str, list[str]]:
+def columns(plan: Plan, run: SerialRun, readings: Readings, raw_rate: float, decimals: int) -> dict[str, list[str]]:
     """The columns of a run table."""
-    ends = np.cumsum([pose.seconds + pause for pose in run.poses])
-    table = next(each for each in plan.tables if each.name == run.table)
-    found = {"time_s": [f"{end - pause - pose.seconds / 2:.3f}" for end, pose in zip(ends, run.poses, strict=True)]}
+    table = table_of(plan, run.table)
+    found = {"time_s": [f"{middle:.3f}" for middle in middles(run).tolist()]}
     for axis, name in enumerate(("outer", "middle", "table")):
         if name == "middle" and table.middle_axis is None:
             continue
@@ -239,8 +269,12 @@ def write_campaign(
     raw_rate: float,
     values: Values | None = None,
     more: Callable[[Values], dict[str, float]] = lambda values: {},
+    hidden: dict | None = None,
 ) -> dict[str, float]:
-    """Write the campaign into `folder`; return the true parameters and derived quantities."""
+    """Write the campaign into `folder`; return the true parameters and derived quantities.
+
+    `hidden` is what is said in the truth file of effects that the model lacks.
+    """
     folder = Path(folder)
     values = dict(drawn(plan, seed) if values is None else values)
     entries = [Run(run.name, run.procedure, [], run.table, run.mounting, run.start) for run in runs]
@@ -255,7 +289,7 @@ def write_campaign(
             nuisance[f"run_offset[{channel.name},{run.name}]"] = float(offset)
     derived = truth.mounting_angles(plan.channels, plan.mountings, values)
     derived |= truth.scale_factors(plan.channels, values) | more(values)
-    write.write_truth(folder, plan, seed, values, derived, nuisance)
+    write.write_truth(folder, plan, seed, values, derived, nuisance, hidden)
     return values | derived
 
 
@@ -265,7 +299,7 @@ def drawn(plan: Plan, seed: int) -> dict[str, float]:
     listed = {effect["name"] for effect in effects}
     spreads = truth.equipment_spreads(plan.mountings, plan.tables, {each.name for each in plan.tables})
     for table in plan.tables:
-        spreads |= table.spreads()
+        spreads |= table_of(plan, table.name).spreads()
     spreads = {name: spread for name, spread in spreads.items() if name.split(".")[0] in listed}
     return truth.from_spreads(spreads, seed) | truth.from_model(effects, plan.channels, seed)
 

@@ -39,8 +39,10 @@ FIRST_SEEDS = dict.fromkeys(COUNTS, 1001) | {"outside": 5001, "two": 2001, "null
 """Campaigns of smaller seeds were looked at while thresholds, ranking and rules were set."""
 PROCEDURES = (
     "rate_table", "dividing_head", "thermal_ramp", "polar_tumble", "geographic_tumble", "rotation_modulation",
-    "reference_gyro", "servo_table",
+    "reference_gyro", "servo_table", "free_tumble", "static_record", "multi_axis_table", "centrifuge",
 )  # fmt: skip
+ONE_RUN = ("servo_table", "free_tumble", "static_record")
+"""Procedures of one run, which has no scatter between runs."""
 ALONE_COUNTS = {"hidden": 40, "null-white": 20, "null-runs": 20}
 FIRST_ALONE = 20001
 """Of campaigns with one procedure alone: how many of each kind for every procedure, and their first seed."""
@@ -163,7 +165,7 @@ def first_step(
         return None
     result = imubayes.api.fit(place, model, sample=False)
     addition = imubayes.api.add(result, [found["effect"]], channels=found["channels"])
-    fitted = {line.name: line.mean for line in addition.result.summary.parameters}
+    fitted = {line.name: line.mean for line in addition.result.summary.parameters if line.mean is not None}
     sigma = [name for name in fitted if name.startswith("white_noise.") and addition.taken]
     return {
         "effect": found["effect"],
@@ -259,6 +261,7 @@ def study(
         (kind, FIRST_ALONE + k, procedure)
         for procedure in PROCEDURES
         for kind, count in (alone or {}).items()
+        if not (kind == "null-runs" and procedure in ONE_RUN)
         for k in range(count)
     ]
     known = done(path)
@@ -308,7 +311,7 @@ def main() -> None:
         print(judged(line))
         return
     if chosen.alone:
-        alone = dict(zip(("hidden", "null-white"), chosen.alone, strict=True))
+        alone: dict[str, int] = dict(zip(("hidden", "null-white"), chosen.alone, strict=True))
         print("\n".join(by_procedure(study({}, chosen.lines, chosen.workers, alone))))
         return
     counts = quick(chosen.quick) if chosen.quick else COUNTS

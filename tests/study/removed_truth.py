@@ -127,12 +127,21 @@ def judged(fitted: Any, without: str = "") -> Line:
     }
 
 
+def kept(path: Path | None) -> list[Line]:
+    """Return the lines that an earlier run wrote."""
+    return [json.loads(each) for each in path.read_text().splitlines()] if path is not None and path.exists() else []
+
+
 def study(campaign: str, seed: int, path: Path | None) -> Iterator[Line]:
     """Yield a line for every effect planted in a campaign."""
     from null_data import fitted_to, redrawn  # pyright: ignore[reportMissingImports]
 
     fitted = fitted_to(campaign, MODELS[campaign])
+    known = {line["effect"]: line for line in kept(path) if (line["campaign"], line["seed"]) == (campaign, seed)}
     for number, (effect, owner, shift, size) in enumerate(plants(fitted, seed)):
+        if effect in known:
+            yield known[effect]
+            continue
         line: Line = {"campaign": campaign, "seed": seed, "effect": effect, "owner": owner, "size": size}
         fresh = redrawn(fitted, 1000 * seed + number, change=shift)
         line |= {"converged": fresh.converged, "whole": judged(fresh), "without": judged(fresh, effect)}

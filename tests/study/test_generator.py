@@ -1,4 +1,5 @@
 """The independent generator against numbers worked out by hand."""
+# pyright: reportMissingImports=false
 
 import re
 import tomllib
@@ -259,11 +260,16 @@ def test_a_random_campaign_is_what_it_says(kind, tmp_path):
 ALONE = {
     "rate_table": "gyro_scale_cubic", "thermal_ramp": "converter_offset_lag", "polar_tumble": "gyro_g2_sensitivity",
     "geographic_tumble": "station_heading", "rotation_modulation": "table_wobble",
-    "reference_gyro": "gyro_scale_asymmetry", "head": "accel_cubic",
+    "reference_gyro": "gyro_scale_asymmetry", "head": "accel_cubic", "static_record": "gyro_warm_up",
+    "free_tumble": "accel_cubic", "multi_axis_table": "middle_axis_squareness", "centrifuge": "arm_error",
 }  # fmt: skip
+LONG = ("free_tumble", "multi_axis_table", "centrifuge")
 
 
-@pytest.mark.parametrize("procedure", [*ALONE, "servo_table"])
+@pytest.mark.parametrize(
+    "procedure",
+    [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in (*ALONE, "servo_table")],
+)
 def test_a_campaign_of_one_procedure_holds_that_alone(procedure, tmp_path):
     """It is read as a campaign of that procedure; its model is a shipped one that lacks what is hidden."""
     if procedure == "servo_table":
@@ -279,6 +285,49 @@ def test_a_campaign_of_one_procedure_holds_that_alone(procedure, tmp_path):
     runs = tomllib.loads((tmp_path / "campaign.toml").read_text())["run"]
     assert {run["procedure"] for run in runs} == names
     bind(read_model(drawn.model), load_campaign(tmp_path))
+
+
+def test_what_an_autoregression_takes_of_a_shift():
+    """Against dense matrices: a slow shift is taken almost in full, one that alternates is not."""
+    n, phi = 60, np.linspace(-0.9, 0.995, 380)
+    slow, quick = 3 * np.linspace(-1, 1, n), 1.5 * (-1.0) ** np.arange(n)
+    for shift in (slow, quick):
+        left = []
+        for each in phi:
+            inverse = np.linalg.inv(each ** np.abs(np.subtract.outer(np.arange(n), np.arange(n))))
+            ones = inverse.sum(axis=0)
+            square = shift @ inverse @ shift - (shift @ ones) ** 2 / ones.sum()
+            left.append(n * np.log((np.trace(inverse) + square) / n) - np.linalg.slogdet(inverse)[1])
+        assert np.isclose(detectability.seen_past_correlation(shift), min(left), rtol=1e-6)
+    assert detectability.seen_past_correlation(slow) < 0.4 * (slow @ slow)
+    assert detectability.seen_past_correlation(np.zeros(n)) < 1e-9
+
+
+def test_channels_that_a_run_does_not_record_show_nothing():
+    plan = replace(a_plan(*TURNING), channels=(GX, AX))
+    (run,) = plan.runs
+    plan = replace(plan, runs=(replace(run, recorded=("ax",)),))
+    values = {f"white_noise.sigma[{name}]": 0.01 for name in ("gx", "ax")}
+    sight = detectability.look(plan, values)
+    assert sight.detectability({"gyro_g_sensitivity.d_i[gx]": 1e3}) == 0
+    assert sight.detectability({"accel_quadratic.quadratic[ax]": 1e5}) > 0
+
+
+def test_a_tumble_shows_what_its_attitudes_cannot_explain():
+    """A scale error lengthens the turns, an attitude moves a rest and both turns beside it, and all of it is free."""
+    from tumble_plans import tumble
+
+    plan = tumble(np.random.default_rng(2), SITE)
+    moments = plan.moments()
+    nothing, scaled = moments.outputs({}), moments.outputs({f"gyro_scale_factor.scale[g{x}]": 1e3 for x in "xyz"})
+    rests, (first, last) = len(plan.moves) + 1, (plan.rests[0][1], plan.rests[1][0])
+    turned = (last - first) / 100 * np.linalg.norm((scaled - nothing)[rests, 3:])
+    move = plan.moves[0]
+    cosine = (np.trace(move.attitude.T @ move.final_attitude) - 1) / 2
+    assert np.isclose(turned, 1e-3 * np.arccos(cosine), rtol=0.1)  # the axis wanders
+    leaning = moments.outputs({"attitude.x[1]": 1e-3}) - nothing
+    assert np.flatnonzero(np.linalg.norm(leaning, axis=1) > 1e-6).tolist() == [1, rests, rests + 1]
+    assert np.isclose(np.linalg.norm(leaning[1]), 1e-3 * np.hypot(*nothing[1, 1:3]), rtol=1e-3)
 
 
 def test_a_servo_table_shows_what_its_model_lacks():
@@ -326,4 +375,5 @@ def test_every_effect_can_be_shown_somewhere():
             where = hidden.places(plan, hidden.ALL[effect].on, generator)
             if where and sight.detectability(hidden.unit_effect(plan, effect, where, generator)) > 1:
                 left.discard(effect)
-    assert left == {"station_heading", "station_level"}  # of positions named by direction, which are by themselves
+    alone = {name for name, kind in hidden.ALL.items() if kind.templates and not {*kind.templates} & {*TEMPLATES}}
+    assert left == alone  # of positions named by direction, and of several axes
