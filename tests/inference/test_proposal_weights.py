@@ -59,12 +59,14 @@ def chains_of(precision, folder: Path, seed: int, settings: Settings):
     return weighed, sample(log_density, starts, NAMES, settings, checkpoint, weighed)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_proposal_that_follows_the_scatter_gives_its_whole_width(tmp_path, seed):
     weighed, chains = chains_of(exact_precision, tmp_path, seed, Settings(seed=seed))
     assert weighed.pareto_k < 0.5
     assert chains.diagnosis.converged
     assert chains.points[..., 0].std() == pytest.approx(1.0, rel=0.05)
+    # x is a mixture of normal distributions of kurtosis 127, which takes many more draws than a normal one.
+    assert chains.points[..., 1].std() == pytest.approx(np.sqrt(1 + np.exp(2)), rel=0.06)
     np.testing.assert_allclose(np.quantile(chains.points[..., 0], (0.025, 0.975)), (-1.96, 1.96), atol=0.1)
 
 

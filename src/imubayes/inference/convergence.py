@@ -7,7 +7,9 @@ parameter.
 
 A chain that has not yet been where its proposal is too thin agrees with itself.  So chains of a proposal are also held
 against draws of that proposal weighted by the posterior, which reach farther than the chain does: the weights must have
-a tail that lets them (Pareto k̂), and the standard deviations must agree.
+a tail that lets them (Pareto k̂), and the standard deviations must agree.  With a proposal draws are cheap, and the
+chains are as long as the standard deviations and intervals of all parameters need
+(`imubayes.inference.monte_carlo_error`).
 """
 
 import warnings
@@ -18,6 +20,7 @@ from typing import TYPE_CHECKING
 import lazy_loader
 import numpy as np
 
+from imubayes.inference.monte_carlo_error import INTERVAL, monte_carlo_errors
 from imubayes.inference.proposal_weights import WeighedProposal
 
 if TYPE_CHECKING:
@@ -26,10 +29,8 @@ else:
     arviz_stats = lazy_loader.load("arviz_stats")  # takes long to import, and only sampling needs it
 
 NESTED_R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
-# With a proposal draws are cheap.  This many in the tails put the ends of a 95 % interval within 0.1 of a standard
-# deviation at 3.7 of their Monte Carlo errors (2.67/√n for a normal), which all of some hundred parameters keep.
-PROPOSED_EFFECTIVE_SIZE = 10_000.0
-INTERVAL = (0.025, 0.975)
+# A standard deviation that asks for more draws than this is of a parameter of which the interval tells more.
+MOST_DRAWS = 100_000
 # Above the first index of the weights' tail their variance is infinite, and a chain has to leave the place of the
 # largest weight several times to be believed; above the second no practical length is enough (Vehtari et al. 2024).  A
 # scatter that a proposal follows to first order alone gives 0.5 to 0.9.
@@ -54,6 +55,7 @@ class Convergence:
     converged : whether all bars are met.
     settled : whether all bars are met that more steps could meet.
     message : what is not, in one sentence; empty when converged.
+    longer : how many times the length the Monte Carlo errors ask for; at most 1 where they are small enough.
     """
 
     r_hat: np.ndarray
@@ -63,6 +65,7 @@ class Convergence:
     message: str
     pareto_k: float | None = None
     settled: bool = False
+    longer: float = 1.0
 
 
 def diagnose(
@@ -86,17 +89,22 @@ def diagnose(
             arviz_stats.sampling_diagnostics.ess(flat, chain_axis=0, draw_axis=1, method="tail", prob=INTERVAL)
         )
     r_hat = nested_r_hat(chain)
-    bar = EFFECTIVE_SIZE if weighed is None else PROPOSED_EFFECTIVE_SIZE
-    faults = [*_immobile(flat, log_density, names), *_too_few(r_hat, bulk, tail, bar, names)]
-    missed = [] if weighed is None else _missed_tails(weighed, steps)
-    if weighed is not None and not missed:
-        faults += against_weights(chain, tail, names, weighed)
+    faults = [*_immobile(flat, log_density, names), *_too_few(r_hat, bulk, tail, names)]
+    missed, inexact, longer = [], [], 1.0
+    if weighed is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            errors = monte_carlo_errors(flat, tail)
+        longer, missed = errors.longer(), _missed_tails(weighed, steps)
+        inexact = errors.inexact_ends(names)
+        faults += [] if missed else against_weights(chain, errors.sd, names, weighed)
     # Beyond the worst index no chain changes what the weights say of the proposal.
     hopeless = weighed is not None and weighed.pareto_k > WORST_PARETO_K
-    settled, faults = not faults and (hopeless or not missed), faults + missed
+    long_enough = longer <= 1 or (not inexact and log_density.size >= MOST_DRAWS)
+    settled = not faults and (hopeless or (long_enough and not missed))
+    faults += inexact + missed
     message = "The sampling did not converge: " + "; ".join(faults) + "." if faults else ""
     pareto_k = None if weighed is None else weighed.pareto_k
-    return Convergence(r_hat, bulk, tail, not faults, message, pareto_k, settled)
+    return Convergence(r_hat, bulk, tail, not faults, message, pareto_k, settled, longer)
 
 
 def _immobile(flat: np.ndarray, log_density: np.ndarray, names: Sequence[str]) -> list[str]:
@@ -113,16 +121,16 @@ def _immobile(flat: np.ndarray, log_density: np.ndarray, names: Sequence[str]) -
     return faults
 
 
-def _too_few(r_hat: np.ndarray, bulk: np.ndarray, tail: np.ndarray, bar: float, names: Sequence[str]) -> list[str]:
-    """Return where ensembles disagree, and where effective sizes are below a bar."""
+def _too_few(r_hat: np.ndarray, bulk: np.ndarray, tail: np.ndarray, names: Sequence[str]) -> list[str]:
+    """Return where ensembles disagree, and where effective sizes are too small."""
     faults = []
     worst = int(np.argmax(np.where(np.isnan(r_hat), np.inf, r_hat)))
     if not r_hat[worst] <= NESTED_R_HAT:
         faults.append(f"the ensembles disagree on {names[worst]} (nested R-hat {r_hat[worst]:.3f} > {NESTED_R_HAT})")
     for size, what in ((bulk, "bulk"), (tail, "tail")):
         least = int(np.argmin(np.where(np.isnan(size), -np.inf, size)))
-        if not size[least] >= bar:
-            faults.append(f"{what} effective size of {names[least]} is {size[least]:.0f}, below {bar:.0f}")
+        if not size[least] >= EFFECTIVE_SIZE:
+            faults.append(f"{what} effective size of {names[least]} is {size[least]:.0f}, below {EFFECTIVE_SIZE:.0f}")
     return faults
 
 
@@ -136,19 +144,19 @@ def _missed_tails(weighed: WeighedProposal, steps: int) -> list[str]:
 
 
 def against_weights(
-    chain: np.ndarray, effective: np.ndarray, names: Sequence[str], weighed: WeighedProposal
+    chain: np.ndarray, chain_error: np.ndarray, names: Sequence[str], weighed: WeighedProposal
 ) -> list[str]:
     """Return the standard deviation that disagrees most with that of the weighted draws of the proposal, if any does.
 
     Parameters
     ----------
     chain : shape (ensembles, steps, walkers, D).
-    effective : shape (D,), effective sizes of the chain.
+    chain_error : shape (D,), relative Monte Carlo errors of the standard deviations of the chain.
     """
     _, sd, error = weighed.moments()
     with np.errstate(divide="ignore", invalid="ignore"):
         difference = chain.std(axis=(0, 1, 2)) / sd - 1
-        errors = np.abs(difference) / np.hypot(error, 1 / np.sqrt(2 * effective))
+        errors = np.abs(difference) / np.hypot(error, chain_error)
     apart = (np.abs(difference) > _SD_SHARE) & (errors > _SD_ERRORS)
     worst = int(np.argmax(np.where(apart, errors, 0.0)))
     if not apart[worst]:

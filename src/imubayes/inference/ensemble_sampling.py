@@ -5,7 +5,9 @@ mode, where there is one, is found by one of them and shows as disagreement.  Th
 block the checkpoint is replaced as a whole and convergence is judged.
 
 How long a chain has to be follows from the importance weights of its proposal: a walker stays for as many steps as the
-weight of its place, so the chain takes several times the largest weight found (`imubayes.inference.proposal_weights`).
+weight of its place, so the chain takes several times the largest weight found (`imubayes.inference.proposal_weights`);
+and from the tails of the posterior, whose standard deviations and intervals are to have small Monte Carlo errors
+(`imubayes.inference.monte_carlo_error`).
 """
 
 import math
@@ -18,8 +20,9 @@ import lazy_loader
 import numpy as np
 
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.convergence import EFFECTIVE_SIZE, PROPOSED_EFFECTIVE_SIZE, STAYS, Convergence, diagnose
+from imubayes.inference.convergence import EFFECTIVE_SIZE, MOST_DRAWS, STAYS, Convergence, diagnose
 from imubayes.inference.laplace_move import LaplaceMove
+from imubayes.inference.monte_carlo_error import normal_length
 from imubayes.inference.proposal_weights import BatchedDensity, WeighedProposal
 from imubayes.step_counter import duration, silent
 
@@ -38,12 +41,15 @@ _FEWEST_WALKERS = 64
 _BURN_IN, _BLOCK = 5, 5
 # So many draws of all ensembles together are taken even where fewer would do, and so many steps.
 _LEAST_DRAWS, _LEAST_STEPS = 6000, 10
-# Draws beyond the effective size asked for, so that the first judgement mostly is the last.
-_MARGIN = 1.1
-# A chain longer than this did not begin where it should; a quarter of it is then left out.
-_LONG = 60
+# Draws beyond those asked for, so that the next judgement mostly is the last; and how many times the length at once:
+# what a short chain says of its tails is rough.
+_MARGIN, _MOST_LONGER = 1.1, 4.0
+# Of a chain longer than this without good independent proposals a quarter is left out, and so much of one with them.
+_LONG, _LONG_BURN_IN = 60, 15
 # Largest size of all chains together, in numbers: 400 MB.
 _MOST_NUMBERS = 50_000_000
+# What is kept of them: 80 MB, but never fewer draws than the second.
+_MOST_STORED, _LEAST_KEPT = 10_000_000, 20_000
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,7 @@ class Settings:
     """How to sample; `walkers` of 0 takes the smallest number that emcee's moves allow.
 
     `least_steps` are taken by each ensemble after the burn-in even when fewer would do; `most_steps` of 0 is what
-    memory allows.  Of longer chains some steps are kept, `most_kept` draws in all: twice the effective size asked for;
+    memory allows.  Of longer chains some steps are kept, `most_kept` draws in all, fewer where the parameters are many;
     the checkpoint has them all.
     """
 
@@ -60,7 +66,7 @@ class Settings:
     seed: int = 0
     least_steps: int = 0
     most_steps: int = 0
-    most_kept: int = 20_000
+    most_kept: int = 100_000
 
 
 @dataclass(frozen=True)
@@ -82,8 +88,8 @@ class Chains:
 
 
 def thinned(chains: Chains, most: int) -> Chains:
-    """Return chains of at most about `most` draws in all: every nth step, with all walkers."""
-    each = math.ceil(chains.log_density.size / most)
+    """Return chains of a size that is practical to store, at most about `most` draws: every nth step, all walkers."""
+    each = math.ceil(chains.log_density.size / min(most, max(_LEAST_KEPT, _MOST_STORED // chains.points.shape[-1])))
     return replace(chains, points=chains.points[:, ::each], log_density=chains.log_density[:, ::each])
 
 
@@ -130,6 +136,7 @@ def sample(
             mixing = _mixing(chains.diagnosis, weighed)
             if chains.diagnosis.settled or taken >= most:
                 return chains
+            least = min(taken + _lacking(chains), most)
         steps = min(max(_BLOCK, taken // 4), (least if taken < least else most) - taken)
         with checkpoint.block() as backends:
             for ensemble, backend in zip(ensembles, backends, strict=True):
@@ -140,11 +147,20 @@ def sample(
         tell(f"sampling: step {taken}{left}{mixing}")
 
 
+def _lacking(chains: Chains) -> int:
+    """Return the further steps that the Monte Carlo errors ask for; 0 where they ask for none."""
+    each, steps = chains.log_density[:, 0].size, chains.log_density.shape[1]
+    wanted = min(_MARGIN * min(chains.diagnosis.longer, _MOST_LONGER) * steps, MOST_DRAWS / each)
+    return max(math.ceil(wanted) - steps, 0) if chains.diagnosis.longer > 1 else 0
+
+
 def _mixing(found: Convergence, weighed: WeighedProposal | None) -> str:
     """Return how far chains are from the goals of sampling."""
-    goal = EFFECTIVE_SIZE if weighed is None else PROPOSED_EFFECTIVE_SIZE
-    size = np.nanmin(np.concatenate([found.ess_bulk, found.ess_tail]), initial=goal)
-    return f"; effective size {size:.0f} of {goal:.0f}, nested R-hat {np.nanmax(found.r_hat, initial=1.0):.3f}"
+    r_hat = f"nested R-hat {np.nanmax(found.r_hat, initial=1.0):.3f}"
+    if weighed is not None:
+        return f"; {r_hat}"
+    size = np.nanmin(np.concatenate([found.ess_bulk, found.ess_tail]), initial=EFFECTIVE_SIZE)
+    return f"; effective size {size:.0f} of {EFFECTIVE_SIZE:.0f}, {r_hat}"
 
 
 def _lengths(
@@ -157,7 +173,7 @@ def _lengths(
     if weighed is not None:
         # Independent proposals taken with probability a: the integrated autocorrelation time is about 2/a − 1.
         accepted = max(weighed.acceptance, _HARD_ACCEPTANCE)
-        draws, stays = _MARGIN * PROPOSED_EFFECTIVE_SIZE * (2 / accepted - 1), STAYS * weighed.largest
+        draws, stays = _MARGIN * normal_length(dimensions) * (2 / accepted - 1), STAYS * weighed.largest
     enough = settings.least_steps or math.ceil(max(_LEAST_STEPS, draws / (ensembles * walkers), stays))
     return min(enough + _BURN_IN, most), most
 
@@ -199,14 +215,20 @@ def _state(number: int, start: np.ndarray, settings: Settings, checkpoint: Check
     return emcee.State(start, random_state=random.get_state())
 
 
-def burn_in(steps: int) -> int:
-    """Return how many of the first steps are left out: the first few, or a quarter of a long chain."""
-    return min(max(_BURN_IN, steps // 4 if steps > _LONG else 0), max(steps - 2, 0))
+def burn_in(steps: int, weighed: WeighedProposal | None) -> int:
+    """Return how many of the first steps are left out: the first few, more of a long chain.
+
+    With good independent proposals a walker has forgotten its start after a few steps, and a longer chain is one that
+    needs many draws; others may have begun where they should not.
+    """
+    good = weighed is not None and weighed.acceptance >= _HARD_ACCEPTANCE
+    long = 0 if steps <= _LONG else _LONG_BURN_IN if good else steps // 4
+    return min(max(_BURN_IN, long), max(steps - 2, 0))
 
 
 def _judged(checkpoint: Checkpoint, names: Sequence[str], weighed: WeighedProposal | None) -> Chains:
     points, log_density = checkpoint.chains()
-    first = burn_in(points.shape[1])
+    first = burn_in(points.shape[1], weighed)
     points, log_density = points[:, first:], log_density[:, first:]
     moved = np.any(np.diff(points, axis=1) != 0, axis=-1)
     acceptance = float(moved.mean()) if moved.size else math.nan
