@@ -15,12 +15,18 @@ varies by a fifth, and the largest of some hundred is what decides here.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
-from arviz_stats.base.array import array_stats
 from scipy.special import ndtr, ndtri
 
 from imubayes.array_shapes import Array, Float
+
+if TYPE_CHECKING:
+    import arviz_stats.sampling_diagnostics
+else:
+    arviz_stats = lazy_loader.load("arviz_stats")  # takes long to import, and only sampling needs it
 
 INTERVAL = (0.025, 0.975)
 SD_BAR, END_BAR = 0.05, 0.1
@@ -75,10 +81,8 @@ def monte_carlo_errors(flat: Float[Array, "W S D"], tail: Float[Array, " D"]) ->
     """Return the errors of chains (walkers, steps, D) with effective sizes (D,) at the ends of the 95 % interval."""
     dimensions = flat.shape[-1]
     spread = flat.std(axis=(0, 1))
-    error = [
-        float(array_stats.mcse(flat[..., place], chain_axis=0, draw_axis=1, method="sd")) for place in range(dimensions)
-    ]
-    return ChainErrors(np.array(error) / spread, end_errors(flat.reshape(-1, dimensions), tail) / spread[:, None])
+    error = np.asarray(arviz_stats.sampling_diagnostics.mcse(flat, chain_axis=0, draw_axis=1, method="sd"))
+    return ChainErrors(error / spread, end_errors(flat.reshape(-1, dimensions), tail) / spread[:, None])
 
 
 def end_errors(draws: Float[Array, "S D"], effective: Float[Array, " D"]) -> Float[Array, "D 2"]:
