@@ -21,8 +21,6 @@ import lazy_loader
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from imubayes.array_shapes import Array, Float
-
 if TYPE_CHECKING:
     import arviz_stats.sampling_diagnostics
 else:
@@ -46,8 +44,8 @@ class ChainErrors:
     end : shape (D, 2), of the ends of the 95 % interval, in standard deviations.
     """
 
-    sd: Float[Array, " D"]
-    end: Float[Array, "D 2"]
+    sd: np.ndarray
+    end: np.ndarray
 
     def chance_beyond(self, longer: float = 1.0) -> float:
         """Return the largest probability that any number is beyond its bar, for chains `longer` times as long."""
@@ -77,7 +75,7 @@ class ChainErrors:
         return [f"the Monte Carlo error of the 95 % interval of {names[worst]} is {words}"]
 
 
-def monte_carlo_errors(flat: Float[Array, "W S D"], tail: Float[Array, " D"]) -> ChainErrors:
+def monte_carlo_errors(flat: np.ndarray, tail: np.ndarray) -> ChainErrors:
     """Return the errors of chains (walkers, steps, D) with effective sizes (D,) at the ends of the 95 % interval."""
     dimensions = flat.shape[-1]
     spread = flat.std(axis=(0, 1))
@@ -85,8 +83,8 @@ def monte_carlo_errors(flat: Float[Array, "W S D"], tail: Float[Array, " D"]) ->
     return ChainErrors(error / spread, end_errors(flat.reshape(-1, dimensions), tail) / spread[:, None])
 
 
-def end_errors(draws: Float[Array, "S D"], effective: Float[Array, " D"]) -> Float[Array, "D 2"]:
-    """Return the standard errors of both ends of the 95 % intervals, from draws (S, D) and effective sizes (D,)."""
+def end_errors(draws: np.ndarray, effective: np.ndarray) -> np.ndarray:
+    """Return the standard errors (D, 2) of the ends of 95 % intervals, from draws (S, D) and effective sizes (D,)."""
     p = INTERVAL[0]
     outer, inner, inner_high, outer_high = np.quantile(draws, (p / 2, 2 * p, 1 - 2 * p, 1 - p / 2), axis=0)
     # p over the logarithm of its quantiles is the length of a tail that falls exponentially: 2p/(p/2) = e^(2 ln 2).
