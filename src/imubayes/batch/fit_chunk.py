@@ -6,9 +6,12 @@ alone.  Whatever goes wrong with a unit is its outcome and stops nothing.
 """
 
 import time
+import warnings
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from imubayes.batch.fit_unit import bound_to, failure, fit_alone, posterior_of
 from imubayes.batch.lane_mode import find_modes
@@ -79,10 +82,7 @@ def _groups(bound: Sequence[BoundUnit]) -> Iterator[list[BoundUnit]]:
 
 def _fitted(task: ChunkTask, group: Sequence[BoundUnit]) -> dict[str, UnitPosterior]:
     clock = time.perf_counter()
-    try:
-        fits = _in_lanes(group) if task.settings.sample == "none" else [None] * len(group)
-    except Exception:
-        fits = [None] * len(group)  # each is tried by itself, where the error is that of one unit
+    fits = _in_lanes_if_possible(group) if task.settings.sample == "none" else [None] * len(group)
     shared, done = (time.perf_counter() - clock) / len(group), {}
     for unit, fit in zip(group, fits, strict=True):
         clock = time.perf_counter()
@@ -96,6 +96,20 @@ def _fitted(task: ChunkTask, group: Sequence[BoundUnit]) -> dict[str, UnitPoster
         seconds = unit.seconds + shared + time.perf_counter() - clock
         done[unit.source.digest] = _timed(found, unit.source, seconds)
     return done
+
+
+def _in_lanes_if_possible(group: Sequence[BoundUnit]) -> list[Fit | None]:
+    """Return what `_in_lanes` does; None for all where it fails, so that an error is that of one unit.
+
+    A matrix without inverse is the fault of a unit.  Any other error is one of this package: it must not go unseen.
+    """
+    try:
+        return _in_lanes(group)
+    except np.linalg.LinAlgError:
+        return [None] * len(group)
+    except Exception as error:
+        warnings.warn(f"units are fitted alone, since lanes failed: {type(error).__name__}: {error}", stacklevel=2)
+        return [None] * len(group)
 
 
 def _in_lanes(group: Sequence[BoundUnit]) -> list[Fit | None]:

@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from imubayes.batch.batch_settings import BatchSettings
+from imubayes.batch.lane_posterior import joint_normal_vectors
 from imubayes.batch.posterior_table import Kind, Outcome, Quantities, UnitIdentity, UnitPosterior
 from imubayes.batch.unit_sources import UnitSource
 from imubayes.campaign_data import Campaign
@@ -49,9 +50,10 @@ def failure(error: Exception, source: UnitSource) -> Outcome:
 
 
 def fit_alone(model: Model, settings: BatchSettings, identity: UnitIdentity) -> UnitPosterior:
-    """Return the posterior of a unit by the path of `imubayes fit`."""
+    """Return the posterior of a unit by the path of `imubayes fit`, its Laplace draws those of a unit in lanes."""
     sampling = Settings(seed=settings.seed) if settings.sample == "all" else None
-    return posterior_of(joint_fit(model, sampling), settings, identity)
+    fit = joint_fit(model, sampling, laplace_draws=joint_normal_vectors(*model.problem.size))
+    return posterior_of(fit, settings, identity)
 
 
 def posterior_of(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> UnitPosterior:

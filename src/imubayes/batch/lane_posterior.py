@@ -21,28 +21,27 @@ from imubayes.batch.group_moments import GroupedModel, GroupIndex, log_marginal_
 from imubayes.batch.lane_mode import LaneMode
 from imubayes.batch.lanes import LANES, LaneStructure, of_lane
 from imubayes.inference.conditional_precision import ExactPrecision
-from imubayes.inference.fitted_model import Fit, Posterior
+from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import HyperProbes, NestedLaplace, curved_directions, hyper_probes
 from imubayes.inference.noise_marginal import Curvature
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import linearise
+from imubayes.inference.run_fit import judged_fit, posterior_of_draws
 from imubayes.inference.tabulated_density import TabulatedDensity, from_normal
 from imubayes.model.bind import Model
-from imubayes.model.derived_quantities import evaluate_derived
 from imubayes.model.problem import Problem
 
 # Noise scales drawn, and draws of θ for each: powers of two for the quasi-random sequence.
 _SCALES, _EACH = 256, 8
-_PRIOR_DRAWS = 1000
 # Half the distance of the central differences of the gradient.
 _APART = 1e-3
 
 
 class LaneDraws(eqx.Module):
-    """Steps of θ from the mode, shape (scales, each, P), before the bend, and the noise scales (scales, H)."""
+    """Steps of θ from the mode before the bend, M for each noise scale, and the noise scales; their axes come first."""
 
-    delta: Float[Array, "S M P"]
-    h: Float[Array, "S H"]
+    delta: Float[Array, "*S M P"]
+    h: Float[Array, "*S H"]
 
 
 def hyper_curvature(problem: Problem, index: GroupIndex, model: GroupedModel, h: Float[Array, " H"]) -> Curvature:
@@ -94,6 +93,12 @@ def normal_vectors(size: int, hyper: int) -> tuple[np.ndarray, np.ndarray]:
     return scales, parameters.reshape(_EACH, _SCALES, size).transpose(1, 0, 2)
 
 
+def joint_normal_vectors(size: int, hyper: int) -> np.ndarray:
+    """Return the standard normal vectors (S M, P + H) behind the draws of a unit, those of its noise scales last."""
+    scales, parameters = normal_vectors(size, hyper)
+    return np.concatenate([parameters.reshape(-1, size), np.repeat(scales, _EACH, axis=0)], axis=1)
+
+
 def _sobol(count: int, dimensions: int) -> np.ndarray:
     points = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(0)).random(count)
     return ndtri(np.clip(points, 1e-12, 1 - 1e-12))
@@ -140,11 +145,17 @@ def _probes(mode: LaneMode, at: Curvature, lane: int) -> HyperProbes | None:
 def _fit(
     model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: LaneDraws
 ) -> Fit | None:
-    """Return the fit of one unit; None where the marginal of the noise scales has another maximum."""
+    """Return the fit of one unit, without posterior where its estimates cannot be those of a working unit.
+
+    None where the marginal of the noise scales has another maximum.
+    """
     problem, z = model.problem, found.model.z
     about = linearise(problem, z)
     true = jnp.asarray(True)
     mode = Mode(z, found.h, found.decrement, about, at, jnp.asarray(0), true, true)
+    fit = judged_fit(model, mode)
+    if not fit.converged:
+        return fit
     weak, bend = curved_directions(problem, mode)
     approximation = NestedLaplace(z, found.h, axes, along, ExactPrecision(about), weak, bend)
     if approximation.other_modes():
@@ -152,11 +163,7 @@ def _fit(
     delta = np.asarray(drawn.delta).reshape(-1, len(z))
     bent = delta + _bent(delta, np.asarray(weak), np.asarray(bend))
     points = np.concatenate([np.asarray(z) + bent, np.repeat(np.asarray(drawn.h), _EACH, axis=0)], axis=1)
-    prior = np.random.default_rng(0).normal(size=(_PRIOR_DRAWS, len(z)))
-    fit = Fit(model, np.asarray(z), np.asarray(found.h), True, "", mode)
-    derived = evaluate_derived(fit.derived.derivation, problem, np.concatenate([points[:, : len(z)], prior]))
-    posterior = Posterior(points, derived[: len(points)], prior, derived[len(points) :], approximation)
-    return replace(fit, posterior=posterior)
+    return replace(fit, posterior=posterior_of_draws(fit, points, approximation, None))
 
 
 def _bent(delta: np.ndarray, weak: np.ndarray, bend: np.ndarray) -> np.ndarray:

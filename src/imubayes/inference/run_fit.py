@@ -31,7 +31,7 @@ _SAME, _HOPELESS = 0.5, 30.0
 _DISPERSED = 3
 # Draws whose importance weights judge the proposal, of all ensembles together.
 _TRIAL = 4000
-_PRIOR_DRAWS, LAPLACE_DRAWS = 2000, 4000
+PRIOR_DRAWS, LAPLACE_DRAWS = 2000, 4000
 
 FAILED = "The fit failed: it ended where no working unit on the stated equipment can be."
 
@@ -45,7 +45,7 @@ def joint_fit(
     resume: bool = False,
     progress: Progress | None = None,
     start: tuple[np.ndarray, np.ndarray] | None = None,
-    laplace_draws: int = LAPLACE_DRAWS,
+    laplace_draws: int | np.ndarray = LAPLACE_DRAWS,
 ) -> Fit:
     """Fit a model and sample its posterior.
 
@@ -58,7 +58,8 @@ def joint_fit(
     progress : called with a short text as the work goes on.
     start : z and h to begin the fit at, where a fit of nearly the same model is known; the middle of the prior where
         None.  Other starts are tried only where the posterior is to be sampled, or none is known.
-    laplace_draws : number of draws of the Laplace approximation, where it is not sampled.
+    laplace_draws : number of draws of the Laplace approximation, where it is not sampled; or the standard normal
+        vectors to make them of, (S, P + H).
 
     Raises
     ------
@@ -94,10 +95,10 @@ def joint_fit(
             points = chains.points.reshape(-1, chains.points.shape[-1])
             fit = replace(fit, converged=chains.diagnosis.converged, message=chains.diagnosis.message)
         else:
-            chains, points = None, proposal.draw(np.random.RandomState(0), laplace_draws)
+            chains, points = None, _laplace_points(proposal, laplace_draws)
         seconds["sample"] = time.perf_counter() - clock
     tell("deriving quantities")
-    return replace(fit, posterior=_posterior(fit, points, approximation, chains), seconds=seconds)
+    return replace(fit, posterior=posterior_of_draws(fit, points, approximation, chains), seconds=seconds)
 
 
 def judged_fit(model: Model, mode: Mode) -> Fit:
@@ -127,6 +128,12 @@ def _sampled(
     weighed = weigh(density, proposal, sampling.ensembles, count, sampling.seed)
     starts = _starts(proposal, weighed, mode, others, file, sampling)
     return sample(density, starts, names, sampling, file, weighed, tell)
+
+
+def _laplace_points(proposal: LaplaceProposal, draws: int | np.ndarray) -> np.ndarray:
+    if isinstance(draws, np.ndarray):
+        return proposal.to_point(draws)[0]
+    return proposal.draw(np.random.RandomState(0), draws)
 
 
 def _require_double_precision() -> None:
@@ -242,9 +249,9 @@ def _starts(
     return starts
 
 
-def _posterior(fit: Fit, points: np.ndarray, approximation: NestedLaplace, chains: Chains | None) -> Posterior:
+def posterior_of_draws(fit: Fit, points: np.ndarray, approximation: NestedLaplace, chains: Chains | None) -> Posterior:
     """Return the posterior of draws (S, P + H), with the derived quantities of each and of the prior."""
     size, count = len(fit.z), len(points)
-    prior = np.random.default_rng(0).normal(size=(_PRIOR_DRAWS, size))
+    prior = np.random.default_rng(0).normal(size=(PRIOR_DRAWS, size))
     derived = evaluate_derived(fit.derived.derivation, fit.model.problem, np.concatenate([points[:, :size], prior]))
     return Posterior(points, derived[:count], prior, derived[count:], approximation, chains)
