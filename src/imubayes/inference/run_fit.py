@@ -58,8 +58,7 @@ def joint_fit(
     progress : called with a short text as the work goes on.
     start : z and h to begin the fit at, where a fit of nearly the same model is known; the middle of the prior where
         None.  Other starts are tried only where the posterior is to be sampled, or none is known.
-    laplace_draws : number of draws of the Laplace approximation, where it is not sampled; or the standard normal
-        vectors to make them of, (S, P + H).
+    laplace_draws : number of draws of the Laplace approximation, or standard normal vectors (S, P + H) to make them of.
 
     Raises
     ------
