@@ -8,7 +8,7 @@ import static_record as generator
 
 DT = 0.2
 """Sampling interval, s."""
-NOISE = {"white": 0.05, "flicker": 2.0, "random_walk": 5.0}
+NOISE = {"white": 0.05, "flicker": 2.0, "random_walk": 10.0}
 """°/√h, °/h and °/h/√h."""
 ROW_S = 60.0
 RATES = (0.0, 100.0, 50.0, 20.0, -20.0, -50.0, -100.0, 0.0)

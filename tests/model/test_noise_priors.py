@@ -1,4 +1,4 @@
-"""The noise of a static record as priors of other runs of the unit."""
+"""The noise of a static record in other runs of the unit: as priors, and jointly in one campaign."""
 
 from pathlib import Path
 
@@ -10,10 +10,13 @@ import slow_noise_campaign as simulated
 from imubayes.campaign import load_campaign
 from imubayes.cli.main import run
 from imubayes.errors import InputError
+from imubayes.inference.posterior_mode import find_mode
+from imubayes.inference.posterior_precision import knowledge
 from imubayes.model.bind import Model, bind
 from imubayes.model.likelihood import log_normaliser
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import EffectSpec, ModelSpec, PriorCorrelation
+from imubayes.parameters.priors import LogNormal
 
 REPEATS, BIAS, SCALE = 3, 4.0, 300.0
 PLAIN = ("gyro_bias", "gyro_scale_factor", "white_noise")
@@ -39,13 +42,66 @@ def of_effects(*names: str) -> ModelSpec:
     return ModelSpec("m", tuple(EffectSpec(name) for name in names))
 
 
+def fitted(spec: ModelSpec, folder: Path):
+    """Return the model, the standard deviation of the bias in °/h, and values and log sds of the noise scales."""
+    model = bind(spec, load_campaign(folder))
+    problem = model.problem
+    mode = find_mode(problem, jnp.zeros(problem.size[0]), jnp.zeros(problem.size[1]))
+    assert bool(mode.converged)
+    precision = knowledge(problem, mode.about, mode.h).precision + jnp.eye(problem.size[0])
+    place = model.layout.index("gyro_bias.bias[gx]")
+    parameter = model.layout.parameters[place]
+    sd = float(np.sqrt(np.linalg.inv(np.asarray(precision))[place, place])) * parameter.prior_sd
+    values = dict(zip(model.hyper_layout.names, np.asarray(problem.hyper_priors.values(mode.h)), strict=True))
+    spread = np.sqrt(np.diag(np.linalg.inv(np.asarray(mode.marginal.information))))
+    priors = [parameter.prior for parameter in model.hyper_layout.parameters]
+    widths = [prior.log_deviation * s for prior, s in zip(priors, spread, strict=True) if isinstance(prior, LogNormal)]
+    return model, sd, values, dict(zip(model.hyper_layout.names, widths, strict=len(widths) == len(priors)))
+
+
 @pytest.fixture(scope="module")
-def with_priors(written: Path) -> Model:
-    return bind(read_model(written / "model.toml"), load_campaign(written / "turns"))
+def with_priors(written: Path):
+    return fitted(read_model(written / "model.toml"), written / "turns")
 
 
-def test_the_prior_of_correlated_parameters_is_that_of_a_normal_distribution(with_priors: Model):
-    model = with_priors
+@pytest.fixture(scope="module")
+def deviation_of_bias() -> float:
+    """Standard deviation, °/h, of the generalised least-squares bias of the turns under the true noise."""
+    random, rows = np.random.default_rng(3), REPEATS * len(simulated.RATES)
+    each = round(simulated.ROW_S / simulated.DT)
+    means = [simulated.slow_noise(rows * each, random).reshape(rows, each).mean(axis=1) for _ in range(1000)]
+    rates = np.tile(simulated.RATES, REPEATS)
+    design = np.column_stack([np.ones(rows), rates / 100])
+    # The random walk starts at zero: means over many runs are zero, and the covariance is about zero.
+    covariance = np.mean([np.outer(each, each) for each in means], axis=0)
+    return 3600 * float(np.sqrt(np.linalg.inv(design.T @ np.linalg.solve(covariance, design))[0, 0]))
+
+
+def test_priors_of_a_static_record_give_the_interval_of_its_noise(written: Path, with_priors, deviation_of_bias: float):
+    model, sd, values, _ = with_priors
+    assert {"flicker_noise.b[gx]", "random_walk_noise.k[gx]"} <= set(model.hyper_layout.names)
+    assert model.problem.hyper_correlation is not None
+    assert values["flicker_noise.b[gx]"] == pytest.approx(simulated.NOISE["flicker"] / 3600, rel=0.3)
+    assert sd == pytest.approx(deviation_of_bias, rel=0.3)
+    # White noise alone, the planted fault, is too sure of itself.
+    assert fitted(of_effects(*PLAIN), written / "turns")[1] < 0.6 * deviation_of_bias
+
+
+@pytest.mark.slow
+def test_a_static_record_informs_the_noise_of_other_runs(written: Path, deviation_of_bias: float):
+    """One campaign of both: B and K are known better than from the short run alone, and so is the bias."""
+    _, _, _, unknown = fitted(of_effects(*SLOW), written / "turns")
+    _, joint, values, known = fitted(of_effects(*SLOW), written / "both")
+    for name in ("flicker_noise.b[gx]", "random_walk_noise.k[gx]"):
+        assert known[name] < 0.8 * unknown[name]
+    assert values["flicker_noise.b[gx]"] == pytest.approx(simulated.NOISE["flicker"] / 3600, rel=0.4)
+    assert values["random_walk_noise.k[gx]"] == pytest.approx(simulated.NOISE["random_walk"] / 3600, rel=0.6)
+    # The record begins at the shared bias too.
+    assert 0.5 * deviation_of_bias < joint < 1.1 * deviation_of_bias
+
+
+def test_the_prior_of_correlated_parameters_is_that_of_a_normal_distribution(with_priors):
+    model: Model = with_priors[0]
     problem = model.problem
     assert problem.hyper_correlation is not None
     root = np.asarray(problem.hyper_correlation.root)
