@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
-import static_record as generator
+import static_record as generator  # pyright: ignore[reportMissingImports]
 
 DT = 0.2
 """Sampling interval, s."""
