@@ -41,7 +41,7 @@ from imubayes.results.result import Result
 
 BUDGETS = "budgets.json"
 # Changed where budgets of the same result come out otherwise, so that those that are kept are made anew.
-_METHOD = 1
+_METHOD = 2
 _MOST_HALVED = 3
 # Decimals of a correlation.
 _DECIMALS = 4
@@ -90,7 +90,7 @@ def _kept(file: Path) -> KeptBudgets | None:
 def _computed(result: Result, unit: TestedUnit) -> UncertaintyBudgets:
     draws = unit.quantities.draws
     names = [name for name in posterior_quantities(result).entries if not is_constant(draws[name])]
-    arrays = budget_of(result, names, _functions(result, unit))
+    arrays = budget_of(result, names, functions_of_quantities(result, unit))
     parts = _Parts(result, unit, arrays)
     runs = _next_runs(result, arrays)
     quantities = tuple(_budget(parts, place, runs[place]) for place in range(len(arrays.names)))
@@ -101,7 +101,7 @@ def _computed(result: Result, unit: TestedUnit) -> UncertaintyBudgets:
     return UncertaintyBudgets(quantities=quantities, correlation=CorrelationMatrix(names=arrays.names, rows=rows))
 
 
-def _functions(result: Result, unit: TestedUnit) -> dict[str, FunctionOfQuantities]:
+def functions_of_quantities(result: Result, unit: TestedUnit) -> dict[str, FunctionOfQuantities]:
     """Return the quantities of the standards that are functions of those of the result."""
     under_test = standards_input(result, unit)
     return {

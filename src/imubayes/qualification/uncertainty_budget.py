@@ -68,6 +68,8 @@ _DISTRIBUTIONS: dict[type[Prior], str] = {
 class Improvements:
     """Standard deviations of Q quantities at the mode of the noise scales, as they are and if one input were better.
 
+    What a better prior leaves is the share of `at_mode` that it leaves of the variance averaged over the noise scales.
+
     Attributes
     ----------
     at_mode : shape (Q,), as they are.
@@ -180,6 +182,22 @@ class _Rows:
         return found
 
 
+@dataclass(frozen=True)
+class _OverScales:
+    """What depends on the noise scales, at n draws of them.
+
+    Attributes
+    ----------
+    type_a : shape (R, G, n), contributions of the runs.
+    exact_prior, halved_prior : shape (R, P), variance with one prior exact, or half as wide, over the variance as it
+        is; both averaged over the draws: at the mode a scatter known from few runs is understated.
+    """
+
+    type_a: np.ndarray
+    exact_prior: np.ndarray
+    halved_prior: np.ndarray
+
+
 def budget_of(
     result: Result, names: Sequence[str], functions: Mapping[str, FunctionOfQuantities] | None = None
 ) -> BudgetArrays:
@@ -211,7 +229,8 @@ def budget_of(
     per_draw = (len(fit.z) / 3 + 2 * len(rows.gradient)) * len(fit.z) ** 2
     h = _evenly(draws.h, max(SPLIT_DRAWS, int(CONDITIONING_WORK / per_draw)))
     moments = conditional_moments(part, problem, rows.gradient, h)
-    split = rows.summed(_over_runs(problem, about, part, member, rows.gradient, _evenly(h, SPLIT_DRAWS)))
+    over_scales = _over_scales(problem, about, part, member, rows.gradient, _evenly(h, SPLIT_DRAWS))
+    split = rows.summed(over_scales.type_a)
     type_b, linear = rows.summed(moments.type_b), rows.summed(moments.variance.mean(axis=0))
     scales = rows.summed(moments.mean.var(axis=0))
     variances = posterior_variances(part, derivatives, linear + scales, rows.summed(moments.spread), draws)
@@ -233,7 +252,7 @@ def budget_of(
         second_order=np.where(at_zero, 0.0, variances.second_order),
         posterior=variances.posterior,
         posterior_error=variances.error,
-        improved=_improvements(fit, rows, whitened, widths, factor),
+        improved=_improvements(fit, rows, whitened, widths, factor, over_scales),
         correlation=_correlation(complete(draws.values)),
         at_zero=tuple(components),
         gradient=rows.gradient,
@@ -246,18 +265,21 @@ def _members(fit: Fit) -> np.ndarray:
     return np.arange(len(fit.model.campaign.runs))[:, None] == np.asarray(fit.model.entries.run)
 
 
-def _improvements(fit: Fit, rows: _Rows, whitened: np.ndarray, widths: np.ndarray, factor: np.ndarray) -> Improvements:
+def _improvements(
+    fit: Fit, rows: _Rows, whitened: np.ndarray, widths: np.ndarray, factor: np.ndarray, over_scales: _OverScales
+) -> Improvements:
     """Return what better inputs would leave; `factor`, (Q, 1), scales variances at the mode."""
     gradient, member = rows.gradient, _members(fit)
     covariance, groups = posterior_covariance(whitened, widths), nuisance_groups(fit.model.layout)
+    now = np.sum((gradient @ covariance) * gradient, axis=1)[:, None]
 
     def deviation(values: np.ndarray) -> np.ndarray:
         return np.sqrt(factor * rows.summed(values**2))
 
     return Improvements(
-        at_mode=deviation(np.sqrt(np.sum((gradient @ covariance) * gradient, axis=1))[:, None])[:, 0],
-        exact_prior=deviation(deviation_with_exact_priors(gradient, covariance)),
-        halved_prior=deviation(deviation_with_halved_priors(gradient, covariance, widths)),
+        at_mode=deviation(np.sqrt(now))[:, 0],
+        exact_prior=deviation(np.sqrt(now * over_scales.exact_prior)),
+        halved_prior=deviation(np.sqrt(now * over_scales.halved_prior)),
         groups=tuple(groups),
         halved_groups=deviation(deviation_with_halved_groups(gradient, whitened, widths, list(groups.values()))),
         halved_noise=deviation(deviation_with_more_of_a_run(gradient, whitened, member, widths, 3.0)),
@@ -342,7 +364,7 @@ def _evenly(draws: np.ndarray, most: int) -> np.ndarray:
 
 
 def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:
-    return np.divide(above, below, out=np.zeros_like(above), where=below > 0)
+    return np.divide(above, below, out=np.zeros_like(above), where=np.broadcast_to(below > 0, above.shape))
 
 
 @eqx.filter_jit
@@ -351,16 +373,21 @@ def _whitened(problem: Problem, about: Linearised, h: Float[Array, " H"]):
     return whiten(problem, whitener(problem, h), about.jacobian), prior_widths(problem, h)
 
 
-def _over_runs(
+def _over_scales(
     problem: Problem, about: Linearised, part: LinearPart, member: np.ndarray, gradients: np.ndarray, h: np.ndarray
-) -> np.ndarray:
-    """Return the contributions of the runs, (R, G, n), at draws of the noise scales, (n, H)."""
-    found = []
+) -> _OverScales:
+    """Return what depends on the noise scales, at draws of them, (n, H)."""
+    type_a, shape = [], (len(gradients), len(part.z))
+    variance, exact, halved = np.zeros((len(gradients), 1)), np.zeros(shape), np.zeros(shape)
     for scales in h:
-        whitened, _ = _whitened(problem, about, jnp.asarray(scales))
-        along = gradients @ conditional_covariance(part, problem, scales)
-        found.append(type_a_contributions(along, np.asarray(whitened), member))
-    return np.stack(found, axis=2)
+        whitened, widths = (np.asarray(each) for each in _whitened(problem, about, jnp.asarray(scales)))
+        covariance = conditional_covariance(part, problem, scales)
+        along = gradients @ covariance
+        type_a.append(type_a_contributions(along, whitened, member))
+        variance += np.sum(along * gradients, axis=1)[:, None]
+        exact += deviation_with_exact_priors(gradients, covariance) ** 2
+        halved += deviation_with_halved_priors(gradients, covariance, widths) ** 2
+    return _OverScales(np.stack(type_a, axis=2), _ratio(exact, variance), _ratio(halved, variance))
 
 
 def _standardised(layout: Layout, draws: dict[str, np.ndarray]) -> np.ndarray:

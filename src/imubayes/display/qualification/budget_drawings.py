@@ -15,6 +15,8 @@ from imubayes.display.theme import BLUE, GREEN, INK, ORANGE, PURPLE, QUIET, SKY,
 from imubayes.qualification.budget_record import BudgetLine, CorrelationMatrix, QuantityBudget
 
 _MOST_ROWS, _ROW, _NAMES, _LEGEND = 30, 0.155, 2.0, 0.62
+# Width of a drawing that stands alone, inches.
+_WHOLE_PAGE = 7.6
 # Part of a bar → colour, in the order in which the parts follow each other.
 _PARTS = {
     "noise of runs": BLUE, "noise scales": SKY, "fixture": VERMILION, "table": ORANGE, "site": GREEN,
@@ -104,7 +106,7 @@ def _fill(axes: Axes, rectangles: Iterable[tuple[float, float, float, float]], c
 def correlation_drawing(matrix: CorrelationMatrix, names: Sequence[str]) -> Drawings:
     """Return the correlations of some quantities as a lower triangle of squares."""
     places = [matrix.names.index(name) for name in names]
-    name, cell = "Correlations of the posterior", min(0.155, (WIDTH - _NAMES - 0.15) / max(len(names), 1))
+    name, cell = "Correlations of the posterior", min(0.155, (_WHOLE_PAGE - _NAMES - 0.15) / max(len(names), 1))
     size = cell * len(names)
 
     def draw(figure: Figure) -> None:
@@ -129,7 +131,8 @@ def correlation_drawing(matrix: CorrelationMatrix, names: Sequence[str]) -> Draw
         for side in ("left", "bottom"):
             axes.spines[side].set_visible(False)
 
-    return Drawings([drawn("correlations", name, size + 0.5, draw)], _MATRIX)
+    width = max(WIDTH, _NAMES + size + 0.15)
+    return Drawings([drawn("correlations", name, size + 0.5, draw, width)], _MATRIX)
 
 
 def _value(matrix: CorrelationMatrix, first: int, second: int) -> float:

@@ -1,6 +1,7 @@
 """Section on uncertainty budgets: what contributes to each uncertainty, and what would narrow it first."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from imubayes.display.labels import pretty
 from imubayes.display.qualification.budget_drawings import bar_drawings, correlation_drawing
@@ -182,7 +183,20 @@ def _budget_table(budget: QuantityBudget, first: bool) -> ReportTable:
         if budget.components
         else ""
     )
-    return ReportTable(caption, head, rows, (0, 1, 2, 3, 5), " ".join([_TABLE_NOTE if first else "", note]).strip())
+    return _without_empty_columns(
+        ReportTable(caption, head, rows, (0, 1, 2, 3, 5), " ".join([_TABLE_NOTE if first else "", note]).strip())
+    )
+
+
+def _without_empty_columns(table: ReportTable) -> ReportTable:
+    """Return a table without empty columns, such as the unit of an input where all inputs are runs."""
+    used = [column for column in range(len(table.head)) if any(row[column].text for row in table.rows)]
+    return replace(
+        table,
+        head=[table.head[column] for column in used],
+        rows=[tuple(row[column] for column in used) for row in table.rows],
+        left=tuple(place for place, column in enumerate(used) if column in table.left),
+    )
 
 
 def _grouped(lines: Sequence[BudgetLine]) -> list[BudgetLine]:
@@ -231,7 +245,7 @@ def _cells(
 
 
 def _share(share: float) -> str:
-    return f"{100 * share + 0.0:.1f} %".replace("-0.0", "0.0").replace("-", "−")
+    return f"{100 * share + 0.0:.1f} %".replace("-0.0", "0.0")
 
 
 def _degrees(value: float) -> str:
@@ -248,7 +262,7 @@ def _strongest(matrix: CorrelationMatrix, shown: set[str]) -> list[Block]:
     pairs.sort(key=lambda pair: -pair[0])
     if not pairs:
         return [Paragraph(f"No two of these quantities have a correlation beyond ± {_STRONG:g}.")]
-    rows = [(Text(second), Text(first), Text(f"{value:+.3f}".replace("-", "−"))) for _, value, first, second in pairs]
+    rows = [(Text(second), Text(first), Text(f"{value:+.3f}")) for _, value, first, second in pairs]
     note = (
         f"Correlations beyond ± {_STRONG:g} of the posterior draws"
         + (f", the strongest {_MOST_STRONG} of {len(rows)}" if len(rows) > _MOST_STRONG else "")

@@ -1,19 +1,29 @@
 """A document independent of the medium: headings, paragraphs, facts, tables and drawings, in order."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 Mood = Literal["", "good", "weak", "bad", "dim"]
+_HYPHEN_AS_MINUS = re.compile(r"(?<![\w.\-+])-(?=\d)")
+# Width of a picture that stands beside another, at most; inches.
+_HALF_PAGE = 5.0
 
 
 @dataclass(frozen=True)
 class Text:
-    """Text with its emphasis; in a formula an underscore begins a subscript, ``K_oo``."""
+    """Text with its emphasis; in a formula an underscore begins a subscript, ``K_oo``.
+
+    The sign of a negative number is a minus sign.
+    """
 
     text: str
     mood: Mood = ""
     formula: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "text", _HYPHEN_AS_MINUS.sub("−", self.text))
 
 
 @dataclass(frozen=True)
@@ -69,6 +79,11 @@ class Drawing:
     svg: str
     width: float
     words: str
+
+    @property
+    def wide(self) -> bool:
+        """Whether it takes the width of the page, alone."""
+        return self.width > _HALF_PAGE
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ def html_page(document: ReportDocument) -> str:
     layouts = list(dict.fromkeys(_layout(block) for block in document.blocks if isinstance(block, ReportTable)))
     page = render(
         "qualification", document=document, headings=headings, drawing=Markup, anchor=_anchor, formula=_formula,
+        prose=_prose,
         column_styles=Markup("\n".join(_column_style(place, layout) for place, layout in enumerate(layouts))),
         layout_of=lambda table: layouts.index(_layout(table)),
     )  # fmt: skip
@@ -45,7 +46,12 @@ def _column_style(place: int, layout: Layout) -> str:
 
 def _formula(text: str) -> Markup:
     """Return a formula with its subscripts; everything else in it is escaped."""
-    return Markup(re.sub(r"_(\w+′?)", r"<sub>\1</sub>", str(escape(text))))
+    return Markup(re.sub(r"_([^\W²³]+′?)", r"<sub>\1</sub>", str(escape(text))))
+
+
+def _prose(text: str) -> Markup:
+    """Return prose with its commands, which stand between backticks, set as code; everything else is escaped."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _anchor(heading: str) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 import lazy_loader
 import matplotlib as mpl
 
-from imubayes.display.qualification.document import ReportDocument, ReportTable
+from imubayes.display.qualification.document import Drawings, ReportDocument, ReportTable
 from imubayes.errors import InputError, Issue
 
 typst: Any = lazy_loader.load("typst")
@@ -68,11 +68,13 @@ def _need_typst() -> None:
 
 
 def _content(document: ReportDocument) -> dict[str, Any]:
-    """Return the document for the template, with the widths of the columns."""
+    """Return the document for the template, with the widths of columns and drawings."""
     content = _members(document) | {"blocks": [_members(block) for block in document.blocks]}
     for part, block in zip(content["blocks"], document.blocks, strict=True):
         if isinstance(block, ReportTable):
             part["widths"] = _widths(block)
+        elif isinstance(block, Drawings):
+            part["drawings"] = [_members(each) | {"wide": each.wide} for each in block.drawings]
     return content
 
 

@@ -1,0 +1,144 @@
+"""Uncertainty budgets of the shipped campaigns: they add up, and agree with refits in which one prior is exact.
+
+    python tests/study/shipped_budgets.py [CAMPAIGN …]     prints a line a campaign and one a refit
+
+Each campaign is fitted with its own model.  The priors whose exactness would narrow some other quantity most are made
+exact one after the other, at the value at the mode, and the campaign is fitted again.
+"""
+
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.campaign import load_campaign
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.run_fit import joint_fit
+from imubayes.model.bind import bind
+from imubayes.model.model_file import read_model
+from imubayes.parameters.priors import Normal
+from imubayes.parameters.vector import Layout, Priors
+from imubayes.qualification.assess import tested_unit
+from imubayes.qualification.report_budgets import functions_of_quantities
+from imubayes.qualification.uncertainty_budget import BudgetArrays, budget_of
+from imubayes.results.estimates import is_constant
+from imubayes.results.posterior_draws import draws_of
+from imubayes.results.result import Result, result_of
+
+ROOT = Path(__file__).parents[2]
+CAMPAIGNS = sorted(file.parent.name for file in (ROOT / "data").glob("*/campaign.toml"))
+REFITS = 2
+# Width of a prior that counts as exact, of its own; the least narrowing worth a look; what counts as nothing left.
+EXACT, VISIBLE, VANISHES = 1e-4, 0.1, 0.01
+
+
+@dataclass(frozen=True)
+class Narrowing:
+    """A quantity with one prior exact: ratio of its standard uncertainty to that before, in the budget and refitted."""
+
+    prior: str
+    quantity: str
+    in_budget: float
+    refitted: float
+
+    @property
+    def difference(self) -> float:
+        """Relative difference of the two."""
+        return self.refitted / self.in_budget - 1
+
+
+def model_file(campaign: str) -> Path:
+    """Return the model of a shipped campaign."""
+    truth = tomllib.loads((ROOT / "data" / campaign / "truth.toml").read_text())
+    return ROOT / truth["hidden"]["model"] if "hidden" in truth else ROOT / "models" / f"{campaign}.toml"
+
+
+def fitted(campaign: str) -> Result:
+    """Return the fit of a shipped campaign, without sampling."""
+    model = bind(read_model(model_file(campaign)), load_campaign(ROOT / "data" / campaign))
+    return result_of(joint_fit(model, None))
+
+
+def budget(result: Result) -> BudgetArrays:
+    """Return the budgets of all quantities, as the report has them."""
+    unit = tested_unit(result)
+    draws = unit.quantities.draws
+    names = [line.name for line in (*result.summary.parameters, *result.summary.derived)]
+    known = [name for name in names if name in draws and not is_constant(draws[name])]
+    return budget_of(result, known, functions_of_quantities(result, unit))
+
+
+def with_exact_prior(fit: Fit, name: str) -> Fit:
+    """Return the fit with one parameter known to be what it is at the mode."""
+    model = fit.model
+    chosen = model.layout.index(name)
+    value = np.asarray(model.problem.priors.values(jnp.asarray(fit.z)))[chosen]
+    parameters = list(model.layout.parameters)
+    width = EXACT * float(parameters[chosen].prior.sd())
+    parameters[chosen] = replace(parameters[chosen], prior=Normal(value, np.asarray(width)))
+    layout = Layout(tuple(parameters))
+    priors = Priors.stack([parameter.prior for parameter in parameters])
+    problem = eqx.tree_at(lambda p: p.priors, model.problem, priors)
+    return joint_fit(replace(model, layout=layout, problem=problem), None)
+
+
+def narrowings(result: Result, arrays: BudgetArrays) -> Iterator[Narrowing]:
+    """Yield what making the most telling priors exact does to the quantities that they narrow visibly."""
+    left = arrays.improved.exact_prior / np.maximum(arrays.improved.at_mode, np.finfo(float).tiny)[:, None]
+    fixed = np.asarray(result.fit.model.problem.spread_of) == len(result.fit.h)
+    for column, parameter in enumerate(arrays.priors):
+        own = np.array([name.endswith(parameter.name) for name in arrays.names])
+        left[own, column] = 1.0
+        if parameter.nuisance or not fixed[column] or not np.isfinite(parameter.prior_sd):
+            left[:, column] = 1.0
+    # Functions of the parameter alone vanish with it.
+    left[left < VANISHES] = 1.0
+    # Only what is linear about the mode: elsewhere a ratio at the mode is not one of posterior deviations.
+    linear = np.abs(arrays.second_order) < 0.01 * arrays.posterior
+    linear &= ~np.isin(arrays.names, arrays.at_zero)
+    left[~linear] = 1.0
+    before = draws_of(result.posterior, arrays.names)
+    for column in np.argsort(left.min(axis=0))[:REFITS]:
+        prior = arrays.priors[column].name
+        rows = np.flatnonzero(left[:, column] < 1 - VISIBLE)
+        rows = [row for row in rows if arrays.names[row] in before]
+        if not rows:
+            continue
+        exact = result_of(with_exact_prior(result.fit, prior))
+        assert exact.summary.converged, exact.summary.message
+        after = draws_of(exact.posterior, [arrays.names[row] for row in rows])
+        for row in rows:
+            name = arrays.names[row]
+            ratio = float(np.nanstd(after[name]) / np.nanstd(before[name]))
+            yield Narrowing(prior, name, float(left[row, column]), ratio)
+
+
+def main(campaigns: list[str]) -> None:
+    """Print what each campaign shows."""
+    for campaign in campaigns:
+        clock = time.process_time()
+        result = fitted(campaign)
+        arrays = budget(result)
+        share, error = arrays.remainder / arrays.posterior, arrays.posterior_error / arrays.posterior
+        worst = int(np.argmax(np.abs(share)))
+        print(
+            f"{campaign}: {len(arrays.names)} quantities, largest remainder {share[worst]:+.4f} "
+            f"({arrays.names[worst]}, Monte Carlo error {error[worst]:.4f}), beyond 2 %: {np.sum(np.abs(share) > 0.02)}"
+        )
+        found = list(narrowings(result, arrays))
+        for each in sorted(found, key=lambda each: -abs(each.difference))[:4]:
+            print(f"  {each.prior} exact: {each.quantity} × {each.in_budget:.4f}, refitted {each.refitted:.4f}")
+        print(
+            f"  {len(found)} quantities of {len({e.prior for e in found})} refits, {time.process_time() - clock:.0f} s"
+        )
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:] or CAMPAIGNS)
