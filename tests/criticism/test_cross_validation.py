@@ -14,7 +14,7 @@ from scipy import stats
 
 import imubayes.criticism.addition as addition_module
 from imubayes.api import Addition, Result, add, export, fit
-from imubayes.criticism.cross_validation import groups, objection, predict_left_out, summarise_gains
+from imubayes.criticism.cross_validation import groups, objection, predict_left_out, summarise_gains, whole_fit
 from imubayes.criticism.diagnosis_record import CoefficientEstimate
 from imubayes.criticism.verdict import EffectChoice
 from imubayes.criticism.warm_start import _contradicting, extend
@@ -22,7 +22,6 @@ from imubayes.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_mode import find_mode
-from imubayes.inference.posterior_precision import linearise
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import masked
 from imubayes.parameters.priors import Normal
@@ -107,10 +106,11 @@ def test_the_predictive_density_is_that_of_whole_matrices(first):
     fitted = first.fit
     _, names, masks = groups(fitted.model)
     assert names == tuple(run.name for run in fitted.model.campaign.runs)
-    about = linearise(fitted.model.problem, jnp.asarray(fitted.z))
+    whole = whole_fit(fitted)
     for mask in masks[:2]:
-        found = predict_left_out(fitted, about, mask).density
-        assert found == pytest.approx(dense_density(fitted, mask), abs=1e-3)
+        found = predict_left_out(whole, mask).density
+        # `find_mode` ends where a step is below a thousandth, which moves this density by up to 0.005.
+        assert found == pytest.approx(dense_density(fitted, mask), abs=1e-2)
         assert abs(found - dense_density(fitted, mask, parameters_known=True)) > 0.05
 
 

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 from null_data import fitted_to, redrawn, with_values
+from scipy import stats
 
 from imubayes.criticism.noise_assumptions import grid_step, noise_violations
+from imubayes.criticism.noise_tests import _skew_tail
 from imubayes.inference.fitted_model import Fit
 
 
@@ -74,3 +76,9 @@ def test_a_coarse_output(whole):
 )
 def test_the_step_of_a_grid(values, step):
     assert grid_step(values) == pytest.approx(step)
+
+
+@pytest.mark.parametrize("skew", [0.0, 1e-6, 1e-3, 0.7, 4.0])
+def test_the_tail_of_a_skew_statistic_is_that_of_pearson(skew):
+    for z in (-3.0, -0.5, 0.0, 2.0, 9.0):
+        assert _skew_tail(z, skew) == pytest.approx(float(stats.pearson3.sf(z, skew)), rel=1e-4, abs=1e-300)

@@ -16,7 +16,7 @@ def trihedral(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def compared(trihedral: Path) -> Comparison:
-    return compare(trihedral)
+    return compare(trihedral, every=True)
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -15,9 +16,12 @@ from PIL import Image
 
 from imubayes.display.figure_selection import corner_choice, most_telling_first, pattern
 from imubayes.display.labels import covariate
-from imubayes.display.model_against_measurement import Comparison, compare
+from imubayes.display.model_against_measurement import Comparison
+from imubayes.display.model_against_measurement import compare as compare_first
 from imubayes.errors import InputError
 from imubayes.results.posterior_draws import draws_of
+
+compare = partial(compare_first, every=True)
 
 
 def test_all_pictures_are_made_with_captions(compared: Comparison, trihedral: Path):
@@ -51,6 +55,21 @@ def test_the_page_shows_five_figures_first(compared: Comparison, trihedral: Path
     assert files[2].startswith("run-")
     assert page.index("All other figures") > page.index(f"figures/{files[4]}")
     assert not re.search(r"<script|<link|@import|https?:", page)
+
+
+def test_five_figures_are_drawn_where_no_others_are_asked_for(tmp_path: Path):
+    residuals = made.trihedral_residuals(temperatures=(25,), channels=("gx",))
+    folder = made.write_folder(tmp_path / "few", residuals, made.summary_of(residuals))
+    everything = compare(folder)
+    few = compare_first(folder)
+    assert len(few.pictures) == 5 < len(everything.pictures)
+    assert {path.name for path in (folder / "figures").iterdir()} == {*few.captions, "captions.json"}
+    first = re.findall(r'<img [^>]*src="figures/([^"]*)"', few.page.read_text(encoding="utf-8"))
+    assert sorted(first) == sorted(few.captions)
+    more = len(everything.pictures) - 6
+    assert few.notes == (f"{more} more figures and a corner plot: --every; single runs: --runs NAME…",)
+    asked = compare_first(folder, runs=["rate-y-up-25C"], parameters=["gyro_bias.bias[gx]"])
+    assert {"corner.png", "run-rate-y-up-25C.png"} <= set(asked.captions)
 
 
 def test_the_clearest_pattern_comes_first():

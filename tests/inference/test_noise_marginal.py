@@ -91,3 +91,14 @@ def test_the_linear_residual_is_the_residual_with_its_derivative():
     found = jax.jit(jax.jacfwd(lambda one: residual(one)[0]))(z)
     np.testing.assert_allclose(found, dense, atol=1e-11 * float(jnp.abs(dense).max()))
     np.testing.assert_array_equal(residual(z)[1].z, z)
+
+
+def test_a_mode_learnt_from_the_steps_is_as_good():
+    """With the Hessian of a place nearby no other is computed; red where a long step passes for the end."""
+    problem, near = made().problem, away(2, 0.3)
+    exact, _ = marginal.climb(problem, about(), near)
+    information = marginal.curvature(problem, about(), near).information
+    found, at = marginal.climb(problem, about(), near, information, judged=False)
+    assert float(jnp.max(jnp.abs(found - near))) > 0.1, "the start is not the end"
+    np.testing.assert_allclose(found, exact, atol=2e-3)
+    assert float(at.value) > float(marginal.slope(problem, about(), exact).value) - 1e-6

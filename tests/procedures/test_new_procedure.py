@@ -99,7 +99,7 @@ def test_a_registered_procedure_goes_through_every_command(campaign_folder, tmp_
     for words in (
         ["check", campaign, "--model", model],
         ["fit", campaign, "--model", model, "--out", result, "--no-sample"],
-        ["compare", result],
+        ["compare", result, "--every"],
         ["classical", campaign, "--result", result, "--json-output"],
     ):
         capsys.readouterr()

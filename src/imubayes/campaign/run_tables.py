@@ -5,6 +5,7 @@ from the file, batch by batch.  The fast parser reports only that something is w
 located by `csv_errors`.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -170,11 +171,12 @@ def _to_batch(records: pa.RecordBatch, layout: ColumnLayout, first: int) -> RowB
     numbers, not_finite = {}, {}
     for name in layout.numbers:
         column = records.column(name)
-        values = column.cast(pa.float64()).to_numpy(zero_copy_only=False)
+        # Arrow's own conversion to NumPy imports pandas where that is installed.
+        values = np.array(np.from_dlpack(column.cast(pa.float64()).fill_null(math.nan)))
         numbers[name] = values
         bad = ~np.isfinite(values)
         if column.null_count:
-            bad &= ~column.is_null().to_numpy(zero_copy_only=False)
+            bad &= np.array(column.is_valid().to_pylist())
         if bad.any():
             not_finite[name] = np.flatnonzero(bad)
     texts = {name: records.column(name).cast(pa.string()).to_pylist() for name in layout.texts}

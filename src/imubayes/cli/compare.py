@@ -2,8 +2,12 @@
 
 from pathlib import Path
 
+from imubayes.cli.options import Flag
 
-def compare(result: Path, *, parameters: list[str] | None = None, runs: list[str] | None = None) -> int:
+
+def compare(
+    result: Path, *, parameters: list[str] | None = None, runs: list[str] | None = None, every: Flag = False
+) -> int:
     """Compare the model with the measurements: figures, and goodness of fit per run and channel.
 
     Example: imubayes compare results/trihedral-imu
@@ -13,9 +17,11 @@ def compare(result: Path, *, parameters: list[str] | None = None, runs: list[str
     result
         Result folder of a fit.
     parameters
-        Names for the corner plot; by default the mounting angles and scale factors that are determined least.
+        Names for a corner plot; with --every the mounting angles and scale factors that are determined least.
     runs
-        Runs that have a figure of their own, or 'all'; by default the six that fit worst.
+        Runs that have a figure of their own, or 'all'; with --every the six that fit worst.
+    every
+        Draw all figures; by default the five that matter most are drawn, and those asked for.
     """
     from imubayes.cli.session import progress
 
@@ -23,6 +29,6 @@ def compare(result: Path, *, parameters: list[str] | None = None, runs: list[str
         from imubayes.display.model_against_measurement import compare as compare_result
         from imubayes.display.model_against_measurement import print_comparison
 
-        comparison = compare_result(result, parameters=parameters, runs=runs, progress=tell)
+        comparison = compare_result(result, parameters=parameters, runs=runs, every=every, progress=tell)
     print_comparison(comparison)
     return 0

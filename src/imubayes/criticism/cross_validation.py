@@ -13,12 +13,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float
 from imubayes.criticism import thresholds
 from imubayes.criticism.held_out_record import CrossValidation, GroupGain
 from imubayes.criticism.verdict import RmsChange
 from imubayes.criticism.warm_start import Extension
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.noise_marginal import slope
+from imubayes.inference.noise_marginal import curvature, slope
 from imubayes.inference.posterior_mode import find_mode, fit_at, mode_near
 from imubayes.inference.posterior_precision import Linearised, linearise
 from imubayes.json_record import finite
@@ -55,6 +56,15 @@ def summarise_gains(
 
 
 @dataclass(frozen=True)
+class WholeFit:
+    """A fit to all data: the model linearised there, and the negative Hessian (H, H) of the marginal of h."""
+
+    fitted: Fit
+    about: Linearised
+    information: Float[Array, "H H"]
+
+
+@dataclass(frozen=True)
 class LeftOut:
     """What the rest says of entries that are left out: log p(left out | rest), and misfit about the prediction (n,)."""
 
@@ -70,11 +80,8 @@ def cross_validate(before: Fit, after: Fit, progress: Callable[[str], None] | No
     """
     tell = progress or (lambda text: None)
     by, names, masks = groups(before.model)
-    about = [linearise(fit.model.problem, jnp.asarray(fit.z)) for fit in (before, after)]
-    seen = [
-        [predict_left_out(fit, at, mask) for fit, at in zip((before, after), about, strict=True)]
-        for mask in counted(tell, f"leave-one-{by}-out", masks)
-    ]
+    known = [whole_fit(fit) for fit in (before, after)]
+    seen = [[predict_left_out(whole, mask) for whole in known] for mask in counted(tell, f"leave-one-{by}-out", masks)]
     gains = np.array([now.density - was.density for was, now in seen])
     finite_gains = np.isfinite(gains)
     if not finite_gains.any():
@@ -121,25 +128,30 @@ def groups(model: Model) -> tuple[Literal["run", "pose", "block"], tuple[str, ..
     return "block", names, tuple(np.isin(entries.row, block) for block in blocks)
 
 
-def predict_left_out(fitted: Fit, about: Linearised, left_out: np.ndarray) -> LeftOut:
+def whole_fit(fitted: Fit) -> WholeFit:
+    """Return what the fits without a part start from."""
+    about = linearise(fitted.model.problem, jnp.asarray(fitted.z))
+    return WholeFit(fitted, about, curvature(fitted.model.problem, about, jnp.asarray(fitted.h)).information)
+
+
+def predict_left_out(whole: WholeFit, left_out: np.ndarray) -> LeftOut:
     """Return how the rest predicts what is left out, everything refitted to it, from where all together fit.
 
     Parameters
     ----------
-    fitted : the fit to all.
-    about : the model linearised there; what is left out does not change it.
+    whole : the fit to all.
     left_out : shape (E,), True for the entries to predict.
     """
-    problem = fitted.model.problem
+    fitted, problem = whole.fitted, whole.fitted.model.problem
     rest, h = masked(problem, left_out), jnp.asarray(fitted.h)
-    mode = mode_near(rest, about, h)
+    mode = mode_near(rest, whole.about, h, whole.information)
     if not bool(mode.converged):
         mode = find_mode(rest, jnp.asarray(fitted.z), h)
     # Under a normal law the density of all may be taken about the fit to the rest; a heavy tail is no parabola.
-    whole = (
+    all_data = (
         linearise(problem, fit_at(problem, jnp.asarray(fitted.z), mode.h)) if has_heavy_tails(problem) else mode.about
     )
-    density = float(slope(problem, whole, mode.h).value - slope(rest, mode.about, mode.h).value)
+    density = float(slope(problem, all_data, mode.h).value - slope(rest, mode.about, mode.h).value)
     return LeftOut(density, np.asarray(mode.about.misfit)[left_out])
 
 

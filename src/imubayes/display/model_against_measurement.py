@@ -6,7 +6,7 @@ picture.  `figures/captions.json` lists what was drawn; what an earlier comparis
 
 import gc
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,14 +18,15 @@ from rich.console import Console, ConsoleOptions
 from imubayes.atomic_files import write_json, write_text
 from imubayes.display.classical_comparison import ClassicalComparison, compare_classical, discrepancy_sheet
 from imubayes.display.combination_tables import combination_sheet, weak_sheet
-from imubayes.display.comparison_page import comparison_page
-from imubayes.display.figure_selection import Plan, corner_choice, most_telling_first, plan, runs_shown
+from imubayes.display.comparison_page import FIRST, comparison_page
+from imubayes.display.figure_selection import corner_choice, most_telling_first, plan, runs_shown
 from imubayes.display.fit_quality_tables import fit_sheet, run_sheet
 from imubayes.display.labels import ordered
 from imubayes.display.notebook_progress import progress_of
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.display.summary_html import summary_html
 from imubayes.display.table_layout import SheetTable, terminal
+from imubayes.display.theme import Picture
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.procedures.classical import classical
 from imubayes.results.fit_record import campaign_of
@@ -101,15 +102,17 @@ def compare(
     parameters: Sequence[str] | None = None,
     runs: Sequence[str] | None = None,
     *,
+    every: bool = False,
     progress: Tell | None = None,
 ) -> Comparison:
-    """Make the tables and figures of a result folder, and a page that shows the five that matter most first.
+    """Make the tables of a result folder, and a page with the five figures that matter most.
 
     Parameters
     ----------
     folder : as written by the fit.
-    parameters : for the corner plot; without them the mounting angles and scale factors that tell most, at most six.
-    runs : that have a figure of their own, or ``("all",)``; without them the six that fit worst.
+    parameters : for a corner plot; with `every` the mounting angles and scale factors that tell most where None.
+    runs : that have a figure of their own, or ``("all",)``; with `every` the six that fit worst where None.
+    every : draw all figures, not only the five that matter most and those asked for.
     progress : called with a short text as the work goes on.
 
     Raises
@@ -121,21 +124,34 @@ def compare(
     summary, read = read_summary_and_residuals(folder)
     residuals = read.table
     _refuse_non_finite(residuals, folder)
-    names = _checked(summary, folder, parameters) if parameters else corner_choice(summary)
+    names = _checked(summary, folder, parameters) if parameters else corner_choice(summary) if every else []
     posterior = folder / POSTERIOR
     if parameters and not posterior.is_file():
         raise InputError(_no_draws(folder))
     draws = _draws(posterior, names, asked=bool(parameters)) if posterior.is_file() else {}
     chosen = _chosen_runs(residuals, folder, runs) if runs else runs_shown(summary, residuals)
     campaign = campaign_of(folder)
+    figures = dict(plan(summary, residuals, names, draws, chosen, campaign))
+    ranked = most_telling_first(list(figures), summary, residuals, chosen)
+    if not every:
+        ranked = [*ranked[:FIRST], *(name for name in ranked[FIRST:] if _is_asked(name, parameters, runs))]
     with progress_of(progress) as tell:
-        made, captions = _draw(plan(summary, residuals, names, draws, chosen, campaign), folder / "figures", tell)
+        wanted = {name: draw for name, draw in figures.items() if name in ranked}
+        made, captions = _draw(wanted, folder / "figures", tell)
     classical_estimates = None if campaign is None else compare_classical(classical(campaign), summary)
-    notes = tuple(_notes(residuals, draws, chosen))
-    ranked = most_telling_first([file.stem for file in made], summary, residuals, chosen)
+    left_out = len(figures) - len(wanted)
+    notes = tuple(_notes(residuals, draws, chosen)) if every else (_others(left_out),) if left_out else ()
     page = folder / PAGE
     write_text(page, comparison_page(summary, [f"{name}.png" for name in ranked], captions, notes))
     return Comparison(folder, tuple(made), captions, summary, notes, page, classical_estimates)
+
+
+def _is_asked(name: str, parameters: Sequence[str] | None, runs: Sequence[str] | None) -> bool:
+    return bool((parameters and name == "corner") or (runs and name.startswith("run-")))
+
+
+def _others(count: int) -> str:
+    return f"{count} more figures and a corner plot: --every; single runs: --runs NAME…"
 
 
 def _chosen_runs(residuals: pl.DataFrame, folder: Path, runs: Sequence[str]) -> list[str]:
@@ -157,13 +173,13 @@ def _chosen_runs(residuals: pl.DataFrame, folder: Path, runs: Sequence[str]) -> 
     return [name for name in known if name in runs]
 
 
-def _draw(figures: Plan, target: Path, tell: Tell) -> tuple[list[Path], dict[str, str]]:
+def _draw(figures: Mapping[str, Callable[[], Picture]], target: Path, tell: Tell) -> tuple[list[Path], dict[str, str]]:
     """Write figures one by one; return the files, and the caption of each by file name."""
     _make_folder(target)
     made: list[Path] = []
     captions: dict[str, str] = {}
     with _light_collection():
-        for name, draw in counted(tell, "drawing", list(figures)):
+        for name, draw in counted(tell, "drawing", list(figures.items())):
             figure = draw()
             made.append(figure.save(target / f"{name}.png"))
             captions[f"{name}.png"] = figure.caption

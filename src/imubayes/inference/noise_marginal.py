@@ -17,6 +17,8 @@ from imubayes.model.problem import Problem
 _MOST_STEPS = 60
 # A step is short where no component of h changes by this much, in prior standard deviations.
 _SHORT = 1e-3
+# The same where the Hessian is only learnt: a step that it makes too short is still short of _SHORT.
+_SHORT_LEARNT = 1e-5
 # Half the distance of the central differences of the gradient: six digits of the curvature.
 _APART = 1e-3
 # A decrease below this is rounding; shortest fraction of a step that is tried.
@@ -64,7 +66,12 @@ def _gradients(problem: Problem, about: Linearised, points: Float[Array, "N H"])
 
 
 def climb(
-    problem: Problem, about: Linearised, h: Float[Array, " H"], information: Float[Array, "H H"] | None = None
+    problem: Problem,
+    about: Linearised,
+    h: Float[Array, " H"],
+    information: Float[Array, "H H"] | None = None,
+    *,
+    judged: bool = True,
 ) -> tuple[Float[Array, " H"], Curvature]:
     """Return the mode of the Laplace marginal of h, and value, gradient and negative Hessian there.
 
@@ -73,22 +80,29 @@ def climb(
     problem, about : the model, and its linearisation about θ.
     h : shape (H,), the start.
     information : shape (H, H), negative Hessian at the start, or at a point nearby; computed where None.
+    judged : whether the end is judged by the Hessian there.  Where not, the Hessian is the one learnt from the steps,
+        and costs nothing: enough for a value of the marginal, which is flat at its mode, but not for a width.
     """
-    measured = information is None
+    measured, short = information is None, _SHORT if judged else _SHORT_LEARNT
     at = curvature(problem, about, h) if information is None else _with(slope(problem, about, h), information)
     for _ in range(_MOST_STEPS):
         step = _newton_step(at)
         ahead, length = None, 1.0
-        if step.size and float(np.max(np.abs(step))) >= _SHORT:
+        if not _is_short(step, short):
             ahead, length = _ahead(problem, about, h, at, step)
         if ahead is None:
-            if measured:
+            if measured or (not judged and _is_short(step, short)):
                 break
             at, measured = curvature(problem, about, h), True
             continue
         taken = length * step
         h, at, measured = h + taken, _with(ahead, _learnt(at, taken, ahead.gradient)), False
-    return h, at if measured else curvature(problem, about, h)
+    return h, at if measured or not judged else curvature(problem, about, h)
+
+
+def _is_short(step: np.ndarray, short: float) -> bool:
+    """Tell whether a step is short; one that is not a number counts as short."""
+    return not (step.size and float(np.max(np.abs(step))) >= short)
 
 
 def _with(here: Slope, information: Float[Array, "H H"]) -> Curvature:

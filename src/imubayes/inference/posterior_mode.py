@@ -153,16 +153,26 @@ def find_mode(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]) ->
     return _mode(about, h, at, decrement, steps + more, settled)
 
 
-def mode_near(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Mode:
+def mode_near(
+    problem: Problem, about: Linearised, h: Float[Array, " H"], information: Float[Array, "H H"] | None = None
+) -> Mode:
     """Return the joint fit from a place close to it: h in the linearised model and Gauss–Newton steps in turns.
 
     For a fit of nearly the same data, whose linearisation `about` is at hand: a step or two lead there, where
     Levenberg–Marquardt would take several for each of its rounds.
+
+    Parameters
+    ----------
+    problem : to be fitted.
+    about, h : where to start: the linearised model, and the noise scales, shape (H,).
+    information : shape (H, H), negative Hessian of the marginal of h at a fit of nearly the same data.  Where it is
+        given, that of the mode is learnt from the steps alone: the mode is as good, widths of h are not.
     """
     steps, settled, at, decrement = 0, False, None, jnp.asarray(jnp.inf)
+    judged = information is None
     for _ in range(_ROUNDS):
         before = h
-        h, at = climb(problem, about, h, at.information if at is not None else None)
+        h, at = climb(problem, about, h, at.information if at is not None else information, judged=judged)
         settled = h.size == 0 or float(jnp.max(jnp.abs(h - before))) < _SETTLED
         about, decrement, more = _polished(problem, about, h)
         steps += more

@@ -12,7 +12,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 
 from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.model.likelihood import log_normaliser, whitened
-from imubayes.model.noise_covariance import group_sum, whitener
+from imubayes.model.noise_covariance import group_sum, whiten, whitener
 from imubayes.model.problem import Problem, predict_with_jacobian, prior_widths
 from imubayes.model.robust_likelihood import has_heavy_tails, pseudo_values
 
@@ -72,6 +72,12 @@ def precision_of(problem: Problem, about: Linearised, h: Float[Array, " H"], cho
     """Return what chosen entries, (E,) bool, say of θ in z, without the prior; shape (P, P)."""
     weight = problem.observations.weight * jnp.asarray(chosen.astype(float))
     return np.asarray(_precision(eqx.tree_at(lambda p: p.observations.weight, problem, weight), about, h))
+
+
+@eqx.filter_jit
+def whitened_jacobian(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Float[Array, "E P"]:
+    """Return Σ(h)^(−½) J: the products of its columns are the precision of θ in z, without the prior."""
+    return whiten(problem, whitener(problem, h), about.jacobian)
 
 
 def deviations(gradients: np.ndarray, precision: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 
 from imubayes.inference.contribution_record import Contribution, ProcedureShare
 from imubayes.inference.fitted_model import Fit, evenly_spaced
-from imubayes.inference.posterior_precision import deviations, precision_of
+from imubayes.inference.posterior_precision import deviations, whitened_jacobian
 from imubayes.model.problem import prior_widths
 
 _QUANTITIES = ("mounting_angle[", "scale_factor[")
@@ -74,7 +74,9 @@ def _deviations_by_procedure(
     alone, without = np.zeros((2, len(parts), len(gradients)))
     for h in jnp.asarray(scales):
         prior = np.diag(np.asarray(prior_widths(problem, h)) ** -2)
-        information = [precision_of(problem, fit.mode.about, h, part) for part in parts]
+        # Entries of different runs share no noise: each part of the whitened Jacobian stands for itself.
+        jacobian = np.asarray(whitened_jacobian(problem, fit.mode.about, h))
+        information = [own.T @ own for own in (jacobian[part] for part in parts)]
         for place, own in enumerate(information):
             others = prior + sum(part for part in information if part is not own)
             alone[place] += deviations(gradients, prior + own) ** 2

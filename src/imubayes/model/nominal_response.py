@@ -288,21 +288,31 @@ def _responds(probe: Probe, at: NominalSamples, felt: np.ndarray) -> np.ndarray:
 
 def _changes(probe: Probe, values: dict[str, float], at: NominalSamples) -> np.ndarray:
     """Return where the motion or the signal changes by more than rounding, (P,) bool."""
-    acting = probe.effect(**{field: jnp.asarray(value) for field, value in values.items()}, **probe.options)
+    acting = probe.effect(**{field: np.asarray(value) for field, value in values.items()}, **probe.options)
     if isinstance(acting, MotionEffect):
-        return np.asarray(_moves(acting, at.motion, at.ambient))
+        return _moves(acting, at)
     return np.asarray(_alters(acting, at.place, at.felt, at.ambient))
 
 
-@eqx.filter_jit
-def _moves(acting: MotionEffect, before: Motion, ambient: Ambient) -> Array:
+def _moves(acting: MotionEffect, at: NominalSamples) -> np.ndarray:
     """Return where an effect changes what acts on the body, (P,) bool."""
-    after = jax.vmap(lambda motion, at: on_body(acting.apply(motion, at)))(before, ambient)
-    changed = []
-    for new, old in zip(jax.tree.leaves(after), jax.tree.leaves(jax.vmap(on_body)(before)), strict=True):
-        rows, moved = jnp.abs(old.reshape(len(old), -1)), jnp.abs(new - old).reshape(len(old), -1)
-        changed.append(jnp.max(moved, axis=1) > _ROUNDING * jnp.maximum(jnp.max(rows, axis=1), _LEAST_INPUT))
-    return jnp.any(jnp.stack(changed), axis=0)
+    after, before = _on_bodies(_moved(acting, at.motion, at.ambient)), at.felt.experience
+    changed = np.zeros(len(at.place.run), dtype=bool)
+    for new, old in zip(jax.tree.leaves(after), jax.tree.leaves(before), strict=True):
+        rows = np.abs(np.asarray(old)).reshape(len(changed), -1)
+        with np.errstate(invalid="ignore"):
+            moved = np.abs(np.asarray(new) - np.asarray(old)).reshape(len(changed), -1)
+        changed |= moved.max(axis=1) > _ROUNDING * np.maximum(rows.max(axis=1), _LEAST_INPUT)
+    return changed
+
+
+@eqx.filter_jit
+def _moved(acting: MotionEffect, before: Motion, ambient: Ambient) -> Motion:
+    return jax.vmap(acting.apply)(before, ambient)
+
+
+# One program for all effects.
+_on_bodies = jax.jit(jax.vmap(on_body))
 
 
 @eqx.filter_jit

@@ -10,6 +10,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import equinox as eqx
@@ -242,6 +243,7 @@ class AddOffset(Layer):
         return eqx.tree_at(lambda p: p.signal, path, signal)
 
 
+@partial(jax.jit, inline=True)  # traced once for all that call it
 def on_body(motion: Motion) -> Experience:
     """Return what acts on a body that moves like this, in body axes."""
     axis, frame = motion.mounting[2], carried(motion)
