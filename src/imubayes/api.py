@@ -26,6 +26,7 @@ from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import Model, bind
+from imubayes.model.effect_registry import names_in
 from imubayes.model.model_file import read_model
 from imubayes.model.model_spec import ModelSpec
 from imubayes.qualification.build_report import report_of
@@ -153,7 +154,8 @@ def add(
     Parameters
     ----------
     result : a result, or its folder.
-    effects : names of effects or noise members; what the diagnosis suggests where there are none.
+    effects : names of effects or noise members, or Python files that define effects (``found_shape.py``); what the
+        diagnosis suggests where there are none.
     out : result folder to write; None for none.  It becomes the selected model where the refit is taken.
     channels : for the new effects; where None, those on which the diagnosis found them, or else all they can act on.
     diagnosis : of the result; its estimates are where the refit starts.  Where None, the one that the result folder
@@ -171,10 +173,13 @@ def add(
     parent = before.folder
     if diagnosis is None and parent is not None:
         diagnosis = read_diagnosis(parent)
-    effects, channels = _named(effects, channels, diagnosis)
+    files = tuple(word for word in effects if word.endswith(".py"))
+    _refuse_two_files_of_a_name((*before.fit.model.spec.files, *files))
+    words = [name for word in effects for name in (names_in(word) if word in files else (word,))]
+    effects, channels = _named(words, channels, diagnosis)
     folder = claim_new(Path(out), parent) if out is not None else None
     with progress_of(progress) as tell:
-        refit = refit_with(before.fit, effects, channels, diagnosis, tell)
+        refit = refit_with(before.fit, effects, channels, diagnosis, tell, files)
         if sample and not refit.objection:
             refit = _sampled(refit, folder, seed, tell)
         tell("summarising")
@@ -185,6 +190,20 @@ def add(
         if parent is not None:
             remember(parent, folder, addition, diagnosis, seed)
     return addition
+
+
+def _refuse_two_files_of_a_name(files: Sequence[str]) -> None:
+    """Raise where a result folder, which has the files side by side, could not hold them."""
+    known: dict[str, Path] = {}
+    for file in map(Path, files):
+        other = known.setdefault(file.name, file)
+        if other.resolve() != file.resolve() and other.is_file():
+            raise input_error(
+                f"the model has another file '{file.name}' already",
+                str(file),
+                "files with names of their own",
+                "rename the new file, and the effect in it",
+            )
 
 
 def _named(

@@ -84,6 +84,45 @@ def test_the_error_falls_to_the_noise(second, place):
     assert channel.after == pytest.approx(floor.rms, rel=0.1)
 
 
+_FOUND = '''"""Found in the residuals."""
+
+from imubayes import Order, Scalar, SignalEffect, Stage, parameter
+
+
+class FoundShape(SignalEffect):
+    """Signal + coefficient·(T − T₀)."""
+
+    name = "found_accelerometer_shape"
+    stage, order, kinds = Stage.CONVERTER, Order.BIAS, ("accelerometer",)
+    needs = ("converter_temperature",)
+    coefficient: Scalar = parameter("output/degC", "normal(0, 1 output/degC)", (0.01, 1.0), "the coefficient")
+
+    def apply(self, signal, sample):
+        return signal + self.coefficient * (sample.ambient.converter_temperature - 25.0)
+'''
+
+
+def test_a_shape_in_a_file_is_added_like_an_effect_of_the_catalogue(first, second, place):
+    """The file defines what the catalogue has too: the same Δχ², cross-validation and place in the history."""
+    file = place / "found_shape.py"
+    file.write_text(_FOUND)
+    own = add(place / "first", [str(file)], place / "own")
+    assert own.taken
+    assert own.observed.delta_chi2 == pytest.approx(second.observed.delta_chi2, rel=0.05)
+    assert own.predicted.delta_chi2 == pytest.approx(own.observed.delta_chi2, rel=0.05)
+    assert own.held_out is not None
+    assert own.held_out.verdict == "helps"
+    assert [choice.effect for choice in read_node(place / "own").added] == ["found_accelerometer_shape"]
+    assert (place / "own" / "found_shape.py").read_text() == _FOUND
+    kept = read_result(place / "own").fit.model.spec
+    assert [Path(name).parent for name in kept.files] == [place / "own"]
+    elsewhere = place / "other"
+    elsewhere.mkdir()
+    (elsewhere / "found_shape.py").write_text(_FOUND)
+    with pytest.raises(InputError, match="another file 'found_shape"):
+        add(place / "own", [str(elsewhere / "found_shape.py")], place / "twice")
+
+
 def dense_density(fitted: Fit, left_out: np.ndarray, parameters_known: bool = False) -> float:
     """Return log p(left out | rest) from whole covariance matrices, linear about the mode without."""
     problem = fitted.model.problem

@@ -6,7 +6,7 @@ import pytest
 import synthetic_results as made
 
 from imubayes.criticism.noise_violation import NoiseViolation
-from imubayes.display.fit_cautions import alarm_of, notices
+from imubayes.display.fit_cautions import alarm_of, next_command, notices
 from imubayes.display.fit_report import summary_report
 from imubayes.display.report_layout import report_text
 from imubayes.display.summary_html import summary_html
@@ -29,12 +29,15 @@ def plain() -> Summary:
 def test_nothing_is_said_of_a_sound_fit(plain):
     assert alarm_of(plain) == ""
     assert notices(plain) == ()
+    assert next_command(plain, "data/unit", "results/unit") == "imubayes compare results/unit"
 
 
 def test_intervals_that_cannot_be_trusted_are_said_on_the_first_line(plain):
     flawed = plain.model_copy(update={"intervals_valid": False, "noise_violations": VIOLATIONS})
     text = " ".join(report_text(summary_report(flawed), width=400).split())
     assert text.startswith("DO NOT TRUST THE INTERVALS: the output is quantised too coarsely for its noise (ax: a step")
+    assert text.count("DO NOT TRUST") == 1
+    assert next_command(flawed, "data/unit", "results/unit") == "imubayes diagnose results/unit"
     assert "the residuals are autocorrelated (gx, gy, p = 3e-07)" in text
     assert summary_html(flawed).index("DO NOT TRUST") < summary_html(flawed).index("<table")
     document = json.loads(flawed.model_dump_json())
@@ -61,6 +64,8 @@ def test_a_fit_that_failed_says_so_first(plain):
         "outputs of ax differ from the model by 0.70 g rms, 100000 times their recorded noise, of 0.80 g in all" in text
     )
     assert "No estimate of this fit can be used." in text
+    assert text.count("FIT FAILED") == 1
+    assert next_command(failed, "data/unit", "results/unit") == "imubayes check data/unit"
     far = scale.model_copy(update={"reason": "far_from_prior", "value": 1e5, "distance": 50.0})
     assert "is 50 prior standard deviations from its prior, 0 ± 2000 ppm." in alarm_of(
         plain.model_copy(update={"implausible": (far,)})

@@ -26,7 +26,8 @@ def add(
     Parameters
     ----------
     effects
-        Names of effects or noise members; `imubayes effects` lists them.
+        Names of effects or noise members; `imubayes effects` lists them. A Python file, as `imubayes diagnose --python`
+        prints one, stands for the effects that it defines.
     to
         Result folder of the model to go on from; it stays as it is.
     out

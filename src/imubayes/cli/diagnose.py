@@ -26,8 +26,8 @@ def diagnose(
     as_json
         Print one JSON object on standard output.
     python
-        Print an effect class for the pattern that no effect of the catalogue explains: save it in a file beside the
-        model and name the file in the model's 'files'.
+        Print an effect class for the pattern that no effect of the catalogue explains: save it in a file, and add that
+        with `imubayes add FILE.py`.
     verbose
         Print every table: all candidates, noise, outliers, structure and undetectable effects.
     """

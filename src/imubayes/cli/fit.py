@@ -68,13 +68,14 @@ def fit(
     if as_json:
         print_json(result.summary.model_dump(mode="json"))
     else:
-        _print_summary(result.summary, verbose)
-        print(f"\nresult in {out}; next: imubayes compare {out}")
+        _print_summary(result.summary, verbose, campaign, out)
     return 0 if result.converged else 1
 
 
-def _print_summary(summary: "Summary", verbose: bool) -> None:
+def _print_summary(summary: "Summary", verbose: bool, campaign: Path, out: Path) -> None:
+    from imubayes.display.fit_cautions import next_command
     from imubayes.display.fit_report import summary_report
     from imubayes.display.report_layout import print_report
 
     print_report(summary_report(summary, verbose=verbose))
+    print(f"\nresult in {out}; next: {next_command(summary, str(campaign), str(out))}")

@@ -66,6 +66,7 @@ def refit_with(
     channels: Sequence[str] | None,
     diagnosis: Diagnosis | None,
     progress: Callable[[str], None],
+    files: Sequence[str] = (),
 ) -> Refit:
     """Add effects to the model of a fit and fit again from where it stood.
 
@@ -76,6 +77,7 @@ def refit_with(
     channels : for the new effects; all that they can act on where None.
     diagnosis : of the fit; what it estimates is where coefficients without a gradient, and scanned shapes, start.
     progress : called with a short text as the work goes on.
+    files : Python files that define effects, beside those of the model.
 
     Raises
     ------
@@ -92,7 +94,7 @@ def refit_with(
             )
         )
     screened = _screened(effects, diagnosis)
-    extension = _extended(before, effects, channels, screened)
+    extension = _extended(before, effects, channels, screened, files)
     progress("fitting")
     fit = joint_fit(extension.model, None, start=(extension.z, extension.h), progress=progress)
     delta_chi2 = observed_delta_chi2(before, extension, fit) if fit.converged else float("nan")
@@ -110,14 +112,18 @@ def _screened(effects: Sequence[str], diagnosis: Diagnosis | None) -> list[Scree
 
 
 def _extended(
-    before: Fit, effects: Sequence[str], channels: Sequence[str] | None, screened: Sequence[ScreenedEffect]
+    before: Fit,
+    effects: Sequence[str],
+    channels: Sequence[str] | None,
+    screened: Sequence[ScreenedEffect],
+    files: Sequence[str],
 ) -> Extension:
     shape, hints = {}, {}
     for line in screened:
         shape |= {name if "." in name else f"{line.effect}.{name}": value for name, value in line.shape.items()}
         hints |= {each.name: each.value for each in line.coefficients if each.value is not None}
     estimates = [each for line in screened for each in line.coefficients]
-    return extend(before, effects, channels, shape, hints, estimates)
+    return extend(before, effects, channels, shape, hints, estimates, files)
 
 
 def _prediction(extension: Extension, screened: ScreenedEffect | None) -> Prediction:

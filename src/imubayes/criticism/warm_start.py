@@ -70,7 +70,12 @@ class Extension:
 
 
 def extended(
-    spec: ModelSpec, effects: Sequence[str], channels: Sequence[str] | None, campaign: Campaign, registry: Registry
+    spec: ModelSpec,
+    effects: Sequence[str],
+    channels: Sequence[str] | None,
+    campaign: Campaign,
+    registry: Registry,
+    files: Sequence[str] = (),
 ) -> ModelSpec:
     """Return a model with effects appended.
 
@@ -80,19 +85,21 @@ def extended(
     effects : names of effects or noise members.
     channels : for effects that act on channels; where None, all that the effect can act on and does not act on yet.
     campaign, registry : determine which channels these are.
+    files : Python files that define effects, beside those of the model.
 
     Raises
     ------
     InputError
         for an effect that does not exist.
     """
-    known = registry.with_files(spec.files)
+    files = tuple(dict.fromkeys((*spec.files, *files)))
+    known = registry.with_files(files)
     added = []
     for name in effects:
         where = f"effect to add '{name}'"
         member = known.find(name, where)
         added.append(EffectSpec(name, _channels(spec, member, channels, campaign), where=where))
-    return replace(spec, effects=(*spec.effects, *added))
+    return replace(spec, effects=(*spec.effects, *added), files=files)
 
 
 def _channels(
@@ -120,6 +127,7 @@ def extend(
     shape: Mapping[str, float] | None = None,
     hints: Mapping[str, float] | None = None,
     estimates: Sequence[CoefficientEstimate] = (),
+    files: Sequence[str] = (),
 ) -> Extension:
     """Return the model of a fit with effects added, and the start of its refit.
 
@@ -132,6 +140,7 @@ def extend(
     hints : parameter name → start value in its unit, for coefficients and noise scales without a gradient at the null
         value.
     estimates : of new coefficients, by a diagnosis; priors are widened for these, too.
+    files : Python files that define effects, beside those of the model.
 
     Raises
     ------
@@ -139,7 +148,7 @@ def extend(
         with everything that does not fit the campaign.
     """
     registry = before.model.registry.without_files()
-    spec = extended(before.model.spec, effects, channels, before.model.campaign, registry)
+    spec = extended(before.model.spec, effects, channels, before.model.campaign, registry, files)
     found = _extension(before, spec, registry, shape or {}, hints or {})
     wider = _wider(found, {estimate.name: estimate for estimate in estimates})
     if not wider:

@@ -246,7 +246,9 @@ def next_command(found: Diagnosis) -> str:
         return f"imubayes add {choice.effect} --to {result} --out {result}-{choice.effect}{channels}"
     if found.verdict == "unexplained_structure":
         printable = any(structure.terms for structure in found.structure)
-        return f"imubayes diagnose {result} --python > found_shape.py" if printable else f"imubayes compare {result}"
+        adding = f"imubayes add found_shape.py --to {result} --out {result}-found_shape"
+        written = f"imubayes diagnose {result} --python > found_shape.py && {adding}"
+        return written if printable else f"imubayes compare {result}"
     if found.verdict == "noise_model":
         return f"imubayes compare {result}"
     return f"imubayes fit … --out {result}" if found.verdict == "not_converged" else f"imubayes plant --result {result}"

@@ -29,6 +29,13 @@ def alarm_of(summary: Summary) -> str:
     return ""
 
 
+def next_command(summary: Summary, campaign: str, folder: str) -> str:
+    """Return the command to run after a fit: what looks for the cause of its warning, or the look at the residuals."""
+    if summary.implausible or summary.unexplained or not summary.converged:
+        return f"imubayes check {campaign}"
+    return f"imubayes {'diagnose' if summary.noise_violations else 'compare'} {folder}"
+
+
 _FAILED_REMEDY = (
     "The usual cause is a mistake in the set-up: run `imubayes check`, and compare mountings, table angles, units, "
     "channels and files in campaign.toml with how the runs were made. No estimate of this fit can be used."

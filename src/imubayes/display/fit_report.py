@@ -12,6 +12,7 @@ from imubayes.display.fit_quality_tables import contribution_sheet, next_run_she
 from imubayes.display.prior_conflicts import conflict_sheet
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.display.report_layout import Report
+from imubayes.display.table_layout import without_alarm
 from imubayes.results.summary import Summary
 
 
@@ -34,7 +35,10 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     )
     # A warning stands on the first line, above the first table; nothing comes before it.
     said = notices(summary)
-    return Report((), sheets, (*said, closing)) if alarm_of(summary) else Report(said, sheets, (closing,))
+    if not alarm_of(summary):
+        return Report(said, sheets, (closing,))
+    shown = [sheet for sheet in sheets if sheet.rows]
+    return Report((), [*shown[:1], *(without_alarm(sheet) for sheet in shown[1:])], (*said, closing))
 
 
 def classical_report(comparison: ClassicalComparison) -> Report:

@@ -124,11 +124,7 @@ def compare(
     summary, read = read_summary_and_residuals(folder)
     residuals = read.table
     _refuse_non_finite(residuals, folder)
-    names = _checked(summary, folder, parameters) if parameters else corner_choice(summary) if every else []
-    posterior = folder / POSTERIOR
-    if parameters and not posterior.is_file():
-        raise InputError(_no_draws(folder))
-    draws = _draws(posterior, names, asked=bool(parameters)) if posterior.is_file() else {}
+    names, draws = _for_corner(summary, folder, parameters, every)
     chosen = _chosen_runs(residuals, folder, runs) if runs else runs_shown(summary, residuals)
     campaign = campaign_of(folder)
     figures = dict(plan(summary, residuals, names, draws, chosen, campaign))
@@ -139,8 +135,7 @@ def compare(
         wanted = {name: draw for name, draw in figures.items() if name in ranked}
         made, captions = _draw(wanted, folder / "figures", tell)
     classical_estimates = None if campaign is None else compare_classical(classical(campaign), summary)
-    left_out = len(figures) - len(wanted)
-    notes = tuple(_notes(residuals, draws, chosen)) if every else (_others(left_out),) if left_out else ()
+    notes = tuple(_notes(residuals, draws, chosen) if every else _left_out(len(figures) - len(wanted)))
     page = folder / PAGE
     write_text(page, comparison_page(summary, [f"{name}.png" for name in ranked], captions, notes))
     return Comparison(folder, tuple(made), captions, summary, notes, page, classical_estimates)
@@ -150,8 +145,22 @@ def _is_asked(name: str, parameters: Sequence[str] | None, runs: Sequence[str] |
     return bool((parameters and name == "corner") or (runs and name.startswith("run-")))
 
 
-def _others(count: int) -> str:
-    return f"{count} more figures and a corner plot: --every; single runs: --runs NAME…"
+def _left_out(count: int) -> Iterator[str]:
+    if count:
+        yield f"{count} more figures and a corner plot: --every; single runs: --runs NAME…"
+
+
+def _for_corner(
+    summary: Summary, folder: Path, parameters: Sequence[str] | None, every: bool
+) -> tuple[list[str], Mapping[str, Any]]:
+    """Return the quantities of the corner plot and their draws; none where it is not asked for."""
+    if not parameters and not every:
+        return [], {}
+    names = _checked(summary, folder, parameters) if parameters else corner_choice(summary)
+    posterior = folder / POSTERIOR
+    if parameters and not posterior.is_file():
+        raise InputError(_no_draws(folder))
+    return names, _draws(posterior, names, asked=bool(parameters)) if posterior.is_file() else {}
 
 
 def _chosen_runs(residuals: pl.DataFrame, folder: Path, runs: Sequence[str]) -> list[str]:

@@ -48,6 +48,11 @@ class Sheet:
     narrow: "Sheet | None" = None
 
 
+def without_alarm(sheet: Sheet) -> Sheet:
+    """Return a sheet without its warning, which another sheet above has said."""
+    return replace(sheet, alarm="", narrow=None if sheet.narrow is None else without_alarm(sheet.narrow))
+
+
 def of_columns(sheet: Sheet, places: Sequence[int]) -> Sheet:
     """Return a sheet with some of its columns alone."""
     return replace(

@@ -45,11 +45,11 @@ class Registry:
         effects = dict(self.effects)
         for file in files:
             for member in _members_of(Path(file)):
-                if member.name in self.effects:
+                if member.name in effects:
                     raise input_error(
                         f"the effect '{member.name}' exists already",
                         str(file),
-                        "a name that `imubayes effects` does not list",
+                        "a name that neither `imubayes effects` lists nor another file of the model defines",
                         "give the new effect a name of its own",
                     )
                 effects[member.name] = member
@@ -58,6 +58,11 @@ class Registry:
     def without_files(self) -> "Registry":
         """Return the registry without what files define: for a model that names its files itself."""
         return Registry({name: known for name, known in self.effects.items() if not known.__module__.startswith(_USER)})
+
+
+def names_in(file: str | Path) -> tuple[str, ...]:
+    """Return the names of the effects that a Python file defines; raises InputError where it defines none."""
+    return tuple(member.name for member in _members_of(Path(file)))
 
 
 def _members_of(file: Path) -> list[EffectClass]:
