@@ -1,7 +1,11 @@
 """Double precision is set by the library; a process that has computed in single precision is told so."""
 
+import os
 import subprocess
 import sys
+import time
+
+from imubayes.jax_settings import _without_empty
 
 _SCRIPT = """
 import jax, jax.numpy as jnp
@@ -30,3 +34,12 @@ def test_single_precision_in_use_is_an_error_with_its_remedy():
     assert "JAX has been started in single precision" in answer
     assert 'jax.config.update("jax_enable_x64", True)' in answer
     assert answer.split()[-1] == "float32"
+
+
+def test_empty_entries_of_killed_processes_are_removed_from_the_cache(tmp_path):
+    for name, content, age in (("whole", b"code", 3600.0), ("empty", b"", 3600.0), ("begun", b"", 0.0)):
+        file = tmp_path / name
+        file.write_bytes(content)
+        os.utime(file, (time.time() - age, time.time() - age))
+    _without_empty(tmp_path)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["begun", "whole"]

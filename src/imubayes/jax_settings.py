@@ -5,12 +5,17 @@ results keeps its own settings.
 """
 
 import os
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import jax
 from jax._src.xla_bridge import backends_are_initialized
 
 from imubayes.errors import input_error
+
+# An empty entry younger than this may be in the hands of another process.
+_BEING_WRITTEN_S = 60.0
 
 
 def prepare_jax() -> None:
@@ -43,6 +48,16 @@ def _keep_compiled() -> None:
         folder.chmod(0o700)
     except OSError:
         return  # no writable home: compile every time
+    _without_empty(folder)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def _without_empty(folder: Path) -> None:
+    """Remove empty entries, which a process that was killed leaves: JAX warns of them and never writes them again."""
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            with suppress(OSError):
+                if entry.stat().st_size == 0 and time.time() - entry.stat().st_mtime > _BEING_WRITTEN_S:
+                    Path(entry.path).unlink()

@@ -6,6 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from imubayes.batch.fit_unit import QUANTILES, quantiles_of
 from imubayes.batch.posterior_table import (
     PARAMETERS,
     UNITS,
@@ -17,6 +18,7 @@ from imubayes.batch.posterior_table import (
     packed,
     parameter_table,
     part_folder,
+    read_outcomes,
     read_parameters,
     read_units,
     unit_table,
@@ -31,8 +33,9 @@ def fitted_unit(name: str = "A1") -> UnitPosterior:
 
     def quantities(kind, names):
         size = len(names)
-        columns = [random.normal(size=size) for _ in range(5)]
-        return Quantities(kind, names, ("ppm",) * size, *columns[:2], random.normal(size=(5, size)), *columns[2:])
+        mean, sd, prior_mean, prior_sd, share = (random.normal(size=size) for _ in range(5))
+        quantiles = random.normal(size=(5, size))
+        return Quantities(kind, names, ("ppm",) * size, mean, sd, quantiles, prior_mean, prior_sd, share)
 
     identity = UnitIdentity(name, "autumn", f"digest-{name}", "a.parquet", datetime.date(2024, 5, 6), tables=("t",))
     parts = (quantities("parameter", ("p", "q")), quantities("noise", ("s",)), quantities("derived", ("d",)))
@@ -83,3 +86,17 @@ def test_a_folder_without_results_and_an_unknown_model_are_refused(tmp_path):
     with pytest.raises(InputError, match="no results of model 'x'"):
         read_units(tmp_path, "x")
     assert read_units(tmp_path, "abc").is_empty()
+
+
+def test_quantiles_are_those_of_numpy():
+    draws = np.random.default_rng(0).normal(size=(257, 3))
+    assert np.allclose(quantiles_of(draws), np.percentile(draws, QUANTILES, axis=0), rtol=0, atol=1e-12)
+
+
+def test_outcomes_are_the_units_without_their_estimates(tmp_path):
+    folder = part_folder(tmp_path, "abc", "1")
+    folder.mkdir(parents=True)
+    (folder.parent / "model.toml").write_text("")
+    unit_table("abc", "code", [fitted_unit()]).write_parquet(folder / "units.parquet")
+    outcomes, units = read_outcomes(tmp_path), read_units(tmp_path)
+    assert outcomes.equals(units.drop("names", "mean", "covariance"))

@@ -39,9 +39,9 @@ def toy_executor(tasks, seconds: float = 0.0):
         for source in task.sources:
             time.sleep(seconds)
             random = np.random.default_rng(int(source.digest, 16))
-            columns = [random.normal(size=2) for _ in range(5)]
-            parts = Quantities("parameter", ("a", "b"), ("ppm", "g"), *columns[:2], random.normal(size=(5, 2)),
-                               *columns[2:])  # fmt: skip
+            mean, sd, prior_mean, prior_sd, share = (random.normal(size=2) for _ in range(5))
+            quantiles = random.normal(size=(5, 2))
+            parts = Quantities("parameter", ("a", "b"), ("ppm", "g"), mean, sd, quantiles, prior_mean, prior_sd, share)
             failed = source.digest.startswith("0")
             outcome = Outcome("failed", "toy", source.path, source.fingerprint()) if failed else Outcome("fitted")
             units.append(UnitPosterior(unread(source), outcome, () if failed else (parts,), np.eye(2) * (not failed)))
@@ -178,6 +178,12 @@ def test_another_model_or_setting_makes_new_parts_beside_the_old(many, uninterru
 def test_a_campaign_in_two_folders_counts_once(tmp_path):
     for name in ("a", "b"):
         make_units(tmp_path / name, 2)
+    assert len(sources_of(tmp_path)) == 2
+
+
+def test_campaigns_that_lack_a_table_are_told_apart_by_the_others(tmp_path):
+    for seed, unit in enumerate(make_units(tmp_path / "first", 1) + make_units(tmp_path / "second", 1, seed=1)):
+        sorted((unit / "runs").glob("*.csv"))[seed].unlink()
     assert len(sources_of(tmp_path)) == 2
 
 

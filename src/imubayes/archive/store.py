@@ -164,11 +164,14 @@ def pack(folders: Sequence[Path], out: Path, progress: Callable[[str], None] | N
 
 
 def folder_digest(folder: Path) -> str:
-    """Return the digest of the files of a campaign folder; of the campaign file alone where its runs cannot be told."""
+    """Return the digest of the files of a campaign folder.
+
+    Runs whose files are missing are left out; it is that of the campaign file alone where its runs cannot be told.
+    """
     file = folder / CAMPAIGN_FILE
     try:
-        runs = tomllib.loads(file.read_text(encoding="utf-8"))["run"]
-        return source_digest([file, *(folder / run["file"] for run in runs)])
+        files = [folder / run["file"] for run in tomllib.loads(file.read_text(encoding="utf-8"))["run"]]
+        return source_digest([file, *(each for each in files if each.is_file())])
     except (OSError, ValueError, KeyError, TypeError):
         return hashlib.sha256(file.read_bytes()).hexdigest()
 

@@ -25,6 +25,7 @@ from imubayes.errors import input_error
 PARAMETER_FILE, UNIT_FILE, MODEL_FILE = "parameters.parquet", "units.parquet", "model.toml"
 _MODEL, _PART = "model-", "part-"
 _ORDER = ["unit", "date", "digest"]
+_ESTIMATES = ("names", "mean", "covariance")
 
 Status = Literal["fitted", "not_converged", "refused", "failed"]
 """`fitted`; `not_converged`: no estimates; `refused`: the campaign cannot be used; `failed`: an unexpected error."""
@@ -270,6 +271,13 @@ def read_units(results: str | Path, model: str | None = None) -> pl.DataFrame:
     return pl.concat([UNITS.to_frame(), *_parts(results, model, UNIT_FILE)]).sort(_ORDER, maintain_order=True)
 
 
+def read_outcomes(results: str | Path, model: str | None = None) -> pl.DataFrame:
+    """Return the units of a batch without their estimates, which take most of the memory."""
+    columns = [name for name in UNITS.names() if name not in _ESTIMATES]
+    parts = _parts(results, model, UNIT_FILE, columns)
+    return pl.concat([UNITS.to_frame().select(columns), *parts]).sort(_ORDER, maintain_order=True)
+
+
 def chosen_model(results: str | Path, model: str | None) -> str:
     """Return the full hash of a model of a results folder."""
     known = models_in(results)
@@ -284,6 +292,6 @@ def chosen_model(results: str | Path, model: str | None) -> str:
     )
 
 
-def _parts(results: str | Path, model: str | None, name: str) -> list[pl.DataFrame]:
+def _parts(results: str | Path, model: str | None, name: str, columns: list[str] | None = None) -> list[pl.DataFrame]:
     folder = model_folder(results, chosen_model(results, model))
-    return [pl.read_parquet(file) for file in sorted(folder.glob(f"{_PART}*/{name}"))]
+    return [pl.read_parquet(file, columns=columns) for file in sorted(folder.glob(f"{_PART}*/{name}"))]

@@ -86,11 +86,11 @@ def _run(
 
 
 def _report(state: "BatchProgress", out: Path, as_json: bool) -> int:
-    from imubayes.batch.posterior_table import read_units
+    from imubayes.batch.posterior_table import read_outcomes
     from imubayes.display.batch_report import batch_json, batch_report
     from imubayes.display.report_layout import print_report
 
-    units = read_units(out, state.key)
+    units = read_outcomes(out, state.key)
     if as_json:
         print_json(batch_json(state, units, state.key))
     else:
