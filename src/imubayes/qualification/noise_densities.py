@@ -1,6 +1,7 @@
 """Noise of a triad as filters ask for it: white noise density and random walk, of its noisiest axis."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,7 +9,7 @@ from imubayes.campaign_data import Campaign
 from imubayes.errors import InputError, Issue
 from imubayes.noise_analysis.noise_record import StaticNoise, coefficient_unit
 from imubayes.noise_analysis.noise_spectra import NoiseTerm
-from imubayes.qualification.onboard_record import OnboardConstants
+from imubayes.qualification.onboard_record import OnboardConstants, TriadConstants
 from imubayes.results.result import Result
 
 _SECONDS = math.sqrt(3600.0)
@@ -75,12 +76,13 @@ def of_fit(result: Result, constants: OnboardConstants, rate: float | None) -> d
     walks = {
         line.name[len("random_walk_noise.k[") : -1]: line.mean
         for line in result.summary.parameters
-        if line.name.startswith("random_walk_noise.k[")
+        if line.name.startswith("random_walk_noise.k[") and line.mean is not None
     }
-    found = {}
-    for triad in constants.triads:
-        scales = dict(zip(triad.channels, triad.nominal_scale, strict=True))
-        own = [(walks.get(n) or walks.get("all") or 0.0) / abs(scale) / _SECONDS for n, scale in scales.items()]
-        white = max(triad.sample_noise) / math.sqrt(rate) if rate else None
-        found[triad.kind] = NoiseDensity(white, max(own) or None)
-    return found
+    return {triad.kind: of_triad(triad, walks, rate) for triad in constants.triads}
+
+
+def of_triad(triad: TriadConstants, walks: Mapping[str, float], rate: float | None) -> NoiseDensity:
+    """Return the noise of a triad from that of a sample and random walks by channel, in output units over 1 h."""
+    scales = dict(zip(triad.channels, triad.nominal_scale, strict=True))
+    own = [walks.get(name, walks.get("all", 0.0)) / abs(scale) / _SECONDS for name, scale in scales.items()]
+    return NoiseDensity(max(triad.sample_noise) / math.sqrt(rate) if rate else None, max(own) or None)
