@@ -4,6 +4,11 @@ from imubayes.covariates import COVARIATES
 from imubayes.qualification.recording_files import CorrectedRecording
 
 _WORDS = {"gyro": "rate from the gyros", "accelerometer": "specific force from the accelerometers"}
+_UNITS = {"gyro": "rad/s", "accelerometer": "m/s²"}
+_CAUSES = {
+    "memory": "it depends on earlier rows", "limit": "it acts at a limit of the input",
+    "covariate": "it depends on what a row does not hold", "nonlinear": "it is not linear",
+}  # fmt: skip
 
 
 def correction_lines(found: CorrectedRecording) -> list[str]:
@@ -27,4 +32,9 @@ def correction_lines(found: CorrectedRecording) -> list[str]:
             )
     if found.slow_noise:
         lines.append(f"note: {', '.join(found.slow_noise)} is in neither uncertainty")
+    for effect in found.uncorrected:
+        said = f"note: {effect.effect} of {', '.join(effect.channels)} is left in ({_CAUSES[effect.cause]})"
+        if effect.size is not None and effect.sd is not None:
+            said += f": up to {effect.size:.2g} ± {effect.sd:.1g} {_UNITS[effect.kind]} in the campaign of the fit"
+        lines.append(said)
     return lines

@@ -19,6 +19,8 @@ from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.covariates import COVARIATES
 from imubayes.errors import InputError, Issue, closest_first, input_error
 from imubayes.qualification.correct_recording import TEMPERATURES, RowTally, correction_of
+from imubayes.qualification.onboard_record import UnexpressedEffect
+from imubayes.qualification.unexpressed_effects import uncorrected_effects
 from imubayes.results.result import Result
 
 
@@ -56,12 +58,14 @@ class CorrectedRecording:
     tally : what was noticed in the rows.
     ranges : temperature → calibrated range, °C.
     slow_noise : noise that changes within a recording and is in neither uncertainty.
+    uncorrected : effects of the model that are left in, with their size in the campaign of the fit.
     """
 
     kinds: tuple[str, ...]
     tally: RowTally
     ranges: Mapping[str, tuple[float, float]]
     slow_noise: tuple[str, ...]
+    uncorrected: tuple[UnexpressedEffect, ...]
 
 
 def open_recording(
@@ -182,7 +186,8 @@ def correct_recording(result: Result, recording: UnitRecording, out: Path) -> Co
             writer.close()
         if not tally.rows:
             raise input_error("the recording has no rows", recording.where, "a header and rows", "record it again")
-    return CorrectedRecording(correction.kinds, tally, correction.ranges, correction.noise.slow)
+    uncorrected = uncorrected_effects(result, correction.kinds)
+    return CorrectedRecording(correction.kinds, tally, correction.ranges, correction.noise.slow, uncorrected)
 
 
 def _given(name: str, recording: UnitRecording) -> bool:

@@ -5,6 +5,7 @@ rate and specific force.  What is not affine is nonlinear.  An effect that needs
 temperatures (memory, a limit, vibration, time) is sized by what it contributes to the rows of the campaign.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Literal
 
@@ -125,6 +126,16 @@ def unexpressed_effects(
         else:
             elsewhere.append(effect)
     return (*found, *(each for effect in elsewhere for each in _in_campaign(result, effect)))
+
+
+def uncorrected_effects(result: Result, kinds: Sequence[str]) -> tuple[UnexpressedEffect, ...]:
+    """Return the effects of these kinds of channels that a correction row by row leaves in, sized in the campaign.
+
+    They have a memory or a limit, or depend on more than the inputs and temperatures of the row.
+    """
+    effects = [each for each in result.fit.model.assembly.effects if _of_the_unit(each) and not _is_instantaneous(each)]
+    found = (each for effect in effects if effect.parameters for each in _in_campaign(result, effect))
+    return tuple(each for each in found if each.kind in kinds)
 
 
 def _without(values: np.ndarray, places: np.ndarray, nulls: np.ndarray) -> np.ndarray:

@@ -1,0 +1,69 @@
+"""Effects that `apply` leaves in: named, with the size that they have in the campaign of the fit."""
+
+import numpy as np
+import pytest
+
+from imubayes.display.correction_report import correction_lines
+from imubayes.inference.run_fit import joint_fit
+from imubayes.model.bind import bind
+from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.qualification.correct_recording import RowTally
+from imubayes.qualification.recording_files import CorrectedRecording
+from imubayes.qualification.unexpressed_effects import uncorrected_effects
+from imubayes.results.result import Result, result_of
+from small_campaign import GRAVITY, simulated, wide_campaign
+
+WIDTH, COEFFICIENT, TAU = 100e-6 * GRAVITY, 300e-6 * GRAVITY, 1000.0
+# Their values are known beforehand, so that the sizes are, too.
+MODEL = ModelSpec(
+    "left in",
+    (
+        EffectSpec("accel_bias"),
+        EffectSpec("accel_scale_factor"),
+        EffectSpec("accel_dead_zone", prior={"half_width": "lognormal(100 ug, 0.01)"}),
+        EffectSpec(
+            "accel_thermal_lag",
+            prior={"coefficient": "normal(300 ug/degC, 1 ug/degC)", "tau": "lognormal(1000 s, 0.001)"},
+        ),
+        EffectSpec("white_noise"),
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    model = bind(MODEL, wide_campaign())
+    readings = simulated(model, np.zeros(len(model.layout)), 4)
+    return result_of(joint_fit(bind(MODEL, readings), None))
+
+
+def largest_lag() -> float:
+    """Largest T − T_τ of all runs, °C: temperature is linear from row to row, for which the lag is exact."""
+    largest = 0.0
+    for run in wide_campaign().runs:
+        if "time" not in run.covariates or "temperature" not in run.covariates:
+            continue
+        lag = 0.0
+        for step, change in zip(np.diff(run.covariates["time"]), np.diff(run.covariates["temperature"]), strict=True):
+            decay = np.exp(-step / TAU)
+            lag = lag * decay + change / step * TAU * (1 - decay)
+            largest = max(largest, abs(lag))
+    return largest
+
+
+def test_effects_with_memory_or_limit_are_named_with_their_size(result):
+    found = {each.effect: each for each in uncorrected_effects(result, ("accelerometer", "gyro"))}
+    assert set(found) == {"accel_dead_zone", "accel_thermal_lag"}
+    assert {each.cause for each in found.values()} == {"limit", "memory"}
+    zone, lag = found["accel_dead_zone"], found["accel_thermal_lag"]
+    assert zone.size == pytest.approx(WIDTH, rel=0.03)
+    assert lag.size == pytest.approx(COEFFICIENT * largest_lag(), rel=0.03)
+    assert zone.size is not None
+    assert zone.sd is not None
+    assert zone.sd < 0.05 * zone.size
+    assert lag.channels == ("ax", "ay", "az")
+    assert uncorrected_effects(result, ("gyro",)) == ()
+    lines = correction_lines(CorrectedRecording(("accelerometer",), RowTally(rows=3), {}, (), tuple(found.values())))
+    (said,) = [line for line in lines if "accel_thermal_lag" in line]
+    assert "left in (it depends on earlier rows)" in said
+    assert f"up to {lag.size:.2g}" in said
