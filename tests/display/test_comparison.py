@@ -181,8 +181,21 @@ def test_chosen_parameters(tmp_path: Path):
 def test_default_choice_pairs_angles_with_scale_factors():
     summary = made.summary_of(made.trihedral_residuals(temperatures=(25,)))
     angles = [f"mounting_angle[{channel},pyramid]" for channel in made.GYROS]
-    assert corner_choice(summary) == [*angles, *(f"scale_factor[{channel}]" for channel in made.GYROS)]
-    assert len(corner_choice(summary.model_copy(update={"derived": ()}))) == 6
+    assert corner_choice(summary, {}) == [*angles, *(f"scale_factor[{channel}]" for channel in made.GYROS)]
+    assert len(corner_choice(summary.model_copy(update={"derived": ()}), {})) == 6
+
+
+def test_correlated_pairs_are_chosen_and_names_of_one_quantity_are_not():
+    summary = made.summary_of(made.trihedral_residuals(temperatures=(25,)))
+    random = np.random.default_rng(1)
+    draws = {entry.name: random.normal(size=2000) for entry in (*summary.parameters, *summary.derived)}
+    first, second, third, fourth = (entry.name for entry in summary.derived[:4])
+    draws[second] = draws[first] + 0.1 * draws[second]
+    draws[fourth] = 3 * draws[third]
+    assert set(corner_choice(summary, draws)) == {first, second}
+    one, other = (entry.name for entry in summary.parameters[:2])
+    draws[other] = draws[other] - draws[one]
+    assert set(corner_choice(summary, draws)) == {first, second, one, other}
 
 
 def test_draws_from_file_tree_and_arviz_agree(trihedral: Path):

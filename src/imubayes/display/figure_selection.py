@@ -25,6 +25,9 @@ from imubayes.display.theme import MOST_PANELS, Picture
 from imubayes.results.summary import Quantity, Summary
 
 MOST_RUNS, MOST_CORNER = 6, 6
+# Pairs correlated less have joint regions that their intervals already tell; those correlated more are one quantity
+# under two names.
+_CORRELATED, _SAME = 0.5, 0.9999
 Plan = Iterator[tuple[str, Callable[[], Picture]]]
 
 
@@ -138,18 +141,45 @@ def _files_of_runs(runs: Sequence[str]) -> list[tuple[str, str]]:
     return found
 
 
-def corner_choice(summary: Summary, most: int = MOST_CORNER) -> list[str]:
+def corner_choice(summary: Summary, draws: Mapping[str, np.ndarray], most: int = MOST_CORNER) -> list[str]:
     """Return the quantities whose joint posterior is most informative.
 
-    Scale factor and mounting angle of one channel are separated only by combining runs, and only where the axis is
-    inclined to the axis of rotation: the angles with the least from the data come first, each with its scale factor.
+    These are the most correlated pairs of derived quantities, then of parameters: their single intervals hide that only
+    a combination is determined.  Where few pairs are correlated, scale factor and mounting angle of one channel, which
+    are separated only by combining runs, and only where the axis is inclined to the axis of rotation: the angles with
+    the least from the data come first, each with its scale factor.
+
+    Parameters
+    ----------
+    draws : of the quantities, (n,) each, by name; those that are missing are not looked at.
+    most : number of quantities.
     """
-    chosen = _angles_with_scales(summary, most // 2)
+    of_interest = [entry.name for entry in summary.parameters if not entry.nuisance]
+    chosen = _correlated([entry.name for entry in summary.derived], draws) + _correlated(of_interest, draws)
+    if len(chosen) < 2:
+        chosen = _angles_with_scales(summary, most // 2)
     if len(chosen) < 2:
         chosen += _least_determined(summary)
     kept = set(chosen[:most])
     in_order = [entry.name for entry in (*summary.parameters, *summary.derived) if entry.name in kept]
     return sorted(in_order, key=_is_scale)
+
+
+def _correlated(names: Sequence[str], draws: Mapping[str, np.ndarray]) -> list[str]:
+    """Return the quantities of pairs that are correlated, the most correlated pair first; each is in one pair."""
+    known = [name for name in names if name in draws and np.ptp(draws[name]) > 0]
+    if len(known) < 2:
+        return []
+    strength = np.triu(np.abs(np.corrcoef([draws[name] for name in known])), 1)
+    strength[strength > _SAME] = 0.0
+    chosen: list[str] = []
+    for place in np.argsort(-strength, axis=None, kind="stable"):
+        first, second = np.unravel_index(place, strength.shape)
+        if strength[first, second] < _CORRELATED:
+            break
+        if known[first] not in chosen and known[second] not in chosen:
+            chosen += [known[first], known[second]]
+    return chosen
 
 
 def _angles_with_scales(summary: Summary, most: int) -> list[str]:

@@ -156,11 +156,20 @@ def _for_corner(
     """Return the quantities of the corner plot and their draws; none where it is not asked for."""
     if not parameters and not every:
         return [], {}
-    names = _checked(summary, folder, parameters) if parameters else corner_choice(summary)
     posterior = folder / POSTERIOR
-    if parameters and not posterior.is_file():
-        raise InputError(_no_draws(folder))
-    return names, _draws(posterior, names, asked=bool(parameters)) if posterior.is_file() else {}
+    if parameters:
+        names = _checked(summary, folder, parameters)
+        if not posterior.is_file():
+            raise InputError(_no_draws(folder))
+        return names, _draws(posterior, names, asked=True)
+    if not posterior.is_file():
+        return [], {}
+    looked_at = [
+        *(entry.name for entry in summary.parameters if not entry.nuisance),
+        *(e.name for e in summary.derived),
+    ]
+    draws = _draws(posterior, looked_at, asked=False)
+    return corner_choice(summary, draws), draws
 
 
 def _chosen_runs(residuals: pl.DataFrame, folder: Path, runs: Sequence[str]) -> list[str]:
