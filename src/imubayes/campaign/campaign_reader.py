@@ -56,19 +56,20 @@ class Inspection:
     findings: tuple[Finding, ...]
 
 
-def load_campaign(path: str | Path) -> Campaign:
+def load_campaign(path: str | Path, *, judge_setup: bool = True) -> Campaign:
     """Read a campaign folder.
 
     Parameters
     ----------
     path : the folder, or its `campaign.toml`.
+    judge_setup : whether the outputs are held against the set-up; not needed where that was done before a fit.
 
     Raises
     ------
     InputError
         with every issue of the campaign.
     """
-    inspection = inspect_campaign(path)
+    inspection = inspect_campaign(path, judge_setup=judge_setup)
     if inspection.campaign is None:
         raise InputError(inspection.issues)
     return inspection.campaign
@@ -79,7 +80,7 @@ def check_campaign(path: str | Path) -> tuple[Finding, ...]:
     return inspect_campaign(path).findings
 
 
-def inspect_campaign(path: str | Path) -> Inspection:
+def inspect_campaign(path: str | Path, *, judge_setup: bool = True) -> Inspection:
     """Read a campaign folder and return the campaign with all issues and findings; never raises for bad input."""
     file = Path(path)
     file = file if file.suffix == ".toml" else file / CAMPAIGN_FILE
@@ -102,6 +103,8 @@ def inspect_campaign(path: str | Path) -> Inspection:
     if issues or document.entry is None:
         return Inspection(None, tuple(issues), findings)
     campaign = _campaign(document.entry, equipment, loaded, findings, file)
+    if not judge_setup:
+        return Inspection(campaign, (), findings)
     return _with_setup(campaign, document.entry, findings, Places(document.entry, ledger))
 
 

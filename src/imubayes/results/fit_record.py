@@ -64,7 +64,7 @@ def campaign_of(folder: str | Path) -> Campaign | None:
     """Return the campaign of a result folder, read again; None where it is gone or no longer what was fit."""
     try:
         record = read_fit_record(folder)
-        found = load_campaign(_folder(record.campaign, Path(folder)))
+        found = load_campaign(_folder(record.campaign, Path(folder)), judge_setup=False)
     except InputError:
         return None
     return found if found.digest == record.data_hash else None
