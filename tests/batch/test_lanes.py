@@ -13,9 +13,12 @@ import imubayes.batch.fit_chunk as chunks
 from imubayes.batch.batch_settings import BatchSettings
 from imubayes.batch.fit_chunk import fit_chunk
 from imubayes.batch.fit_unit import bound_to, fit_alone, posterior_of
+from imubayes.batch.group_moments import grouped_model, log_marginal_of
 from imubayes.batch.lane_mode import find_modes
 from imubayes.batch.lane_posterior import posteriors
-from imubayes.batch.lanes import LaneStructure, structure_key
+from imubayes.batch.lanes import LANES, LaneStructure, structure_key
+from imubayes.batch.marginal_slope import marginal_slope
+from imubayes.batch.padded_entries import padded_count, padded_entries
 from imubayes.batch.posterior_table import UnitIdentity, UnitPosterior
 from imubayes.batch.run_batch import ChunkTask
 from imubayes.batch.unit_sources import sources_of
@@ -105,13 +108,44 @@ def in_lanes(models: list[Model]) -> list[UnitPosterior]:
     return [posterior_of(fit, BatchSettings(), UnitIdentity("", "", "", "")) for fit in fits if fit is not None]
 
 
+def test_the_slope_of_the_marginal_is_the_derivative_of_its_value():
+    model = model_of(DATA / "polar-tumble")
+    structure = LaneStructure.of(model.problem)
+    assert structure is not None
+    assert structure.index.proportional
+    varying, size = structure.stacked([model]), structure.problem.size
+    linear = structure.run(grouped_model, varying, np.zeros((LANES, size[0])))
+    h = np.linspace(-0.8, 0.9, LANES * size[1]).reshape(LANES, size[1])
+    value, gradient = structure.run(marginal_slope, varying, linear, h)
+
+    def by_definition(points: np.ndarray) -> np.ndarray:
+        return np.asarray(structure.run(log_marginal_of, varying, linear, points))
+
+    assert np.allclose(value, by_definition(h), rtol=1e-12)
+    for place, axis in enumerate(1e-4 * np.eye(size[1])):
+        difference = (by_definition(h + axis) - by_definition(h - axis)) / 2e-4
+        assert np.allclose(gradient[:, place], difference, rtol=1e-5, atol=1e-4)
+
+
+def test_noise_scales_that_are_given_are_kept(units):
+    model = model_of(units[0])
+    structure = LaneStructure.of(model.problem)
+    assert structure is not None
+    varying = structure.stacked([model])
+    free = find_modes(structure, varying)
+    kept = find_modes(structure, varying, free.h)
+    assert kept.converged.all()
+    assert np.array_equal(kept.h, free.h)
+    assert np.allclose(kept.model.z, free.model.z, atol=1e-4)
+
+
 def test_a_fault_of_the_lanes_does_not_go_unseen(monkeypatch):
-    def faulty(group):
+    def faulty(*_):
         raise TypeError("a fault")
 
     monkeypatch.setattr(chunks, "_in_lanes", faulty)
     with pytest.warns(UserWarning, match="lanes failed: TypeError: a fault"):
-        assert chunks._in_lanes_if_possible([]) == []
+        assert chunks._in_lanes_if_possible([], True) == []
 
 
 def test_a_unit_is_the_same_whatever_stands_beside_it(units):
@@ -124,11 +158,39 @@ def test_a_unit_is_the_same_whatever_stands_beside_it(units):
                 assert np.allclose(a.sd, b.sd, rtol=1e-6)
 
 
-def test_a_missing_reading_makes_another_structure(units, tmp_path):
-    (other,) = make_units(tmp_path, 1)
+@pytest.fixture(scope="module")
+def with_missing(tmp_path_factory) -> Path:
+    (other,) = make_units(tmp_path_factory.mktemp("missing"), 1)
     file = sorted((other / "runs").glob("*.csv"))[0]
     change_readings(file, lambda values: np.where(np.arange(len(values)) == 3, np.nan, values))
     edit(file, ",nan,", ",,")  # an empty cell is a missing reading
+    return other
+
+
+def test_a_missing_reading_makes_another_structure(units, with_missing):
     first, second = model_of(units[0]).problem, model_of(units[1]).problem
     assert structure_key(first) == structure_key(second)
-    assert structure_key(model_of(other).problem) != structure_key(first)
+    assert structure_key(model_of(with_missing).problem) != structure_key(first)
+
+
+def test_units_with_other_missing_readings_share_the_shapes_of_compiled_code(units, with_missing):
+    def shapes(unit: Path) -> tuple:
+        problem = padded_entries(model_of(unit).problem)
+        structure = LaneStructure.of(problem)
+        assert structure is not None
+        leaves = jax.tree.leaves((problem, structure.index))
+        return jax.tree.structure((problem, structure.index)), [(np.shape(x), np.asarray(x).dtype) for x in leaves]
+
+    assert shapes(units[0]) == shapes(with_missing)
+    assert [padded_count(count) for count in (1, 16, 72, 2303, 2304, 2305)] == [16, 16, 80, 2304, 2304, 2432]
+
+
+def test_padding_changes_no_estimate(with_missing):
+    (unit,) = fitted([with_missing])
+    model = model_of(with_missing)
+    (plain,) = in_lanes([model])
+    assert unit.outcome.readings == plain.outcome.readings == len(model.problem.observations.value)
+    assert np.isclose(unit.outcome.chi2, plain.outcome.chi2)
+    for ours, theirs in zip(unit.quantities, plain.quantities, strict=True):
+        assert np.nanmax(np.abs(ours.mean - theirs.mean) / theirs.sd) < 1e-5
+        assert np.nanmax(np.abs(np.log(ours.sd / theirs.sd))) < 1e-5

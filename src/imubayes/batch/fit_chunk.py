@@ -17,6 +17,7 @@ from imubayes.batch.fit_unit import bound_to, failure, fit_alone, posterior_of
 from imubayes.batch.lane_mode import find_modes
 from imubayes.batch.lane_posterior import posteriors
 from imubayes.batch.lanes import LANES, LaneStructure, structure_key
+from imubayes.batch.padded_entries import padded_entries
 from imubayes.batch.posterior_table import UnitIdentity, UnitPosterior
 from imubayes.batch.run_batch import ChunkTask, FittedChunk
 from imubayes.batch.unit_sources import UnitSource, identity_of, unread
@@ -82,7 +83,12 @@ def _groups(bound: Sequence[BoundUnit]) -> Iterator[list[BoundUnit]]:
 
 def _fitted(task: ChunkTask, group: Sequence[BoundUnit]) -> dict[str, UnitPosterior]:
     clock = time.perf_counter()
-    fits = _in_lanes_if_possible(group) if task.settings.sample == "none" else [None] * len(group)
+    # A diagnosis takes the readings as they were recorded, without padding.
+    fits = (
+        _in_lanes_if_possible(group, not task.settings.diagnose)
+        if task.settings.sample == "none"
+        else [None] * len(group)
+    )
     shared, done = (time.perf_counter() - clock) / len(group), {}
     for unit, fit in zip(group, fits, strict=True):
         clock = time.perf_counter()
@@ -98,13 +104,13 @@ def _fitted(task: ChunkTask, group: Sequence[BoundUnit]) -> dict[str, UnitPoster
     return done
 
 
-def _in_lanes_if_possible(group: Sequence[BoundUnit]) -> list[Fit | None]:
+def _in_lanes_if_possible(group: Sequence[BoundUnit], padded: bool) -> list[Fit | None]:
     """Return what `_in_lanes` does; None for all where it fails, so that an error is that of one unit.
 
     A matrix without inverse is the fault of a unit.  Any other error is one of this package: it must not go unseen.
     """
     try:
-        return _in_lanes(group)
+        return _in_lanes(group, padded)
     except np.linalg.LinAlgError:
         return [None] * len(group)
     except Exception as error:
@@ -112,20 +118,21 @@ def _in_lanes_if_possible(group: Sequence[BoundUnit]) -> list[Fit | None]:
         return [None] * len(group)
 
 
-def _in_lanes(group: Sequence[BoundUnit]) -> list[Fit | None]:
+def _in_lanes(group: Sequence[BoundUnit], padded: bool) -> list[Fit | None]:
     """Return the fits of units of one structure; None for those that have to be fitted alone."""
     models = [unit.model for unit in group]
-    structure = _structure(group[0])
+    if padded:
+        models = [replace(model, problem=padded_entries(model.problem)) for model in models]
+    structure = _structure(f"{group[0].identity.structure}-{padded}", models[0])
     if structure is None:
         return [None] * len(group)
     varying = structure.stacked(models)
     return posteriors(structure, varying, find_modes(structure, varying), models)
 
 
-def _structure(unit: BoundUnit) -> LaneStructure | None:
-    key = unit.identity.structure
+def _structure(key: str, model: Model) -> LaneStructure | None:
     if key not in _structures:
-        _structures[key] = LaneStructure.of(unit.model.problem)
+        _structures[key] = LaneStructure.of(model.problem)
         if len(_structures) > _MOST_STRUCTURES:
             _structures.popitem(last=False)
     _structures.move_to_end(key)

@@ -26,12 +26,18 @@ class GroupIndex(eqx.Module):
     ----------
     members : shape (G, M), readings of each group, E where padded.
     columns : shape (G, K), parameter of each colour in each group, P where there is none.
+    patterns : shape (U, K), the rows of `columns` that differ.
+    pattern : shape (G,), place among them.
+    alike : shape (U, R), the groups of each pattern, G where padded.
     first : shape (G,), a reading of each group.
     proportional : whether the variances of all readings of a group change by one factor; static.
     """
 
     members: Int[Array, "G M"] | np.ndarray
     columns: Int[Array, "G K"] | np.ndarray
+    patterns: Int[Array, "U K"] | np.ndarray
+    pattern: Int[Array, " G"] | np.ndarray
+    alike: Int[Array, "U R"] | np.ndarray
     first: Int[Array, " G"] | np.ndarray
     proportional: bool = eqx.field(static=True)
 
@@ -55,7 +61,13 @@ def group_index(problem: Problem) -> GroupIndex | None:
     columns = np.full((len(members), len(problem.sparsity.seeds)), count)
     for group, own in enumerate(reach[first]):
         columns[group, colour[own]] = np.flatnonzero(own)
-    return GroupIndex(members, columns, first, _is_proportional(problem, members))
+    patterns, pattern = np.unique(columns, axis=0, return_inverse=True)
+    pattern = pattern.reshape(-1)
+    alike = np.full((len(patterns), np.bincount(pattern).max()), len(columns))
+    for place, row in enumerate(alike):
+        own = np.flatnonzero(pattern == place)
+        row[: len(own)] = own
+    return GroupIndex(members, columns, patterns, pattern, alike, first, _is_proportional(problem, members))
 
 
 def _is_proportional(problem: Problem, members: np.ndarray) -> bool:
@@ -249,15 +261,23 @@ def normal_equations(
 
 def scattered(index: GroupIndex, blocks: Float[Array, "G K K"], size: int) -> Float[Array, "P P"]:
     """Return the sum of blocks at the places of their parameters."""
-    flat = index.columns[:, :, None] * (size + 1) + index.columns[:, None, :]
-    total = jnp.zeros((size + 1) ** 2).at[flat.reshape(-1)].add(blocks.reshape(-1), mode="promise_in_bounds")
+    flat = index.patterns[:, :, None] * (size + 1) + index.patterns[:, None, :]
+    parts = _by_pattern(index, blocks).reshape(-1)
+    total = jnp.zeros((size + 1) ** 2).at[flat.reshape(-1)].add(parts, mode="promise_in_bounds")
     return total.reshape(size + 1, size + 1)[:size, :size]
 
 
 def scattered_vector(index: GroupIndex, parts: Float[Array, "G K"], size: int) -> Float[Array, " P"]:
     """Return the sum of parts at the places of their parameters."""
-    total = jnp.zeros(size + 1).at[index.columns.reshape(-1)].add(parts.reshape(-1), mode="promise_in_bounds")
+    same = _by_pattern(index, parts).reshape(-1)
+    total = jnp.zeros(size + 1).at[index.patterns.reshape(-1)].add(same, mode="promise_in_bounds")
     return total[:size]
+
+
+def _by_pattern(index: GroupIndex, parts: Float[Array, "G *K"]) -> Float[Array, "U *K"]:
+    """Return sums over groups of the same parameters: rows are added fast, single places are scattered to slowly."""
+    padded = jnp.concatenate([parts, jnp.zeros((1, *parts.shape[1:]))])
+    return take(padded, index.alike).sum(axis=1)
 
 
 def expected_information(

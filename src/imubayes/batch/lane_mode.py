@@ -1,9 +1,10 @@
 """The joint fit of units in lanes.
 
 As in `imubayes.inference.posterior_mode`, θ is found by Gauss–Newton steps at given noise scales, and these by the
-maximum of their Laplace marginal, until neither changes.  The model is so nearly linear that two Jacobians are enough
-as a rule: one in the middle of the prior, and one close to the mode.  A lane that is done keeps its values, so that
-the result of a unit does not depend on those beside it.
+maximum of their Laplace marginal, until neither changes.  The model is so nearly linear that three Jacobians are enough
+as a rule: one in the middle of the prior, one after two steps with it, and one at the mode.  Every lane takes the same
+number of steps with a Jacobian, and one that is done keeps its values: the result of a unit does not depend on those
+beside it.
 """
 
 from typing import Any
@@ -20,11 +21,11 @@ from imubayes.batch.group_moments import (
     expected_information,
     grouped_misfit,
     grouped_model,
-    log_marginal_of,
     normal_equations,
     with_misfit,
 )
 from imubayes.batch.lanes import LANES, LaneStructure
+from imubayes.batch.marginal_slope import marginal_slope
 from imubayes.model.problem import Problem
 
 # The decrement, in posterior standard deviations, below which a fit has converged, and that of a fit that is done.
@@ -34,15 +35,16 @@ _NEARLY_LINEAR = 1e-2
 # The marginal of the noise scales needs a Jacobian of the mode: taken no farther away than this.
 _CLOSE = 1.0
 _LINEARISATIONS, _HALVINGS = 20, 6
-# Steps of the noise scales: at most this many, ended by one shorter than _SHORT; a step is at most 1 along each axis.
-_CLIMB, _SHORT, _SHORTEST = 40, 1e-4, 1e-2
+# Steps of the noise scales: at most this many, ended by one shorter than _SHORT, on the way to the mode than _ROUGH; a
+# step is at most 1 along each axis.
+_CLIMB, _SHORT, _ROUGH, _SHORTEST = 40, 1e-4, 0.1, 1e-2
 _LEAST_CURVATURE, _ROUNDING = 0.1, 1e-9
 # The rank-one update is skipped where step and secant error are this close to orthogonal.
 _TELLING = 1e-8
 
 
 class Climb(eqx.Module):
-    """The noise scales of most marginal density in a linearised model.
+    """The noise scales of most marginal density in a linearised model; of several units with the lanes first.
 
     Attributes
     ----------
@@ -51,9 +53,9 @@ class Climb(eqx.Module):
     settled : whether the steps ended.
     """
 
-    h: Float[Array, " H"]
-    curvature: Float[Array, "H H"]
-    settled: Bool[Array, ""]
+    h: Float[Array, "*lanes H"]
+    curvature: Float[Array, "*lanes H H"]
+    settled: Bool[Array, "*lanes"]
 
 
 class Advance(eqx.Module):
@@ -86,24 +88,35 @@ def first_curvature(problem: Problem, index: GroupIndex, model: GroupedModel, h:
     return expected_information(problem, index, model, h)
 
 
-def advance(problem: Problem, index: GroupIndex, model: GroupedModel, h: Array, curvature: Array) -> Advance:
+def advance(
+    problem: Problem, index: GroupIndex, model: GroupedModel, h: Array, curvature: Array, short: Scalar
+) -> Advance:
     """Return the noise scales of most marginal density in the linearised model, and the step to its mode there."""
-    climb = _climbed(problem, index, model, h, curvature)
+    return _towards(problem, index, model, _climbed(problem, index, model, h, curvature, short))
+
+
+def advance_at(problem: Problem, index: GroupIndex, model: GroupedModel, h: Array, curvature: Array) -> Advance:
+    """Return the step to the mode of the linearised model at given noise scales."""
+    return _towards(problem, index, model, Climb(h, curvature, jnp.asarray(True)))
+
+
+def _towards(problem: Problem, index: GroupIndex, model: GroupedModel, climb: Climb) -> Advance:
     known = normal_equations(problem, index, model, climb.h)
     step = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(known.precision), True), known.gradient)
     return Advance(climb, step, jnp.sqrt(jnp.maximum(known.gradient @ step, 0.0)))
 
 
-def _climbed(problem: Problem, index: GroupIndex, model: GroupedModel, h: Array, curvature: Array) -> Climb:
+def _climbed(
+    problem: Problem, index: GroupIndex, model: GroupedModel, h: Array, curvature: Array, least: Scalar
+) -> Climb:
     """Return the mode of the marginal of h by quasi-Newton steps (symmetric rank one) with backtracking."""
-    slope = jax.value_and_grad(lambda point: log_marginal_of(problem, index, model, point))
 
     def body(state):
         h, value, gradient, curvature, length, count, _ = state
         eigenvalues, axes = jnp.linalg.eigh(curvature)
         along = axes.T @ gradient / jnp.maximum(jnp.abs(eigenvalues), _LEAST_CURVATURE)
         step = length * (axes @ jnp.clip(along, -1.0, 1.0))
-        ahead, there = slope(h + step)
+        ahead, there = marginal_slope(problem, index, model, h + step)
         better = ahead >= value - _ROUNDING
         lacking = gradient - there - curvature @ step
         weight = lacking @ step
@@ -113,14 +126,14 @@ def _climbed(problem: Problem, index: GroupIndex, model: GroupedModel, h: Array,
             lambda new, old: jnp.where(better, new, old), (h + step, ahead, there), (h, value, gradient)
         )
         curvature = jnp.where(jnp.all(jnp.isfinite(learnt)), learnt, curvature)
-        short = jnp.max(jnp.abs(step)) < _SHORT
+        short = jnp.max(jnp.abs(step)) < least
         return *chosen, curvature, jnp.where(better, 1.0, 0.3 * length), count + 1, short
 
     def going(state):
         length, count, short = state[4:]
         return (count < _CLIMB) & ~short & (length > _SHORTEST)
 
-    value, gradient = slope(h)
+    value, gradient = marginal_slope(problem, index, model, h)
     start = (h, value, gradient, curvature, jnp.asarray(1.0), jnp.asarray(0), jnp.asarray(False))
     end = jax.lax.while_loop(going, body, start)
     return Climb(end[0], end[3], end[6] | (end[4] <= _SHORTEST))
@@ -138,43 +151,65 @@ def moved(
     return ahead, height(ahead) - height(model)
 
 
-def find_modes(structure: LaneStructure, varying: Problem) -> LaneMode:
-    """Return the joint fits of stacked units, from the middle of the prior."""
+def find_modes(structure: LaneStructure, varying: Problem, given: Array | None = None) -> LaneMode:
+    """Return the joint fits of stacked units, from the middle of the prior.
+
+    Parameters
+    ----------
+    given : noise scales to keep, shape (LANES, H); they are found where None.
+    """
     size, hyper = structure.problem.size
-    z, h = jnp.zeros((LANES, size)), jnp.zeros((LANES, hyper))
-    done = np.zeros(LANES, dtype=bool)
-    result, curvature = None, None
+    z, h = jnp.zeros((LANES, size)), jnp.zeros((LANES, hyper)) if given is None else given
+    middle = structure.run(grouped_model, varying, z)
+    climb = Climb(h, structure.run(first_curvature, varying, middle, h), jnp.ones(LANES, dtype=bool))
+    near, climb = _approached(structure, varying, middle, climb, given is not None)
+    done, result = np.zeros(LANES, dtype=bool), None
     for _ in range(_LINEARISATIONS):
-        model = structure.run(grouped_model, varying, z)
-        if curvature is None:
-            curvature = structure.run(first_curvature, varying, model, h)
-        found, curvature = _one_linearisation(structure, varying, model, h, curvature)
+        model = structure.run(grouped_model, varying, near.z)
+        found, climb = _one_linearisation(structure, varying, model, climb, given is not None)
         result = found if result is None else _chosen(done, result, found)
         done = done | np.asarray(found.converged) | ~np.isfinite(np.asarray(found.decrement))
         if done.all():
             break
-        z, h = result.model.z, result.h
+        near = result.model
+        climb = eqx.tree_at(lambda c: c.h, climb, result.h)
     assert result is not None
     return result
 
 
+def _advanced(
+    structure: LaneStructure, varying: Problem, model: GroupedModel, climb: Climb, short: float, keep: bool
+) -> Advance:
+    """Return where the linearised models end, noise scales as they are where they are to be kept."""
+    if keep:
+        return structure.run(advance_at, varying, model, climb.h, climb.curvature)
+    return structure.run(advance, varying, model, climb.h, climb.curvature, jnp.full(LANES, short))
+
+
+def _approached(
+    structure: LaneStructure, varying: Problem, model: GroupedModel, climb: Climb, keep: bool
+) -> tuple[GroupedModel, Climb]:
+    """Return the models after two steps with the Jacobian of the middle of the prior, and the noise scales."""
+    first = _advanced(structure, varying, model, climb, _ROUGH, keep)
+    near = _stepped(structure, varying, model, first)
+    second = structure.run(advance_at, varying, near, first.climb.h, first.climb.curvature)
+    return _stepped(structure, varying, near, second), first.climb
+
+
 def _one_linearisation(
-    structure: LaneStructure, varying: Problem, model: GroupedModel, h: Array, curvature: Array
-) -> tuple[LaneMode, Array]:
-    """Return where the fits end with one Jacobian, and the curvature of the noise scales learnt on the way."""
-    first = structure.run(advance, varying, model, h, curvature)
+    structure: LaneStructure, varying: Problem, model: GroupedModel, climb: Climb, keep: bool
+) -> tuple[LaneMode, Climb]:
+    """Return where the fits end with one Jacobian, and the noise scales with the curvature learnt on the way."""
+    first = _advanced(structure, varying, model, climb, _SHORT, keep)
     near, decrement = _stepped(structure, varying, model, first), np.asarray(first.decrement)
-    close = decrement < _CLOSE
-    if not close.any():
-        return LaneMode(near, first.climb.h, first.decrement, jnp.asarray(close)), first.climb.curvature
-    second = structure.run(advance, varying, near, first.climb.h, first.climb.curvature)
+    second = _advanced(structure, varying, near, first.climb, _SHORT, keep)
     ended, _ = structure.run(moved, varying, near, second.climb.h, second.step)
     left = np.asarray(second.decrement)
     share = left / np.maximum(decrement, _DONE)
     ready = (share < _NEARLY_LINEAR) | (decrement < _DONE)
     error = left * np.minimum(share, 1.0)
-    converged = close & ready & (error < _DECREMENT) & np.asarray(second.climb.settled)
-    return LaneMode(ended, second.climb.h, jnp.asarray(error), jnp.asarray(converged)), second.climb.curvature
+    converged = (decrement < _CLOSE) & ready & (error < _DECREMENT) & np.asarray(second.climb.settled)
+    return LaneMode(ended, second.climb.h, jnp.asarray(error), jnp.asarray(converged)), second.climb
 
 
 def _stepped(structure: LaneStructure, varying: Problem, model: GroupedModel, first: Advance) -> GroupedModel:

@@ -20,6 +20,7 @@ from imubayes.array_shapes import Array, Float
 from imubayes.batch.group_moments import GroupedModel, GroupIndex, log_marginal_of, normal_equations
 from imubayes.batch.lane_mode import LaneMode
 from imubayes.batch.lanes import LANES, LaneStructure, of_lane
+from imubayes.batch.marginal_slope import marginal_slope
 from imubayes.inference.conditional_precision import ExactPrecision
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import HyperProbes, NestedLaplace, curved_directions, hyper_probes
@@ -46,11 +47,14 @@ class LaneDraws(eqx.Module):
 
 def hyper_curvature(problem: Problem, index: GroupIndex, model: GroupedModel, h: Float[Array, " H"]) -> Curvature:
     """Return value, gradient and negative Hessian of the Laplace marginal of h."""
-    slope = jax.value_and_grad(lambda point: log_marginal_of(problem, index, model, point))
-    value, gradient = slope(h)
+
+    def slope(point: Array) -> Array:
+        return marginal_slope(problem, index, model, point)[1]
+
+    value, gradient = marginal_slope(problem, index, model, h)
 
     def row(axis: Array) -> Array:
-        return (slope(h - _APART * axis)[1] - slope(h + _APART * axis)[1]) / (2 * _APART)
+        return (slope(h - _APART * axis) - slope(h + _APART * axis)) / (2 * _APART)
 
     rows = jax.lax.map(row, jnp.eye(h.shape[0]))
     return Curvature(value, gradient, 0.5 * (rows + rows.T))

@@ -7,15 +7,17 @@ model leaves outputs unexplained that are no noise and no small error.
 
 import math
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Channel
 from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
 from imubayes.json_record import finite
 from imubayes.model.bind import Model
 from imubayes.model.bound_effects import BoundEffect
-from imubayes.parameters.vector import Parameter
+from imubayes.parameters.vector import Parameter, Priors
 from imubayes.units import to_si
 
 # Distance from the middle of a prior, in its standard deviations, from which the estimate is of something else.
@@ -41,18 +43,27 @@ def implausible_estimates(model: Model, z: np.ndarray, h: np.ndarray) -> tuple[I
     ----------
     z, h : shapes (P,) and (H,), posterior mode.
     """
-    at = dict(zip((*model.layout.names, *model.hyper_layout.names), [*z.tolist(), *h.tolist()], strict=True))
+    names, problem = (*model.layout.names, *model.hyper_layout.names), model.problem
+    values = np.concatenate([_in_si(problem.priors, z), _in_si(problem.hyper_priors, h)])
+    at = dict(zip(names, zip([*z.tolist(), *h.tolist()], values.tolist(), strict=True), strict=True))
     judged = [
-        _judged(effect, parameter, at[parameter.name], model.campaign.site.gravity)
+        _judged(effect, parameter, *at[parameter.name], model.campaign.site.gravity)
         for effect in model.assembly.effects
         for parameter in (*effect.parameters, *effect.hyperparameters)
     ]
     return tuple(sorted((each for each in judged if each is not None), key=lambda each: -each.distance))
 
 
-def _judged(effect: BoundEffect, parameter: Parameter, z: float, gravity: float) -> ImplausibleEstimate | None:
+@eqx.filter_jit
+def _in_si(priors: Priors, z: Float[Array, " n"]) -> Float[Array, " n"]:
+    return priors.values(z)
+
+
+def _judged(
+    effect: BoundEffect, parameter: Parameter, z: float, si: float, gravity: float
+) -> ImplausibleEstimate | None:
     declared = effect.declared[parameter.field]
-    value = _in_unit(parameter, z)
+    value = si / parameter.factor
     lowest, highest = -math.inf, math.inf
     if declared.domain is not None:
         unit = to_si(declared.domain.unit, gravity) / parameter.factor
@@ -68,14 +79,10 @@ def _judged(effect: BoundEffect, parameter: Parameter, z: float, gravity: float)
         value=value,
         lowest=None if inside else finite(lowest),
         highest=None if inside else finite(highest),
-        prior_mean=finite(_in_unit(parameter, 0.0)),
+        prior_mean=finite(float(parameter.prior.value(jnp.asarray(0.0))) / parameter.factor),
         prior_sd=finite(parameter.prior_sd),
         distance=abs(z),
     )
-
-
-def _in_unit(parameter: Parameter, z: float) -> float:
-    return float(parameter.prior.value(jnp.asarray(z))) / parameter.factor
 
 
 def unexplained_outputs(model: Model, misfit: np.ndarray) -> tuple[UnexplainedOutput, ...]:
@@ -83,9 +90,10 @@ def unexplained_outputs(model: Model, misfit: np.ndarray) -> tuple[UnexplainedOu
 
     Parameters
     ----------
-    misfit : shape (E,), measured less predicted values, output units.
+    misfit : shape (E,), measured less predicted values, output units; what follows is padding.
     """
     entries, found = model.entries, []
+    misfit = misfit[: len(entries.channel)]
     for place, channel in enumerate(model.campaign.channels):
         here = (entries.channel == place) & ~np.asarray(entries.closing)
         if channel.kind in INPUT_UNIT and channel.noise and here.any():
