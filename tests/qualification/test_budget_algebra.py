@@ -5,13 +5,13 @@ import pytest
 
 from imubayes.qualification.budget_algebra import (
     degrees_of_freedom,
-    deviation_with_exact_priors,
     deviation_with_halved_groups,
-    deviation_with_halved_priors,
     deviation_with_more_of_a_run,
     effective_degrees,
     linear_contributions,
     posterior_covariance,
+    variance_with_exact_priors,
+    variance_with_halved_priors,
 )
 
 RANDOM = np.random.default_rng(7)
@@ -54,14 +54,14 @@ def test_contributions_are_those_of_simulated_repetitions():
 
 
 def test_exact_prior_agrees_with_a_refit():
-    found = deviation_with_exact_priors(GRADIENTS, COVARIANCE)
+    found = np.sqrt(variance_with_exact_priors(GRADIENTS, COVARIANCE))
     for prior in range(6):
         widths = np.where(np.arange(6) == prior, 1e-7, WIDTHS)
         np.testing.assert_allclose(found[:, prior], refitted(WHITENED, widths), rtol=1e-6)
 
 
 def test_halved_inputs_agree_with_refits():
-    priors = deviation_with_halved_priors(GRADIENTS, COVARIANCE, WIDTHS)
+    priors = np.sqrt(variance_with_halved_priors(GRADIENTS, COVARIANCE, WIDTHS[None, :]))
     for prior in range(6):
         widths = np.where(np.arange(6) == prior, WIDTHS / 2, WIDTHS)
         np.testing.assert_allclose(priors[:, prior], refitted(WHITENED, widths), rtol=1e-9)

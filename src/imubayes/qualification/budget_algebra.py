@@ -16,6 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.array_shapes import Array
+
 
 @dataclass(frozen=True)
 class LinearContributions:
@@ -70,18 +72,16 @@ def type_a_contributions(along: np.ndarray, whitened: np.ndarray, member: np.nda
     return (member.astype(float) @ (whitened @ along.T) ** 2).T
 
 
-def deviation_with_exact_priors(gradients: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of each quantity if one prior mean were known exactly, shape (Q, P)."""
+def variance_with_exact_priors(gradients: Array, covariance: Array) -> Array:
+    """Return the variance of each quantity if one prior mean were known exactly, shape (Q, P)."""
     along = gradients @ covariance
-    variance = np.sum(along * gradients, axis=1)[:, None] - along**2 / np.diagonal(covariance)
-    return np.sqrt(np.maximum(variance, 0.0))
+    return (along * gradients).sum(axis=1)[:, None] - along**2 / covariance.diagonal()[None, :]
 
 
-def deviation_with_halved_priors(gradients: np.ndarray, covariance: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of each quantity if one prior were half as wide, shape (Q, P)."""
+def variance_with_halved_priors(gradients: Array, covariance: Array, widths: Array) -> Array:
+    """Return the variance of each quantity if one prior, widths (1, P), were half as wide, shape (Q, P)."""
     along, added = gradients @ covariance, 3 / widths**2
-    variance = np.sum(along * gradients, axis=1)[:, None]
-    return np.sqrt(np.maximum(variance - along**2 * added / (1 + added * np.diagonal(covariance)), 0.0))
+    return (along * gradients).sum(axis=1)[:, None] - along**2 * added / (1 + added * covariance.diagonal()[None, :])
 
 
 def deviation_with_halved_groups(

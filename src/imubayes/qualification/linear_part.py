@@ -24,7 +24,11 @@ from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import Linearised
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
 from imubayes.model.problem import Problem, prior_widths
-from imubayes.qualification.budget_algebra import inverse_of
+from imubayes.qualification.budget_algebra import (
+    inverse_of,
+    variance_with_exact_priors,
+    variance_with_halved_priors,
+)
 
 # Draws bent back at once.
 _AT_ONCE = 500
@@ -53,12 +57,15 @@ class ConditionalMoments:
     variance, mean : shape (n, Q); the mean from the mode.
     type_b : shape (Q, P), contribution of each prior, averaged over the draws.
     sensitivity : shape (Q, P), ∂q/∂(prior mean), averaged likewise.
+    exact_prior, halved_prior : shape (Q, P), variance with one prior exact, or half as wide, averaged likewise.
     """
 
     variance: np.ndarray
     mean: np.ndarray
     type_b: np.ndarray
     sensitivity: np.ndarray
+    exact_prior: np.ndarray
+    halved_prior: np.ndarray
 
     @property
     def spread(self) -> np.ndarray:
@@ -107,14 +114,19 @@ def _moments(
 ):
     def at(sums, scales):
         precision, slope = conditional(blocks, problem, scales)
-        along = cho_solve(cho_factor(precision, lower=True), gradients.T).T
-        widths = prior_widths(problem, scales)
-        sums = (sums[0] + (along / widths[None, :]) ** 2, sums[1] + along / widths[None, :] ** 2)
-        return sums, (jnp.sum(along * gradients, axis=1), along @ slope)
+        covariance = cho_solve(cho_factor(precision, lower=True), jnp.eye(len(precision)))
+        along, widths = gradients @ covariance, prior_widths(problem, scales)
+        each = (
+            (along / widths[None, :]) ** 2,
+            along / widths[None, :] ** 2,
+            variance_with_exact_priors(gradients, covariance),
+            variance_with_halved_priors(gradients, covariance, widths[None, :]),
+        )
+        variance = jnp.sum(along * gradients, axis=1)
+        return tuple(total + own for total, own in zip(sums, each, strict=True)), (variance, along @ slope)
 
-    zero = jnp.zeros_like(gradients)
-    (type_b, sensitivity), (variance, mean) = jax.lax.scan(at, (zero, zero), h)
-    return variance, mean, type_b / len(h), sensitivity / len(h)
+    sums, (variance, mean) = jax.lax.scan(at, (jnp.zeros_like(gradients),) * 4, h)
+    return variance, mean, *(total / len(h) for total in sums)
 
 
 def conditional_moments(part: LinearPart, problem: Problem, gradients: np.ndarray, h: np.ndarray) -> ConditionalMoments:

@@ -184,14 +184,19 @@ def _of_standard(quantity: StandardQuantity, found: StandardDraws, unit: TestedU
 
 
 def not_estimated(result: Result, unit: TestedUnit | None, diagnosis: Diagnosis | None) -> tuple[NotEstimated, ...]:
-    """Return the quantities of the standards that the result lacks, and what the diagnosis says of each."""
+    """Return the quantities of the standards that the result lacks, and what the diagnosis says of each.
+
+    None where the fit did not converge, which lacks all of them.
+    """
+    if unit is None:
+        return ()
     campaign = result.fit.model.campaign
     kinds = {channel.kind for channel in campaign.channels}
     in_model = {effect.name for effect in result.fit.model.spec.effects}
-    under_test = None if unit is None else standards_input(result, unit)
+    under_test = standards_input(result, unit)
     found = []
     for quantity in STANDARD_QUANTITIES:
-        if quantity.kind not in kinds or (under_test is not None and draws_of_standard(quantity, under_test)):
+        if quantity.kind not in kinds or draws_of_standard(quantity, under_test):
             continue
         reason, needs = _why_missing(quantity, in_model, diagnosis)
         found.append(

@@ -27,15 +27,14 @@ from imubayes.qualification.angle_components import NEAR, component_gradients
 from imubayes.qualification.budget_algebra import (
     LinearContributions,
     degrees_of_freedom,
-    deviation_with_exact_priors,
     deviation_with_halved_groups,
-    deviation_with_halved_priors,
     deviation_with_more_of_a_run,
     posterior_covariance,
     type_a_contributions,
 )
 from imubayes.qualification.budget_record import Source
 from imubayes.qualification.linear_part import (
+    ConditionalMoments,
     LinearPart,
     QuantityDerivatives,
     conditional_covariance,
@@ -182,22 +181,6 @@ class _Rows:
         return found
 
 
-@dataclass(frozen=True)
-class _OverScales:
-    """What depends on the noise scales, at n draws of them.
-
-    Attributes
-    ----------
-    type_a : shape (R, G, n), contributions of the runs.
-    exact_prior, halved_prior : shape (R, P), variance with one prior exact, or half as wide, over the variance as it
-        is; both averaged over the draws: at the mode a scatter known from few runs is understated.
-    """
-
-    type_a: np.ndarray
-    exact_prior: np.ndarray
-    halved_prior: np.ndarray
-
-
 def budget_of(
     result: Result, names: Sequence[str], functions: Mapping[str, FunctionOfQuantities] | None = None
 ) -> BudgetArrays:
@@ -229,8 +212,7 @@ def budget_of(
     per_draw = (len(fit.z) / 3 + 2 * len(rows.gradient)) * len(fit.z) ** 2
     h = _evenly(draws.h, max(SPLIT_DRAWS, int(CONDITIONING_WORK / per_draw)))
     moments = conditional_moments(part, problem, rows.gradient, h)
-    over_scales = _over_scales(problem, about, part, member, rows.gradient, _evenly(h, SPLIT_DRAWS))
-    split = rows.summed(over_scales.type_a)
+    split = rows.summed(_over_runs(problem, about, part, member, rows.gradient, _evenly(h, SPLIT_DRAWS)))
     type_b, linear = rows.summed(moments.type_b), rows.summed(moments.variance.mean(axis=0))
     scales = rows.summed(moments.mean.var(axis=0))
     variances = posterior_variances(part, derivatives, linear + scales, rows.summed(moments.spread), draws)
@@ -252,7 +234,7 @@ def budget_of(
         second_order=np.where(at_zero, 0.0, variances.second_order),
         posterior=variances.posterior,
         posterior_error=variances.error,
-        improved=_improvements(fit, rows, whitened, widths, factor, over_scales),
+        improved=_improvements(fit, rows, whitened, widths, factor, moments),
         correlation=_correlation(complete(draws.values)),
         at_zero=tuple(components),
         gradient=rows.gradient,
@@ -266,20 +248,23 @@ def _members(fit: Fit) -> np.ndarray:
 
 
 def _improvements(
-    fit: Fit, rows: _Rows, whitened: np.ndarray, widths: np.ndarray, factor: np.ndarray, over_scales: _OverScales
+    fit: Fit, rows: _Rows, whitened: np.ndarray, widths: np.ndarray, factor: np.ndarray, moments: ConditionalMoments
 ) -> Improvements:
     """Return what better inputs would leave; `factor`, (Q, 1), scales variances at the mode."""
     gradient, member = rows.gradient, _members(fit)
     covariance, groups = posterior_covariance(whitened, widths), nuisance_groups(fit.model.layout)
     now = np.sum((gradient @ covariance) * gradient, axis=1)[:, None]
+    # At the mode a scatter that is known from few runs is understated: shares of the averaged variance are taken.
+    averaged = moments.variance.mean(axis=0)[:, None]
+    exact, halved = (_ratio(np.maximum(each, 0.0), averaged) for each in (moments.exact_prior, moments.halved_prior))
 
     def deviation(values: np.ndarray) -> np.ndarray:
         return np.sqrt(factor * rows.summed(values**2))
 
     return Improvements(
         at_mode=deviation(np.sqrt(now))[:, 0],
-        exact_prior=deviation(np.sqrt(now * over_scales.exact_prior)),
-        halved_prior=deviation(np.sqrt(now * over_scales.halved_prior)),
+        exact_prior=deviation(np.sqrt(now * exact)),
+        halved_prior=deviation(np.sqrt(now * halved)),
         groups=tuple(groups),
         halved_groups=deviation(deviation_with_halved_groups(gradient, whitened, widths, list(groups.values()))),
         halved_noise=deviation(deviation_with_more_of_a_run(gradient, whitened, member, widths, 3.0)),
@@ -373,21 +358,16 @@ def _whitened(problem: Problem, about: Linearised, h: Float[Array, " H"]):
     return whiten(problem, whitener(problem, h), about.jacobian), prior_widths(problem, h)
 
 
-def _over_scales(
+def _over_runs(
     problem: Problem, about: Linearised, part: LinearPart, member: np.ndarray, gradients: np.ndarray, h: np.ndarray
-) -> _OverScales:
-    """Return what depends on the noise scales, at draws of them, (n, H)."""
-    type_a, shape = [], (len(gradients), len(part.z))
-    variance, exact, halved = np.zeros((len(gradients), 1)), np.zeros(shape), np.zeros(shape)
+) -> np.ndarray:
+    """Return the contributions of the runs, (R, G, n), at draws of the noise scales, (n, H)."""
+    found = []
     for scales in h:
-        whitened, widths = (np.asarray(each) for each in _whitened(problem, about, jnp.asarray(scales)))
-        covariance = conditional_covariance(part, problem, scales)
-        along = gradients @ covariance
-        type_a.append(type_a_contributions(along, whitened, member))
-        variance += np.sum(along * gradients, axis=1)[:, None]
-        exact += deviation_with_exact_priors(gradients, covariance) ** 2
-        halved += deviation_with_halved_priors(gradients, covariance, widths) ** 2
-    return _OverScales(np.stack(type_a, axis=2), _ratio(exact, variance), _ratio(halved, variance))
+        whitened, _ = _whitened(problem, about, jnp.asarray(scales))
+        along = gradients @ conditional_covariance(part, problem, scales)
+        found.append(type_a_contributions(along, np.asarray(whitened), member))
+    return np.stack(found, axis=2)
 
 
 def _standardised(layout: Layout, draws: dict[str, np.ndarray]) -> np.ndarray:

@@ -15,7 +15,12 @@ from imubayes.display.qualification.words import (
     rule_text,
 )
 from imubayes.display.rounding import rounded, significant
-from imubayes.qualification.report_record import Conformity, LimitOutcome, QualificationReport
+from imubayes.qualification.report_record import (
+    Conformity,
+    LimitOutcome,
+    QualificationReport,
+    ReportedConvergence,
+)
 
 
 def banner(report: QualificationReport) -> Banner:
@@ -77,10 +82,14 @@ def facts(report: QualificationReport) -> list[tuple[str, str]]:
         ("Procedures", ", ".join(name.replace("_", " ") for name in procedures)),
         ("Channels", ", ".join(f"{channel.name} ({channel.kind})" for channel in subject.channels)),
         ("Model", f"{report.provenance.model}, {len(report.provenance.effects)} effects"),
-        ("Evaluation", f"{method}, {report.convergence.draws or 0} draws; {report.interval}s"),
+        ("Evaluation", _evaluation(report.convergence, method, report.interval)),
         ("Converged", "yes" if report.convergence.converged else "NO"),
         ("Model adequacy", VERDICTS[verdict] if verdict is not None else "NOT DIAGNOSED"),
     ]
+
+
+def _evaluation(convergence: ReportedConvergence, method: str, interval: str) -> str:
+    return f"{method}, {convergence.draws} draws; {interval}s" if convergence.draws else "none: there are no draws"
 
 
 def _day(start: str) -> str:

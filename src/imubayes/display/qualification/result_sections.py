@@ -46,6 +46,8 @@ def standards_section(report: QualificationReport) -> list[Block]:
     for standard in dict.fromkeys(each.standard for each in report.standards):
         own = [each for each in report.standards if each.standard == standard]
         found.append(_standard_table(standard, own))
+    if not report.convergence.converged:
+        found.append(Paragraph("None is stated: the fit did not converge."))
     if report.not_estimated:
         found.append(_not_estimated(report.not_estimated))
     return found
