@@ -14,6 +14,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -31,6 +32,7 @@ MODELS = {
 }  # fmt: skip
 TIMES_DETECTABLE, LARGEST = 10.0, 30.0
 """Planted size over the smallest detectable one, and over the largest typical one: larger plants are passed over."""
+SIZING_STEPS = 12
 
 Line = dict[str, Any]
 
@@ -63,10 +65,27 @@ def plants(fitted: Any, seed: int) -> Iterator[tuple[str, str, np.ndarray, float
             continue  # absorbed in full: no size can be detected
         names = [coefficient.parameter.name for coefficient in coefficients]
         needed = smallest.smallest_detectable * float(np.linalg.norm(one.projected[:, names.index(smallest.name)]))
-        scale = TIMES_DETECTABLE * needed / length
-        size = float(scale * np.abs(direction / sizes).max())
-        if size < LARGEST:
-            yield effect, owner, change(one.response, scale * direction), size
+        shift, scale = sized(partial(change, one.response), at, direction / length, TIMES_DETECTABLE * needed)
+        size = float(scale / length * np.abs(direction / sizes).max())
+        if size < LARGEST and shift is not None:
+            yield effect, owner, shift, size
+
+
+def sized(
+    change: Callable[[np.ndarray], np.ndarray], at: Any, direction: np.ndarray, target: float
+) -> tuple[np.ndarray | None, float]:
+    """Return the whole shift, (E,), whose projected length is within a fifth of the target, and its size; None if none.
+
+    A dead zone of almost no width has a derivative, and hardly any response.
+    """
+    scale = target
+    for _ in range(SIZING_STEPS):
+        shift = change(scale * direction)
+        seen = float(np.linalg.norm(at.project(at.whitened(shift[:, None]))))
+        if abs(seen / target - 1) < 0.2:
+            return shift, scale
+        scale *= float(np.clip(target / max(seen, 1e-300), 0.1, 10.0))
+    return None, scale
 
 
 def whole_response(fitted: Any) -> Callable[[Any, np.ndarray], np.ndarray]:

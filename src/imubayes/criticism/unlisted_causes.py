@@ -4,6 +4,7 @@ A single name is certain only where the runs could have shown another cause.  Wh
 covariates explains the same, or explains more of the residual, and none of the effects named is that function, a cause
 that the catalogue lacks would look alike: in positions of a gyro, magnetic sensitivity past the model is what a scale
 factor error would be.  The two components of a vector across the input axis are one function, linear in both.
+Of an effect that remembers the temperature, the other kind of memory is such a cause.
 """
 
 import numpy as np
@@ -15,6 +16,7 @@ from imubayes.criticism.projection import orthonormal
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.stepwise_search import Screening, SearchResult
+from imubayes.criticism.temperature_memory import other_memory
 
 Causes = tuple[tuple[ResidualCovariate, ...], ...]
 """Covariates, one or two, of each plain function."""
@@ -36,6 +38,8 @@ def unlisted_causes(found: SearchResult, group: EquivalenceGroup) -> Causes:
         if _as_good(leader, along, gain, freedom) and not _is_one_of(scan, feature, raw)
     ]
     by_name = {tuple(covariate.name for covariate in feature.covariates): feature.covariates for feature in near}
+    if (remembered := other_memory(found, group)) is not None:
+        by_name[remembered.name,] = (remembered,)
     return tuple(by_name.values())
 
 

@@ -1,0 +1,140 @@
+"""Whether the data tell how an effect remembers the temperature: by a lag, or by play.
+
+A thermal lag and a thermal hysteresis of the same bias differ by what follows a turn of the temperature and by nothing
+else; on ramps of one rate, and where the temperature hardly changes, each imitates the other.  A finding of one kind is
+therefore compared with the other kind at several shapes, whether or not the catalogue has it: both follow the recorded
+temperatures from row to row, along straight lines between them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.criticism import thresholds
+from imubayes.criticism.candidate_effects import Response, ShapeScan
+from imubayes.criticism.equivalent_effects import EquivalenceGroup, indistinguishable
+from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.criticism.score_test import assess, project_responses
+from imubayes.criticism.stepwise_search import SearchResult
+from imubayes.effects.base import Effect
+from imubayes.effects.shared_formulas import TemperatureLag, TemperaturePlay
+from imubayes.inference.fitted_model import Fit
+
+LAG, PLAY, RATE = "lag", "play", "rate"
+_SHAPES = {LAG: "tau", PLAY: "play", RATE: ""}
+_COLUMNS = {"temperature": "temperature_degC", "converter_temperature": "converter_temperature_degC"}
+_RATES = {f"{name}_rate": name for name in _COLUMNS}
+_MINUTE = 60.0
+
+
+@dataclass(frozen=True)
+class Course:
+    """A temperature of one run over its rows, and their times in s, both (rows,)."""
+
+    temperature: np.ndarray
+    time: np.ndarray
+
+    def lag(self, tau: float) -> np.ndarray:
+        """Return the lagged less the true temperature for a time constant in s; exact along straight lines."""
+        behind = np.zeros(len(self.time))
+        steps, changes = np.diff(self.time), np.diff(self.temperature)
+        for row, (step, change) in enumerate(zip(steps.tolist(), changes.tolist(), strict=True)):
+            fade = np.exp(-step / tau)
+            behind[row + 1] = behind[row] * fade - change * tau / step * (1 - fade)
+        return behind
+
+    def play(self, width: float) -> np.ndarray:
+        """Return the place within a play of ±width that the temperature drags along, −1 … 1; 0 at first."""
+        place = np.zeros(len(self.time))
+        for row, change in enumerate(np.diff(self.temperature).tolist()):
+            place[row + 1] = np.clip(place[row] + change / width, -1.0, 1.0)
+        return place
+
+    def memory(self, kind: str, shape: float) -> np.ndarray:
+        """Return the lag of a time constant in min, the play of a width in °C, or the rate of change."""
+        if kind == RATE:
+            return np.gradient(self.temperature, self.time)
+        return self.lag(_MINUTE * shape) if kind == LAG else self.play(shape)
+
+
+def kind_of_memory(member: type) -> str:
+    """Return how an effect remembers a temperature: `LAG`, `PLAY`, as a very short lag by its `RATE`, or nothing."""
+    if not issubclass(member, Effect):
+        return ""
+    if issubclass(member, TemperatureLag):
+        return LAG
+    return PLAY if issubclass(member, TemperaturePlay) else RATE if set(member.needs) & set(_RATES) else ""
+
+
+def other_memory(found: SearchResult, group: EquivalenceGroup) -> ResidualCovariate | None:
+    """Return the temperature that the leader of a group remembers, where another kind of memory fits as well.
+
+    None where the leader has no memory, where the other kinds are in the group, or where the data tell them apart.
+    """
+    at, leader = found.first.projection, group.leader
+    effects = at.fitted.model.registry.effects
+    own, known = kind_of_memory(effects[leader.effect]), {kind_of_memory(effects[name]) for name in group.effects}
+    if not own or {LAG, PLAY} <= known:
+        return None
+    name = next(_RATES.get(need, need) for need in effects[leader.effect].needs if need in (*_COLUMNS, *_RATES))
+    courses = _courses(at.fitted, name)
+    factor = _factor(found, group, courses, own)
+    span = max((float(np.ptp(course.temperature)) for course in courses.values()), default=0.0)
+    shapes = {LAG: thresholds.TIME_CONSTANTS_MIN, PLAY: [share * span for share in thresholds.PLAY_SHARES]}
+    responses = [
+        Response(
+            ShapeScan(other, {_SHAPES[other]: shape}),
+            leader.coefficients,
+            factor * _memory(at.fitted, courses, other, shape),
+        )
+        for other in shapes
+        if other not in known
+        for shape in shapes[other]
+        if shape > 0
+    ]
+    rivals = [assess(at, each, np.arange(len(leader.coefficients))) for each in project_responses(at, responses)]
+    if any(rival.dof and indistinguishable(at, leader, rival) for rival in rivals):
+        return next(each for each in found.covariates if each.name == _COLUMNS[name])
+    return None
+
+
+def _factor(found: SearchResult, group: EquivalenceGroup, courses: dict[int, Course], own: str) -> np.ndarray:
+    """Return what multiplies the memory in the response to the leader, (E, C): a constant or the input, by channel."""
+    at, leader = found.first.projection, group.leader
+    response = next(each.response for each in found.first.prepared if each.response.scan == leader.scan)
+    names = [coefficient.parameter.name for coefficient in response.coefficients]
+    columns = response.columns[:, [names.index(each.parameter.name) for each in leader.coefficients]]
+    memory = _memory(at.fitted, courses, own, leader.scan.shape.get(_SHAPES[own], 0.0))
+    places = {channel.name: place for place, channel in enumerate(at.fitted.model.campaign.channels)}
+    entries = at.fitted.model.entries
+    here = np.stack([entries.channel == places[each.owner] for each in leader.coefficients], axis=1)
+    best, least = columns, np.inf
+    for multiplier in (np.ones(len(memory)), at.input):
+        plain = here * multiplier[:, None] * memory
+        size = np.sum(plain * columns, axis=0) / np.maximum(np.sum(plain**2, axis=0), 1e-300)
+        left = float(np.sum((columns - plain * size) ** 2))
+        if left < least:
+            best, least = here * multiplier[:, None] * size, left
+    return best
+
+
+def _courses(fitted: Fit, name: str) -> dict[int, Course]:
+    """Return the course of a temperature in each run that has it at known times, by the place of the run."""
+    found = {}
+    for place, run in enumerate(fitted.model.campaign.runs):
+        time, values = run.covariates.get("time"), run.covariates.get(name)
+        if time is None or values is None or len(time) < 2:
+            continue
+        if np.all(np.isfinite(values)) and np.all(np.diff(time) > 0):
+            found[place] = Course(values, time)
+    return found
+
+
+def _memory(fitted: Fit, courses: dict[int, Course], kind: str, shape: float) -> np.ndarray:
+    """Return the memory of every entry, (E, 1); 0 in a run without the temperature."""
+    entries = fitted.model.entries
+    values = np.zeros((len(entries), 1))
+    for place, course in courses.items():
+        here = (entries.run == place) & ~entries.closing
+        values[here, 0] = course.memory(kind, shape)[entries.row[here]]
+    return values
