@@ -79,23 +79,22 @@ def other_memory(found: SearchResult, group: EquivalenceGroup) -> ResidualCovari
     name = next(_RATES.get(need, need) for need in effects[leader.effect].needs if need in (*_COLUMNS, *_RATES))
     courses = _courses(at.fitted, name)
     factor = _factor(found, group, courses, own)
-    span = max((float(np.ptp(course.temperature)) for course in courses.values()), default=0.0)
-    shapes = {LAG: thresholds.TIME_CONSTANTS_MIN, PLAY: [share * span for share in thresholds.PLAY_SHARES]}
     responses = [
-        Response(
-            ShapeScan(other, {_SHAPES[other]: shape}),
-            leader.coefficients,
-            factor * _memory(at.fitted, courses, other, shape),
-        )
-        for other in shapes
-        if other not in known
-        for shape in shapes[other]
-        if shape > 0
+        Response(scan, leader.coefficients, factor * _memory(at.fitted, courses, scan.effect, *scan.shape.values()))
+        for scan in _others(courses, known)
     ]
     rivals = [assess(at, each, np.arange(len(leader.coefficients))) for each in project_responses(at, responses)]
     if any(rival.dof and indistinguishable(at, leader, rival) for rival in rivals):
         return next(each for each in found.covariates if each.name == _COLUMNS[name])
     return None
+
+
+def _others(courses: dict[int, Course], known: set[str]) -> list[ShapeScan]:
+    """Return the kinds of memory but the known ones, each at several shapes."""
+    span = max((float(np.ptp(course.temperature)) for course in courses.values()), default=0.0)
+    widths = [share * span for share in thresholds.PLAY_SHARES] if span > 0 else []
+    shapes = {LAG: thresholds.TIME_CONSTANTS_MIN, PLAY: widths}
+    return [ShapeScan(kind, {_SHAPES[kind]: shape}) for kind in shapes if kind not in known for shape in shapes[kind]]
 
 
 def _factor(found: SearchResult, group: EquivalenceGroup, courses: dict[int, Course], own: str) -> np.ndarray:
