@@ -156,6 +156,8 @@ def mislabelled(files: Files, generator: np.random.Generator) -> Planted | None:
     runs = files.of(*RATED, *ANGLED)
     run = runs[generator.integers(len(runs))]
     names = [str(mounting["name"]) for mounting in files.document["mounting"] if mounting["name"] != run["mounting"]]
+    if not names:
+        return None
     wrong = str(generator.choice(names))
     next(entry for entry in files.document["run"] if entry["name"] == run["name"])["mounting"] = wrong
     files.save()

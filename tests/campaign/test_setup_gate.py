@@ -24,7 +24,7 @@ SUBTLE = (
     "latitude", "latitude_value", "height", "fahrenheit", "fahrenheit_throughout", "thermometers",
     "temperature_reversed",
 )  # fmt: skip
-"""Mistakes that show against the run-to-run scatter of a unit or not at all; the study counts how often they do."""
+"""Mistakes that few campaigns show; the study counts them like all others where they can be detected."""
 
 
 @pytest.fixture(scope="module")
@@ -145,10 +145,7 @@ def test_an_unknown_name_is_no_finding_to_accept(valid: dict[int, Path], tmp_pat
 
 @pytest.mark.slow
 def test_a_thousand_seeded_mistakes(tmp_path: Path) -> None:
-    """Of 1000 mistakes that somebody could detect 99 % are named with their remedy, on seeds of the study alone.
-
-    The subtle ones are counted beside them.
-    """
+    """Of 1000 mistakes that somebody could detect 99 % are named with their remedy, on seeds of the study alone."""
     counts, missed, made, seed = Counter(), [], 0, 100_000
     while made < 1000:
         folder = tmp_path / str(seed)
@@ -160,8 +157,8 @@ def test_a_thousand_seeded_mistakes(tmp_path: Path) -> None:
             if planted is not None:
                 seen, named = _detectable(folder, wrong), says(planted, said(wrong))
                 counts[name, "named" if named else "missed", seen] += 1
-                made += seen and name not in SUBTLE
-                missed += [f"{name} of seed {seed}"] if seen and not named and name not in SUBTLE else []
+                made += seen
+                missed += [f"{name} of seed {seed}"] if seen and not named else []
             shutil.rmtree(wrong)
         shutil.rmtree(folder)
         seed += 1
