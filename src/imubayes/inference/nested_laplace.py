@@ -8,7 +8,8 @@ axes and drawn from as tabulated (Rue, Martino & Chopin 2009, § 3.1).  The few 
 prior are curved ridges: along them the strong directions are bent by half the second derivative,
 δ → δ + ½ Σ_ij w_i w_j A_ij with w the weak coordinates (geodesic acceleration, Transtrum & Sethna 2011).  The bend does
 not change w, so its determinant is 1 and it is inverted by subtraction: the density of the proposal is exact, whatever
-its quality.
+its quality.  Where the marginal of a weak direction is not normal it is tabulated, too
+(`imubayes.inference.tabulated_directions`).
 """
 
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import knowledge, log_marginal
 from imubayes.inference.tabulated_density import TabulatedDensity, from_normal, log_density, tabulate
 from imubayes.inference.tabulated_density import to_normal as to_standard
+from imubayes.inference.tabulated_directions import TabulatedDirections, tabulated_directions
 from imubayes.model.noise_covariance import inverse_covariance, whitener
 from imubayes.model.problem import Problem, predict_many, prior_widths
 
@@ -53,6 +55,7 @@ class NestedLaplace(eqx.Module):
     blocks : precision of θ given h.
     weak : shape (P, K), orthonormal weak directions.
     bend : shape (K, K, P), acceleration along pairs of weak directions.
+    shape : marginals of weak directions that are not normal; None where all are.
     """
 
     z: Float[Array, " P"]
@@ -62,6 +65,7 @@ class NestedLaplace(eqx.Module):
     blocks: PrecisionBlocks | ExactPrecision
     weak: Float[Array, "P K"]
     bend: Float[Array, "K K P"]
+    shape: TabulatedDirections | None = None
 
     def hyper_covariance(self) -> np.ndarray:
         """Return the covariance (H, H) of the marginal of h."""
@@ -128,8 +132,10 @@ def _pulled(problem: Problem, mode: Mode, changes: Float[Array, "n E"]) -> Float
 def nested_laplace(problem: Problem, mode: Mode) -> NestedLaplace:
     """Return the proposal about a mode."""
     weak, bend = curved_directions(problem, mode)
+    reach = np.asarray(jnp.sum(weak * (posterior_precision(problem, mode) @ weak), axis=0)) ** -0.5
+    shape = tabulated_directions(problem, mode, weak, reach, bend)
     axes, along = _marginal(problem, mode)
-    return NestedLaplace(mode.z, mode.h, axes, along, precision_blocks(problem, mode), weak, bend)
+    return NestedLaplace(mode.z, mode.h, axes, along, precision_blocks(problem, mode), weak, bend, shape)
 
 
 def curved_directions(problem: Problem, mode: Mode) -> tuple[Float[Array, "P K"], Float[Array, "K K P"]]:
@@ -207,9 +213,12 @@ def to_point(
     along = from_normal(approximation.along, normal[size:])
     h = approximation.h + approximation.hyper_axes @ along
     factor, mean = _conditional(approximation, problem, h)
-    delta = mean + solve_triangular(factor.T, normal[:size], lower=False)
+    whitened, excess = normal[:size], jnp.zeros(())
+    if approximation.shape is not None:
+        whitened, excess = approximation.shape.shaped(factor, whitened)
+    delta = mean + solve_triangular(factor.T, whitened, lower=False)
     point = jnp.concatenate([approximation.z + delta + _bent(approximation, delta), h])
-    return point, _log_density(approximation, factor, normal[:size], along)
+    return point, _log_density(approximation, factor, whitened, along) + excess
 
 
 def to_normal(
@@ -225,6 +234,9 @@ def to_normal(
     # The bend does not change the weak coordinates, so it is computed from the bent step and subtracted.
     whitened = factor.T @ (bent - _bent(approximation, bent) - mean)
     density = _log_density(approximation, factor, whitened, along)
+    if approximation.shape is not None:
+        whitened, excess = approximation.shape.normalised(factor, whitened)
+        density = density + excess
     return jnp.concatenate([whitened, to_standard(approximation.along, along)]), density
 
 

@@ -1,0 +1,140 @@
+"""Weak directions of θ whose marginal is not normal, drawn from as tabulated.
+
+A direction that the data tell poorly reaches far: the heading of a tumble whose gyros hardly resolve the Earth rate
+turns by tens of degrees, and its posterior is wider and flatter than the curvature at the mode says.  A normal proposal
+is then too narrow, and walkers stay for a hundred steps in the tails.  The marginal along such a direction is evaluated
+on a grid, each time at the highest point of the posterior across it and with the width there (the Laplace approximation
+of a marginal, Tierney & Kadane 1986), and takes the place of the normal one.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import cho_solve, solve_triangular
+
+from imubayes.array_shapes import Array, Float, Scalar
+from imubayes.inference.posterior_mode import Mode, heights
+from imubayes.inference.posterior_precision import Linearised, knowledge, linearise
+from imubayes.inference.tabulated_density import TabulatedDensity, from_normal, log_density, tabulate, to_normal
+from imubayes.model.problem import Problem, prior_widths
+
+# Where the marginal is evaluated, in standard deviations of the normal approximation, outwards from the mode.
+_OUTWARDS = (0.6, 1.3, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0)
+# A direction is normal where the log density at this distance is within the second number of that of a normal
+# distribution.
+_SCREEN, _ALIKE = 2.5, 0.3
+# Directions that are tabulated at most, the farthest from normal first.
+_MOST = 4
+# Gauss–Newton steps to the highest point across a direction, from that of the last grid point.
+_STEPS = 2
+# Log density, relative to the mode, where it is not finite.
+_NOWHERE = -200.0
+
+
+class TabulatedDirections(eqx.Module):
+    """Directions with the marginal along each.
+
+    Attributes
+    ----------
+    directions : shape (P, M), orthonormal, independent of each other at the mode.
+    along : the marginal along each, in standard deviations of the normal approximation.
+    """
+
+    directions: Float[Array, "P M"]
+    along: TabulatedDensity
+
+    def shaped(self, factor: Float[Array, "P P"], normal: Float[Array, " P"]) -> tuple[Float[Array, " P"], Scalar]:
+        """Return a whitened step with these marginals, and its log density less that of a standard normal vector.
+
+        Parameters
+        ----------
+        factor : lower Cholesky factor L of the precision of θ; the step itself is L⁻ᵀ times the whitened one.
+        normal : standard normal vector.
+        """
+        axes = self._axes(factor)
+        before = axes.T @ normal
+        after = from_normal(self.along, before)
+        return normal + axes @ (after - before), self._excess(after)
+
+    def normalised(
+        self, factor: Float[Array, "P P"], whitened: Float[Array, " P"]
+    ) -> tuple[Float[Array, " P"], Scalar]:
+        """Return the standard normal vector of a whitened step, and the log density as `shaped` does."""
+        axes = self._axes(factor)
+        after = axes.T @ whitened
+        return whitened + axes @ (to_normal(self.along, after) - after), self._excess(after)
+
+    def _axes(self, factor: Float[Array, "P P"]) -> Float[Array, "P M"]:
+        """Return the directions among whitened steps, orthonormal: vᵀδ = (L⁻¹v)ᵀ (Lᵀδ)."""
+        axes, triangle = jnp.linalg.qr(solve_triangular(factor, self.directions, lower=True))
+        return axes * jnp.sign(jnp.diagonal(triangle))[None, :]
+
+    def _excess(self, after: Float[Array, " M"]) -> Scalar:
+        return jnp.sum(log_density(self.along, after) + 0.5 * after**2 + 0.5 * jnp.log(2 * jnp.pi))
+
+
+def tabulated_directions(
+    problem: Problem, mode: Mode, weak: Float[Array, "P K"], reach: np.ndarray, bend: Float[Array, "K K P"]
+) -> TabulatedDirections | None:
+    """Return the weak directions whose marginal is not normal; None where all are.
+
+    Parameters
+    ----------
+    weak : shape (P, K), orthonormal weak directions, eigenvectors of the precision at the mode.
+    reach : shape (K,), standard deviation along each of the normal approximation.
+    bend : shape (K, K, P), acceleration along pairs of them.
+    """
+    chosen = _not_normal(problem, mode, np.asarray(weak), reach, np.asarray(bend))
+    if not chosen.size:
+        return None
+    tables = [_marginal(problem, mode, weak[:, place], float(reach[place])) for place in chosen]
+    at = np.array([-distance for distance in reversed(_OUTWARDS)] + [0.0, *_OUTWARDS])
+    knots = np.tile(at, (len(chosen), 1))
+    return TabulatedDirections(weak[:, chosen], tabulate(knots, np.stack(tables), np.ones(len(chosen))))
+
+
+def _not_normal(problem: Problem, mode: Mode, weak: np.ndarray, reach: np.ndarray, bend: np.ndarray) -> np.ndarray:
+    """Return the places of directions along which the log density falls otherwise than a normal one."""
+    count = weak.shape[1]
+    if not count:
+        return np.zeros(0, int)
+    steps = _SCREEN * reach[:, None] * weak.T
+    curve = 0.5 * (_SCREEN * reach[:, None]) ** 2 * bend[np.arange(count), np.arange(count)]
+    here = np.asarray(mode.z)
+    found = heights(problem, np.concatenate([[here], here + curve + steps, here + curve - steps]), mode.h)
+    fall = np.nan_to_num(found[1:] - found[0], neginf=_NOWHERE).reshape(2, count)
+    excess = np.abs(fall + 0.5 * _SCREEN**2).max(axis=0)
+    order = np.argsort(-excess)[:_MOST]
+    return order[excess[order] > _ALIKE]
+
+
+def _marginal(problem: Problem, mode: Mode, direction: Float[Array, " P"], reach: float) -> np.ndarray:
+    """Return the log marginal along a direction at the grid, relative to the mode."""
+    middle = _across(problem, mode.about, mode.h, direction)[1]
+    height = heights(problem, [mode.z], mode.h)[0]
+    sides = []
+    for sign in (-1.0, 1.0):
+        z, before, side = mode.z, 0.0, []
+        for distance in _OUTWARDS:
+            z = z + sign * reach * (distance - before) * direction
+            before, width = distance, middle
+            for _ in range(_STEPS):
+                step, width = _across(problem, linearise(problem, z), mode.h, direction)
+                z = z + step
+            found = heights(problem, [z], mode.h)[0] - height - 0.5 * (float(width) - float(middle))
+            side.append(max(float(found), _NOWHERE) if np.isfinite(found) else _NOWHERE)
+        sides.append(side)
+    return np.array([*reversed(sides[0]), 0.0, *sides[1]])
+
+
+@eqx.filter_jit
+def _across(
+    problem: Problem, about: Linearised, h: Float[Array, " H"], direction: Float[Array, " P"]
+) -> tuple[Float[Array, " P"], Scalar]:
+    """Return the Gauss–Newton step across a direction, and log det of the precision across it."""
+    known, prior_precision = knowledge(problem, about, h), prior_widths(problem, h) ** -2
+    factor = jnp.linalg.cholesky(known.precision + jnp.diag(prior_precision))
+    step = cho_solve((factor, True), known.gradient - prior_precision * about.z)
+    along = cho_solve((factor, True), direction)
+    variance = direction @ along
+    return step - direction @ step / variance * along, 2 * jnp.sum(jnp.log(jnp.diagonal(factor))) + jnp.log(variance)
