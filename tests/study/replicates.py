@@ -2,6 +2,7 @@
 
     python tests/study/replicates.py                  all procedures, 50 replicates each; writes the table
     python tests/study/replicates.py servo_table 10   some, printed only
+    python tests/study/replicates.py thermal 80 5001  80 replicates from a seed on
 
 Campaigns come from `data/generators`, which shares no code with the package, with seats, tables, converters and gyros
 that err as the priors of the model say: what the textbook takes as exact does not hold in them.
@@ -155,14 +156,15 @@ def main() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     chosen = [one for one in CASES if not sys.argv[1:] or any(word in one for word in sys.argv[1].split(","))]
     count = int(sys.argv[2]) if len(sys.argv) > 2 else REPLICATES
+    first = int(sys.argv[3]) if len(sys.argv) > 3 else 1
     found = []
     for procedure in chosen:
-        found.append(scores(procedure, count))
+        found.append(scores(procedure, count, first))
         print(
             f"{procedure}: rms {found[-1].rms:.3f}, coverage {found[-1].coverage:.4f}, "
             f"largest {found[-1].largest}, of ranks {found[-1].largest_rank}, {found[-1].seconds:.0f} s"
         )
-    if len(chosen) == len(CASES) and count == REPLICATES:
+    if len(chosen) == len(CASES) and len(sys.argv) == 1:
         REPORT.write_text(report(found))
         print(REPORT.relative_to(ROOT))
     else:
