@@ -108,10 +108,12 @@ def scores(procedure: str, replicates: int = REPLICATES, first_seed: int = 1) ->
         if not fit.converged:
             failed += 1
             continue
+        assert fit.posterior is not None
         true = truth["parameters"] | truth["nuisance"]
         for place, parameter in enumerate(model.layout.parameters + model.hyper_layout.parameters):
             if parameter.name in true:
                 draws, at = fit.posterior.points[:, place], parameter.z_at(true[parameter.name])
+                assert at is not None
                 low, high = np.quantile(draws, (0.025, 0.975))
                 found.append(((draws.mean() - at) / draws.std(), low <= at <= high, _normal_score(draws, at)))
                 where.append((parameter.name, seed))
