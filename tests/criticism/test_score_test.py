@@ -15,7 +15,7 @@ from imubayes.criticism.multiple_testing import look_elsewhere
 from imubayes.criticism.projection import project
 from imubayes.criticism.score_test import project_responses, score_test, screen
 from imubayes.criticism.stepwise_search import search
-from imubayes.display.diagnosis_report import diagnosis_json
+from imubayes.display.diagnosis_report import diagnosis_json, diagnosis_lines
 
 
 @pytest.fixture(scope="module")
@@ -155,10 +155,21 @@ def test_a_hidden_effect_is_found_with_its_size(fitted):
 
 def test_an_unconverged_fit_is_not_ranked(fitted):
 
-    document = diagnosis_json(judge(replace(fitted, converged=False, message="It did not settle.")))
+    document = diagnosis_json(judge(replace(fitted, optimised=False, message="It did not settle.")))
     assert document["verdict"] == "not_converged"
     assert document["ranking"] == []
     assert document["sentence"] == "It did not settle."
+
+
+def test_chains_that_did_not_converge_do_not_keep_candidates_from_being_ranked(fitted):
+    """The screening is about the mode, which does not depend on the sampling; that it failed is said."""
+    assert not replace(fitted, sampled=False).converged
+    with_chains = judge(replace(fitted, sampled=False, message="The chains are too short."))
+    assert with_chains.ranking == judge(fitted).ranking
+    assert with_chains.ranking
+    told = diagnosis_lines(with_chains)
+    assert any("The sampling of this fit did not converge" in line for line in told)
+    assert told[1:] != diagnosis_lines(judge(fitted))[1:]
 
 
 def test_what_only_pleases_the_priors_at_an_absurd_size_is_no_candidate(fitted):

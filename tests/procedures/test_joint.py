@@ -59,7 +59,7 @@ def test_the_servo_table_is_integrated_to_the_truth(servo):
 def test_the_angle_of_a_servo_table_has_no_input_axis(servo):
     """Residuals of the angle are regressed on what the run recorded, not on rate or specific force of a channel."""
     model, mode, _ = servo
-    found = covariates(Fit(model, np.asarray(mode.z), np.asarray(mode.h), converged=True))
+    found = covariates(Fit(model, np.asarray(mode.z), np.asarray(mode.h), optimised=True))
     assert "time_s" in {covariate.name for covariate in found}
     assert not {covariate.name for covariate in found} & {"rate_i", "force_i"}
 

@@ -57,7 +57,7 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
 
     Parameters
     ----------
-    fit : one that did not converge is not screened.
+    fit : screened about its mode, whether or not the sampling about it converged; not screened without a mode.
     result : its result folder, for the next command.
     effect : ask about one effect only: whether it is there, absent or undetectable.
     progress : called with a short text as the work goes on.
@@ -69,7 +69,7 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
     """
     if effect:
         _refuse_unknown(effect, fit)
-    if not fit.converged:
+    if not fit.optimised:
         message = fit.message or "The fit did not converge."
         return Diagnosis(verdict="not_converged", message=message, result=result)
     found = search(fit, progress)
@@ -101,6 +101,7 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         strongest=_strongest(found) if open_question else None,
         recorded_noise=found.record.comparisons,
         more_remains=verdict in MISSING and bool(found.remaining or found.groups[1:]),
+        message=fit.message if not fit.sampled else "",
     )
     if diagnosis.noise_outweighs:
         noise = EffectChoice(effect=found.adopted[0].effect, channels=None)

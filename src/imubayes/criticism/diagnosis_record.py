@@ -243,7 +243,7 @@ class Diagnosis(Presented, Record):
     Attributes
     ----------
     verdict : the outcome.
-    message : why the fit did not converge.
+    message : why the fit, or the sampling about its mode, did not converge.
     result : folder of the result that was diagnosed.
     p_global : p-value of the best candidate, corrected for the number of looks and families of tests.
     threshold : probability of a false alarm that the search allows; a corrected p-value below it is a finding.

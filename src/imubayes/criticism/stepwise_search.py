@@ -208,7 +208,7 @@ def _refit_without(fitted: Fit, outlying: np.ndarray, rounds: int) -> tuple[Fit,
             break
         z, h = mode.z, mode.h
         model = replace(fitted.model, problem=problem)
-        rest = Fit(model, np.asarray(z), np.asarray(h), fitted.converged, fitted.message)
+        rest = Fit(model, np.asarray(z), np.asarray(h), fitted.optimised, fitted.message)
         in_noise_sd, in_predictive_sd = deletion_residuals(problem, mode)
         sizes = np.where(outlying, in_noise_sd, 0.0)
         more = find_outliers(project(rest, np.asarray(mode.about.misfit), np.asarray(mode.about.jacobian)))

@@ -94,6 +94,8 @@ def diagnosis_lines(found: Diagnosis) -> list[str]:
         lines += _discriminating_run(found.groups[0])
     elif found.verdict == "not_converged":
         lines.append("Candidates are not ranked about a fit that did not converge.")
+    if found.message and found.verdict != "not_converged":
+        lines.append("The sampling of this fit did not converge; what is said here is about its mode.")
     return lines
 
 
@@ -249,9 +251,9 @@ def next_command(found: Diagnosis) -> str:
         adding = f"imubayes add found_shape.py --to {result} --out {result}-found_shape"
         written = f"imubayes diagnose {result} --python > found_shape.py && {adding}"
         return written if printable else f"imubayes compare {result}"
-    if found.verdict == "noise_model":
+    if found.verdict in ("noise_model", "not_converged"):
         return f"imubayes compare {result}"
-    return f"imubayes fit … --out {result}" if found.verdict == "not_converged" else f"imubayes plant --result {result}"
+    return f"imubayes plant --result {result}"
 
 
 def effect_source(found: Diagnosis) -> str:

@@ -21,7 +21,8 @@ def alarm_of(summary: Summary) -> str:
     if summary.implausible or summary.unexplained:
         return " ".join(("FIT FAILED.", *failures(summary), _FAILED_REMEDY))
     if not summary.converged:
-        return f"NOT CONVERGED. {summary.message.strip() or 'The numbers below must not be used.'}"
+        said = f"NOT CONVERGED. {summary.message.strip() or 'The numbers below must not be used.'}"
+        return f"{said} {_SAMPLING_REMEDY}" if summary.sampled else said
     if summary.noise_violations:
         kinds = dict.fromkeys(violation.kind for violation in summary.noise_violations)
         causes = "; ".join(_violation(summary.noise_violations, kind) for kind in kinds)
@@ -31,11 +32,17 @@ def alarm_of(summary: Summary) -> str:
 
 def next_command(summary: Summary, campaign: str, folder: str) -> str:
     """Return the command to run after a fit: what looks for the cause of its warning, or the look at the residuals."""
-    if summary.implausible or summary.unexplained or not summary.converged:
+    if summary.implausible or summary.unexplained or not (summary.converged or summary.sampled):
         return f"imubayes check {campaign}"
-    return f"imubayes {'diagnose' if summary.noise_violations else 'compare'} {folder}"
+    doubted = summary.noise_violations or not summary.converged
+    return f"imubayes {'diagnose' if doubted else 'compare'} {folder}"
 
 
+_SAMPLING_REMEDY = (
+    "`imubayes diagnose` and `add` need no draws: they work about the mode. Where weights or ensembles disagree, give "
+    "what is weakly determined a tighter prior, leave its effect out of the model, or take the run that determines it; "
+    "where sizes are small, go on with `fit --resume`."
+)
 _FAILED_REMEDY = (
     "The usual cause is a mistake in the set-up: run `imubayes check`, and compare mountings, table angles, units, "
     "channels and files in campaign.toml with how the runs were made. No estimate of this fit can be used."

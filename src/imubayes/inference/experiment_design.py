@@ -40,7 +40,7 @@ def with_planned(fit: Fit, elsewhere: bool = False) -> tuple[Fit, list[Candidate
     model = bind(fit.model.spec, campaign, fit.model.registry.without_files())
     z = model.layout.carried(fit.model.layout, fit.z)
     h = model.hyper_layout.carried(fit.model.hyper_layout, fit.h)
-    return Fit(model, z, h, fit.converged, fit.message), candidates
+    return Fit(model, z, h, fit.optimised, fit.message, sampled=fit.sampled), candidates
 
 
 def next_runs(fit: Fit, weak: Sequence[WeakDirection], from_data: Mapping[str, float | None]) -> tuple[NextRun, ...]:

@@ -43,24 +43,31 @@ class Fit:
     ----------
     model : as declared.
     z, h : shapes (P,) and (H,), the posterior mode of parameters and noise scales, in z.
-    converged : whether the fit, and the sampling where there was any, converged, at estimates that a unit can have.
-    message : what did not, in a sentence; empty where all did.
+    optimised : whether the optimiser converged, at estimates that a unit can have.
+    message : what did not converge, in a sentence; empty where all did.
     implausible, unexplained : estimates that no working unit has, and channels that the model does not describe.
     mode : outcome of the optimiser; None for a fit read from a result folder.
     posterior : draws; None where the fit did not converge, or was read from a result folder.
     seconds : time spent, by step.
+    sampled : whether the sampling, where there was any, converged.
     """
 
     model: Model
     z: np.ndarray
     h: np.ndarray
-    converged: bool
+    optimised: bool
     message: str = ""
     mode: Mode | None = None
     posterior: Posterior | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     implausible: tuple[ImplausibleEstimate, ...] = ()
     unexplained: tuple[UnexplainedOutput, ...] = ()
+    sampled: bool = True
+
+    @property
+    def converged(self) -> bool:
+        """Whether the optimiser, and the sampling where there was any, converged."""
+        return self.optimised and self.sampled
 
     @cached_property
     def derived(self) -> DerivedQuantities:

@@ -92,7 +92,7 @@ def joint_fit(
                 file.create()
             chains = thinned(_sampled(model, proposal, mode, others, sampling, file, tell), sampling.most_kept)
             points = chains.points.reshape(-1, chains.points.shape[-1])
-            fit = replace(fit, converged=chains.diagnosis.converged, message=chains.diagnosis.message)
+            fit = replace(fit, sampled=chains.diagnosis.converged, message=chains.diagnosis.message)
         else:
             chains, points = None, _laplace_points(proposal, laplace_draws)
         seconds["sample"] = time.perf_counter() - clock

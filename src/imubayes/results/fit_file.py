@@ -38,6 +38,7 @@ def fit_record(fit: Fit, folder: Path, seed: int) -> FitRecord:
         z=_by_name(model.layout, fit.z),
         h=_by_name(model.hyper_layout, fit.h),
         converged=fit.converged,
+        optimised=fit.optimised,
         message=fit.message,
         seed=seed,
     )
@@ -98,7 +99,8 @@ def read_fit(folder: str | Path) -> Fit:
                 f"`imubayes fit CAMPAIGN --model {folder / MODEL} --out ANOTHER`",
             )
         )
-    return Fit(model, z, h, record.converged, record.message)
+    optimised = record.converged if record.optimised is None else record.optimised
+    return Fit(model, z, h, optimised, record.message, sampled=record.converged or not optimised)
 
 
 def _in_order(layout: Layout, by_name: dict[str, float | None], folder: Path) -> np.ndarray:

@@ -27,7 +27,8 @@ class FitRecord(Record):
     campaign : where the data were.
     data_hash, model_hash : identify campaign and model.
     z, h : parameters and hyperparameters at the mode by name, on the scale of the layout; None for a non-finite value.
-    converged, message : of the fit.
+    converged, message : of optimiser and sampling.
+    optimised : whether the optimiser converged; None in folders of earlier versions.
     seed : of the sampler.
     """
 
@@ -38,6 +39,7 @@ class FitRecord(Record):
     z: dict[str, float | None]
     h: dict[str, float | None]
     converged: bool
+    optimised: bool | None = None
     message: str
     seed: int
 
