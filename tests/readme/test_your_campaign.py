@@ -1,4 +1,4 @@
-"""The campaign and the model of `data/your-campaign.md` are accepted as written, and their fit finds what was put in."""
+"""Campaign and model of `data/your-campaign.md` are accepted as written, and the fit finds what was put in."""
 
 import json
 import re
