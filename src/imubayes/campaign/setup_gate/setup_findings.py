@@ -38,7 +38,7 @@ def _explained(
         evidence += "; equally good: " + "; ".join(each.what for each in others[:_MOST_ALTERNATIVES])
         remedy += " (or: " + "; ".join(each.remedy for each in others[:_MOST_ALTERNATIVES]) + ")"
     # Weaker evidence is said and stops nothing.
-    sure = first.support > DECISIVE and not {kind for kind, _ in found} & {*accepted}
+    sure = first.support > DECISIVE + first.mistake.imitated and not {kind for kind, _ in found} & {*accepted}
     severity: Severity = "error" if sure else "warning"
     if sure:
         remedy += f'; accepted = ["{first.mistake.kind}"] in campaign.toml lets the campaign pass as it is'
