@@ -102,25 +102,26 @@ class FoundShape(SignalEffect):
 '''
 
 
-def test_a_shape_in_a_file_is_added_like_an_effect_of_the_catalogue(first, second, place):
+def test_a_shape_in_a_file_is_added_like_an_effect_of_the_catalogue(second, place, tmp_path):
     """The file defines what the catalogue has too: the same Δχ², cross-validation and place in the history."""
-    file = place / "found_shape.py"
+    (start,) = copied(place, tmp_path, "first")
+    file = tmp_path / "found_shape.py"
     file.write_text(_FOUND)
-    own = add(place / "first", [str(file)], place / "own")
+    own = add(start, [str(file)], tmp_path / "own")
     assert own.taken
     assert own.observed.delta_chi2 == pytest.approx(second.observed.delta_chi2, rel=0.05)
     assert own.predicted.delta_chi2 == pytest.approx(own.observed.delta_chi2, rel=0.05)
     assert own.held_out is not None
     assert own.held_out.verdict == "helps"
-    assert [choice.effect for choice in read_node(place / "own").added] == ["found_accelerometer_shape"]
-    assert (place / "own" / "found_shape.py").read_text() == _FOUND
-    kept = read_result(place / "own").fit.model.spec
-    assert [Path(name).parent for name in kept.files] == [place / "own"]
-    elsewhere = place / "other"
+    assert [choice.effect for choice in read_node(tmp_path / "own").added] == ["found_accelerometer_shape"]
+    assert (tmp_path / "own" / "found_shape.py").read_text() == _FOUND
+    kept = read_result(tmp_path / "own").fit.model.spec
+    assert [Path(name).parent for name in kept.files] == [tmp_path / "own"]
+    elsewhere = tmp_path / "other"
     elsewhere.mkdir()
     (elsewhere / "found_shape.py").write_text(_FOUND)
     with pytest.raises(InputError, match="another file 'found_shape"):
-        add(place / "own", [str(elsewhere / "found_shape.py")], place / "twice")
+        add(tmp_path / "own", [str(elsewhere / "found_shape.py")], tmp_path / "twice")
 
 
 def dense_density(fitted: Fit, left_out: np.ndarray, parameters_known: bool = False) -> float:

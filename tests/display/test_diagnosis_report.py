@@ -79,7 +79,7 @@ def diagnosis(verdict: Verdict = "equivalent_effects", terms: tuple[FormulaTerm,
         coefficient=Amplitude(value=0.3, sd=None, unit="ppm"),
     )  # fmt: skip
     return Diagnosis(
-        verdict=verdict, message="It did not settle.", p_global=1e-18, result="R",
+        verdict=verdict, message="It did not settle." if verdict == "not_converged" else "", p_global=1e-18, result="R",
         groups=(group,) if verdict == "equivalent_effects" else (),
         ranking=(*ranked, line("gyro_g_sensitivity", 2.0, 0.9)), undetectable=(hidden, lacking),
         structure=(pattern,), looks=40.0,
