@@ -30,6 +30,7 @@ COMPILED = (
     "readme",
     "criticism",
     "cli",
+    "readme/test_notebook.py",  # of what others have compiled
     "conformance",
     "inference",
     "model",

@@ -186,6 +186,7 @@ def test_units_with_other_missing_readings_share_the_shapes_of_compiled_code(uni
     assert [padded_count(count) for count in (1, 16, 72, 2303, 2304, 2305)] == [16, 16, 80, 2304, 2304, 2432]
 
 
+@pytest.mark.slow
 def test_padding_changes_no_estimate(with_missing):
     (unit,) = fitted([with_missing])
     model = model_of(with_missing)

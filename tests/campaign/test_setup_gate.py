@@ -91,6 +91,7 @@ def test_a_negated_latitude_is_named_where_the_gyros_show_it(tmp_path: Path) -> 
     assert says(Planted("latitude_sign", ("latitude_deg = 34.25",)), said(folder))
 
 
+@pytest.mark.slow
 def test_without_a_kind_of_mistake_none_is_named(
     valid: dict[int, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -155,6 +155,7 @@ def test_gaps_read_as_zero_would_show():
     assert abs(found.value - 0.1) > 10 * found.sd
 
 
+@pytest.mark.slow
 def test_blocks_and_single_coefficients_agree(monkeypatch: pytest.MonkeyPatch):
     """The two levels use the same information as one cosine transform of the whole record."""
     x = record(7, ALL_THREE, 65_536, 0.1)

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def executed(tmp_path_factory) -> nbformat.NotebookNode:
+def executed(tmp_path_factory, command_environment) -> nbformat.NotebookNode:
     """Run the notebook beside copies of the folders, so that what it writes stays out of the repository."""
     place = tmp_path_factory.mktemp("repository")
     (place / "data" / "notebooks").mkdir(parents=True)
@@ -18,7 +18,7 @@ def executed(tmp_path_factory) -> nbformat.NotebookNode:
     (place / "models").symlink_to(ROOT / "models")
     notebook = nbformat.read(ROOT / "data" / "notebooks" / "loop.ipynb", as_version=4)
     resources = {"metadata": {"path": str(place / "data" / "notebooks")}}
-    return NotebookClient(notebook, timeout=300, resources=resources).execute()
+    return NotebookClient(notebook, timeout=300, resources=resources).execute(env=command_environment)
 
 
 def outputs(executed: nbformat.NotebookNode, begins: str) -> list:

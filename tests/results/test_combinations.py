@@ -16,7 +16,7 @@ SYMBOLS = {
 }
 
 
-@pytest.fixture(scope="module", params=list(SYMBOLS))
+@pytest.fixture(scope="module", params=["polar-tumble", pytest.param("servo-table", marks=pytest.mark.slow)])
 def result(request):
     return fitted(ROOT / "data" / request.param, request.param)
 
