@@ -1,4 +1,4 @@
-"""Whether the data tell how an effect remembers the temperature: by a lag, or by play.
+"""Whether the data tell how an effect remembers the temperature: by a lag, by play, or by its rate.
 
 A thermal lag and a thermal hysteresis of the same bias differ by what follows a turn of the temperature and by nothing
 else; on ramps of one rate, and where the temperature hardly changes, each imitates the other.  A finding of one kind is
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.covariates import COVARIATES
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Response, ShapeScan
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, indistinguishable
@@ -22,8 +23,8 @@ from imubayes.inference.fitted_model import Fit
 
 LAG, PLAY, RATE = "lag", "play", "rate"
 _SHAPES = {LAG: "tau", PLAY: "play", RATE: ""}
-_COLUMNS = {"temperature": "temperature_degC", "converter_temperature": "converter_temperature_degC"}
-_RATES = {f"{name}_rate": name for name in _COLUMNS}
+_TEMPERATURES = ("temperature", "converter_temperature")
+_RATES = {f"{name}_rate": name for name in _TEMPERATURES}
 _MINUTE = 60.0
 
 
@@ -76,7 +77,7 @@ def other_memory(found: SearchResult, group: EquivalenceGroup) -> ResidualCovari
     own, known = kind_of_memory(effects[leader.effect]), {kind_of_memory(effects[name]) for name in group.effects}
     if not own or {LAG, PLAY} <= known:
         return None
-    name = next(_RATES.get(need, need) for need in effects[leader.effect].needs if need in (*_COLUMNS, *_RATES))
+    name = next(_RATES.get(need, need) for need in effects[leader.effect].needs if need in (*_TEMPERATURES, *_RATES))
     courses = _courses(at.fitted, name)
     factor = _factor(found, group, courses, own)
     responses = [
@@ -85,7 +86,7 @@ def other_memory(found: SearchResult, group: EquivalenceGroup) -> ResidualCovari
     ]
     rivals = [assess(at, each, np.arange(len(leader.coefficients))) for each in project_responses(at, responses)]
     if any(rival.dof and indistinguishable(at, leader, rival) for rival in rivals):
-        return next(each for each in found.covariates if each.name == _COLUMNS[name])
+        return next(each for each in found.covariates if each.name == COVARIATES[name].column)
     return None
 
 

@@ -9,6 +9,7 @@ import shutil
 import sys
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol, runtime_checkable
@@ -64,7 +65,7 @@ def terminal_progress(stream: Stream | None = None, *, lines: bool = True, text:
         shown.stop()
 
 
-class ShownProgress:
+class ShownProgress(ABC):
     """What tells, in a thread of its own, the step that goes on and the seconds since the first one began."""
 
     def __init__(self, text: str):
@@ -87,9 +88,9 @@ class ShownProgress:
         self._done.set()
         self._thread.join()
 
+    @abstractmethod
     def show(self) -> None:
         """Show the steps until `_done` is set."""
-        raise NotImplementedError
 
     def _seconds(self) -> float:
         return time.monotonic() - self._began
