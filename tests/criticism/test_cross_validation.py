@@ -162,6 +162,24 @@ def test_the_verdict_of_gains(gains, verdict):
     assert summarise_gains("run", ("a", "b", "c"), np.array(gains)).verdict == verdict
 
 
+def test_a_gain_of_few_runs_that_no_other_run_contradicts_helps():
+    """An effect of fast runs alone: the scatter among the gains is that of the runs, and no doubt about the sum."""
+    gains = np.array([38.0, 24.0, 9.0, 2.0, 1.1, 0.7, 0.4, 0.2, 0.1, 0.3, 0.2, -0.2])
+    names = tuple("abcdefghijkl")
+    assert gains.sum() < 2 * np.sqrt(12) * gains.std(ddof=1)
+    assert summarise_gains("run", names, gains).verdict == "helps"
+    assert summarise_gains("run", names, gains * np.array([1, -1] * 6)).verdict != "helps"
+
+
+@pytest.mark.parametrize("count", [7, 42])
+def test_gains_without_a_sign_seldom_help(count):
+    rng = np.random.default_rng(3)
+    gains = rng.standard_t(2, (600, count))
+    helps = [summarise_gains("run", ("",) * count, each).verdict == "helps" for each in gains]
+    assert np.mean(helps) < 0.05
+    assert np.mean([summarise_gains("run", ("",) * count, np.abs(each)).verdict == "helps" for each in gains]) > 0.9
+
+
 def test_one_run_alone_has_no_standard_error():
     assert summarise_gains("run", ("a",), np.array([3.0])).se is None
 

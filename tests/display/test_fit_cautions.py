@@ -32,6 +32,18 @@ def test_nothing_is_said_of_a_sound_fit(plain):
     assert next_command(plain, "data/unit", "results/unit") == "imubayes compare results/unit"
 
 
+def test_the_last_lines_repeat_the_outcome(plain):
+    """The first line of a long output has left the screen."""
+    flawed = plain.model_copy(update={"intervals_valid": False, "noise_violations": VIOLATIONS})
+    stuck = plain.model_copy(update={"converged": False, "message": "R-hat 1.4"})
+    outcomes = [summary_report(each).closing[-1].partition(" chi2")[0] for each in (plain, flawed, stuck)]
+    assert outcomes == [
+        "Converged; the data determined all but 4 of 86 parameters.",
+        "Converged, but the intervals cannot be trusted; the first line says why.",
+        "The fit did not converge; the first line says why.",
+    ]
+
+
 def test_intervals_that_cannot_be_trusted_are_said_on_the_first_line(plain):
     flawed = plain.model_copy(update={"intervals_valid": False, "noise_violations": VIOLATIONS})
     text = " ".join(report_text(summary_report(flawed), width=400).split())

@@ -4,6 +4,7 @@ import io
 import json
 import subprocess
 import sys
+from collections import Counter
 
 import pytest
 import synthetic_results as made
@@ -257,3 +258,14 @@ def test_headings_wrap_before_a_cell_is_cut():
     text = report_text(Report((), [Sheet("Models tried", head, [row])]), width=80)
     assert "+303.1 ± 88 (7/7 runs)" in text
     assert max(map(len, text.splitlines())) <= 80
+
+
+def test_what_does_not_fit_is_wrapped_and_not_lost():
+    """Rich crops a cell whose column became narrower than its words; a unit without its 'per' is another unit."""
+    rows = [[Cell("scale_factor[gx]"), Cell("dividing_head"), Cell("0.0050"), Cell("8.4 → 7.1"), Cell("pulse/s per g")]]
+    sheet = Sheet("Contribution", ("quantity", "best alone", "sd", "now → after", "unit"), rows, (0, 1, 4))
+    for width in range(24, 90):
+        shown = "".join(text_of(sheet, width).split())
+        letters = Counter("".join("".join(cell.text.split()) for cell in rows[0]))
+        assert not letters - Counter(shown), width
+    assert "8.4 → 7.1" in text_of(sheet, 66)

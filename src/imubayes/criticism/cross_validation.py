@@ -32,6 +32,7 @@ from imubayes.step_counter import counted
 from imubayes.units import to_si
 
 _residuals = eqx.filter_jit(residuals)
+_EXACT_FLIPS, _ROUNDING = 13, 1e-12
 
 
 def summarise_gains(
@@ -42,7 +43,8 @@ def summarise_gains(
     se = float(np.sqrt(count) * gains.std(ddof=1)) if count > 1 else float("inf")
     verdict = "not"
     if delta > thresholds.GAIN_MIN:
-        verdict = "helps" if delta > thresholds.GAIN_STANDARD_ERRORS * se else "unclear"
+        clear = delta > thresholds.GAIN_STANDARD_ERRORS * se or sign_flip_chance(gains) < thresholds.GAIN_CHANCE
+        verdict = "helps" if clear else "unclear"
     return CrossValidation(
         by=by,
         delta=delta,
@@ -53,6 +55,22 @@ def summarise_gains(
         each=tuple(GroupGain(name=name, delta=gain) for name, gain in zip(names, gains.tolist(), strict=True)),
         rates=tuple(rates),
     )
+
+
+def sign_flip_chance(gains: np.ndarray) -> float:
+    """Return the chance of so large a sum if each of the gains, shape (K,), were as often a loss (Fisher's sign flips).
+
+    An effect that acts in some groups alone gains much there and nothing elsewhere.  That scatter raises the standard
+    error of the sum, but not this chance.  Exact for few groups, by random signs for many.
+    """
+    count = len(gains)
+    if count <= _EXACT_FLIPS:
+        signs = 1.0 - 2.0 * (np.arange(2**count)[:, None] >> np.arange(count) & 1)
+    else:
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (2**_EXACT_FLIPS, count))
+        signs[0] = 1.0  # the signs observed: no chance is zero
+    sums = signs @ gains
+    return float(np.mean(sums >= gains.sum() - _ROUNDING * np.abs(gains).sum()))
 
 
 @dataclass(frozen=True)

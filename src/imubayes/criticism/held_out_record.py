@@ -22,7 +22,8 @@ class CrossValidation(Record):
     delta, se : rise of the expected log predictive density (Δ elpd) and its standard error, from the scatter among the
         groups; None for a single group.
     helped, of : number of groups that are predicted better, and of all groups.
-    verdict : whether the addition ``helps``, that it is ``unclear``, or does ``not`` help.
+    verdict : whether the addition ``helps`` (Δ elpd above two standard errors, or above what flips of the signs of the
+        groups reach by chance), that it is ``unclear``, or does ``not`` help.
     each : Δ elpd of each group.
     rates : of poses: rms of each gyro at rest about its prediction, before and after.
     """

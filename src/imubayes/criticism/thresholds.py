@@ -234,9 +234,10 @@ NO_GRADIENT, SINGULAR = 1e-14, 1e-9
 PRIOR_CONFLICT_SD = 3.0
 # A refit that loses more χ² than this is refused: a larger model cannot fit worse but for its new priors.  Derived.
 REFIT_LOSS = -0.5
-# A gain in log predictive density helps if it exceeds so many standard errors (convention) and this value.  Derived: a
-# superfluous parameter costs half a unit on unseen data (Akaike).
-GAIN_STANDARD_ERRORS, GAIN_MIN = 2.0, 0.5
+# A gain in log predictive density helps if it exceeds GAIN_MIN, and so many standard errors or, by flips of signs, the
+# one-sided chance of that many (convention).  GAIN_MIN is derived: a superfluous parameter costs half a unit on unseen
+# data (Akaike).
+GAIN_STANDARD_ERRORS, GAIN_CHANCE, GAIN_MIN = 2.0, 0.0228, 0.5
 # A single run is left out in so many blocks at most, of so many rows at least.  Convention.
 MAX_BLOCKS, BLOCK_ROWS = 8, 4
 

@@ -8,7 +8,6 @@ from imubayes.display.table_layout import Cell, Sheet
 from imubayes.inference.identifiability import WeakDirection
 from imubayes.results.summary import CombinationSummary, Summary
 
-_MOST = 24
 _NOTE = (
     "The data determine these sums, not their members; each member counts in its own unit. Symbols are those of the "
     "standard of the test. "
@@ -43,9 +42,9 @@ def weighted_sum(quantities: tuple[str, ...], weights: tuple[float, ...]) -> str
     return text
 
 
-def combination_sheet(summary: Summary) -> Sheet:
-    """Return the combinations that the data determine much better than each of their members."""
-    shown = summary.combinations[:_MOST]
+def combination_sheet(summary: Summary, most: int = 24) -> Sheet:
+    """Return the combinations that the data determine much better than each of their members, at most `most`."""
+    shown = summary.combinations[:most]
     rows = [_row(found) for found in shown]
     few = [
         (

@@ -125,10 +125,16 @@ def _leading_contributions(summary: Summary) -> list[Contribution]:
 
 
 def next_run_sheet(summary: Summary) -> Sheet:
-    """Return the candidate runs, the most informative first."""
-    rows = [(Cell(run_design_text(run.run)), Cell(run.quantity), Cell(_narrowing(run))) for run in summary.next_runs]
-    note = "" if rows else "No candidate run was ranked."
-    return Sheet("Most informative next runs", ("next run", "quantity", "sd now → after"), rows, (0, 1, 2), "", note)
+    """Return the candidate runs, the most informative first; a run is named once for all its quantities."""
+    designs = [run_design_text(run.run) for run in summary.next_runs]
+    first = [not place or designs[place] != designs[place - 1] for place in range(len(designs))]
+    rows = [
+        (Cell(design if new else ""), Cell(run.quantity), Cell(_narrowing(run)))
+        for design, new, run in zip(designs, first, summary.next_runs, strict=True)
+    ]
+    dividers = frozenset(place for place, new in enumerate(first) if new and place)
+    note, head = "" if rows else "No candidate run was ranked.", ("next run", "quantity", "sd now → after")
+    return Sheet("Most informative next runs", head, rows, (0, 1, 2), "", note, dividers)
 
 
 def _narrowing(run: NextRun) -> str:

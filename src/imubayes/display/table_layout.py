@@ -1,6 +1,6 @@
 """A table independent of the medium: one renderer for the terminal, one for HTML."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from imubayes.display.templates import render
 
 _LEAST_NAME = 16
 _MOST_WORD = 24
+_BETWEEN_NUMBERS = ("±", "→")
 _STYLES = {"bad": "bold red", "weak": "yellow", "dim": "dim", "": ""}
 
 
@@ -90,44 +91,64 @@ class SheetTable(Table):
             box=box.SIMPLE_HEAD,
             header_style="bold",
             pad_edge=False,
-            min_width=len(sheet.title) + 2,
         )
+        self._title_width = len(sheet.title) + 2
         self._narrow = narrow
-        self._unbroken: dict[int, int] = {}
+        self._widths = [
+            _Width.of(place, name, [row[place].text for row in sheet.rows]) for place, name in enumerate(sheet.head)
+        ]
         for place, name in enumerate(sheet.head):
-            self._add_column(place, name, [row[place].text for row in sheet.rows], place in sheet.left)
+            self.add_column(Text(name), justify="left" if place in sheet.left else "right", overflow="fold")
         for place, row in enumerate(sheet.rows):
             if place in sheet.dividers:
                 self.add_section()
             self.add_row(*(Text(cell.text, style=_STYLES[cell.mood]) for cell in row))
 
-    def _add_column(self, place: int, name: str, texts: Sequence[str], left: bool) -> None:
-        widest = max(map(len, texts), default=0)
-        # A column of single words keeps them whole; its heading may wrap.
-        single = place > 0 and not any(" " in text for text in texts)
-        whole = max(widest, *map(len, name.split()), 0) if single else None
-        if left and place > 0 and not single:
-            # Lists of names wrap between the names: names cut in two are not told apart.
-            whole = min(max((len(word) for text in texts for word in text.split()), default=0), _MOST_WORD)
-        self.add_column(
-            Text(name),
-            justify="left" if left else "right",
-            overflow="fold",
-            min_width=min(widest, _LEAST_NAME) if place == 0 else whole,
-        )
-        if place == 0 or any("±" in text for text in texts):
-            self._unbroken[place] = max(widest, len(name))
-
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterable[Any]:
-        ample = options.update(max_width=10_000)
-        if self._narrow is not None and self.__rich_measure__(console, ample).maximum > options.max_width:
-            return self._narrow.__rich_console__(console, options)
-        wrapped = {place: (self.columns[place].no_wrap, self.columns[place].min_width) for place in self._unbroken}
-        self._set({place: (True, width) for place, width in self._unbroken.items()})
-        if self.__rich_measure__(console, ample).minimum > options.max_width:
-            self._set(wrapped)
+        for column, width in zip(self.columns, self._widths, strict=True):
+            column.width = width.natural
+        self.min_width = None
+        ample = self.__rich_measure__(console, options.update(max_width=10_000)).maximum
+        if ample > options.max_width:
+            if self._narrow is not None:
+                return self._narrow.__rich_console__(console, options)
+            # Rich itself shrinks columns below the width of their words, and crops what then does not fit.
+            between = ample - sum(width.natural for width in self._widths)
+            for column, width in zip(self.columns, _fitted(self._widths, options.max_width - between), strict=True):
+                column.width = width
+        self.min_width = self._title_width
         return super().__rich_console__(console, options)
 
-    def _set(self, columns: Mapping[int, tuple[bool, int | None]]) -> None:
-        for place, (no_wrap, least) in columns.items():
-            self.columns[place].no_wrap, self.columns[place].min_width = no_wrap, least
+
+@dataclass(frozen=True)
+class _Width:
+    """Width of a column where there is room, where names and numbers stay whole, and where words do."""
+
+    natural: int
+    whole: int
+    words: int
+
+    @classmethod
+    def of(cls, place: int, head: str, texts: Sequence[str]) -> "_Width":
+        widest = max(map(len, texts), default=0)
+        natural = max(widest, len(head))
+        longest = max((len(word) for text in (head, *texts) for word in text.split()), default=0)
+        if place > 0 and not any(" " in text for text in texts):
+            return cls(natural, longest, longest)  # single words; the heading may wrap
+        # Names cut in two are not told apart, and numbers stay beside their uncertainty.
+        numbers = any(sign in text for text in texts for sign in _BETWEEN_NUMBERS)
+        prose = any(word.isalpha() and len(word) > 1 for text in texts for word in text.split())
+        whole = longest if prose and not numbers else widest
+        return cls(natural, max(whole, longest), min(longest, _MOST_WORD) if place else min(widest, _LEAST_NAME))
+
+
+def _fitted(columns: Sequence[_Width], room: int) -> list[int]:
+    """Return the widths of columns in so much room: the widest text is wrapped first, then names, words at last."""
+    widths = [column.natural for column in columns]
+    for least in ([column.whole for column in columns], [column.words for column in columns], [1] * len(columns)):
+        while sum(widths) > room:
+            spare = [width if width > floor else 0 for width, floor in zip(widths, least, strict=True)]
+            if not any(spare):
+                break
+            widths[spare.index(max(spare))] -= 1
+    return widths
