@@ -155,13 +155,23 @@ def test_check_says_what_is_there(capsys):
     assert [run_["procedure"] for run_ in found["runs"]].count("current_injection") == 1
 
 
-@pytest.mark.parametrize("kind", ["campaign", "model", "plan", "summary"])
+@pytest.mark.parametrize("kind", ["campaign", "model", "plan", "specification", "summary"])
 def test_schema_is_json(capsys, kind):
     status, out, _ = said(capsys, "schema", kind)
     assert status == 0
     schema = json.loads(out)
     assert schema["$schema"].startswith("https://json-schema.org")
     assert schema["type"] == "object"
+
+
+@pytest.mark.parametrize("kind", ["campaign", "model", "plan", "specification"])
+def test_an_editor_explains_every_key_of_an_input_file(capsys, kind):
+    _, out, _ = said(capsys, "schema", kind)
+    schema = json.loads(out)
+    records = [(kind, schema), *schema["$defs"].items()]
+    keys = [(f"{name}.{key}", entry) for name, record in records for key, entry in record.get("properties", {}).items()]
+    assert len(keys) > 10
+    assert [key for key, entry in keys if not entry.get("description")] == []
 
 
 def test_effects_explains(capsys):

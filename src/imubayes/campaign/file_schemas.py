@@ -30,34 +30,47 @@ class _Entry(BaseModel):
 class SiteEntry(_Entry):
     """The test site; measured gravity takes precedence over the WGS 84 formula."""
 
-    latitude_deg: float = Field(ge=-90, le=90)
-    height_m: float = Field(default=0.0, ge=-1000, le=20000)
-    gravity_m_s2: float | None = Field(default=None, ge=9.5, le=10.1)
+    latitude_deg: float = Field(ge=-90, le=90, description="geodetic, positive to the North")
+    height_m: float = Field(default=0.0, ge=-1000, le=20000, description="above the ellipsoid")
+    gravity_m_s2: float | None = Field(default=None, ge=9.5, le=10.1, description="as measured; by default WGS 84")
 
 
 class UnitEntry(_Entry):
     """The unit under test."""
 
-    serial: str = ""
-    description: str = ""
+    serial: str = Field(default="", description="serial number, repeated in results and reports")
+    description: str = Field(default="", description="type of the unit, in words")
     grade: Grade | None = Field(default=None, description="to which default priors belong; from the noise where absent")
 
 
 class ChannelEntry(_Entry):
     """One sensitive axis with its readout; `name` is its column in the run tables."""
 
-    name: ColumnName
-    kind: Literal["gyro", "accelerometer"]
-    input_axis: Vector
-    output_axis: Vector | None = None
-    output_unit: str
-    scale: float
+    name: ColumnName = Field(description="of the channel, and of its column in the run tables")
+    kind: Literal["gyro", "accelerometer"] = Field(description="what the channel senses")
+    input_axis: Vector = Field(description="nominal sensitive axis in body axes, of any length")
+    output_axis: Vector | None = Field(
+        default=None,
+        description="nominal output axis in body axes, across the input axis; misalignments and cross terms count "
+        "along it and along the third axis, input x output",
+    )
+    output_unit: str = Field(description="of the column: pulse/s, V, mA, or what the readout gives")
+    scale: float = Field(
+        description="nominal scale factor: output_unit per input; negative where the channel is reversed"
+    )
     per: Literal["deg/s", "deg/h", "rad/s", "g", "m/s^2"] = Field(
         description="unit of the input; g is the gravity of the site, not 9.80665 m/s^2"
     )
-    offset: float = 0.0
-    noise: Positive | None = None
-    current_mA_per_g: float | None = None
+    offset: float = Field(default=0.0, description="nominal output at zero input, in output_unit")
+    noise: Positive | None = Field(
+        default=None,
+        description="sd of a raw sample in output_unit, the prior of white_noise; by default from the columns "
+        "name_sd, or from repeated rows",
+    )
+    current_mA_per_g: float | None = Field(
+        default=None,
+        description="nominal current of the accelerometer; needed where a current is fed into its converter",
+    )
 
 
 class TableEntry(_Entry):
@@ -67,7 +80,7 @@ class TableEntry(_Entry):
     as seen from above, and y = z x x; see the picture in data/README.md.
     """
 
-    name: Name
+    name: Name = Field(description="by which runs refer to the table")
     azimuth_deg: Degrees = Field(default=0.0, description="of the rotation axis, clockwise from North")
     elevation_deg: float = Field(
         ge=-90, le=90, description="of the rotation axis: 90 a rate table, 0 a dividing head, the latitude a polar axis"
@@ -83,9 +96,13 @@ class TableEntry(_Entry):
     rate_tolerance_deg_s: Positive | None = Field(
         default=None, description="of raw logs: rates closer than this are equal; by default the noise of the column"
     )
-    axis_uncertainty_arcsec: NotNegative | None = None
-    rate_uncertainty_ppm: NotNegative | None = None
-    angle_uncertainty_arcsec: NotNegative | None = None
+    axis_uncertainty_arcsec: NotNegative | None = Field(
+        default=None, description="of the direction of the rotation axis, about each of two axes across it"
+    )
+    rate_uncertainty_ppm: NotNegative | None = Field(default=None, description="of the commanded or measured rate")
+    angle_uncertainty_arcsec: NotNegative | None = Field(
+        default=None, description="of an angle that is read; of the record of a servo table"
+    )
     inner_axis: Vector | None = Field(default=None, description="at zero angles, in axes with z along the outer axis")
     middle_axis: Vector | None = Field(default=None, description="as inner_axis, of a table of three axes")
     arm_radius_m: Positive | None = Field(default=None, description="of a centrifuge: from the outer to the inner axis")
@@ -93,9 +110,13 @@ class TableEntry(_Entry):
         default=None,
         description="of the zero of each axis: the prior of inner_axis_zero, outer_axis_zero, middle_axis_zero",
     )
-    squareness_uncertainty_arcsec: NotNegative | None = None
-    intersection_uncertainty_um: NotNegative | None = None
-    arm_uncertainty_um: NotNegative | None = None
+    squareness_uncertainty_arcsec: NotNegative | None = Field(
+        default=None, description="of the right angle between two axes of the table"
+    )
+    intersection_uncertainty_um: NotNegative | None = Field(
+        default=None, description="of the distance between two axes that should intersect"
+    )
+    arm_uncertainty_um: NotNegative | None = Field(default=None, description="of arm_radius_m")
 
     @model_validator(mode="after")
     def _axes_of_a_table(self) -> "TableEntry":
@@ -110,10 +131,16 @@ class TableEntry(_Entry):
 class MountingEntry(_Entry):
     """Mounting of the unit on a table: a preset, or the rows of `body_to_table`; an uncertainty of 0 means exact."""
 
-    name: Name
-    preset: Literal["trihedral", "aligned"] | None = None
-    body_to_table: Annotated[list[Vector], Field(min_length=3, max_length=3)] | None = None
-    uncertainty_arcmin: NotNegative | None = None
+    name: Name = Field(description="by which runs refer to the mounting")
+    preset: Literal["trihedral", "aligned"] | None = Field(
+        default=None, description="aligned: body axes along those of the table; trihedral: body diagonal along table z"
+    )
+    body_to_table: Annotated[list[Vector], Field(min_length=3, max_length=3)] | None = Field(
+        default=None, description="three rows; the columns are the body axes in axes of the table, at its zero"
+    )
+    uncertainty_arcmin: NotNegative | None = Field(
+        default=None, description="of the attitude, about each axis; 0 is exact"
+    )
 
     @model_validator(mode="after")
     def _one_of_two(self) -> "MountingEntry":
@@ -125,37 +152,44 @@ class MountingEntry(_Entry):
 class RunEntry(_Entry):
     """One run: procedure, equipment and the file of its run table."""
 
-    name: Name
-    procedure: str
-    file: str = Field(min_length=1)
-    table: str | None = None
-    mounting: str | None = None
-    temperature_degC: float | None = Field(default=None, ge=-150, le=150)
-    start: datetime | date | None = None
-    initial_rest_s: Positive | None = None
-    ignore: list[str] = []
+    name: Name = Field(description="of the run in results, unique in the campaign")
+    procedure: str = Field(description="test procedure: rate_table, dividing_head, …; `imubayes check` lists them")
+    file: str = Field(min_length=1, description="CSV or Parquet file of the run table, beside campaign.toml")
+    table: str | None = Field(default=None, description="name of a [[table]]")
+    mounting: str | None = Field(default=None, description="name of a [[mounting]]")
+    temperature_degC: float | None = Field(
+        default=None, ge=-150, le=150, description="of all rows, where the file has no column of that name"
+    )
+    start: datetime | date | None = Field(default=None, description="when the run began; for timelines and trends")
+    initial_rest_s: Positive | None = Field(
+        default=None, description="of a free tumble: time at rest before the first motion; found where absent"
+    )
+    ignore: list[str] = Field(default=[], description="columns of the file that are not read")
 
 
 class EvaluationEntry(_Entry):
     """Limits of the classical evaluation and of the decisions made from a fit."""
 
-    delta_k_threshold_percent: Positive | None = None
+    delta_k_threshold_percent: Positive | None = Field(
+        default=None,
+        description="largest change of the gain by current injection that still is one line for all currents",
+    )
 
 
 class CampaignFile(_Entry):
     """`campaign.toml`."""
 
-    format: Literal[1]
-    name: Name
-    notes: list[str] = []
+    format: Literal[1] = Field(description="of this file")
+    name: Name = Field(description="of the campaign")
+    notes: list[str] = Field(default=[], description="remarks, kept and not evaluated")
     accepted: list[str] = Field(default=[], description="names of findings about the set-up that are only warnings")
-    site: SiteEntry
-    unit: UnitEntry = UnitEntry()
-    evaluation: EvaluationEntry = EvaluationEntry()
-    channel: list[ChannelEntry] = Field(min_length=1)
-    table: list[TableEntry] = []
-    mounting: list[MountingEntry] = []
-    run: list[RunEntry] = Field(min_length=1)
+    site: SiteEntry = Field(description="where the runs were made")
+    unit: UnitEntry = Field(default=UnitEntry(), description="what was tested")
+    evaluation: EvaluationEntry = Field(default=EvaluationEntry(), description="limits of decisions")
+    channel: list[ChannelEntry] = Field(min_length=1, description="one for each sensitive axis")
+    table: list[TableEntry] = Field(default=[], description="rate tables, dividing heads, polar axes, centrifuges")
+    mounting: list[MountingEntry] = Field(default=[], description="how the unit sat on a table")
+    run: list[RunEntry] = Field(min_length=1, description="one for each recording")
 
 
 def _scalar(value: Any) -> float | int | str | bool:
@@ -179,11 +213,15 @@ class EffectEntry(BaseModel):
     )
     __pydantic_extra__: dict[str, Option] = Field(init=False)  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    name: Name
-    channels: Annotated[list[Name], Field(min_length=1)] | None = None
-    per: Literal["channel", "all", "run", "mounting"] | None = None
-    prior: dict[str, str] = {}
-    optional: bool = False
+    name: Name = Field(description="of the effect; `imubayes effects` lists and explains them")
+    channels: Annotated[list[Name], Field(min_length=1)] | None = Field(
+        default=None, description="on which the effect acts; by default all of its kind"
+    )
+    per: Literal["channel", "all", "run", "mounting"] | None = Field(
+        default=None, description="what shares a value of its parameters; by default as the effect declares"
+    )
+    prior: dict[str, str] = Field(default={}, description="prior by parameter, in place of the default")
+    optional: bool = Field(default=False, description="leave the effect out where no run can show it")
 
     @field_validator("channels")
     @classmethod
@@ -209,12 +247,12 @@ class PriorCorrelationEntry(_Entry):
 class ModelFile(_Entry):
     """A model: a list of effects; `files` are Python sources of user-defined effects."""
 
-    format: Literal[1]
-    name: Name
-    files: list[str] = []
-    delta_k_threshold_percent: Positive | None = None
-    effect: list[EffectEntry] = Field(min_length=1)
-    prior_correlation: list[PriorCorrelationEntry] = []
+    format: Literal[1] = Field(description="of this file")
+    name: Name = Field(description="of the model")
+    files: list[str] = Field(default=[], description="Python files that define effects, beside the model file")
+    delta_k_threshold_percent: Positive | None = Field(default=None, description="as in the campaign, and before it")
+    effect: list[EffectEntry] = Field(min_length=1, description="the signal path; its order does not matter")
+    prior_correlation: list[PriorCorrelationEntry] = Field(default=[], description="of noise parameters")
     noise_priors: str | None = Field(
         default=None, description="noise-priors.toml of `imubayes noise`, in place of the model's noise on its channels"
     )

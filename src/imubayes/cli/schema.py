@@ -9,6 +9,7 @@ _RECORDS = {
     "campaign": ("imubayes.campaign.file_schemas", "CampaignFile"),
     "model": ("imubayes.campaign.file_schemas", "ModelFile"),
     "plan": ("imubayes.simulation.test_plan", "PlanFile"),
+    "specification": ("imubayes.qualification.specification", "SpecificationFile"),
     "constants": ("imubayes.qualification.onboard_record", "OnboardConstants"),
     "diagnosis": ("imubayes.criticism.diagnosis_record", "Diagnosis"),
     "addition": ("imubayes.results.addition", "Addition"),

@@ -25,23 +25,41 @@ class PlannedSteps(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
-    rates_deg_s: Annotated[list[float], Field(min_length=1)] | None = None
-    positions: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    angles_deg: Annotated[list[float], Field(min_length=1)] | None = None
-    converter_temperature_degC: Annotated[list[Temperature], Field(min_length=2, max_length=2)] | None = None
-    rows: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    rate_degC_per_h: Positive | None = None
-    current_mA: float | None = None
-    turns: Positive | None = None
-    arc_deg: Annotated[float, Field(gt=0, le=90)] | None = None
-    axis_angles_deg: Annotated[list[OfAxes], Field(min_length=1)] | None = None
-    axis_rates_deg_s: Annotated[list[OfAxes], Field(min_length=1)] | None = None
-    directions: Annotated[list[str], Field(min_length=1)] | None = None
-    counter_rotation: bool | None = None
-    hours: Annotated[float, Field(gt=0, le=1000)] | None = None
-    poses: Annotated[int, Field(ge=9, le=200)] | None = None
-    samples: Annotated[int, Field(ge=1)] = 1200
-    seconds_per_row: Positive | None = None
+    rates_deg_s: Annotated[list[float], Field(min_length=1)] | None = Field(
+        default=None, description="rates of the table (of a centrifuge, of its arm), a row each"
+    )
+    positions: Annotated[int, Field(ge=1, le=100_000)] | None = Field(
+        default=None, description="number of equal steps of a full turn"
+    )
+    angles_deg: Annotated[list[float], Field(min_length=1)] | None = Field(
+        default=None, description="angles of the table, a row each"
+    )
+    converter_temperature_degC: Annotated[list[Temperature], Field(min_length=2, max_length=2)] | None = Field(
+        default=None, description="first and last temperature of the converter"
+    )
+    rows: Annotated[int, Field(ge=1, le=100_000)] | None = Field(default=None, description="number of rows")
+    rate_degC_per_h: Positive | None = Field(default=None, description="rate of a temperature ramp")
+    current_mA: float | None = Field(default=None, description="current fed into the converter")
+    turns: Positive | None = Field(default=None, description="turns of the table")
+    arc_deg: Annotated[float, Field(gt=0, le=90)] | None = Field(
+        default=None, description="angle over which a row is a mean"
+    )
+    axis_angles_deg: Annotated[list[OfAxes], Field(min_length=1)] | None = Field(
+        default=None, description="a row each: angles of the outer, (middle,) and inner axis"
+    )
+    axis_rates_deg_s: Annotated[list[OfAxes], Field(min_length=1)] | None = Field(
+        default=None, description="a row each: rates of the outer, (middle,) and inner axis"
+    )
+    directions: Annotated[list[str], Field(min_length=1)] | None = Field(
+        default=None, description="a row each: where input and output axis point, such as EN"
+    )
+    counter_rotation: bool | None = Field(
+        default=None, description="whether the platform of a centrifuge turns back, so that the unit keeps its heading"
+    )
+    hours: Annotated[float, Field(gt=0, le=1000)] | None = Field(default=None, description="duration of the record")
+    poses: Annotated[int, Field(ge=9, le=200)] | None = Field(default=None, description="rests of a free tumble")
+    samples: Annotated[int, Field(ge=1)] = Field(default=1200, description="raw samples in the mean of a row")
+    seconds_per_row: Positive | None = Field(default=None, description="duration of a row")
 
     @model_validator(mode="after")
     def _axes_of_every_row(self) -> "PlannedSteps":

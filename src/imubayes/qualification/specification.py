@@ -42,60 +42,51 @@ class _SpecificationEntry(BaseModel):
 
 
 class RuleEntry(_SpecificationEntry):
-    """A decision rule.
+    """A decision rule."""
 
-    Attributes
-    ----------
-    name : of the rule.
-    factor : guard band in standard uncertainties.
-    width : guard band in the unit of the limit.
-    probability : least conformance probability, or the target of a risk.
-    """
-
-    name: RuleName
-    factor: Positive | None = None
-    width: Positive | None = None
-    probability: Probability | None = None
+    name: RuleName = Field(description="of the rule")
+    factor: Positive | None = Field(default=None, description="guard band in standard uncertainties")
+    width: Positive | None = Field(default=None, description="guard band in the unit of the limit")
+    probability: Probability | None = Field(
+        default=None, description="least conformance probability, or the target of a risk"
+    )
 
 
 class ProductionEntry(_SpecificationEntry):
     """Distribution of the true values of all units tested, in the unit of the limit: what a global risk is about."""
 
-    mean: float
-    sd: Positive
+    mean: float = Field(description="of the units produced")
+    sd: Positive = Field(description="standard deviation among the units produced")
 
 
 class LimitEntry(_SpecificationEntry):
-    """Limits of a quantity, or of each member of a family.
+    """Limits of a quantity, or of each member of a family."""
 
-    Attributes
-    ----------
-    quantity : name in the summary of a fit, with or without the labels in brackets.
-    lower, upper : limits; None for none.
-    unit : of the limits.
-    nominal : value, in the unit of the quantity, from which limits in ppm or % are deviations.
-    temperature_degC : range over which the limits hold.
-    rule : decision rule; that of the file where None.
-    production : of the units tested.
-    """
-
-    quantity: str = Field(min_length=1)
-    lower: float | None = None
-    upper: float | None = None
-    unit: str
-    nominal: float | None = None
-    temperature_degC: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
-    rule: RuleEntry | None = None
-    production: ProductionEntry | None = None
+    quantity: str = Field(
+        min_length=1, description="name in the summary of a fit; without the labels in brackets, all of the family"
+    )
+    lower: float | None = Field(default=None, description="limit; none where absent")
+    upper: float | None = Field(default=None, description="limit; none where absent")
+    unit: str = Field(description="of the limits")
+    nominal: float | None = Field(
+        default=None, description="in the unit of the quantity; limits in ppm or % are deviations from it"
+    )
+    temperature_degC: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
+        default=None, description="range over which the limits hold"
+    )
+    rule: RuleEntry | None = Field(default=None, description="decision rule, in place of that of the file")
+    production: ProductionEntry | None = Field(default=None, description="distribution of the units tested")
 
 
 class SpecificationFile(_SpecificationEntry):
     """A specification: limits of quantities and the rule by which conformity is decided."""
 
-    format: Literal[1]
-    name: str = Field(min_length=1)
-    rule: RuleEntry = RuleEntry(name="guard_band", factor=GUARD_FACTOR)
-    limit: Annotated[list[LimitEntry], Field(min_length=1)]
+    format: Literal[1] = Field(description="of this file")
+    name: str = Field(min_length=1, description="of the specification")
+    rule: RuleEntry = Field(
+        default=RuleEntry(name="guard_band", factor=GUARD_FACTOR), description="by which conformity is decided"
+    )
+    limit: Annotated[list[LimitEntry], Field(min_length=1)] = Field(description="one for each quantity or family")
 
 
 def read_specification(file: str | Path) -> tuple[SpecificationFile, Ledger]:

@@ -37,12 +37,12 @@ from imubayes.procedures.planned_steps import PlannedSteps, Temperature
 class PlannedRun(PlannedSteps):
     """One run of a plan; the steps that a procedure accepts are in its `PlanRules`."""
 
-    name: Name
-    procedure: str
-    table: str | None = None
-    mounting: str | None = None
-    temperature_degC: Temperature | None = None
-    start: datetime | date | None = None
+    name: Name = Field(description="of the run, unique in the plan")
+    procedure: str = Field(description="test procedure, as in campaign.toml")
+    table: str | None = Field(default=None, description="name of a [[table]]")
+    mounting: str | None = Field(default=None, description="name of a [[mounting]]")
+    temperature_degC: Temperature | None = Field(default=None, description="of all rows")
+    start: datetime | date | None = Field(default=None, description="when the run begins")
 
 
 class PlanFile(BaseModel):
@@ -50,15 +50,17 @@ class PlanFile(BaseModel):
 
     model_config = CampaignFile.model_config
 
-    format: Literal[1]
-    name: Name
-    notes: list[str] = []
-    model: str = Field(min_length=1)
-    seed: int = Field(default=1, ge=0)
-    truth: dict[str, float] = {}
-    site: SiteEntry
-    unit: UnitEntry = UnitEntry()
-    channel: list[ChannelEntry] = Field(min_length=1)
-    table: list[TableEntry] = []
-    mounting: list[MountingEntry] = []
-    run: list[PlannedRun] = Field(min_length=1)
+    format: Literal[1] = Field(description="of this file")
+    name: Name = Field(description="of the campaign")
+    notes: list[str] = Field(default=[], description="remarks, copied into the campaign")
+    model: str = Field(min_length=1, description="model file that generates the data, relative to the plan")
+    seed: int = Field(default=1, ge=0, description="of truth and noise")
+    truth: dict[str, float] = Field(
+        default={}, description="true values by parameter; others are drawn from the priors"
+    )
+    site: SiteEntry = Field(description="where the runs are made")
+    unit: UnitEntry = Field(default=UnitEntry(), description="what is tested")
+    channel: list[ChannelEntry] = Field(min_length=1, description="one for each sensitive axis")
+    table: list[TableEntry] = Field(default=[], description="as in campaign.toml")
+    mounting: list[MountingEntry] = Field(default=[], description="as in campaign.toml")
+    run: list[PlannedRun] = Field(min_length=1, description="the steps of each run")
