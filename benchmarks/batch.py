@@ -19,10 +19,10 @@ from scipy.optimize import least_squares
 
 from imubayes.batch.batch_settings import BatchSettings
 from imubayes.batch.fit_unit import posterior_of
-from imubayes.batch.group_moments import grouped_misfit, grouped_model
-from imubayes.batch.lane_mode import LaneMode, advance, advance_at, find_modes, first_curvature
+from imubayes.batch.group_moments import grouped_misfit, grouped_model, normal_equations
+from imubayes.batch.lane_mode import LaneMode, along_chord, begun, find_modes
 from imubayes.batch.lane_posterior import posteriors
-from imubayes.batch.lanes import LANES, LaneStructure
+from imubayes.batch.lanes import LANES, LaneStructure, Stacked
 from imubayes.batch.marginal_slope import marginal_slope
 from imubayes.batch.posterior_table import UnitIdentity
 from imubayes.model.bind import Model
@@ -97,7 +97,7 @@ def measure(quick: bool = False) -> Report:
         report.judge(f"units/s against SciPy's faster method, {name} Jacobian, same task", best / same, bar)
         report.judge("the same where the batch finds the noise scales as well", best / free, bar)
     report.say()
-    _shares(report, structure, varying, mode, free)
+    _shares(report, structure, few, mode, same)
     _whole(report, structure, varying, few, mode)
     report.say(f"First call, compiled code from the cache where it is there: {compiling:.1f} s.")
     return report
@@ -138,30 +138,32 @@ def _scipy_loop(chosen: list[Model], mode: LaneMode, method: str, exact: bool) -
     return taken / len(chosen), off, method, exact
 
 
-def _shares(report: Report, structure: LaneStructure, varying: Problem, mode: LaneMode, whole: float) -> None:
-    size, hyper = structure.problem.size
-    z, h = jnp.zeros((LANES, size)), jnp.zeros((LANES, hyper))
-    linear = structure.run(grouped_model, varying, z)
-    curvature, rough = structure.run(first_curvature, varying, linear, h), jnp.full(LANES, 0.1)
+def _shares(report: Report, structure: LaneStructure, chosen: list[Model], mode: LaneMode, whole: float) -> None:
+    varying, (size, hyper) = structure.stacked(chosen), structure.problem.size
+    z, h = np.zeros((LANES, size)), np.zeros((LANES, hyper))
+    middle = structure.run(grouped_model, varying, z)
     parts = {
-        "Jacobian and sums over groups, each of three": lambda: structure.run(grouped_model, varying, z),
-        "residual, each of five": lambda: structure.run(grouped_misfit, varying, z),
-        "noise scales and step, from the middle of the prior": lambda: structure.run(
-            advance, varying, linear, h, curvature, rough
-        ),
-        "slope of the marginal of the noise scales": lambda: structure.run(marginal_slope, varying, mode.model, mode.h),
-        "step at given noise scales (linear algebra)": lambda: structure.run(
-            advance_at, varying, mode.model, mode.h, curvature
-        ),
-    }
+        "Jacobian and sums over groups": (3, lambda: structure.run(grouped_model, varying, z)),
+        "residual": (4, lambda: structure.run(grouped_misfit, varying, z)),
+        "linear algebra and residual: two steps with one Jacobian": (
+            2, lambda: structure.run(along_chord, varying, mode.model, mode.h, np.full(LANES, 2))),
+        "of these, normal equations": (6, lambda: structure.run(normal_equations, varying, mode.model, mode.h)),
+        "stacking": (1, lambda: structure.stacked(chosen)),
+        "noise scales (where they are found): from the middle of the prior": (
+            1, lambda: structure.run(begun, varying, middle, h)),
+        "noise scales: value and slope of their marginal": (
+            0, lambda: structure.run(marginal_slope, varying, mode.model, mode.h)),
+    }  # fmt: skip
     rows = []
-    for name, call in parts.items():
+    for name, (times, call) in parts.items():
         taken = cpu_seconds(call, 10) / LANES
-        rows.append([name, in_words(taken), f"{100 * taken / whole:.0f} %"])
-    report.table(["part, called once", "CPU time a unit", "share of the optimum"], rows)
+        given = not name.startswith("noise scales")
+        share = f"{100 * times * taken / whole:.0f} %" if given else ""
+        rows.append([name, str(times) if given else "", in_words(taken), share])
+    report.table(["part", "times", "CPU time a unit, once", "share of the optimum, scales given"], rows)
 
 
-def _whole(report: Report, structure: LaneStructure, varying: Problem, chosen: list[Model], mode: LaneMode) -> None:
+def _whole(report: Report, structure: LaneStructure, varying: Stacked, chosen: list[Model], mode: LaneMode) -> None:
     identity, settings = UnitIdentity("", "", "", ""), BatchSettings()
 
     def rows_of_units() -> None:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.array_shapes import Array, Bool, Float, Scalar
+from imubayes.array_shapes import Array, Bool, Float, Int, Scalar
 from imubayes.batch.group_moments import (
     GroupedModel,
     GroupIndex,
@@ -24,7 +24,7 @@ from imubayes.batch.group_moments import (
     normal_equations,
     with_misfit,
 )
-from imubayes.batch.lanes import LANES, LaneStructure
+from imubayes.batch.lanes import LANES, LaneStructure, Stacked
 from imubayes.batch.marginal_slope import marginal_slope
 from imubayes.model.problem import Problem
 
@@ -39,6 +39,8 @@ _LINEARISATIONS, _HALVINGS = 20, 6
 # step is at most 1 along each axis.
 _CLIMB, _SHORT, _ROUGH, _SHORTEST = 40, 1e-4, 0.1, 1e-2
 _LEAST_CURVATURE, _ROUNDING = 0.1, 1e-9
+# A step of θ is halved where the log density falls by more than rounding, for a decrement of 1.
+_LEVEL = 1e-6
 # The rank-one update is skipped where step and secant error are this close to orthogonal.
 _TELLING = 1e-8
 
@@ -58,12 +60,18 @@ class Climb(eqx.Module):
     settled: Bool[Array, "*lanes"]
 
 
-class Advance(eqx.Module):
-    """The noise scales, the step (P,) of θ to the mode of the linearised model there, and its decrement."""
+class Chord(eqx.Module):
+    """Where steps of θ with one Jacobian end.
 
-    climb: Climb
-    step: Float[Array, " P"]
-    decrement: Scalar
+    Attributes
+    ----------
+    model : about the end, Jacobian kept.
+    first, last : decrements of the first and of the last step.
+    """
+
+    model: GroupedModel
+    first: Scalar
+    last: Scalar
 
 
 class LaneMode(eqx.Module):
@@ -83,33 +91,17 @@ class LaneMode(eqx.Module):
     converged: Array
 
 
-def first_curvature(problem: Problem, index: GroupIndex, model: GroupedModel, h: Array) -> Array:
-    """Return the curvature that a climb begins with."""
-    return expected_information(problem, index, model, h)
+def begun(problem: Problem, index: GroupIndex, model: GroupedModel, h: Array) -> Climb:
+    """Return the noise scales of most marginal density, roughly; the climb begins with their Fisher information."""
+    start = Climb(h, expected_information(problem, index, model, h), jnp.asarray(False))
+    return climbed(problem, index, model, start, jnp.asarray(_ROUGH))
 
 
-def advance(
-    problem: Problem, index: GroupIndex, model: GroupedModel, h: Array, curvature: Array, short: Scalar
-) -> Advance:
-    """Return the noise scales of most marginal density in the linearised model, and the step to its mode there."""
-    return _towards(problem, index, model, _climbed(problem, index, model, h, curvature, short))
+def climbed(problem: Problem, index: GroupIndex, model: GroupedModel, start: Climb, short: Scalar) -> Climb:
+    """Return the mode of the marginal of h by quasi-Newton steps (symmetric rank one) with backtracking.
 
-
-def advance_at(problem: Problem, index: GroupIndex, model: GroupedModel, h: Array, curvature: Array) -> Advance:
-    """Return the step to the mode of the linearised model at given noise scales."""
-    return _towards(problem, index, model, Climb(h, curvature, jnp.asarray(True)))
-
-
-def _towards(problem: Problem, index: GroupIndex, model: GroupedModel, climb: Climb) -> Advance:
-    known = normal_equations(problem, index, model, climb.h)
-    step = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(known.precision), True), known.gradient)
-    return Advance(climb, step, jnp.sqrt(jnp.maximum(known.gradient @ step, 0.0)))
-
-
-def _climbed(
-    problem: Problem, index: GroupIndex, model: GroupedModel, h: Array, curvature: Array, least: Scalar
-) -> Climb:
-    """Return the mode of the marginal of h by quasi-Newton steps (symmetric rank one) with backtracking."""
+    They end with one shorter than `short`.
+    """
 
     def body(state):
         h, value, gradient, curvature, length, count, _ = state
@@ -126,32 +118,48 @@ def _climbed(
             lambda new, old: jnp.where(better, new, old), (h + step, ahead, there), (h, value, gradient)
         )
         curvature = jnp.where(jnp.all(jnp.isfinite(learnt)), learnt, curvature)
-        short = jnp.max(jnp.abs(step)) < least
-        return *chosen, curvature, jnp.where(better, 1.0, 0.3 * length), count + 1, short
+        settled = jnp.max(jnp.abs(step)) < short
+        return *chosen, curvature, jnp.where(better, 1.0, 0.3 * length), count + 1, settled
 
     def going(state):
-        length, count, short = state[4:]
-        return (count < _CLIMB) & ~short & (length > _SHORTEST)
+        length, count, settled = state[4:]
+        return (count < _CLIMB) & ~settled & (length > _SHORTEST)
 
-    value, gradient = marginal_slope(problem, index, model, h)
-    start = (h, value, gradient, curvature, jnp.asarray(1.0), jnp.asarray(0), jnp.asarray(False))
-    end = jax.lax.while_loop(going, body, start)
+    value, gradient = marginal_slope(problem, index, model, start.h)
+    state = (start.h, value, gradient, start.curvature, jnp.asarray(1.0), jnp.asarray(0), jnp.asarray(False))
+    end = jax.lax.while_loop(going, body, state)
     return Climb(end[0], end[3], end[6] | (end[4] <= _SHORTEST))
 
 
-def moved(
-    problem: Problem, index: GroupIndex, model: GroupedModel, h: Array, step: Array
-) -> tuple[GroupedModel, Scalar]:
-    """Return the model about the end of a step, Jacobian kept, and how much higher the log density is there."""
-    ahead = with_misfit(model, model.z + step, grouped_misfit(problem, index, model.z + step))
+def along_chord(problem: Problem, index: GroupIndex, model: GroupedModel, h: Array, steps: Int[Array, ""]) -> Chord:
+    """Return where steps to the mode at given noise scales end, all with one Jacobian.
 
-    def height(at: GroupedModel) -> Scalar:
-        return -0.5 * normal_equations(problem, index, at, h).square
+    A step is halved while the log density falls.
+    """
+    start = normal_equations(problem, index, model, h)
+    factor = jnp.linalg.cholesky(start.precision)
 
-    return ahead, height(ahead) - height(model)
+    def body(state):
+        here, (square, gradient), length, halvings, count, first, _ = state
+        step = jax.scipy.linalg.cho_solve((factor, True), gradient)
+        decrement = jnp.sqrt(jnp.maximum(gradient @ step, 0.0))
+        z = here[0] + length * step
+        there = (z, grouped_misfit(problem, index, z))
+        known = normal_equations(problem, index, with_misfit(model, *there), h)
+        rises = 0.5 * (square - known.square) >= -_LEVEL * (1 + decrement)
+        taken = rises | (halvings == _HALVINGS)
+        ahead = (there, (known.square, known.gradient), 1.0, 0, count + 1)
+        stays = (here, (square, gradient), length / 2, halvings + 1, count)
+        chosen = jax.tree.map(lambda new, old: jnp.where(taken, new, old), ahead, stays)
+        return *chosen, jnp.where(count == 0, decrement, first), decrement
+
+    none, zero = jnp.asarray(0.0), jnp.asarray(0)
+    state = ((model.z, model.misfit), (start.square, start.gradient), jnp.asarray(1.0), zero, zero, none, none)
+    (z, misfit), *_, first, last = jax.lax.while_loop(lambda state: state[4] < steps, body, state)
+    return Chord(with_misfit(model, z, misfit), first, last)
 
 
-def find_modes(structure: LaneStructure, varying: Problem, given: Array | None = None) -> LaneMode:
+def find_modes(structure: LaneStructure, varying: Stacked, given: Array | None = None) -> LaneMode:
     """Return the joint fits of stacked units, from the middle of the prior.
 
     Parameters
@@ -159,10 +167,12 @@ def find_modes(structure: LaneStructure, varying: Problem, given: Array | None =
     given : noise scales to keep, shape (LANES, H); they are found where None.
     """
     size, hyper = structure.problem.size
-    z, h = jnp.zeros((LANES, size)), jnp.zeros((LANES, hyper)) if given is None else given
-    middle = structure.run(grouped_model, varying, z)
-    climb = Climb(h, structure.run(first_curvature, varying, middle, h), jnp.ones(LANES, dtype=bool))
-    near, climb = _approached(structure, varying, middle, climb, given is not None)
+    middle = structure.run(grouped_model, varying, np.zeros((LANES, size)))
+    if given is None:
+        climb = structure.run(begun, varying, middle, np.zeros((LANES, hyper)))
+    else:
+        climb = Climb(given, np.zeros((LANES, hyper, hyper)), np.ones(LANES, dtype=bool))
+    near = _stepped(structure, varying, middle, climb, 2).model
     done, result = np.zeros(LANES, dtype=bool), None
     for _ in range(_LINEARISATIONS):
         model = structure.run(grouped_model, varying, near.z)
@@ -177,52 +187,30 @@ def find_modes(structure: LaneStructure, varying: Problem, given: Array | None =
     return result
 
 
-def _advanced(
-    structure: LaneStructure, varying: Problem, model: GroupedModel, climb: Climb, short: float, keep: bool
-) -> Advance:
-    """Return where the linearised models end, noise scales as they are where they are to be kept."""
-    if keep:
-        return structure.run(advance_at, varying, model, climb.h, climb.curvature)
-    return structure.run(advance, varying, model, climb.h, climb.curvature, jnp.full(LANES, short))
-
-
-def _approached(
-    structure: LaneStructure, varying: Problem, model: GroupedModel, climb: Climb, keep: bool
-) -> tuple[GroupedModel, Climb]:
-    """Return the models after two steps with the Jacobian of the middle of the prior, and the noise scales."""
-    first = _advanced(structure, varying, model, climb, _ROUGH, keep)
-    near = _stepped(structure, varying, model, first)
-    second = structure.run(advance_at, varying, near, first.climb.h, first.climb.curvature)
-    return _stepped(structure, varying, near, second), first.climb
+def _stepped(structure: LaneStructure, varying: Stacked, model: GroupedModel, climb: Climb, steps: int) -> Chord:
+    return structure.run(along_chord, varying, model, climb.h, np.full(LANES, steps))
 
 
 def _one_linearisation(
-    structure: LaneStructure, varying: Problem, model: GroupedModel, climb: Climb, keep: bool
+    structure: LaneStructure, varying: Stacked, model: GroupedModel, climb: Climb, keep: bool
 ) -> tuple[LaneMode, Climb]:
     """Return where the fits end with one Jacobian, and the noise scales with the curvature learnt on the way."""
-    first = _advanced(structure, varying, model, climb, _SHORT, keep)
-    near, decrement = _stepped(structure, varying, model, first), np.asarray(first.decrement)
-    second = _advanced(structure, varying, near, first.climb, _SHORT, keep)
-    ended, _ = structure.run(moved, varying, near, second.climb.h, second.step)
-    left = np.asarray(second.decrement)
+    if keep:
+        end = _stepped(structure, varying, model, climb, 2)
+        first, last = end.first, end.last
+    else:
+        short = np.full(LANES, _SHORT)
+        climb = structure.run(climbed, varying, model, climb, short)
+        near = _stepped(structure, varying, model, climb, 1)
+        climb = structure.run(climbed, varying, near.model, climb, short)
+        end = _stepped(structure, varying, near.model, climb, 1)
+        first, last = near.first, end.first
+    decrement, left = np.asarray(first), np.asarray(last)
     share = left / np.maximum(decrement, _DONE)
     ready = (share < _NEARLY_LINEAR) | (decrement < _DONE)
     error = left * np.minimum(share, 1.0)
-    converged = (decrement < _CLOSE) & ready & (error < _DECREMENT) & np.asarray(second.climb.settled)
-    return LaneMode(ended, second.climb.h, jnp.asarray(error), jnp.asarray(converged)), second.climb
-
-
-def _stepped(structure: LaneStructure, varying: Problem, model: GroupedModel, first: Advance) -> GroupedModel:
-    """Return the models after their steps, halved where the log density would fall."""
-    length = np.ones(LANES)
-    near, gain = structure.run(moved, varying, model, first.climb.h, first.step)
-    for _ in range(_HALVINGS):
-        worse = ~(np.asarray(gain) >= -1e-6 * (1 + np.asarray(first.decrement)))
-        if not worse.any():
-            break
-        length = np.where(worse, length / 2, length)
-        near, gain = structure.run(moved, varying, model, first.climb.h, first.step * length[:, None])
-    return near
+    converged = (decrement < _CLOSE) & ready & (error < _DECREMENT) & np.asarray(climb.settled)
+    return LaneMode(end.model, climb.h, jnp.asarray(error), jnp.asarray(converged)), climb
 
 
 def _chosen(done: np.ndarray, old: Any, new: Any) -> Any:

@@ -19,7 +19,7 @@ from scipy.stats import qmc
 from imubayes.array_shapes import Array, Float
 from imubayes.batch.group_moments import GroupedModel, GroupIndex, log_marginal_of, normal_equations
 from imubayes.batch.lane_mode import LaneMode
-from imubayes.batch.lanes import LANES, LaneStructure, of_lane
+from imubayes.batch.lanes import LANES, LaneStructure, Stacked, of_lane
 from imubayes.batch.marginal_slope import marginal_slope
 from imubayes.inference.conditional_precision import ExactPrecision
 from imubayes.inference.fitted_model import Fit
@@ -116,7 +116,7 @@ def _standardised(vectors: np.ndarray) -> np.ndarray:
     return np.linalg.solve(np.linalg.cholesky(centred.T @ centred / len(vectors)), centred.T).T
 
 
-def posteriors(structure: LaneStructure, varying: Problem, mode: LaneMode, models: list[Model]) -> list[Fit | None]:
+def posteriors(structure: LaneStructure, varying: Stacked, mode: LaneMode, models: list[Model]) -> list[Fit | None]:
     """Return the fits of the units in lanes; None for one whose noise scales have another mode, or no curvature."""
     at: Curvature = structure.run(hyper_curvature, varying, mode.model, mode.h)
     probes = [_probes(mode, at, lane) for lane in range(len(models))]

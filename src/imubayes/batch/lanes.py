@@ -8,15 +8,15 @@ numbers are stacked.  A chunk that does not fill the lanes is filled up with cop
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array
 from imubayes.batch.group_moments import GroupIndex, group_index
+from imubayes.gather import on_device
 from imubayes.model.bind import Model
 from imubayes.model.problem import Problem
 
@@ -41,6 +41,30 @@ def _is_shared(path: tuple, leaf: Any) -> bool:
     return np.asarray(leaf).dtype.kind != "f" or ".sparsity" in jax.tree_util.keystr(path)
 
 
+Stacked = tuple[Array, ...]
+"""The arrays of units in lanes that differ between units, each (LANES, …)."""
+
+
+@dataclass(frozen=True)
+class _Form:
+    """How the arrays of a problem are put together: its tree, and which of its leaves all units have in common."""
+
+    tree: Any
+    common: tuple[bool, ...]
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash((self.tree, self.common))
+
+    def problem(self, common: Sequence[Array], own: Sequence[Array]) -> Problem:
+        """Return the problem with these arrays."""
+        shared, differing = iter(common), iter(own)
+        return jax.tree.unflatten(self.tree, [next(shared if same else differing) for same in self.common])
+
+
 @dataclass(frozen=True)
 class LaneStructure:
     """The compiled functions of a structure, by its first problem."""
@@ -52,24 +76,26 @@ class LaneStructure:
     def of(problem: Problem) -> "LaneStructure | None":
         """Return the structure of a problem; None where its readings cannot be summed up by groups."""
         index = group_index(problem)
-        return None if index is None else LaneStructure(problem, index)
+        return None if index is None else LaneStructure(problem, on_device(index))
 
     @cached_property
-    def _mask(self) -> Problem:
-        return jax.tree_util.tree_map_with_path(_is_shared, self.problem)
+    def _form(self) -> _Form:
+        leaves, tree = jax.tree_util.tree_flatten_with_path(self.problem)
+        return _Form(tree, tuple(_is_shared(path, leaf) for path, leaf in leaves))
 
     @cached_property
-    def shared(self) -> Problem:
-        """The arrays that all units have in common; None elsewhere."""
-        return eqx.partition(self.problem, self._mask)[0]
+    def _common(self) -> Stacked:
+        leaves = zip(jax.tree.leaves(self.problem), self._form.common, strict=True)
+        return tuple(on_device(leaf) for leaf, same in leaves if same)
 
-    def stacked(self, models: Sequence[Model]) -> Problem:
-        """Return the arrays that differ between units, stacked in lanes (LANES, …)."""
+    def stacked(self, models: Sequence[Model]) -> Stacked:
+        """Return the arrays that differ between units, stacked in lanes."""
         filled = [*models, *[models[-1]] * (LANES - len(models))]
-        own = [eqx.partition(model.problem, self._mask)[1] for model in filled]
-        return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *own)
+        units = [jax.tree.leaves(model.problem) for model in filled]
+        own = [leaves for *leaves, same in zip(*units, self._form.common, strict=True) if not same]
+        return tuple(jax.device_put([np.stack([np.asarray(leaf) for leaf in leaves]) for leaves in own]))
 
-    def run(self, function: Callable, varying: Problem, *arguments: Any) -> Any:
+    def run(self, function: Callable, varying: Stacked, *arguments: Any) -> Any:
         """Return `function(problem, index, *arguments)` of every lane.
 
         Parameters
@@ -77,13 +103,16 @@ class LaneStructure:
         function : of one unit; compiled once for a structure, so it must be the same object every time.
         arguments : arrays with the lanes first.
         """
-        return _mapped(function, varying, self.shared, self.index, *arguments)
+        return _mapped(function, self._form, varying, self._common, self.index, *arguments)
 
 
-@eqx.filter_jit
-def _mapped(function: Callable, varying: Problem, shared: Problem, index: GroupIndex, *arguments: Any) -> Any:
-    def of_unit(varying, *given):
-        return function(eqx.combine(shared, varying), index, *given)
+# Leaves are handed over, not problems: taking a problem apart costs more than a small function of it.
+@partial(jax.jit, static_argnums=(0, 1))
+def _mapped(
+    function: Callable, form: _Form, varying: Stacked, common: Stacked, index: GroupIndex, *arguments: Any
+) -> Any:
+    def of_unit(own, *given):
+        return function(form.problem(common, own), index, *given)
 
     return jax.vmap(of_unit)(varying, *arguments)
 
