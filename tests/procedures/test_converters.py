@@ -62,7 +62,8 @@ def test_three_runs_whose_scatter_is_in_the_tail_of_its_prior_are_held_by_the_po
     assert result.summary.prior_scatter
     known = {one.name: one for one in result.summary.parameters}
     gain = known["injection_error.gain[ax]"]
-    assert gain.mean is not None and gain.sd is not None
+    assert gain.mean is not None
+    assert gain.sd is not None
     missed = abs(gain.mean - truth[gain.name])
     assert missed < 4.5 * gain.sd
     # A scatter taken as small misses it.
