@@ -55,14 +55,17 @@ class Assessment:
         return "withheld" if self.obstacles and better else found
 
 
-def assess(result: Result, specification: str | Path, diagnosis: Diagnosis | None) -> Assessment:
+def assess(
+    result: Result, specification: str | Path, diagnosis: Diagnosis | None, unit: TestedUnit | None = None
+) -> Assessment:
     """Return the conformity of a unit to a specification.
 
     Parameters
     ----------
-    result : a fit of the unit that converged, with its campaign in place.
+    result : a fit of the unit, with its campaign in place.
     specification : the file.
     diagnosis : of the result; None where it was not diagnosed, which a unit cannot pass with.
+    unit : the quantities of the result where they are known already.
 
     Raises
     ------
@@ -72,7 +75,7 @@ def assess(result: Result, specification: str | Path, diagnosis: Diagnosis | Non
     file, ledger = read_specification(specification)
     if not result.summary.converged:
         return Assessment(file.name, (), _obstacles(result, diagnosis))
-    unit = tested_unit(result)
+    unit = unit or tested_unit(result)
     limits = tuple(conformity(limit, unit) for limit in resolved_limits(file, ledger, unit))
     return Assessment(file.name, limits, _obstacles(result, diagnosis))
 

@@ -72,16 +72,25 @@ def type_a_contributions(along: np.ndarray, whitened: np.ndarray, member: np.nda
     return (member.astype(float) @ (whitened @ along.T) ** 2).T
 
 
-def variance_with_exact_priors(gradients: Array, covariance: Array) -> Array:
-    """Return the variance of each quantity if one prior mean were known exactly, shape (Q, P)."""
-    along = gradients @ covariance
-    return (along * gradients).sum(axis=1)[:, None] - along**2 / covariance.diagonal()[None, :]
+def variance_with_exact_priors(along: Array, variance: Array, own: Array) -> Array:
+    """Return the variance of each quantity if one prior mean were known exactly, shape (Q, P).
+
+    Parameters
+    ----------
+    along : shape (Q, P), gradients of the quantities times C.
+    variance : shape (Q,), of the quantities.
+    own : shape (P,), diagonal of C.
+    """
+    return variance[:, None] - along**2 / own[None, :]
 
 
-def variance_with_halved_priors(gradients: Array, covariance: Array, widths: Array) -> Array:
-    """Return the variance of each quantity if one prior, widths (1, P), were half as wide, shape (Q, P)."""
-    along, added = gradients @ covariance, 3 / widths**2
-    return (along * gradients).sum(axis=1)[:, None] - along**2 * added / (1 + added * covariance.diagonal()[None, :])
+def variance_with_halved_priors(along: Array, variance: Array, own: Array, widths: Array) -> Array:
+    """Return the variance of each quantity if one prior, widths (P,), were half as wide, shape (Q, P).
+
+    Other parameters as of `variance_with_exact_priors`.
+    """
+    added = (3 / widths**2)[None, :]
+    return variance[:, None] - along**2 * added / (1 + added * own[None, :])
 
 
 def deviation_with_halved_groups(

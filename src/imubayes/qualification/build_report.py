@@ -74,8 +74,8 @@ def report_of(result: Result | str | Path, specification: str | Path | None = No
     assert found.folder is not None, "a report is made of a result folder"
     diagnosis, tree = read_diagnosis(found.folder), _tree(found.folder)
     campaign = found.fit.model.campaign
-    assessment = assess(found, specification, diagnosis) if specification is not None else None
     unit = tested_unit(found) if found.converged else None
+    assessment = assess(found, specification, diagnosis, unit) if specification is not None else None
     angles = mounting_angles(found, unit)
     return QualificationReport(
         subject=subject_of(campaign, found),
@@ -112,8 +112,7 @@ def convergence_of(result: Result) -> ReportedConvergence:
     }
     draws = None
     if summary.converged:
-        first = summary.parameters[0].name
-        draws = len(next(iter(draws_of(result.posterior_file or result.posterior, [first]).values())))
+        draws = len(next(iter(result.draws.values())))
     return ReportedConvergence(
         converged=summary.converged,
         message=summary.message,

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import cho_factor, cho_solve
+from jax.scipy.linalg import solve_triangular
 
 from imubayes.array_shapes import Array, Float
 from imubayes.inference.conditional_precision import ExactPrecision, PrecisionBlocks, conditional, precision_blocks
@@ -114,15 +114,15 @@ def _moments(
 ):
     def at(sums, scales):
         precision, slope = conditional(blocks, problem, scales)
-        covariance = cho_solve(cho_factor(precision, lower=True), jnp.eye(len(precision)))
-        along, widths = gradients @ covariance, prior_widths(problem, scales)
+        root = solve_triangular(jnp.linalg.cholesky(precision), jnp.eye(len(precision)), lower=True)
+        projected, widths = gradients @ root.T, prior_widths(problem, scales)
+        along, variance, own = projected @ root, jnp.sum(projected**2, axis=1), jnp.sum(root**2, axis=0)
         each = (
             (along / widths[None, :]) ** 2,
             along / widths[None, :] ** 2,
-            variance_with_exact_priors(gradients, covariance),
-            variance_with_halved_priors(gradients, covariance, widths[None, :]),
+            variance_with_exact_priors(along, variance, own),
+            variance_with_halved_priors(along, variance, own, widths),
         )
-        variance = jnp.sum(along * gradients, axis=1)
         return tuple(total + own for total, own in zip(sums, each, strict=True)), (variance, along @ slope)
 
     sums, (variance, mean) = jax.lax.scan(at, (jnp.zeros_like(gradients),) * 4, h)

@@ -82,7 +82,7 @@ class Marginal:
 
     def _quantile_error(self, probability: float) -> float:
         shape = self.effective * probability + 1, self.effective * (1 - probability) + 1
-        below, above = np.quantile(self.draws, scipy.stats.beta.ppf(special.ndtr([-1.0, 1.0]), *shape))
+        below, above = np.quantile(self.draws, special.betaincinv(*shape, special.ndtr([-1.0, 1.0])))
         return float((above - below) / 2)
 
 

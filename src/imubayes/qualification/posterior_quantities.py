@@ -8,7 +8,6 @@ import numpy as np
 
 from imubayes.errors import InputError, Issue
 from imubayes.qualification.marginal import Marginal
-from imubayes.results.posterior_draws import draws_of
 from imubayes.results.result import Result
 from imubayes.results.summary import ParameterSummary, Quantity
 
@@ -48,7 +47,7 @@ def posterior_quantities(result: Result) -> PosteriorQuantities:
         raise InputError(Issue("there are no posterior draws", where, "a fit that converged", summary.message))
     lines = (*summary.parameters, *summary.derived)
     entries = {line.name: line for line in lines if not (isinstance(line, ParameterSummary) and line.nuisance)}
-    draws = draws_of(result.posterior_file or result.posterior, entries)
+    draws = {name: result.draws[name] for name in entries if name in result.draws}
     least = min((_sampled_size(line) for line in summary.parameters), default=math.inf)
     sizes = {name: _effective(entries[name], draws[name], least) for name in draws}
     return PosteriorQuantities({name: entries[name] for name in draws}, draws, sizes)

@@ -1,11 +1,11 @@
 """From the budgets of a result to the records of the report; they are kept in its folder, as they take seconds."""
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from imubayes.atomic_files import write_text
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import narrowed
 from imubayes.json_record import Record, finite
+from imubayes.parameters.vector import Parameter
 from imubayes.qualification.assess import standards_input
 from imubayes.qualification.budget_algebra import effective_degrees
 from imubayes.qualification.budget_record import (
@@ -21,6 +22,7 @@ from imubayes.qualification.budget_record import (
     HalvedInput,
     NarrowingRun,
     QuantityBudget,
+    Source,
     UncertaintyBudgets,
 )
 from imubayes.qualification.conformity import TestedUnit
@@ -41,7 +43,7 @@ from imubayes.results.result import Result
 
 BUDGETS = "budgets.json"
 # Changed where budgets of the same result come out otherwise, so that those that are kept are made anew.
-_METHOD = 3
+_METHOD = 4
 _MOST_HALVED = 3
 # Decimals of a correlation.
 _DECIMALS = 4
@@ -149,53 +151,61 @@ def _budget(parts: _Parts, place: int, next_run: NarrowingRun | None) -> Quantit
 
 def _lines(parts: _Parts, place: int) -> list[BudgetLine]:
     """Return the contributions to a quantity, the largest first, and last those too small for a line of their own."""
-    lines = sorted(_all_lines(parts, place), key=lambda line: -line.share)
-    large = [line for line in lines if line.share >= LEAST_SHARE]
-    small = [line for line in lines if 0 < line.share < LEAST_SHARE]
+    posterior, contributions = float(parts.arrays.posterior[place]), list(_contributions(parts, place))
+    least = LEAST_SHARE * posterior
+    shown = sorted((each for each in contributions if each.variance >= least), key=lambda each: -each.variance)
+    small = [each for each in contributions if 0 < each.variance < least]
     if small:
-        share = sum(line.share for line in small)
-        together = float(np.sqrt(sum(line.contribution**2 for line in small)))
-        types: list[Literal["A", "B"] | None] = list({line.type: None for line in small})
-        large.append(
-            BudgetLine(
-                kind="small", input="", type=types[0] if len(types) == 1 else None, contribution=together,
-                share=share, inputs=sum(line.inputs for line in small),
-            )
-        )  # fmt: skip
-    return large
+        types = {each.type for each in small}
+        together = sum(each.variance for each in small)
+        shown.append(_Contribution(together, types.pop() if len(types) == 1 else None, sum(e.inputs for e in small)))
+    return [
+        BudgetLine(
+            type=each.type,
+            inputs=each.inputs,
+            contribution=float(np.sqrt(each.variance)),
+            share=each.variance / posterior,
+            **each.named,
+        )
+        for each in shown
+    ]
 
 
-def _all_lines(parts: _Parts, place: int) -> Iterator[BudgetLine]:
-    arrays, posterior = parts.arrays, float(parts.arrays.posterior[place])
+@dataclass(frozen=True)
+class _Contribution:
+    """A contribution to a posterior variance: what its line says of it is in `named`."""
 
-    def line(variance: float, **rest) -> BudgetLine:
-        return BudgetLine(contribution=float(np.sqrt(variance)), share=float(variance) / posterior, **rest)
+    variance: float
+    type: Literal["A", "B"] | None
+    inputs: int = 1
+    named: Mapping[str, Any] = field(default_factory=lambda: {"kind": "small", "input": ""})
 
-    runs = parts.result.fit.model.campaign.runs
-    for run, variance, degrees in zip(runs, arrays.averaged.type_a[place], arrays.degrees[place], strict=True):
-        yield line(
-            variance, kind="run", input=run.name, group=run.procedure, type="A", distribution=_NORMAL,
-            degrees_of_freedom=finite(float(degrees)),
-        )  # fmt: skip
-    groups = nuisance_groups(parts.result.fit.model.layout)
-    for effect, members in groups.items():
-        variance = float(arrays.averaged.type_b[place, members].sum())
-        yield line(
-            variance, kind="priors", input=effect, type="B", source=SOURCES.get(effect, "unit"),
-            inputs=int(members.sum()), distribution=_NORMAL,
-        )  # fmt: skip
-    for column, parameter in enumerate(arrays.priors):
-        if parameter.nuisance:
-            continue
-        variance, width = float(arrays.averaged.type_b[place, column]), finite(parameter.prior_sd)
-        sign = float(np.sign(arrays.averaged.sensitivity[place, column]))
-        yield line(
-            variance, kind="prior", input=parameter.name, type="B", source=SOURCES.get(parameter.effect, "unit"),
-            distribution=distribution(parameter.prior), unit=parameter.unit, input_uncertainty=width,
-            sensitivity=sign * float(np.sqrt(variance)) / width if width else None,
-        )  # fmt: skip
-    yield line(float(arrays.noise_scales[place]), kind="noise_scales", input="", type="A")
-    yield line(float(arrays.second_order[place]), kind="second_order", input="", type=None)
+
+def _contributions(parts: _Parts, place: int) -> Iterator[_Contribution]:
+    arrays, runs = parts.arrays, parts.result.fit.model.campaign.runs
+    averaged = arrays.averaged
+    type_a, degrees, type_b = (each[place].tolist() for each in (averaged.type_a, arrays.degrees, averaged.type_b))
+    for run, variance, known in zip(runs, type_a, degrees, strict=True):
+        named = {"kind": "run", "input": run.name, "group": run.procedure, "distribution": _NORMAL}
+        yield _Contribution(variance, "A", named=named | {"degrees_of_freedom": finite(known)})
+    for effect, members in nuisance_groups(parts.result.fit.model.layout).items():
+        named = {"kind": "priors", "input": effect, "source": SOURCES.get(effect, "unit"), "distribution": _NORMAL}
+        yield _Contribution(float(averaged.type_b[place, members].sum()), "B", int(members.sum()), named)
+    for parameter, variance, slope in zip(arrays.priors, type_b, averaged.sensitivity[place].tolist(), strict=True):
+        if not parameter.nuisance:
+            yield _Contribution(variance, "B", named=_of_prior(parameter, variance, slope))
+    yield _Contribution(float(arrays.noise_scales[place]), "A", named={"kind": "noise_scales", "input": ""})
+    yield _Contribution(float(arrays.second_order[place]), None, named={"kind": "second_order", "input": ""})
+
+
+def _of_prior(parameter: Parameter, variance: float, slope: float) -> dict[str, Any]:
+    """Return what the line of a prior says."""
+    width = finite(parameter.prior_sd)
+    return {
+        "kind": "prior", "input": parameter.name, "source": SOURCES.get(parameter.effect, "unit"),
+        "distribution": distribution(parameter.prior), "unit": parameter.unit, "input_uncertainty": width,
+        "sensitivity": float(np.sign(slope)) * float(np.sqrt(variance)) / width if width else None,
+    }  # fmt: skip
 
 
 def _halved(parts: _Parts, place: int) -> tuple[HalvedInput, ...]:
@@ -203,29 +213,26 @@ def _halved(parts: _Parts, place: int) -> tuple[HalvedInput, ...]:
 
     Deviations are those at the mode, scaled to the posterior one.
     """
-    arrays = parts.arrays
-    if not arrays.improved.at_mode[place] > 0:
+    arrays, improved = parts.arrays, parts.arrays.improved
+    if not improved.at_mode[place] > 0:
         return ()
-    scale = float(np.sqrt(arrays.posterior[place]) / arrays.improved.at_mode[place])
-    found = [
-        HalvedInput(kind="run", input=run, source=None, standard_uncertainty=scale * float(after))
-        for run, after in zip(arrays.runs, arrays.improved.halved_noise[place], strict=True)
+    scale = float(np.sqrt(arrays.posterior[place]) / improved.at_mode[place])
+    found: list[tuple[float, Literal["run", "prior", "priors"], str, Source | None]] = [
+        (after, "run", run, None) for run, after in zip(arrays.runs, improved.halved_noise[place], strict=True)
     ]
     found += [
-        HalvedInput(
-            kind="prior", input=parameter.name, source=SOURCES.get(parameter.effect, "unit"),
-            standard_uncertainty=scale * float(after),
-        )
-        for parameter, after in zip(arrays.priors, arrays.improved.halved_prior[place], strict=True)
+        (after, "prior", parameter.name, SOURCES.get(parameter.effect, "unit"))
+        for parameter, after in zip(arrays.priors, improved.halved_prior[place], strict=True)
         if not parameter.nuisance
-    ]  # fmt: skip
-    found += [
-        HalvedInput(
-            kind="priors", input=effect, source=SOURCES.get(effect, "unit"), standard_uncertainty=scale * float(after)
-        )
-        for effect, after in zip(arrays.improved.groups, arrays.improved.halved_groups[place], strict=True)
     ]
-    return tuple(sorted(found, key=lambda each: each.standard_uncertainty)[:_MOST_HALVED])
+    found += [
+        (after, "priors", effect, SOURCES.get(effect, "unit"))
+        for effect, after in zip(improved.groups, improved.halved_groups[place], strict=True)
+    ]
+    return tuple(
+        HalvedInput(kind=kind, input=name, source=source, standard_uncertainty=scale * float(after))
+        for after, kind, name, source in sorted(found, key=lambda each: each[0])[:_MOST_HALVED]
+    )
 
 
 def _next_runs(result: Result, arrays: BudgetArrays) -> list[NarrowingRun | None]:

@@ -87,7 +87,7 @@ def sensor_posterior(result: Result) -> SensorPosterior:
     places = np.unique(np.concatenate(used)) if used else np.zeros(0, dtype=int)
     places = places[places < count].astype(int)
     names = tuple(layout.names[place] for place in places)
-    found = thinned(complete(draws_of(result.posterior_file or result.posterior, names)), _MOST_DRAWS)
+    found = thinned(complete(draws_of(result.draws, names)), _MOST_DRAWS)
     factors = layout.factors()[places]
     draws = np.stack([found[name] for name in names], axis=1) * factors if names else np.zeros((1, 0))
     values = np.concatenate([np.zeros(count), np.asarray(model.problem.nulls)])

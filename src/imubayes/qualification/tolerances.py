@@ -52,17 +52,17 @@ Origin: 4 standard deviations, exceeded by chance once in 16 000 quantities.  A 
 estimate for the sampled one more often; a larger one overlooks a posterior that is not its approximation.
 """
 
-CONDITIONING_WORK = 1e10
+CONDITIONING_WORK = 2e9
 """Multiplications spent on averaging the contributions of a budget over draws of the noise scales.
 
-Origin: two seconds on one core.  Variances scatter over draws by 30 % where a scale is known, which the 1500 draws of a
-large budget average to 1 %; where a scatter between runs is known from its prior alone they scatter by several times
-themselves, so a small budget takes all draws.
+Origin: a quarter of a second on one core.  Variances scatter over draws by 30 % where a scale is known, which the 600
+draws of a large budget average to 1.2 %, 0.6 % of the standard uncertainty; where a scatter between runs is known from
+its prior alone they scatter by several times themselves, so a small budget takes all draws.
 """
 
-SPLIT_DRAWS = 60
+SPLIT_DRAWS = 40
 """Draws of the noise scales over which the contributions of the data are divided among the runs.
 
-Origin: the shares of runs scatter less than their sum, and degrees of freedom from 60 draws are known to 20 %.  Each
+Origin: the shares of runs scatter less than their sum, and degrees of freedom from 40 draws are known to 25 %.  Each
 costs a product of the whitened Jacobian.
 """

@@ -45,7 +45,7 @@ from imubayes.qualification.linear_part import (
 from imubayes.qualification.posterior_quantities import posterior_quantities
 from imubayes.qualification.posterior_variance import PosteriorDraws, posterior_variances
 from imubayes.qualification.tolerances import CONDITIONING_WORK, SPLIT_DRAWS
-from imubayes.results.posterior_draws import complete, draws_of
+from imubayes.results.posterior_draws import complete
 from imubayes.results.result import Result
 
 SOURCES: dict[str, Source] = {
@@ -201,7 +201,7 @@ def budget_of(
     fit, quantities = result.fit, _draws(result, names)
     draws, slopes = _with_functions(quantities, functions or {})
     problem, campaign = fit.model.problem, fit.model.campaign
-    about = linearise(problem, jnp.asarray(fit.z))
+    about = fit.mode.about if fit.mode is not None else linearise(problem, jnp.asarray(fit.z))
     whitened, widths = (np.asarray(each) for each in _whitened(problem, about, jnp.asarray(fit.h)))
     part, covariance = linear_part(fit, about), posterior_covariance(whitened, widths)
     derivatives = _with_slopes(derivatives_of(fit, part, list(quantities.values)), slopes)
@@ -285,7 +285,7 @@ def _draws(result: Result, names: Sequence[str]) -> PosteriorDraws:
     """Return the draws of a result with those of the quantities asked for, without noise scales."""
     layout, hyper = result.fit.model.layout, result.fit.model.hyper_layout
     effective = posterior_quantities(result).effective
-    stored = draws_of(result.posterior_file or result.posterior, [*layout.names, *hyper.names, *names])
+    stored = result.draws
     values = {name: stored[name] for name in dict.fromkeys(names) if name in stored and name not in hyper.names}
     least = min(effective.values(), default=float("inf"))
     known = {name: effective.get(name, least) for name in values}

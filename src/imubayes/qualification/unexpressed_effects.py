@@ -187,7 +187,7 @@ def _in_campaign(result: Result, effect: BoundEffect) -> list[UnexpressedEffect]
     names = [parameter.name for parameter in effect.parameters]
     places = np.array([model.layout.index(name) for name in names], dtype=int)
     nulls = np.array([effect.declared[parameter.field].null for parameter in effect.parameters])
-    draws = thinned(complete(draws_of(result.posterior_file or result.posterior, names)), _DRAWS_IN_CAMPAIGN)
+    draws = thinned(complete(draws_of(result.draws, names)), _DRAWS_IN_CAMPAIGN)
     own = np.stack([draws[name] for name in names], axis=1) * model.layout.factors()[places]
     values = np.array(values_of(model.problem, jnp.asarray(result.fit.z)))
     values[places] = own.mean(axis=0)

@@ -13,6 +13,7 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_tree import posterior_tree
 from imubayes.representation import Presented
 from imubayes.results.fit_file import read_fit
+from imubayes.results.posterior_draws import Draws, draws_of
 from imubayes.results.read_folder import read_summary_and_residuals
 from imubayes.results.record_files import damaged
 from imubayes.results.record_names import POSTERIOR
@@ -90,6 +91,17 @@ class Result(Presented):
             return xarray.open_datatree(file, engine="h5netcdf")
         except (OSError, ValueError, KeyError) as error:
             raise InputError(damaged(file, error)) from error
+
+    @cached_property
+    def draws(self) -> Draws:
+        """The posterior draws of parameters and derived quantities by name, (S,) each; from the file where there is one.
+
+        Raises
+        ------
+        InputError
+            as for `posterior`.
+        """
+        return draws_of(self.posterior_file or self.posterior, self.quantities)
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
