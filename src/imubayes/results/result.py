@@ -94,7 +94,7 @@ class Result(Presented):
 
     @cached_property
     def draws(self) -> Draws:
-        """The posterior draws of parameters and derived quantities by name, (S,) each; from the file where there is one.
+        """The posterior draws of parameters and derived quantities by name, (S,) each, from the file if there is one.
 
         Raises
         ------
