@@ -36,6 +36,7 @@ from imubayes.qualification.onboard_constants import onboard_constants as consta
 from imubayes.qualification.onboard_losses import Loss
 from imubayes.qualification.onboard_record import OnboardConstants
 from imubayes.qualification.recording_files import CorrectedRecording, correct_recording, open_recording
+from imubayes.qualification.report_budgets import keep_budgets
 from imubayes.qualification.report_record import QualificationReport
 from imubayes.qualification.until_digits import fit_until_digits
 from imubayes.results.addition import Addition, added_variable, addition_of
@@ -97,8 +98,10 @@ def fit(
             fitted = joint_fit(declared, sampling, checkpoint, resume, tell)
         tell("summarising")
         result = result_of(fitted, folder, seed, load_seconds)
-    if folder is not None:
-        write_node(folder, first_node(fitted.model, result.summary, seed))
+        if folder is not None:
+            write_node(folder, first_node(fitted.model, result.summary, seed))
+            tell("uncertainty budgets")
+            keep_budgets(result)
     return result
 
 
@@ -189,6 +192,8 @@ def add(
         write_addition(folder, addition, added_variable(refit.extension))
         if parent is not None:
             remember(parent, folder, addition, diagnosis, seed)
+        if not refit.objection:
+            keep_budgets(after)
     return addition
 
 

@@ -13,6 +13,8 @@ from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.verdict import Verdict
 from imubayes.display.qualification.html_page import html_page
 from imubayes.display.qualification.report_document import report_document
+from imubayes.model import derived_quantities
+from imubayes.qualification import report_budgets
 from imubayes.qualification.report_record import QualificationReport
 from imubayes.results.loop_files import write_diagnosis
 
@@ -29,8 +31,6 @@ def fitted(tmp_path_factory) -> Path:
         run(["fit", str(ROOT / "data" / "accel-channel"), "--model", str(model), "--out", str(folder), "--no-sample"])
         == 0
     )
-    # Budgets are computed once: the copies of the folder hold them too.
-    run(["report", str(folder), "--out", str(folder.parent / "first.json")])
     return folder
 
 
@@ -120,6 +120,25 @@ def test_every_quantity_has_a_budget_that_adds_up(result, tmp_path):
     assert "Uncertainty budgets" in said
     assert "What to improve first" in said
     assert f"{100 * bias.lines[0].share:.1f} %" in said
+
+
+def test_a_report_of_a_fit_evaluates_no_model(result, tmp_path, monkeypatch):
+    """The fit, which has the model compiled, keeps the budgets: the first report takes no longer than the next."""
+
+    def refused(*_):
+        raise AssertionError("the model is evaluated")
+
+    for module, name in (
+        (report_budgets, "budget_of"),
+        (report_budgets, "narrowed"),
+        (derived_quantities, "_derive_batch"),
+    ):
+        monkeypatch.setattr(module, name, refused)
+    _, record, _ = written(result, tmp_path)
+    assert record.budgets is not None
+    (result / "budgets.json").unlink()
+    with pytest.raises(AssertionError, match="the model is evaluated"):
+        written(result, tmp_path)
 
 
 def test_budgets_that_are_kept_are_those_of_the_result(result, tmp_path):

@@ -25,6 +25,7 @@ from imubayes.model.sensitive_axes import (
     axes_of_rotation,
     sensitivities,
     thermal_slopes,
+    unit_vectors,
 )
 from imubayes.model.signal_path import Layer
 from imubayes.procedures.converter_temperature import NEAR_ONE_G
@@ -76,18 +77,30 @@ class DerivedFunction(eqx.Module):
                     parts.append(jnp.abs(own - reference) / jnp.abs(reference))
         return jnp.concatenate(parts) / self.factors
 
+    def directions(self, values: Float[Array, " V"]) -> Float[Array, "A 3"]:
+        """Return the unit vectors of all sensitive axes, kind by kind, then of the axes of rotation."""
+        response = sensitivities(self.inputs, values)
+        sensitive = [response[kind] for kind in KINDS if kind in response]
+        return unit_vectors(jnp.concatenate([*sensitive, axes_of_rotation(self.inputs, values)]))
 
+
+# One compiled function for draws, derivatives and directions, which share nearly all of it.
 @eqx.filter_jit
-def _derive_batch(derivation: DerivedFunction, problem: Problem, points: Float[Array, "n P"]) -> Float[Array, "n D"]:
-    return jax.vmap(lambda z: derivation(values_of(problem, z)))(points)
+def _derive_batch(
+    derivation: DerivedFunction, problem: Problem, points: Float[Array, "n P"]
+) -> tuple[Float[Array, "n D"], Float[Array, "n A 3"]]:
+    values = jax.vmap(lambda z: values_of(problem, z))(points)
+    return jax.vmap(derivation)(values), jax.vmap(derivation.directions)(values)
 
 
 def evaluate_derived(derivation: DerivedFunction, problem: Problem, points: np.ndarray) -> np.ndarray:
-    """Return the derived quantities, in their units, of many points in z (n, P); shape (n, D).
+    """Return the derived quantities, in their units, of many points in z (n, P); shape (n, D)."""
+    return in_batches(lambda batch: _derive_batch(derivation, problem, batch)[0], points, _AT_ONCE)
 
-    One compiled function for draws and derivatives.
-    """
-    return in_batches(lambda batch: _derive_batch(derivation, problem, batch), points, _AT_ONCE)
+
+def evaluate_directions(derivation: DerivedFunction, problem: Problem, points: np.ndarray) -> np.ndarray:
+    """Return the directions, as of `DerivedFunction.directions`, at many points in z (n, P); shape (n, A, 3)."""
+    return in_batches(lambda batch: _derive_batch(derivation, problem, batch)[1], points, _AT_ONCE)
 
 
 def derived_jacobian(derivation: DerivedFunction, problem: Problem, z: np.ndarray) -> np.ndarray:

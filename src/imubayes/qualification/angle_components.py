@@ -7,17 +7,11 @@ components; E[angle²] is the sum of their mean squares, and each input contribu
 
 from collections.abc import Sequence
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from imubayes.array_shapes import Array, Float
 from imubayes.inference.fitted_model import Fit
-from imubayes.model.derived_quantities import evaluate_derived
+from imubayes.model.derived_quantities import evaluate_derived, evaluate_directions
 from imubayes.model.nodes_and_entries import KINDS
-from imubayes.model.problem import Problem, values_of
-from imubayes.model.sensitive_axes import SensitivityInputs, axes_of_rotation, sensitivities, unit_vectors
 
 # An angle closer to 0° or 180° than this many standard deviations of its components is near it: at four the standard
 # deviation by its gradient is that of the angle to 3 %.
@@ -25,19 +19,6 @@ NEAR = 4.0
 # Angles beyond are not looked at, deg: no posterior of a component is as wide.
 _CLOSE = 20.0
 _APART = 1e-3
-
-
-@eqx.filter_jit
-def _directions(inputs: SensitivityInputs, problem: Problem, points: Float[Array, "n P"]) -> Float[Array, "n A 3"]:
-    """Return the unit vectors of all sensitive axes, kind by kind, then of the axes of rotation."""
-
-    def at(z):
-        values = values_of(problem, z)
-        response = sensitivities(inputs, values)
-        sensitive = [response[kind] for kind in KINDS if kind in response]
-        return unit_vectors(jnp.concatenate([*sensitive, axes_of_rotation(inputs, values)]))
-
-    return jax.lax.map(at, points)
 
 
 def component_gradients(fit: Fit, names: Sequence[str], covariance: np.ndarray) -> dict[str, np.ndarray]:
@@ -57,7 +38,7 @@ def component_gradients(fit: Fit, names: Sequence[str], covariance: np.ndarray) 
         return {}
     steps = _APART * np.eye(len(fit.z))
     points = np.concatenate([fit.z[None], fit.z + steps, fit.z - steps])
-    middle, *rest = np.asarray(_directions(derivation.inputs, problem, jnp.asarray(points)))
+    middle, *rest = evaluate_directions(derivation, problem, points)
     above, below = np.split(np.stack(rest), 2)
     slopes = (above - below) / (2 * _APART)  # (P, A, 3)
     gradients = {}

@@ -13,7 +13,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import solve_triangular
 
 from imubayes.array_shapes import Array, Float
 from imubayes.inference.conditional_precision import ExactPrecision, PrecisionBlocks, conditional, precision_blocks
@@ -30,8 +29,8 @@ from imubayes.qualification.budget_algebra import (
     variance_with_halved_priors,
 )
 
-# Draws bent back at once.
-_AT_ONCE = 500
+# Draws of the noise scales taken at once, and draws bent back at once.
+AT_ONCE, _BENT_AT_ONCE = 40, 500
 
 
 @dataclass(frozen=True)
@@ -108,39 +107,57 @@ def linear_part(fit: Fit, about: Linearised) -> LinearPart:
     return LinearPart(np.asarray(fit.z), np.asarray(weak), np.asarray(bend), precision_blocks(problem, mode))
 
 
-@eqx.filter_jit
-def _moments(
-    blocks: PrecisionBlocks | ExactPrecision, problem: Problem, gradients: Float[Array, "Q P"], h: Float[Array, "n H"]
-):
-    def at(sums, scales):
-        precision, slope = conditional(blocks, problem, scales)
-        root = solve_triangular(jnp.linalg.cholesky(precision), jnp.eye(len(precision)), lower=True)
-        projected, widths = gradients @ root.T, prior_widths(problem, scales)
-        along, variance, own = projected @ root, jnp.sum(projected**2, axis=1), jnp.sum(root**2, axis=0)
-        each = (
-            (along / widths[None, :]) ** 2,
-            along / widths[None, :] ** 2,
-            variance_with_exact_priors(along, variance, own),
-            variance_with_halved_priors(along, variance, own, widths),
-        )
-        return tuple(total + own for total, own in zip(sums, each, strict=True)), (variance, along @ slope)
+@dataclass(frozen=True)
+class Conditionals:
+    """The distribution of θ given each of n draws of the noise scales, linear about the mode.
 
-    sums, (variance, mean) = jax.lax.scan(at, (jnp.zeros_like(gradients),) * 4, h)
-    return variance, mean, *(total / len(h) for total in sums)
+    Attributes
+    ----------
+    precision : shape (n, P, P).
+    slope : shape (n, P), gradient of the log density at the mode.
+    widths : shape (n, P), of the priors.
+    """
+
+    precision: np.ndarray
+    slope: np.ndarray
+    widths: np.ndarray
+
+
+@eqx.filter_jit
+def _conditionals(blocks: PrecisionBlocks | ExactPrecision, problem: Problem, h: Float[Array, "n H"]):
+    return jax.lax.map(lambda scales: (*conditional(blocks, problem, scales), prior_widths(problem, scales)), h)
+
+
+def conditionals(part: LinearPart, problem: Problem, h: np.ndarray) -> Conditionals:
+    """Return the distributions of θ given noise scales h, (n, H), n at most `AT_ONCE`."""
+    # One size for all, so that the function is compiled once.
+    padded = np.concatenate([h, np.repeat(h[-1:], AT_ONCE - len(h), axis=0)])
+    found = _conditionals(part.blocks, problem, jnp.asarray(padded))
+    return Conditionals(*(np.asarray(each)[: len(h)] for each in found))
 
 
 def conditional_moments(part: LinearPart, problem: Problem, gradients: np.ndarray, h: np.ndarray) -> ConditionalMoments:
     """Return the moments of linear quantities with gradients (Q, P) given noise scales h, (n, H)."""
-    found = _moments(part.blocks, problem, jnp.asarray(gradients), jnp.asarray(h))
-    return ConditionalMoments(*(np.asarray(each) for each in found))
-
-
-_precision = eqx.filter_jit(lambda blocks, problem, h: conditional(blocks, problem, h)[0])
+    variances, means, sums = [], [], np.zeros((4, *gradients.shape))
+    for start in range(0, len(h), AT_ONCE):
+        given = conditionals(part, problem, h[start : start + AT_ONCE])
+        for precision, slope, widths in zip(given.precision, given.slope, given.widths, strict=True):
+            covariance = inverse_of(precision)
+            along, own = gradients @ covariance, np.diagonal(covariance)
+            variance = np.sum(along * gradients, axis=1)
+            scaled = along / widths
+            sums[0] += scaled**2
+            sums[1] += scaled / widths
+            sums[2] += variance_with_exact_priors(along, variance, own)
+            sums[3] += variance_with_halved_priors(along, variance, own, widths)
+            variances.append(variance)
+            means.append(along @ slope)
+    return ConditionalMoments(np.array(variances), np.array(means), *(sums / len(h)))
 
 
 def conditional_covariance(part: LinearPart, problem: Problem, h: np.ndarray) -> np.ndarray:
     """Return the covariance of θ given noise scales h, (H,); shape (P, P)."""
-    return inverse_of(np.asarray(_precision(part.blocks, problem, jnp.asarray(h))))
+    return inverse_of(conditionals(part, problem, h[None]).precision[0])
 
 
 def unbent(part: LinearPart, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -149,10 +166,10 @@ def unbent(part: LinearPart, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     w = bent @ part.weak
     flat = part.bend.reshape(-1, part.bend.shape[-1])
     parts = []
-    for start in range(0, len(z), _AT_ONCE):
-        chosen = w[start : start + _AT_ONCE]
+    for start in range(0, len(z), _BENT_AT_ONCE):
+        chosen = w[start : start + _BENT_AT_ONCE]
         products = (chosen[:, :, None] * chosen[:, None, :]).reshape(len(chosen), len(flat))
-        parts.append(bent[start : start + _AT_ONCE] - 0.5 * products @ flat)
+        parts.append(bent[start : start + _BENT_AT_ONCE] - 0.5 * products @ flat)
     return np.concatenate(parts), w
 
 

@@ -14,7 +14,7 @@ from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import narrowed
 from imubayes.json_record import Record, finite
 from imubayes.parameters.vector import Parameter
-from imubayes.qualification.assess import standards_input
+from imubayes.qualification.assess import standards_input, tested_unit
 from imubayes.qualification.budget_algebra import effective_degrees
 from imubayes.qualification.budget_record import (
     BudgetLine,
@@ -75,6 +75,15 @@ def budgets_of(result: Result, unit: TestedUnit | None) -> UncertaintyBudgets | 
     return budgets
 
 
+def keep_budgets(result: Result) -> None:
+    """Compute the budgets of a fit made in this process and keep them in its folder, where there is one.
+
+    What a report needs of the model is compiled and linearised then; a later process would trace the model anew.
+    """
+    if result.converged and result.folder is not None:
+        budgets_of(result, tested_unit(result))
+
+
 def _hash(folder: Path) -> str:
     found = hashlib.sha256()
     for name in (FIT, POSTERIOR):
@@ -93,7 +102,8 @@ def _computed(result: Result, unit: TestedUnit) -> UncertaintyBudgets:
     draws = unit.quantities.draws
     names = [name for name in posterior_quantities(result).entries if not is_constant(draws[name])]
     arrays = budget_of(result, names, functions_of_quantities(result, unit))
-    parts = _Parts(result, unit, arrays)
+    widths = tuple(finite(parameter.prior_sd) for parameter in arrays.priors)
+    parts = _Parts(result, unit, arrays, widths)
     runs = _next_runs(result, arrays)
     quantities = tuple(_budget(parts, place, runs[place]) for place in range(len(arrays.names)))
     rows = tuple(
@@ -116,11 +126,12 @@ def functions_of_quantities(result: Result, unit: TestedUnit) -> dict[str, Funct
 
 @dataclass(frozen=True)
 class _Parts:
-    """What budgets are made of."""
+    """What budgets are made of; `widths` are those of the priors in their units, None where infinite."""
 
     result: Result
     unit: TestedUnit
     arrays: BudgetArrays
+    widths: tuple[float | None, ...]
 
 
 def _budget(parts: _Parts, place: int, next_run: NarrowingRun | None) -> QuantityBudget:
@@ -156,9 +167,10 @@ def _lines(parts: _Parts, place: int) -> list[BudgetLine]:
     shown = sorted((each for each in contributions if each.variance >= least), key=lambda each: -each.variance)
     small = [each for each in contributions if 0 < each.variance < least]
     if small:
-        types = {each.type for each in small}
+        first = small[0].type
         together = sum(each.variance for each in small)
-        shown.append(_Contribution(together, types.pop() if len(types) == 1 else None, sum(e.inputs for e in small)))
+        same = all(each.type == first for each in small)
+        shown.append(_Contribution(together, first if same else None, sum(each.inputs for each in small)))
     return [
         BudgetLine(
             type=each.type,
@@ -191,16 +203,16 @@ def _contributions(parts: _Parts, place: int) -> Iterator[_Contribution]:
     for effect, members in nuisance_groups(parts.result.fit.model.layout).items():
         named = {"kind": "priors", "input": effect, "source": SOURCES.get(effect, "unit"), "distribution": _NORMAL}
         yield _Contribution(float(averaged.type_b[place, members].sum()), "B", int(members.sum()), named)
-    for parameter, variance, slope in zip(arrays.priors, type_b, averaged.sensitivity[place].tolist(), strict=True):
+    slopes = averaged.sensitivity[place].tolist()
+    for parameter, width, variance, slope in zip(arrays.priors, parts.widths, type_b, slopes, strict=True):
         if not parameter.nuisance:
-            yield _Contribution(variance, "B", named=_of_prior(parameter, variance, slope))
+            yield _Contribution(variance, "B", named=_of_prior(parameter, width, variance, slope))
     yield _Contribution(float(arrays.noise_scales[place]), "A", named={"kind": "noise_scales", "input": ""})
     yield _Contribution(float(arrays.second_order[place]), None, named={"kind": "second_order", "input": ""})
 
 
-def _of_prior(parameter: Parameter, variance: float, slope: float) -> dict[str, Any]:
+def _of_prior(parameter: Parameter, width: float | None, variance: float, slope: float) -> dict[str, Any]:
     """Return what the line of a prior says."""
-    width = finite(parameter.prior_sd)
     return {
         "kind": "prior", "input": parameter.name, "source": SOURCES.get(parameter.effect, "unit"),
         "distribution": distribution(parameter.prior), "unit": parameter.unit, "input_uncertainty": width,
@@ -217,22 +229,25 @@ def _halved(parts: _Parts, place: int) -> tuple[HalvedInput, ...]:
     if not improved.at_mode[place] > 0:
         return ()
     scale = float(np.sqrt(arrays.posterior[place]) / improved.at_mode[place])
-    found: list[tuple[float, Literal["run", "prior", "priors"], str, Source | None]] = [
-        (after, "run", run, None) for run, after in zip(arrays.runs, improved.halved_noise[place], strict=True)
-    ]
-    found += [
-        (after, "prior", parameter.name, SOURCES.get(parameter.effect, "unit"))
-        for parameter, after in zip(arrays.priors, improved.halved_prior[place], strict=True)
-        if not parameter.nuisance
-    ]
-    found += [
-        (after, "priors", effect, SOURCES.get(effect, "unit"))
-        for effect, after in zip(improved.groups, improved.halved_groups[place], strict=True)
-    ]
+    best = sorted(_better_inputs(arrays, place), key=lambda each: each[0])[:_MOST_HALVED]
     return tuple(
-        HalvedInput(kind=kind, input=name, source=source, standard_uncertainty=scale * float(after))
-        for after, kind, name, source in sorted(found, key=lambda each: each[0])[:_MOST_HALVED]
+        HalvedInput(kind=kind, input=name, source=source, standard_uncertainty=scale * after)
+        for after, kind, name, source in best
     )
+
+
+def _better_inputs(
+    arrays: BudgetArrays, place: int
+) -> Iterator[tuple[float, Literal["run", "prior", "priors"], str, Source | None]]:
+    """Yield the standard deviation with each input halved, and what the input is."""
+    improved = arrays.improved
+    for run, after in zip(arrays.runs, improved.halved_noise[place].tolist(), strict=True):
+        yield after, "run", run, None
+    for parameter, after in zip(arrays.priors, improved.halved_prior[place].tolist(), strict=True):
+        if not parameter.nuisance:
+            yield after, "prior", parameter.name, SOURCES.get(parameter.effect, "unit")
+    for effect, after in zip(improved.groups, improved.halved_groups[place].tolist(), strict=True):
+        yield after, "priors", effect, SOURCES.get(effect, "unit")
 
 
 def _next_runs(result: Result, arrays: BudgetArrays) -> list[NarrowingRun | None]:

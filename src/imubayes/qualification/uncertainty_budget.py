@@ -12,15 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.array_shapes import Array, Float
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.posterior_precision import Linearised, linearise
-from imubayes.model.noise_covariance import whiten, whitener
-from imubayes.model.problem import Problem, prior_widths
+from imubayes.inference.posterior_precision import Linearised, linearise, whitened_jacobian
+from imubayes.model.problem import Problem
 from imubayes.parameters.priors import HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal, Prior, Uniform
 from imubayes.parameters.vector import Layout, Parameter
 from imubayes.qualification.angle_components import NEAR, component_gradients
@@ -29,6 +26,7 @@ from imubayes.qualification.budget_algebra import (
     degrees_of_freedom,
     deviation_with_halved_groups,
     deviation_with_more_of_a_run,
+    inverse_of,
     posterior_covariance,
     type_a_contributions,
 )
@@ -37,8 +35,8 @@ from imubayes.qualification.linear_part import (
     ConditionalMoments,
     LinearPart,
     QuantityDerivatives,
-    conditional_covariance,
     conditional_moments,
+    conditionals,
     derivatives_of,
     linear_part,
 )
@@ -202,8 +200,9 @@ def budget_of(
     draws, slopes = _with_functions(quantities, functions or {})
     problem, campaign = fit.model.problem, fit.model.campaign
     about = fit.mode.about if fit.mode is not None else linearise(problem, jnp.asarray(fit.z))
-    whitened, widths = (np.asarray(each) for each in _whitened(problem, about, jnp.asarray(fit.h)))
-    part, covariance = linear_part(fit, about), posterior_covariance(whitened, widths)
+    whitened, part = np.asarray(whitened_jacobian(problem, about, jnp.asarray(fit.h))), linear_part(fit, about)
+    widths = conditionals(part, problem, fit.h[None]).widths[0]
+    covariance = posterior_covariance(whitened, widths)
     derivatives = _with_slopes(derivatives_of(fit, part, list(quantities.values)), slopes)
     components = component_gradients(fit, list(draws.values), covariance)
     components |= _short_lengths(functions or {}, draws, derivatives.gradient, covariance)
@@ -352,21 +351,14 @@ def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:
     return np.divide(above, below, out=np.zeros_like(above), where=np.broadcast_to(below > 0, above.shape))
 
 
-@eqx.filter_jit
-def _whitened(problem: Problem, about: Linearised, h: Float[Array, " H"]):
-    """Return whitened Jacobian (E, P) and prior widths (P,) at noise scales h."""
-    return whiten(problem, whitener(problem, h), about.jacobian), prior_widths(problem, h)
-
-
 def _over_runs(
     problem: Problem, about: Linearised, part: LinearPart, member: np.ndarray, gradients: np.ndarray, h: np.ndarray
 ) -> np.ndarray:
     """Return the contributions of the runs, (R, G, n), at draws of the noise scales, (n, H)."""
     found = []
-    for scales in h:
-        whitened, _ = _whitened(problem, about, jnp.asarray(scales))
-        along = gradients @ conditional_covariance(part, problem, scales)
-        found.append(type_a_contributions(along, np.asarray(whitened), member))
+    for scales, precision in zip(h, conditionals(part, problem, h).precision, strict=True):
+        whitened = np.asarray(whitened_jacobian(problem, about, jnp.asarray(scales)))
+        found.append(type_a_contributions(gradients @ inverse_of(precision), whitened, member))
     return np.stack(found, axis=2)
 
 
