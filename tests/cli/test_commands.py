@@ -210,6 +210,7 @@ def test_fit_writes_the_contract(tmp_path, capsys):
         "summary.json",
         "fit.json",
         "history.json",
+        "budgets.json",
         "posterior.nc",
         "residuals.parquet",
         "model.toml",
