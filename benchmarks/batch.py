@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from imubayes.batch.batch_settings import BatchSettings
 from imubayes.batch.fit_unit import posterior_of
 from imubayes.batch.group_moments import grouped_misfit, grouped_model, normal_equations
-from imubayes.batch.lane_mode import LaneMode, along_chord, begun, find_modes
+from imubayes.batch.lane_mode import Climb, LaneMode, along_chord, climbed, find_modes, first_curvature
 from imubayes.batch.lane_posterior import posteriors
 from imubayes.batch.lanes import LANES, LaneStructure, Stacked
 from imubayes.batch.marginal_slope import marginal_slope
@@ -142,6 +142,7 @@ def _shares(report: Report, structure: LaneStructure, chosen: list[Model], mode:
     varying, (size, hyper) = structure.stacked(chosen), structure.problem.size
     z, h = np.zeros((LANES, size)), np.zeros((LANES, hyper))
     middle = structure.run(grouped_model, varying, z)
+    start = Climb(h, structure.run(first_curvature, varying, middle, h), np.zeros(LANES, dtype=bool))
     parts = {
         "Jacobian and sums over groups": (3, lambda: structure.run(grouped_model, varying, z)),
         "residual": (4, lambda: structure.run(grouped_misfit, varying, z)),
@@ -150,7 +151,7 @@ def _shares(report: Report, structure: LaneStructure, chosen: list[Model], mode:
         "of these, normal equations": (6, lambda: structure.run(normal_equations, varying, mode.model, mode.h)),
         "stacking": (1, lambda: structure.stacked(chosen)),
         "noise scales (where they are found): from the middle of the prior": (
-            1, lambda: structure.run(begun, varying, middle, h)),
+            1, lambda: structure.run(climbed, varying, mode.model, start)),
         "noise scales: value and slope of their marginal": (
             0, lambda: structure.run(marginal_slope, varying, mode.model, mode.h)),
     }  # fmt: skip

@@ -2,9 +2,9 @@
 
 As in `imubayes.inference.posterior_mode`, θ is found by Gauss–Newton steps at given noise scales, and these by the
 maximum of their Laplace marginal, until neither changes.  The model is so nearly linear that three Jacobians are enough
-as a rule: one in the middle of the prior, one after two steps with it, and one at the mode.  Every lane takes the same
-number of steps with a Jacobian, and one that is done keeps its values: the result of a unit does not depend on those
-beside it.
+as a rule: one in the middle of the prior, one after two steps with it, and one at the mode.  A step without a new
+Jacobian costs a residual and sums.  Every lane takes the same number of steps with a Jacobian, and one that is done
+keeps its values: the result of a unit does not depend on those beside it.
 """
 
 from typing import Any
@@ -35,9 +35,8 @@ _NEARLY_LINEAR = 1e-2
 # The marginal of the noise scales needs a Jacobian of the mode: taken no farther away than this.
 _CLOSE = 1.0
 _LINEARISATIONS, _HALVINGS = 20, 6
-# Steps of the noise scales: at most this many, ended by one shorter than _SHORT, on the way to the mode than _ROUGH; a
-# step is at most 1 along each axis.
-_CLIMB, _SHORT, _ROUGH, _SHORTEST = 40, 1e-4, 0.1, 1e-2
+# Steps of the noise scales: at most this many, ended by one shorter than _SHORT; a step is at most 1 along each axis.
+_CLIMB, _SHORT, _SHORTEST = 40, 1e-4, 1e-2
 _LEAST_CURVATURE, _ROUNDING = 0.1, 1e-9
 # A step of θ is halved where the log density falls by more than rounding, for a decrement of 1.
 _LEVEL = 1e-6
@@ -91,44 +90,44 @@ class LaneMode(eqx.Module):
     converged: Array
 
 
-def begun(problem: Problem, index: GroupIndex, model: GroupedModel, h: Array) -> Climb:
-    """Return the noise scales of most marginal density, roughly; the climb begins with their Fisher information."""
-    start = Climb(h, expected_information(problem, index, model, h), jnp.asarray(False))
-    return climbed(problem, index, model, start, jnp.asarray(_ROUGH))
+def first_curvature(problem: Problem, index: GroupIndex, model: GroupedModel, h: Array) -> Array:
+    """Return the curvature that a climb begins with."""
+    return expected_information(problem, index, model, h)
 
 
-def climbed(problem: Problem, index: GroupIndex, model: GroupedModel, start: Climb, short: Scalar) -> Climb:
-    """Return the mode of the marginal of h by quasi-Newton steps (symmetric rank one) with backtracking.
+def climbed(problem: Problem, index: GroupIndex, model: GroupedModel, start: Climb) -> Climb:
+    """Return the mode of the marginal of h by quasi-Newton steps (symmetric rank one) with backtracking."""
 
-    They end with one shorter than `short`.
-    """
-
-    def body(state):
-        h, value, gradient, curvature, length, count, _ = state
+    def towards(gradient, curvature):
         eigenvalues, axes = jnp.linalg.eigh(curvature)
         along = axes.T @ gradient / jnp.maximum(jnp.abs(eigenvalues), _LEAST_CURVATURE)
-        step = length * (axes @ jnp.clip(along, -1.0, 1.0))
+        return axes @ jnp.clip(along, -1.0, 1.0)
+
+    def body(state):
+        h, value, gradient, curvature, step, length, count = state
         ahead, there = marginal_slope(problem, index, model, h + step)
         better = ahead >= value - _ROUNDING
         lacking = gradient - there - curvature @ step
         weight = lacking @ step
         telling = jnp.abs(weight) > _TELLING * jnp.linalg.norm(lacking) * jnp.linalg.norm(step)
         learnt = curvature + jnp.where(telling, jnp.outer(lacking, lacking) / jnp.where(telling, weight, 1.0), 0.0)
-        chosen = jax.tree.map(
+        h, value, gradient = jax.tree.map(
             lambda new, old: jnp.where(better, new, old), (h + step, ahead, there), (h, value, gradient)
         )
         curvature = jnp.where(jnp.all(jnp.isfinite(learnt)), learnt, curvature)
-        settled = jnp.max(jnp.abs(step)) < short
-        return *chosen, curvature, jnp.where(better, 1.0, 0.3 * length), count + 1, settled
+        length = jnp.where(better, 1.0, 0.3 * length)
+        return h, value, gradient, curvature, length * towards(gradient, curvature), length, count + 1
 
     def going(state):
-        length, count, settled = state[4:]
-        return (count < _CLIMB) & ~settled & (length > _SHORTEST)
+        step, length, count = state[4:]
+        return (count < _CLIMB) & ~(jnp.max(jnp.abs(step)) < _SHORT) & (length > _SHORTEST)
 
     value, gradient = marginal_slope(problem, index, model, start.h)
-    state = (start.h, value, gradient, start.curvature, jnp.asarray(1.0), jnp.asarray(0), jnp.asarray(False))
-    end = jax.lax.while_loop(going, body, state)
-    return Climb(end[0], end[3], end[6] | (end[4] <= _SHORTEST))
+    step = towards(gradient, start.curvature)
+    state = (start.h, value, gradient, start.curvature, step, jnp.asarray(1.0), jnp.asarray(0))
+    h, _, _, curvature, step, length, _ = jax.lax.while_loop(going, body, state)
+    is_last = jnp.max(jnp.abs(step)) < _SHORT
+    return Climb(jnp.where(is_last, h + step, h), curvature, is_last | (length <= _SHORTEST))
 
 
 def along_chord(problem: Problem, index: GroupIndex, model: GroupedModel, h: Array, steps: Int[Array, ""]) -> Chord:
@@ -168,10 +167,9 @@ def find_modes(structure: LaneStructure, varying: Stacked, given: Array | None =
     """
     size, hyper = structure.problem.size
     middle = structure.run(grouped_model, varying, np.zeros((LANES, size)))
-    if given is None:
-        climb = structure.run(begun, varying, middle, np.zeros((LANES, hyper)))
-    else:
-        climb = Climb(given, np.zeros((LANES, hyper, hyper)), np.ones(LANES, dtype=bool))
+    # Far from the mode the residuals are no measure of the noise: its scales wait for the next Jacobian.
+    h = np.zeros((LANES, hyper)) if given is None else given
+    climb = Climb(h, structure.run(first_curvature, varying, middle, h), np.full(LANES, given is not None))
     near = _stepped(structure, varying, middle, climb, 2).model
     done, result = np.zeros(LANES, dtype=bool), None
     for _ in range(_LINEARISATIONS):
@@ -195,21 +193,17 @@ def _one_linearisation(
     structure: LaneStructure, varying: Stacked, model: GroupedModel, climb: Climb, keep: bool
 ) -> tuple[LaneMode, Climb]:
     """Return where the fits end with one Jacobian, and the noise scales with the curvature learnt on the way."""
-    if keep:
-        end = _stepped(structure, varying, model, climb, 2)
-        first, last = end.first, end.last
-    else:
-        short = np.full(LANES, _SHORT)
-        climb = structure.run(climbed, varying, model, climb, short)
+    close = np.ones(LANES, dtype=bool)
+    if not keep:
         near = _stepped(structure, varying, model, climb, 1)
-        climb = structure.run(climbed, varying, near.model, climb, short)
-        end = _stepped(structure, varying, near.model, climb, 1)
-        first, last = near.first, end.first
-    decrement, left = np.asarray(first), np.asarray(last)
+        close, model = np.asarray(near.first) < _CLOSE, near.model
+        climb = structure.run(climbed, varying, model, climb)
+    end = _stepped(structure, varying, model, climb, 2)
+    decrement, left = np.asarray(end.first), np.asarray(end.last)
     share = left / np.maximum(decrement, _DONE)
     ready = (share < _NEARLY_LINEAR) | (decrement < _DONE)
     error = left * np.minimum(share, 1.0)
-    converged = (decrement < _CLOSE) & ready & (error < _DECREMENT) & np.asarray(climb.settled)
+    converged = close & (decrement < _CLOSE) & ready & (error < _DECREMENT) & np.asarray(climb.settled)
     return LaneMode(end.model, climb.h, jnp.asarray(error), jnp.asarray(converged)), climb
 
 
