@@ -9,7 +9,7 @@ import pyarrow.csv as pacsv
 import pytest
 from small_files import DEGREE, EARTH, GRAVITY, write_csv
 
-from imubayes.campaign import FINDINGS, check_campaign, inspect_campaign, load_campaign
+from imubayes.campaign import FINDINGS, check_campaign, inspect_campaign
 from imubayes.campaign_data import Channel, Mounting, Site, Table
 from imubayes.procedures.kinematics import nominal_input
 
@@ -74,15 +74,15 @@ def milli_g(columns: dict) -> None:
 )
 def test_raw_log(small: Path, change: Change, name: str, severity: str) -> None:
     alter(small / "runs/raw.csv", change)
-    found = check_campaign(small)
-    assert {(finding.name, finding.severity, finding.run) for finding in found} == {(name, severity, "raw")}
-    assert found[0].name in FINDINGS
+    read = inspect_campaign(small)
+    assert {(finding.name, finding.severity, finding.run) for finding in read.findings} == {(name, severity, "raw")}
+    assert read.findings[0].name in FINDINGS
     if severity == "warning":
-        campaign = load_campaign(small)
-        assert any(name in note for note in campaign.notes)
-        assert any(name in note for note in campaign.runs[-1].notes)
+        assert read.campaign is not None
+        assert any(name in note for note in read.campaign.notes)
+        assert any(name in note for note in read.campaign.runs[-1].notes)
     else:
-        assert inspect_campaign(small).campaign is None
+        assert read.campaign is None
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def test_white_flicker_and_random_walk_are_recovered():
 
 def test_a_level_that_the_model_ignores_shows():
     """The planted fault: a tone at 1.7 Hz is no term of the model, and the fit of its octave says so."""
-    x = record(1, {"white": 0.1})
+    x = record(1, {"white": 0.1}, 60_000)
     tone = x + 0.5 * np.sin(2 * np.pi * 1.7 * 0.05 * np.arange(len(x)))
     clean, spoilt = estimated(x, 0.05), estimated(tone, 0.05)
     assert min(octave.p_value for octave in clean.octaves) > 1e-3
@@ -149,7 +149,7 @@ def test_missing_samples_do_not_change_what_is_found():
 
 def test_gaps_read_as_zero_would_show():
     """The planted fault of the test above."""
-    x = record(5, {"white": 0.1}) + 5.0
+    x = record(5, {"white": 0.1}, 60_000) + 5.0
     x[np.random.default_rng(6).uniform(size=len(x)) < 0.003] = 0.0
     found = estimated(x, 0.05).of(NoiseTerm.WHITE)
     assert abs(found.value - 0.1) > 10 * found.sd
