@@ -7,9 +7,12 @@ from pathlib import Path
 
 import jax
 import pytest
+from beartype.claw import beartype_packages
 from hypothesis import settings
 from jaxtyping import install_import_hook
 from xdist.scheduler import LoadScopeScheduling
+
+from strict_types import CONFIGURATION, modules
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -106,8 +109,11 @@ for package in (
     "tomlkit",
 ):
     import_module(package)
-# The hook must stand before the first import of the package, which test modules make after this file.
-install_import_hook("imubayes", "strict_types.checked")
+# The hooks must stand before the first import of the package, which test modules make after this file.  Beartype alone
+# is a tenth of the cost where no shapes are declared.
+SOURCE = Path(__file__).parents[1] / "src"
+install_import_hook(modules(SOURCE, shaped=True), "strict_types.checked")
+beartype_packages(modules(SOURCE, shaped=False), conf=CONFIGURATION)
 
 
 def _compiled_plainly(config) -> bool:
