@@ -13,6 +13,8 @@ from typing import Literal
 from imubayes.units import STANDARD_GRAVITY, to_si
 
 Origin = Literal["recorded", "derived", "sample"]
+REFERENCE_TEMPERATURE = 25.0
+"""Temperature at which scale factors and biases are stated, and to which thermal terms refer by default, °C."""
 
 
 @dataclass(frozen=True)

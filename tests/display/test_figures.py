@@ -24,11 +24,14 @@ from imubayes.display.figures import (
     prior_posterior_figure,
     residual_figure,
     run_chi2_figure,
+    temperature_figure,
+    thermal_courses,
 )
 from imubayes.display.figures.measurement import driver
 from imubayes.display.figures.panels import neighbour_means, set_abscissa
 from imubayes.display.labels import covariate, covariates_of
 from imubayes.display.theme import FewTicks, Picture
+from imubayes.qualification.temperature_range import ThermalModel
 from imubayes.results.summary import Summary
 
 DATA = Path(__file__).parents[2] / "data"
@@ -278,6 +281,33 @@ def test_rates_are_ticked_in_decades():
     set_abscissa(axes, np.array([-300.0, -1.0, 0.0, 1.0, 300.0]), covariate("table_rate"))
     labels = {axes.xaxis.get_major_formatter()(place) for place in axes.get_xticks()}
     assert labels >= {"−100", "−10", "−1", "0", "1", "10", "100"}
+
+
+def test_bias_and_scale_factor_over_temperature():
+    """The line is bias + slope (T − T_ref) of the draws, and the band opens away from T_ref."""
+    campaign = load_campaign(DATA / "full-qualification")
+    random = np.random.default_rng(1)
+    units = {"gyro_bias.bias[gx]": "deg/h", "gyro_bias_temperature.slope[gx]": "deg/h/degC", "x": "1"}
+    draws = {
+        "gyro_bias.bias[gx]": 5 + 0.1 * random.normal(size=2000),
+        "gyro_bias_temperature.slope[gx]": 0.3 + 0.02 * random.normal(size=2000),
+        "gyro_bias.bias[gy]": random.normal(size=2000),
+    }
+    thermal = ThermalModel({"gyro_bias_temperature": 20.0}, units, 25.0)
+    courses = thermal_courses(campaign, draws, thermal)
+    assert list(courses) == ["gx"]
+    course, scale = courses["gx"]
+    assert course is not None
+    assert scale is None
+    assert course.values.mean(axis=0) == pytest.approx(5 + 0.3 * (course.temperature - 20), abs=0.1)
+    width = np.hypot(0.1, 0.02 * (course.temperature - 20))
+    assert course.values.std(axis=0) == pytest.approx(width, rel=0.1)
+    figure = temperature_figure(campaign, courses)
+    assert_readable(figure)
+    marks = figure.axes[0].lines[-1].get_xdata()
+    assert len(marks) == sum("temperature" in run.covariates for run in campaign.runs)
+    cool = replace(campaign, runs=tuple(replace(run, covariates={}) for run in campaign.runs))
+    assert thermal_courses(cool, draws, thermal) == {}
 
 
 def test_runs_on_a_time_axis():

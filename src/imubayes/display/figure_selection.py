@@ -16,12 +16,15 @@ from imubayes.display.figures import (
     prior_posterior_figure,
     residual_figure,
     run_chi2_figure,
+    temperature_figure,
+    thermal_courses,
 )
 from imubayes.display.figures.panels import neighbour_means
 from imubayes.display.figures.prior_posterior import mounting_quantities
 from imubayes.display.goodness_of_fit import worst_first
 from imubayes.display.labels import covariates_of, numbers, ordered, varies
 from imubayes.display.theme import MOST_PANELS, Picture
+from imubayes.qualification.temperature_range import ThermalModel
 from imubayes.results.summary import Quantity, Summary
 
 MOST_RUNS, MOST_CORNER = 6, 6
@@ -38,6 +41,7 @@ def plan(
     draws: Mapping[str, Any],
     chosen: Sequence[str],
     campaign: Campaign | None = None,
+    thermal: ThermalModel | None = None,
 ) -> Plan:
     """Yield a name and a function that draws it for every figure, the overview first; `chosen` runs have one each."""
     runs = ordered(residuals, "run")
@@ -56,8 +60,8 @@ def plan(
     drawn = [name for name in names if name in draws]
     if drawn:
         yield "corner", lambda: corner_figure(draws, drawn, summary)
-    if campaign is not None and any(run.start is not None for run in campaign.runs):
-        yield "campaign-timeline", lambda: campaign_timeline_figure(campaign)
+    if campaign is not None:
+        yield from _of_campaign(campaign, draws, thermal)
     for run, file in _files_of_runs(chosen):
         own = residuals.filter(pl.col("run") == run)
         for page, channels in _pages(ordered(own, "channel")):
@@ -65,6 +69,15 @@ def plan(
                 f"run-{file}{page}",
                 lambda own=own, run=run, channels=channels: measurement_figure(own, run, channels),
             )
+
+
+def _of_campaign(campaign: Campaign, draws: Mapping[str, Any], thermal: ThermalModel | None) -> Plan:
+    """Yield the figures that take the runs as they were recorded."""
+    courses = {} if thermal is None else thermal_courses(campaign, draws, thermal)
+    if courses:
+        yield "temperature", lambda: temperature_figure(campaign, courses)
+    if any(run.start is not None for run in campaign.runs):
+        yield "campaign-timeline", lambda: campaign_timeline_figure(campaign)
 
 
 def most_telling_first(
@@ -80,7 +93,7 @@ def most_telling_first(
     worst = [f"run-{files[run]}" for run in worst_first(summary) if run in files]
     wanted = [
         "fit-of-runs", *map(_against, covariates[:1]), *worst[:1], "mounting-prior-posterior", "identifiability",
-        "corner", "campaign-timeline", *map(_against, covariates[1:]), *worst[1:],
+        "temperature", "corner", "campaign-timeline", *map(_against, covariates[1:]), *worst[1:],
     ]  # fmt: skip
     place = {name: number for number, name in reversed(list(enumerate(wanted)))}
     return sorted(names, key=lambda name: place.get(name, place.get(name.rpartition("-")[0], len(wanted))))

@@ -28,12 +28,14 @@ from imubayes.display.summary_html import summary_html
 from imubayes.display.table_layout import SheetTable, terminal
 from imubayes.display.theme import Picture
 from imubayes.errors import InputError, Issue, closest_first
+from imubayes.model.model_file import read_model
 from imubayes.procedures.classical import classical
+from imubayes.qualification.temperature_range import ThermalModel, thermal_model
 from imubayes.results.fit_record import campaign_of
 from imubayes.results.posterior_draws import draws_of
 from imubayes.results.read_folder import read_summary_and_residuals
 from imubayes.results.record_files import damaged
-from imubayes.results.record_names import POSTERIOR
+from imubayes.results.record_names import MODEL, POSTERIOR
 from imubayes.results.summary import Summary
 from imubayes.step_counter import Tell, counted
 
@@ -127,7 +129,7 @@ def compare(
     names, draws = _for_corner(summary, folder, parameters, every)
     chosen = _chosen_runs(residuals, folder, runs) if runs else runs_shown(summary, residuals)
     campaign = campaign_of(folder)
-    figures = dict(plan(summary, residuals, names, draws, chosen, campaign))
+    figures = dict(plan(summary, residuals, names, draws, chosen, campaign, _thermal(folder, summary, draws)))
     ranked = most_telling_first(list(figures), summary, residuals, chosen)
     if not every:
         ranked = [*ranked[:FIRST], *(name for name in ranked[FIRST:] if _is_asked(name, parameters, runs))]
@@ -139,6 +141,14 @@ def compare(
     page = folder / PAGE
     write_text(page, comparison_page(summary, [f"{name}.png" for name in ranked], captions, notes))
     return Comparison(folder, tuple(made), captions, summary, notes, page, classical_estimates)
+
+
+def _thermal(folder: Path, summary: Summary, draws: Mapping[str, Any]) -> ThermalModel | None:
+    """Return what the draws of a result lack to follow its quantities over temperature."""
+    if not draws:
+        return None
+    units = {entry.name: entry.unit for entry in (*summary.parameters, *summary.derived)}
+    return thermal_model(read_model(folder / MODEL), units)
 
 
 def _is_asked(name: str, parameters: Sequence[str] | None, runs: Sequence[str] | None) -> bool:

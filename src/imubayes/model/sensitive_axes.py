@@ -13,11 +13,10 @@ import jax
 import jax.numpy as jnp
 
 from imubayes.array_shapes import Array, Float, Scalar
-from imubayes.covariates import ambient_names
+from imubayes.covariates import REFERENCE_TEMPERATURE, ambient_names
 from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
 from imubayes.signal_path_state import Ambient, Experience, Nodes, SignalPath
 
-REFERENCE_TEMPERATURE = 25.0  # °C, the catalogue's own
 WARMED_UP = 1e9  # s since power-on: longer than any warm-up
 
 

@@ -12,7 +12,6 @@ import numpy as np
 import polars as pl
 
 from imubayes.criticism.diagnosis_record import Diagnosis
-from imubayes.model.sensitive_axes import REFERENCE_TEMPERATURE
 from imubayes.qualification.conformity import (
     WORST_FIRST,
     ConformityOfQuantity,
@@ -25,7 +24,7 @@ from imubayes.qualification.decision_rules import Outcome
 from imubayes.qualification.posterior_quantities import PosteriorQuantities, posterior_quantities
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, UnitUnderTest, draws_of_standard
-from imubayes.qualification.temperature_range import ThermalModel
+from imubayes.qualification.temperature_range import thermal_model
 from imubayes.results.result import Result
 from imubayes.results.summary import Quantity
 
@@ -90,13 +89,7 @@ def tested_unit(result: Result) -> TestedUnit:
     """
     quantities = posterior_quantities(result)
     model = result.fit.model
-    reference = {
-        effect.name: effect.options["reference_degC"]
-        for effect in model.spec.effects
-        if "reference_degC" in effect.options
-    }
-    units = {name: entry.unit for name, entry in quantities.entries.items()}
-    thermal = ThermalModel(reference, units, REFERENCE_TEMPERATURE)
+    thermal = thermal_model(model.spec, {name: entry.unit for name, entry in quantities.entries.items()})
     gravity = model.campaign.site.gravity
     under_test = UnitUnderTest(quantities, model.campaign.channels, _inputs(result), gravity)
     return TestedUnit(with_standards(under_test), _temperatures(result), thermal, gravity)

@@ -13,10 +13,9 @@ import numpy as np
 
 from imubayes.campaign.run_tables import RowBatch
 from imubayes.campaign_data import Channel
-from imubayes.covariates import COVARIATES
+from imubayes.covariates import COVARIATES, REFERENCE_TEMPERATURE
 from imubayes.errors import InputError, Issue
 from imubayes.model.body_solution import solve_rows
-from imubayes.model.sensitive_axes import REFERENCE_TEMPERATURE
 from imubayes.qualification.reading_noise import ReadingNoise, reading_noise
 from imubayes.qualification.sensor_posterior import SensorPosterior, complete_kinds, sensor_posterior
 from imubayes.results.result import Result

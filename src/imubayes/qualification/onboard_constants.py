@@ -10,11 +10,11 @@ from importlib.metadata import version
 
 import numpy as np
 
+from imubayes.covariates import REFERENCE_TEMPERATURE
 from imubayes.errors import InputError, Issue
 from imubayes.inference.identifiability import WEAK_SHARE, from_data
 from imubayes.inference.run_fit import data_hash, model_hash
 from imubayes.json_record import finite
-from imubayes.model.sensitive_axes import REFERENCE_TEMPERATURE
 from imubayes.qualification.correct_recording import TEMPERATURES
 from imubayes.qualification.onboard_conventions import CONVENTIONS, body_vector, nominal, polynomial, unscaled
 from imubayes.qualification.onboard_record import (

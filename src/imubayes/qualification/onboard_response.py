@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.array_shapes import Array, Float
-from imubayes.model.sensitive_axes import REFERENCE_TEMPERATURE, SensitivityInputs, outputs_in_body
+from imubayes.covariates import REFERENCE_TEMPERATURE
+from imubayes.model.sensitive_axes import SensitivityInputs, outputs_in_body
 from imubayes.qualification.sensor_posterior import SensorPosterior
 
 # Bias quadratic times scale factor cubic in temperature has degree five.

@@ -11,6 +11,8 @@ from typing import Literal
 
 import numpy as np
 
+from imubayes.covariates import REFERENCE_TEMPERATURE
+from imubayes.model.model_spec import ModelSpec
 from imubayes.units import STANDARD_GRAVITY, to_si
 
 # Temperatures at which a range is looked at: a quadratic between them deviates by 1/400 of its sag.
@@ -59,6 +61,21 @@ class ThermalModel:
     reference: Mapping[str, float]
     units: Mapping[str, str]
     default: float
+
+
+def thermal_model(spec: ModelSpec, units: Mapping[str, str]) -> ThermalModel:
+    """Return the reference temperatures of a model; `units` are those of its parameters, by name."""
+    stated = [effect for effect in spec.effects if "reference_degC" in effect.options]
+    return ThermalModel(
+        {effect.name: float(effect.options["reference_degC"]) for effect in stated}, units, REFERENCE_TEMPERATURE
+    )
+
+
+def depends_on_temperature(name: str, draws: Mapping[str, np.ndarray]) -> bool:
+    """Tell whether a quantity has thermal terms among the draws."""
+    family, _, label = name.partition("[")
+    found = FAMILIES.get(family)
+    return found is not None and any(f"{effect}.{parameter}[{label}" in draws for effect, parameter, _ in found.terms)
 
 
 def over_range(

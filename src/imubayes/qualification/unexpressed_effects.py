@@ -16,12 +16,13 @@ import numpy as np
 
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Campaign
+from imubayes.covariates import REFERENCE_TEMPERATURE
 from imubayes.effects.base import Effect, Order, RecordEffect, SignalEffect
 from imubayes.effects.shared_formulas import RunBias
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.derived_quantities import is_lasting
 from imubayes.model.problem import predict_from, values_of
-from imubayes.model.sensitive_axes import REFERENCE_TEMPERATURE, SensitivityInputs, outputs_in_body
+from imubayes.model.sensitive_axes import SensitivityInputs, outputs_in_body
 from imubayes.qualification.correct_recording import TEMPERATURES
 from imubayes.qualification.onboard_record import CarriedParameter, UnexpressedEffect
 from imubayes.qualification.sensor_posterior import SensorPosterior

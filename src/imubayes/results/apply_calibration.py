@@ -17,13 +17,13 @@ import polars as pl
 
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Campaign, Channel
-from imubayes.covariates import COVARIATES
+from imubayes.covariates import COVARIATES, REFERENCE_TEMPERATURE
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 from imubayes.model.inverse_response import Conditions, inputs_of
 from imubayes.model.problem import Problem, values_of
-from imubayes.model.sensitive_axes import REFERENCE_TEMPERATURE, SensitivityInputs
+from imubayes.model.sensitive_axes import SensitivityInputs
 from imubayes.results.posterior_draws import complete, draws_of, thinned
 from imubayes.results.result import Result
 from imubayes.units import to_si

@@ -7,6 +7,7 @@ from imubayes.display.figures.measurement import measurement_figure
 from imubayes.display.figures.prior_posterior import prior_posterior_figure
 from imubayes.display.figures.residual import residual_figure
 from imubayes.display.figures.run_chi2 import run_chi2_figure
+from imubayes.display.figures.temperature import temperature_figure, thermal_courses
 
 __all__ = [
     "campaign_timeline_figure",
@@ -16,4 +17,6 @@ __all__ = [
     "prior_posterior_figure",
     "residual_figure",
     "run_chi2_figure",
+    "temperature_figure",
+    "thermal_courses",
 ]
