@@ -73,14 +73,16 @@ def chi_square(folder: Path) -> float:
         force = stand @ [0.0, 0.0, gravity]
         turn = stand @ site.earth_rate + rate
         seat, table = seats.index(run["mounting"]), tables.index(run["table"])
+        loose = said["mounting"][seat]["uncertainty_arcmin"] * 60 * ARCSEC
+        tilt = said["table"][table].get("axis_uncertainty_arcsec", 20.0) * ARCSEC
         for k, channel in enumerate(channels):
             if channel["name"] not in rows:
                 continue
             gyro = channel["kind"] == "gyro"
             design = _design(channel, rows, turn, force, rate, gravity)
-            seated = np.cross(turn if gyro else force, _axes(channel)[0]) * 300 * ARCSEC
+            seated = np.cross(turn if gyro else force, _axes(channel)[0]) * loose
             up = site.earth_rate if gyro else np.array([0.0, 0.0, gravity])
-            tilted = np.cross(_axes(channel)[0] @ stand, up) * 20 * ARCSEC
+            tilted = np.cross(_axes(channel)[0] @ stand, up) * tilt
             label = channel["name"]
             per = _scale_si(channel, gravity)
             # The truth is in the units that were drawn.
@@ -95,9 +97,10 @@ def chi_square(folder: Path) -> float:
             whole = np.concatenate([design, seated, tilted, offset], axis=1)
             error = (rows[label] - channel.get("offset", 0.0)) / per - (turn if gyro else force) @ _axes(channel)[0]
             # Products of errors, which a linear law leaves out: of seat and lever arm, of seat and scale factor.
-            arms = 0.0 if gyro else 0.03 * np.sum(rate**2, axis=1)
-            arms = arms + (0.3 * DEG_H if run["procedure"] == "polar_tumble" else 0.0) / 3e-3  # terms quadratic in g
-            left_out = (1e-6 * np.linalg.norm(turn if gyro else force, axis=1)) ** 2 + (3e-3 * arms) ** 2
+            share = max(1e-6, loose**2) * np.linalg.norm(turn if gyro else force, axis=1)
+            arms = 0.0 if gyro else 2 * loose * 0.03 * np.sum(rate**2, axis=1)
+            squares = 0.3 * DEG_H if run["procedure"] == "polar_tumble" else 0.0  # terms quadratic in g
+            left_out = share**2 + arms**2 + squares**2
             system.add(whole, places, error, (sigma / per) ** 2 / rows["samples"] + left_out)
     return system.chi_square()
 

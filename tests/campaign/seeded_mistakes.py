@@ -8,15 +8,17 @@ The campaigns come from `data/generators`, in other units and under other names 
 import csv
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import full_qualification
 import numpy as np
+import polar_tumble
 import redundant_imu
 import rotation_modulation
 import tomlkit
 import trihedral_imu
+from plan import Plan
 from random_plans import random_plan
 from simulate import write_simulated
 
@@ -24,6 +26,7 @@ PLANS = ("table", "temperatures", "head", "cycle", "gyros", "converter", "conver
 SHIPPED = {
     "trihedral-imu": trihedral_imu, "redundant-imu": redundant_imu,
     "rotation-modulation": rotation_modulation, "full-qualification": full_qualification,
+    "polar-tumble": polar_tumble,
 }  # fmt: skip
 KINDS = (*PLANS, *SHIPPED)
 THERMAL = ("temperatures", "cycle", "gyros", "converter", "converter_cycle")
@@ -72,6 +75,14 @@ class Files:
         inputs = {str(each["name"]): np.array(each["input_axis"], dtype=float) for each in self.document["channel"]}
         return abs(float(axis @ (inputs[first] - inputs[second])))
 
+    def input_along(self, run: dict, channel: str, kind: str) -> float:
+        """Largest share of the rate of a table, or of gravity about a horizontal axis, that a channel sees in a run."""
+        mounting = next(each for each in self.document["mounting"] if each["name"] == run["mounting"])
+        axis = np.array(mounting.get("body_to_table", [[3**-0.5] * 3] * 3)[2], dtype=float)
+        along = next(each["input_axis"] for each in self.document["channel"] if each["name"] == channel)
+        share = abs(float(axis @ np.array(along, dtype=float) / np.linalg.norm(along)))
+        return share if kind == "gyro" else float(np.sqrt(max(1 - share**2, 0.0)))
+
     def save(self) -> None:
         (self.folder / "campaign.toml").write_text(tomlkit.dumps(self.document), encoding="utf-8")
 
@@ -100,6 +111,19 @@ def _angle(generator: np.random.Generator) -> float:
     if generator.random() < 0.4:
         return float(generator.choice([90.0, -90.0, 180.0]))
     return float(generator.choice([-1, 1]) * np.round(generator.uniform(5, 175), 1))
+
+
+def _near(key: str, right: float, within: float) -> tuple[str, ...]:
+    """How a value may be written to within so much: exactly, to a tenth or whole."""
+    tenths = range(round(-10 * within), round(10 * within) + 1)
+    texts = [
+        f"{key} = {value:g}" for step in tenths for value in (round(right + step / 10, 1), round(right + step / 10))
+    ]
+    return tuple(dict.fromkeys([f"{key} = {right:.6g}", *texts]))
+
+
+def _rows(matrix: np.ndarray) -> str:
+    return str((np.round(matrix, 6) + 0.0).tolist())
 
 
 def _turn(offset: float) -> Callable[[dict[str, list[str]]], None]:
@@ -146,9 +170,10 @@ def elevation(files: Files, generator: np.random.Generator) -> Planted | None:
     table = tables[generator.integers(len(tables))]
     right = float(table["elevation_deg"])
     step = float(generator.choice([5, 10, 15, 30, 45, 60, 90]))
+    step = step if generator.random() < 0.6 else float(np.round(generator.uniform(3, 90), 1))
     table["elevation_deg"] = right + step * (-1 if right > 0 else float(generator.choice([-1, 1])))
     files.save()
-    return Planted("table_elevation", ("elevation", f"'{table['name']}'"))
+    return Planted("table_elevation", (f"'{table['name']}'", _near("elevation_deg", right, 1)))
 
 
 def mislabelled(files: Files, generator: np.random.Generator) -> Planted | None:
@@ -174,7 +199,8 @@ def files_exchanged(files: Files, generator: np.random.Generator) -> Planted | N
     for run, other in ((first, second), (second, first)):
         next(entry for entry in files.document["run"] if entry["name"] == run["name"])["file"] = other["file"]
     files.save()
-    return Planted("files_exchanged", ("exchange", f"'{first['name']}'", f"'{second['name']}'"))
+    written = [f"file = \"{run['file']}\" for run '{run['name']}'" for run in (first, second)]
+    return Planted("files_exchanged", ("exchange", *written))
 
 
 def axes_exchanged(files: Files, generator: np.random.Generator) -> Planted | None:
@@ -197,16 +223,39 @@ def axes_exchanged(files: Files, generator: np.random.Generator) -> Planted | No
 
     for run in runs:
         files.edit(run, change)
-    return Planted("axes_exchanged", (f"'{a}'", f"'{b}'")) if runs else None
+    where = (f"'{runs[0]['name']}'",) if len(runs) == 1 else ()
+    return Planted("axes_exchanged", (f"'{a}' holds '{b}'", f"'{b}' holds '{a}'", *where)) if runs else None
 
 
 def axis_reversed(files: Files, generator: np.random.Generator) -> Planted | None:
     """Reverse the stated input axis of a channel."""
     entries = files.document["channel"]
     channel = entries[generator.integers(len(entries))]
-    channel["input_axis"] = [-float(value) for value in channel["input_axis"]]
+    right = np.array(channel["input_axis"], dtype=float)
+    channel["input_axis"] = [-float(value) for value in right]
     files.save()
-    return Planted("channel_unit", ("reversed", f"'{channel['name']}'"))
+    axis = _rows(right / np.linalg.norm(right))
+    return Planted("channel_unit", ("reversed", f"input_axis = {axis} for '{channel['name']}'"))
+
+
+def column_reversed(files: Files, generator: np.random.Generator) -> Planted | None:
+    """Reverse the sign of a channel in one run, whose input it sees."""
+    kind = str(generator.choice([str(channel["kind"]) for channel in files.document["channel"]]))
+    name = str(generator.choice(files.channels(kind)))
+    procedures = RATED if kind == "gyro" else ("dividing_head",)
+    runs = [run for run in files.of(*procedures) if files.has(run, name) and files.input_along(run, name, kind) > 0.1]
+    if not runs:
+        return None
+    run = runs[generator.integers(len(runs))]
+    offset = next(float(each.get("offset", 0.0)) for each in files.document["channel"] if each["name"] == name)
+
+    def change(columns: dict[str, list[str]]) -> None:
+        columns[name] = _numbers(columns[name], lambda value: 2 * offset - value)
+
+    files.edit(run, change)
+    return Planted(
+        "channel_unit", (("reversed", "sign_reversed", "-1"), f"'{name}'", (f"'{run['name']}'", run["file"]))
+    )
 
 
 def sense_reversed(files: Files, generator: np.random.Generator) -> Planted | None:
@@ -241,7 +290,8 @@ def rate_unit(files: Files, generator: np.random.Generator) -> Planted | None:
 
     for run in chosen:
         files.edit(run, change)
-    return Planted("rate_unit", ("table_rate_deg_s", unit))
+    where = () if whole else ((f"'{chosen[0]['name']}'", chosen[0]["file"]),)
+    return Planted("rate_unit", ("table_rate_deg_s", unit, *where))
 
 
 def latitude(files: Files, generator: np.random.Generator) -> Planted | None:
@@ -253,23 +303,38 @@ def latitude(files: Files, generator: np.random.Generator) -> Planted | None:
     return Planted("latitude_sign", ("latitude",))
 
 
+def _shifted(shift: int) -> Callable[[dict[str, list[str]]], None]:
+    """Let the outputs stand so many rows later than the columns of the table."""
+
+    def change(columns: dict[str, list[str]]) -> None:
+        for name, cells in columns.items():
+            if name in ("table_rate_deg_s", "table_angle_deg"):
+                columns[name] = cells[shift:] if shift > 0 else cells[:shift]
+            else:
+                columns[name] = cells[:-shift] if shift > 0 else cells[-shift:]
+
+    return change
+
+
 def time_shift(files: Files, generator: np.random.Generator) -> Planted | None:
     """Shift the outputs of a run by a row or two against the table."""
     runs = files.of(*RATED)
     if not runs:
         return None
     run, shift = runs[generator.integers(len(runs))], int(generator.choice([-2, -1, 1, 2]))
-
-    def change(columns: dict[str, list[str]]) -> None:
-        for name in ("table_rate_deg_s", "table_angle_deg"):
-            cells = columns[name]
-            columns[name] = cells[shift:] if shift > 0 else cells[:shift]
-        for name, cells in columns.items():
-            if name not in ("table_rate_deg_s", "table_angle_deg"):
-                columns[name] = cells[:-shift] if shift > 0 else cells[-shift:]
-
-    files.edit(run, change)
+    files.edit(run, _shifted(shift))
     return Planted("time_shift", ("later" if shift > 0 else "earlier", f"{abs(shift)} rows", f"'{run['name']}'"))
+
+
+def time_shift_of_head(files: Files, generator: np.random.Generator) -> Planted | None:
+    """Shift the outputs of a head against its angles by a row or two: at equal steps the same as another zero."""
+    heads = files.of(*ANGLED)
+    if not heads:
+        return None
+    run, shift = heads[generator.integers(len(heads))], int(generator.choice([-2, -1, 1, 2]))
+    files.edit(run, _shifted(shift))
+    shifted = f"{abs(shift)} rows {'later' if shift > 0 else 'earlier'}"
+    return Planted("time_shift", ((shifted, "zero of the table angle"), f"'{run['name']}'"))
 
 
 def azimuth(files: Files, generator: np.random.Generator) -> Planted | None:
@@ -279,9 +344,12 @@ def azimuth(files: Files, generator: np.random.Generator) -> Planted | None:
     if not tables or not files.channels("gyro"):
         return None
     table = tables[generator.integers(len(tables))]
-    table["azimuth_deg"] = (float(table["azimuth_deg"]) + float(generator.choice([90, 180, 270]))) % 360
+    right = float(table["azimuth_deg"])
+    off = float(generator.choice([90, 180, 270])) if generator.random() < 0.6 else float(generator.integers(30, 330))
+    table["azimuth_deg"] = (right + off) % 360
     files.save()
-    return Planted("table_azimuth", ("azimuth", f"'{table['name']}'"))
+    near = tuple(f"azimuth_deg = {round(right + step) % 360}" for step in range(-10, 11))
+    return Planted("table_azimuth", (f"'{table['name']}'", near))
 
 
 def mounting_matrix(files: Files, generator: np.random.Generator) -> Planted | None:
@@ -296,7 +364,27 @@ def mounting_matrix(files: Files, generator: np.random.Generator) -> Planted | N
     wrong = matrix.T if generator.random() < 0.5 and not np.allclose(matrix, matrix.T) else turned_over
     mounting["body_to_table"] = [[float(value) for value in row] for row in wrong]
     files.save()
-    return Planted("mounting_wrong", ("body_to_table", f"'{mounting['name']}'"))
+    # Without angles a turn about the axis of the table does not show.
+    turned = any(run["mounting"] == mounting["name"] for run in files.of(*ANGLED))
+    quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    turns = [np.linalg.matrix_power(quarter, k) @ matrix for k in range(1 if turned else 4)]
+    return Planted("mounting_wrong", (f"'{mounting['name']}'", tuple(f"body_to_table = {_rows(m)}" for m in turns)))
+
+
+def mountings_exchanged(files: Files, generator: np.random.Generator) -> Planted | None:
+    """Exchange the names of two mountings in all runs of one procedure."""
+    procedure = str(generator.choice([*RATED, *ANGLED]))
+    names = list(dict.fromkeys(run["mounting"] for run in files.of(procedure)))
+    if len(names) < 2:
+        return None
+    first, second = (names[k] for k in generator.choice(len(names), 2, replace=False))
+    chosen = [run for run in files.of(procedure) if run["mounting"] in (first, second)]
+    for run in chosen:
+        entry = next(each for each in files.document["run"] if each["name"] == run["name"])
+        entry["mounting"] = second if run["mounting"] == first else first
+    files.save()
+    said = f"'{chosen[0]['name']}'" if len(chosen) == 2 else f"'{first}'"
+    return Planted("mounting_mislabelled", (said, f"'{second}'" if len(chosen) > 2 else f"'{chosen[1]['name']}'"))
 
 
 def channel_unit(files: Files, generator: np.random.Generator) -> Planted | None:
@@ -408,23 +496,47 @@ MISTAKES: dict[str, Mistake] = {
     for function in (
         zero_of_table, zero_of_run, elevation, mislabelled, files_exchanged, axes_exchanged, axis_reversed,
         sense_reversed, rate_unit, latitude, time_shift, azimuth, mounting_matrix, channel_unit, angle_unit,
+        column_reversed, time_shift_of_head, mountings_exchanged,
         latitude_value, height, fahrenheit, fahrenheit_throughout, thermometers, temperature_reversed,
     )
 }  # fmt: skip
 
 
 def valid_campaign(folder: Path, seed: int) -> str:
-    """Write a valid campaign drawn at random, in units and under names of its own; return its kind."""
+    """Write a valid campaign drawn at random, in units and under names of its own; return its kind.
+
+    In every third the equipment is poor, and its errors are as large as the stated uncertainties allow: one to two and
+    a half times as large.
+    """
     generator = np.random.default_rng([seed, 1])
     kind = KINDS[seed % len(KINDS)]
     if kind in SHIPPED:
-        SHIPPED[kind].generate(folder, seed)
+        plan = SHIPPED[kind].plan(seed)
     else:
         model = "hidden-effects-thermal" if kind in THERMAL else "hidden-effects"
-        write_simulated(folder, random_plan(kind, generator, model), seed)
+        plan = random_plan(kind, generator, model)
+    values = None
+    if generator.random() < 1 / 3:
+        plan = _poor(plan, generator)
+        values = plan.draw(seed)
+        for name, spread in plan.equipment.items():
+            values[name] = float(generator.choice([-1, 1]) * generator.uniform(1, 2.5) * spread)
+    write_simulated(folder, plan, seed, values=values)
     if generator.random() < 0.5:
         _expressed_otherwise(Files(folder), generator)
     return kind
+
+
+def _poor(plan: Plan, generator: np.random.Generator) -> Plan:
+    """Return a plan with less certain mountings and tables."""
+    seats, axes = generator.choice([1.0, 3.0, 10.0], 2)
+    return replace(
+        plan,
+        mountings=tuple(replace(each, uncertainty_arcmin=each.uncertainty_arcmin * seats) for each in plan.mountings),
+        tables=tuple(
+            replace(each, axis_uncertainty_arcsec=(each.axis_uncertainty_arcsec or 20.0) * axes) for each in plan.tables
+        ),
+    )
 
 
 def _expressed_otherwise(files: Files, generator: np.random.Generator) -> None:

@@ -34,6 +34,7 @@ FINDINGS: dict[str, str] = {
     "temperature_reversed": "a column of temperatures runs backwards in time",
     "files_exchanged": "the tables of two runs are exchanged",
     "mounting_mislabelled": "a run was made in another mounting of the campaign",
+    "mountings_exchanged": "two mountings are exchanged",
     "mounting_wrong": "the matrix of a mounting is wrong",
     "mounting_turned": "a mounting is turned about the axis of the table",
     "table_reversed": "the table turns against the stated sense",

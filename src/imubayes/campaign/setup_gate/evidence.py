@@ -8,10 +8,13 @@ with errors of scale factor and input axis, a bias, one offset per run, slopes w
 g-sensitivity, a small rotation of every mounting and of every table.  All have Gaussian priors (`plausible_errors`), so
 the marginal likelihood is in closed form.  Every run adds a term to the normal equations, and a suspected mistake
 changes the terms of the runs that it concerns: one evaluation is the solution of some hundred equations.
+
+The rotations are linear in δ and τ about zero, or about a `centre`, their estimates in the set-up as stated.  About
+zero their squares are left out, and count with what else a linear model leaves out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -83,15 +86,24 @@ class ErrorModel:
     Parameters
     ----------
     gross : whether missing effects may be large.
-    steadiness : of the unit: its run offsets, and what the linear model leaves out, over those of a poor unit.
+    steadiness : of the unit: its run offsets, and what the linear model leaves out, over those of a poor unit; of all
+        gyros and accelerometers or of each, shape (K,).
+    centre : errors about which the model is linear, shape (P,); those of mountings and tables count, None is zero.
     """
 
-    def __init__(self, campaign: Campaign, gross: bool = False, steadiness: float = 1.0):
-        self.gross = gross
+    def __init__(
+        self,
+        campaign: Campaign,
+        gross: bool = False,
+        steadiness: float | np.ndarray = 1.0,
+        centre: np.ndarray | None = None,
+    ):
+        self.gross, self.centre = gross, centre
         self.places = [k for k, channel in enumerate(campaign.channels) if channel.kind != "angle"]
         self.channels = [campaign.channels[k] for k in self.places]
         self.widths = [
-            widths(channel.kind, grade_of(campaign, channel.kind)).steadier(steadiness) for channel in self.channels
+            widths(channel.kind, grade_of(campaign, channel.kind)).steadier(float(factor))
+            for channel, factor in zip(self.channels, np.broadcast_to(steadiness, len(self.channels)), strict=True)
         ]
         self._stack()
         start = _OWN * len(self.channels)
@@ -131,16 +143,18 @@ class ErrorModel:
 
     def terms(self, view: RunView) -> NormalTerms:
         """Return what a run adds to the normal equations."""
-        stand = view.local_to_body()
+        moved, tilted = self._centred(view)
+        stand = moved.local_to_body() @ tilted
         up, earth = np.array([0.0, 0.0, view.gravity]), earth_rate(view.latitude)
-        force, rate = stand @ up, view.rate_in_body(stand)
+        force, rate = stand @ up, moved.rate_in_body(stand)
         felt = np.where(self.gyro[:, None, None], rate, force)  # of each channel, (K, R, 3)
         along = felt @ self.axes.swapaxes(1, 2)
         shared = self._shared(view)
         design = self._design(view, stand, felt, along, np.where(self.gyro[:, None, None], earth, up), len(shared))
         output = view.observed[:, self.places].T
         there = np.isfinite(output)
-        error = np.where(there, (output - self.offset) / self.scale - along[:, :, 0], 0.0)
+        at_zero = along[:, :, 0] if self.centre is None else along[:, :, 0] - design[:, :, _OWN:] @ self.centre[shared]
+        error = np.where(there, (output - self.offset) / self.scale - at_zero, 0.0)
         variance = (self.noise / self.scale) ** 2 / view.samples + self._left_out(view, np.linalg.norm(felt, axis=2))
         found = _weighted(design, error, np.where(there, 1 / variance, 0.0), self.run_offset)
         own = np.arange(_OWN * len(self.channels))
@@ -172,8 +186,21 @@ class ErrorModel:
             design[:, :, place : place + 3] = np.cross(felt, input_axis)
             place += 3
         if view.table is not None:
-            design[:, :, place : place + 3] = np.cross(np.einsum("kj,rji->kri", self.axes[:, 0], stand), still)
+            design[:, :, place : place + 3] = np.cross(still, np.einsum("kj,rji->kri", self.axes[:, 0], stand))
         return design
+
+    def _centred(self, view: RunView) -> tuple[RunView, np.ndarray]:
+        """Return a view with its mounting, and the rotation of the axis of its table, at the centre."""
+        if self.centre is None:
+            return view, np.eye(3)
+        tilted = np.eye(3)
+        if view.mounting is not None:
+            place = self.mountings[view.mounting]
+            turned = _rotation(self.centre[place : place + 3])
+            view = replace(view, body_to_table=view.body_to_table @ turned.T)
+        if view.table is not None:
+            tilted = _rotation(self.centre[self.tables[view.table] :][:3])
+        return view, tilted
 
     def _shared(self, view: RunView) -> np.ndarray:
         places = [self.mountings[view.mounting]] if view.mounting is not None else []
@@ -183,28 +210,35 @@ class ErrorModel:
     def _left_out(self, view: RunView, size: np.ndarray) -> np.ndarray:
         """Return the variance of what the linear model leaves out of inputs of a size, SI, shape (K, R)."""
         arm = np.where(self.gyro[:, None], 0.0, view.largest_rate() ** 4 * LEVER_ARM**2)
-        return (size * self.share) ** 2 + self.rest**2 + arm
+        turned = np.sum(self.sd[self._shared(view)].reshape(-1, 3)[:, 0] ** 2) if self.centre is None else 0.0
+        return size**2 * (self.share**2 + turned**2) + self.rest**2 + arm
 
-    def score(self, terms: NormalTerms) -> float:
-        """Return −2 log of the evidence, up to a constant, with the g-sensitivity that the gyros show."""
-        widest = G_SENSITIVITIES if len(self.g_sensitive) else G_SENSITIVITIES[:1]
-        return min(self._score(terms, width) for width in widest)
-
-    def _score(self, terms: NormalTerms, g_sensitivity: float) -> float:
-        sd = self._sd(g_sensitivity)
+    def score(self, terms: NormalTerms, g_sensitivity: float | None = None) -> float:
+        """Return −2 log of the evidence, up to a constant; by default with the g-sensitivity that the gyros show."""
+        sd = self._sd(self.best_g_sensitivity(terms) if g_sensitivity is None else g_sensitivity)
         # In units of the priors the normal matrix is the unit matrix and more, and well conditioned.
         lower = np.linalg.cholesky(np.eye(self.size) + sd[:, None] * terms.matrix * sd)
         solved = np.linalg.solve(lower, sd * terms.vector)
         return float(terms.square - solved @ solved + 2 * np.log(np.diag(lower)).sum() + terms.volume)
+
+    def best_g_sensitivity(self, terms: NormalTerms) -> float:
+        """Return the standard deviation of the g-sensitivity of most evidence, rad/s per g."""
+        if not len(self.g_sensitive):
+            return G_SENSITIVITIES[0]
+        return min(G_SENSITIVITIES, key=lambda width: self.score(terms, width))
 
     def _sd(self, g_sensitivity: float) -> np.ndarray:
         sd = self.sd.copy()
         sd[self.g_sensitive] = g_sensitivity
         return sd
 
+    def rotations(self, terms: NormalTerms) -> np.ndarray:
+        """Return the estimated errors, those of mountings and tables in rad, shape (P,)."""
+        return self.sd * self.errors(terms)
+
     def errors(self, terms: NormalTerms) -> np.ndarray:
         """Return the estimated errors in units of their standard deviations, shape (P,)."""
-        sd = self._sd(min(G_SENSITIVITIES, key=lambda width: self._score(terms, width)))
+        sd = self._sd(self.best_g_sensitivity(terms))
         return np.linalg.solve(np.eye(self.size) + sd[:, None] * terms.matrix * sd, sd * terms.vector)
 
     def misfit(self, terms: NormalTerms) -> float:
@@ -213,6 +247,13 @@ class ErrorModel:
         lower = np.linalg.cholesky(np.eye(self.size) + sd[:, None] * terms.matrix * sd)
         solved = np.linalg.solve(lower, sd * terms.vector)
         return float(terms.square - solved @ solved)
+
+
+def _rotation(vector: np.ndarray) -> np.ndarray:
+    """Return the matrix of a rotation vector, rad (Rodrigues)."""
+    x, y, z = vector
+    cross, angle = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), float(np.linalg.norm(vector))
+    return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross @ cross
 
 
 @dataclass(frozen=True)

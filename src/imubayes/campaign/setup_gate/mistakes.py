@@ -42,12 +42,13 @@ class Mistake(ABC):
     """A suspected mistake in the set-up of some runs.
 
     `rarity` is −2 times the logarithm of how usual it is, over the most usual mistakes: its evidence has to make up for
-    that.
+    that.  `by_evidence` is whether the size of most evidence is the best, not that of least misfit.
     """
 
     scope: Scope
     kind: ClassVar[str]
     sizes: ClassVar[tuple[float, ...]] = ()
+    by_evidence: ClassVar[bool] = False
     rarity: ClassVar[float] = 0.0
 
     @classmethod
@@ -62,6 +63,10 @@ class Mistake(ABC):
     def rescaled(self, view: RunView) -> float:
         """Return log |det| of the change of the outputs of a run, for their density; 0 where they only move."""
         return 0.0
+
+    def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
+        """Return the sizes that lead to what benches usually have."""
+        return ()
 
     @property
     def unlikelihood(self) -> float:
@@ -167,6 +172,35 @@ class MountingMislabelled(Mistake):
 
 @register
 @dataclass(frozen=True)
+class MountingsExchanged(Mistake):
+    """Two mountings, `first` and `second`, are exchanged in all runs, or all on a table."""
+
+    first: str
+    second: str
+    kind: ClassVar[str] = "mountings_exchanged"
+
+    @classmethod
+    def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
+        """Yield every pair on every table, and on all."""
+        seated = [k for k, view in enumerate(views) if view.mounting is not None and view.table is not None]
+        tables = tables_of(views)
+        for scope in ([all_runs(seated)] if len(tables) > 1 else []) + tables:
+            names = dict.fromkeys(str(views[k].mounting) for k in scope.runs)
+            for first, second in itertools.combinations(names, 2):
+                runs = tuple(k for k in scope.runs if views[k].mounting in (first, second))
+                # Of one run each it is an exchange of files.
+                if len(runs) > 2:
+                    yield cls(Scope(scope.section, scope.name, runs), first, second)
+
+    def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
+        """Return the run in the other mounting."""
+        actual = self.second if views[place].mounting == self.first else self.first
+        matrix = next(views[k].body_to_table for k in self.scope.runs if views[k].mounting == actual)
+        return replace(views[place], mounting=actual, body_to_table=matrix)
+
+
+@register
+@dataclass(frozen=True)
 class TableSense(Mistake):
     """The table turns against the stated sense."""
 
@@ -245,6 +279,11 @@ class TableElevation(Mistake):
         for scope in wide_first(tables_of(views), single_runs(views)):
             yield cls(scope)
 
+    def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
+        """Return the sizes to a horizontal, a vertical and the polar axis."""
+        view = views[self.scope.runs[0]]
+        return tuple(angle - view.elevation for angle in (0.0, math.pi / 2, -math.pi / 2, view.latitude))
+
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the axis raised."""
         return replace(views[place], elevation=views[place].elevation + size)
@@ -257,6 +296,7 @@ class TableAzimuth(Mistake):
 
     kind: ClassVar[str] = "table_azimuth"
     rarity: ClassVar[float] = 4.0
+    by_evidence: ClassVar[bool] = True
     sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-150, 181, 30) * _DEGREE)
 
     @classmethod
@@ -265,6 +305,10 @@ class TableAzimuth(Mistake):
         if any(channel.kind == "gyro" for channel in campaign.channels):
             for scope in tables_of(views):
                 yield cls(scope)
+
+    def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
+        """Return the sizes to North, East, South and West."""
+        return tuple(angle * _DEGREE - views[self.scope.runs[0]].azimuth for angle in (0.0, 90.0, 180.0, 270.0))
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the axis turned."""

@@ -58,6 +58,8 @@ data sheet of a grade tells it within a factor of ten."""
 STEADINESS = (1.0, 0.3, 0.1, 0.03)
 """Factors of run offsets and nonlinearities that are tried where a small input or a temperature is at stake: a good
 unit tells what the errors of a poor one conceal."""
+UNSTEADINESS = (1.0, 3.0, 10.0)
+"""The same of single channels that are poorer than their unit."""
 GROSS = {"gyro": 0.1 * _DEG_S, "accelerometer": 20 * _MG}
 """Standard deviation of errors at zero input beyond which outputs contradict the set-up although no mistake is known
 that explains it; smaller ones are the business of a diagnosis."""

@@ -12,6 +12,7 @@ from imubayes.campaign.setup_gate.mistakes import (
     FilesExchanged,
     Mistake,
     MountingMislabelled,
+    MountingsExchanged,
     MountingWrong,
 )
 from imubayes.campaign.setup_gate.search import Explanation
@@ -171,6 +172,22 @@ def _label(campaign: Campaign, found: Explanation, places: Places) -> Words:
         return Words(what, places.line("run", name, "mounting"), "the mounting that the run was made in", remedy)
     remedy = f"write body_to_table = {_rows(mistake.matrix)} for mounting '{name}', that of '{mistake.actual}'"
     return Words(what, places.line("mounting", name, "body_to_table"), "the orientation of the unit", remedy)
+
+
+def _seats(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    mistake = found.mistake
+    assert isinstance(mistake, MountingsExchanged)
+    first, second = mistake.first, mistake.second
+    on = f" on table '{mistake.scope.name}'" if mistake.scope.section == "table" else ""
+    runs = [(run.name, run.mounting) for run in campaign.runs if not on or run.table == mistake.scope.name]
+    named = [name for name, mounting in runs if mounting in (first, second)]
+    return Words(
+        f"mountings '{first}' and '{second}' are exchanged in all runs{on}",
+        places.line("run", named[0], "mounting"),
+        "the mounting that the run was made in",
+        f'exchange mounting = "{first}" and mounting = "{second}" of the runs '
+        + ", ".join(f"'{name}'" for name in named),
+    )
 
 
 def _files(campaign: Campaign, found: Explanation, places: Places) -> Words:
@@ -333,6 +350,7 @@ REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Words]] = {
     "latitude_value": _latitude_value,
     "files_exchanged": _files,
     "mounting_mislabelled": _label,
+    "mountings_exchanged": _seats,
     "table_reversed": _sense,
     "table_zero": _zero,
     "mounting_turned": _turned,

@@ -7,13 +7,13 @@ conceal, and the unit is taken for as steady as its outputs show (`hidden_mistak
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, total
-from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake, TableAzimuth
-from imubayes.campaign.setup_gate.plausible_errors import STEADINESS
+from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake, TableAzimuth, TableElevation
+from imubayes.campaign.setup_gate.plausible_errors import STEADINESS, UNSTEADINESS
 from imubayes.campaign.setup_gate.run_view import RunView, views_of
 from imubayes.campaign.setup_gate.site_mistakes import LATITUDE_MISTAKES, LatitudeSign
 from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
@@ -28,10 +28,13 @@ DECISIVE = 25.0
 """Gain in twice the log evidence, less the `unlikelihood` of a mistake, for it to be named: odds of e^12 to 1 outweigh
 some thousand suspected mistakes and priors of 1 in 100."""
 DECISIVE_LATITUDE = 8.0
-"""The same for the sign of the latitude, which is a single suspected mistake; up to `DECISIVE` it is a warning."""
-MOST_MISFIT_LEFT = 1.25
-"""Misfit per output of a unit that is taken for steady, up to which a correction explains its outputs.  Of a unit that
-is taken for too steady any correction explains something."""
+"""The same for the sign of the latitude where several gyros show it, which is a single suspected mistake; up to
+`DECISIVE` it is a warning."""
+MOST_MISFIT_LEFT, MOST_MISFIT_WITHOUT_SIZE = 1.6, 1.25
+"""Misfit per output of a unit that is taken for steady, up to which a correction explains its outputs, and up to which
+one of temperatures or of a sign does.  Of a unit that is taken for too steady any correction explains something."""
+AS_USUAL = 6.0
+"""Evidence that a usual angle may fall short of the best one to be named in its place."""
 LEAST_TURN = math.radians(25.0)
 """Least error of an azimuth that is doubted where plausible errors would explain the outputs as well: the Earth rate
 of a tactical gyro tells no less."""
@@ -86,6 +89,10 @@ def judge_setup(campaign: Campaign) -> Judgement:
     if search.ordinary:
         hidden = hidden_mistakes(campaign)
         return Judgement((_equally_good(hidden),) if hidden else (), search.misfit)
+    if found := search.several_mistakes(1):
+        return Judgement(tuple(found), search.misfit)
+    if hidden := hidden_mistakes(campaign):
+        return Judgement((_equally_good(hidden),), search.misfit)
     if found := search.several_mistakes(MOST_MISTAKES):
         return Judgement(tuple(found), search.misfit)
     return Judgement(misfit=search.misfit, unexplained=tuple(search.disagreements()))
@@ -103,21 +110,58 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
 
     A small input, such as the Earth rate or what a temperature does, shows in a good unit only.  How good it is follows
     from the outputs themselves: of several degrees of steadiness that of most evidence is taken, for the set-up as
-    stated and for each correction.
+    stated and for each correction.  They are factors to what each channel shows by itself.
     """
-    searches = [Search(campaign, steadiness) for steadiness in STEADINESS]
+    steadiness = channel_steadiness(campaign)
+    about_zero = Search(campaign, steadiness)
+    centre = about_zero.model.rotations(about_zero.total)
+    searches = [Search(campaign, factor * steadiness, centre=centre) for factor in STEADINESS]
     # The outputs of a unit look no steadier with a mistake than without.
     first = min(range(len(searches)), key=lambda k: searches[k].stated)
     stated, searches = searches[first].stated, searches[first:]
-    found = []
-    for kind in (*LATITUDE_MISTAKES, TableAzimuth, *TEMPERATURE_MISTAKES):
-        for mistake in kind.suspected(campaign, searches[0].views):
-            tried = [(search.stated, search.explain(mistake)) for search in searches]
-            well = [(own - each.gain, each) for own, each in tried if each.misfit < MOST_MISFIT_LEFT]
-            if well:
-                score, best = min(well, key=lambda pair: pair[0])
-                found.append(Explanation(mistake, best.size, stated - score, best.misfit))
-    return [each for each in found if each.support > _bar(each.mistake) and not _small(each)]
+    found = [
+        best
+        for kind in (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES)
+        for mistake in kind.suspected(campaign, searches[0].views)
+        if _is_of_equipment(mistake) and (best := _steadiest(mistake, searches, stated)) is not None
+    ]
+    return [each for each in found if each.support > _bar(each.mistake, campaign) and not _small(each)]
+
+
+def _steadiest(mistake: Mistake, searches: Sequence["Search"], stated: float) -> Explanation | None:
+    """Return the correction of a mistake of most evidence among degrees of steadiness; None where it explains nothing.
+
+    Parameters
+    ----------
+    stated : −2 log evidence of the set-up as stated.
+    """
+    tried = [(searches[0].stated, searches[0].explain(mistake))]
+    if tried[0][1].gain < 0 and not isinstance(mistake, LatitudeSign):
+        return None
+    tried += [(search.stated, search.explain(mistake)) for search in searches[1:]]
+    sizeless = isinstance(mistake, (LatitudeSign, *TEMPERATURE_MISTAKES))
+    most = MOST_MISFIT_WITHOUT_SIZE if sizeless else MOST_MISFIT_LEFT
+    well = [(own - each.gain, each) for own, each in tried if each.misfit < most]
+    if not well:
+        return None
+    score, best = min(well, key=lambda pair: pair[0])
+    return Explanation(mistake, best.size, stated - score, best.misfit)
+
+
+def _is_of_equipment(mistake: Mistake) -> bool:
+    """Whether a mistake is that of a table as a whole, where it is one of elevation."""
+    return not (isinstance(mistake, TableElevation) and mistake.scope.section == "run")
+
+
+def channel_steadiness(campaign: Campaign) -> np.ndarray:
+    """Return by how much each gyro and accelerometer is less steady than a poor unit, where it is alone, shape (K,)."""
+    views, found = views_of(campaign), []
+    for place, channel in enumerate(campaign.channels):
+        if channel.kind != "angle":
+            alone = replace(campaign, channels=(channel,))
+            seen = [replace(view, observed=view.observed[:, [place]]) for view in views]
+            found.append(min(UNSTEADINESS, key=lambda factor, c=alone, v=seen: Search(c, factor, v).stated))
+    return np.array(found)
 
 
 def _small(found: Explanation) -> bool:
@@ -128,8 +172,9 @@ def _support(first: Explanation, rest: Sequence[tuple[Explanation, ...]]) -> flo
     return first.support + sum(equal[0].support for equal in rest)
 
 
-def _bar(mistake: Mistake) -> float:
-    return DECISIVE_LATITUDE if isinstance(mistake, LatitudeSign) else DECISIVE
+def _bar(mistake: Mistake, campaign: Campaign) -> float:
+    several = len(campaign.of_kind("gyro")) > 1
+    return DECISIVE_LATITUDE if isinstance(mistake, LatitudeSign) and several else DECISIVE
 
 
 def _distinct(found: Sequence[Explanation]) -> Iterator[Explanation]:
@@ -145,16 +190,23 @@ def _distinct(found: Sequence[Explanation]) -> Iterator[Explanation]:
 class Search:
     """Evidence of a campaign as stated, and of corrected ones."""
 
-    def __init__(self, campaign: Campaign, steadiness: float = 1.0, views: Sequence[RunView] | None = None):
+    def __init__(
+        self,
+        campaign: Campaign,
+        steadiness: float | np.ndarray = 1.0,
+        views: Sequence[RunView] | None = None,
+        centre: np.ndarray | None = None,
+    ):
         self.campaign = campaign
         self.views = views_of(campaign) if views is None else tuple(views)
         if not self.views:
             return
-        self.model = ErrorModel(campaign, steadiness=steadiness)
+        self.model = ErrorModel(campaign, steadiness=steadiness, centre=centre)
         self.known: dict[tuple[int, tuple[bytes | str | float, ...]], NormalTerms] = {}
         self.terms = [self.model.terms(view) for view in self.views]
         self.total = total(self.terms)
         self.stated = self.model.score(self.total)
+        self.g_sensitivity = self.model.best_g_sensitivity(self.total)
         self.misfit = self.model.misfit(self.total) / max(self.total.values, 1)
 
     @property
@@ -202,7 +254,7 @@ class Search:
 
     def _explains(self, found: Explanation) -> bool:
         excess, left = self.misfit - ORDINARY_MISFIT / 2, found.misfit - ORDINARY_MISFIT / 2
-        return excess <= 0 or left < (1 - LEAST_SHARE) * excess
+        return found.misfit < ORDINARY_MISFIT or left < (1 - LEAST_SHARE) * excess
 
     def disagreements(self) -> list[tuple[str, float]]:
         """Return the runs that disagree with the others and their misfit per output, worst first."""
@@ -236,26 +288,37 @@ class Search:
         size = self._best_size(mistake, base) if mistake.sizes else 0.0
         terms = self._corrected(mistake, base, size)
         gain = self.stated - self.model.score(terms)
+        for usual in mistake.usual(self.views):
+            also = self._corrected(mistake, base, usual)
+            if (well := self.stated - self.model.score(also)) > gain - AS_USUAL:
+                size, terms, gain = usual, also, well
+                break
         return Explanation(mistake, float(size), gain, self.model.misfit(terms) / max(terms.values, 1))
 
     def _best_size(self, mistake: Mistake, base: NormalTerms) -> float:
         """Return the size of least misfit, by parabolas about the best of the grid.
 
-        The misfit is a single wave in an angle, so that a coarse grid finds the basin of its minimum.
+        The misfit is a single wave in an angle, so that a coarse grid finds the basin of its minimum.  Where the Earth
+        rate alone tells the size, a large g-sensitivity passes for its vertical part, and the evidence decides.
         """
-        tried = {size: self.model.misfit(self._corrected(mistake, base, size)) for size in mistake.sizes}
+        judged = self._evidence_as_stated if mistake.by_evidence else self.model.misfit
+        tried = {size: judged(self._corrected(mistake, base, size)) for size in mistake.sizes}
         best = min(tried, key=lambda size: tried[size])
         step = float(np.min(np.diff(sorted(mistake.sizes)))) / 2
         for _ in range(_REFINEMENTS):
             for near in (best - step, best + step):
-                tried[near] = self.model.misfit(self._corrected(mistake, base, near))
+                tried[near] = judged(self._corrected(mistake, base, near))
             low, middle, high = tried[best - step], tried[best], tried[best + step]
             bend = low - 2 * middle + high
             vertex = best + step * float(np.clip((low - high) / 2 / bend, -1, 1)) if bend > 0 else best
-            tried[vertex] = self.model.misfit(self._corrected(mistake, base, vertex))
+            tried[vertex] = judged(self._corrected(mistake, base, vertex))
             best = min(tried, key=lambda size: tried[size])
             step /= 6
         return best
+
+    def _evidence_as_stated(self, terms: NormalTerms) -> float:
+        """Return −2 log of the evidence with the g-sensitivity that the set-up as stated shows."""
+        return self.model.score(terms, self.g_sensitivity)
 
     def _corrected(self, mistake: Mistake, base: NormalTerms, size: float) -> NormalTerms:
         terms = base

@@ -42,6 +42,7 @@ class LatitudeValue(Mistake):
     kind: ClassVar[str] = "latitude_value"
     sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-90, 91, 15) * _DEGREE)
     rarity: ClassVar[float] = 15.0
+    by_evidence: ClassVar[bool] = True
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
