@@ -19,9 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imubayes.campaign.setup_gate.plausible_errors import (
+    COMPENSATED,
     G_SENSITIVITIES,
     GROSS,
     LEVER_ARM,
+    LOOSE_OFFSET,
     MOUNTING_LEAST,
     MOUNTING_UNSTATED,
     TABLE_LEAST,
@@ -36,6 +38,7 @@ from imubayes.earth import earth_rate
 # Parameters of a channel: scale, two misalignments, bias, three of the temperature, three of g-sensitivity, two of the
 # converter's temperature.
 _OWN = 12
+_OF_TEMPERATURE = (4, 5, 6, 10, 11)
 _WARM = 25.0
 
 
@@ -99,6 +102,7 @@ class ErrorModel:
         centre: np.ndarray | None = None,
     ):
         self.gross, self.centre = gross, centre
+        self.rotated: dict[int, np.ndarray] = {}
         self.places = [k for k, channel in enumerate(campaign.channels) if channel.kind != "angle"]
         self.channels = [campaign.channels[k] for k in self.places]
         self.widths = [
@@ -112,6 +116,7 @@ class ErrorModel:
         self.tables = {name: start + 3 * k for k, name in enumerate(campaign.tables)}
         self.size = start + 3 * len(self.tables)
         self.sd = self._standard_deviations(campaign)
+        self.thermal = np.add.outer(_OWN * np.arange(len(self.channels)), _OF_TEMPERATURE).ravel()
         gyro = [k for k, channel in enumerate(self.channels) if channel.kind == "gyro"]
         self.g_sensitive = np.array([_OWN * k + 7 + axis for k in gyro for axis in range(3)], dtype=int)
 
@@ -126,6 +131,7 @@ class ErrorModel:
         gross = [GROSS[channel.kind] if self.gross else 0.0 for channel in self.channels]
         self.rest = np.array([[np.hypot(width.rest, more)] for width, more in zip(self.widths, gross, strict=True)])
         self.run_offset = np.array([width.offset for width in self.widths])
+        self.across = np.stack([_cross(axis) for axis in self.axes[:, 0]])
 
     def _standard_deviations(self, campaign: Campaign) -> np.ndarray:
         sd = np.ones(self.size)
@@ -141,8 +147,8 @@ class ErrorModel:
             sd[place : place + 3] = TABLE_UNSTATED if stated is None else max(2 * stated, TABLE_LEAST)
         return sd
 
-    def terms(self, view: RunView) -> NormalTerms:
-        """Return what a run adds to the normal equations."""
+    def terms(self, view: RunView, loose: bool = False) -> NormalTerms:
+        """Return what a run adds to the normal equations; of a loose run bias and scale factor are its own."""
         moved, tilted = self._centred(view)
         stand = moved.local_to_body() @ tilted
         up, earth = np.array([0.0, 0.0, view.gravity]), earth_rate(view.latitude)
@@ -156,7 +162,8 @@ class ErrorModel:
         at_zero = along[:, :, 0] if self.centre is None else along[:, :, 0] - design[:, :, _OWN:] @ self.centre[shared]
         error = np.where(there, (output - self.offset) / self.scale - at_zero, 0.0)
         variance = (self.noise / self.scale) ** 2 / view.samples + self._left_out(view, np.linalg.norm(felt, axis=2))
-        found = _weighted(design, error, np.where(there, 1 / variance, 0.0), self.run_offset)
+        weight = np.where(there, 1 / variance, 0.0)
+        found = _weighted(design, error, weight, *self._of_run(along[:, :, :1], loose))
         own = np.arange(_OWN * len(self.channels))
         blocks = own.reshape(-1, _OWN)
         matrix, vector = np.zeros((self.size, self.size)), np.zeros(self.size)
@@ -181,26 +188,35 @@ class ErrorModel:
         design[:, :, :3], design[:, :, 3], design[:, :, 4], design[:, :, 5] = along, 1.0, warm, warm**2
         design[:, :, 6], design[:, :, 7:10] = warm * along[:, :, 0], in_g
         design[:, :, 10], design[:, :, 11] = converter, converter * along[:, :, 0]
-        place, input_axis = _OWN, self.axes[:, :1]
+        place = _OWN
         if view.mounting is not None:
-            design[:, :, place : place + 3] = np.cross(felt, input_axis)
+            design[:, :, place : place + 3] = -felt @ self.across
             place += 3
         if view.table is not None:
-            design[:, :, place : place + 3] = np.cross(still, np.einsum("kj,rji->kri", self.axes[:, 0], stand))
+            held = (self.axes[:, 0] @ stand).swapaxes(0, 1)  # input axes in local level, (K, R, 3)
+            design[:, :, place : place + 3] = held @ np.stack([_cross(each) for each in still[:, 0]])
         return design
+
+    def _of_run(self, along: np.ndarray, loose: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return the responses to the errors of a run alone, (K, R, q), and their standard deviations, (K, q)."""
+        if not loose:
+            return np.ones_like(along), self.run_offset[:, None]
+        spread = np.stack([LOOSE_OFFSET * self.run_offset, [width.scale for width in self.widths]], axis=1)
+        return np.concatenate([np.ones_like(along), along], axis=2), spread
 
     def _centred(self, view: RunView) -> tuple[RunView, np.ndarray]:
         """Return a view with its mounting, and the rotation of the axis of its table, at the centre."""
         if self.centre is None:
             return view, np.eye(3)
-        tilted = np.eye(3)
         if view.mounting is not None:
-            place = self.mountings[view.mounting]
-            turned = _rotation(self.centre[place : place + 3])
-            view = replace(view, body_to_table=view.body_to_table @ turned.T)
-        if view.table is not None:
-            tilted = _rotation(self.centre[self.tables[view.table] :][:3])
-        return view, tilted
+            view = replace(view, body_to_table=view.body_to_table @ self._at_centre(self.mountings[view.mounting]).T)
+        return view, np.eye(3) if view.table is None else self._at_centre(self.tables[view.table])
+
+    def _at_centre(self, place: int) -> np.ndarray:
+        """Return the rotation of a mounting or a table at the centre."""
+        if place not in self.rotated:
+            self.rotated[place] = np.eye(3) if self.centre is None else _rotation(self.centre[place : place + 3])
+        return self.rotated[place]
 
     def _shared(self, view: RunView) -> np.ndarray:
         places = [self.mountings[view.mounting]] if view.mounting is not None else []
@@ -213,9 +229,14 @@ class ErrorModel:
         turned = np.sum(self.sd[self._shared(view)].reshape(-1, 3)[:, 0] ** 2) if self.centre is None else 0.0
         return size**2 * (self.share**2 + turned**2) + self.rest**2 + arm
 
-    def score(self, terms: NormalTerms, g_sensitivity: float | None = None) -> float:
-        """Return −2 log of the evidence, up to a constant; by default with the g-sensitivity that the gyros show."""
+    def score(self, terms: NormalTerms, g_sensitivity: float | None = None, compensated: bool = False) -> float:
+        """Return −2 log of the evidence, up to a constant; by default with the g-sensitivity that the gyros show.
+
+        The outputs of a compensated unit hardly follow the temperature.
+        """
         sd = self._sd(self.best_g_sensitivity(terms) if g_sensitivity is None else g_sensitivity)
+        if compensated:
+            sd[self.thermal] *= COMPENSATED
         # In units of the priors the normal matrix is the unit matrix and more, and well conditioned.
         lower = np.linalg.cholesky(np.eye(self.size) + sd[:, None] * terms.matrix * sd)
         solved = np.linalg.solve(lower, sd * terms.vector)
@@ -249,10 +270,15 @@ class ErrorModel:
         return float(terms.square - solved @ solved)
 
 
+def _cross(vector: np.ndarray) -> np.ndarray:
+    """Return the matrix C of a vector v for which a @ C is v × a."""
+    x, y, z = vector
+    return np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])
+
+
 def _rotation(vector: np.ndarray) -> np.ndarray:
     """Return the matrix of a rotation vector, rad (Rodrigues)."""
-    x, y, z = vector
-    cross, angle = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), float(np.linalg.norm(vector))
+    cross, angle = _cross(vector).T, float(np.linalg.norm(vector))
     return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross @ cross
 
 
@@ -266,15 +292,27 @@ class _Weighted:
     volume: float
 
 
-def _weighted(design: np.ndarray, error: np.ndarray, weight: np.ndarray, offset: np.ndarray) -> _Weighted:
-    """Return the normal equations of the channels in one run; the offset of each in the run is integrated out."""
-    weighted = design * weight[:, :, None]
-    total = 1 / offset**2 + weight.sum(axis=1)
-    mean, at = weighted.sum(axis=1), np.sum(weight * error, axis=1)
-    matrix = design.swapaxes(1, 2) @ weighted - mean[:, :, None] * mean[:, None, :] / total[:, None, None]
-    vector = np.sum(weighted * error[:, :, None], axis=1) - mean * (at / total)[:, None]
-    square = float(np.sum(weight * error**2) - np.sum(at**2 / total))
-    return _Weighted(matrix, vector, square, float(np.log(total * offset**2).sum()))
+def _weighted(
+    design: np.ndarray, error: np.ndarray, weight: np.ndarray, own: np.ndarray, spread: np.ndarray
+) -> _Weighted:
+    """Return the normal equations of the channels in one run; the errors of each in this run alone are integrated out.
+
+    Parameters
+    ----------
+    design : response to the errors that are estimated, shape (K, R, n).
+    error, weight : of each output, shape (K, R).
+    own : response to the errors of the run, shape (K, R, q).
+    spread : their standard deviations, shape (K, q).
+    """
+    weighted, own = design * weight[:, :, None], own * spread[:, None, :]
+    turned = own.swapaxes(1, 2)
+    inner = np.eye(own.shape[2]) + turned @ (own * weight[:, :, None])
+    across, at = turned @ weighted, turned @ (weight * error)[:, :, None]
+    solved = np.linalg.solve(inner, np.concatenate([across, at], axis=2))
+    matrix = design.swapaxes(1, 2) @ weighted - across.swapaxes(1, 2) @ solved[:, :, :-1]
+    vector = np.sum(weighted * error[:, :, None], axis=1) - np.sum(solved[:, :, :-1] * at, axis=1)
+    square = float(np.sum(weight * error**2) - np.sum(solved[:, :, -1:] * at))
+    return _Weighted(matrix, vector, square, float(np.linalg.slogdet(inner)[1].sum()))
 
 
 def total(terms: Sequence[NormalTerms]) -> NormalTerms:

@@ -73,11 +73,6 @@ class Mistake(ABC):
         """−2 times the logarithm of how usual the mistake is where it is suspected."""
         return self.rarity
 
-    @property
-    def imitated(self) -> float:
-        """Evidence that a campaign without mistakes may show as well: up to it the mistake is a warning."""
-        return 0.0
-
 
 MISTAKES: list[type[Mistake]] = []
 """Every kind of mistake, from the most to the least usual."""

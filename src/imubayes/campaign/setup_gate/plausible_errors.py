@@ -63,6 +63,10 @@ UNSTEADINESS = (1.0, 3.0, 10.0)
 GROSS = {"gyro": 0.1 * _DEG_S, "accelerometer": 20 * _MG}
 """Standard deviation of errors at zero input beyond which outputs contradict the set-up although no mistake is known
 that explains it; smaller ones are the business of a diagnosis."""
+LOOSE_OFFSET = 10.0
+"""How many times as large as others the bias of one run may be that rivals a mistake in its temperatures."""
+COMPENSATED = 0.03
+"""Slopes with the temperature of a compensated unit, over those that are plausible without."""
 LEVER_ARM = 0.5
 """Largest distance of an accelerometer from the axis of a table, m."""
 MOUNTING_UNSTATED, TABLE_UNSTATED = 1.0 * _DEG, 0.2 * _DEG

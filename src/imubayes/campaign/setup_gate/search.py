@@ -46,23 +46,38 @@ TRIED_FIRST, TRIED_NEXT = 4, 1
 """How many of the best are tried as the first of several, and as each one after it: every trial is a search."""
 EQUIVALENT = 10.0
 """Mistakes whose gain is within this of the best are equally good explanations."""
+RIVALLED = 16.0
+"""Gain per channel beyond which a mistake in temperatures is said, as a warning, although other biases in a run explain
+the outputs as well: a bias off by four plausible standard deviations."""
 _REFINEMENTS = 4
 _SUSPECTS = 5  # runs whose own mistakes are tried
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """A mistake and its size, and by how much its correction raises twice the log evidence; the misfit then."""
+    """A mistake and its size, and by how much its correction raises twice the log evidence.
+
+    Attributes
+    ----------
+    misfit : per output with the correction.
+    rival : gain of what passes for the mistake in a valid set-up.
+    """
 
     mistake: Mistake
     size: float
     gain: float
     misfit: float
+    rival: float = 0.0
 
     @property
     def support(self) -> float:
         """The gain less what speaks against the mistake beforehand."""
         return self.gain - self.mistake.unlikelihood
+
+    @property
+    def rivalled(self) -> bool:
+        """Whether the outputs do not tell the mistake from what passes for it in a valid set-up."""
+        return self.rival > 0 and self.gain < self.rival + DECISIVE
 
 
 @dataclass(frozen=True)
@@ -125,7 +140,8 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
         for mistake in kind.suspected(campaign, searches[0].views)
         if _is_of_equipment(mistake) and (best := _steadiest(mistake, searches, stated)) is not None
     ]
-    return [each for each in found if each.support > _bar(each.mistake, campaign) and not _small(each)]
+    found = [each for each in found if each.support > _bar(each.mistake, campaign) and not _small(each)]
+    return [each for each in found if not each.rivalled or each.gain > RIVALLED * len(campaign.channels)]
 
 
 def _steadiest(mistake: Mistake, searches: Sequence["Search"], stated: float) -> Explanation | None:
@@ -145,7 +161,8 @@ def _steadiest(mistake: Mistake, searches: Sequence["Search"], stated: float) ->
     if not well:
         return None
     score, best = min(well, key=lambda pair: pair[0])
-    return Explanation(mistake, best.size, stated - score, best.misfit)
+    rivals = [search.rival(mistake) for search in searches] if isinstance(mistake, TEMPERATURE_MISTAKES) else []
+    return Explanation(mistake, best.size, stated - score, best.misfit, max([0.0, *(stated - each for each in rivals)]))
 
 
 def _is_of_equipment(mistake: Mistake) -> bool:
@@ -315,6 +332,19 @@ class Search:
             best = min(tried, key=lambda size: tried[size])
             step /= 6
         return best
+
+    def rival(self, mistake: Mistake) -> float:
+        """Return −2 log evidence of what passes for a mistake in the temperatures of the set-up as stated.
+
+        That is a unit whose outputs hardly follow the temperature or, where a single run is concerned, biases and scale
+        factors of that run unlike those of others.
+        """
+        rivals = [self.model.score(self.total, compensated=True)]
+        if mistake.scope.section == "run":
+            (place,) = mistake.scope.runs
+            loose = self.model.terms(self.views[place], loose=True)
+            rivals.append(self.model.score(self.total - self.terms[place] + loose))
+        return min(rivals)
 
     def _evidence_as_stated(self, terms: NormalTerms) -> float:
         """Return −2 log of the evidence with the g-sensitivity that the set-up as stated shows."""

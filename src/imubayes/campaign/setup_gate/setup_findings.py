@@ -31,18 +31,21 @@ def _explained(
     found: list[tuple[str, Words]] = [
         (each.mistake.kind, REMEDIES[each.mistake.kind](campaign, each, places)) for each in equal
     ]
+    run = equal[0].mistake.scope.name if equal[0].mistake.scope.section == "run" else ""
     first, words, others = equal[0], found[0][1], [each for _, each in found[1:]]
     evidence = f"the outputs fit that far better (Δχ² {first.gain:.3g})"
+    if first.rivalled:
+        rival = "biases and scale factors unlike those of other runs" if run else "outputs that ignore the temperature"
+        evidence += f", but cannot tell it from {rival}"
     remedy = words.remedy
     if others:
         evidence += "; equally good: " + "; ".join(each.what for each in others[:_MOST_ALTERNATIVES])
         remedy += " (or: " + "; ".join(each.remedy for each in others[:_MOST_ALTERNATIVES]) + ")"
     # Weaker evidence is said and stops nothing.
-    sure = first.support > DECISIVE + first.mistake.imitated and not {kind for kind, _ in found} & {*accepted}
+    sure = first.support > DECISIVE and not first.rivalled and not {kind for kind, _ in found} & {*accepted}
     severity: Severity = "error" if sure else "warning"
     if sure:
         remedy += f'; accepted = ["{first.mistake.kind}"] in campaign.toml lets the campaign pass as it is'
-    run = first.mistake.scope.name if first.mistake.scope.section == "run" else ""
     return Finding(
         first.mistake.kind, severity, run, f"{words.what}: {evidence}", words.where, words.allowed, remedy
     )  # fmt: skip

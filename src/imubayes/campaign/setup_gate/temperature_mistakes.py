@@ -12,9 +12,6 @@ from imubayes.campaign_data import Campaign
 
 _LEAST_COURSE = 2.0  # °C; a temperature that changes by less is the same reversed
 _MARGIN = 10.0  # °C, by which a corrected temperature may exceed those of the other runs
-# Evidence per channel that another bias in one run gives as well: that of a bias off by seven plausible standard
-# deviations.  Units less steady from run to run than others of their grade gained up to 43 (study of seeded mistakes).
-_RUN_OFFSET = 49.0
 SENSOR, CONVERTER = "temperature", "converter_temperature"
 
 
@@ -49,20 +46,14 @@ class TemperatureUnit(Mistake):
     """
 
     names: tuple[str, ...]
-    channels: int
     kind: ClassVar[str] = "temperature_unit"
-
-    @property
-    def imitated(self) -> float:
-        """What another bias of every channel in this run would explain."""
-        return _RUN_OFFSET * self.channels
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield each thermometer of each run, and both."""
         for names in ((SENSOR,), (CONVERTER,), (SENSOR, CONVERTER)):
             for scope in _recorded(views, names):
-                mistake = cls(scope, names, len(campaign.channels))
+                mistake = cls(scope, names)
                 if scope.section == "run" and _among_others(mistake, views):
                     yield mistake
 
