@@ -159,7 +159,7 @@ def _angle_text(offset: float) -> tuple[str, ...]:
     """How an offset may be written to within a degree."""
     folded = (offset + 180) % 360 - 180
     near = [folded + step / 10 for step in range(-10, 11)]
-    texts = [f"{(value + 180) % 360 - 180:+.0f}" for value in near]
+    texts = [f"{(value + 180) % 360 - 180:{form}}" for value in near for form in ("+.0f", "+.4g")]
     return tuple(dict.fromkeys(texts)) + (("+180",) if abs(abs(folded) - 180) < 1 else ())
 
 

@@ -16,8 +16,10 @@ from imubayes.errors import InputError
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "data"
 SHIPPED = sorted(file.parent.name for file in DATA.glob("*/campaign.toml"))
-SEEDS = tuple(range(7000, 7000 + len(KINDS)))
-FIRST = next(seed for seed in SEEDS if KINDS[seed % len(KINDS)] == "table")
+QUICK = ("gyros", "converter", "converter_cycle", "rotation-modulation", "polar-tumble", "head", "cycle")
+"""Kinds of campaigns of the default tests, each judged in half a second; the study has all."""
+SEEDS = tuple(seed for seed in range(7000, 7000 + len(KINDS)) if KINDS[seed % len(KINDS)] in QUICK)
+FIRST = next(seed for seed in SEEDS if KINDS[seed % len(KINDS)] == "head")
 PER_MISTAKE = 2
 """Campaigns that each mistake is planted into, in the default tests."""
 SUBTLE = (
@@ -29,7 +31,7 @@ SUBTLE = (
 
 @pytest.fixture(scope="module")
 def valid(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
-    """Valid campaigns drawn at random, by seed: one of each kind."""
+    """Valid campaigns drawn at random, by seed: one of each quick kind."""
     folders = {seed: tmp_path_factory.mktemp("valid") / str(seed) for seed in SEEDS}
     for seed, folder in folders.items():
         valid_campaign(folder, seed)
