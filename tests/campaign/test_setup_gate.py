@@ -16,8 +16,9 @@ from imubayes.errors import InputError
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "data"
 SHIPPED = sorted(file.parent.name for file in DATA.glob("*/campaign.toml"))
-QUICK = ("gyros", "converter", "converter_cycle", "rotation-modulation", "polar-tumble", "head", "cycle")
+QUICK = ("converter", "converter_cycle", "rotation-modulation", "polar-tumble", "head", "cycle")
 """Kinds of campaigns of the default tests, each judged in half a second; the study has all."""
+SHIPPED_QUICK = ("polar-tumble", "redundant-imu", "rotation-modulation", "trihedral-imu")
 SEEDS = tuple(seed for seed in range(7000, 7000 + len(KINDS)) if KINDS[seed % len(KINDS)] in QUICK)
 FIRST = next(seed for seed in SEEDS if KINDS[seed % len(KINDS)] == "head")
 PER_MISTAKE = 2
@@ -60,7 +61,9 @@ def _detectable(valid: Path, folder: Path) -> bool:
     return not chi_square(folder) - chi_square(valid) < DETECTABLE
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize(
+    "name", [name if name in SHIPPED_QUICK else pytest.param(name, marks=pytest.mark.slow) for name in SHIPPED]
+)
 def test_shipped_campaigns_pass(name: str) -> None:
     assert not gate(inspect_campaign(DATA / name))
 

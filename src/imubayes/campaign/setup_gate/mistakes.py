@@ -69,6 +69,11 @@ class Mistake(ABC):
         return ()
 
     @property
+    def variant(self) -> str:
+        """What tells the mistake from others of its kind and scope that are said beside it."""
+        return ""
+
+    @property
     def unlikelihood(self) -> float:
         """−2 times the logarithm of how usual the mistake is where it is suspected."""
         return self.rarity
@@ -343,11 +348,19 @@ class ChannelsExchanged(Mistake):
         return replace(views[place], observed=observed)
 
 
+def _is_static(view: RunView) -> bool:
+    return not (np.any(view.span) or view.reference is not None or np.any(view.rate))
+
+
 @register
 @dataclass(frozen=True)
 class TimeShift(Mistake):
-    """The outputs are shifted against the columns of the table, by a size in rows; positive where they lag."""
+    """The outputs are shifted against the columns of the table, by a size in rows; positive where they lag.
 
+    The shift is `whole` between static rows, between which there is no stimulus to interpolate.
+    """
+
+    whole: bool
     kind: ClassVar[str] = "time_shift"
     sizes: ClassVar[tuple[float, ...]] = tuple(np.concatenate([np.arange(-3, 3.1, 0.5), [-5.0, -4.0, 4.0, 5.0]]))
 
@@ -356,15 +369,14 @@ class TimeShift(Mistake):
         """Yield every run in which the stimulus varies, and all of them."""
         varying = [k for k, v in enumerate(views) if v.rows > 4 and (np.ptp(v.rate) or np.ptp(v.angle) > 0)]
         if len(varying) > 1:
-            yield cls(Scope("campaign", "", tuple(varying)))
+            yield cls(Scope("campaign", "", tuple(varying)), all(_is_static(views[k]) for k in varying))
         for k in varying:
-            yield cls(Scope("run", views[k].name, (k,)))
+            yield cls(Scope("run", views[k].name, (k,)), _is_static(views[k]))
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the stimulus of earlier rows; rows that have none are left out."""
         view = views[place]
-        # Between static rows there is no stimulus to interpolate.
-        size = size if np.any(view.span) or view.reference is not None or np.any(view.rate) else round(size)
+        size = round(size) if _is_static(view) else size
         row = np.arange(view.rows) - size
         before = np.clip(np.floor(row).astype(int), 0, view.rows - 1)
         after = np.clip(before + 1, 0, view.rows - 1)

@@ -55,7 +55,7 @@ _ACCELEROMETER = {
 G_SENSITIVITIES = (1.5 * _DEG_H, 5 * _DEG_H, 15 * _DEG_H, 50 * _DEG_H, 150 * _DEG_H, 500 * _DEG_H)
 """Standard deviations of the g-sensitivity of gyros that are tried, rad/s per g: gyros of a make share it, and no
 data sheet of a grade tells it within a factor of ten."""
-STEADINESS = (1.0, 0.3, 0.1, 0.03)
+STEADINESS = (1.0, 0.3, 0.1, 0.03, 0.01)
 """Factors of run offsets and nonlinearities that are tried where a small input or a temperature is at stake: a good
 unit tells what the errors of a poor one conceal."""
 UNSTEADINESS = (1.0, 3.0, 10.0)

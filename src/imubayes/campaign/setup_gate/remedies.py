@@ -14,8 +14,10 @@ from imubayes.campaign.setup_gate.mistakes import (
     MountingMislabelled,
     MountingsExchanged,
     MountingWrong,
+    TimeShift,
 )
 from imubayes.campaign.setup_gate.search import Explanation
+from imubayes.campaign.setup_gate.site_mistakes import LatitudeValue
 from imubayes.campaign.setup_gate.temperature_mistakes import TemperatureReversed, TemperatureUnit
 from imubayes.campaign.setup_gate.unit_mistakes import ANGLE_UNITS, RATE_UNITS, AngleUnit, ChannelGain, RateUnit
 from imubayes.campaign.toml_documents import Ledger
@@ -228,7 +230,9 @@ def _latitude(campaign: Campaign, found: Explanation, places: Places) -> Words:
 
 
 def _latitude_value(campaign: Campaign, found: Explanation, places: Places) -> Words:
-    latitude, actual = math.degrees(campaign.site.latitude), round(math.degrees(found.size))
+    assert isinstance(found.mistake, LatitudeValue)
+    latitude, sign = math.degrees(campaign.site.latitude), 1 if found.mistake.north else -1
+    actual = sign * round(max(0.0, math.degrees(sign * found.size)))
     return Words(
         f"the gyros show the Earth rate at a latitude of about {actual} deg, not {latitude:.6g} deg",
         places.site("latitude_deg"),
@@ -300,10 +304,13 @@ def _unit(mistake: Mistake, places: Places, column: str, unit: str, factor: floa
 
 def _time(campaign: Campaign, found: Explanation, places: Places) -> Words:
     subject, runs = _subject(found.mistake), {run.name: run for run in campaign.runs}
-    run, size = runs.get(found.mistake.scope.name), round(2 * found.size) / 2
+    assert isinstance(found.mistake, TimeShift)
+    run, size = runs.get(found.mistake.scope.name), float(round(found.size))
+    if not found.mistake.whole:
+        size = round(2 * found.size) / 2
     seconds = ""
     if run is not None and "time" in run.covariates and run.rows > 1:
-        seconds = f" ({abs(found.size) * float(np.median(np.diff(run.covariates['time']))):.3g} s)"
+        seconds = f" ({abs(size) * float(np.median(np.diff(run.covariates['time']))):.3g} s)"
     sense = "later" if found.size > 0 else "earlier"
     return Words(
         f"the outputs stand {abs(size):g} rows{seconds} {sense} than the columns of the table {subject}",

@@ -5,7 +5,7 @@ table angle, another mounting, other units of a column.  The nominal input follo
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,3 +129,9 @@ def _view(campaign: Campaign, run: Run) -> RunView:
         observed=run.observed,
         samples=run.samples,
     )
+
+
+def feels_the_earth_alone(campaign: Campaign, views: Sequence[RunView]) -> bool:
+    """Whether the channels are gyros on tables that stand: plausible biases conceal whatever turns the Earth rate."""
+    gyros = all(channel.kind == "gyro" for channel in campaign.channels)
+    return gyros and all(view.table is not None and not np.any(view.largest_rate() > 0) for view in views)

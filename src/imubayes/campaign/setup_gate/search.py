@@ -12,9 +12,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, total
-from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake, TableAzimuth, TableElevation
+from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake, TableAzimuth, TableElevation, TableZero
 from imubayes.campaign.setup_gate.plausible_errors import STEADINESS, UNSTEADINESS
-from imubayes.campaign.setup_gate.run_view import RunView, views_of
+from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone, views_of
 from imubayes.campaign.setup_gate.site_mistakes import LATITUDE_MISTAKES, LatitudeSign
 from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
 from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES
@@ -38,6 +38,10 @@ AS_USUAL = 6.0
 LEAST_TURN = math.radians(25.0)
 """Least error of an azimuth that is doubted where plausible errors would explain the outputs as well: the Earth rate
 of a tactical gyro tells no less."""
+LEAST_TILT = math.radians(2.0)
+"""The same of an elevation or a zero: smaller ones pass for errors that the linear model leaves out."""
+FEW_RUNS = 4
+"""Runs up to which plausible errors conceal mistakes of every kind."""
 LEAST_SHARE = 0.98
 """Least share of the excess misfit that the correction of a mistake removes."""
 MOST_MISTAKES = 3
@@ -127,61 +131,77 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     from the outputs themselves: of several degrees of steadiness that of most evidence is taken, for the set-up as
     stated and for each correction.  They are factors to what each channel shows by itself.
     """
-    steadiness = channel_steadiness(campaign)
-    about_zero = Search(campaign, steadiness)
-    centre = about_zero.model.rotations(about_zero.total)
-    searches = [Search(campaign, factor * steadiness, centre=centre) for factor in STEADINESS]
-    # The outputs of a unit look no steadier with a mistake than without.
-    first = min(range(len(searches)), key=lambda k: searches[k].stated)
-    stated, coarser, searches = searches[first].stated, searches[max(first - 1, 0)], searches[first:]
+    levels = SteadinessLevels(campaign)
+    first, stated = levels.of_most_evidence()
+    views = levels[0].views
     concealed = (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES)
-    if feels_the_earth_alone(campaign, searches[0].views):
+    if feels_the_earth_alone(campaign, views) or len(views) <= FEW_RUNS:
         concealed = (*MISTAKES, *UNIT_MISTAKES, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
     found = [
         best
         for kind in concealed
-        for mistake in kind.suspected(campaign, searches[0].views)
-        if _is_of_equipment(mistake) and (best := _steadiest(mistake, searches, stated)) is not None
+        for mistake in kind.suspected(campaign, views)
+        if _is_of_equipment(mistake) and (best := levels.steadiest(mistake, first, stated)) is not None
     ]
-    temperature = TEMPERATURE_MISTAKES
-    found = [each for each in found if isinstance(each.mistake, temperature) or _is_robust(each, coarser, campaign)]
     found = [each for each in found if each.support > _bar(each.mistake, campaign) and not _small(each)]
     return [each for each in found if not each.rivalled or each.gain > RIVALLED * len(campaign.channels)]
 
 
-def feels_the_earth_alone(campaign: Campaign, views: Sequence[RunView]) -> bool:
-    """Whether the channels are gyros on tables that stand: plausible biases conceal whatever turns the Earth rate."""
-    gyros = all(channel.kind == "gyro" for channel in campaign.channels)
-    return gyros and all(view.table is not None and not np.any(view.largest_rate() > 0) for view in views)
+class SteadinessLevels:
+    """The searches in units of rising steadiness, each made when it is first asked for."""
 
+    def __init__(self, campaign: Campaign):
+        self.campaign, self.steadiness = campaign, channel_steadiness(campaign)
+        about_zero = Search(campaign, self.steadiness)
+        self.centre = about_zero.model.rotations(about_zero.total)
+        self.made: dict[int, Search] = {}
 
-def _steadiest(mistake: Mistake, searches: Sequence["Search"], stated: float) -> Explanation | None:
-    """Return the correction of a mistake of most evidence among degrees of steadiness; None where it explains nothing.
+    def __getitem__(self, level: int) -> "Search":
+        if level not in self.made:
+            self.made[level] = Search(self.campaign, STEADINESS[level] * self.steadiness, centre=self.centre)
+        return self.made[level]
 
-    Parameters
-    ----------
-    stated : −2 log evidence of the set-up as stated.
-    """
-    tried = [(searches[0].stated, searches[0].explain(mistake))]
-    if tried[0][1].gain < 0 and not isinstance(mistake, LatitudeSign):
-        return None
-    tried += [(search.stated, search.explain(mistake)) for search in searches[1:]]
-    sizeless = isinstance(mistake, (LatitudeSign, *TEMPERATURE_MISTAKES))
-    most = MOST_MISFIT_WITHOUT_SIZE if sizeless else MOST_MISFIT_LEFT
-    well = [(own - each.gain, each) for own, each in tried if each.misfit < most]
-    if not well:
-        return None
-    score, best = min(well, key=lambda pair: pair[0])
-    rivals = [search.rival(mistake) for search in searches] if isinstance(mistake, TEMPERATURE_MISTAKES) else []
-    return Explanation(mistake, best.size, stated - score, best.misfit, max([0.0, *(stated - each for each in rivals)]))
+    def of_most_evidence(self) -> tuple[int, float]:
+        """Return the level of most evidence for the set-up as stated that fits, and −2 log of the most evidence."""
+        scores: list[float] = []
+        for level in range(len(STEADINESS)):
+            scores.append(self[level].stated)
+            if self[level].misfit > MOST_MISFIT_LEFT:
+                break
+        adequate = [level for level in range(len(scores)) if self[level].misfit < MOST_MISFIT_LEFT] or [0]
+        return min(adequate, key=lambda level: scores[level]), min(scores)
 
+    def steadiest(self, mistake: Mistake, first: int, stated: float) -> Explanation | None:
+        """Return the correction of a mistake at the level of most evidence; None where it explains nothing.
 
-def _is_robust(found: Explanation, coarser: "Search", campaign: Campaign) -> bool:
-    """Whether a mistake is supported where what the linear model leaves out is three times as large, too.
+        The outputs of a unit look no steadier with a mistake than without, so that no level below the `first`, that of
+        most evidence for the set-up as stated, is tried.  What a linear model leaves out is not independent from row to
+        row, and the steadiest unit makes too much of it: one level below the mistake has to be supported as well.
 
-    What it leaves out is not independent from row to row, so that the evidence of the steadiest unit is too strong.
-    """
-    return coarser.explain(found.mistake).support > _bar(found.mistake, campaign)
+        Parameters
+        ----------
+        stated : −2 log evidence of the set-up as stated.
+        """
+        sizeless = isinstance(mistake, (LatitudeSign, *TEMPERATURE_MISTAKES))
+        most = MOST_MISFIT_WITHOUT_SIZE if sizeless else MOST_MISFIT_LEFT
+        tried: list[tuple[float, int, Explanation]] = []
+        for level in range(first, len(STEADINESS)):
+            found = self[level].explain(mistake)
+            if (found.gain < 0 and not tried and not isinstance(mistake, LatitudeSign)) or found.misfit > most:
+                break
+            tried.append((self[level].stated - found.gain, level, found))
+        if not tried:
+            return None
+        score, level, best = min(tried, key=lambda each: each[0])
+        gain, rival = stated - score, stated
+        if isinstance(mistake, TEMPERATURE_MISTAKES):
+            rival = min(self[tried_at].rival(mistake) for _, tried_at, _ in tried)
+        elif gain > DECISIVE_LATITUDE and not self._holds_below(level, mistake):
+            return None
+        return Explanation(mistake, best.size, gain, best.misfit, max(0.0, stated - rival))
+
+    def _holds_below(self, level: int, mistake: Mistake) -> bool:
+        return not level or self[level - 1].explain(mistake).support > _bar(mistake, self.campaign)
 
 
 def _is_of_equipment(mistake: Mistake) -> bool:
@@ -201,7 +221,8 @@ def channel_steadiness(campaign: Campaign) -> np.ndarray:
 
 
 def _small(found: Explanation) -> bool:
-    return isinstance(found.mistake, TableAzimuth) and abs(found.size) < LEAST_TURN
+    least = LEAST_TURN if isinstance(found.mistake, TableAzimuth) else LEAST_TILT
+    return isinstance(found.mistake, (TableAzimuth, TableElevation, TableZero)) and abs(found.size) < least
 
 
 def _support(first: Explanation, rest: Sequence[tuple[Explanation, ...]]) -> float:
@@ -217,7 +238,7 @@ def _distinct(found: Sequence[Explanation]) -> Iterator[Explanation]:
     """Yield the first explanation of each kind and scope."""
     seen = set()
     for each in found:
-        key = (each.mistake.kind, each.mistake.scope)
+        key = (each.mistake.kind, each.mistake.scope, each.mistake.variant)
         if key not in seen:
             seen.add(key)
             yield each

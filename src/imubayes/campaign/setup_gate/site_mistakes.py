@@ -12,6 +12,7 @@ from imubayes.campaign.setup_gate.run_view import RunView
 from imubayes.campaign_data import Campaign
 
 _DEGREE = math.pi / 180
+_TURNED = math.pi / 2  # rad; a table that turns less does not tell the direction of the Earth rate
 
 
 def _feels_the_earth(campaign: Campaign, views: Sequence[RunView]) -> bool:
@@ -39,20 +40,29 @@ class LatitudeSign(Mistake):
 class LatitudeValue(Mistake):
     """The latitude is another one; its size is the true latitude, rad."""
 
+    north: bool
     kind: ClassVar[str] = "latitude_value"
-    sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-90, 91, 15) * _DEGREE)
     rarity: ClassVar[float] = 15.0
-    by_evidence: ClassVar[bool] = True
+    sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-90, 91, 15) * _DEGREE)
+
+    @property
+    def variant(self) -> str:
+        """The hemisphere: a gyro that turns about the vertical does not tell it."""
+        return "north" if self.north else "south"
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield the one mistake, where gyros sat in several mountings: in few, biases pass for the Earth rate."""
-        if _feels_the_earth(campaign, views) and len({view.mounting for view in views}) > 2:
-            yield cls(all_runs(range(len(views))))
+        """Yield both hemispheres where gyros turned or sat in several mountings: else biases pass for Earth rate."""
+        angles = [view.angle[np.isfinite(view.angle)] for view in views]
+        turned = any(len(angle) and np.ptp(angle) > _TURNED for angle in angles)
+        if _feels_the_earth(campaign, views) and (turned or len({view.mounting for view in views}) > 2):
+            for north in (True, False):
+                yield cls(all_runs(range(len(views))), north)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the view at another latitude."""
-        return replace(views[place], latitude=float(np.clip(size, -math.pi / 2, math.pi / 2)))
+        """Return the view at another latitude of the hemisphere."""
+        low, high = (0.0, math.pi / 2) if self.north else (-math.pi / 2, 0.0)
+        return replace(views[place], latitude=float(np.clip(size, low, high)))
 
 
 LATITUDE_MISTAKES: tuple[type[Mistake], ...] = (LatitudeSign, LatitudeValue)

@@ -16,7 +16,7 @@ from imubayes.campaign.setup_gate.mistakes import (
     tables_of,
     wide_first,
 )
-from imubayes.campaign.setup_gate.run_view import RunView
+from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone
 from imubayes.campaign_data import Campaign, Channel
 
 _DEGREE = math.pi / 180
@@ -46,11 +46,14 @@ _GAINS = {
 _LEAST_INPUT = {"gyro": 0.5 * _DEGREE, "accelerometer": 0.5}  # rad/s and m/s²
 
 
-def _driven(channel: Channel, views: Sequence[RunView]) -> bool:
+def _driven(campaign: Campaign, channel: Channel, views: Sequence[RunView]) -> bool:
     """Whether a channel has an input from which its scale factor shows.
 
-    Without one a large factor would only make the errors of the channel small.
+    Without one a large factor would only make the errors of the channel small.  Where all feel the Earth rate alone,
+    that is the input.
     """
+    if feels_the_earth_alone(campaign, views):
+        return True
     for view in views:
         stand = view.local_to_body()
         felt = view.rate_in_body(stand) if channel.kind == "gyro" else stand[:, :, 2] * view.gravity
@@ -88,7 +91,7 @@ class ChannelGain(Mistake):
             scopes = [all_runs(range(len(views))), *single_runs(views, False)]
             for scope, group in itertools.product(scopes, groups):
                 channels = [campaign.channels[k] for k in group]
-                if not all(_driven(channel, [views[k] for k in scope.runs]) for channel in channels):
+                if not all(_driven(campaign, channel, [views[k] for k in scope.runs]) for channel in channels):
                     continue
                 names, offsets = tuple(c.name for c in channels), tuple(c.offset for c in channels)
                 for units, factor in factors.items():
