@@ -30,7 +30,7 @@ some thousand suspected mistakes and priors of 1 in 100."""
 DECISIVE_LATITUDE = 8.0
 """The same for the sign of the latitude where several gyros show it, which is a single suspected mistake; up to
 `DECISIVE` it is a warning."""
-MOST_MISFIT_LEFT, MOST_MISFIT_WITHOUT_SIZE = 1.6, 1.25
+MOST_MISFIT_LEFT, MOST_MISFIT_WITHOUT_SIZE = 2.0, 1.25
 """Misfit per output of a unit that is taken for steady, up to which a correction explains its outputs, and up to which
 one of temperatures or of a sign does.  Of a unit that is taken for too steady any correction explains something."""
 AS_USUAL = 6.0
