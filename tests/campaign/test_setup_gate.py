@@ -16,13 +16,13 @@ from imubayes.errors import InputError
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "data"
 SHIPPED = sorted(file.parent.name for file in DATA.glob("*/campaign.toml"))
-QUICK = ("converter", "converter_cycle", "rotation-modulation", "polar-tumble", "head", "cycle")
+QUICK = ("polar-tumble", "head", "converter", "converter_cycle", "cycle")
 """Kinds of campaigns of the default tests, each judged in half a second; the study has all."""
 SHIPPED_QUICK = ("polar-tumble", "redundant-imu", "rotation-modulation", "trihedral-imu")
-SEEDS = tuple(seed for seed in range(7000, 7000 + len(KINDS)) if KINDS[seed % len(KINDS)] in QUICK)
+SEEDS = tuple(next(seed for seed in range(7000, 8000) if KINDS[seed % len(KINDS)] == kind) for kind in QUICK)
 FIRST = next(seed for seed in SEEDS if KINDS[seed % len(KINDS)] == "head")
 NOT_YET = {
-    ("axes_exchanged", "rotation-modulation"), ("axis_reversed", "polar-tumble"), ("mountings_exchanged", "head"),
+    ("axes_exchanged", "head"), ("axis_reversed", "polar-tumble"), ("mountings_exchanged", "head"),
 }  # fmt: skip
 """Mistakes that are not named in the quick campaigns; the study counts them as missed."""
 PER_MISTAKE = 2
@@ -79,9 +79,8 @@ def test_drawn_campaigns_pass(valid: dict[int, Path]) -> None:
 
 @pytest.mark.parametrize("name", [name for name in MISTAKES if name not in SUBTLE])
 def test_a_seeded_mistake_is_named(valid: dict[int, Path], tmp_path: Path, name: str) -> None:
-    made, first = 0, sorted(MISTAKES).index(name)
-    for turn in range(len(SEEDS)):
-        seed = SEEDS[(first + turn) % len(SEEDS)]
+    made = 0
+    for seed in SEEDS:
         if (name, KINDS[seed % len(KINDS)]) in NOT_YET:
             continue
         folder = tmp_path / str(seed)

@@ -201,7 +201,9 @@ class SteadinessLevels:
         return Explanation(mistake, best.size, gain, best.misfit, max(0.0, stated - rival))
 
     def _holds_below(self, level: int, mistake: Mistake) -> bool:
-        return not level or self[level - 1].explain(mistake).support > _bar(mistake, self.campaign)
+        # A sign has no size that would adapt to what is left out.
+        bar = 0.0 if isinstance(mistake, LatitudeSign) else DECISIVE
+        return not level or self[level - 1].explain(mistake).support > bar
 
 
 def _is_of_equipment(mistake: Mistake) -> bool:
