@@ -135,3 +135,9 @@ def feels_the_earth_alone(campaign: Campaign, views: Sequence[RunView]) -> bool:
     """Whether the channels are gyros on tables that stand: plausible biases conceal whatever turns the Earth rate."""
     gyros = all(channel.kind == "gyro" for channel in campaign.channels)
     return gyros and all(view.table is not None and not np.any(view.largest_rate() > 0) for view in views)
+
+
+def turns_through(view: RunView) -> bool:
+    """Whether the directions of a unit that turns are known, so that its outputs are modulated by the Earth rate."""
+    angle = view.angle[np.isfinite(view.angle) & (view.rate != 0)]
+    return len(angle) > 0 and bool(np.ptp(angle) > math.pi / 2)

@@ -14,7 +14,7 @@ import numpy as np
 from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, total
 from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake, TableAzimuth, TableElevation, TableZero
 from imubayes.campaign.setup_gate.plausible_errors import STEADINESS, UNSTEADINESS
-from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone, views_of
+from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone, turns_through, views_of
 from imubayes.campaign.setup_gate.site_mistakes import LATITUDE_MISTAKES, LatitudeSign
 from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
 from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES
@@ -30,9 +30,9 @@ some thousand suspected mistakes and priors of 1 in 100."""
 DECISIVE_LATITUDE = 8.0
 """The same for the sign of the latitude where several gyros show it, which is a single suspected mistake; up to
 `DECISIVE` it is a warning."""
-MOST_MISFIT_LEFT, MOST_MISFIT_WITHOUT_SIZE = 2.0, 1.25
+MOST_MISFIT_LEFT, MOST_MISFIT_OF_TEMPERATURES = 2.0, 1.25
 """Misfit per output of a unit that is taken for steady, up to which a correction explains its outputs, and up to which
-one of temperatures or of a sign does.  Of a unit that is taken for too steady any correction explains something."""
+one of temperatures does.  Of a unit that is taken for too steady any correction explains something."""
 AS_USUAL = 6.0
 """Evidence that a usual angle may fall short of the best one to be named in its place."""
 LEAST_TURN = math.radians(25.0)
@@ -40,8 +40,6 @@ LEAST_TURN = math.radians(25.0)
 of a tactical gyro tells no less."""
 LEAST_TILT = math.radians(2.0)
 """The same of an elevation or a zero: smaller ones pass for errors that the linear model leaves out."""
-FEW_RUNS = 4
-"""Runs up to which plausible errors conceal mistakes of every kind."""
 LEAST_SHARE = 0.98
 """Least share of the excess misfit that the correction of a mistake removes."""
 MOST_MISTAKES = 3
@@ -135,7 +133,7 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     first, stated = levels.of_most_evidence()
     views = levels[0].views
     concealed = (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES)
-    if feels_the_earth_alone(campaign, views) or len(views) <= FEW_RUNS:
+    if feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views):
         concealed = (*MISTAKES, *UNIT_MISTAKES, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
     found = [
         best
@@ -182,8 +180,7 @@ class SteadinessLevels:
         ----------
         stated : −2 log evidence of the set-up as stated.
         """
-        sizeless = isinstance(mistake, (LatitudeSign, *TEMPERATURE_MISTAKES))
-        most = MOST_MISFIT_WITHOUT_SIZE if sizeless else MOST_MISFIT_LEFT
+        most = MOST_MISFIT_OF_TEMPERATURES if isinstance(mistake, TEMPERATURE_MISTAKES) else MOST_MISFIT_LEFT
         tried: list[tuple[float, int, Explanation]] = []
         for level in range(first, len(STEADINESS)):
             found = self[level].explain(mistake)

@@ -8,21 +8,14 @@ from typing import ClassVar
 import numpy as np
 
 from imubayes.campaign.setup_gate.mistakes import Mistake, all_runs
-from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone
+from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone, turns_through
 from imubayes.campaign_data import Campaign
 
 _DEGREE = math.pi / 180
-_TURNED = math.pi / 2  # rad; a table that turns less does not tell the direction of the Earth rate
 
 
 def _feels_the_earth(campaign: Campaign, views: Sequence[RunView]) -> bool:
     return any(channel.kind == "gyro" for channel in campaign.channels) and any(v.reference is None for v in views)
-
-
-def _turns_through(view: RunView) -> bool:
-    """Whether the directions of a unit that turns are known, so that its outputs are modulated by the Earth rate."""
-    angle = view.angle[np.isfinite(view.angle) & (view.rate != 0)]
-    return len(angle) > 0 and bool(np.ptp(angle) > _TURNED)
 
 
 @dataclass(frozen=True)
@@ -59,7 +52,7 @@ class LatitudeValue(Mistake):
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield both hemispheres where gyros turned or sat in several mountings: else biases pass for Earth rate."""
-        turned = feels_the_earth_alone(campaign, views) or any(_turns_through(view) for view in views)
+        turned = feels_the_earth_alone(campaign, views) or any(turns_through(view) for view in views)
         if _feels_the_earth(campaign, views) and (turned or len({view.mounting for view in views}) > 2):
             for north in (True, False):
                 yield cls(all_runs(range(len(views))), north)
