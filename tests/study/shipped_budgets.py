@@ -34,18 +34,24 @@ from imubayes.results.result import Result, result_of
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS = sorted(file.parent.name for file in (ROOT / "data").glob("*/campaign.toml"))
 REFITS = 2
+# Draws of each fit: the scatter of few runs has heavy tails, and an sd from 10 000 draws of kurtosis 20 is known to 2 %.
+DRAWS = 10_000
 # Width of a prior that counts as exact, of its own; the least narrowing worth a look; what counts as nothing left.
 EXACT, VISIBLE, VANISHES = 1e-4, 0.1, 0.01
 
 
 @dataclass(frozen=True)
 class Narrowing:
-    """A quantity with one prior exact: ratio of its standard uncertainty to that before, in the budget and refitted."""
+    """A quantity with one prior exact: ratio of its standard uncertainty to that before, in the budget and refitted.
+
+    `error` is the relative Monte Carlo error of the refitted one.
+    """
 
     prior: str
     quantity: str
     in_budget: float
     refitted: float
+    error: float
 
     @property
     def difference(self) -> float:
@@ -62,7 +68,7 @@ def model_file(campaign: str) -> Path:
 def fitted(campaign: str) -> Result:
     """Return the fit of a shipped campaign, without sampling."""
     model = bind(read_model(model_file(campaign)), load_campaign(ROOT / "data" / campaign))
-    return result_of(joint_fit(model, None))
+    return result_of(joint_fit(model, None, laplace_draws=DRAWS))
 
 
 def budget(result: Result) -> BudgetArrays:
@@ -85,7 +91,7 @@ def with_exact_prior(fit: Fit, name: str) -> Fit:
     layout = Layout(tuple(parameters))
     priors = Priors.stack([parameter.prior for parameter in parameters])
     problem = eqx.tree_at(lambda p: p.priors, model.problem, priors)
-    return joint_fit(replace(model, layout=layout, problem=problem), None)
+    return joint_fit(replace(model, layout=layout, problem=problem), None, laplace_draws=DRAWS)
 
 
 def narrowings(result: Result, arrays: BudgetArrays) -> Iterator[Narrowing]:
@@ -116,7 +122,15 @@ def narrowings(result: Result, arrays: BudgetArrays) -> Iterator[Narrowing]:
         for row in rows:
             name = arrays.names[row]
             ratio = float(np.nanstd(after[name]) / np.nanstd(before[name]))
-            yield Narrowing(prior, name, float(left[row, column]), ratio)
+            error = float(np.hypot(error_of_deviation(after[name]), error_of_deviation(before[name])))
+            yield Narrowing(prior, name, float(left[row, column]), ratio, error)
+
+
+def error_of_deviation(draws: np.ndarray) -> float:
+    """Return the relative Monte Carlo error of the standard deviation of independent draws, by their kurtosis."""
+    known = draws[np.isfinite(draws)]
+    about = (known - known.mean()) / known.std()
+    return float(np.sqrt((np.mean(about**4) - 1) / (4 * len(known))))
 
 
 def main(campaigns: list[str]) -> None:
@@ -133,7 +147,10 @@ def main(campaigns: list[str]) -> None:
         )
         found = list(narrowings(result, arrays))
         for each in sorted(found, key=lambda each: -abs(each.difference))[:4]:
-            print(f"  {each.prior} exact: {each.quantity} × {each.in_budget:.4f}, refitted {each.refitted:.4f}")
+            print(
+                f"  {each.prior} exact: {each.quantity} × {each.in_budget:.4f}, "
+                f"refitted {each.refitted:.4f} ± {100 * each.error:.1f} %"
+            )
         print(
             f"  {len(found)} quantities of {len({e.prior for e in found})} refits, {time.process_time() - clock:.0f} s"
         )

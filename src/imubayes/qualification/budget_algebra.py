@@ -16,8 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.array_shapes import Array
-
 
 @dataclass(frozen=True)
 class LinearContributions:
@@ -70,27 +68,6 @@ def linear_contributions(
 def type_a_contributions(along: np.ndarray, whitened: np.ndarray, member: np.ndarray) -> np.ndarray:
     """Return the contributions of the data, (Q, G); parameters as of `linear_contributions`."""
     return (member.astype(float) @ (whitened @ along.T) ** 2).T
-
-
-def variance_with_exact_priors(along: Array, variance: Array, own: Array) -> Array:
-    """Return the variance of each quantity if one prior mean were known exactly, shape (Q, P).
-
-    Parameters
-    ----------
-    along : shape (Q, P), gradients of the quantities times C.
-    variance : shape (Q,), of the quantities.
-    own : shape (P,), diagonal of C.
-    """
-    return variance[:, None] - along**2 / own[None, :]
-
-
-def variance_with_halved_priors(along: Array, variance: Array, own: Array, widths: Array) -> Array:
-    """Return the variance of each quantity if one prior, widths (P,), were half as wide, shape (Q, P).
-
-    Other parameters as of `variance_with_exact_priors`.
-    """
-    added = (3 / widths**2)[None, :]
-    return variance[:, None] - along**2 * added / (1 + added * own[None, :])
 
 
 def deviation_with_halved_groups(

@@ -23,11 +23,8 @@ from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import Linearised
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
 from imubayes.model.problem import Problem, prior_widths
-from imubayes.qualification.budget_algebra import (
-    inverse_of,
-    variance_with_exact_priors,
-    variance_with_halved_priors,
-)
+from imubayes.qualification.better_priors import BetterPriors, Estimate
+from imubayes.qualification.budget_algebra import inverse_of
 
 # Draws of the noise scales taken at once, and draws bent back at once.
 AT_ONCE, _BENT_AT_ONCE = 40, 500
@@ -56,7 +53,7 @@ class ConditionalMoments:
     variance, mean : shape (n, Q); the mean from the mode.
     type_b : shape (Q, P), contribution of each prior, averaged over the draws.
     sensitivity : shape (Q, P), ∂q/∂(prior mean), averaged likewise.
-    exact_prior, halved_prior : shape (Q, P), variance with one prior exact, or half as wide, averaged likewise.
+    exact_prior, halved_prior : shape (Q, P), variance with one prior exact, or half as wide.
     """
 
     variance: np.ndarray
@@ -138,21 +135,25 @@ def conditionals(part: LinearPart, problem: Problem, h: np.ndarray) -> Condition
 
 def conditional_moments(part: LinearPart, problem: Problem, gradients: np.ndarray, h: np.ndarray) -> ConditionalMoments:
     """Return the moments of linear quantities with gradients (Q, P) given noise scales h, (n, H)."""
-    variances, means, sums = [], [], np.zeros((4, *gradients.shape))
+    variances, means, sums = [], [], np.zeros((2, *gradients.shape))
+    exact, halved = BetterPriors(gradients.shape), BetterPriors(gradients.shape)
     for start in range(0, len(h), AT_ONCE):
         given = conditionals(part, problem, h[start : start + AT_ONCE])
         for precision, slope, widths in zip(given.precision, given.slope, given.widths, strict=True):
             covariance = inverse_of(precision)
-            along, own = gradients @ covariance, np.diagonal(covariance)
-            variance = np.sum(along * gradients, axis=1)
-            scaled = along / widths
+            along, shift = gradients @ covariance, covariance @ slope
+            variance, mean = np.sum(along * gradients, axis=1), gradients @ shift
+            scaled, at = along / widths, Estimate(along, variance, mean, np.diagonal(covariance), shift)
             sums[0] += scaled**2
             sums[1] += scaled / widths
-            sums[2] += variance_with_exact_priors(along, variance, own)
-            sums[3] += variance_with_halved_priors(along, variance, own, widths)
+            exact.add(at, np.zeros_like(widths))
+            halved.add(at, widths**2 / 3)
             variances.append(variance)
-            means.append(along @ slope)
-    return ConditionalMoments(np.array(variances), np.array(means), *(sums / len(h)))
+            means.append(mean)
+    type_b, sensitivity = sums / len(h)
+    return ConditionalMoments(
+        np.array(variances), np.array(means), type_b, sensitivity, exact.variance, halved.variance
+    )
 
 
 def conditional_covariance(part: LinearPart, problem: Problem, h: np.ndarray) -> np.ndarray:

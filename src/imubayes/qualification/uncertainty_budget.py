@@ -65,7 +65,8 @@ _DISTRIBUTIONS: dict[type[Prior], str] = {
 class Improvements:
     """Standard deviations of Q quantities at the mode of the noise scales, as they are and if one input were better.
 
-    What a better prior leaves is the share of `at_mode` that it leaves of the variance averaged over the noise scales.
+    What a better prior leaves is the share of `at_mode` that it leaves of the variance with the noise scales unknown
+    (`imubayes.qualification.better_priors`).
 
     Attributes
     ----------
@@ -254,8 +255,8 @@ def _improvements(
     covariance, groups = posterior_covariance(whitened, widths), nuisance_groups(fit.model.layout)
     now = np.sum((gradient @ covariance) * gradient, axis=1)[:, None]
     # At the mode a scatter that is known from few runs is understated: shares of the averaged variance are taken.
-    averaged = moments.variance.mean(axis=0)[:, None]
-    exact, halved = (_ratio(np.maximum(each, 0.0), averaged) for each in (moments.exact_prior, moments.halved_prior))
+    averaged = (moments.variance.mean(axis=0) + moments.mean.var(axis=0))[:, None]
+    exact, halved = (_ratio(each, averaged) for each in (moments.exact_prior, moments.halved_prior))
 
     def deviation(values: np.ndarray) -> np.ndarray:
         return np.sqrt(factor * rows.summed(values**2))
