@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imubayes.qualification.better_priors import BetterPriors, Estimate
+from imubayes.qualification.better_priors import BetterPriors, LinearGivenScales
 
 # Four run means about bias + slope · input, with a scatter between runs: its prior is log-normal.
 INPUTS = np.array([-1.0, -0.3, 0.4, 1.0])
@@ -49,7 +49,7 @@ def test_a_better_prior_leaves_what_a_fit_with_it_leaves(factor):
         along, shift = QUANTITIES @ covariance, mean - mode
         variance, own = np.sum(along * QUANTITIES, axis=1), np.diagonal(covariance)
         reading = WIDTHS**2 * factor**2 / (1 - factor**2)
-        better.add(Estimate(along, variance, QUANTITIES @ shift, own, shift), reading)
+        better.add(LinearGivenScales(along, variance, QUANTITIES @ shift, own, shift), reading)
         unmoved += (variance[:, None] - along**2 / (own + reading)) / len(scatter)
     for prior in range(2):
         # The prior is narrowed by a reading at the mode: its mean moves with its width.

@@ -34,7 +34,7 @@ from imubayes.results.result import Result, result_of
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS = sorted(file.parent.name for file in (ROOT / "data").glob("*/campaign.toml"))
 REFITS = 2
-# Draws of each fit: the scatter of few runs has heavy tails, and an sd from 10 000 draws of kurtosis 20 is known to 2 %.
+# Draws of each fit: the scatter of few runs has heavy tails, and 10 000 draws of kurtosis 20 give an sd to 2 %.
 DRAWS = 10_000
 # Width of a prior that counts as exact, of its own; the least narrowing worth a look; what counts as nothing left.
 EXACT, VISIBLE, VANISHES = 1e-4, 0.1, 0.01

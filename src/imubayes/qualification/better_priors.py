@@ -17,7 +17,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Estimate:
+class LinearGivenScales:
     """Q linear quantities and P parameters at given noise scales; means are from the mode.
 
     Attributes
@@ -41,7 +41,7 @@ class BetterPriors:
         self._weight, self._scale = np.zeros(shape[1]), None
         self._variance, self._mean, self._square = np.zeros((3, *shape))
 
-    def add(self, at: Estimate, reading: np.ndarray) -> None:
+    def add(self, at: LinearGivenScales, reading: np.ndarray) -> None:
         """Add a draw; `reading` is r, (P,)."""
         total = at.own + reading
         if self._scale is None:

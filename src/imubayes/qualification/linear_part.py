@@ -23,7 +23,7 @@ from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import Linearised
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
 from imubayes.model.problem import Problem, prior_widths
-from imubayes.qualification.better_priors import BetterPriors, Estimate
+from imubayes.qualification.better_priors import BetterPriors, LinearGivenScales
 from imubayes.qualification.budget_algebra import inverse_of
 
 # Draws of the noise scales taken at once, and draws bent back at once.
@@ -143,7 +143,7 @@ def conditional_moments(part: LinearPart, problem: Problem, gradients: np.ndarra
             covariance = inverse_of(precision)
             along, shift = gradients @ covariance, covariance @ slope
             variance, mean = np.sum(along * gradients, axis=1), gradients @ shift
-            scaled, at = along / widths, Estimate(along, variance, mean, np.diagonal(covariance), shift)
+            scaled, at = along / widths, LinearGivenScales(along, variance, mean, np.diagonal(covariance), shift)
             sums[0] += scaled**2
             sums[1] += scaled / widths
             exact.add(at, np.zeros_like(widths))
