@@ -1,0 +1,128 @@
+# pyright: reportMissingImports=false
+"""Shares of seeded set-up mistakes that are named, and of valid campaigns that are doubted, collected seed by seed.
+
+    python tests/study/setup_gate_shares.py mistakes FILE FIRST COUNT    append the mistakes of so many seeds
+    python tests/study/setup_gate_shares.py valid FILE FIRST COUNT       append so many valid campaigns
+    python tests/study/setup_gate_shares.py table FILE...                print the tables
+
+A file holds one JSON object a line and can be continued with other seeds.  A mistake counts where the law that the
+outputs were drawn from detects it (`tests/campaign/generating_law.py`); it is named where the message holds its remedy.
+"""
+
+import json
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from scipy.stats import beta
+
+ROOT = Path(__file__).parents[2]
+sys.path[:0] = [str(ROOT / "tests" / "campaign"), str(ROOT / "data" / "generators")]
+
+from generating_law import DETECTABLE, chi_square  # noqa: E402
+from seeded_mistakes import MISTAKES, plant, says, valid_campaign  # noqa: E402
+
+from imubayes.campaign import inspect_campaign  # noqa: E402
+from imubayes.campaign.setup_gate.setup_findings import SETUP_FINDINGS  # noqa: E402
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What the gate said of a campaign.
+
+    Attributes
+    ----------
+    mistake : that was planted; empty in a valid campaign.
+    detectable : whether the law of the outputs tells the mistake.
+    named : whether the message holds the remedy; of a valid campaign, whether a mistake was named.
+    stopped : whether the campaign was refused.
+    """
+
+    seed: int
+    campaign: str
+    mistake: str
+    detectable: bool
+    named: bool
+    stopped: bool
+
+
+def judge_valid(seed: int, folder: Path) -> Judged:
+    """Return what the gate says of a valid campaign, which is written to a folder."""
+    campaign = valid_campaign(folder, seed)
+    inspection = inspect_campaign(folder)
+    doubted = {finding.name for finding in inspection.findings} & {*SETUP_FINDINGS, "setup_disagrees"}
+    return Judged(seed, campaign, "", True, bool(doubted), bool(inspection.issues))
+
+
+def judge_mistakes(seed: int, folder: Path) -> Iterator[Judged]:
+    """Yield what the gate says of each mistake that can be made in a campaign."""
+    campaign = valid_campaign(folder / "valid", seed)
+    least = chi_square(folder / "valid") + DETECTABLE
+    for name in MISTAKES:
+        wrong = folder / name
+        shutil.copytree(folder / "valid", wrong)
+        planted = plant(wrong, name, seed)
+        if planted is not None:
+            # An input that the law does not know, such as an angle beyond a turn, is no number.
+            detectable = not chi_square(wrong) < least
+            inspection = inspect_campaign(wrong)
+            text = " ".join(map(str, (*inspection.issues, *inspection.findings)))
+            yield Judged(seed, campaign, name, detectable, says(planted, text), bool(inspection.issues))
+        shutil.rmtree(wrong)
+
+
+def tables(judged: Sequence[Judged]) -> str:
+    """Return the tables of named mistakes, by kind and by campaign, and of valid campaigns, in Markdown."""
+    mistakes = [each for each in judged if each.mistake and each.detectable]
+    valid = [each for each in judged if not each.mistake]
+    campaigns = list(dict.fromkeys(each.campaign for each in judged))
+    lines = [f"| mistake | all | 95 % | {' | '.join(campaigns)} |", f"| --- | --- | --- |{' --- |' * len(campaigns)}"]
+    for name in ("", *MISTAKES):
+        own = [each for each in mistakes if name in ("", each.mistake)]
+        cells = [_share([each.named for each in own if each.campaign == kind]) for kind in campaigns]
+        named = [each.named for each in own]
+        lines.append(f"| {name or 'all'} | {_share(named)} | {_interval(named)} | {' | '.join(cells)} |")
+    lines += ["", "| valid campaigns | of | share | 95 % |", "| --- | --- | --- | --- |"]
+    for what, doubted in (
+        ("stopped", [each.stopped for each in valid]), ("stopped or warned of", [each.named for each in valid]),
+    ):  # fmt: skip
+        share = f"{sum(doubted) / max(len(doubted), 1):.1%}"
+        lines.append(f"| {what} | {_share(doubted)} | {share} | {_interval(doubted)} |")
+    return "\n".join(lines)
+
+
+def _share(outcomes: Sequence[bool]) -> str:
+    return f"{sum(outcomes)}/{len(outcomes)}" if outcomes else ""
+
+
+def _interval(outcomes: Sequence[bool]) -> str:
+    """Return the Clopper–Pearson interval of a share."""
+    good, every = sum(outcomes), len(outcomes)
+    if not every:
+        return ""
+    low = beta.ppf(0.025, good, every - good + 1) if good else 0.0
+    high = beta.ppf(0.975, good + 1, every - good) if good < every else 1.0
+    return f"{low:.1%} … {high:.1%}"
+
+
+def main(what: str, *arguments: str) -> None:
+    """Append judgements to a file, or print the tables of files."""
+    if what == "table":
+        lines = [line for file in arguments for line in Path(file).read_text(encoding="utf-8").splitlines()]
+        print(tables([Judged(**json.loads(line)) for line in lines]))
+        return
+    file, first, count = arguments
+    with Path(file).open("a", encoding="utf-8") as out:
+        for seed in range(int(first), int(first) + int(count)):
+            with tempfile.TemporaryDirectory() as folder:
+                place = Path(folder)
+                judged = judge_mistakes(seed, place) if what == "mistakes" else [judge_valid(seed, place / "valid")]
+                for each in judged:
+                    print(json.dumps(asdict(each)), file=out, flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
