@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.batch.fit_unit import bound_to, failure, fit_alone, posterior_of
+from imubayes.batch.fit_unit import bound_to, failure, fit_alone, sampled_where_in_doubt
 from imubayes.batch.lane_mode import find_modes
 from imubayes.batch.lane_posterior import posteriors
 from imubayes.batch.lanes import LANES, LaneStructure, structure_key
@@ -85,9 +85,9 @@ def _fitted(task: ChunkTask, group: Sequence[BoundUnit]) -> dict[str, UnitPoster
     clock = time.perf_counter()
     # A diagnosis takes the readings as they were recorded, without padding.
     fits = (
-        _in_lanes_if_possible(group, not task.settings.diagnose)
-        if task.settings.sample == "none"
-        else [None] * len(group)
+        [None] * len(group)
+        if task.settings.sample == "all"
+        else _in_lanes_if_possible(group, not task.settings.diagnose)
     )
     shared, done = (time.perf_counter() - clock) / len(group), {}
     for unit, fit in zip(group, fits, strict=True):
@@ -96,7 +96,7 @@ def _fitted(task: ChunkTask, group: Sequence[BoundUnit]) -> dict[str, UnitPoster
             if fit is None:
                 found = fit_alone(unit.model, task.settings, unit.identity)
             else:
-                found = posterior_of(fit, task.settings, unit.identity)
+                found = sampled_where_in_doubt(fit, task.settings, unit.identity)
         except Exception as error:
             found = UnitPosterior(unit.identity, failure(error, unit.source))
         seconds = unit.seconds + shared + time.perf_counter() - clock

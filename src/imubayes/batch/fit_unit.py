@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from imubayes.batch.batch_settings import BatchSettings
+from imubayes.batch.doubtful_posterior import weight_shape
 from imubayes.batch.lane_posterior import joint_normal_vectors
 from imubayes.batch.posterior_table import Kind, Outcome, Quantities, UnitIdentity, UnitPosterior
 from imubayes.batch.unit_sources import UnitSource
@@ -51,9 +52,26 @@ def failure(error: Exception, source: UnitSource) -> Outcome:
 
 def fit_alone(model: Model, settings: BatchSettings, identity: UnitIdentity) -> UnitPosterior:
     """Return the posterior of a unit by the path of `imubayes fit`, its Laplace draws those of a unit in lanes."""
-    sampling = Settings(seed=settings.seed) if settings.sample == "all" else None
-    fit = joint_fit(model, sampling, laplace_draws=joint_normal_vectors(*model.problem.size))
-    return posterior_of(fit, settings, identity)
+    if settings.sample == "all":
+        return posterior_of(_sampled(model, settings), settings, identity)
+    fit = joint_fit(model, None, laplace_draws=joint_normal_vectors(*model.problem.size))
+    return sampled_where_in_doubt(fit, settings, identity)
+
+
+def _sampled(model: Model, settings: BatchSettings) -> Fit:
+    return joint_fit(model, Settings(seed=settings.seed))
+
+
+def sampled_where_in_doubt(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> UnitPosterior:
+    """Return the tables' view of a Laplace approximation, sampled where it is in doubt and that was asked for."""
+    if settings.sample != "flagged" or fit.posterior is None or not fit.converged:
+        return posterior_of(fit, settings, identity)
+    shape = weight_shape(fit, settings.seed)
+    found = posterior_of(_sampled(fit.model, settings) if shape.flagged else fit, settings, identity)
+    outcome = replace(
+        found.outcome, flagged=shape.flagged, pareto_k=shape.pareto_k, weight_skewness=shape.skewness
+    )  # fmt: skip
+    return replace(found, outcome=outcome)
 
 
 def posterior_of(fit: Fit, settings: BatchSettings, identity: UnitIdentity) -> UnitPosterior:

@@ -23,7 +23,7 @@ def fit_all(
     *,
     model: Path,
     out: Path,
-    sample: Literal["all", "none"] = "none",
+    sample: Literal["all", "flagged", "none"] = "none",
     diagnose: Flag = False,
     seed: int = 0,
     retry: Flag = False,
@@ -47,7 +47,8 @@ def fit_all(
     out
         Results folder.
     sample
-        Units whose posterior is sampled; the others have the Laplace approximation.
+        Units whose posterior is sampled; the others have the Laplace approximation. Flagged are those whose
+        importance weights (Pareto k, skewness) put it in doubt.
     diagnose
         Diagnose each fit; the verdict is in the table.
     seed
