@@ -238,6 +238,10 @@ class TableZero(Mistake):
         for scope in wide_first(tables, [run for run in single_runs(views) if has_angles(views[run.runs[0]])]):
             yield cls(scope)
 
+    def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
+        """Return right angles, by which a zero is off most often; a loose mounting does not tell it exactly."""
+        return math.pi / 2, -math.pi / 2, math.pi
+
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the zero moved."""
         return replace(views[place], angle=views[place].angle + size)

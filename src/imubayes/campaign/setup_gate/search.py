@@ -48,9 +48,9 @@ TRIED_FIRST, TRIED_NEXT = 4, 1
 """How many of the best are tried as the first of several, and as each one after it: every trial is a search."""
 EQUIVALENT = 10.0
 """Mistakes whose gain is within this of the best are equally good explanations."""
-RIVALLED = 16.0
+RIVALLED = 49.0
 """Gain per channel beyond which a mistake in temperatures is said, as a warning, although other biases in a run explain
-the outputs as well: a bias off by four plausible standard deviations."""
+the outputs as well: a bias off by seven plausible standard deviations.  Valid campaigns gained up to 26."""
 _REFINEMENTS = 4
 _SUSPECTS = 5  # runs whose own mistakes are tried
 
