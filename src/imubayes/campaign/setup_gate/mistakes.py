@@ -42,12 +42,13 @@ class Mistake(ABC):
     """A suspected mistake in the set-up of some runs.
 
     `rarity` is −2 times the logarithm of how usual it is, over the most usual mistakes: its evidence has to make up for
-    that.  `by_evidence` is whether the size of most evidence is the best, not that of least misfit.
+    that.  A usual size is taken for the best one if it is within `usual_within` of it.  `by_evidence` is whether the size of most evidence is the best, not that of least misfit.
     """
 
     scope: Scope
     kind: ClassVar[str]
     sizes: ClassVar[tuple[float, ...]] = ()
+    usual_within: ClassVar[float] = math.inf
     by_evidence: ClassVar[bool] = False
     rarity: ClassVar[float] = 0.0
 
@@ -229,6 +230,7 @@ class TableZero(Mistake):
     """The zero of the table angle is off."""
 
     kind: ClassVar[str] = "table_zero"
+    usual_within: ClassVar[float] = 3.5 * _DEGREE
     sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-150, 181, 30) * _DEGREE)
 
     @classmethod

@@ -345,6 +345,8 @@ class Search:
         terms = self._corrected(mistake, base, size)
         gain = self.stated - self.model.score(terms)
         for usual in mistake.usual(self.views):
+            if abs(math.remainder(usual - size, 2 * math.pi)) > mistake.usual_within:
+                continue
             also = self._corrected(mistake, base, usual)
             if (well := self.stated - self.model.score(also)) > gain - AS_USUAL:
                 size, terms, gain = usual, also, well
