@@ -42,7 +42,8 @@ class Mistake(ABC):
     """A suspected mistake in the set-up of some runs.
 
     `rarity` is −2 times the logarithm of how usual it is, over the most usual mistakes: its evidence has to make up for
-    that.  A usual size is taken for the best one if it is within `usual_within` of it.  `by_evidence` is whether the size of most evidence is the best, not that of least misfit.
+    that.  A usual size is taken for the best one if it is within `usual_within` of it.  `by_evidence` is whether the
+    size of most evidence is the best, not that of least misfit.
     """
 
     scope: Scope
