@@ -215,7 +215,8 @@ def channel_steadiness(campaign: Campaign) -> np.ndarray:
         if channel.kind != "angle":
             alone = replace(campaign, channels=(channel,))
             seen = [replace(view, observed=view.observed[:, [place]]) for view in views]
-            found.append(min(UNSTEADINESS, key=lambda factor, c=alone, v=seen: Search(c, factor, v).stated))
+            steady = Search(alone, 1.0, seen).misfit < ORDINARY_MISFIT
+            found.append(1.0 if steady else min(UNSTEADINESS, key=lambda f, c=alone, v=seen: Search(c, f, v).stated))
     return np.array(found)
 
 
