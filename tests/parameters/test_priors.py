@@ -45,6 +45,18 @@ def test_quantiles_are_those_of_scipy(family):
     np.testing.assert_allclose(found, expected, rtol=2e-9, atol=1e-12)
 
 
+def test_a_half_normal_scale_far_beyond_its_prior_has_value_and_derivatives():
+    """A fit of a wrong model drives noise scales there, where the tail probability underflows."""
+    value = HalfNormal(2.0).value
+    z = jnp.array([19.999, 20.001, 30.0, 37.5, 60.0])
+    known = stats.norm.isf(np.exp(stats.norm.logsf(z[:3]) - np.log(2)))
+    np.testing.assert_allclose(jax.vmap(value)(z)[:3], 2 * known, rtol=1e-6)
+    slope, bend = (np.asarray(jax.vmap(each)(z)) for each in (jax.grad(value), jax.grad(jax.grad(value))))
+    assert np.all(np.diff(slope) > 0)
+    assert slope[-1] == pytest.approx(2, rel=1e-3)
+    assert np.all((bend > 0) & (bend < 1e-3))
+
+
 @pytest.mark.parametrize("family", CASES)
 def test_z_undoes_value(family):
     prior, _ = CASES[family]

@@ -202,7 +202,8 @@ def _polished(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> tup
 def _mode(
     about: Linearised, h: Float[Array, " H"], at: Curvature, decrement: Scalar, steps: int, settled: bool
 ) -> Mode:
-    finite = bool(jnp.isfinite(decrement)) and bool(jnp.all(jnp.isfinite(h)))
+    parts = (decrement, h, at.value, at.gradient, at.information)
+    finite = all(bool(jnp.all(jnp.isfinite(part))) for part in parts)
     converged = finite and settled and float(decrement) < _DECREMENT
     return Mode(about.z, h, decrement, about, at, jnp.asarray(steps), jnp.asarray(settled), jnp.asarray(converged))
 

@@ -111,14 +111,20 @@ class LogNormal(Prior):
         return 0.0, math.inf
 
 
+_FAR = 20.0
+
+
 class HalfNormal(Prior):
     """halfnormal(scale): the absolute value of normal(0, scale)."""
 
     scale: Number
 
     def value(self, z: Scalar) -> Scalar:
-        # ½(1 + Φ(z)) written through its complement keeps the digits of the upper tail.
-        return -self.scale * ndtri(0.5 * ndtr(-z))
+        # ½(1 + Φ(z)) written through its complement keeps the digits of the upper tail.  Far out Φ(−z) underflows, in
+        # derivatives first; there the root x of φ(x)/x = ½ φ(z)/z is written as a series in 1/z.
+        near, far = jnp.minimum(z, _FAR), jnp.maximum(z, _FAR)
+        beyond = far + math.log(2) / (far + 1 / far) - math.log(2) ** 2 / (2 * far**3)
+        return self.scale * jnp.where(z > _FAR, beyond, -ndtri(0.5 * ndtr(-near)))
 
     def z(self, value: float) -> float:
         return -float(special.ndtri(2 * special.ndtr(-value / self.scale)))
