@@ -100,8 +100,9 @@ def fit(
         result = result_of(fitted, folder, seed, load_seconds)
         if folder is not None:
             write_node(folder, first_node(fitted.model, result.summary, seed))
-            tell("uncertainty budgets")
-            keep_budgets(result)
+            if sample:  # a quick fit of the loop leaves them to its first report
+                tell("uncertainty budgets")
+                keep_budgets(result)
     return result
 
 
@@ -192,7 +193,7 @@ def add(
         write_addition(folder, addition, added_variable(refit.extension))
         if parent is not None:
             remember(parent, folder, addition, diagnosis, seed)
-        if not refit.objection:
+        if sample and not refit.objection:
             keep_budgets(after)
     return addition
 
