@@ -1,4 +1,4 @@
-"""Run the benchmarks: all, or those named on the command line (fit, batch, sampling, startup, reduction, allan).
+"""Run the benchmarks: all, or those named on the command line (startup, fit, batch, batch_scale, reduction, sampling, allan).
 
 Each prints its tables and writes them to benchmarks/results/.  Let nothing else run meanwhile.
 """
@@ -6,7 +6,7 @@ Each prints its tables and writes them to benchmarks/results/.  Let nothing else
 import argparse
 import importlib
 
-ORDER = ("startup", "fit", "batch", "reduction", "sampling", "allan")
+ORDER = ("startup", "fit", "batch", "batch_scale", "reduction", "sampling", "allan")
 
 
 def main() -> None:
