@@ -1,4 +1,4 @@
-"""Run the benchmarks: all, or those named on the command line (startup, fit, batch, batch_scale, reduction, sampling, allan).
+"""Run the benchmarks: all, or those named on the command line (those of `ORDER`).
 
 Each prints its tables and writes them to benchmarks/results/.  Let nothing else run meanwhile.
 """
