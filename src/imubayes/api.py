@@ -266,6 +266,7 @@ def correct(
     *,
     run: str = "",
     temperatures: Mapping[str, float] | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> CorrectedRecording:
     """Write a recording with rate and specific force in body axes, solved from all channels jointly, with uncertainty.
 
@@ -276,15 +277,19 @@ def correct(
     out : the table to write, CSV or Parquet.
     run : of the campaign, where it has several.
     temperatures : `temperature` and `converter_temperature` of all rows, °C, where no column gives them.
+    progress : called with a short text as the work goes on.
 
     Raises
     ------
     InputError
         for a result without a posterior, and a recording that cannot be read or lacks what the model needs.
     """
-    found = result if isinstance(result, Result) else read_result(result)
-    source = open_recording(Path(recording), found.fit.model.campaign.channels, run, temperatures)
-    return correct_recording(found, source, Path(out))
+    with progress_of(progress) as tell:
+        tell("reading the fit")
+        found = result if isinstance(result, Result) else read_result(result)
+        source = open_recording(Path(recording), found.fit.model.campaign.channels, run, temperatures)
+        tell("correcting")
+        return correct_recording(found, source, Path(out), tell)
 
 
 def onboard_constants(result: Result | str | Path) -> OnboardConstants:

@@ -9,7 +9,8 @@ from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec, ModelSpec
 from imubayes.qualification.correct_recording import RowTally
 from imubayes.qualification.recording_files import CorrectedRecording
-from imubayes.qualification.unexpressed_effects import uncorrected_effects
+from imubayes.qualification.sensor_posterior import sensor_posterior
+from imubayes.qualification.unexpressed_effects import input_ranges, uncorrected_effects, unexpressed_effects
 from imubayes.results.result import Result, result_of
 from small_campaign import GRAVITY, simulated, wide_campaign
 
@@ -20,6 +21,7 @@ MODEL = ModelSpec(
     (
         EffectSpec("accel_bias"),
         EffectSpec("accel_scale_factor"),
+        EffectSpec("accel_quadratic", prior={"quadratic": "normal(200 ug/g^2, 0.1 ug/g^2)"}),
         EffectSpec("accel_dead_zone", prior={"half_width": "lognormal(100 ug, 0.01)"}),
         EffectSpec(
             "accel_thermal_lag",
@@ -67,3 +69,17 @@ def test_effects_with_memory_or_limit_are_named_with_their_size(result):
     (said,) = [line for line in lines if "accel_thermal_lag" in line]
     assert "left in (it depends on earlier rows)" in said
     assert f"up to {lag.size:.2g}" in said
+
+
+def test_what_constants_cannot_express_has_the_size_of_its_nonlinear_part(result):
+    """A quadratic term at the largest input; bias and scale factor are linear, and no constant leaves them out."""
+    spans = input_ranges(result.fit.model.campaign)
+    found = {each.effect: each for each in unexpressed_effects(result, sensor_posterior(result), spans)}
+    assert not {"accel_bias", "accel_scale_factor"} & set(found)
+    quadratic = found["accel_quadratic"]
+    assert quadratic.size is not None
+    assert quadratic.cause == "nonlinear"
+    # K₂ a², with K₂ in µg/g² of the local g.
+    assert quadratic.size == pytest.approx(200e-6 * spans["accelerometer"] ** 2 / GRAVITY, rel=0.02)
+    assert quadratic.sd is not None
+    assert quadratic.sd < 0.01 * quadratic.size

@@ -1,8 +1,12 @@
 """`imubayes apply`: recordings of a calibrated unit to rate and specific force, with uncertainty."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from imubayes.cli.options import Flag
+
+if TYPE_CHECKING:
+    from imubayes.results.result import Result
 
 
 def apply(
@@ -42,36 +46,37 @@ def apply(
     along_axes
         Treat every channel alone, as if there were no input across its axis.
     """
-    from imubayes.cli.session import start_jax
+    from imubayes.cli.session import progress, start_jax
 
-    start_jax()
-    from imubayes import api
-    from imubayes.campaign.run_tables import read_header
-    from imubayes.qualification.sensor_posterior import complete_kinds
-    from imubayes.results.result import read_result
+    with progress() as tell:
+        start_jax()
+        from imubayes import api
+        from imubayes.campaign.run_tables import read_header
+        from imubayes.qualification.sensor_posterior import complete_kinds
+        from imubayes.results.result import read_result
 
-    found = read_result(result)
-    channels = found.fit.model.campaign.channels
-    whole = not recording.is_file() or bool(complete_kinds(channels, read_header(recording)))
-    if along_axes or not whole:
-        return _along_axes(found, recording, out)
-    from imubayes.display.correction_report import correction_lines
+        tell("reading the fit")
+        found = read_result(result)
+        channels = found.fit.model.campaign.channels
+        whole = not recording.is_file() or bool(complete_kinds(channels, read_header(recording)))
+        if along_axes or not whole:
+            lines = _along_axes(found, recording, out)
+        else:
+            from imubayes.display.correction_report import correction_lines
 
-    stated = {"temperature": temperature, "converter_temperature": converter_temperature}
-    known = {name: value for name, value in stated.items() if value is not None}
-    for line in correction_lines(api.correct(found, recording, out, run=run, temperatures=known)):
+            stated = {"temperature": temperature, "converter_temperature": converter_temperature}
+            known = {name: value for name, value in stated.items() if value is not None}
+            corrected = api.correct(found, recording, out, run=run, temperatures=known, progress=tell)
+            lines = correction_lines(corrected)
+    for line in (*lines, f"wrote {out}"):
         print(line)
-    print(f"wrote {out}")
     return 0
 
 
-def _along_axes(result, readings: Path, out: Path) -> int:
+def _along_axes(result: "Result", readings: Path, out: Path) -> list[str]:
     from imubayes import api
     from imubayes.atomic_files import write_text
 
     found = api.apply(result, readings)
     write_text(out, found.table.write_csv())
-    for note in found.notes:
-        print(f"note: {note}")
-    print(f"wrote {out}")
-    return 0
+    return [f"note: {note}" for note in found.notes]

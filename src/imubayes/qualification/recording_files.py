@@ -1,6 +1,6 @@
 """Recordings to correct (a table, or a run of a campaign) and the table of corrected rows, in batches."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -153,12 +153,15 @@ def _refuse_other_unit(campaign: Campaign, path: Path, channels: Sequence[Channe
         raise InputError(issues)
 
 
-def correct_recording(result: Result, recording: UnitRecording, out: Path) -> CorrectedRecording:
+def correct_recording(
+    result: Result, recording: UnitRecording, out: Path, tell: Callable[[str], None] = lambda text: None
+) -> CorrectedRecording:
     """Write a recording with columns of corrected rate and specific force; in batches, so that any length will do.
 
     Parameters
     ----------
     out : the table to write, CSV or Parquet by its ending; it appears when it is complete.
+    tell : called with a short text as the work goes on.
 
     Raises
     ------
@@ -182,10 +185,12 @@ def correct_recording(result: Result, recording: UnitRecording, out: Path) -> Co
             for batch in recording.source:
                 if batch.rows:
                     writer.write(batch, correction.columns(batch, recording.stated, tally))
+                    tell(f"correcting: {tally.rows} rows")
         finally:
             writer.close()
         if not tally.rows:
             raise input_error("the recording has no rows", recording.where, "a header and rows", "record it again")
+    tell("sizing what is left in")
     uncorrected = uncorrected_effects(result, correction.kinds)
     return CorrectedRecording(correction.kinds, tally, correction.ranges, correction.noise.slow, uncorrected)
 
