@@ -46,12 +46,24 @@ def apply(
     along_axes
         Treat every channel alone, as if there were no input across its axis.
     """
+    stated = {"temperature": temperature, "converter_temperature": converter_temperature}
+    known = {name: value for name, value in stated.items() if value is not None}
+    for line in (*_corrected(result, recording, out, run, known, along_axes), f"wrote {out}"):
+        print(line)
+    return 0
+
+
+def _corrected(
+    result: Path, recording: Path, out: Path, run: str, temperatures: dict[str, float], along_axes: bool
+) -> list[str]:
+    """Write the table; return what to say of it."""
     from imubayes.cli.session import progress, start_jax
 
     with progress() as tell:
         start_jax()
         from imubayes import api
         from imubayes.campaign.run_tables import read_header
+        from imubayes.display.correction_report import correction_lines
         from imubayes.qualification.sensor_posterior import complete_kinds
         from imubayes.results.result import read_result
 
@@ -60,17 +72,8 @@ def apply(
         channels = found.fit.model.campaign.channels
         whole = not recording.is_file() or bool(complete_kinds(channels, read_header(recording)))
         if along_axes or not whole:
-            lines = _along_axes(found, recording, out)
-        else:
-            from imubayes.display.correction_report import correction_lines
-
-            stated = {"temperature": temperature, "converter_temperature": converter_temperature}
-            known = {name: value for name, value in stated.items() if value is not None}
-            corrected = api.correct(found, recording, out, run=run, temperatures=known, progress=tell)
-            lines = correction_lines(corrected)
-    for line in (*lines, f"wrote {out}"):
-        print(line)
-    return 0
+            return _along_axes(found, recording, out)
+        return correction_lines(api.correct(found, recording, out, run=run, temperatures=temperatures, progress=tell))
 
 
 def _along_axes(result: "Result", readings: Path, out: Path) -> list[str]:
