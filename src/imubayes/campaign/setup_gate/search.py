@@ -15,7 +15,7 @@ from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, total
 from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake, TableAzimuth, TableElevation, TableZero
 from imubayes.campaign.setup_gate.plausible_errors import STEADINESS, UNSTEADINESS
 from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone, turns_through, views_of
-from imubayes.campaign.setup_gate.site_mistakes import LATITUDE_MISTAKES, LatitudeSign
+from imubayes.campaign.setup_gate.site_mistakes import LATITUDE_MISTAKES, LatitudeSign, LatitudeValue
 from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
 from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES
 from imubayes.campaign_data import Campaign
@@ -38,6 +38,8 @@ AS_USUAL = 6.0
 LEAST_TURN = math.radians(25.0)
 """Least error of an azimuth that is doubted where plausible errors would explain the outputs as well: the Earth rate
 of a tactical gyro tells no less."""
+LEAST_LATITUDE = math.radians(15.0)
+"""The same of a latitude: what a linear model leaves out moved that of a valid campaign by 9 degrees."""
 LEAST_TILT = math.radians(2.0)
 """The same of an elevation or a zero: smaller ones pass for errors that the linear model leaves out."""
 LEAST_SHARE = 0.98
@@ -141,7 +143,7 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
         for mistake in kind.suspected(campaign, views)
         if _is_of_equipment(mistake) and (best := levels.steadiest(mistake, first, stated)) is not None
     ]
-    found = [each for each in found if each.support > _bar(each.mistake, campaign) and not _small(each)]
+    found = [each for each in found if each.support > _bar(each.mistake, campaign) and not _small(each, campaign)]
     return [each for each in found if not each.rivalled or each.gain > RIVALLED * len(campaign.channels)]
 
 
@@ -220,7 +222,9 @@ def channel_steadiness(campaign: Campaign) -> np.ndarray:
     return np.array(found)
 
 
-def _small(found: Explanation) -> bool:
+def _small(found: Explanation, campaign: Campaign) -> bool:
+    if isinstance(found.mistake, LatitudeValue):
+        return abs(found.size - campaign.site.latitude) < LEAST_LATITUDE
     least = LEAST_TURN if isinstance(found.mistake, TableAzimuth) else LEAST_TILT
     return isinstance(found.mistake, (TableAzimuth, TableElevation, TableZero)) and abs(found.size) < least
 
