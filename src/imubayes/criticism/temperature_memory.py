@@ -78,7 +78,10 @@ def other_memory(found: SearchResult, group: EquivalenceGroup) -> ResidualCovari
     if not own or {LAG, PLAY} <= known:
         return None
     name = next(_RATES.get(need, need) for need in effects[leader.effect].needs if need in (*_TEMPERATURES, *_RATES))
-    courses = _courses(at.fitted, name)
+    columns = _columns(found, group)
+    # An effect is gated off in a run whose temperature hardly changes, and so is its rival.
+    acting = set(at.fitted.model.entries.run[np.any(columns, axis=1)].tolist())
+    courses = {place: course for place, course in _courses(at.fitted, name).items() if place in acting}
     factor = _factor(found, group, courses, own)
     responses = [
         Response(scan, leader.coefficients, factor * _memory(at.fitted, courses, scan.effect, *scan.shape.values()))
@@ -100,10 +103,7 @@ def _others(courses: dict[int, Course], known: set[str]) -> list[ShapeScan]:
 
 def _factor(found: SearchResult, group: EquivalenceGroup, courses: dict[int, Course], own: str) -> np.ndarray:
     """Return what multiplies the memory in the response to the leader, (E, C): a constant or the input, by channel."""
-    at, leader = found.first.projection, group.leader
-    response = next(each.response for each in found.first.prepared if each.response.scan == leader.scan)
-    names = [coefficient.parameter.name for coefficient in response.coefficients]
-    columns = response.columns[:, [names.index(each.parameter.name) for each in leader.coefficients]]
+    at, leader, columns = found.first.projection, group.leader, _columns(found, group)
     memory = _memory(at.fitted, courses, own, leader.scan.shape.get(_SHAPES[own], 0.0))
     places = {channel.name: place for place, channel in enumerate(at.fitted.model.campaign.channels)}
     entries = at.fitted.model.entries
@@ -116,6 +116,14 @@ def _factor(found: SearchResult, group: EquivalenceGroup, courses: dict[int, Cou
         if left < least:
             best, least = here * multiplier[:, None] * size, left
     return best
+
+
+def _columns(found: SearchResult, group: EquivalenceGroup) -> np.ndarray:
+    """Return the response to the leader of a group, (E, C)."""
+    leader = group.leader
+    response = next(each.response for each in found.first.prepared if each.response.scan == leader.scan)
+    names = [coefficient.parameter.name for coefficient in response.coefficients]
+    return response.columns[:, [names.index(each.parameter.name) for each in leader.coefficients]]
 
 
 def _courses(fitted: Fit, name: str) -> dict[int, Course]:

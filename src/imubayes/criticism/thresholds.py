@@ -206,8 +206,9 @@ WHITENING_BLOCK = 256
 # Convention: every family more is one look more for every other.
 MAX_POWER, HARMONICS, BUMP_CENTRES, MAX_WAVES = 5, 6, 9, 16
 TIME_CONSTANTS_MIN = (2.0, 5.0, 10.0, 30.0, 60.0)
-# Widths of a play, in shares of the range of a temperature.  Convention: neighbours respond much alike.
-PLAY_SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
+# Widths of a play, in shares of the range of a temperature; a play as wide as the range is never taken up.  Convention:
+# neighbours respond much alike.
+PLAY_SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
 # Most terms of a formula, and p-value (all terms of the library counted) below which one is taken.  Convention.
 MAX_TERMS, TERM_P = 3, 0.01
 # A product or a wave is chosen from many: it must explain so much more χ² than the best plain term.  Derived: three
