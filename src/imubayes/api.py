@@ -193,9 +193,14 @@ def add(
         write_addition(folder, addition, added_variable(refit.extension))
         if parent is not None:
             remember(parent, folder, addition, diagnosis, seed)
-        if sample and not refit.objection:
-            keep_budgets(after)
+        _keep_budgets_of(after, refit)
     return addition
+
+
+def _keep_budgets_of(after: Result, refit: Refit) -> None:
+    """Keep the budgets of a refit that was sampled and taken: the quick ones of the loop leave them to a report."""
+    if refit.fit.chains is not None and not refit.objection:
+        keep_budgets(after)
 
 
 def _refuse_two_files_of_a_name(files: Sequence[str]) -> None:

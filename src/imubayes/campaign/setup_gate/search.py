@@ -178,6 +178,9 @@ class SteadinessLevels:
         most evidence for the set-up as stated, is tried.  What a linear model leaves out is not independent from row to
         row, and the steadiest unit makes too much of it: one level below the mistake has to be supported as well.
 
+        No correction may ask of a unit what no unit does.  A wrong rate shrinks the errors that a rate makes, and gains
+        evidence by that while a bias takes its place.
+
         Parameters
         ----------
         stated : −2 log evidence of the set-up as stated.
@@ -196,6 +199,8 @@ class SteadinessLevels:
         if isinstance(mistake, TEMPERATURE_MISTAKES):
             rival = min(self[tried_at].rival(mistake) for _, tried_at, _ in tried)
         elif gain > DECISIVE_LATITUDE and not self._holds_below(level, mistake):
+            return None
+        if gain > DECISIVE_LATITUDE and not self[0].error_left(mistake, best.size) < ORDINARY_ERROR:
             return None
         return Explanation(mistake, best.size, gain, best.misfit, max(0.0, stated - rival))
 
@@ -357,6 +362,13 @@ class Search:
                 size, terms, gain = usual, also, well
                 break
         return Explanation(mistake, float(size), gain, self.model.misfit(terms) / max(terms.values, 1))
+
+    def error_left(self, mistake: Mistake, size: float) -> float:
+        """Return the largest error with a mistake corrected, in standard deviations of the errors of valid set-ups."""
+        base = self.total
+        for place in mistake.scope.runs:
+            base = base - self.terms[place]
+        return float(np.abs(self.model.errors(self._corrected(mistake, base, size))).max())
 
     def _best_size(self, mistake: Mistake, base: NormalTerms) -> float:
         """Return the size of least misfit, by parabolas about the best of the grid.
