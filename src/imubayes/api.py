@@ -199,7 +199,8 @@ def add(
 
 def _keep_budgets_of(after: Result, refit: Refit) -> None:
     """Keep the budgets of a refit that was sampled and taken: the quick ones of the loop leave them to a report."""
-    if refit.fit.chains is not None and not refit.objection:
+    posterior = refit.fit.posterior
+    if posterior is not None and posterior.chains is not None and not refit.objection:
         keep_budgets(after)
 
 

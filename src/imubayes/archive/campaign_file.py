@@ -115,11 +115,14 @@ def _stated(campaign: Campaign) -> dict[str, Any]:
 def read_head(file: Path) -> ArchivedCampaign:
     """Return what the metadata of a file say; raises InputError where it is no file of an archive."""
     head = _head(file, pq.read_metadata, lambda metadata: metadata.metadata)
-    campaign = head["campaign"]
-    return ArchivedCampaign(
-        file, head["unit"], campaign["name"], head["date"], campaign["digest"], campaign["folder"],
-        len(campaign["runs"]), head["rows"], len(campaign["channels"]), head["checksum"],
-    )  # fmt: skip
+    try:
+        campaign = head["campaign"]
+        return ArchivedCampaign(
+            file, head["unit"], campaign["name"], head["date"], campaign["digest"], campaign["folder"],
+            len(campaign["runs"]), head["rows"], len(campaign["channels"]), head["checksum"],
+        )  # fmt: skip
+    except (KeyError, TypeError) as error:
+        raise _damaged(file, f"its metadata lack {error}") from error
 
 
 def read_campaign(file: Path) -> Campaign:

@@ -145,7 +145,7 @@ def compare(
 
 def _thermal(folder: Path, summary: Summary, draws: Mapping[str, Any]) -> ThermalModel | None:
     """Return what the draws of a result lack to follow its quantities over temperature."""
-    if not draws:
+    if not draws or not (folder / MODEL).is_file():
         return None
     units = {entry.name: entry.unit for entry in (*summary.parameters, *summary.derived)}
     return thermal_model(read_model(folder / MODEL), units)

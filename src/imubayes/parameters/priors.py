@@ -127,7 +127,14 @@ class HalfNormal(Prior):
         return self.scale * jnp.where(z > _FAR, beyond, -ndtri(0.5 * ndtr(-near)))
 
     def z(self, value: float) -> float:
-        return -float(special.ndtri(2 * special.ndtr(-value / self.scale)))
+        x = value / float(self.scale)
+        if x < _FAR:
+            return -float(special.ndtri(2 * special.ndtr(-x)))
+        # The tail probability underflows: φ(x)/x = ½ φ(z)/z is solved for z.
+        z = x
+        for _ in range(4):
+            z = math.sqrt(x**2 - 2 * math.log(2) + 2 * math.log(x / z))
+        return z
 
     def sd(self) -> float:
         return float(self.scale) * math.sqrt(1 - 2 / math.pi)

@@ -174,13 +174,10 @@ def unbent(part: LinearPart, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(parts), w
 
 
-def second_order(part: LinearPart, derivatives: QuantityDerivatives, w: np.ndarray) -> np.ndarray:
-    """Return the variance of the second-order part ½ wᵀBw of Q quantities over draws w, (S, K); shape (Q,)."""
-    found = np.zeros(len(derivatives.gradient))
-    for place, (gradient, own) in enumerate(zip(derivatives.gradient, derivatives.curvature, strict=True)):
-        total = part.bend @ gradient + own
-        found[place] = np.var(0.5 * np.einsum("si,ij,sj->s", w, total, w, optimize=True))
-    return found
+def second_order(part: LinearPart, derivatives: QuantityDerivatives, place: int, w: np.ndarray) -> np.ndarray:
+    """Return the second-order part ½ wᵀBw of one of the quantities at weak coordinates w, (S, K); shape (S,)."""
+    total = part.bend @ derivatives.gradient[place] + derivatives.curvature[place]
+    return 0.5 * np.einsum("si,ij,sj->s", w, total, w, optimize=True)
 
 
 def derivatives_of(fit: Fit, part: LinearPart, names: Sequence[str]) -> QuantityDerivatives:

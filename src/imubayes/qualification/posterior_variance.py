@@ -7,6 +7,8 @@ V is the variance of u under the nested Laplace approximation.  Where the sample
 Monte Carlo error allows, the posterior is not that of the approximation and the sample variance itself is taken.
 
 The slope of q on u, 1 where q is linear, holds what odd orders add to the linear part (statistical linearisation).
+What is left is regressed on the second-order part likewise: that of a function of quantities is taken from its members,
+and the length of a vector, say, bends otherwise than they do.
 """
 
 from collections.abc import Mapping
@@ -46,7 +48,7 @@ class PosteriorVariances:
     ----------
     posterior, error : shapes (Q,), posterior variance, and its Monte Carlo standard error.
     slope : shape (Q,), of the quantity on its linear part.
-    second_order : shape (Q,), variance of the second-order part.
+    second_order : shape (Q,), variance of what the second-order part explains of the rest.
     """
 
     posterior: np.ndarray
@@ -73,17 +75,21 @@ def posterior_variances(
     """
     delta, w = unbent(part, draws.z)
     linear = delta @ derivatives.gradient.T
-    found = [
-        _variance(
-            values,
-            linear[:, place],
-            KnownVariance(float(known[place]), float(known_error[place])),
-            draws.effective[name],
-        )
-        for place, (name, values) in enumerate(draws.values.items())
-    ]
-    posterior, error, slope = np.array(found).reshape(-1, 3).T
-    return PosteriorVariances(posterior, error, slope, second_order(part, derivatives, w))
+    found = []
+    for place, (name, values) in enumerate(draws.values.items()):
+        of_linear = KnownVariance(float(known[place]), float(known_error[place]))
+        variance = _variance(values, linear[:, place], of_linear, draws.effective[name])
+        rest = values - variance[-1] * linear[:, place]
+        found.append((*variance, _explained(rest, second_order(part, derivatives, place, w))))
+    return PosteriorVariances(*np.array(found).reshape(-1, 4).T)
+
+
+def _explained(rest: np.ndarray, part: np.ndarray) -> float:
+    """Return the variance of draws (S,) that their regression on a part of them, (S,), explains."""
+    finite = np.isfinite(rest)
+    about, along = (each[finite] - each[finite].mean() for each in (rest, part))
+    square = float(along @ along)
+    return float(about @ along) ** 2 / square / max(len(along), 1) if square > 0 else 0.0
 
 
 @dataclass(frozen=True)

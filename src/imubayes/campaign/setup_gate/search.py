@@ -17,7 +17,7 @@ from imubayes.campaign.setup_gate.plausible_errors import STEADINESS, UNSTEADINE
 from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone, turns_through, views_of
 from imubayes.campaign.setup_gate.site_mistakes import LATITUDE_MISTAKES, LatitudeSign, LatitudeValue
 from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
-from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES
+from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES, AngleUnit, ChannelGain
 from imubayes.campaign_data import Campaign
 
 ORDINARY_MISFIT, ORDINARY_ERROR = 1.0, 3.5
@@ -136,7 +136,7 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     views = levels[0].views
     concealed = (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES)
     if feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views):
-        concealed = (*MISTAKES, *UNIT_MISTAKES, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
+        concealed = (*MISTAKES, ChannelGain, AngleUnit, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
     found = [
         best
         for kind in concealed

@@ -43,6 +43,7 @@ _GAINS = {
     },
 }  # fmt: skip
 """Mistaken units of an output, and the factor by which it is too large."""
+_LEAST_CHANGE = 5 * _DEGREE / 3600  # rad/s, a third of the Earth rate
 _LEAST_INPUT = {"gyro": 0.5 * _DEGREE, "accelerometer": 0.5}  # rad/s and m/s²
 
 
@@ -50,16 +51,17 @@ def _driven(campaign: Campaign, channel: Channel, views: Sequence[RunView]) -> b
     """Whether a channel has an input from which its scale factor shows.
 
     Without one a large factor would only make the errors of the channel small.  Where all feel the Earth rate alone,
-    that is the input.
+    that is the input, if it changes: a constant one is no other than a bias.
     """
-    if feels_the_earth_alone(campaign, views):
-        return True
+    felt = []
     for view in views:
         stand = view.local_to_body()
-        felt = view.rate_in_body(stand) if channel.kind == "gyro" else stand[:, :, 2] * view.gravity
-        if np.abs(felt @ channel.axes[0]).max() > _LEAST_INPUT[channel.kind]:
-            return True
-    return False
+        inputs = view.rate_in_body(stand) if channel.kind == "gyro" else stand[:, :, 2] * view.gravity
+        felt.append(inputs @ channel.axes[0])
+    along = np.concatenate(felt)
+    if feels_the_earth_alone(campaign, views):
+        return bool(np.ptp(along) > _LEAST_CHANGE)
+    return bool(np.abs(along).max(initial=0.0) > _LEAST_INPUT[channel.kind])
 
 
 @dataclass(frozen=True)
