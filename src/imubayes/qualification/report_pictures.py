@@ -11,7 +11,7 @@ from imubayes.campaign_data import Campaign, Channel
 from imubayes.json_record import Record
 from imubayes.qualification.conformity import ConformityOfQuantity
 from imubayes.qualification.standard_quantities import SensorKind, UnitUnderTest
-from imubayes.qualification.temperature_range import ThermalModel, over_range
+from imubayes.qualification.temperature_range import ThermalModel, course_over_range
 from imubayes.results.posterior_draws import thinned
 from imubayes.units import to_si
 
@@ -247,9 +247,7 @@ def _against_temperature(
         name = f"{family}[{channel.name}]"
         if name not in draws:
             continue
-        values = over_range(name, unit.quantities.entries[name].unit, draws, thermal, (low, high))
-        values = np.broadcast_to(values, (len(values), max(2, values.shape[1])))
-        x = np.linspace(low, high, values.shape[1])
+        x, values = course_over_range(name, unit.quantities.entries[name].unit, draws, thermal, (low, high))
         curves.append(_curve(channel.name, x, values))
         for found in limits:
             if found.limit.quantity.name == name:

@@ -78,6 +78,15 @@ def depends_on_temperature(name: str, draws: Mapping[str, np.ndarray]) -> bool:
     return found is not None and any(f"{effect}.{parameter}[{label}" in draws for effect, parameter, _ in found.terms)
 
 
+def course_over_range(
+    name: str, unit: str, draws: Mapping[str, np.ndarray], model: ThermalModel, span: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return temperatures (T,) over a range, and the draws of a quantity there as `over_range` does, (S, T), T > 1."""
+    values = over_range(name, unit, draws, model, span)
+    values = np.broadcast_to(values, (len(values), max(2, values.shape[1])))
+    return np.linspace(*span, values.shape[1]), values
+
+
 def over_range(
     name: str, unit: str, draws: Mapping[str, np.ndarray], model: ThermalModel, span: tuple[float, float]
 ) -> np.ndarray:

@@ -348,9 +348,7 @@ class Search:
 
     def explain(self, mistake: Mistake) -> Explanation:
         """Return the best size of a mistake and what its correction gains."""
-        base = self.total
-        for place in mistake.scope.runs:
-            base = base - self.terms[place]
+        base = self._without_runs_of(mistake)
         size = self._best_size(mistake, base) if mistake.sizes else 0.0
         terms = self._corrected(mistake, base, size)
         gain = self.stated - self.model.score(terms)
@@ -365,10 +363,15 @@ class Search:
 
     def error_left(self, mistake: Mistake, size: float) -> float:
         """Return the largest error with a mistake corrected, in standard deviations of the errors of valid set-ups."""
+        corrected = self._corrected(mistake, self._without_runs_of(mistake), size)
+        return float(np.abs(self.model.errors(corrected)).max())
+
+    def _without_runs_of(self, mistake: Mistake) -> NormalTerms:
+        """Return the terms of all runs but those that a mistake concerns."""
         base = self.total
         for place in mistake.scope.runs:
             base = base - self.terms[place]
-        return float(np.abs(self.model.errors(self._corrected(mistake, base, size))).max())
+        return base
 
     def _best_size(self, mistake: Mistake, base: NormalTerms) -> float:
         """Return the size of least misfit, by parabolas about the best of the grid.

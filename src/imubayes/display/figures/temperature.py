@@ -11,7 +11,7 @@ from imubayes.display.figures.panels import thinned
 from imubayes.display.labels import pretty
 from imubayes.display.rounding import significant
 from imubayes.display.theme import BAND, BLUE, INK, MOST_PANELS, QUIET, SMALL, Picture, panels, picture, themed
-from imubayes.qualification.temperature_range import ThermalModel, depends_on_temperature, over_range
+from imubayes.qualification.temperature_range import ThermalModel, course_over_range, depends_on_temperature
 
 _FAMILIES = {
     "gyro": ("gyro_bias.bias", "gyro_scale_factor.scale"),
@@ -58,9 +58,7 @@ def _course(
         return None
     kept = thinned(len(draws[name]))
     own = {key: value[kept] for key, value in draws.items() if key == name or key in thermal.units}
-    values = over_range(name, thermal.units[name], own, thermal, span)
-    values = np.broadcast_to(values, (len(values), max(2, values.shape[1])))
-    return ThermalCourse(name, thermal.units[name], np.linspace(*span, values.shape[1]), values)
+    return ThermalCourse(name, thermal.units[name], *course_over_range(name, thermal.units[name], own, thermal, span))
 
 
 @themed
