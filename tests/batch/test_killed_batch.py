@@ -1,15 +1,13 @@
 """200 units, fitted for real, 5 % of them damaged: killed at 20 random moments, the table at the end is the same."""
 
-import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
+from killed_process import kill_after
 from polars.testing import assert_frame_equal
 from small_units import DAMAGE, MODEL, make_units
 
@@ -41,14 +39,7 @@ def finished(archive: Path, out: Path, environment: dict[str, str]) -> None:
 
 def killed(archive: Path, out: Path, environment: dict[str, str], random: np.random.Generator) -> int:
     """Start the batch, kill it after up to three chunks and a part of the next; return the parts found then."""
-    process = started(archive, out, environment)
-    assert process.stdout is not None
-    for _ in range(random.integers(0, 4)):
-        process.stdout.readline()
-    time.sleep(random.uniform(0.0, 1.0))
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    process.stdout.close()
+    kill_after(started(archive, out, environment), random.integers(0, 4), random.uniform(0.0, 1.0))
     return len(list(out.glob("model-*/part-*")))
 
 

@@ -1,7 +1,5 @@
 """A batch goes on after any interruption, keeps what is done, and names what cannot be fitted."""
 
-import os
-import signal
 import subprocess
 import sys
 import time
@@ -10,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from killed_process import kill_after
 from polars.testing import assert_frame_equal
 from small_units import DAMAGE, MODEL, edit, make_units
 
@@ -104,13 +103,7 @@ def kill_at_random_moments(many: Path, out: Path, kills: int, random: np.random.
     command = [sys.executable, str(TOY), str(many), str(MODEL), str(out)]
     for _ in range(kills):
         process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
-        assert process.stdout is not None
-        for _ in range(random.integers(1, 7)):
-            process.stdout.readline()
-        time.sleep(random.uniform(0.0, 0.02))
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        process.stdout.close()
+        kill_after(process, random.integers(1, 7), random.uniform(0.0, 0.02))
     return len(list(out.glob("model-*/part-*")))
 
 
