@@ -15,7 +15,7 @@ from imubayes.batch.fit_chunk import fit_chunk
 from imubayes.batch.fit_unit import bound_to, fit_alone, posterior_of
 from imubayes.batch.group_moments import grouped_model, log_marginal_of
 from imubayes.batch.lane_mode import find_modes
-from imubayes.batch.lane_posterior import posteriors
+from imubayes.batch.lane_posterior import joint_normal_vectors, normal_vectors, posteriors
 from imubayes.batch.lanes import LANES, LaneStructure, structure_key
 from imubayes.batch.marginal_slope import marginal_slope
 from imubayes.batch.padded_entries import padded_count, padded_entries
@@ -46,6 +46,17 @@ def distance(model: Model) -> float:
     assert bool(found.converged[0])
     ours, theirs = np.concatenate([found.model.z[0], found.h[0]]), np.concatenate([fit.z, fit.h])
     return float(np.max(np.abs(ours - theirs) / marginal_sd(fit)))
+
+
+@pytest.mark.parametrize(("size", "hyper"), [(6, 1), (24, 3), (74, 12)])
+def test_normal_vectors_of_parameters_do_not_depend_on_those_of_noise_scales(size, hyper):
+    scales, parameters = normal_vectors(size, hyper)
+    together = joint_normal_vectors(size, hyper)
+    assert np.allclose(np.cov(together.T, bias=True), np.eye(size + hyper), atol=1e-9)
+    assert np.allclose(together.mean(axis=0), 0, atol=1e-9)
+    # The width of θ depends on the scales: mean squares must not; 256 independent ones correlate by up to 4/√256.
+    squares = np.corrcoef(np.concatenate([scales, (parameters**2).mean(axis=1)], axis=1).T)
+    assert np.abs(squares[:hyper, hyper:]).max() < 0.25
 
 
 @pytest.fixture(scope="module")

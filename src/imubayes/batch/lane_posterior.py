@@ -91,10 +91,15 @@ def draws(
 
 @cache
 def normal_vectors(size: int, hyper: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return standard normal vectors for noise scales, (S, H), and for θ, (S, M, P), each with covariance 1."""
-    scales = _standardised(_sobol(_SCALES, hyper))
-    parameters = _standardised(_sobol(_SCALES * _EACH, size))
-    return scales, parameters.reshape(_EACH, _SCALES, size).transpose(1, 0, 2)
+    """Return standard normal vectors for noise scales, (S, H), and for θ, (S, M, P), together with covariance 1.
+
+    The M vectors of a draw of the noise scales are successive points of a Sobol sequence, which fill the whole space, and
+    the draws are in random order: by their numbers, points of two such sequences depend on each other.
+    """
+    scales = _standardised(_sobol(_SCALES, hyper, 0)[np.random.default_rng(2).permutation(_SCALES)])
+    parameters = _sobol(_SCALES * _EACH, size, 1)
+    together = _standardised(np.concatenate([np.repeat(scales, _EACH, axis=0), parameters], axis=1))
+    return scales, together[:, hyper:].reshape(_SCALES, _EACH, size)
 
 
 def joint_normal_vectors(size: int, hyper: int) -> np.ndarray:
@@ -103,8 +108,8 @@ def joint_normal_vectors(size: int, hyper: int) -> np.ndarray:
     return np.concatenate([parameters.reshape(-1, size), np.repeat(scales, _EACH, axis=0)], axis=1)
 
 
-def _sobol(count: int, dimensions: int) -> np.ndarray:
-    points = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(0)).random(count)
+def _sobol(count: int, dimensions: int, seed: int) -> np.ndarray:
+    points = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed)).random(count)
     return ndtri(np.clip(points, 1e-12, 1 - 1e-12))
 
 
