@@ -97,3 +97,15 @@ def test_the_heading_of_a_free_tumble_has_its_whole_width():
     assert width[1] > 1.18
     assert good.acceptance > bad.acceptance + 0.04
     assert good.largest < bad.largest
+
+
+def test_steps_have_the_covariance_of_stretched_normal_ones(shape: TabulatedDirections, factor):
+    """Of exact widths the linear map makes the covariance of the drawn steps; without it, widths are off by a tenth."""
+    normal = jnp.asarray(np.random.default_rng(6).normal(size=(200_000, 5)))
+    whitened = np.asarray(jax.vmap(lambda vector: shape.shaped(factor, vector)[0])(normal))
+    steps = np.linalg.solve(np.asarray(factor).T, whitened.T)
+    plain = np.linalg.inv(np.asarray(factor @ factor.T))
+    stretch = shape.stretch(factor)
+    predicted, scale = stretch @ plain @ stretch.T, np.sqrt(np.diagonal(plain))
+    np.testing.assert_allclose(np.cov(steps) / np.outer(scale, scale), predicted / np.outer(scale, scale), atol=0.02)
+    assert np.abs((predicted - plain) / np.outer(scale, scale)).max() > 0.1

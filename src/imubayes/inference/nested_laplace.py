@@ -131,11 +131,18 @@ def _pulled(problem: Problem, mode: Mode, changes: Float[Array, "n E"]) -> Float
 
 def nested_laplace(problem: Problem, mode: Mode) -> NestedLaplace:
     """Return the proposal about a mode."""
-    weak, bend = curved_directions(problem, mode)
-    reach = np.asarray(jnp.sum(weak * (posterior_precision(problem, mode) @ weak), axis=0)) ** -0.5
-    shape = tabulated_directions(problem, mode, weak, reach, bend)
+    weak, bend, shape = weak_directions(problem, mode)
     axes, along = _marginal(problem, mode)
     return NestedLaplace(mode.z, mode.h, axes, along, precision_blocks(problem, mode), weak, bend, shape)
+
+
+def weak_directions(
+    problem: Problem, mode: Mode
+) -> tuple[Float[Array, "P K"], Float[Array, "K K P"], TabulatedDirections | None]:
+    """Return the weak directions about a mode, as of `curved_directions`, and the marginals that are not normal."""
+    weak, bend = curved_directions(problem, mode)
+    reach = np.asarray(jnp.sum(weak * (posterior_precision(problem, mode) @ weak), axis=0)) ** -0.5
+    return weak, bend, tabulated_directions(problem, mode, weak, reach, bend)
 
 
 def curved_directions(problem: Problem, mode: Mode) -> tuple[Float[Array, "P K"], Float[Array, "K K P"]]:

@@ -64,6 +64,17 @@ class TabulatedDirections(eqx.Module):
         after = axes.T @ whitened
         return whitened + axes @ (to_normal(self.along, after) - after), self._excess(after)
 
+    def stretch(self, factor: Float[Array, "P P"]) -> np.ndarray:
+        """Return the linear map (P, P) of steps of the normal approximation that gives them the widths of the tables.
+
+        Parameters
+        ----------
+        factor : lower Cholesky factor of the precision of θ.
+        """
+        whitening, axes = np.asarray(factor).T, np.asarray(self._axes(factor))
+        back = np.linalg.solve(whitening, axes)
+        return np.eye(len(whitening)) + (back * (self.along.sd() - 1)) @ (axes.T @ whitening)
+
     def _axes(self, factor: Float[Array, "P P"]) -> Float[Array, "P M"]:
         """Return the directions among whitened steps, orthonormal: vᵀδ = (L⁻¹v)ᵀ (Lᵀδ)."""
         axes, triangle = jnp.linalg.qr(solve_triangular(factor, self.directions, lower=True))

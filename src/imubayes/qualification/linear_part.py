@@ -1,9 +1,10 @@
 """The linear part of a posterior, whose variance is known without Monte Carlo error, and the second-order part.
 
-The nested Laplace approximation (`imubayes.inference.nested_laplace`) writes θ = θ̂ + δ + ½ Σ_ij w_i w_j A_ij: δ is
-normal at given noise scales h, and the bend follows from its weak coordinates w.  The bend does not change w, so every
-posterior draw gives back its δ by subtraction.  A quantity q has the linear part u = gᵀδ with the variance
-E_h[gᵀC(h)g] + Var_h[gᵀm(h)], and the second-order part ½ wᵀBw, B from the bend and from the curvature of q itself.
+The nested Laplace approximation (`imubayes.inference.nested_laplace`) writes θ = θ̂ + δ + ½ Σ_ij w_i w_j A_ij.  Given
+the noise scales h, δ is normal but for the marginals that are tabulated, and the bend follows from its weak coordinates
+w.  The bend does not change w, so every posterior draw gives back its δ by subtraction.  A quantity q has the linear
+part u = gᵀδ with the variance E_h[gᵀC(h)g] + Var_h[gᵀm(h)], where g is stretched along tabulated directions to their
+widths, and the second-order part ½ wᵀBw, B from the bend and from the curvature of q itself.
 """
 
 from collections.abc import Sequence
@@ -17,10 +18,11 @@ import numpy as np
 from imubayes.array_shapes import Array, Float
 from imubayes.inference.conditional_precision import ExactPrecision, PrecisionBlocks, conditional, precision_blocks
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.nested_laplace import curved_directions
+from imubayes.inference.nested_laplace import weak_directions
 from imubayes.inference.noise_marginal import Curvature
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import Linearised
+from imubayes.inference.tabulated_directions import TabulatedDirections
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.qualification.better_priors import BetterPriors, LinearGivenScales
@@ -79,12 +81,14 @@ class LinearPart:
     weak : shape (P, K), orthonormal weak directions.
     bend : shape (K, K, P), acceleration along pairs of them.
     blocks : precision of θ given the noise scales.
+    shape : marginals of weak directions that are not normal; None where all are.
     """
 
     z: np.ndarray
     weak: np.ndarray
     bend: np.ndarray
     blocks: PrecisionBlocks | ExactPrecision
+    shape: TabulatedDirections | None
 
 
 def linear_part(fit: Fit, about: Linearised) -> LinearPart:
@@ -95,13 +99,14 @@ def linear_part(fit: Fit, about: Linearised) -> LinearPart:
     """
     if fit.posterior is not None:
         known = fit.posterior.approximation
-        return LinearPart(np.asarray(known.z), np.asarray(known.weak), np.asarray(known.bend), known.blocks)
+        weak, bend = np.asarray(known.weak), np.asarray(known.bend)
+        return LinearPart(np.asarray(known.z), weak, bend, known.blocks, known.shape)
     problem, size = fit.model.problem, len(fit.h)
     unasked = Curvature(jnp.zeros(()), jnp.zeros(size), jnp.eye(size))
     done = jnp.asarray(True)
     mode = Mode(about.z, jnp.asarray(fit.h), jnp.zeros(()), about, unasked, jnp.zeros((), int), done, done)
-    weak, bend = curved_directions(problem, mode)
-    return LinearPart(np.asarray(fit.z), np.asarray(weak), np.asarray(bend), precision_blocks(problem, mode))
+    weak, bend, shape = weak_directions(problem, mode)
+    return LinearPart(np.asarray(fit.z), np.asarray(weak), np.asarray(bend), precision_blocks(problem, mode), shape)
 
 
 @dataclass(frozen=True)
@@ -159,6 +164,17 @@ def conditional_moments(part: LinearPart, problem: Problem, gradients: np.ndarra
 def conditional_covariance(part: LinearPart, problem: Problem, h: np.ndarray) -> np.ndarray:
     """Return the covariance of θ given noise scales h, (H,); shape (P, P)."""
     return inverse_of(conditionals(part, problem, h[None]).precision[0])
+
+
+def stretched(part: LinearPart, problem: Problem, h: np.ndarray, gradients: np.ndarray) -> np.ndarray:
+    """Return gradients (Q, P) by normal steps about the mode, from those by δ: as δ has the widths of its tables.
+
+    The map is that at the noise scales of the mode, h (H,): what the data leave to the prior hardly depends on these.
+    """
+    if part.shape is None:
+        return gradients
+    precision = conditionals(part, problem, h[None]).precision[0]
+    return gradients @ part.shape.stretch(jnp.linalg.cholesky(jnp.asarray(precision)))
 
 
 def unbent(part: LinearPart, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -43,7 +43,7 @@ from imubayes.results.result import Result
 
 BUDGETS = "budgets.json"
 # Changed where budgets of the same result come out otherwise, so that those that are kept are made anew.
-_METHOD = 4
+_METHOD = 5
 _MOST_HALVED = 3
 # Decimals of a correlation.
 _DECIMALS = 4

@@ -39,6 +39,7 @@ from imubayes.qualification.linear_part import (
     conditionals,
     derivatives_of,
     linear_part,
+    stretched,
 )
 from imubayes.qualification.posterior_quantities import posterior_quantities
 from imubayes.qualification.posterior_variance import PosteriorDraws, posterior_variances
@@ -208,6 +209,7 @@ def budget_of(
     components = component_gradients(fit, list(draws.values), covariance)
     components |= _short_lengths(functions or {}, draws, derivatives.gradient, covariance)
     rows = _rows([components.get(name, derivatives.gradient[[q]]) for q, name in enumerate(draws.values)], len(fit.z))
+    rows = replace(rows, gradient=stretched(part, problem, fit.h, rows.gradient))
     member = _members(fit)
     per_draw = (len(fit.z) / 3 + 2 * len(rows.gradient)) * len(fit.z) ** 2
     h = _evenly(draws.h, max(SPLIT_DRAWS, int(CONDITIONING_WORK / per_draw)))
