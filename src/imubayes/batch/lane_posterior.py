@@ -93,8 +93,8 @@ def draws(
 def normal_vectors(size: int, hyper: int) -> tuple[np.ndarray, np.ndarray]:
     """Return standard normal vectors for noise scales, (S, H), and for θ, (S, M, P), together with covariance 1.
 
-    The M vectors of a draw of the noise scales are successive points of a Sobol sequence, which fill the whole space, and
-    the draws are in random order: by their numbers, points of two such sequences depend on each other.
+    The M vectors of a draw of the noise scales are successive points of a Sobol sequence, which fill the whole space.
+    The draws are in random order: by their numbers, points of two such sequences depend on each other.
     """
     scales = _standardised(_sobol(_SCALES, hyper, 0)[np.random.default_rng(2).permutation(_SCALES)])
     parameters = _sobol(_SCALES * _EACH, size, 1)

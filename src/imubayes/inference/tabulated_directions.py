@@ -8,9 +8,11 @@ of a marginal, Tierney & Kadane 1986), and takes the place of the normal one.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cho_solve, solve_triangular
+from scipy.special import ndtri
 
 from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.inference.posterior_mode import Mode, heights
@@ -27,6 +29,8 @@ _SCREEN, _ALIKE = 2.5, 0.3
 _MOST = 4
 # Gauss–Newton steps to the highest point across a direction, from that of the last grid point.
 _STEPS = 2
+# Quantiles by which a width is integrated, tails included.
+_NORMAL_QUANTILES = ndtri((np.arange(4000) + 0.5) / 4000)
 # Log density, relative to the mode, where it is not finite.
 _NOWHERE = -200.0
 
@@ -73,7 +77,9 @@ class TabulatedDirections(eqx.Module):
         """
         whitening, axes = np.asarray(factor).T, np.asarray(self._axes(factor))
         back = np.linalg.solve(whitening, axes)
-        return np.eye(len(whitening)) + (back * (self.along.sd() - 1)) @ (axes.T @ whitening)
+        quantiles = jax.vmap(lambda normal: from_normal(self.along, jnp.full(axes.shape[1], normal)))(_NORMAL_QUANTILES)
+        widths = np.asarray(quantiles).std(axis=0)
+        return np.eye(len(whitening)) + (back * (widths - 1)) @ (axes.T @ whitening)
 
     def _axes(self, factor: Float[Array, "P P"]) -> Float[Array, "P M"]:
         """Return the directions among whitened steps, orthonormal: vᵀδ = (L⁻¹v)ᵀ (Lᵀδ)."""

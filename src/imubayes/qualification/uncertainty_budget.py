@@ -8,9 +8,9 @@ What is not linear has a line of its own too, the variance of the second-order p
 (`imubayes.qualification.posterior_variance`) has beyond the sum of all these is the remainder.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -208,11 +208,10 @@ def budget_of(
     derivatives = _with_slopes(derivatives_of(fit, part, list(quantities.values)), slopes)
     components = component_gradients(fit, list(draws.values), covariance)
     components |= _short_lengths(functions or {}, draws, derivatives.gradient, covariance)
-    rows = _rows([components.get(name, derivatives.gradient[[q]]) for q, name in enumerate(draws.values)], len(fit.z))
-    rows = replace(rows, gradient=stretched(part, problem, fit.h, rows.gradient))
+    gradients = [components.get(name, derivatives.gradient[[q]]) for q, name in enumerate(draws.values)]
+    rows = _rows(gradients, len(fit.z), partial(stretched, part, problem, fit.h))
     member = _members(fit)
-    per_draw = (len(fit.z) / 3 + 2 * len(rows.gradient)) * len(fit.z) ** 2
-    h = _evenly(draws.h, max(SPLIT_DRAWS, int(CONDITIONING_WORK / per_draw)))
+    h = _evenly(draws.h, _most_draws(*rows.gradient.shape))
     moments = conditional_moments(part, problem, rows.gradient, h)
     split = rows.summed(_over_runs(problem, about, part, member, rows.gradient, _evenly(h, SPLIT_DRAWS)))
     type_b, linear = rows.summed(moments.type_b), rows.summed(moments.variance.mean(axis=0))
@@ -242,6 +241,12 @@ def budget_of(
         gradient=rows.gradient,
         owner=rows.owner,
     )
+
+
+def _most_draws(quantities: int, parameters: int) -> int:
+    """Return the number of draws of the noise scales whose conditional moments are affordable."""
+    per_draw = (parameters / 3 + 2 * quantities) * parameters**2
+    return max(SPLIT_DRAWS, int(CONDITIONING_WORK / per_draw))
 
 
 def _members(fit: Fit) -> np.ndarray:
@@ -338,10 +343,10 @@ def _with_slopes(known: QuantityDerivatives, slopes: np.ndarray) -> QuantityDeri
     )
 
 
-def _rows(gradients: Sequence[np.ndarray], size: int) -> _Rows:
+def _rows(gradients: Sequence[np.ndarray], size: int, stretched: Callable[[np.ndarray], np.ndarray]) -> _Rows:
     counts = [len(each) for each in gradients]
     owner = np.repeat(np.arange(len(gradients)), counts)
-    return _Rows(np.concatenate([np.zeros((0, size)), *gradients]), owner, len(gradients))
+    return _Rows(stretched(np.concatenate([np.zeros((0, size)), *gradients])), owner, len(gradients))
 
 
 def _evenly(draws: np.ndarray, most: int) -> np.ndarray:
