@@ -30,8 +30,8 @@ def test_a_name_that_only_the_catalogue_suggests_is_not_certain(
 
     monkeypatch.setattr(stepwise_search, "candidate_responses", lacking)
     if not looked:
-        # Planted fault: no pair of components is looked at.
-        monkeypatch.setattr(unlisted_causes, "_ACROSS", ())
+        # Planted fault: no vector is looked at.
+        monkeypatch.setattr(unlisted_causes, "_VECTORS", ())
     found = judge(planted)
     assert found.verdict == verdict
     [group] = found.groups

@@ -105,8 +105,8 @@ class EffectGroup(Record):
     residual : rms of the channel that shows it best, before and after adding the first.
     covariate : what that residual depends on; None where no single covariate explains it.
     discriminating_run : the feasible run that distinguishes them best; None where there is none.
-    unlisted : covariates, one or two, of each plain function that fits as well and is none of the effects: it may be of
-        a cause that the catalogue lacks.
+    unlisted : covariates, one to three, of each plain function that fits as well and is none of the effects: it may be
+        of a cause that the catalogue lacks.
     stage : where in the signal chain the first acts, and whether that is determined; None of an effect outside of it.
     """
 

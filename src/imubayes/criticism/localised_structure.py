@@ -120,13 +120,20 @@ def features(projection: Projection, covariates: Sequence[ResidualCovariate]) ->
         columns, found = _of_terms(covariates, here, gravity)
         steps, sudden = _steps(projection, here, len(columns))
         columns, found = [*columns, *steps], (*found, *sudden)
-        if not columns:
-            continue
-        rows = [np.flatnonzero(here & (entries.channel == place)) for place in places]
-        whitened = _whitened(projection, np.stack(columns, axis=1), here)
-        names = tuple(model.campaign.channels[place].name for place in places)
-        result.append(FeatureSet(names, tuple(rows), tuple(whitened[each] for each in rows), found))
+        if columns:
+            result.append(feature_set(projection, places, np.stack(columns, axis=1), found))
     return result
+
+
+def feature_set(
+    projection: Projection, places: Sequence[int], columns: np.ndarray, found: tuple[Feature, ...]
+) -> FeatureSet:
+    """Return features on some channels, by their places, of columns (E, N) in datasheet units."""
+    entries, channels = projection.fitted.model.entries, projection.fitted.model.campaign.channels
+    here = np.isin(entries.channel, places) & ~entries.closing
+    rows = tuple(np.flatnonzero(here & (entries.channel == place)) for place in places)
+    whitened = _whitened(projection, np.where(here[:, None], columns, 0.0), here)
+    return FeatureSet(tuple(channels[k].name for k in places), rows, tuple(whitened[each] for each in rows), found)
 
 
 def _of_terms(

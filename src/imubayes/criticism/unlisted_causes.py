@@ -3,9 +3,14 @@
 A single name is certain only where the runs could have shown another cause.  Where a plain function of one or two
 covariates explains the same, or explains more of the residual, and none of the effects named is that function, a cause
 that the catalogue lacks would look alike: in positions of a gyro, magnetic sensitivity past the model is what a scale
-factor error would be.  The two components of a vector across the input axis are one function, linear in both.
-Of an effect that remembers the temperature, the other kind of memory is such a cause.
+factor error would be.  Linear in the components of a vector, across the input axis or all of them, is one function,
+and so is quadratic in them; curves of the input are others (`imubayes.criticism.rival_functions`).  A function with
+more terms than the effect has coefficients is no rival: it fits by its freedom.  Of an effect that remembers the
+temperature, the other kind of memory is such a cause.
 """
+
+from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -14,29 +19,41 @@ from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.localised_structure import Feature, FeatureScan
 from imubayes.criticism.projection import orthonormal
 from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.criticism.rival_functions import rival_scans
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.stepwise_search import Screening, SearchResult
 from imubayes.criticism.temperature_memory import other_memory
 
 Causes = tuple[tuple[ResidualCovariate, ...], ...]
-"""Covariates, one or two, of each plain function."""
-_ACROSS = (("rate_o", "rate_s"), ("force_o", "force_s"))
+"""Covariates, one to three, of each function."""
+_VECTORS = (("rate_i", "rate_o", "rate_s"), ("force_i", "force_o", "force_s"))
+_LINEAR, _SQUARE = 0, 1  # places among the plain functions of one covariate
+_ALWAYS = 2
+"""Terms that a function may have, however few coefficients the effect has."""
 
 
 def unlisted_causes(found: SearchResult, group: EquivalenceGroup) -> Causes:
-    """Return the covariates of each plain function that fits as well as a group without being one of its effects."""
+    """Return the covariates of each function that fits as well as a group without being one of its effects."""
     at, leader = found.first, group.leader
     explained = leader.score.fitted
     if not np.any(explained):
         return ()
     raw = np.stack([_response(at, member) for member in group.members], axis=1)
     targets = np.stack([explained, at.projection.residual])
-    near = [
-        feature
-        for scan in at.scans
-        for feature, (along, gain), freedom in (*_of_plain(scan, targets), *_of_vectors(scan, targets))
-        if _as_good(leader, along, gain, freedom) and not _is_one_of(scan, feature, raw)
-    ]
+    most = max(_ALWAYS, *(sum(each.owner == owner for each in leader.coefficients) for owner in leader.owners))
+    scans = [(scan, [*_of_plain(scan, targets), *_of_vectors(scan, targets)]) for scan in at.scans]
+    scans += [(scan, _of_plain(scan, targets)) for scan in rival_scans(found)]
+    near: list[Feature] = []
+    same: list[tuple[FeatureScan, Feature]] = []
+    for scan, scored in scans:
+        for feature, (along, gain), freedom in scored:
+            if len(feature.columns) > most or not _as_good(leader, along, gain, freedom):
+                continue
+            if _is_one_of(scan, feature, raw):
+                same.append((scan, feature))
+            else:
+                near.append(feature)
+    near.extend(_undetermined_forms(same))
     by_name = {tuple(covariate.name for covariate in feature.covariates): feature.covariates for feature in near}
     if (remembered := other_memory(found, group)) is not None:
         by_name[remembered.name,] = (remembered,)
@@ -59,20 +76,42 @@ def _of_plain(scan: FeatureScan, targets: np.ndarray) -> list[_Scored]:
 
 
 def _of_vectors(scan: FeatureScan, targets: np.ndarray) -> list[_Scored]:
-    """Return the features linear in both components of a vector across the input axis, likewise."""
-    plain = [feature for feature in scan.features.found if feature.plain and len(feature.covariates) == 1]
-    linear = {feature.covariates[0].name: feature for feature in reversed(plain)}
+    """Return the features linear in the components of a vector, across the input axis and all, or quadratic in all."""
+    alone, products = _by_covariates(scan)
     found: list[_Scored] = []
-    for across in _ACROSS:
-        if not all(name in linear for name in across):
-            continue
-        first, second = (linear[name] for name in across)
-        feature = Feature(first.covariates + second.covariates, first.test, first.columns + second.columns, plain=True)
-        columns = scan.features.whole(feature, targets.shape[1])
-        projected = columns - scan.basis @ (scan.basis.T @ columns)
-        span = orthonormal(projected, np.linalg.norm(columns, axis=0), thresholds.FORM_RETAINED_MIN)
-        found.append((feature, np.sum((targets @ span) ** 2, axis=1), span.shape[1]))
+    for vector in _VECTORS:
+        has = [name for name in vector if len(alone.get(name, ())) > _SQUARE]
+        linear = [alone[name][_LINEAR] for name in has]
+        crossed = [products[pair] for pair in map(frozenset, combinations(has, 2)) if pair in products]
+        across = [each for each, name in zip(linear, has, strict=True) if name != vector[0]]
+        quadratic = [*(alone[name][_SQUARE] for name in has), *crossed]
+        ways = {tuple(each.columns for each in way): way for way in (across, linear, quadratic) if len(way) > 1}
+        found += [_together(scan, targets, way) for way in ways.values()]
     return found
+
+
+def _by_covariates(scan: FeatureScan) -> tuple[dict[str, list[Feature]], dict[frozenset[str], Feature]]:
+    """Return the plain functions of each covariate, and of each pair."""
+    alone: dict[str, list[Feature]] = {}
+    products: dict[frozenset[str], Feature] = {}
+    for feature in scan.features.found:
+        names = [covariate.name for covariate in feature.covariates]
+        if feature.plain and len(names) == 1:
+            alone.setdefault(names[0], []).append(feature)
+        elif feature.plain:
+            products[frozenset(names)] = feature
+    return alone, products
+
+
+def _together(scan: FeatureScan, targets: np.ndarray, parts: Sequence[Feature]) -> _Scored:
+    """Return some features as one, with the drops of χ² of targets."""
+    covariates = {covariate.name: covariate for part in parts for covariate in part.covariates}
+    columns = tuple(column for part in parts for column in part.columns)
+    feature = Feature(tuple(covariates.values()), parts[0].test, columns, plain=True)
+    whole = scan.features.whole(feature, targets.shape[1])
+    projected = whole - scan.basis @ (scan.basis.T @ whole)
+    span = orthonormal(projected, np.linalg.norm(whole, axis=0), thresholds.FORM_RETAINED_MIN)
+    return feature, np.sum((targets @ span) ** 2, axis=1), span.shape[1]
 
 
 def _as_good(leader: Candidate, along: float, gain: float, freedom: int) -> bool:
@@ -86,6 +125,20 @@ def _as_good(leader: Candidate, along: float, gain: float, freedom: int) -> bool
     if left < min(thresholds.DISTINGUISHABLE_CHI2, leader.delta_chi2 / 2):
         return True
     return bool(gain - freedom > leader.score.delta_chi2_at_fit - leader.dof)
+
+
+def _undetermined_forms(same: Sequence[tuple[FeatureScan, Feature]]) -> list[Feature]:
+    """Return the functions that coincide with an effect of the group where others of the same covariates do as well.
+
+    At few levels of its covariates an effect is like every function of them, linear or quadratic: its form is not
+    determined.  A function that includes another one is not another form.
+    """
+    forms: dict[tuple[str, ...], list[Feature]] = {}
+    for scan, feature in same:
+        own = [each for other, each in same if other is scan]
+        if not any(set(each.columns) < set(feature.columns) for each in own):
+            forms.setdefault(tuple(covariate.name for covariate in feature.covariates), []).append(feature)
+    return [found[0] for found in forms.values() if len({(each.family, len(each.columns)) for each in found}) > 1]
 
 
 def _response(at: Screening, member: Candidate) -> np.ndarray:

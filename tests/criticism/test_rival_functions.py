@@ -1,0 +1,54 @@
+"""Where the levels of its input do not determine the form of an effect, it is not named alone."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from null_data import fitted_to, redrawn
+
+from imubayes.criticism import stepwise_search, unlisted_causes
+from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.criticism.diagnose import judge
+from imubayes.criticism.localised_structure import Feature, FeatureScan, FeatureSet
+from imubayes.criticism.projection import project
+from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.criticism.score_test import project_responses
+
+ABSENT = ("converter_nonlinearity", "converter_gain_temperature_rate")
+
+
+def test_a_saturation_is_not_certain_where_three_levels_of_the_input_do_not_tell_its_form(monkeypatch):
+    """A converter loses gain by the square of its input: a saturation or a cube is alike at 0.6, 1 and 12 g."""
+    fitted = fitted_to("accel-channel", "accel-channel")
+    responses = candidate_responses(fitted)
+    at = project(fitted, responses.misfit, responses.jacobian)
+    [truth] = [each for each in project_responses(at, responses.candidates) if each.response.scan.effect == ABSENT[0]]
+    size = -20 / np.linalg.norm(truth.projected[:, 1])
+    planted = redrawn(fitted, 21, change=truth.response.columns[:, 1] * size)
+
+    def lacking(fit: Any, *more: Any) -> Any:
+        found = candidate_responses(fit, *more)
+        return replace(found, candidates=tuple(each for each in found.candidates if each.scan.effect not in ABSENT))
+
+    monkeypatch.setattr(stepwise_search, "candidate_responses", lacking)
+    found = judge(planted)
+    assert found.verdict == "equivalent_effects"
+    assert found.groups[0].effects == ("converter_saturation",)
+    assert ["force_i"] in [[label.name for label in each] for each in found.groups[0].unlisted]
+    # Planted fault: neither other curves of the input nor the forms are compared.
+    monkeypatch.setattr(unlisted_causes, "rival_scans", lambda at: [])
+    monkeypatch.setattr(unlisted_causes, "_undetermined_forms", lambda same: [])
+    assert judge(planted).verdict == "missing_effect"
+
+
+@pytest.mark.parametrize(("levels", "told"), [((-1.0, 1.0), False), ((-2.0, -1.0, 0.0, 1.0, 2.0), True)])
+def test_a_form_is_determined_by_enough_levels(levels, told):
+    """Of −1 and 1 a line and a cube are alike; of five levels they are not."""
+    x = np.repeat(levels, 10)
+    covariate = ResidualCovariate("rate_i", "deg/s", x, "rate along the input axis")
+    line, cube = (Feature((covariate,), "power", (place,), f"Ω{place}", plain=True) for place in (0, 1))
+    whole = FeatureSet(("g",), (np.arange(len(x)),), (np.stack([x, x**3], axis=1),), (line, cube))
+    scan = FeatureScan(whole, np.zeros((len(x), 0)), ())
+    same = [(scan, form) for form in (line, cube) if unlisted_causes._is_one_of(scan, form, x[:, None])]
+    assert (unlisted_causes._undetermined_forms(same) == []) == told
