@@ -17,6 +17,8 @@ from strict_types import CONFIGURATION, modules
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+# Tests replace functions, which the identity of a kept program cannot see.
+os.environ["IMUBAYES_KEEP_PROGRAMS"] = "0"
 # Everything compiled is kept, for tests and for the commands they run alike, so that it is paid for once.
 os.environ["XDG_CACHE_HOME"] = str(Path(__file__).parents[1] / ".cache" / "commands")
 jax.config.update("jax_compilation_cache_dir", str(Path(os.environ["XDG_CACHE_HOME"]) / "imubayes" / "compiled"))

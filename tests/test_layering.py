@@ -13,6 +13,8 @@ FLOORS = (
         "array_shapes",
         "gather",
         "jax_settings",
+        "kept_programs",
+        "program_identity",
         "rotations",
         "earth",
         "json_record",

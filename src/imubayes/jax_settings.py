@@ -13,6 +13,7 @@ import jax
 from jax._src.xla_bridge import backends_are_initialized
 
 from imubayes.errors import input_error
+from imubayes.kept_programs import keep_programs
 
 # An empty entry younger than this may be in the hands of another process.
 _BEING_WRITTEN_S = 60.0
@@ -37,17 +38,26 @@ def prepare_jax() -> None:
         jax.config.update("jax_enable_x64", True)
     if jax.config.jax_compilation_cache_dir is None:
         _keep_compiled()
+    keep_programs(_own_folder("programs") if jax.config.jax_enable_compilation_cache else None)
 
 
-def _keep_compiled() -> None:
-    """Keep compiled code in a folder of the user (mode 0700)."""
+def _own_folder(name: str) -> Path | None:
+    """Return a folder for compiled code that belongs to the user alone (mode 0700); None where it cannot be made."""
     home = os.environ.get("XDG_CACHE_HOME")
-    folder = (Path(home) if home else Path.home() / ".cache") / "imubayes" / "compiled"
+    folder = (Path(home) if home else Path.home() / ".cache") / "imubayes" / name
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         folder.chmod(0o700)
     except OSError:
-        return  # no writable home: compile every time
+        return None  # no writable home: compile every time
+    return folder
+
+
+def _keep_compiled() -> None:
+    """Keep compiled code, found by the lowered program."""
+    folder = _own_folder("compiled")
+    if folder is None:
+        return
     _without_empty(folder)
     jax.config.update("jax_compilation_cache_dir", str(folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cache
 
-import equinox as eqx
 import numpy as np
 
 from imubayes.batch.batch_settings import BatchSettings
@@ -20,6 +19,7 @@ from imubayes.inference.identifiability import from_data
 from imubayes.inference.posterior_mode import log_evidence
 from imubayes.inference.posterior_tree import in_units
 from imubayes.inference.run_fit import joint_fit
+from imubayes.kept_programs import kept
 from imubayes.model.bind import Model, bind
 from imubayes.model.effect_registry import Registry
 from imubayes.model.likelihood import whitened
@@ -30,7 +30,7 @@ QUANTILES = (2.5, 25.0, 50.0, 75.0, 97.5)
 # Knots of the quadrature that gives the mean of a prior.
 _KNOTS = 64
 
-_whitened = eqx.filter_jit(whitened)
+_whitened = kept(whitened)
 
 
 def bound_to(spec: ModelSpec, campaign: Campaign) -> Model:

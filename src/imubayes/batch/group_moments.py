@@ -15,6 +15,7 @@ import numpy as np
 
 from imubayes.array_shapes import Array, Float, Int, Scalar
 from imubayes.gather import take
+from imubayes.kept_programs import kept
 from imubayes.model.problem import NoiseLayer, Problem, predict, prior_widths
 from imubayes.noise.base import Entry, EntryNoise, SeriesNoise, SharedNoise, TailNoise
 
@@ -185,7 +186,7 @@ def entry_variances(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " E
     return _variances(problem.noise, problem.hyper_priors.values(h), problem.observations.entry)
 
 
-_compiled_variances = eqx.filter_jit(entry_variances)
+_compiled_variances = kept(entry_variances)
 
 
 def _variances(layers: Sequence[NoiseLayer], values: Array, entry: Entry) -> Array:

@@ -7,15 +7,16 @@ candidates change nothing, so one linearisation gives the Jacobian of the fit an
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Campaign
 from imubayes.effects.base import Effect, MotionEffect
 from imubayes.gather import on_device
 from imubayes.inference.fitted_model import Fit
+from imubayes.kept_programs import kept
 from imubayes.model.assembly import assemble
 from imubayes.model.bound_effects import (
     BoundEffect,
@@ -278,15 +279,21 @@ def _at_nulls(extended: _Extended, own: np.ndarray, scan_place: int) -> np.ndarr
     return values
 
 
-@eqx.filter_jit
+@kept
 def _push(problem: Problem, values):
     predicted, push = jax.linearize(lambda values: predict_from(problem, values), values)
     nulls = jnp.zeros_like(problem.nulls)
     return predicted, jax.vmap(lambda seed: push(jnp.concatenate([seed, nulls])))(problem.sparsity.seeds)
 
 
-_values = eqx.filter_jit(lambda problem, z: problem.priors.values(z))
-_slopes = eqx.filter_jit(lambda problem, z: problem.priors.slopes(z))
+@kept
+def _values(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " P"]:
+    return problem.priors.values(z)
+
+
+@kept
+def _slopes(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " P"]:
+    return problem.priors.slopes(z)
 
 
 def _response(effect: BoundEffect, extended: _Extended, jacobian: np.ndarray, scan_place: int) -> Response:

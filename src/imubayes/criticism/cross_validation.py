@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -23,6 +22,7 @@ from imubayes.inference.noise_marginal import curvature, slope
 from imubayes.inference.posterior_mode import find_mode, fit_at, mode_near
 from imubayes.inference.posterior_precision import Linearised, linearise
 from imubayes.json_record import finite
+from imubayes.kept_programs import kept
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import residuals
 from imubayes.model.problem import hyper_prior_square, masked
@@ -31,7 +31,7 @@ from imubayes.parameters.vector import Layout
 from imubayes.step_counter import counted
 from imubayes.units import to_si
 
-_residuals = eqx.filter_jit(residuals)
+_residuals = kept(residuals)
 _EXACT_FLIPS, _ROUNDING = 13, 1e-12
 
 

@@ -8,11 +8,11 @@ Simulations without any effect give the rate of false alarms.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its parts when they are first used
 
+from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Campaign
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import searchable
@@ -24,6 +24,7 @@ from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.inference.run_fit import judged_fit
+from imubayes.kept_programs import kept
 from imubayes.model.bind import Model, bind
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Problem, predict
@@ -230,7 +231,9 @@ class _Clear:
         return float(column @ column - taken @ taken)
 
 
-_white = eqx.filter_jit(lambda problem, change, h: whiten(problem, whitener(problem, h), change))
+@kept
+def _white(problem: Problem, change: Float[Array, " E"], h: Float[Array, " H"]) -> Float[Array, " E"]:
+    return whiten(problem, whitener(problem, h), change)
 
 
 def _trial(fitted: Fit, clear: _Clear, name: str, size: Size, seed: int, screen: Screen, asked: bool) -> Trial | str:

@@ -10,13 +10,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
 from imubayes.criticism import thresholds
 from imubayes.inference.fitted_model import Fit
+from imubayes.kept_programs import kept
 from imubayes.model.noise_covariance import whiten, whitener
 from imubayes.model.problem import Observations, Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
@@ -159,12 +159,12 @@ class RowTransform:
         return result[:-1]
 
 
-@jax.jit
+@kept
 def _whiten(problem: Problem, h, columns):
     return whiten(problem, whitener(problem, h), columns)
 
 
-_pseudo_values = jax.jit(pseudo_values)
+_pseudo_values = kept(pseudo_values)
 
 
 def project(

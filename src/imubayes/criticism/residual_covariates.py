@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from imubayes.covariates import Covariate, regressors
 from imubayes.inference.fitted_model import Fit
+from imubayes.kept_programs import kept
 from imubayes.model.problem import Problem, row_means, signal_path, values_of
 
 
@@ -65,7 +65,7 @@ def _at_samples(fitted: Fit) -> Callable[[Covariate], np.ndarray]:
     return values
 
 
-@eqx.filter_jit
+@kept
 def _row_means(problem: Problem, z):
     """Return rate and specific force along each axis, covariate → flattened outputs, as `readout` counts them."""
     path = signal_path(problem, values_of(problem, z))

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +24,7 @@ from imubayes.effects.base import MotionEffect
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import Linearised, linearise
 from imubayes.json_record import finite
+from imubayes.kept_programs import kept
 from imubayes.model.bind import Model, bind
 from imubayes.model.dry_run import dry_run
 from imubayes.model.effect_registry import EffectClass, Registry
@@ -268,7 +268,7 @@ def whitened(
     return _whitened(problem, linearise(problem, z), h)
 
 
-@eqx.filter_jit
+@kept
 def _whitened(problem: Problem, about: Linearised, h: Float[Array, " H"]):
     by = whitener(problem, h)
     residual = whiten(problem, by, pseudo_values(problem, h, about.misfit))

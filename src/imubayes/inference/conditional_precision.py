@@ -17,6 +17,7 @@ from imubayes.array_shapes import Array, Float, Int
 from imubayes.gather import take
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import Linearised, knowledge
+from imubayes.kept_programs import kept
 from imubayes.model.noise_covariance import group_sum, noise_distribution, whitener
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
@@ -107,7 +108,7 @@ def precision_blocks(problem: Problem, mode: Mode) -> PrecisionBlocks | ExactPre
     return _precision_blocks(problem, mode, jnp.asarray(shared), jnp.asarray(class_of), jnp.asarray(member))
 
 
-@eqx.filter_jit
+@kept
 def mean_variances(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"]:
     """Return the variance of the mean of each run and channel, shared variance included; ∞ where all is masked."""
     information = group_sum(whitener(problem, h).direction ** 2, problem.observations)
@@ -143,7 +144,7 @@ def _parts(problem: Problem, about: Linearised, shared, h: Float[Array, " H"]) -
     return Parts(precision, jacobian.T @ misfit - mean.T @ (taken * mean_misfit), mean, mean_misfit)
 
 
-@eqx.filter_jit
+@kept
 def _precision_blocks(problem: Problem, mode: Mode, shared, class_of, member) -> PrecisionBlocks:
     def within(h):
         parts = _parts(problem, mode.about, shared, h)

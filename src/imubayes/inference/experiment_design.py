@@ -8,18 +8,20 @@ Jacobian serves all.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float
 from imubayes.effects.base import Effect, Stage
 from imubayes.inference.candidate_runs import CandidateRun, RunDesign, candidate_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.identifiability import WeakDirection
 from imubayes.inference.next_run import NextRun
 from imubayes.inference.posterior_precision import deviations, linearise, precision_of
+from imubayes.kept_programs import kept
 from imubayes.model.bind import Model, bind
 from imubayes.model.derived_quantities import derived_jacobian
+from imubayes.model.problem import Problem
 
 # A further run is proposed for quantities with less than this share from the data.
 _WANTED_SHARE = 0.5
@@ -146,4 +148,6 @@ def _gradients(fit: Fit, quantities: Sequence[str]) -> np.ndarray:
     return np.array(rows)
 
 
-_slopes = eqx.filter_jit(lambda problem, z: problem.priors.slopes(z))
+@kept
+def _slopes(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " P"]:
+    return problem.priors.slopes(z)

@@ -7,13 +7,13 @@ has the posterior as its stationary distribution; the quality decides the accept
 import math
 from typing import TYPE_CHECKING, Any
 
-import equinox as eqx
 import jax
 import lazy_loader
 import numpy as np
 
 from imubayes.array_shapes import Array, Float
 from imubayes.inference.nested_laplace import NestedLaplace, to_normal, to_point
+from imubayes.kept_programs import kept
 from imubayes.model.likelihood import log_density
 from imubayes.model.problem import Problem
 
@@ -22,19 +22,22 @@ if TYPE_CHECKING:
 else:
     emcee = lazy_loader.load("emcee")  # takes long to import, and only sampling needs it
 
-_to_point = eqx.filter_jit(
-    lambda approximation, problem, normal: jax.vmap(lambda vector: to_point(approximation, problem, vector))(normal)
-)
-_to_normal = eqx.filter_jit(
-    lambda approximation, problem, points: jax.vmap(lambda point: to_normal(approximation, problem, point))(points)
-)
+
+@kept
+def _to_point(approximation: NestedLaplace, problem: Problem, normal: Float[Array, "n PH"]):
+    return jax.vmap(lambda vector: to_point(approximation, problem, vector))(normal)
+
+
+@kept
+def _to_normal(approximation: NestedLaplace, problem: Problem, points: Float[Array, "n PH"]):
+    return jax.vmap(lambda point: to_normal(approximation, problem, point))(points)
 
 
 # Points per vectorised block: larger blocks exceed the cache of a core.
 _MOST_IN_BLOCK = 16
 
 
-@eqx.filter_jit
+@kept
 def _log_density(problem: Problem, points: Float[Array, "n PH"], block: int) -> Float[Array, " n"]:
     size = problem.size[0]
     return jax.lax.map(lambda point: log_density(problem, point[:size], point[size:]), points, batch_size=block)

@@ -27,6 +27,7 @@ from imubayes.inference.posterior_precision import knowledge, log_marginal
 from imubayes.inference.tabulated_density import TabulatedDensity, from_normal, log_density, tabulate
 from imubayes.inference.tabulated_density import to_normal as to_standard
 from imubayes.inference.tabulated_directions import TabulatedDirections, tabulated_directions
+from imubayes.kept_programs import kept
 from imubayes.model.noise_covariance import inverse_covariance, whitener
 from imubayes.model.problem import Problem, predict_many, prior_widths
 
@@ -86,7 +87,7 @@ class NestedLaplace(eqx.Module):
         return found
 
 
-@eqx.filter_jit
+@kept
 def posterior_precision(problem: Problem, mode: Mode) -> Float[Array, "P P"]:
     """Return the Gauss–Newton precision of θ at the mode, in z."""
     known = knowledge(problem, mode.about, mode.h)
@@ -122,7 +123,7 @@ def bends(
     return jnp.asarray(result)
 
 
-@eqx.filter_jit
+@kept
 def _pulled(problem: Problem, mode: Mode, changes: Float[Array, "n E"]) -> Float[Array, "n P"]:
     """Return JᵀΣ⁻¹ · change for each change of the prediction."""
     by = whitener(problem, mode.h)
@@ -157,7 +158,7 @@ def curved_directions(problem: Problem, mode: Mode) -> tuple[Float[Array, "P K"]
     return weak, bends(problem, mode, weak, reach, inverse) if count else jnp.zeros((0, 0, size))
 
 
-@eqx.filter_jit
+@kept
 def _log_marginals(problem: Problem, mode: Mode, h: Float[Array, "n H"]) -> Float[Array, " n"]:
     return jax.lax.map(lambda point: log_marginal(problem, mode.about, point), h)
 

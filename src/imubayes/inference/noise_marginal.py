@@ -12,6 +12,7 @@ import numpy as np
 
 from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.inference.posterior_precision import Linearised, log_marginal
+from imubayes.kept_programs import kept
 from imubayes.model.problem import Problem
 
 _MOST_STEPS = 60
@@ -42,7 +43,7 @@ class Curvature(eqx.Module):
     information: Float[Array, "H H"]
 
 
-@eqx.filter_jit
+@kept
 def slope(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Slope:
     """Return value and gradient of the Laplace marginal of h."""
     return Slope(*jax.value_and_grad(log_marginal, argnums=2)(problem, about, h))
@@ -59,7 +60,7 @@ def curvature(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Cur
     return Curvature(here.value, here.gradient, jnp.asarray(0.5 * (information + information.T)))
 
 
-@eqx.filter_jit
+@kept
 def _gradients(problem: Problem, about: Linearised, points: Float[Array, "N H"]) -> Float[Array, "N H"]:
     """Return the gradient of the Laplace marginal at several h, one after another in one call of compiled code."""
     return jax.lax.map(lambda h: jax.grad(log_marginal, argnums=2)(problem, about, h), points)

@@ -7,7 +7,6 @@ model leaves outputs unexplained that are no noise and no small error.
 
 import math
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -15,6 +14,7 @@ from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Channel
 from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
 from imubayes.json_record import finite
+from imubayes.kept_programs import kept
 from imubayes.model.bind import Model
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.parameters.vector import Parameter, Priors
@@ -54,7 +54,7 @@ def implausible_estimates(model: Model, z: np.ndarray, h: np.ndarray) -> tuple[I
     return tuple(sorted((each for each in judged if each is not None), key=lambda each: -each.distance))
 
 
-@eqx.filter_jit
+@kept
 def _in_si(priors: Priors, z: Float[Array, " n"]) -> Float[Array, " n"]:
     return priors.values(z)
 

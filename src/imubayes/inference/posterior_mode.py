@@ -16,6 +16,7 @@ from imubayes.array_shapes import Array, Bool, Float, Int, Scalar
 from imubayes.inference.least_squares import GramCholesky, LeastSquares, minimise
 from imubayes.inference.noise_marginal import Curvature, climb
 from imubayes.inference.posterior_precision import Linearised, knowledge, linearise
+from imubayes.kept_programs import kept
 from imubayes.model.likelihood import log_normaliser, residuals_of
 from imubayes.model.noise_covariance import whiten
 from imubayes.model.problem import Problem, predict_many, prior_widths
@@ -86,7 +87,7 @@ def fit_parameters(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"
     return minimise(undamped, z, tolerance=_TOLERANCE, most_steps=_STEPS, linear_solver=GramCholesky(), has_aux=True)
 
 
-_fit_parameters = eqx.filter_jit(lambda problem, z, h: fit_parameters(problem, z, h))
+_fit_parameters = kept(fit_parameters)
 
 
 class Newton(eqx.Module):
@@ -109,10 +110,10 @@ def gauss_newton(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> 
     return Newton(step, jnp.sqrt(jnp.maximum(gradient @ step, 0.0)))
 
 
-_gauss_newton = eqx.filter_jit(gauss_newton)
+_gauss_newton = kept(gauss_newton)
 
 
-@eqx.filter_jit
+@kept
 def _heights(problem: Problem, predicted: Float[Array, "n E"], z: Float[Array, "n P"], h: Float[Array, " H"]):
     def height(predicted, z):
         misfit = problem.observations.value - predicted

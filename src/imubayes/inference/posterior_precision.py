@@ -11,6 +11,7 @@ import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 
 from imubayes.array_shapes import Array, Float, Scalar
+from imubayes.kept_programs import kept
 from imubayes.model.likelihood import log_normaliser, whitened
 from imubayes.model.noise_covariance import group_sum, whiten, whitener
 from imubayes.model.problem import Problem, predict_with_jacobian, prior_widths
@@ -34,7 +35,7 @@ class Knowledge(eqx.Module):
 
 
 # Compiled once for all who ask; what calls it from a compiled function takes it in.
-@eqx.filter_jit
+@kept
 def linearise(problem: Problem, z: Float[Array, " P"]) -> Linearised:
     """Return the model linearised about z."""
     predicted, jacobian = predict_with_jacobian(problem, z)
@@ -65,7 +66,9 @@ def knowledge(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Kno
     return Knowledge(precision, gradient, square)
 
 
-_precision = eqx.filter_jit(lambda problem, about, h: knowledge(problem, about, h).precision)
+@kept
+def _precision(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Float[Array, "P P"]:
+    return knowledge(problem, about, h).precision
 
 
 def precision_of(problem: Problem, about: Linearised, h: Float[Array, " H"], chosen: np.ndarray) -> np.ndarray:
@@ -74,7 +77,7 @@ def precision_of(problem: Problem, about: Linearised, h: Float[Array, " H"], cho
     return np.asarray(_precision(eqx.tree_at(lambda p: p.observations.weight, problem, weight), about, h))
 
 
-@eqx.filter_jit
+@kept
 def whitened_jacobian(problem: Problem, about: Linearised, h: Float[Array, " H"]) -> Float[Array, "E P"]:
     """Return Σ(h)^(−½) J: the products of its columns are the precision of θ in z, without the prior."""
     return whiten(problem, whitener(problem, h), about.jacobian)

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lazy_loader
@@ -15,6 +14,7 @@ from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.fitted_model import Fit, Posterior, evenly_spaced
 from imubayes.inference.posterior_variables import SAMPLE, Labels, Variable, variables_of
 from imubayes.inference.run_fit import data_hash, model_hash
+from imubayes.kept_programs import kept
 from imubayes.model.bind import Model
 from imubayes.model.likelihood import entry_log_likelihood
 from imubayes.model.noise_covariance import noise_distribution
@@ -34,7 +34,7 @@ _PRIOR_KEPT, _BATCH = 200, 20
 _INDEPENDENT_CHAINS = 4
 
 
-@eqx.filter_jit
+@kept
 def _likelihoods(problem: Problem, draws: Float[Array, "n EH"]) -> Float[Array, "n 3 E"]:
     """Return noise scale, tail and log likelihood of every entry, for draws of predictions and noise scales in z."""
     count = len(problem.observations.value)
@@ -50,7 +50,7 @@ def _likelihoods(problem: Problem, draws: Float[Array, "n EH"]) -> Float[Array, 
     return jax.vmap(of_draw)(draws)
 
 
-@eqx.filter_jit
+@kept
 def _values(problem: Problem, points: Float[Array, "n PH"]) -> Float[Array, "n PH"]:
     size = problem.size[0]
     return jax.vmap(

@@ -18,6 +18,7 @@ from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.inference.posterior_mode import Mode, heights
 from imubayes.inference.posterior_precision import Linearised, knowledge, linearise
 from imubayes.inference.tabulated_density import TabulatedDensity, from_normal, log_density, tabulate, to_normal
+from imubayes.kept_programs import kept
 from imubayes.model.problem import Problem, prior_widths
 
 # Where the marginal is evaluated, in standard deviations of the normal approximation, outwards from the mode.
@@ -144,7 +145,7 @@ def _marginal(problem: Problem, mode: Mode, direction: Float[Array, " P"], reach
     return np.array([*reversed(sides[0]), 0.0, *sides[1]])
 
 
-@eqx.filter_jit
+@kept
 def _across(
     problem: Problem, about: Linearised, h: Float[Array, " H"], direction: Float[Array, " P"]
 ) -> tuple[Float[Array, " P"], Scalar]:

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from imubayes.array_shapes import Array, Bool, Float, Int
+from imubayes.kept_programs import kept
 from imubayes.model.sensitive_axes import SensitivityInputs, outputs_in_body
 
 _ITERATIONS = 6
@@ -33,7 +34,7 @@ class RowSolution(eqx.Module):
     gain: Float[Array, "R n C"]
 
 
-@eqx.filter_jit
+@kept
 def solve_rows(
     inputs: SensitivityInputs,
     values: Float[Array, " V"],

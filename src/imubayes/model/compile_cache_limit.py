@@ -9,13 +9,15 @@ from pathlib import Path
 
 import jax
 
+from imubayes.kept_programs import forget_programs
+
 _MOST, _HELD = Path("/proc/sys/vm/max_map_count"), Path("/proc/self/maps")
 # One fit with its diagnosis holds 1 to 2 % of the maps.
 _FULL = 0.5
 
 
 def clear_if_crowded() -> bool:
-    """Clear JAX's caches where half of the memory maps are in use; return whether they were cleared."""
+    """Clear the caches of compiled functions where half of the memory maps are in use; return whether it was done."""
     try:
         most = int(_MOST.read_text())
         with _HELD.open("rb") as file:
@@ -24,5 +26,6 @@ def clear_if_crowded() -> bool:
         return False  # not Linux: no such limit
     if held < _FULL * most:
         return False
+    forget_programs()
     jax.clear_caches()
     return True

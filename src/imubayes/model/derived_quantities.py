@@ -13,6 +13,7 @@ from imubayes.array_shapes import Array, Float, Int
 from imubayes.campaign_data import Channel
 from imubayes.effects.base import Effect, Order, RecordEffect, Stage
 from imubayes.gather import in_batches, on_device
+from imubayes.kept_programs import kept
 from imubayes.model.assembly import Assembly
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import RUN_AXES
@@ -85,7 +86,7 @@ class DerivedFunction(eqx.Module):
 
 
 # One compiled function for draws, derivatives and directions, which share nearly all of it.
-@eqx.filter_jit
+@kept
 def _derive_batch(
     derivation: DerivedFunction, problem: Problem, points: Float[Array, "n P"]
 ) -> tuple[Float[Array, "n D"], Float[Array, "n A 3"]]:

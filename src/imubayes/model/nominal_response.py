@@ -25,6 +25,7 @@ from imubayes.campaign_data import Campaign
 from imubayes.covariates import ambient_names
 from imubayes.earth import earth_rate
 from imubayes.effects.base import Effect, MotionEffect, PlaceEffect, RecordEffect, SignalEffect, Stage
+from imubayes.kept_programs import kept
 from imubayes.model.effect_registry import EffectClass
 from imubayes.model.nodes_and_entries import (
     Entries,
@@ -164,7 +165,7 @@ def _block(campaign: Campaign, nodes: NodeTable, node: np.ndarray, channel: np.n
     )
 
 
-@eqx.filter_jit
+@kept
 def _felt(place: Place, motion: Motion, ambient: Ambient) -> Felt:
     experience = jax.vmap(on_body)(motion)
     sample = _samples(place, experience, ambient)
@@ -306,16 +307,18 @@ def _moves(acting: MotionEffect, at: NominalSamples) -> np.ndarray:
     return changed
 
 
-@eqx.filter_jit
+@kept
 def _moved(acting: MotionEffect, before: Motion, ambient: Ambient) -> Motion:
     return jax.vmap(acting.apply)(before, ambient)
 
 
 # One program for all effects.
-_on_bodies = jax.jit(jax.vmap(on_body))
+@kept
+def _on_bodies(motion: Motion) -> Experience:
+    return jax.vmap(on_body)(motion)
 
 
-@eqx.filter_jit
+@kept
 def _alters(acting: Effect, place: Place, felt: Felt, ambient: Ambient) -> Array:
     """Return where an effect changes the signal, (P,) bool."""
     before, size, least = felt.signal, felt.size, jnp.asarray(_LEAST_INPUT)

@@ -13,6 +13,7 @@ import numpy as np
 
 from imubayes.array_shapes import Array, Bool, Float, Int, Scalar
 from imubayes.gather import in_batches, take
+from imubayes.kept_programs import kept
 from imubayes.model.attitude_closure import Transitions, closing_rotations
 from imubayes.model.hyper_prior import HyperCorrelation
 from imubayes.model.row_times import Timeline
@@ -182,7 +183,7 @@ def predict_from(problem: Problem, values: Float[Array, " V"]) -> Float[Array, "
     return jnp.concatenate([predicted, closing.reshape(-1)])
 
 
-@jax.jit
+@kept
 def _predict_batch(problem: Problem, points: Float[Array, "n P"]) -> Float[Array, "n E"]:
     return jax.vmap(lambda z: predict(problem, z))(points)
 

@@ -10,7 +10,6 @@ widths, and the second-order part ½ wᵀBw, B from the bend and from the curvat
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +22,7 @@ from imubayes.inference.noise_marginal import Curvature
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import Linearised
 from imubayes.inference.tabulated_directions import TabulatedDirections
+from imubayes.kept_programs import kept
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.qualification.better_priors import BetterPriors, LinearGivenScales
@@ -125,7 +125,7 @@ class Conditionals:
     widths: np.ndarray
 
 
-@eqx.filter_jit
+@kept
 def _conditionals(blocks: PrecisionBlocks | ExactPrecision, problem: Problem, h: Float[Array, "n H"]):
     return jax.lax.map(lambda scales: (*conditional(blocks, problem, scales), prior_widths(problem, scales)), h)
 
@@ -216,7 +216,7 @@ def derivatives_of(fit: Fit, part: LinearPart, names: Sequence[str]) -> Quantity
     return QuantityDerivatives(np.stack([known[name] for name in names]), np.stack([own[name] for name in names]))
 
 
-@eqx.filter_jit
+@kept
 def _prior_derivatives(problem: Problem, z: Float[Array, " P"]):
     """Return first and second derivative of every parameter, in SI, by its own z."""
     return jax.jvp(problem.priors.slopes, (z,), (jnp.ones_like(z),))

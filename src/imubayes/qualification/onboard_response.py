@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from imubayes.array_shapes import Array, Float
 from imubayes.covariates import REFERENCE_TEMPERATURE
+from imubayes.kept_programs import kept
 from imubayes.model.sensitive_axes import SensitivityInputs, outputs_in_body
 from imubayes.qualification.sensor_posterior import SensorPosterior
 
@@ -66,7 +66,7 @@ class LinearResponse:
     by_force: np.ndarray
 
 
-@eqx.filter_jit
+@kept
 def _about_zero(
     inputs: SensitivityInputs, values: Float[Array, "S V"], temperatures: Float[Array, "K 2"]
 ) -> dict[str, tuple[Array, Array]]:

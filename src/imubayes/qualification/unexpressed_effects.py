@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from imubayes.campaign_data import Campaign
 from imubayes.covariates import REFERENCE_TEMPERATURE
 from imubayes.effects.base import Effect, Order, RecordEffect, SignalEffect
 from imubayes.effects.shared_formulas import RunBias
+from imubayes.kept_programs import kept
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.derived_quantities import is_lasting
 from imubayes.model.problem import predict_from, values_of
@@ -92,7 +92,7 @@ def probe_temperatures(count: int, ranges: dict[str, tuple[float, float]]) -> np
     return limits[:, 0] + shares * (limits[:, 1] - limits[:, 0])
 
 
-@eqx.filter_jit
+@kept
 def _outputs(
     inputs: SensitivityInputs, values: Float[Array, "S V"], stimuli: Float[Array, "n 6"], at: Float[Array, "n 2"]
 ) -> dict[str, Array]:

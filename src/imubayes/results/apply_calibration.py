@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +19,7 @@ from imubayes.campaign_data import Campaign, Channel
 from imubayes.covariates import COVARIATES, REFERENCE_TEMPERATURE
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.inference.fitted_model import Fit
+from imubayes.kept_programs import kept
 from imubayes.model.bind import Model
 from imubayes.model.inverse_response import Conditions, inputs_of
 from imubayes.model.problem import Problem, values_of
@@ -185,7 +185,7 @@ def _draws(result: Result) -> np.ndarray:
     return np.stack([layout.z_of(row) for row in values])
 
 
-@eqx.filter_jit
+@kept
 def _invert(
     inputs: SensitivityInputs, problem: Problem, points: Float[Array, "S P"], outputs, temperatures: Float[Array, "R 2"]
 ):

@@ -2,7 +2,6 @@
 
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +10,7 @@ import polars as pl
 from imubayes.covariates import shown
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
+from imubayes.kept_programs import kept
 from imubayes.model.noise_covariance import Whitener, group_sum, whiten, whitener
 from imubayes.model.problem import Problem
 from imubayes.model.robust_likelihood import pseudo_values
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     pass
 
 
-@eqx.filter_jit
+@kept
 def _at_mode(problem: Problem, mode):
     """Return prediction, its standard deviation, the noise's and the whitened residual, each (E,)."""
     by = whitener(problem, mode.h)

@@ -13,13 +13,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Campaign
 from imubayes.errors import InputError, Issue, closest_first
+from imubayes.kept_programs import kept
 from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import derived_quantities
 from imubayes.model.noise_covariance import NoiseDistribution, Series, noise_distribution, whitener
@@ -98,17 +98,17 @@ def random_stream(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng(int.from_bytes(digest[:16], "little"))
 
 
-@eqx.filter_jit
+@kept
 def _expected(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
     return predict(problem, z), noise_distribution(problem, h), whitener(problem, h).series
 
 
-@eqx.filter_jit
+@kept
 def _in_si(problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]):
     return problem.priors.values(z), problem.hyper_priors.values(h)
 
 
-@eqx.filter_jit
+@kept
 def _derived(derivation, problem: Problem, z: Float[Array, " P"]):
     return derivation(values_of(problem, z))
 

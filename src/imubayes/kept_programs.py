@@ -1,0 +1,224 @@
+"""Compiled programs kept between processes, so that a repeated command neither traces nor lowers them again.
+
+JAX keeps compiled code by a digest of the lowered program, so every process traces and lowers anew what it has compiled
+before, which takes several times as long as running it.  `kept` finds the executable by what the program is made of
+(`program_identity`), before anything is traced.  Whatever has no identity, and every call from within another trace,
+takes the ordinary way of `equinox.filter_jit`.
+
+A kept program cannot be differentiated or batched: only outermost functions are kept.
+"""
+
+import functools
+import hashlib
+import itertools
+import os
+import pickle
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import equinox as eqx
+import jax
+from jax._src import config, core
+from jax.experimental.compilation_cache.compilation_cache import reset_cache
+from jax.experimental.serialize_executable import deserialize_and_load, serialize
+from jaxlib.lapack import prepare_lapack_call
+
+from imubayes.atomic_files import replacing
+from imubayes.program_identity import NoIdentityError, Slot, identity, sources_unchanged
+
+SWITCH = "IMUBAYES_KEEP_PROGRAMS"
+"""Environment variable; at 0 every process traces its programs anew."""
+MOST_BYTES = 300_000_000
+"""Size of the folder above which the programs used longest ago are removed: some thousand, of one fit some hundred."""
+_DIGEST_BYTES = 32
+
+
+@dataclass(frozen=True)
+class _Program:
+    """An executable of flat arrays, and what surrounds its results.
+
+    Attributes
+    ----------
+    skeleton : the returned tree with a `Slot` for each array.
+    file : where it was read from; None if it was compiled by this process.
+    """
+
+    executable: jax.stages.Compiled
+    skeleton: Any
+    file: Path | None = None
+
+    @functools.cached_property
+    def _returned(self) -> tuple[list[Any], Any]:
+        return jax.tree.flatten(self.skeleton, is_leaf=lambda leaf: isinstance(leaf, Slot))
+
+    def __call__(self, arrays: list[Any]) -> Any:
+        results = self.executable(*arrays)
+        leaves, tree = self._returned
+        return tree.unflatten([results[leaf.number] if isinstance(leaf, Slot) else leaf for leaf in leaves])
+
+
+class _Folder:
+    """Where programs are kept: none until `keep_programs` names one."""
+
+    place: Path | None = None
+
+
+_programs: dict[Any, _Program | None] = {}
+
+
+def keep_programs(folder: Path | None) -> None:
+    """Keep programs in a folder that belongs to the user alone, unless the environment says otherwise."""
+    _Folder.place = None if os.environ.get(SWITCH) == "0" else folder
+
+
+def forget_programs() -> None:
+    """Release the programs that this process has loaded."""
+    _programs.clear()
+
+
+def kept[**P, R](function: Callable[P, R]) -> Callable[P, R]:
+    """Return a function compiled as by `equinox.filter_jit`, whose programs outlast the process.
+
+    Parameters
+    ----------
+    function : of a module, not a closure; what it returns depends on its arguments and the package's sources alone.
+    """
+    ordinary = eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        if _Folder.place is None or not core.trace_state_clean() or jax.config.jax_disable_jit:
+            return ordinary(*args, **kwargs)
+        leaves, tree = jax.tree.flatten((args, kwargs))
+        arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
+        key = (function, tree, tuple(map(_kind, leaves)), config.trace_context())
+        if key not in _programs:
+            _programs[key] = _found_or_made(call, leaves, tree)
+        program = _programs[key]
+        if program is None:
+            return ordinary(*args, **kwargs)
+        try:
+            return cast(R, program(arrays))
+        except jax.errors.JaxRuntimeError:
+            if program.file is None:
+                raise
+            program.file.unlink(missing_ok=True)  # code that this processor or jaxlib does not run after all
+            del _programs[key]
+            return call(*args, **kwargs)
+
+    return call
+
+
+def _kind(leaf: Any) -> Any:
+    """Return what a program depends on: of an array shape and type, of anything else all of it."""
+    if eqx.is_array(leaf):
+        return leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)
+    return type(leaf), leaf
+
+
+def _slotted(leaves: list[Any], tree: Any) -> Any:
+    """Return a tree with a `Slot` for each array."""
+    number = itertools.count()
+    return tree.unflatten([Slot.of(next(number), leaf) if eqx.is_array(leaf) else leaf for leaf in leaves])
+
+
+def _found_or_made(function: Callable, leaves: list[Any], tree: Any) -> _Program | None:
+    """Return the program of a function, from the folder or compiled now; None where it cannot be kept."""
+    assert _Folder.place is not None
+    arguments, arrays = _slotted(leaves, tree), [leaf for leaf in leaves if eqx.is_array(leaf)]
+    try:
+        file = _Folder.place / identity(function, arguments)
+    except NoIdentityError:
+        return None
+    program = _read(file, len(arrays))
+    if program is None:
+        program = _compiled(function, arguments, arrays)
+        if program is not None:
+            _write(file, program)
+    return program
+
+
+def _compiled(function: Callable, arguments: Any, arrays: list[Any]) -> _Program | None:
+    """Return a function compiled for arguments with `Slot`s in the place of arrays; None where it calls back."""
+    returned: list[Any] = []
+
+    def flat(*arrays):
+        filled = jax.tree.map(lambda leaf: arrays[leaf.number] if _is_slot(leaf) else leaf, arguments, is_leaf=_is_slot)
+        leaves, tree = jax.tree.flatten(cast(Any, function).__wrapped__(*filled[0], **filled[1]))
+        returned.append(_slotted(leaves, tree))
+        return tuple(leaf for leaf in leaves if eqx.is_array(leaf))
+
+    flat.__name__ = flat.__qualname__ = function.__name__
+    executable = _without_cache(jax.jit(flat).lower(*arrays))
+    made = cast(Any, executable)._executable.unsafe_call
+    if made.has_host_callbacks or made.ordered_effects or made.has_unordered_effects:
+        return None
+    return _Program(executable, returned[-1])
+
+
+def _without_cache(lowered: jax.stages.Lowered) -> jax.stages.Compiled:
+    """Compile, and do not take the code from JAX's cache: jaxlib cannot serialise what it has loaded from there."""
+    with config.enable_compilation_cache(False):
+        reset_cache()  # JAX asks once whether it has a cache
+        try:
+            return lowered.compile()
+        finally:
+            reset_cache()
+
+
+def _is_slot(leaf: Any) -> bool:
+    return isinstance(leaf, Slot)
+
+
+def _read(file: Path, count: int) -> _Program | None:
+    """Return a kept program of `count` arrays; None where there is none, or its file is damaged."""
+    try:
+        content = file.read_bytes()
+        os.utime(file)
+    except OSError:
+        return None
+    digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+    if hashlib.sha256(content).digest() != digest:
+        return None
+    serialised, skeleton = pickle.loads(content)
+    results = sum(map(_is_slot, jax.tree.leaves(skeleton, is_leaf=_is_slot)))
+    taken, given = jax.tree.structure(((0,) * count, {})), jax.tree.structure((0,) * results)
+    _connect_lapack()
+    return _Program(deserialize_and_load(serialised, taken, given), skeleton, file)
+
+
+@functools.cache
+def _connect_lapack() -> None:
+    """Hand the compiled code the routines of LAPACK, which lowering does otherwise."""
+    prepare_lapack_call("potrf_ffi", "float64")
+
+
+def _write(file: Path, program: _Program) -> None:
+    """Keep a program, where jaxlib can and the sources are still those that it was made of."""
+    try:
+        content = pickle.dumps((serialize(program.executable)[0], program.skeleton))
+    except (ValueError, TypeError, NotImplementedError, pickle.PicklingError, jax.errors.JaxRuntimeError):
+        return  # compiled by each process
+    if not sources_unchanged():
+        return
+    with suppress(OSError):
+        _make_room(file.parent)
+        with replacing(file) as scratch:
+            scratch.write_bytes(hashlib.sha256(content).digest() + content)
+
+
+def _make_room(folder: Path) -> None:
+    """Remove the programs used longest ago where all together exceed `MOST_BYTES`, until they take half of that."""
+    with os.scandir(folder) as entries:
+        known = [(entry.stat(), entry.path) for entry in entries]
+    found = sorted(((stat.st_mtime, stat.st_size, path) for stat, path in known), reverse=True)
+    if sum(size for _, size, _ in found) <= MOST_BYTES:
+        return
+    kept_bytes = 0
+    for _, size, path in found:
+        kept_bytes += size
+        if kept_bytes > MOST_BYTES / 2:
+            Path(path).unlink(missing_ok=True)
