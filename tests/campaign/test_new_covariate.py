@@ -9,7 +9,7 @@ from imubayes.covariates import COVARIATES, Covariate
 from imubayes.criticism.residual_covariates import covariates
 from imubayes.criticism.term_library import library
 from imubayes.display.figures.panels import abscissa
-from imubayes.display.labels import covariates_of, numbers
+from imubayes.display.residual_columns import covariates_of, numbers
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind

@@ -29,7 +29,8 @@ from imubayes.display.figures import (
 )
 from imubayes.display.figures.measurement import driver
 from imubayes.display.figures.panels import neighbour_means, set_abscissa
-from imubayes.display.labels import covariate, covariates_of
+from imubayes.display.labels import covariate
+from imubayes.display.residual_columns import covariates_of
 from imubayes.display.theme import FewTicks, Picture
 from imubayes.qualification.temperature_range import ThermalModel
 from imubayes.results.summary import Summary

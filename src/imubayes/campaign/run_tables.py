@@ -167,12 +167,15 @@ def _refuse_wrong_types(file: Path, schema: pa.Schema, layout: ColumnLayout) -> 
         raise InputError(issues)
 
 
+# Arrow's own conversions of Python numbers, and to NumPy, import pandas where that is installed.
+_NAN = pa.Array.from_buffers(pa.float64(), 1, [None, pa.py_buffer(np.array([math.nan]))])[0]
+
+
 def _to_batch(records: pa.RecordBatch, layout: ColumnLayout, first: int) -> RowBatch:
     numbers, not_finite = {}, {}
     for name in layout.numbers:
         column = records.column(name)
-        # Arrow's own conversion to NumPy imports pandas where that is installed.
-        values = np.array(np.from_dlpack(column.cast(pa.float64()).fill_null(math.nan)))
+        values = np.array(np.from_dlpack(column.cast(pa.float64()).fill_null(_NAN)))
         numbers[name] = values
         bad = ~np.isfinite(values)
         if column.null_count:

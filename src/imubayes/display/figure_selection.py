@@ -22,7 +22,7 @@ from imubayes.display.figures import (
 from imubayes.display.figures.panels import neighbour_means
 from imubayes.display.figures.prior_posterior import mounting_quantities
 from imubayes.display.goodness_of_fit import worst_first
-from imubayes.display.labels import covariates_of, numbers, ordered, varies
+from imubayes.display.residual_columns import covariates_of, numbers, ordered, varies
 from imubayes.display.theme import MOST_PANELS, Picture
 from imubayes.qualification.temperature_range import ThermalModel
 from imubayes.results.summary import Quantity, Summary

@@ -21,9 +21,9 @@ from imubayes.display.combination_tables import combination_sheet, weak_sheet
 from imubayes.display.comparison_page import FIRST, comparison_page
 from imubayes.display.figure_selection import corner_choice, most_telling_first, plan, runs_shown
 from imubayes.display.fit_quality_tables import fit_sheet, run_sheet
-from imubayes.display.labels import ordered
 from imubayes.display.notebook_progress import progress_of
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
+from imubayes.display.residual_columns import ordered
 from imubayes.display.summary_html import summary_html
 from imubayes.display.table_layout import SheetTable, terminal
 from imubayes.display.theme import Picture

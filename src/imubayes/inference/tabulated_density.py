@@ -10,8 +10,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy  # loads its parts when they are first used
 from jax.scipy.special import ndtr, ndtri
-from scipy.interpolate import CubicSpline
 
 from imubayes.array_shapes import Array, Float
 
@@ -64,7 +64,7 @@ def tabulate(knots: np.ndarray, log_density: np.ndarray, scale: np.ndarray) -> T
     place = np.arange(knots.shape[-1])
     shape = (len(knots), len(fine))
     at = np.array([np.interp(fine, place, row) for row in knots]).reshape(shape)
-    splines = [CubicSpline(row, height) for row, height in zip(knots, log_density, strict=True)]
+    splines = [scipy.interpolate.CubicSpline(row, height) for row, height in zip(knots, log_density, strict=True)]
     values = np.array([spline(row) for spline, row in zip(splines, at, strict=True)]).reshape(shape)
     step, change = np.diff(at), np.diff(values)
     tails = np.stack([change[:, 0] / step[:, 0], -change[:, -1] / step[:, -1]], axis=-1)

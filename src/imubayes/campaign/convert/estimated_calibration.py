@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.free_tumble.calibrated_recording import angle_between
 from imubayes.campaign.free_tumble.static_detection import Rest, find_rests, initial_rest, variance_ratio
@@ -119,7 +119,11 @@ def _increments(rate: np.ndarray, time: np.ndarray, pairs: list[tuple[int, int, 
 def _mismatch(inverse: np.ndarray, turns: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Return propagated less observed direction of gravity for every rotation, shape (3·turns,)."""
     propagated = before[:, :, None]
-    rotations = Rotation.from_rotvec(-(turns * inverse).reshape(-1, 3)).as_matrix().reshape(*turns.shape, 3)
+    rotations = (
+        scipy.spatial.transform.Rotation.from_rotvec(-(turns * inverse).reshape(-1, 3))
+        .as_matrix()
+        .reshape(*turns.shape, 3)
+    )
     for step in range(turns.shape[1]):
         propagated = rotations[:, step] @ propagated
     return (propagated[:, :, 0] - after).ravel()

@@ -9,7 +9,7 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy  # loads its parts when they are first used
 
 STEP_SECONDS = 0.1
 STEP_ANGLE = 0.15  # rad; faster motion gets shorter steps
@@ -47,18 +47,18 @@ def coning(time: np.ndarray, rate: np.ndarray, edges: np.ndarray) -> np.ndarray:
     duration = np.diff(time)[:, None]
     small = 0.5 * (rate[1:] + rate[:-1]) * duration + np.cross(rate[:-1], rate[1:]) * duration**2 / 12
     counts = np.diff(edges)
-    rotation = Rotation.identity(len(counts))
+    rotation = scipy.spatial.transform.Rotation.identity(len(counts))
     for offset in range(int(counts.max())):
         active = offset < counts
         index = np.minimum(edges[:-1] + offset, len(small) - 1)
-        rotation = rotation * Rotation.from_rotvec(np.where(active[:, None], small[index], 0.0))
+        rotation = rotation * scipy.spatial.transform.Rotation.from_rotvec(np.where(active[:, None], small[index], 0.0))
     _, mean = step_means(time, rate, edges)
     return rotation.as_rotvec() - mean * (time[edges[1:]] - time[edges[:-1]])[:, None]
 
 
 def rotation_over(mean_rate: np.ndarray, length: np.ndarray, correction: np.ndarray) -> np.ndarray:
     """Return the body rotation over all steps together, C_before⁻¹ C_after, shape (3, 3)."""
-    steps = Rotation.from_rotvec(mean_rate * length[:, None] + correction).as_matrix()
+    steps = scipy.spatial.transform.Rotation.from_rotvec(mean_rate * length[:, None] + correction).as_matrix()
     return functools.reduce(np.matmul, steps, np.eye(3))
 
 

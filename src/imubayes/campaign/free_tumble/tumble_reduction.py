@@ -6,7 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy  # loads its parts when they are first used
 
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.free_tumble.axis_signs import check_axes
@@ -189,7 +189,7 @@ def _tumble(recording: Recording, detection: Detection, flagged: np.ndarray) -> 
 
 def _levelling(force: np.ndarray) -> np.ndarray:
     """Return the smallest rotation that makes a force point up, shape (3, 3)."""
-    return Rotation.align_vectors(UP, force)[0].as_matrix()
+    return scipy.spatial.transform.Rotation.align_vectors(UP, force)[0].as_matrix()
 
 
 def _rows(

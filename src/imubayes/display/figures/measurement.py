@@ -10,7 +10,8 @@ from matplotlib.patches import Patch
 
 from imubayes.covariates import Covariate, shown
 from imubayes.display.figures.panels import abscissa, chosen_channels, limit_of, set_abscissa, set_symlog, thinned
-from imubayes.display.labels import covariate, numbers, ordered, pretty, readable, varies
+from imubayes.display.labels import covariate, pretty, readable
+from imubayes.display.residual_columns import numbers, ordered, varies
 from imubayes.display.theme import (
     BAND_WIDE,
     BLUE,

@@ -10,7 +10,8 @@ from matplotlib.axis import Axis
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter, SymmetricalLogLocator
 
 from imubayes.covariates import Covariate
-from imubayes.display.labels import ordered, pretty, readable
+from imubayes.display.labels import pretty, readable
+from imubayes.display.residual_columns import ordered
 from imubayes.display.theme import INK, MOST_PANELS
 
 # Ratio of the largest to the smallest rate beyond which a linear axis would crowd the small ones.

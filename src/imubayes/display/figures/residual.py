@@ -18,7 +18,8 @@ from imubayes.display.figures.panels import (
     thinned,
 )
 from imubayes.display.labels import covariate as covariate_of
-from imubayes.display.labels import numbers, pretty, readable, varies
+from imubayes.display.labels import pretty, readable
+from imubayes.display.residual_columns import numbers, varies
 from imubayes.display.rounding import significant
 from imubayes.display.run_signs import RunSigns, run_signs
 from imubayes.display.theme import (
