@@ -6,7 +6,7 @@ that the catalogue lacks would look alike: in positions of a gyro, magnetic sens
 factor error would be.  Linear in the components of a vector, across the input axis or all of them, is one function,
 and so is quadratic in them; curves of the input are others (`imubayes.criticism.rival_functions`).  A function with
 more terms than the effect has coefficients is no rival: it fits by its freedom.  Of an effect that remembers the
-temperature, the other kind of memory is such a cause.
+temperature, the other kind of memory is such a cause, and not the other functions of a rate of change at few levels.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.rival_functions import rival_scans
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.stepwise_search import Screening, SearchResult
-from imubayes.criticism.temperature_memory import other_memory
+from imubayes.criticism.temperature_memory import kind_of_memory, other_memory
 
 Causes = tuple[tuple[ResidualCovariate, ...], ...]
 """Covariates, one to three, of each function."""
@@ -53,7 +53,8 @@ def unlisted_causes(found: SearchResult, group: EquivalenceGroup) -> Causes:
                 same.append((scan, feature))
             else:
                 near.append(feature)
-    near.extend(_undetermined_forms(same))
+    if not kind_of_memory(at.projection.fitted.model.registry.effects[leader.effect]):
+        near.extend(_undetermined_forms(same))
     by_name = {tuple(covariate.name for covariate in feature.covariates): feature.covariates for feature in near}
     if (remembered := other_memory(found, group)) is not None:
         by_name[remembered.name,] = (remembered,)
