@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from null_data import fitted_to, redrawn
+from scipy.integrate import cumulative_trapezoid, solve_ivp
 
 from imubayes.criticism import stepwise_search, unlisted_causes
 from imubayes.criticism.candidate_effects import candidate_responses
@@ -13,6 +14,7 @@ from imubayes.criticism.diagnose import judge
 from imubayes.criticism.localised_structure import Feature, FeatureScan, FeatureSet
 from imubayes.criticism.projection import project
 from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.criticism.rival_functions import drifts_of_series
 from imubayes.criticism.score_test import project_responses
 
 ABSENT = ("converter_nonlinearity", "converter_gain_temperature_rate")
@@ -52,3 +54,22 @@ def test_a_form_is_determined_by_enough_levels(levels, told):
     scan = FeatureScan(whole, np.zeros((len(x), 0)), ())
     same = [(scan, form) for form in (line, cube) if unlisted_causes._is_one_of(scan, form, x[:, None])]
     assert (unlisted_causes._undetermined_forms(same) == []) == told
+
+
+def test_a_drift_is_carried_through_the_motion_of_the_table_that_it_drives():
+    """A tenth of the table's rate depends on its angle; a small drift with cos 3φ is added, and both are integrated."""
+    time = np.linspace(0.0, 24.0, 4801)
+
+    def angle(small: float) -> np.ndarray:
+        found = solve_ivp(
+            lambda _, phi: 0.2625 + 0.026 * np.cos(phi) - 0.01 * np.sin(2 * phi) + small * np.cos(3 * phi),
+            (0.0, 24.0), [0.3], t_eval=time, rtol=1e-12, atol=1e-13,
+        )  # fmt: skip
+        return found.y[0]
+
+    change = (angle(1e-6) - angle(-1e-6)) / 2e-6
+    told = drifts_of_series(angle(0.0), time)[:, 5]
+    assert np.abs(told - change).max() < 1e-4 * np.abs(change).max()
+    # Planted fault: the integral alone, as if the rate did not depend on the angle.
+    alone = cumulative_trapezoid(np.cos(3 * angle(0.0)), time, initial=0)
+    assert np.abs(alone - change).max() > 0.02 * np.abs(change).max()

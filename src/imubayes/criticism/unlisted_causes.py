@@ -4,9 +4,10 @@ A single name is certain only where the runs could have shown another cause.  Wh
 covariates explains the same, or explains more of the residual, and none of the effects named is that function, a cause
 that the catalogue lacks would look alike: in positions of a gyro, magnetic sensitivity past the model is what a scale
 factor error would be.  Linear in the components of a vector, across the input axis or all of them, is one function,
-and so is quadratic in them; curves of the input are others (`imubayes.criticism.rival_functions`).  A function with
-more terms than the effect has coefficients is no rival: it fits by its freedom.  Of an effect that remembers the
-temperature, the other kind of memory is such a cause, and not the other functions of a rate of change at few levels.
+and so is quadratic in them; curves of the input are others (`imubayes.criticism.rival_functions`).  An effect that is
+a free series of an angle is like any function of it: such a series is always a rival.  A function with more terms than
+the effect has coefficients is none, as it fits by its freedom.  Of an effect that remembers the temperature, the other
+kind of memory is such a cause, and not the other functions of a rate of change at few levels.
 """
 
 from collections.abc import Sequence
@@ -19,7 +20,7 @@ from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.localised_structure import Feature, FeatureScan
 from imubayes.criticism.projection import orthonormal
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.rival_functions import rival_scans
+from imubayes.criticism.rival_functions import SERIES, rival_scans
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.stepwise_search import Screening, SearchResult
 from imubayes.criticism.temperature_memory import kind_of_memory, other_memory
@@ -49,7 +50,7 @@ def unlisted_causes(found: SearchResult, group: EquivalenceGroup) -> Causes:
         for feature, (along, gain), freedom in scored:
             if len(feature.columns) > most or not _as_good(leader, along, gain, freedom):
                 continue
-            if _is_one_of(scan, feature, raw):
+            if feature.test != SERIES and _is_one_of(scan, feature, raw):
                 same.append((scan, feature))
             else:
                 near.append(feature)
