@@ -1,17 +1,21 @@
 """Lag and play of a recorded temperature, against their definitions."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from null_data import fitted_to, redrawn
 
-from imubayes.criticism import stepwise_search, unlisted_causes
+from imubayes.criticism import stepwise_search, temperature_memory, thresholds, unlisted_causes
 from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
+from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.projection import project
 from imubayes.criticism.score_test import project_responses
+from imubayes.criticism.stepwise_search import SearchResult
 from imubayes.criticism.temperature_memory import LAG, PLAY, RATE, Course, kind_of_memory
 from imubayes.effects import EFFECTS
 
@@ -43,6 +47,33 @@ def test_every_effect_with_a_memory_has_its_kind() -> None:
     ends = {"_lag": LAG, "_hysteresis": PLAY, "_temperature_rate": RATE}
     named = {name: next((kind for end, kind in ends.items() if name.endswith(end)), "") for name in kinds}
     assert kinds == named
+
+
+@pytest.mark.parametrize("rounds", [thresholds.MEMORY_ROUNDS, 0])
+def test_a_time_constant_between_those_of_the_list_is_reached(monkeypatch: pytest.MonkeyPatch, rounds: int) -> None:
+    """A lag that fits within 15 % of 3.2 min; planted fault: the list alone, which has 2 and 5."""
+    tried: list[float] = []
+
+    def off(*rest: Any) -> float:
+        return abs(np.log(rest[-1].scan.shape["tau"] / 3.2))
+
+    def scanned(_: Any, responses: Any) -> Any:
+        tried.extend(each.scan.shape["tau"] for each in responses)
+        return responses
+
+    monkeypatch.setattr(thresholds, "MEMORY_ROUNDS", rounds)
+    monkeypatch.setattr(temperature_memory, "_memory", lambda *_: np.zeros((1, 1)))
+    monkeypatch.setattr(temperature_memory, "project_responses", scanned)
+    monkeypatch.setattr(temperature_memory, "assess", lambda _, each, __: SimpleNamespace(scan=each.scan, dof=1))
+    monkeypatch.setattr(temperature_memory, "unexplained_chi2", lambda *rest: (off(*rest), 1.0))
+    monkeypatch.setattr(temperature_memory, "indistinguishable", lambda *rest: off(*rest) < 0.15)
+    found, group, shapes = Mock(spec=SearchResult), Mock(spec=EquivalenceGroup), list(thresholds.TIME_CONSTANTS_MIN)
+    found.first, group.leader = (
+        SimpleNamespace(projection=SimpleNamespace(fitted=None)),
+        SimpleNamespace(coefficients=()),
+    )
+    reached = temperature_memory._fits_as_well(found, group, {}, np.ones((1, 1)), LAG, shapes)
+    assert reached == (rounds > 0), tried
 
 
 @pytest.mark.slow

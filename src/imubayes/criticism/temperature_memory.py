@@ -13,7 +13,7 @@ import numpy as np
 from imubayes.covariates import COVARIATES
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Response, ShapeScan
-from imubayes.criticism.equivalent_effects import EquivalenceGroup, indistinguishable
+from imubayes.criticism.equivalent_effects import EquivalenceGroup, indistinguishable, unexplained_chi2
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import assess, project_responses
 from imubayes.criticism.stepwise_search import SearchResult
@@ -83,22 +83,44 @@ def other_memory(found: SearchResult, group: EquivalenceGroup) -> ResidualCovari
     acting = set(at.fitted.model.entries.run[np.any(columns, axis=1)].tolist())
     courses = {place: course for place, course in _courses(at.fitted, name).items() if place in acting}
     factor = _factor(found, group, courses, own)
-    responses = [
-        Response(scan, leader.coefficients, factor * _memory(at.fitted, courses, scan.effect, *scan.shape.values()))
-        for scan in _others(courses, known)
-    ]
-    rivals = [assess(at, each, np.arange(len(leader.coefficients))) for each in project_responses(at, responses)]
-    if any(rival.dof and indistinguishable(at, leader, rival) for rival in rivals):
-        return next(each for each in found.covariates if each.name == COVARIATES[name].column)
+    for kind, shapes in _others(courses, known).items():
+        if _fits_as_well(found, group, courses, factor, kind, shapes):
+            return next(each for each in found.covariates if each.name == COVARIATES[name].column)
     return None
 
 
-def _others(courses: dict[int, Course], known: set[str]) -> list[ShapeScan]:
-    """Return the kinds of memory but the known ones, each at several shapes."""
+def _others(courses: dict[int, Course], known: set[str]) -> dict[str, list[float]]:
+    """Return several shapes of each kind of memory but the known ones."""
     span = max((float(np.ptp(course.temperature)) for course in courses.values()), default=0.0)
     widths = [share * span for share in thresholds.PLAY_SHARES] if span > 0 else []
-    shapes = {LAG: thresholds.TIME_CONSTANTS_MIN, PLAY: widths}
-    return [ShapeScan(kind, {_SHAPES[kind]: shape}) for kind in shapes if kind not in known for shape in shapes[kind]]
+    shapes = {LAG: list(thresholds.TIME_CONSTANTS_MIN), PLAY: widths}
+    return {kind: values for kind, values in shapes.items() if kind not in known}
+
+
+def _fits_as_well(
+    found: SearchResult,
+    group: EquivalenceGroup,
+    courses: dict[int, Course],
+    factor: np.ndarray,
+    kind: str,
+    shapes: list[float],
+) -> bool:
+    """Tell whether the data do not distinguish a kind of memory from the leader, at some shape."""
+    at, leader = found.first.projection, group.leader
+    step = thresholds.MEMORY_STEP
+    for _ in range(1 + thresholds.MEMORY_ROUNDS):
+        responses = [
+            Response(ShapeScan(kind, {_SHAPES[kind]: shape}), leader.coefficients,
+                     factor * _memory(at.fitted, courses, kind, shape))
+            for shape in shapes
+        ]  # fmt: skip
+        rivals = [assess(at, each, np.arange(len(leader.coefficients))) for each in project_responses(at, responses)]
+        rivals = [rival for rival in rivals if rival.dof]
+        if not rivals or any(indistinguishable(at, leader, rival) for rival in rivals):
+            return bool(rivals)
+        best = min(rivals, key=lambda rival: unexplained_chi2(at, leader, rival)[0]).scan.shape[_SHAPES[kind]]
+        shapes, step = [best / step, best, best * step], step**0.5
+    return False
 
 
 def _factor(found: SearchResult, group: EquivalenceGroup, courses: dict[int, Course], own: str) -> np.ndarray:

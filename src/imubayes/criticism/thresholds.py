@@ -209,6 +209,10 @@ TIME_CONSTANTS_MIN = (2.0, 5.0, 10.0, 30.0, 60.0)
 # Widths of a play, in shares of the range of a temperature; a play as wide as the range is never taken up.  Convention:
 # neighbours respond much alike.
 PLAY_SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
+# Shapes of a memory tried about the best of these: the first step, a factor, and how many rounds, each by the root of
+# the step before.  Numerical: from half the distance of neighbours to 12 %.  Fewer rounds miss a time constant between
+# two of the list, and the other memory then seems to be excluded.
+MEMORY_STEP, MEMORY_ROUNDS = 1.6, 3
 # Most terms of a formula, and p-value (all terms of the library counted) below which one is taken.  Convention.
 MAX_TERMS, TERM_P = 3, 0.01
 # A product or a wave is chosen from many: it must explain so much more χ² than the best plain term.  Derived: three
