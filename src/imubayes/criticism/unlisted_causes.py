@@ -36,11 +36,24 @@ _ALWAYS = 2
 def unlisted_causes(found: SearchResult, group: EquivalenceGroup) -> Causes:
     """Return the covariates of each function that fits as well as a group without being one of its effects."""
     at, leader = found.first, group.leader
-    explained = leader.score.fitted
-    if not np.any(explained):
+    if not np.any(leader.score.fitted):
         return ()
+    near, same = _as_good_functions(found, group)
+    if not kind_of_memory(at.projection.fitted.model.registry.effects[leader.effect]):
+        near.extend(_undetermined_forms(same))
+    by_name = {tuple(covariate.name for covariate in feature.covariates): feature.covariates for feature in near}
+    if (remembered := other_memory(found, group)) is not None:
+        by_name[remembered.name,] = (remembered,)
+    return tuple(by_name.values())
+
+
+def _as_good_functions(
+    found: SearchResult, group: EquivalenceGroup
+) -> tuple[list[Feature], list[tuple[FeatureScan, Feature]]]:
+    """Return the functions that fit as well as a group: those that are none of its effects, and those that are one."""
+    at, leader = found.first, group.leader
     raw = np.stack([_response(at, member) for member in group.members], axis=1)
-    targets = np.stack([explained, at.projection.residual])
+    targets = np.stack([leader.score.fitted, at.projection.residual])
     most = max(_ALWAYS, *(sum(each.owner == owner for each in leader.coefficients) for owner in leader.owners))
     scans = [(scan, [*_of_plain(scan, targets), *_of_vectors(scan, targets)]) for scan in at.scans]
     scans += [(scan, _of_plain(scan, targets)) for scan in rival_scans(found)]
@@ -54,12 +67,7 @@ def unlisted_causes(found: SearchResult, group: EquivalenceGroup) -> Causes:
                 same.append((scan, feature))
             else:
                 near.append(feature)
-    if not kind_of_memory(at.projection.fitted.model.registry.effects[leader.effect]):
-        near.extend(_undetermined_forms(same))
-    by_name = {tuple(covariate.name for covariate in feature.covariates): feature.covariates for feature in near}
-    if (remembered := other_memory(found, group)) is not None:
-        by_name[remembered.name,] = (remembered,)
-    return tuple(by_name.values())
+    return near, same
 
 
 _Scored = tuple[Feature, np.ndarray, int]
