@@ -10,7 +10,6 @@ from scipy.integrate import cumulative_trapezoid, solve_ivp
 
 from imubayes.criticism import stepwise_search, unlisted_causes
 from imubayes.criticism.candidate_effects import candidate_responses
-from imubayes.criticism.diagnose import judge
 from imubayes.criticism.localised_structure import Feature, FeatureScan, FeatureSet
 from imubayes.criticism.projection import project
 from imubayes.criticism.residual_covariates import ResidualCovariate
@@ -34,14 +33,14 @@ def test_a_saturation_is_not_certain_where_three_levels_of_the_input_do_not_tell
         return replace(found, candidates=tuple(each for each in found.candidates if each.scan.effect not in ABSENT))
 
     monkeypatch.setattr(stepwise_search, "candidate_responses", lacking)
-    found = judge(planted)
-    assert found.verdict == "equivalent_effects"
-    assert found.groups[0].effects == ("converter_saturation",)
-    assert ["force_i"] in [[label.name for label in each] for each in found.groups[0].unlisted]
+    found = stepwise_search.search(planted)
+    [group, *_] = found.groups
+    assert group.effects == ("converter_saturation",)
+    assert ["force_i"] in [[label.name for label in each] for each in unlisted_causes.unlisted_causes(found, group)]
     # Planted fault: neither other curves of the input nor the forms are compared.
     monkeypatch.setattr(unlisted_causes, "rival_scans", lambda at: [])
     monkeypatch.setattr(unlisted_causes, "_undetermined_forms", lambda same: [])
-    assert judge(planted).verdict == "missing_effect"
+    assert unlisted_causes.unlisted_causes(found, group) == ()
 
 
 @pytest.mark.parametrize(("levels", "told"), [((-1.0, 1.0), False), ((-2.0, -1.0, 0.0, 1.0, 2.0), True)])
