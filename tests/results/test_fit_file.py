@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from imubayes.api import Result, fit
+from imubayes.campaign import campaign_reader
 from imubayes.errors import InputError
 from imubayes.inference.run_fit import model_hash
 from imubayes.model.likelihood import residuals
@@ -52,6 +53,21 @@ def test_the_fit_comes_back(place, result):
     whitened = np.asarray(residuals(found.model.problem, found.z, found.h))
     assert np.allclose(whitened, np.asarray(residuals(was.model.problem, was.z, was.h)), rtol=0, atol=1e-12)
     assert json.loads((place / "result" / "fit.json").read_text())["seed"] == 3
+
+
+def test_the_set_up_is_judged_once(copy, monkeypatch):
+    judged = []
+    monkeypatch.setattr(campaign_reader, "setup_findings", lambda *given: judged.append(given) or [])
+    file = copy / "result" / "fit.json"
+    record = json.loads(file.read_text())
+    record["campaign_notes"] = [*record["campaign_notes"], "what the gate said"]
+    file.write_text(json.dumps(record))
+    assert read_result(copy / "result").fit.model.campaign.notes[-1] == "what the gate said"
+    assert not judged
+    del record["campaign_notes"]  # of an earlier version
+    file.write_text(json.dumps(record))
+    read_result(copy / "result")
+    assert len(judged) == 1
 
 
 def test_the_summary_says_what_the_fit_comes_from(place, result):

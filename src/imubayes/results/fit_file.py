@@ -6,6 +6,7 @@ has moved is found and one that has changed is noticed.
 
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,7 @@ def fit_record(fit: Fit, folder: Path, seed: int) -> FitRecord:
         optimised=fit.optimised,
         message=fit.message,
         seed=seed,
+        campaign_notes=model.campaign.notes,
     )
 
 
@@ -76,7 +78,9 @@ def read_fit(folder: str | Path) -> Fit:
     """
     folder = Path(folder)
     record = read_fit_record(folder)
-    found = load_campaign(_folder(record.campaign, folder))
+    # The fit has held the same outputs against the same set-up.
+    found = load_campaign(_folder(record.campaign, folder), judge_setup=record.campaign_notes is None)
+    found = replace(found, notes=record.campaign_notes or found.notes)
     model = bind(read_model(folder / MODEL), found)
     if campaign_hash(model) != record.data_hash:
         raise InputError(

@@ -30,6 +30,7 @@ class FitRecord(Record):
     converged, message : of optimiser and sampling.
     optimised : whether the optimiser converged; None in folders of earlier versions.
     seed : of the sampler.
+    campaign_notes : of the campaign, with what its outputs say against its set-up; None in folders of earlier versions.
     """
 
     format: Literal[1] = 1
@@ -42,6 +43,7 @@ class FitRecord(Record):
     optimised: bool | None = None
     message: str
     seed: int
+    campaign_notes: tuple[str, ...] | None = None
 
 
 def read_fit_record(folder: str | Path) -> FitRecord:
