@@ -53,7 +53,7 @@ VALUES = np.linspace(0.0, 1.0, 5)
 def test_a_kept_program_is_not_traced_again_and_gives_the_same_bits(folder):
     first, again = in_a_new_process(VALUES, by=2.5), in_a_new_process(VALUES, by=2.5)
     assert TRACED == ["scaled"]
-    ordinary = scaled.__wrapped__(jnp.asarray(VALUES), by=2.5)
+    ordinary = scaled.function(jnp.asarray(VALUES), by=2.5)
     for found in (first, again):
         assert found["by"] == 2.5
         assert found["how"] == (np.sin, None)

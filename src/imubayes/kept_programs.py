@@ -86,30 +86,33 @@ def kept[**P, R](function: Callable[P, R]) -> Callable[P, R]:
     ----------
     function : of a module, not a closure; what it returns depends on its arguments and the package's sources alone.
     """
-    ordinary = eqx.filter_jit(function)
+    return cast(Callable[P, R], _Kept(function))
 
-    @functools.wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+
+class _Kept:
+    """A function whose programs are kept; an object, as compiled functions are, which take NumPy arrays for JAX's."""
+
+    def __init__(self, function: Callable):
+        self.function, self.ordinary = function, eqx.filter_jit(function)
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
         if _Folder.place is None or not core.trace_state_clean() or jax.config.jax_disable_jit:
-            return ordinary(*args, **kwargs)
+            return self.ordinary(*args, **kwargs)
         leaves, tree = jax.tree.flatten((args, kwargs))
-        arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
-        key = (function, tree, tuple(map(_kind, leaves)), config.trace_context())
+        key = (self.function, tree, tuple(map(_kind, leaves)), config.trace_context())
         if key not in _programs:
-            _programs[key] = _found_or_made(call, leaves, tree)
+            _programs[key] = _found_or_made(self.function, leaves, tree)
         program = _programs[key]
         if program is None:
-            return ordinary(*args, **kwargs)
+            return self.ordinary(*args, **kwargs)
         try:
-            return cast(R, program(arrays))
+            return program([leaf for leaf in leaves if eqx.is_array(leaf)])
         except jax.errors.JaxRuntimeError:
             if program.file is None:
                 raise
             program.file.unlink(missing_ok=True)  # code that this processor or jaxlib does not run after all
             del _programs[key]
-            return call(*args, **kwargs)
-
-    return call
+            return self(*args, **kwargs)
 
 
 def _kind(leaf: Any) -> Any:
@@ -147,7 +150,7 @@ def _compiled(function: Callable, arguments: Any, arrays: list[Any]) -> _Program
 
     def flat(*arrays):
         filled = jax.tree.map(lambda leaf: arrays[leaf.number] if _is_slot(leaf) else leaf, arguments, is_leaf=_is_slot)
-        leaves, tree = jax.tree.flatten(cast(Any, function).__wrapped__(*filled[0], **filled[1]))
+        leaves, tree = jax.tree.flatten(function(*filled[0], **filled[1]))
         returned.append(_slotted(leaves, tree))
         return tuple(leaf for leaf in leaves if eqx.is_array(leaf))
 

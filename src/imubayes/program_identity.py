@@ -107,7 +107,8 @@ def _name(thing: Any) -> str:
     found: Any = home
     for part in name.split("."):
         found = getattr(found, part, None)
-    if found is None or inspect.unwrap(found) is not inspect.unwrap(thing):
+    # What is kept has the function in it.
+    if found is None or inspect.unwrap(getattr(found, "function", found)) is not inspect.unwrap(thing):
         raise NoIdentityError(f"{module}.{name} is not found by its name")
     top = module.partition(".")[0]
     own = top == "imubayes" and (getattr(home, "__file__", None) or "").startswith(f"{_PACKAGE}{os.sep}")
