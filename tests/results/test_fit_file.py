@@ -66,7 +66,7 @@ def test_the_set_up_is_judged_once(copy, monkeypatch):
     assert not judged
     del record["campaign_notes"]  # of an earlier version
     file.write_text(json.dumps(record))
-    read_result(copy / "result")
+    assert read_result(copy / "result").fit.model.campaign.notes[-1:] != ("what the gate said",)
     assert len(judged) == 1
 
 
