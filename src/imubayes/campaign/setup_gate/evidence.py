@@ -26,8 +26,10 @@ from imubayes.campaign.setup_gate.plausible_errors import (
     LOOSE_OFFSET,
     MOUNTING_LEAST,
     MOUNTING_UNSTATED,
+    POOR,
     TABLE_LEAST,
     TABLE_UNSTATED,
+    Steadiness,
     widths,
 )
 from imubayes.campaign.setup_gate.run_view import RunView
@@ -37,7 +39,7 @@ from imubayes.earth import earth_rate
 
 # Parameters of a channel: scale, two misalignments, bias, three of the temperature, three of g-sensitivity, two of the
 # converter's temperature.
-_OWN = 12
+OWN = 12
 _OF_TEMPERATURE = (4, 5, 6, 10, 11)
 _WARM = 25.0
 
@@ -89,8 +91,7 @@ class ErrorModel:
     Parameters
     ----------
     gross : whether missing effects may be large.
-    steadiness : of the unit: its run offsets, and what the linear model leaves out, over those of a poor unit; of all
-        gyros and accelerometers or of each, shape (K,).
+    steadiness : of the channels, over that of a poor unit.
     centre : errors about which the model is linear, shape (P,); those of mountings and tables count, None is zero.
     """
 
@@ -98,47 +99,45 @@ class ErrorModel:
         self,
         campaign: Campaign,
         gross: bool = False,
-        steadiness: float | np.ndarray = 1.0,
+        steadiness: Steadiness = POOR,
         centre: np.ndarray | None = None,
     ):
         self.gross, self.centre = gross, centre
         self.rotated: dict[int, np.ndarray] = {}
         self.places = [k for k, channel in enumerate(campaign.channels) if channel.kind != "angle"]
         self.channels = [campaign.channels[k] for k in self.places]
-        self.widths = [
-            widths(channel.kind, grade_of(campaign, channel.kind)).steadier(float(factor))
-            for channel, factor in zip(self.channels, np.broadcast_to(steadiness, len(self.channels)), strict=True)
-        ]
-        self._stack()
-        start = _OWN * len(self.channels)
+        self.widths = [widths(channel.kind, grade_of(campaign, channel.kind)) for channel in self.channels]
+        self._stack(steadiness)
+        start = OWN * len(self.channels)
         self.mountings = {name: start + 3 * k for k, name in enumerate(campaign.mountings)}
         start += 3 * len(self.mountings)
         self.tables = {name: start + 3 * k for k, name in enumerate(campaign.tables)}
         self.size = start + 3 * len(self.tables)
         self.sd = self._standard_deviations(campaign)
-        self.thermal = np.add.outer(_OWN * np.arange(len(self.channels)), _OF_TEMPERATURE).ravel()
+        self.thermal = np.add.outer(OWN * np.arange(len(self.channels)), _OF_TEMPERATURE).ravel()
         gyro = [k for k, channel in enumerate(self.channels) if channel.kind == "gyro"]
-        self.g_sensitive = np.array([_OWN * k + 7 + axis for k in gyro for axis in range(3)], dtype=int)
+        self.g_sensitive = np.array([OWN * k + 7 + axis for k in gyro for axis in range(3)], dtype=int)
 
-    def _stack(self) -> None:
+    def _stack(self, steadiness: Steadiness) -> None:
         """Set the facts about the channels as arrays: axes (K, 3, 3), gyro and run_offset (K,), others (K, 1)."""
         self.axes = np.stack([channel.axes for channel in self.channels])
         self.gyro = np.array([channel.kind == "gyro" for channel in self.channels])
         self.offset = np.array([[channel.offset] for channel in self.channels])
         self.scale = np.array([[channel.scale_si] for channel in self.channels])
-        self.noise = np.array([[channel.noise or 0.0] for channel in self.channels])
-        self.share = np.array([[width.share] for width in self.widths])
+        self.noise = np.array([[channel.noise or 0.0] for channel in self.channels]) * _column(steadiness.noise)
+        rows = _column(steadiness.rows)
+        self.share = np.array([[width.share] for width in self.widths]) * rows
         gross = [GROSS[channel.kind] if self.gross else 0.0 for channel in self.channels]
-        self.rest = np.array([[np.hypot(width.rest, more)] for width, more in zip(self.widths, gross, strict=True)])
-        self.run_offset = np.array([width.offset for width in self.widths])
+        self.rest = np.hypot(np.array([[width.rest] for width in self.widths]) * rows, np.array(gross)[:, None])
+        self.run_offset = np.array([width.offset for width in self.widths]) * steadiness.runs
         self.across = np.stack([_cross(axis) for axis in self.axes[:, 0]])
 
     def _standard_deviations(self, campaign: Campaign) -> np.ndarray:
         sd = np.ones(self.size)
         for k, width in enumerate(self.widths):
             own = [width.scale, width.misalignment, width.misalignment, width.bias, width.bias_slope]
-            sd[_OWN * k : _OWN * k + 7] = [*own, width.bias_slope / 3, width.scale_slope]
-            sd[_OWN * k + 10 : _OWN * (k + 1)] = width.bias_slope, width.scale_slope
+            sd[OWN * k : OWN * k + 7] = [*own, width.bias_slope / 3, width.scale_slope]
+            sd[OWN * k + 10 : OWN * (k + 1)] = width.bias_slope, width.scale_slope
         for name, place in self.mountings.items():
             stated = campaign.mountings[name].uncertainty
             sd[place : place + 3] = MOUNTING_UNSTATED if stated is None else max(2 * stated, MOUNTING_LEAST)
@@ -149,6 +148,24 @@ class ErrorModel:
 
     def terms(self, view: RunView, loose: bool = False) -> NormalTerms:
         """Return what a run adds to the normal equations; of a loose run bias and scale factor are its own."""
+        seen = self.seen(view)
+        design, shared, there = seen.design, seen.shared, seen.there
+        variance = seen.white + seen.left_out + seen.arm
+        weight = np.where(there, 1 / variance, 0.0)
+        found = weighted(design, seen.error, weight, *self._of_run(seen.along, loose))
+        own = np.arange(OWN * len(self.channels))
+        blocks = own.reshape(-1, OWN)
+        matrix, vector = np.zeros((self.size, self.size)), np.zeros(self.size)
+        matrix[blocks[:, :, None], blocks[:, None, :]] = found.matrix[:, :OWN, :OWN]
+        across = found.matrix[:, :OWN, OWN:].reshape(len(own), len(shared))
+        matrix[np.ix_(own, shared)], matrix[np.ix_(shared, own)] = across, across.T
+        matrix[np.ix_(shared, shared)] = found.matrix[:, OWN:, OWN:].sum(axis=0)
+        vector[own], vector[shared] = found.vector[:, :OWN].ravel(), found.vector[:, OWN:].sum(axis=0)
+        volume = float(np.log(variance)[there].sum() + found.volume.sum())
+        return NormalTerms(matrix, vector, float(found.square.sum()), volume, int(there.sum()))
+
+    def seen(self, view: RunView) -> "Seen":
+        """Return the errors of the outputs of a run and their response to the errors of the model."""
         moved, tilted = self._centred(view)
         stand = moved.local_to_body() @ tilted
         up, earth = np.array([0.0, 0.0, view.gravity]), earth_rate(view.latitude)
@@ -159,21 +176,11 @@ class ErrorModel:
         design = self._design(view, stand, felt, along, np.where(self.gyro[:, None, None], earth, up), len(shared))
         output = view.observed[:, self.places].T
         there = np.isfinite(output)
-        at_zero = along[:, :, 0] if self.centre is None else along[:, :, 0] - design[:, :, _OWN:] @ self.centre[shared]
+        at_zero = along[:, :, 0] if self.centre is None else along[:, :, 0] - design[:, :, OWN:] @ self.centre[shared]
         error = np.where(there, (output - self.offset) / self.scale - at_zero, 0.0)
-        variance = (self.noise / self.scale) ** 2 / view.samples + self._left_out(view, np.linalg.norm(felt, axis=2))
-        weight = np.where(there, 1 / variance, 0.0)
-        found = _weighted(design, error, weight, *self._of_run(along[:, :, :1], loose))
-        own = np.arange(_OWN * len(self.channels))
-        blocks = own.reshape(-1, _OWN)
-        matrix, vector = np.zeros((self.size, self.size)), np.zeros(self.size)
-        matrix[blocks[:, :, None], blocks[:, None, :]] = found.matrix[:, :_OWN, :_OWN]
-        across = found.matrix[:, :_OWN, _OWN:].reshape(len(own), len(shared))
-        matrix[np.ix_(own, shared)], matrix[np.ix_(shared, own)] = across, across.T
-        matrix[np.ix_(shared, shared)] = found.matrix[:, _OWN:, _OWN:].sum(axis=0)
-        vector[own], vector[shared] = found.vector[:, :_OWN].ravel(), found.vector[:, _OWN:].sum(axis=0)
-        volume = float(np.log(variance)[there].sum()) + found.volume
-        return NormalTerms(matrix, vector, found.square, volume, int(there.sum()))
+        white = (self.noise / self.scale) ** 2 / view.samples
+        left_out, arm = self._left_out(view, np.linalg.norm(felt, axis=2))
+        return Seen(design, error, there, white, left_out, arm, along[:, :, :1], shared)
 
     def _design(
         self, view: RunView, stand: np.ndarray, felt: np.ndarray, along: np.ndarray, still: np.ndarray, shared: int
@@ -184,11 +191,11 @@ class ErrorModel:
             for name in ("temperature", "converter_temperature")
         )
         in_g = (stand[:, :, 2] @ self.axes.swapaxes(1, 2)) * self.gyro[:, None, None]
-        design = np.empty((len(self.channels), view.rows, _OWN + shared))
+        design = np.empty((len(self.channels), view.rows, OWN + shared))
         design[:, :, :3], design[:, :, 3], design[:, :, 4], design[:, :, 5] = along, 1.0, warm, warm**2
         design[:, :, 6], design[:, :, 7:10] = warm * along[:, :, 0], in_g
         design[:, :, 10], design[:, :, 11] = converter, converter * along[:, :, 0]
-        place = _OWN
+        place = OWN
         if view.mounting is not None:
             design[:, :, place : place + 3] = -felt @ self.across
             place += 3
@@ -223,18 +230,18 @@ class ErrorModel:
         places += [self.tables[view.table]] if view.table is not None else []
         return np.concatenate([np.arange(0), *(np.arange(place, place + 3) for place in places)]).astype(int)
 
-    def _left_out(self, view: RunView, size: np.ndarray) -> np.ndarray:
-        """Return the variance of what the linear model leaves out of inputs of a size, SI, shape (K, R)."""
+    def _left_out(self, view: RunView, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the variance of what the linear model leaves out of inputs of a size, SI, and that of lever arms."""
         arm = np.where(self.gyro[:, None], 0.0, view.largest_rate() ** 4 * LEVER_ARM**2)
         turned = np.sum(self.sd[self._shared(view)].reshape(-1, 3)[:, 0] ** 2) if self.centre is None else 0.0
-        return size**2 * (self.share**2 + turned**2) + self.rest**2 + arm
+        return size**2 * (self.share**2 + turned**2) + self.rest**2, arm
 
     def score(self, terms: NormalTerms, g_sensitivity: float | None = None, compensated: bool = False) -> float:
         """Return −2 log of the evidence, up to a constant; by default with the g-sensitivity that the gyros show.
 
         The outputs of a compensated unit hardly follow the temperature.
         """
-        sd = self._sd(self.best_g_sensitivity(terms) if g_sensitivity is None else g_sensitivity)
+        sd = self.widths_with(self.best_g_sensitivity(terms) if g_sensitivity is None else g_sensitivity)
         if compensated:
             sd[self.thermal] *= COMPENSATED
         # In units of the priors the normal matrix is the unit matrix and more, and well conditioned.
@@ -248,23 +255,23 @@ class ErrorModel:
             return G_SENSITIVITIES[0]
         return min(G_SENSITIVITIES, key=lambda width: self.score(terms, width))
 
-    def _sd(self, g_sensitivity: float) -> np.ndarray:
+    def widths_with(self, g_sensitivity: float) -> np.ndarray:
         sd = self.sd.copy()
         sd[self.g_sensitive] = g_sensitivity
         return sd
 
-    def rotations(self, terms: NormalTerms) -> np.ndarray:
+    def estimates(self, terms: NormalTerms) -> np.ndarray:
         """Return the estimated errors, those of mountings and tables in rad, shape (P,)."""
-        return self.sd * self.errors(terms)
+        return self.widths_with(self.best_g_sensitivity(terms)) * self.errors(terms)
 
     def errors(self, terms: NormalTerms) -> np.ndarray:
         """Return the estimated errors in units of their standard deviations, shape (P,)."""
-        sd = self._sd(self.best_g_sensitivity(terms))
+        sd = self.widths_with(self.best_g_sensitivity(terms))
         return np.linalg.solve(np.eye(self.size) + sd[:, None] * terms.matrix * sd, sd * terms.vector)
 
     def misfit(self, terms: NormalTerms) -> float:
         """Return the sum of squared residuals and errors in units of their standard deviations."""
-        sd = self._sd(G_SENSITIVITIES[-1])
+        sd = self.widths_with(G_SENSITIVITIES[-1])
         lower = np.linalg.cholesky(np.eye(self.size) + sd[:, None] * terms.matrix * sd)
         solved = np.linalg.solve(lower, sd * terms.vector)
         return float(terms.square - solved @ solved)
@@ -282,19 +289,47 @@ def _rotation(vector: np.ndarray) -> np.ndarray:
     return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * cross @ cross
 
 
+def _column(factors: float | np.ndarray) -> np.ndarray:
+    return np.atleast_1d(factors)[:, None]
+
+
 @dataclass(frozen=True)
-class _Weighted:
-    """The normal equations of each channel in one run: (K, n, n), (K, n), and sums over the channels."""
+class Seen:
+    """The outputs of one run beside what the model says of them.
+
+    Attributes
+    ----------
+    design : response of each output to the errors of its channel and to shared ones, shape (K, R, n).
+    error : of each output over its nominal input, SI, shape (K, R); 0 where there is none.
+    there : whether there is an output, shape (K, R).
+    white, left_out, arm : variances of the noise, of what the model leaves out and of lever arms, shape (K, R).
+    along : nominal input along each input axis, shape (K, R, 1).
+    shared : places of the errors of mounting and table.
+    """
+
+    design: np.ndarray
+    error: np.ndarray
+    there: np.ndarray
+    white: np.ndarray
+    left_out: np.ndarray
+    arm: np.ndarray
+    along: np.ndarray
+    shared: np.ndarray
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """The normal equations of each channel in one run: (K, n, n), (K, n), (K,) and (K,)."""
 
     matrix: np.ndarray
     vector: np.ndarray
-    square: float
-    volume: float
+    square: np.ndarray
+    volume: np.ndarray
 
 
-def _weighted(
+def weighted(
     design: np.ndarray, error: np.ndarray, weight: np.ndarray, own: np.ndarray, spread: np.ndarray
-) -> _Weighted:
+) -> Weighted:
     """Return the normal equations of the channels in one run; the errors of each in this run alone are integrated out.
 
     Parameters
@@ -304,15 +339,15 @@ def _weighted(
     own : response to the errors of the run, shape (K, R, q).
     spread : their standard deviations, shape (K, q).
     """
-    weighted, own = design * weight[:, :, None], own * spread[:, None, :]
+    heavy, own = design * weight[:, :, None], own * spread[:, None, :]
     turned = own.swapaxes(1, 2)
     inner = np.eye(own.shape[2]) + turned @ (own * weight[:, :, None])
-    across, at = turned @ weighted, turned @ (weight * error)[:, :, None]
+    across, at = turned @ heavy, turned @ (weight * error)[:, :, None]
     solved = np.linalg.solve(inner, np.concatenate([across, at], axis=2))
-    matrix = design.swapaxes(1, 2) @ weighted - across.swapaxes(1, 2) @ solved[:, :, :-1]
-    vector = np.sum(weighted * error[:, :, None], axis=1) - np.sum(solved[:, :, :-1] * at, axis=1)
-    square = float(np.sum(weight * error**2) - np.sum(solved[:, :, -1:] * at))
-    return _Weighted(matrix, vector, square, float(np.linalg.slogdet(inner)[1].sum()))
+    matrix = design.swapaxes(1, 2) @ heavy - across.swapaxes(1, 2) @ solved[:, :, :-1]
+    vector = np.sum(heavy * error[:, :, None], axis=1) - np.sum(solved[:, :, :-1] * at, axis=1)
+    square = np.sum(weight * error**2, axis=1) - np.sum(solved[:, :, -1:] * at, axis=(1, 2))
+    return Weighted(matrix, vector, square, np.linalg.slogdet(inner)[1])
 
 
 def total(terms: Sequence[NormalTerms]) -> NormalTerms:

@@ -5,7 +5,9 @@ values of data sheets (see `imubayes.parameters.unit_grades`), since the model o
 linear model leaves out, nonlinearity and cross coupling above all, is a share of the input.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+import numpy as np
 
 from imubayes.parameters.unit_grades import Grade
 from imubayes.units import to_si
@@ -35,10 +37,32 @@ class Widths:
     share: float
     rest: float
 
-    def steadier(self, factor: float) -> "Widths":
-        """Return the widths of a unit with so much smaller run offsets and nonlinearities."""
-        return replace(self, offset=self.offset * factor, share=self.share * factor, rest=self.rest * factor)
 
+@dataclass(frozen=True)
+class Steadiness:
+    """The errors of channels that change, over those of a poor unit; of all gyros and accelerometers or each, (K,).
+
+    Attributes
+    ----------
+    rows : what the linear model leaves out of single rows.
+    runs : offsets of single runs.
+    noise : over what the campaign states.
+    """
+
+    rows: float | np.ndarray = 1.0
+    runs: float | np.ndarray = 1.0
+    noise: float | np.ndarray = 1.0
+
+    def times(self, rows: float, runs: float) -> "Steadiness":
+        """Return the steadiness with so many times the errors of rows and runs."""
+        return Steadiness(self.rows * rows, self.runs * runs, self.noise)
+
+    def poor(self) -> "Steadiness":
+        """Return the steadiness of a poor unit, or less where channels show less."""
+        return Steadiness(np.maximum(self.rows, 1.0), np.maximum(self.runs, 1.0))
+
+
+POOR = Steadiness()
 
 _GYRO = {
     "navigation": Widths(0.005, 0.3 * _DEG, _DEG_S, 10 * _DEG_H, 50 * _DEG_H, 0.001, 0.002, 1.0 * _DEG_H),
@@ -55,11 +79,6 @@ _ACCELEROMETER = {
 G_SENSITIVITIES = (1.5 * _DEG_H, 5 * _DEG_H, 15 * _DEG_H, 50 * _DEG_H, 150 * _DEG_H, 500 * _DEG_H)
 """Standard deviations of the g-sensitivity of gyros that are tried, rad/s per g: gyros of a make share it, and no
 data sheet of a grade tells it within a factor of ten."""
-STEADINESS = (1.0, 0.3, 0.1, 0.03, 0.01)
-"""Factors of run offsets and nonlinearities that are tried where a small input or a temperature is at stake: a good
-unit tells what the errors of a poor one conceal."""
-UNSTEADINESS = (1.0, 3.0, 10.0)
-"""The same of single channels that are poorer than their unit."""
 GROSS = {"gyro": 0.1 * _DEG_S, "accelerometer": 20 * _MG}
 """Standard deviation of errors at zero input beyond which outputs contradict the set-up although no mistake is known
 that explains it; smaller ones are the business of a diagnosis."""

@@ -82,6 +82,15 @@ class RunView:
             return self.reference
         return local_to_body @ earth_rate(self.latitude) + self.rate[:, None] * self.body_to_table[2]
 
+    def repeats(self) -> np.ndarray:
+        """Return whether each row but the first repeats the position of the row before it, at rest, shape (R − 1,)."""
+        still = self.largest_rate() == 0
+        if self.attitude is None:
+            same = np.nan_to_num(np.diff(self.angle)) == 0
+        else:
+            same = np.all(self.attitude[1:] == self.attitude[:-1], axis=(1, 2))
+        return still[1:] & still[:-1] & same
+
     def largest_rate(self) -> np.ndarray:
         """Return the magnitude of the rate of the table in each row, rad/s, shape (R,)."""
         return np.abs(self.rate) if self.reference is None else np.linalg.norm(self.reference, axis=1)

@@ -7,14 +7,15 @@ conceal, and the unit is taken for as steady as its outputs show (`hidden_mistak
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, total
 from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake, TableAzimuth, TableElevation, TableZero
-from imubayes.campaign.setup_gate.plausible_errors import STEADINESS, UNSTEADINESS
+from imubayes.campaign.setup_gate.plausible_errors import POOR, Steadiness
 from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone, turns_through, views_of
+from imubayes.campaign.setup_gate.shown_steadiness import shown_steadiness
 from imubayes.campaign.setup_gate.site_mistakes import LATITUDE_MISTAKES, LatitudeSign, LatitudeValue
 from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
 from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES, AngleUnit, ChannelGain
@@ -33,6 +34,8 @@ DECISIVE_LATITUDE = 8.0
 MOST_MISFIT_LEFT, MOST_MISFIT_OF_TEMPERATURES = 2.0, 1.25
 """Misfit per output of a unit that is taken for steady, up to which a correction explains its outputs, and up to which
 one of temperatures does.  Of a unit that is taken for too steady any correction explains something."""
+WORTH_TRYING = 4.0
+"""Gain of a hidden mistake in a unit as steady as its outputs show, from which it is tried in a steadier one."""
 AS_USUAL = 6.0
 """Evidence that a usual angle may fall short of the best one to be named in its place."""
 LEAST_TURN = math.radians(25.0)
@@ -41,7 +44,9 @@ of a tactical gyro tells no less."""
 LEAST_LATITUDE = math.radians(15.0)
 """The same of a latitude: what a linear model leaves out moved that of a valid campaign by 9 degrees."""
 LEAST_TILT = math.radians(2.0)
-"""The same of an elevation or a zero: smaller ones pass for errors that the linear model leaves out."""
+"""The same of an elevation: smaller ones pass for errors that the linear model leaves out."""
+LEAST_ZERO = math.radians(4.0)
+"""The same of a zero, beside which a loose mounting may be turned about the axis."""
 LEAST_SHARE = 0.98
 """Least share of the excess misfit that the correction of a mistake removes."""
 MOST_MISTAKES = 3
@@ -53,6 +58,14 @@ EQUIVALENT = 10.0
 RIVALLED = 49.0
 """Gain per channel beyond which a mistake in temperatures is said, as a warning, although other biases in a run explain
 the outputs as well: a bias off by seven plausible standard deviations.  Valid campaigns gained up to 26."""
+LEVELS = (
+    (1.0, 1.0, 0), (3.0, 3.0, 0), (1.0, 1.0, 1), (1.0, 0.3, 2), (0.3, 0.3, 2), (1.0, 0.1, 3), (0.3, 0.1, 4),
+    (1.0, 0.03, 5),
+)  # fmt: skip
+"""Degrees of steadiness: factors of what rows leave out and of offsets of runs, to what each channel shows by itself,
+and the degree below, where a mistake has to be supported as well; the first is a poor unit.  A mistake makes channels
+look less steady than they are."""
+_STEPS = 4
 _REFINEMENTS = 4
 _SUSPECTS = 5  # runs whose own mistakes are tried
 
@@ -148,28 +161,34 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
 
 
 class SteadinessLevels:
-    """The searches in units of rising steadiness, each made when it is first asked for."""
+    """The searches in units of rising steadiness, each made when it is first asked for: a poor unit, and `LEVELS`."""
 
     def __init__(self, campaign: Campaign):
-        self.campaign, self.steadiness = campaign, channel_steadiness(campaign)
-        about_zero = Search(campaign, self.steadiness)
-        self.centre = about_zero.model.rotations(about_zero.total)
+        self.campaign = campaign
+        self.shown, self.centre = POOR, None
+        # Mountings off by a degree need a second step, and a steady unit tells them better than a poor one.
+        for step in range(_STEPS):
+            search = Search(campaign, self.shown, centre=self.centre)
+            if step:
+                poor = ErrorModel(campaign, centre=self.centre)
+                self.shown = shown_steadiness(poor, search.views, search.model.estimates(search.total))
+            self.centre = search.model.estimates(search.total)
         self.made: dict[int, Search] = {}
 
     def __getitem__(self, level: int) -> "Search":
         if level not in self.made:
-            self.made[level] = Search(self.campaign, STEADINESS[level] * self.steadiness, centre=self.centre)
+            steadiness = self.shown.poor() if level == 0 else self.shown.times(*LEVELS[level][:2])
+            self.made[level] = Search(self.campaign, steadiness, centre=self.centre)
         return self.made[level]
 
     def of_most_evidence(self) -> tuple[int, float]:
         """Return the level of most evidence for the set-up as stated that fits, and −2 log of the most evidence."""
-        scores: list[float] = []
-        for level in range(len(STEADINESS)):
-            scores.append(self[level].stated)
-            if self[level].misfit > MOST_MISFIT_LEFT:
-                break
-        adequate = [level for level in range(len(scores)) if self[level].misfit < MOST_MISFIT_LEFT] or [0]
-        return min(adequate, key=lambda level: scores[level]), min(scores)
+        scores: dict[int, float] = {}
+        for level, (_, _, below) in enumerate(LEVELS):
+            if below < 1 or (below in scores and self[below].misfit < MOST_MISFIT_LEFT):
+                scores[level] = self[level].stated
+        adequate = [level for level in scores if self[level].misfit < MOST_MISFIT_LEFT] or [0]
+        return min(adequate, key=lambda level: scores[level]), min(scores.values())
 
     def steadiest(self, mistake: Mistake, first: int, stated: float) -> Explanation | None:
         """Return the correction of a mistake at the level of most evidence; None where it explains nothing.
@@ -187,11 +206,16 @@ class SteadinessLevels:
         """
         most = MOST_MISFIT_OF_TEMPERATURES if isinstance(mistake, TEMPERATURE_MISTAKES) else MOST_MISFIT_LEFT
         tried: list[tuple[float, int, Explanation]] = []
-        for level in range(first, len(STEADINESS)):
+        fitting = set(range(first))
+        for level in range(first, len(LEVELS)):
+            if LEVELS[level][2] not in fitting:
+                continue
             found = self[level].explain(mistake)
-            if (found.gain < 0 and not tried and not isinstance(mistake, LatitudeSign)) or found.misfit > most:
+            if found.gain < WORTH_TRYING and not tried and not isinstance(mistake, LatitudeSign):
                 break
-            tried.append((self[level].stated - found.gain, level, found))
+            if found.misfit < most:
+                fitting.add(level)
+                tried.append((self[level].stated - found.gain, level, found))
         if not tried:
             return None
         score, level, best = min(tried, key=lambda each: each[0])
@@ -207,7 +231,8 @@ class SteadinessLevels:
     def _holds_below(self, level: int, mistake: Mistake) -> bool:
         # A sign has no size that would adapt to what is left out.
         bar = 0.0 if isinstance(mistake, LatitudeSign) else DECISIVE
-        return not level or self[level - 1].explain(mistake).support > bar
+        below = LEVELS[level][2]
+        return not below or self[below].explain(mistake).support > bar
 
 
 def _is_of_equipment(mistake: Mistake) -> bool:
@@ -215,22 +240,11 @@ def _is_of_equipment(mistake: Mistake) -> bool:
     return not (isinstance(mistake, TableElevation) and mistake.scope.section == "run")
 
 
-def channel_steadiness(campaign: Campaign) -> np.ndarray:
-    """Return by how much each gyro and accelerometer is less steady than a poor unit, where it is alone, shape (K,)."""
-    views, found = views_of(campaign), []
-    for place, channel in enumerate(campaign.channels):
-        if channel.kind != "angle":
-            alone = replace(campaign, channels=(channel,))
-            seen = [replace(view, observed=view.observed[:, [place]]) for view in views]
-            steady = Search(alone, 1.0, seen).misfit < ORDINARY_MISFIT
-            found.append(1.0 if steady else min(UNSTEADINESS, key=lambda f, c=alone, v=seen: Search(c, f, v).stated))
-    return np.array(found)
-
-
 def _small(found: Explanation, campaign: Campaign) -> bool:
     if isinstance(found.mistake, LatitudeValue):
         return abs(found.size - campaign.site.latitude) < LEAST_LATITUDE
-    least = LEAST_TURN if isinstance(found.mistake, TableAzimuth) else LEAST_TILT
+    least = LEAST_ZERO if isinstance(found.mistake, TableZero) else LEAST_TILT
+    least = LEAST_TURN if isinstance(found.mistake, TableAzimuth) else least
     return isinstance(found.mistake, (TableAzimuth, TableElevation, TableZero)) and abs(found.size) < least
 
 
@@ -259,7 +273,7 @@ class Search:
     def __init__(
         self,
         campaign: Campaign,
-        steadiness: float | np.ndarray = 1.0,
+        steadiness: Steadiness = POOR,
         views: Sequence[RunView] | None = None,
         centre: np.ndarray | None = None,
     ):

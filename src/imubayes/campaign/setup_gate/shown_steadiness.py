@@ -1,0 +1,85 @@
+"""How steady the outputs of each channel show it to be: its noise, what single rows leave out, and offsets of runs.
+
+A small input, such as the Earth rate or what a temperature does, shows in a good unit only.  Each channel is judged by
+itself, with mountings and tables as the whole campaign shows them.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from imubayes.campaign.setup_gate.evidence import OWN, ErrorModel, Seen, weighted
+from imubayes.campaign.setup_gate.plausible_errors import G_SENSITIVITIES, Steadiness
+from imubayes.campaign.setup_gate.run_view import RunView
+
+FACTORS = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
+"""Factors of offsets of runs, and of what a linear model leaves out, that are tried."""
+LOWER_NOISE = (1.0, 0.6, 0.3)
+"""Noise of a channel over what the campaign states that is tried where no rows repeat a position."""
+_LEAST_DIFFERENCES = 8
+_MEDIAN = 0.4549  # of χ² with one degree of freedom
+
+
+def shown_steadiness(model: ErrorModel, views: Sequence[RunView], errors: np.ndarray) -> Steadiness:
+    """Return the steadiness of most evidence for each channel.
+
+    Parameters
+    ----------
+    model : of a poor unit, linear about errors near those that the campaign shows.
+    errors : that the campaign shows, shape (P,).
+    """
+    own = errors[: OWN * len(model.channels)].reshape(-1, OWN)
+    seen = [_without_shared(model.seen(view), errors) for view in views]
+    noise, known = _noise(seen, views, own)
+    sd = model.widths_with(G_SENSITIVITIES[-1])[: own.size].reshape(own.shape)
+    one = np.ones(len(own))
+    rows = _best(FACTORS, lambda factor: _evidence(model, seen, sd, Steadiness(factor * one, one, noise)))
+    runs = _best(FACTORS, lambda factor: _evidence(model, seen, sd, Steadiness(rows, factor * one, noise)))
+    if not known.all():
+        lower = _best(LOWER_NOISE, lambda factor: _evidence(model, seen, sd, Steadiness(rows, runs, factor * one)))
+        noise = np.where(known, noise, lower)
+    return Steadiness(rows, runs, noise)
+
+
+def _without_shared(seen: Seen, errors: np.ndarray) -> Seen:
+    """Return a run without what the errors of its mounting and its table make."""
+    return replace(seen, error=np.where(seen.there, seen.error - seen.design[:, :, OWN:] @ errors[seen.shared], 0.0))
+
+
+def _best(factors: tuple[float, ...], evidence: Callable[[float], np.ndarray]) -> np.ndarray:
+    return np.array(factors)[np.argmin([evidence(factor) for factor in factors], axis=0)]
+
+
+def _evidence(model: ErrorModel, seen: Sequence[Seen], own: np.ndarray, steadiness: Steadiness) -> np.ndarray:
+    """Return −2 log evidence of each channel by itself, up to a constant, shape (K,)."""
+    noise, rows = (np.asarray(each)[:, None] for each in (steadiness.noise, steadiness.rows))
+    spread = (model.run_offset * steadiness.runs)[:, None]
+    matrix, vector = np.zeros((len(own), OWN, OWN)), np.zeros((len(own), OWN))
+    score = np.zeros(len(own))
+    for run in seen:
+        variance = noise**2 * run.white + rows**2 * run.left_out + run.arm
+        weight = np.where(run.there, 1 / variance, 0.0)
+        found = weighted(run.design[:, :, :OWN], run.error, weight, np.ones_like(run.along), spread)
+        matrix, vector = matrix + found.matrix, vector + found.vector
+        score += found.square + found.volume + np.sum(np.where(run.there, np.log(variance), 0.0), axis=1)
+    lower = np.linalg.cholesky(np.eye(OWN) + own[:, :, None] * matrix * own[:, None, :])
+    solved = np.linalg.solve(lower, (own * vector)[:, :, None])[:, :, 0]
+    return score - np.sum(solved**2, axis=1) + 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
+
+
+def _noise(seen: Sequence[Seen], views: Sequence[RunView], own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the noise of each channel over the stated one, and whether successive rows in one position show it.
+
+    Half the median square of the differences of their residuals over that of a normal deviate; 1 where these are few.
+    """
+    found: list[np.ndarray] = []
+    for run, view in zip(seen, views, strict=True):
+        left = run.error - (run.design[:, :, :OWN] @ own[:, :, None])[:, :, 0]
+        left = np.where(run.there & (run.white > 0), left, np.nan)
+        squares = np.diff(left, axis=1) ** 2 / (run.white[:, 1:] + run.white[:, :-1])
+        found.append(squares[:, view.repeats()])
+    squares = np.concatenate(found, axis=1)
+    enough = np.isfinite(squares).sum(axis=1) >= _LEAST_DIFFERENCES
+    shown = [np.nanmedian(each) if known else _MEDIAN for each, known in zip(squares, enough, strict=True)]
+    return np.maximum(np.sqrt(np.array(shown) / _MEDIAN), LOWER_NOISE[-1]), enough
