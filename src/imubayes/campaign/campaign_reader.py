@@ -24,7 +24,7 @@ from imubayes.campaign.equipment import (
     require_current_scale,
 )
 from imubayes.campaign.file_schemas import CampaignFile, ModelFile, RunEntry
-from imubayes.campaign.findings import SYMPTOMS, Finding
+from imubayes.campaign.findings import LIKE_UNITS, SYMPTOMS, UNIT_FINDINGS, Finding
 from imubayes.campaign.load_run import Equipment, Loaded, load_run
 from imubayes.campaign.servo_angle import with_angles
 from imubayes.campaign.setup_gate.remedies import Places
@@ -99,7 +99,10 @@ def inspect_campaign(path: str | Path, *, judge_setup: bool = True) -> Inspectio
     loaded = [_load(file.parent / run.file, run, draft.names["channel"], judge) for run in draft.runs.values()]
     findings = tuple(finding for result in loaded for finding in result.findings)
     issues = [*ledger.issues, *(issue for result in loaded for issue in result.issues)]
-    issues += [finding.problem() for finding in findings if finding.severity == "error"]
+    wrong = [finding for finding in findings if finding.severity == "error"]
+    # A wrong unit in a single run may be what another mistake, such as a wrong mounting, looks like there.
+    if not judge_setup or any(finding.name not in UNIT_FINDINGS for finding in wrong):
+        issues += [finding.problem() for finding in wrong]
     if issues or document.entry is None:
         return Inspection(None, tuple(issues), findings)
     campaign = _campaign(document.entry, equipment, loaded, findings, file)
@@ -114,11 +117,15 @@ def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Find
     # One wrong run makes others disagree with it; what is wrong has been said of the run itself.
     noticed = any(finding.name in SYMPTOMS for finding in findings)
     found = [finding for finding in found if not (noticed and finding.name == "setup_disagrees")]
-    every = (*findings, *found)
-    if errors := tuple(finding.problem() for finding in found if finding.severity == "error"):
+    wrong = [finding for finding in found if finding.severity == "error"]
+    units = [finding for finding in findings if finding.severity == "error"]
+    if units and not any(finding.name in LIKE_UNITS for finding in wrong):
+        return Inspection(None, tuple(finding.problem() for finding in units), findings)
+    if wrong:
         # The mistake explains what the checks of single runs noticed of it.
-        return Inspection(None, errors, tuple(finding for finding in every if finding.name not in SYMPTOMS))
-    return Inspection(replace(campaign, notes=(*campaign.notes, *map(str, found))), (), every)
+        said = [each for each in findings if each.name not in SYMPTOMS and each not in units]
+        return Inspection(None, tuple(finding.problem() for finding in wrong), (*said, *found))
+    return Inspection(replace(campaign, notes=(*campaign.notes, *map(str, found))), (), (*findings, *found))
 
 
 def read_model_file(path: str | Path) -> ModelFile:

@@ -56,6 +56,12 @@ FINDINGS: dict[str, str] = {
 
 SYMPTOMS = ("sign_reversed", "scale_far_from_nominal")
 """Findings of single runs that a mistake in the set-up explains."""
+UNIT_FINDINGS = ("rate_unit", "acceleration_unit")
+"""Findings of wrong units of outputs in single runs, which may be what a mistake `LIKE_UNITS` looks like there."""
+LIKE_UNITS = (
+    "files_exchanged", "mounting_mislabelled", "mountings_exchanged", "mounting_turned", "mounting_wrong",
+    "table_zero", "table_elevation", "table_reversed", "axes_exchanged", "time_shift", "angle_unit",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 
 from imubayes.campaign.build_run import build_run, unused_columns
 from imubayes.campaign.file_schemas import RunEntry
-from imubayes.campaign.findings import Finding
+from imubayes.campaign.findings import UNIT_FINDINGS, Finding
 from imubayes.campaign.free_tumble import reduce_tumble
 from imubayes.campaign.named_directions import DIRECTION_COLUMNS, attitudes
 from imubayes.campaign.physical_checks import check_log, check_rows
@@ -113,7 +113,9 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
     loaded.findings += check_rows(run, equipment.channels, equipment.site, table, mounting, where)
     loaded.findings += unused_columns(source.layout, procedure, entry.name, where)
     warnings = tuple(f"{f.name}: {f.what}" for f in loaded.findings if f.severity == "warning")
-    loaded.run = None if loaded.failed else replace(run, notes=(*run.notes, *warnings))
+    # A wrong unit may be what another mistake looks like in this run, which all runs together tell.
+    wrong = [f.name for f in loaded.findings if f.severity == "error" and f.name not in UNIT_FINDINGS]
+    loaded.run = None if wrong else replace(run, notes=(*run.notes, *warnings))
 
 
 def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey: _Survey) -> tuple[Run, list[Finding]]:

@@ -259,7 +259,7 @@ def _gain(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake = found.mistake
     assert isinstance(mistake, ChannelGain)
     subject, names = _subject(mistake), ", ".join(f"'{name}'" for name in mistake.channels)
-    noun = "channel" if len(mistake.channels) == 1 else "channels"
+    noun, verb = ("channel", "is") if len(mistake.channels) == 1 else ("channels", "are")
     run = mistake.scope.section == "run"
     chosen = [channel for channel in campaign.channels if channel.name in mistake.channels]
     key = "scale" if mistake.units else "input_axis"
@@ -267,14 +267,15 @@ def _gain(campaign: Campaign, found: Explanation, places: Places) -> Words:
     if not mistake.units:
         axes = "; ".join(f"input_axis = {(-c.axes[0].round(6) + 0.0).tolist()} for '{c.name}'" for c in chosen)
         return Words(
-            f"{noun} {names} reversed in sign {subject}", where, "outputs that rise with the input along input_axis",
+            f"{noun} {names} {verb} reversed in sign {subject}", where,
+            "outputs that rise with the input along input_axis",
             f"reverse the sign of the columns {names} {subject}" if run else f"write {axes} (and reverse output_axis)",
         )  # fmt: skip
     scales = "; ".join(f"scale = {c.scale * mistake.factor:.6g} for '{c.name}'" for c in chosen)
     factor, large = mistake.factor, mistake.factor > 1
     size = f"{factor if large else 1 / factor:.4g} times too {'large' if large else 'small'}"
     return Words(
-        f"{noun} {names} {size} {subject}: {mistake.units}?", where,
+        f"{noun} {names} {verb} {size} {subject} ({mistake.units})", where,
         "outputs in 'output_unit', 'scale' of them per 'per'",
         f"divide the columns {names} by {mistake.factor:.6g} {subject}" if run
         else f"write {scales}, or correct 'per', or divide the columns by {mistake.factor:.6g}",
@@ -325,7 +326,8 @@ def _fahrenheit(campaign: Campaign, found: Explanation, places: Places) -> Words
     assert isinstance(mistake, TemperatureUnit)
     columns = " and ".join(f"'{_COLUMN[name]}'" for name in mistake.names)
     return Words(
-        f"column {columns} in degrees Fahrenheit {_subject(mistake)}",
+        f"{'column' if len(mistake.names) == 1 else 'columns'} {columns} {'is' if len(mistake.names) == 1 else 'are'} "
+        f"in degrees Fahrenheit {_subject(mistake)}",
         places.column(mistake, _COLUMN[mistake.names[0]]),
         "degrees Celsius",
         f"replace T by (T - 32) / 1.8 in {columns} {_subject(mistake)}",

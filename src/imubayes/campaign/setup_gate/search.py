@@ -7,7 +7,7 @@ conceal, and the unit is taken for as steady as its outputs show (`hidden_mistak
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone
 from imubayes.campaign.setup_gate.shown_steadiness import shown_steadiness
 from imubayes.campaign.setup_gate.site_mistakes import LATITUDE_MISTAKES, LatitudeSign, LatitudeValue
 from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
-from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES, AngleUnit, ChannelGain
+from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES, AngleUnit, ChannelGain, RateUnit
 from imubayes.campaign_data import Campaign
 
 ORDINARY_MISFIT, ORDINARY_ERROR = 1.0, 3.5
@@ -54,7 +54,7 @@ MOST_MISTAKES = 3
 TRIED_FIRST, TRIED_NEXT = 4, 1
 """How many of the best are tried as the first of several, and as each one after it: every trial is a search."""
 EQUIVALENT = 10.0
-"""Mistakes whose gain is within this of the best are equally good explanations."""
+"""Mistakes whose gain is within this of the best are equally good explanations; of hidden ones, `DECISIVE`."""
 RIVALLED = 49.0
 """Gain per channel beyond which a mistake in temperatures is said, as a warning, although other biases in a run explain
 the outputs as well: a bias off by seven plausible standard deviations.  Valid campaigns gained up to 26."""
@@ -65,6 +65,9 @@ LEVELS = (
 """Degrees of steadiness: factors of what rows leave out and of offsets of runs, to what each channel shows by itself,
 and the degree below, where a mistake has to be supported as well; the first is a poor unit.  A mistake makes channels
 look less steady than they are."""
+LEAST_IN_TUMBLES = 0.1
+"""Least share of a poor unit's errors that a gyro is taken to have in a tumble by the Earth rate: what a linear model
+leaves out there, terms quadratic in g, is the same in all rows of a direction."""
 _STEPS = 4
 _REFINEMENTS = 4
 _SUSPECTS = 5  # runs whose own mistakes are tried
@@ -120,21 +123,26 @@ def judge_setup(campaign: Campaign) -> Judgement:
         return Judgement()
     if search.ordinary:
         hidden = hidden_mistakes(campaign)
-        return Judgement((_equally_good(hidden),) if hidden else (), search.misfit)
+        return Judgement((_equally_good(hidden, DECISIVE),) if hidden else (), search.misfit)
     if found := search.several_mistakes(1):
         return Judgement(tuple(found), search.misfit)
     if hidden := hidden_mistakes(campaign):
-        return Judgement((_equally_good(hidden),), search.misfit)
+        return Judgement((_equally_good(hidden, DECISIVE),), search.misfit)
     if found := search.several_mistakes(MOST_MISTAKES):
         return Judgement(tuple(found), search.misfit)
     return Judgement(misfit=search.misfit, unexplained=tuple(search.disagreements()))
 
 
-def _equally_good(found: Sequence[Explanation]) -> tuple[Explanation, ...]:
+def _equally_good(found: Sequence[Explanation], within: float = EQUIVALENT) -> tuple[Explanation, ...]:
     """Return the best explanations, the first of each kind and scope."""
     best = max(each.support for each in found)
-    equal = [each for each in found if each.support >= best - EQUIVALENT]
-    return tuple(_distinct(sorted(equal, key=lambda each: -each.support)))
+    equal = [each for each in found if each.support >= best - within]
+    like = [each for each in found if isinstance(each.mistake, RateUnit) and _is_like(each.mistake, equal)]
+    return tuple(_distinct([*like, *sorted(equal, key=lambda each: -each.support)]))
+
+
+def _is_like(mistake: RateUnit, found: Sequence[Explanation]) -> bool:
+    return any(mistake.like(each.mistake) for each in found)
 
 
 def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
@@ -172,6 +180,8 @@ class SteadinessLevels:
             if step:
                 poor = ErrorModel(campaign, centre=self.centre)
                 self.shown = shown_steadiness(poor, search.views, search.model.estimates(search.total))
+                if feels_the_earth_alone(campaign, search.views):
+                    self.shown = replace(self.shown, rows=np.maximum(self.shown.rows, LEAST_IN_TUMBLES))
             self.centre = search.model.estimates(search.total)
         self.made: dict[int, Search] = {}
 
@@ -327,7 +337,7 @@ class Search:
 
     def _suspected(self) -> Iterator[Explanation]:
         suspects = self.suspects()
-        for kind in (*MISTAKES, *UNIT_MISTAKES):
+        for kind in (*MISTAKES, *UNIT_MISTAKES, *TEMPERATURE_MISTAKES):
             for mistake in kind.suspected(self.campaign, self.views):
                 if mistake.scope.section != "run" or suspects.issuperset(mistake.scope.runs):
                     yield self.explain(mistake)

@@ -8,7 +8,7 @@ from imubayes.campaign.setup_gate.search import DECISIVE, Explanation, judge_set
 from imubayes.campaign_data import Campaign
 
 _MOST_RUNS = 5
-_MOST_ALTERNATIVES = 3
+_MOST_ALTERNATIVES = 5
 
 
 def setup_findings(campaign: Campaign, places: Places, accepted: tuple[str, ...]) -> list[Finding]:
@@ -33,21 +33,23 @@ def _explained(
     ]
     run = equal[0].mistake.scope.name if equal[0].mistake.scope.section == "run" else ""
     first, words, others = equal[0], found[0][1], [each for _, each in found[1:]]
-    evidence = f"the outputs fit that far better (Δχ² {first.gain:.3g})"
+    others = others[:_MOST_ALTERNATIVES]
+    what = ", or ".join([words.what, *(each.what for each in others)])
+    evidence = f"the outputs fit {'each' if others else 'that'} far better (Δχ² {first.gain:.3g})"
     if first.rivalled:
         rival = "biases and scale factors unlike those of other runs" if run else "outputs that ignore the temperature"
         evidence += f", but cannot tell it from {rival}"
     remedy = words.remedy
     if others:
-        evidence += "; equally good: " + "; ".join(each.what for each in others[:_MOST_ALTERNATIVES])
-        remedy += " (or: " + "; ".join(each.remedy for each in others[:_MOST_ALTERNATIVES]) + ")"
+        what = f"the data cannot tell whether {what}"
+        remedy += " (or: " + "; or: ".join(each.remedy for each in others) + ")"
     # Weaker evidence is said and stops nothing.
     sure = first.support > DECISIVE and not first.rivalled and not {kind for kind, _ in found} & {*accepted}
     severity: Severity = "error" if sure else "warning"
     if sure:
         remedy += f'; accepted = ["{first.mistake.kind}"] in campaign.toml lets the campaign pass as it is'
     return Finding(
-        first.mistake.kind, severity, run, f"{words.what}: {evidence}", words.where, words.allowed, remedy
+        first.mistake.kind, severity, run, f"{what}: {evidence}", words.where, words.allowed, remedy
     )  # fmt: skip
 
 

@@ -43,6 +43,7 @@ _GAINS = {
     },
 }  # fmt: skip
 """Mistaken units of an output, and the factor by which it is too large."""
+_SAME_FACTOR = 0.02
 _LEAST_CHANGE = 5 * _DEGREE / 3600  # rad/s, a third of the Earth rate
 _LEAST_INPUT = {"gyro": 0.5 * _DEGREE, "accelerometer": 0.5}  # rad/s and m/s²
 
@@ -124,6 +125,16 @@ class RateUnit(Mistake):
         runs = [scope for scope in single_runs(views) if np.any(views[scope.runs[0]].rate)]
         for scope, unit in itertools.product(wide_first(turning, runs), RATE_UNITS):
             yield cls(scope, unit)
+
+    def like(self, other: Mistake) -> bool:
+        """Return whether another mistake is a gain of several gyros in the same turning runs that does the same.
+
+        Only the Earth rate, their biases and the lever arms of accelerometers tell the two, all of them loosely.
+        """
+        if not isinstance(other, ChannelGain) or len(other.channels) == 1:
+            return False
+        same = self.scope.section == "table" if other.scope.section == "campaign" else other.scope == self.scope
+        return same and abs(other.factor / RATE_UNITS[self.unit] - 1) < _SAME_FACTOR
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the rate converted."""
