@@ -7,7 +7,7 @@ conceal, and the unit is taken for as steady as its outputs show (`hidden_mistak
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -65,9 +65,9 @@ LEVELS = (
 """Degrees of steadiness: factors of what rows leave out and of offsets of runs, to what each channel shows by itself,
 and the degree below, where a mistake has to be supported as well; the first is a poor unit.  A mistake makes channels
 look less steady than they are."""
-LEAST_IN_TUMBLES = 0.1
-"""Least share of a poor unit's errors that a gyro is taken to have in a tumble by the Earth rate: what a linear model
-leaves out there, terms quadratic in g, is the same in all rows of a direction."""
+LEVELS_OF_TUMBLES = ((1.0, 1.0, 0), (0.3, 0.3, 0), (0.1, 0.1, 1), (0.03, 0.03, 2), (0.01, 0.01, 3))
+"""The same, to a poor unit, of gyros that feel the Earth rate alone: few rows, of which terms quadratic in g make one
+pattern, show no steadiness of their own."""
 _STEPS = 4
 _REFINEMENTS = 4
 _SUSPECTS = 5  # runs whose own mistakes are tried
@@ -174,27 +174,27 @@ class SteadinessLevels:
     def __init__(self, campaign: Campaign):
         self.campaign = campaign
         self.shown, self.centre = POOR, None
+        tumbled = feels_the_earth_alone(campaign, views_of(campaign))
+        self.levels = LEVELS_OF_TUMBLES if tumbled else LEVELS
         # Mountings off by a degree need a second step, and a steady unit tells them better than a poor one.
         for step in range(_STEPS):
             search = Search(campaign, self.shown, centre=self.centre)
-            if step:
+            if step and not tumbled:
                 poor = ErrorModel(campaign, centre=self.centre)
                 self.shown = shown_steadiness(poor, search.views, search.model.estimates(search.total))
-                if feels_the_earth_alone(campaign, search.views):
-                    self.shown = replace(self.shown, rows=np.maximum(self.shown.rows, LEAST_IN_TUMBLES))
             self.centre = search.model.estimates(search.total)
         self.made: dict[int, Search] = {}
 
     def __getitem__(self, level: int) -> "Search":
         if level not in self.made:
-            steadiness = self.shown.poor() if level == 0 else self.shown.times(*LEVELS[level][:2])
+            steadiness = self.shown.poor() if level == 0 else self.shown.times(*self.levels[level][:2])
             self.made[level] = Search(self.campaign, steadiness, centre=self.centre)
         return self.made[level]
 
     def of_most_evidence(self) -> tuple[int, float]:
         """Return the level of most evidence for the set-up as stated that fits, and −2 log of the most evidence."""
         scores: dict[int, float] = {}
-        for level, (_, _, below) in enumerate(LEVELS):
+        for level, (_, _, below) in enumerate(self.levels):
             if below < 1 or (below in scores and self[below].misfit < MOST_MISFIT_LEFT):
                 scores[level] = self[level].stated
         adequate = [level for level in scores if self[level].misfit < MOST_MISFIT_LEFT] or [0]
@@ -217,8 +217,8 @@ class SteadinessLevels:
         most = MOST_MISFIT_OF_TEMPERATURES if isinstance(mistake, TEMPERATURE_MISTAKES) else MOST_MISFIT_LEFT
         tried: list[tuple[float, int, Explanation]] = []
         fitting = set(range(first))
-        for level in range(first, len(LEVELS)):
-            if LEVELS[level][2] not in fitting:
+        for level in range(first, len(self.levels)):
+            if level > first and self.levels[level][2] not in fitting:
                 continue
             found = self[level].explain(mistake)
             if found.gain < WORTH_TRYING and not tried and not isinstance(mistake, LatitudeSign):
@@ -241,7 +241,7 @@ class SteadinessLevels:
     def _holds_below(self, level: int, mistake: Mistake) -> bool:
         # A sign has no size that would adapt to what is left out.
         bar = 0.0 if isinstance(mistake, LatitudeSign) else DECISIVE
-        below = LEVELS[level][2]
+        below = self.levels[level][2]
         return not below or self[below].explain(mistake).support > bar
 
 
