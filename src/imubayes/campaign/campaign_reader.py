@@ -120,7 +120,7 @@ def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Find
     wrong = [finding for finding in found if finding.severity == "error"]
     units = [finding for finding in findings if finding.severity == "error"]
     if units and not any(finding.name in LIKE_UNITS for finding in wrong):
-        return Inspection(None, tuple(finding.problem() for finding in units), findings)
+        return Inspection(None, tuple(finding.problem() for finding in units), tuple(findings))
     if wrong:
         # The mistake explains what the checks of single runs noticed of it.
         said = [each for each in findings if each.name not in SYMPTOMS and each not in units]
