@@ -153,7 +153,7 @@ def test_the_noise_of_each_channel_is_what_its_outputs_show(valid: dict[int, Pat
     true = np.array([truth[f"white_noise.sigma[{c.name}]"] / stated.get(c.name, c.noise) for c in channels])
     assert np.ptp(true) > 1
     found = np.asarray(SteadinessLevels(campaign).shown.noise)
-    np.testing.assert_allclose(found, true, rtol=0.2)
+    np.testing.assert_allclose(found, true, rtol=0.4)
 
 
 def test_every_kind_has_a_meaning() -> None:

@@ -28,6 +28,9 @@ have a misfit of 0.01 to 0.4 and errors within 1.6 standard deviations."""
 DECISIVE = 25.0
 """Gain in twice the log evidence, less the `unlikelihood` of a mistake, for it to be named: odds of e^12 to 1 outweigh
 some thousand suspected mistakes and priors of 1 in 100."""
+STOPPING = 100.0
+"""The same for a hidden mistake to stop a fit; up to it a warning says it.  Its evidence rests on how steady the unit
+is taken to be, which errors that no model lists make too much of."""
 DECISIVE_LATITUDE = 8.0
 """The same for the sign of the latitude where several gyros show it, which is a single suspected mistake; up to
 `DECISIVE` it is a warning."""
@@ -81,6 +84,7 @@ class Explanation:
     ----------
     misfit : per output with the correction.
     rival : gain of what passes for the mistake in a valid set-up.
+    stopping : support beyond which the mistake stops a fit.
     """
 
     mistake: Mistake
@@ -88,6 +92,7 @@ class Explanation:
     gain: float
     misfit: float
     rival: float = 0.0
+    stopping: float = DECISIVE
 
     @property
     def support(self) -> float:
@@ -236,7 +241,7 @@ class SteadinessLevels:
             return None
         if gain > DECISIVE_LATITUDE and not self[0].error_left(mistake, best.size) < ORDINARY_ERROR:
             return None
-        return Explanation(mistake, best.size, gain, best.misfit, max(0.0, stated - rival))
+        return Explanation(mistake, best.size, gain, best.misfit, max(0.0, stated - rival), STOPPING)
 
     def _holds_below(self, level: int, mistake: Mistake) -> bool:
         # A sign has no size that would adapt to what is left out.

@@ -4,7 +4,7 @@ import math
 
 from imubayes.campaign.findings import Finding, Severity
 from imubayes.campaign.setup_gate.remedies import REMEDIES, Places, Words
-from imubayes.campaign.setup_gate.search import DECISIVE, Explanation, judge_setup
+from imubayes.campaign.setup_gate.search import Explanation, judge_setup
 from imubayes.campaign_data import Campaign
 
 _MOST_RUNS = 5
@@ -44,7 +44,7 @@ def _explained(
         what = f"the data cannot tell whether {what}"
         remedy += " (or: " + "; or: ".join(each.remedy for each in others) + ")"
     # Weaker evidence is said and stops nothing.
-    sure = first.support > DECISIVE and not first.rivalled and not {kind for kind, _ in found} & {*accepted}
+    sure = first.support > first.stopping and not first.rivalled and not {kind for kind, _ in found} & {*accepted}
     severity: Severity = "error" if sure else "warning"
     if sure:
         remedy += f'; accepted = ["{first.mistake.kind}"] in campaign.toml lets the campaign pass as it is'
