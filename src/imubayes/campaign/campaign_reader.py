@@ -101,7 +101,8 @@ def inspect_campaign(path: str | Path, *, judge_setup: bool = True) -> Inspectio
     issues = [*ledger.issues, *(issue for result in loaded for issue in result.issues)]
     wrong = [finding for finding in findings if finding.severity == "error"]
     # A wrong unit in a single run may be what another mistake, such as a wrong mounting, looks like there.
-    if not judge_setup or any(finding.name not in UNIT_FINDINGS for finding in wrong):
+    unread = any(result.run is None for result in loaded)
+    if not judge_setup or unread or any(finding.name not in UNIT_FINDINGS for finding in wrong):
         issues += [finding.problem() for finding in wrong]
     if issues or document.entry is None:
         return Inspection(None, tuple(issues), findings)
