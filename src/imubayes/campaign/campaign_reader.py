@@ -99,11 +99,8 @@ def inspect_campaign(path: str | Path, *, judge_setup: bool = True) -> Inspectio
     loaded = [_load(file.parent / run.file, run, draft.names["channel"], judge) for run in draft.runs.values()]
     findings = tuple(finding for result in loaded for finding in result.findings)
     issues = [*ledger.issues, *(issue for result in loaded for issue in result.issues)]
-    wrong = [finding for finding in findings if finding.severity == "error"]
-    # A wrong unit in a single run may be what another mistake, such as a wrong mounting, looks like there.
-    unread = any(result.run is None for result in loaded)
-    if not judge_setup or unread or any(finding.name not in UNIT_FINDINGS for finding in wrong):
-        issues += [finding.problem() for finding in wrong]
+    if not judge_setup or not _await_the_gate(loaded, findings):
+        issues += _problems(findings)
     if issues or document.entry is None:
         return Inspection(None, tuple(issues), findings)
     campaign = _campaign(document.entry, equipment, loaded, findings, file)
@@ -112,20 +109,29 @@ def inspect_campaign(path: str | Path, *, judge_setup: bool = True) -> Inspectio
     return _with_setup(campaign, document.entry, findings, Places(document.entry, ledger))
 
 
+def _problems(findings: Sequence[Finding]) -> tuple[Issue, ...]:
+    return tuple(finding.problem() for finding in findings if finding.severity == "error")
+
+
+def _await_the_gate(loaded: Sequence[Loaded], findings: Sequence[Finding]) -> bool:
+    """Whether all errors are wrong units in single runs, which may be what another mistake looks like there."""
+    units = all(finding.name in UNIT_FINDINGS for finding in findings if finding.severity == "error")
+    return units and all(result.run is not None for result in loaded)
+
+
 def _with_setup(campaign: Campaign, entry: CampaignFile, findings: Sequence[Finding], places: Places) -> Inspection:
     """Return the inspection of a valid campaign with what its outputs say against its set-up."""
     found = setup_findings(campaign, places, tuple(entry.accepted))
     # One wrong run makes others disagree with it; what is wrong has been said of the run itself.
     noticed = any(finding.name in SYMPTOMS for finding in findings)
     found = [finding for finding in found if not (noticed and finding.name == "setup_disagrees")]
-    wrong = [finding for finding in found if finding.severity == "error"]
-    units = [finding for finding in findings if finding.severity == "error"]
-    if units and not any(finding.name in LIKE_UNITS for finding in wrong):
-        return Inspection(None, tuple(finding.problem() for finding in units), tuple(findings))
+    units, wrong = _problems(findings), _problems(found)
+    if units and not any(finding.name in LIKE_UNITS and finding.severity == "error" for finding in found):
+        return Inspection(None, units, tuple(findings))
     if wrong:
         # The mistake explains what the checks of single runs noticed of it.
-        said = [each for each in findings if each.name not in SYMPTOMS and each not in units]
-        return Inspection(None, tuple(finding.problem() for finding in wrong), (*said, *found))
+        said = [each for each in findings if each.name not in SYMPTOMS and each.severity != "error"]
+        return Inspection(None, wrong, (*said, *found))
     return Inspection(replace(campaign, notes=(*campaign.notes, *map(str, found))), (), (*findings, *found))
 
 

@@ -59,6 +59,12 @@ class Loaded:
         """Whether an issue or error makes the campaign unusable."""
         return bool(self.issues) or any(finding.severity == "error" for finding in self.findings)
 
+    @property
+    def readable(self) -> bool:
+        """Whether nothing but a wrong unit is wrong: all runs together tell what made it look like one."""
+        wrong = {finding.name for finding in self.findings if finding.severity == "error"}
+        return not self.issues and wrong <= {*UNIT_FINDINGS}
+
 
 @dataclass(frozen=True)
 class _Survey:
@@ -113,9 +119,7 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
     loaded.findings += check_rows(run, equipment.channels, equipment.site, table, mounting, where)
     loaded.findings += unused_columns(source.layout, procedure, entry.name, where)
     warnings = tuple(f"{f.name}: {f.what}" for f in loaded.findings if f.severity == "warning")
-    # A wrong unit may be what another mistake looks like in this run, which all runs together tell.
-    wrong = [f.name for f in loaded.findings if f.severity == "error" and f.name not in UNIT_FINDINGS]
-    loaded.run = None if wrong else replace(run, notes=(*run.notes, *warnings))
+    loaded.run = replace(run, notes=(*run.notes, *warnings)) if loaded.readable else None
 
 
 def _rows_of(source: TableSource, entry: RunEntry, equipment: Equipment, survey: _Survey) -> tuple[Run, list[Finding]]:

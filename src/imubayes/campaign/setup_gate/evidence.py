@@ -256,6 +256,7 @@ class ErrorModel:
         return min(G_SENSITIVITIES, key=lambda width: self.score(terms, width))
 
     def widths_with(self, g_sensitivity: float) -> np.ndarray:
+        """Return the standard deviations of all errors with that of the g-sensitivity, shape (P,)."""
         sd = self.sd.copy()
         sd[self.g_sensitive] = g_sensitivity
         return sd

@@ -219,6 +219,21 @@ class SteadinessLevels:
         ----------
         stated : −2 log evidence of the set-up as stated.
         """
+        tried = self._tried(mistake, first)
+        if not tried:
+            return None
+        score, level, best = min(tried, key=lambda each: each[0])
+        gain, rival = stated - score, stated
+        if isinstance(mistake, TEMPERATURE_MISTAKES):
+            rival = min(self[tried_at].rival(mistake) for _, tried_at, _ in tried)
+        elif gain > DECISIVE_LATITUDE and not self._holds_below(level, mistake):
+            return None
+        if gain > DECISIVE_LATITUDE and not self[0].error_left(mistake, best.size) < ORDINARY_ERROR:
+            return None
+        return Explanation(mistake, best.size, gain, best.misfit, max(0.0, stated - rival), STOPPING)
+
+    def _tried(self, mistake: Mistake, first: int) -> list[tuple[float, int, Explanation]]:
+        """Return −2 log evidence, level and correction at each level where the correction fits."""
         most = MOST_MISFIT_OF_TEMPERATURES if isinstance(mistake, TEMPERATURE_MISTAKES) else MOST_MISFIT_LEFT
         tried: list[tuple[float, int, Explanation]] = []
         fitting = set(range(first))
@@ -231,17 +246,7 @@ class SteadinessLevels:
             if found.misfit < most:
                 fitting.add(level)
                 tried.append((self[level].stated - found.gain, level, found))
-        if not tried:
-            return None
-        score, level, best = min(tried, key=lambda each: each[0])
-        gain, rival = stated - score, stated
-        if isinstance(mistake, TEMPERATURE_MISTAKES):
-            rival = min(self[tried_at].rival(mistake) for _, tried_at, _ in tried)
-        elif gain > DECISIVE_LATITUDE and not self._holds_below(level, mistake):
-            return None
-        if gain > DECISIVE_LATITUDE and not self[0].error_left(mistake, best.size) < ORDINARY_ERROR:
-            return None
-        return Explanation(mistake, best.size, gain, best.misfit, max(0.0, stated - rival), STOPPING)
+        return tried
 
     def _holds_below(self, level: int, mistake: Mistake) -> bool:
         # A sign has no size that would adapt to what is left out.
