@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from imubayes.qualification.marginal import FittedMarginal
+from imubayes.qualification.marginal import FittedMarginal, Marginal, _likeliest
 
 
 def test_slopes_of_the_log_density_are_its_derivatives():
@@ -16,3 +16,23 @@ def test_slopes_of_the_log_density_are_its_derivatives():
     steps = step * np.eye(4)
     numeric = [(density(at + s).log_density(y) - density(at - s).log_density(y)) / (2 * step) for s in steps]
     assert density(at).slopes(y) == pytest.approx(np.array(numeric), abs=1e-7)
+
+
+@pytest.mark.parametrize("name", ["standard_t", "gamma"])
+def test_condensed_draws_have_the_marginal_of_all(name):
+    random = np.random.default_rng(3)
+    draws = random.standard_t(4, 12_000) if name == "standard_t" else random.gamma(1.2, 1, 12_000)
+    fitted = Marginal(draws, 12_000.0).smooth
+    values = np.log(draws) if fitted.sign else draws
+    whole, _ = _likeliest(values, np.full(len(values), 1 / len(values)), fitted.sign)
+    for end in np.quantile(draws, [0.001, 0.025, 0.5, 0.975, 0.999]):
+        assert fitted.probability(-np.inf, end) == pytest.approx(whole.probability(-np.inf, end), abs=1e-5)
+
+
+def test_interval_and_errors_are_those_of_quantiles():
+    draws = np.random.default_rng(4).gamma(2, 1, 999)
+    found = Marginal(draws, 400.0)
+    assert found.interval == pytest.approx(np.quantile(draws, [0.025, 0.975]), rel=1e-12)
+    # Quantiles of bootstrap samples scatter as the error says.
+    ends = np.random.default_rng(5).choice(draws, (2000, 400))
+    assert found.errors.high == pytest.approx(np.quantile(ends, 0.975, axis=1).std(), rel=0.15)
