@@ -33,7 +33,7 @@ demo: $(READY)
 	$(BIN)/imubayes compare results/trihedral-imu
 
 # Types are checked beside the tests: pyright keeps only one core busy.
-# An effect is missing in the shipped archive: diagnose says so with exit status 1.
+# An effect is missing in the shipped archive: diagnose names it.
 archive-demo: $(READY)
 	$(BIN)/imubayes batch data/unit-archive --model models/accel-channel.toml --out results/unit-archive
 	$(BIN)/imubayes batch population results/unit-archive --picture results/unit-archive/population.png

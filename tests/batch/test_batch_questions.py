@@ -138,3 +138,14 @@ def test_the_model_of_the_next_unit_has_the_population_as_its_prior():
     assert sd == pytest.approx(100, abs=15)
     with pytest.raises(InputError, match="no parameter has a population"):
         next_unit_model(spec, populations(*tables(found[:3]))[0])
+
+
+def test_the_prior_of_a_scatter_between_runs_stays_at_zero():
+    random = np.random.default_rng(8)
+    found = [
+        campaign(f"U{place}", DAY, {"run_scatter.tau[ax]": (abs(random.normal(0, 2)), 0.5)}) for place in range(200)
+    ]
+    model, _ = next_unit_model(ModelSpec("m", (EffectSpec("run_scatter"),)), populations(*tables(found))[0])
+    text = model.effects[0].prior["tau"]
+    assert text.startswith("halfnormal(")
+    assert float(text.removeprefix("halfnormal(").removesuffix(")").split()[0]) == pytest.approx(2, rel=0.15)

@@ -2,7 +2,8 @@
 
 The predictive distribution of the next unit, N(μ, τ²) with mean and spread uncertain, replaces the prior of each
 parameter whose population is known; the others keep theirs.  Parameters of mountings and tables keep theirs too: they
-belong to the equipment of a campaign, not to a kind of unit.
+belong to the equipment of a campaign, not to a kind of unit.  A parameter that cannot be negative and whose prior
+reaches down to zero keeps it there: a half-normal prior with the second moment of the population.
 """
 
 import math
@@ -13,6 +14,7 @@ from imubayes.batch.parameter_population import ParameterPopulation, Populations
 from imubayes.errors import input_error
 from imubayes.model.effect_registry import Registry
 from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.parameters.parameter_declarations import declared_parameters
 
 _DIGITS = 4
 
@@ -26,13 +28,19 @@ class ReplacedPrior:
     before: str
 
 
-def prior_text(found: ParameterPopulation) -> str:
-    """Return the predictive distribution of the next unit as a prior of a model file."""
+# Families of priors with their mode at zero.
+_FROM_ZERO = ("halfnormal", "halfcauchy")
+
+
+def prior_text(found: ParameterPopulation, before: str) -> str:
+    """Return the predictive distribution of the next unit as a prior of a model file; `before` is that of the batch."""
     assert found.mean is not None, found.reason
     assert found.predictive_sd is not None, found.reason
     unit = f" {found.unit_of_measure}" if found.unit_of_measure not in ("", "1") else ""
     if found.scale == "log":
         return f"lognormal({math.exp(found.mean):.{_DIGITS}g}{unit}, {found.predictive_sd:.{_DIGITS}g})"
+    if before.partition("(")[0] in _FROM_ZERO:
+        return f"halfnormal({math.hypot(found.mean, found.predictive_sd):.{_DIGITS}g}{unit})"
     return f"normal({found.mean:.{_DIGITS}g}{unit}, {found.predictive_sd:.{_DIGITS}g}{unit})"
 
 
@@ -57,10 +65,12 @@ def next_unit_model(spec: ModelSpec, found: Populations, name: str = "") -> tupl
     effects: list[EffectSpec] = []
     replaced: list[ReplacedPrior] = []
     for effect in spec.effects:
-        of_channel = (effect.per or ",".join(registry.find(effect.name, effect.where).per)) == "channel"
+        kind = registry.find(effect.name, effect.where)
+        of_channel = (effect.per or ",".join(kind.per)) == "channel"
         channels = _channels(effect, known) if of_channel else []
         before = len(replaced)
-        parts = [_with_priors(effect, channel, known, replaced) for channel in channels]
+        defaults = {field: each.prior for field, each in declared_parameters(kind).items()}
+        parts = [_with_priors(effect, defaults, channel, known, replaced) for channel in channels]
         effects.extend(parts if len(replaced) > before else [effect])
     if not replaced:
         raise input_error(
@@ -84,14 +94,19 @@ def _own(name: str, known: Mapping[str, ParameterPopulation]) -> Sequence[str]:
 
 
 def _with_priors(
-    effect: EffectSpec, channel: str, known: Mapping[str, ParameterPopulation], replaced: list[ReplacedPrior]
+    effect: EffectSpec,
+    defaults: Mapping[str, str],
+    channel: str,
+    known: Mapping[str, ParameterPopulation],
+    replaced: list[ReplacedPrior],
 ) -> EffectSpec:
-    """Return an effect on one channel with the priors that the population gives it."""
+    """Return an effect on one channel with the priors that the population gives it; `defaults` are those declared."""
     priors = dict(effect.prior)
     for field, each in _fields(effect.name, channel, known):
         if each.mean is not None:
-            text = prior_text(each)
-            replaced.append(ReplacedPrior(each.parameter, text, priors.get(field, "")))
+            before = priors.get(field, "")
+            text = prior_text(each, before or defaults[field])
+            replaced.append(ReplacedPrior(each.parameter, text, before))
             priors[field] = text
     # The next unit may lack a channel that others had.
     return replace(effect, channels=(channel,), prior=priors, optional=True)
