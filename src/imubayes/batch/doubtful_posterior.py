@@ -23,8 +23,8 @@ _DRAWS, _BATCH = 1000, 64
 # posterior, and the shape of weights that hardly differ does not matter.
 _PARETO_K, _LARGEST = 0.5, 2.5
 # A proposal whose standard deviation is a fifth too small gives 5.4, one that is off by one standard deviation 4.4.
-# Of 200 units like `data/polar-tumble`, noise up to a hundred times, none is off by `_OFF`: at most 0.13 in a mean, that
-# of the noise, and 6 % in a standard deviation; 3 of them are flagged (benchmarks/results/doubtful_posteriors.md).
+# Of 200 units like `data/polar-tumble`, noise up to a hundred times, none is off by `_OFF`: at most 0.13 in the mean
+# of the noise and 6 % in a standard deviation; 3 of them are flagged (benchmarks/results/doubtful_posteriors.md).
 _SKEWNESS = 3.0
 # Most that means may be off, in standard deviations, and the logarithms of these: six times the error of 1000 draws.
 _OFF = 0.2
