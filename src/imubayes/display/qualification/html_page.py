@@ -17,7 +17,7 @@ def html_page(document: ReportDocument) -> str:
     layouts = list(dict.fromkeys(_layout(block) for block in document.blocks if isinstance(block, ReportTable)))
     page = render(
         "qualification", document=document, headings=headings, drawing=Markup, anchor=_anchor, formula=_formula,
-        prose=_prose,
+        prose=_prose, breakable=_breakable,
         column_styles=Markup("\n".join(_column_style(place, layout) for place, layout in enumerate(layouts))),
         layout_of=lambda table: layouts.index(_layout(table)),
     )  # fmt: skip
@@ -47,6 +47,12 @@ def _column_style(place: int, layout: Layout) -> str:
 def _formula(text: str) -> Markup:
     """Return a formula with its subscripts; everything else in it is escaped."""
     return Markup(re.sub(r"_([^\W²³]+′?)", r"<sub>\1</sub>", str(escape(text))))
+
+
+def _breakable(text: str) -> Markup:
+    """Return the text of a cell, escaped, whose names may break between their parts, and hashes anywhere."""
+    parts = re.sub(r"(?<=[a-z])\.(?=[a-z])", ".<wbr>", str(escape(text))).replace("[", "<wbr>[")
+    return Markup(re.sub(r"(\w{16})(?=\w{24})", r"\1<wbr>", parts))
 
 
 def _prose(text: str) -> Markup:
