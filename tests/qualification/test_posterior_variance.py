@@ -25,13 +25,19 @@ def test_unbiased_with_the_error_that_is_stated():
     assert found[:, 2].mean() == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_linear_part_of_another_width_is_refused():
+def test_a_linear_part_of_another_width_is_scaled():
     """Planted fault: the approximation is 1.2 times too narrow; the variance of the draws is what is reported."""
     values, linear = draws(1, curved=0.0, width=2.4)
-    variance, error, slope = _variance(values, linear, KNOWN, 4000.0)
+    variance, error, slope, widened = _variance(values, linear, KNOWN, 4000.0)
     assert variance == pytest.approx(np.var(values), rel=1e-12)
     assert variance == pytest.approx(2.4**2, abs=4 * error)
-    assert slope == 1.0
+    assert slope == pytest.approx(1.0, abs=1e-12)
+    assert slope * widened == pytest.approx(np.std(values) / 2, rel=1e-9)
+
+
+def test_another_distribution_is_not_scaled():
+    values, linear = draws(1, curved=0.0, width=3.0)
+    assert _variance(values, linear, KNOWN, 4000.0)[2:] == (1.0, 1.0)
 
 
 def test_missing_draws_are_left_out():

@@ -76,6 +76,7 @@ class QuantityBudget(Record):
     standard_uncertainty, monte_carlo_error : root of the posterior variance, and its Monte Carlo standard error.
     lines : contributions, the largest first.
     contributed : root of the sum of all contributions.
+    scaled : factor on the contributions of the linear approximation where draws are wider or narrower than it; else 1.
     remainder : share of the posterior variance beyond them: higher orders and Monte Carlo error.
     components : whether inputs contribute through the components of a vector, as to an angle near zero.
     degrees_of_freedom : effective, by Welch–Satterthwaite; None where they are infinite.
@@ -90,6 +91,7 @@ class QuantityBudget(Record):
     monte_carlo_error: float
     lines: tuple[BudgetLine, ...]
     contributed: float
+    scaled: float
     remainder: float
     components: bool
     degrees_of_freedom: float | None

@@ -43,7 +43,7 @@ from imubayes.results.result import Result
 
 BUDGETS = "budgets.json"
 # Changed where budgets of the same result come out otherwise, so that those that are kept are made anew.
-_METHOD = 5
+_METHOD = 6
 _MOST_HALVED = 3
 # Decimals of a correlation.
 _DECIMALS = 4
@@ -150,6 +150,7 @@ def _budget(parts: _Parts, place: int, next_run: NarrowingRun | None) -> Quantit
         monte_carlo_error=float(arrays.posterior_error[place]) / (2 * u),
         lines=tuple(lines),
         contributed=float(np.sqrt(arrays.contributions[place])),
+        scaled=float(arrays.widened[place]) ** 2,
         remainder=float(arrays.remainder[place]) / posterior,
         components=name in arrays.at_zero,
         degrees_of_freedom=finite(degrees),

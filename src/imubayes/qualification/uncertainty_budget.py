@@ -5,7 +5,8 @@ fixture, table, site, reference and the unit itself before the test (type B).  T
 add up exactly (`imubayes.qualification.budget_algebra`).  The noise scales have a posterior of their own, so
 contributions are averaged over it, and the variance of the conditional mean is a line by itself (total variance).
 What is not linear has a line of its own too, the variance of the second-order part; what the posterior variance
-(`imubayes.qualification.posterior_variance`) has beyond the sum of all these is the remainder.
+(`imubayes.qualification.posterior_variance`) has beyond the sum of all these is the remainder.  Where draws are a bit
+wider or narrower than the approximation, contributions are scaled to them, and the factor is stated.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -103,6 +104,7 @@ class BudgetArrays:
     noise_scales : shape (Q,), variance of the conditional mean over the noise scales.
     second_order : shape (Q,), variance of the second-order part of the quantity.
     posterior : shape (Q,), posterior variance.
+    widened : shape (Q,), what standard deviations are above those of the approximation, see `PosteriorVariances`.
     posterior_error : shape (Q,), its Monte Carlo standard error.
     improved : standard deviations if one input were better.
     correlation : shape (Q, Q), of the posterior draws.
@@ -120,6 +122,7 @@ class BudgetArrays:
     noise_scales: np.ndarray
     second_order: np.ndarray
     posterior: np.ndarray
+    widened: np.ndarray
     posterior_error: np.ndarray
     improved: Improvements
     correlation: np.ndarray
@@ -218,13 +221,12 @@ def budget_of(
     scales = rows.summed(moments.mean.var(axis=0))
     variances = posterior_variances(part, derivatives, linear + scales, rows.summed(moments.spread), draws)
     at_zero = np.isin(list(draws.values), list(components))
-    factor = np.where(at_zero, _ratio(variances.posterior, linear + scales), variances.slope**2)[:, None]
+    factor = np.where(at_zero, _ratio(variances.posterior, linear + scales), variances.scale)[:, None]
     type_a = split.mean(axis=2)
     type_a = type_a * _ratio(linear - type_b.sum(axis=1), type_a.sum(axis=1))[:, None]
     # Over two components the sensitivity is the root of the sum of squares: contribution = (sensitivity · width)².
     sensitivity = np.sqrt(rows.summed(moments.sensitivity**2))
     sensitivity = np.where(at_zero[:, None], sensitivity, rows.summed(moments.sensitivity))
-
     return BudgetArrays(
         names=tuple(draws.values),
         runs=tuple(run.name for run in campaign.runs),
@@ -234,6 +236,7 @@ def budget_of(
         noise_scales=factor[:, 0] * scales,
         second_order=np.where(at_zero, 0.0, variances.second_order),
         posterior=variances.posterior,
+        widened=variances.widened,
         posterior_error=variances.error,
         improved=_improvements(fit, rows, whitened, widths, factor, moments),
         correlation=_correlation(complete(draws.values)),

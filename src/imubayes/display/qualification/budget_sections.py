@@ -64,7 +64,7 @@ def budget_section(report: QualificationReport) -> list[Block]:
         Heading("Uncertainty budgets"),
         Paragraph(_METHOD),
         Items(_NOTES),
-        Paragraph(_sum_text(budgets)),
+        Paragraph(_sum_text(budgets) + _scaled_text(budgets)),
     ]
     bars = bar_drawings(shown)
     if bars is not None:
@@ -85,6 +85,18 @@ def reported_budgets(report: QualificationReport, budgets: UncertaintyBudgets) -
     names += [each.name if each.name in known else each.members[0] for each in report.standards]
     names += [each.name for each in report.thermal_linearity]
     return [known[name] for name in dict.fromkeys(names) if name in known]
+
+
+def _scaled_text(budgets: UncertaintyBudgets) -> str:
+    """Return which budgets are scaled to their draws, as a sentence; empty where none is."""
+    named = [f"{each.name} (× {each.scaled:.3f})" for each in budgets.quantities if each.scaled != 1]
+    if not named:
+        return ""
+    rest = f" and {len(named) - 6} more" if len(named) > 6 else ""
+    return (
+        f" Contributions to {', '.join(named[:6])}{rest} are those of the linear approximation times the factor, as "
+        "the posterior draws have another width."
+    )
 
 
 def _sum_text(budgets: UncertaintyBudgets) -> str:
