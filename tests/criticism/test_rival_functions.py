@@ -1,7 +1,9 @@
 """Where the levels of its input do not determine the form of an effect, it is not named alone."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -10,11 +12,15 @@ from scipy.integrate import cumulative_trapezoid, solve_ivp
 
 from imubayes.criticism import stepwise_search, unlisted_causes
 from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.criticism.diagnose import judge
+from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.localised_structure import Feature, FeatureScan, FeatureSet
 from imubayes.criticism.projection import project
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.rival_functions import drifts_of_series
 from imubayes.criticism.score_test import project_responses
+from imubayes.criticism.stepwise_search import SearchResult
+from imubayes.effects import EFFECTS
 
 ABSENT = ("converter_nonlinearity", "converter_gain_temperature_rate")
 
@@ -53,6 +59,53 @@ def test_a_form_is_determined_by_enough_levels(levels, told):
     scan = FeatureScan(whole, np.zeros((len(x), 0)), ())
     same = [(scan, form) for form in (line, cube) if unlisted_causes._is_one_of(scan, form, x[:, None])]
     assert (unlisted_causes._undetermined_forms(same) == []) == told
+
+
+@pytest.mark.parametrize(
+    ("effects", "expected"),
+    [
+        (("accel_scale_temperature",), ["temperature_degC"]),
+        (("accel_bias_temperature",), []),
+        (("accel_scale_temperature", "accel_bias_temperature"), []),
+        (("gyro_g_sensitivity",), []),
+    ],
+)
+def test_a_function_that_leaves_out_a_covariate_of_the_effect_is_a_rival(effects, expected):
+    """What coincides at one force: ΔT, ΔT·f_i and f_i; which of them is new depends on what is in the group."""
+    temperature, force = (ResidualCovariate(name, "", np.zeros(1), name) for name in ("temperature_degC", "force_i"))
+    same = [Feature(each, "power", (0,)) for each in ((temperature,), (temperature, force), (force,))]
+    # The scale factor takes up what goes with the force alone.
+    same = same[:2] if effects[0].startswith("accel") else same[2:]
+    kind = "gyro" if effects[0].startswith("gyro") else "accelerometer"
+    registry = SimpleNamespace(effects={member.name: member for member in EFFECTS})
+    campaign = SimpleNamespace(channels=[SimpleNamespace(name="a", kind=kind)])
+    fitted = SimpleNamespace(model=SimpleNamespace(registry=registry, campaign=campaign))
+    found, group = Mock(spec=SearchResult), Mock(spec=EquivalenceGroup)
+    found.first = SimpleNamespace(projection=SimpleNamespace(fitted=fitted))
+    group.leader, group.effects = SimpleNamespace(owners=("a",)), effects
+    rivals = unlisted_causes._of_fewer_covariates(found, group, same)
+    assert [each.covariates[0].name for each in rivals] == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("looked", "verdict"), [(True, "equivalent_effects"), (False, "missing_effect")])
+def test_a_scale_factor_over_temperature_is_not_certain_at_one_force(monkeypatch, looked, verdict):
+    """The unit warms in runs of one force along ax: the bias over temperature, not in the catalogue, looks the same."""
+    absent, fitted = "accel_bias_temperature", fitted_to("rotation-modulation", "rotation-modulation")
+    [truth] = [each for each in candidate_responses(fitted).candidates if each.scan.effect == absent]
+    owners = [coefficient.owner for coefficient in truth.coefficients]
+    planted = redrawn(fitted, 5, change=truth.columns[:, owners.index("ay")] * 60)
+
+    def lacking(fit: Any, *more: Any) -> Any:
+        found = candidate_responses(fit, *more)
+        return replace(found, candidates=tuple(each for each in found.candidates if each.scan.effect != absent))
+
+    monkeypatch.setattr(stepwise_search, "candidate_responses", lacking)
+    if not looked:
+        monkeypatch.setattr(unlisted_causes, "_of_fewer_covariates", lambda *rest: [])
+    found = judge(planted)
+    assert found.verdict == verdict
+    assert found.groups[0].effects == ("accel_scale_temperature",)
 
 
 def test_a_drift_is_carried_through_the_motion_of_the_table_that_it_drives():

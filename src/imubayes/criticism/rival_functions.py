@@ -15,12 +15,12 @@ from scipy.integrate import cumulative_trapezoid
 
 from imubayes.covariates import COVARIATES
 from imubayes.criticism import thresholds
+from imubayes.criticism.effect_covariates import INPUTS
 from imubayes.criticism.localised_structure import Feature, FeatureScan, feature_set, scan_features
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.stepwise_search import SearchResult
 from imubayes.model.nodes_and_entries import servo_runs
 
-_INPUTS = {"gyro": "rate_i", "accelerometer": "force_i"}
 _ANGLE = COVARIATES["table_angle"]
 _ORDERS = (1, 2, 3, 4)
 """Of a drift over the angle: what is linear in g times a wobble of two harmonics has four."""
@@ -39,13 +39,13 @@ def _of_inputs(found: SearchResult) -> list[FeatureScan]:
     for kind in dict.fromkeys(channel.kind for channel in channels):
         places = [place for place, channel in enumerate(channels) if channel.kind == kind]
         here = np.isin(entries.channel, places) & ~entries.closing
-        if kind not in _INPUTS or not np.any(at.input[here]):
+        if kind not in INPUTS or not np.any(at.input[here]):
             continue
-        covariate = _input(found, _INPUTS[kind], here)
+        covariate = _input(found, INPUTS[kind], here)
         x = np.where(here, covariate.values, 0.0)
         x = x / np.abs(x).max()
         columns = np.stack([x**2, x**3, np.abs(x), x * np.abs(x)], axis=1)
-        curves = _curves(covariate, COVARIATES[_INPUTS[kind]].symbol)
+        curves = _curves(covariate, COVARIATES[INPUTS[kind]].symbol)
         scans.append(scan_features(at, feature_set(at, places, columns, curves)))
     return scans
 

@@ -6,6 +6,7 @@ therefore compared with the other kind at several shapes, whether or not the cat
 temperatures from row to row, along straight lines between them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from imubayes.covariates import COVARIATES
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Response, ShapeScan
+from imubayes.criticism.effect_covariates import INPUTS, covariates_of
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, indistinguishable, unexplained_chi2
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import assess, project_responses
@@ -68,25 +70,40 @@ def kind_of_memory(member: type) -> str:
 
 
 def other_memory(found: SearchResult, group: EquivalenceGroup) -> ResidualCovariate | None:
-    """Return the temperature that the leader of a group remembers, where another kind of memory fits as well.
+    """Return the temperature that the leader of a group remembers, where another memory of it fits as well.
 
-    None where the leader has no memory, where the other kinds are in the group, or where the data tell them apart.
+    That is another kind, or of an effect that multiplies the signal the same one added to it.  None where the leader
+    has no memory, where the others are in the group, or where the data tell them apart.
     """
     at, leader = found.first.projection, group.leader
     effects = at.fitted.model.registry.effects
     own, known = kind_of_memory(effects[leader.effect]), {kind_of_memory(effects[name]) for name in group.effects}
-    if not own or {LAG, PLAY} <= known:
+    if not own:
         return None
     name = next(_RATES.get(need, need) for need in effects[leader.effect].needs if need in (*_TEMPERATURES, *_RATES))
     columns = _columns(found, group)
     # An effect is gated off in a run whose temperature hardly changes, and so is its rival.
     acting = set(at.fitted.model.entries.run[np.any(columns, axis=1)].tolist())
     courses = {place: course for place, course in _courses(at.fitted, name).items() if place in acting}
-    factor = _factor(found, group, courses, own)
-    for kind, shapes in _others(courses, known).items():
-        if _fits_as_well(found, group, courses, factor, kind, shapes):
-            return next(each for each in found.covariates if each.name == COVARIATES[name].column)
+    rivals = []
+    if not {LAG, PLAY} <= known:
+        by_input = (np.ones(len(columns)), at.input)
+        others = _others(courses, known).items()
+        rivals += [(_factor(found, group, courses, own, by_input), kind, shapes) for kind, shapes in others]
+    if _multiplies(found, group):
+        shapes = [leader.scan.shape.get(_SHAPES[own], 0.0)]
+        rivals.append((_factor(found, group, courses, own, (np.ones(len(columns)),)), own, shapes))
+    if any(_fits_as_well(found, group, courses, *rival) for rival in rivals):
+        return next(each for each in found.covariates if each.name == COVARIATES[name].column)
     return None
+
+
+def _multiplies(found: SearchResult, group: EquivalenceGroup) -> bool:
+    """Tell whether all effects of a group multiply the signal of its channels."""
+    model = found.first.projection.fitted.model
+    kinds = {channel.kind for channel in model.campaign.channels if channel.name in group.leader.owners}
+    members = [model.registry.effects[name] for name in group.effects]
+    return all(INPUTS[kind] in each for member in members for kind in kinds for each in covariates_of(member, kind))
 
 
 def _others(courses: dict[int, Course], known: set[str]) -> dict[str, list[float]]:
@@ -123,15 +140,21 @@ def _fits_as_well(
     return False
 
 
-def _factor(found: SearchResult, group: EquivalenceGroup, courses: dict[int, Course], own: str) -> np.ndarray:
-    """Return what multiplies the memory in the response to the leader, (E, C): a constant or the input, by channel."""
+def _factor(
+    found: SearchResult,
+    group: EquivalenceGroup,
+    courses: dict[int, Course],
+    own: str,
+    multipliers: Sequence[np.ndarray],
+) -> np.ndarray:
+    """Return what multiplies the memory in the response to the leader, (E, C), by channel: the best of some (E,)."""
     at, leader, columns = found.first.projection, group.leader, _columns(found, group)
     memory = _memory(at.fitted, courses, own, leader.scan.shape.get(_SHAPES[own], 0.0))
     places = {channel.name: place for place, channel in enumerate(at.fitted.model.campaign.channels)}
     entries = at.fitted.model.entries
     here = np.stack([entries.channel == places[each.owner] for each in leader.coefficients], axis=1)
     best, least = columns, np.inf
-    for multiplier in (np.ones(len(memory)), at.input):
+    for multiplier in multipliers:
         plain = here * multiplier[:, None] * memory
         size = np.sum(plain * columns, axis=0) / np.maximum(np.sum(plain**2, axis=0), 1e-300)
         left = float(np.sum((columns - plain * size) ** 2))
