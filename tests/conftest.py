@@ -78,6 +78,7 @@ GROUPS = {
         "criticism/test_injection_recovery.py",
         "criticism/test_user_effect.py",
         "criticism/test_rival_functions.py",
+        "criticism/test_noise_left.py",
         "criticism/test_chain_stage.py::test_a_converter",
         "cli/",
         "inference/test_resume.py",

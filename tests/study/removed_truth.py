@@ -217,6 +217,7 @@ def table(lines: list[Line]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("campaigns", nargs="*", default=list(MODELS))
+    parser.add_argument("--first-seed", type=int, default=1)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--lines", type=Path, default=LINES)
     chosen = parser.parse_args()
@@ -226,7 +227,7 @@ def main() -> None:
     sys.path.insert(0, str(ROOT / "tests" / "criticism"))
     lines = []
     for campaign in chosen.campaigns:
-        for seed in range(1, 1 + chosen.seeds):
+        for seed in range(chosen.first_seed, chosen.first_seed + chosen.seeds):
             for line in study(campaign, seed, chosen.lines):
                 lines.append(line)
                 if "whole" in line and (not right(line) or wrong_name(line)):

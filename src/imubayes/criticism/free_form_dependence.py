@@ -65,6 +65,15 @@ class ProjectedForm:
     columns: np.ndarray
     length: np.ndarray
 
+    def reweighted(self, projection: Projection, root: np.ndarray) -> "ProjectedForm":
+        """Return the same in a projection of rows that were multiplied by `root`, (R,).
+
+        What is retained of a column is what both projections retain.
+        """
+        columns, before = root[:, None] * self.columns, np.linalg.norm(self.columns, axis=0)
+        grown = np.linalg.norm(columns, axis=0) / np.where(before > 0, before, 1.0)
+        return ProjectedForm(self.form, projection.project(columns), self.length * grown)
+
 
 def free_forms(projection: Projection, covariates: Sequence[ResidualCovariate]) -> list[FreeForm]:
     """Return the free forms of every channel, and of all channels of a kind, in every covariate."""

@@ -7,7 +7,7 @@ of matrices, and only the best against each covariate is tested in full.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -68,6 +68,11 @@ class FeatureSet:
         for place, (rows, columns) in enumerate(zip(self.rows, self.columns, strict=True)):
             result[rows, place * len(chosen) : (place + 1) * len(chosen)] = columns[:, chosen]
         return result
+
+    def reweighted(self, root: np.ndarray) -> "FeatureSet":
+        """Return the features of rows that were multiplied by `root`, (R,)."""
+        columns = tuple(root[rows, None] * own for rows, own in zip(self.rows, self.columns, strict=True))
+        return replace(self, columns=columns)
 
 
 @dataclass(frozen=True)

@@ -114,6 +114,16 @@ class Projection:
         freedom = self.freedom - self.strata.sums(np.sum(span**2, axis=1))
         return replace(self, basis=np.concatenate([self.basis, span], axis=1), residual=residual, freedom=freedom)
 
+    def reweighted(self, root: np.ndarray) -> "Projection":
+        """Return the projection of rows that were multiplied by `root`, (R,); `whitened` remains that of the fit.
+
+        What was projected out of the residual stays projected out, since its directions are multiplied likewise.
+        """
+        basis, _ = np.linalg.qr(root[:, None] * self.basis)
+        residual = root * self.residual
+        freedom = self.freedom + self.strata.sums(np.sum(self.basis**2, axis=1) - np.sum(basis**2, axis=1))
+        return replace(self, basis=basis, residual=residual - basis @ (basis.T @ residual), freedom=freedom)
+
     def absorb(self, rows: np.ndarray) -> np.ndarray:
         """Return the shift of the model's parameters, in z, that fits whitened rows (R, C); shape (P, C)."""
         return scipy.linalg.solve_triangular(self.upper, self.basis[:, : len(self.upper)].T @ rows)

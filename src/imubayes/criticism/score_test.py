@@ -101,6 +101,11 @@ class ProjectedResponse:
     whitened: np.ndarray
     projected: np.ndarray
 
+    def reweighted(self, projection: Projection, root: np.ndarray) -> "ProjectedResponse":
+        """Return the same in a projection of rows that were multiplied by `root`, (R,)."""
+        projected = projection.project(root[:, None] * self.projected)
+        return ProjectedResponse(self.response, root[:, None] * self.whitened, projected)
+
 
 def project_responses(projection: Projection, responses: Sequence[Response]) -> list[ProjectedResponse]:
     """Return the responses as rows of the projection."""
@@ -169,10 +174,7 @@ def score_test(
     drop = strata.sums(fitted**2)
     left = strata.sums((projection.residual - fitted) ** 2)
     freedom = projection.freedom - strata.sums(np.sum(span**2, axis=1))
-    # The prior's scale is known; a stratum with no freedom left has none that could be judged.
-    judged = freedom > LEAST_FREEDOM
-    judged[-1] = False
-    variance = np.maximum(np.where(judged, left / np.where(judged, freedom, 1.0), 1.0), 1e-12)
+    variance, judged = noise_left(left, freedom)
     weighted = drop / variance
     total, count = float(weighted.sum()), span.shape[1]
     finite = np.where(judged, freedom, KNOWN_FREEDOM)
@@ -185,6 +187,20 @@ def score_test(
     prior_share = float(weighted[-1]) / total if total > 0 else 0.0
     at_fit = float(fitted @ fitted)
     return ScoreTest(span, fitted, total, at_fit, max(p, _SMALLEST), gain, within, prior_share, variance, cone, used)
+
+
+def noise_left(squares: np.ndarray, freedom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the variance of each stratum relative to that of the fit, and whether it was judged; else it is 1.
+
+    The prior's scale is known; a stratum with no freedom left has none that could be judged.
+
+    Parameters
+    ----------
+    squares, freedom : sums of squares and degrees of freedom of each stratum, the rows of the priors last.
+    """
+    judged = freedom > LEAST_FREEDOM
+    judged[-1] = False
+    return np.maximum(np.where(judged, squares / np.where(judged, freedom, 1.0), 1.0), 1e-12), judged
 
 
 def _p_value(total: float, count: int, denominator: float, cone: Cone | None) -> float:

@@ -26,7 +26,7 @@ from imubayes.criticism.outliers import clustered, consecutive, deletion_residua
 from imubayes.criticism.projection import Projection, orthonormal, project
 from imubayes.criticism.recorded_noise import RecordedNoise, compare_with_record
 from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
-from imubayes.criticism.score_test import Candidate, ProjectedResponse, project_responses, screen
+from imubayes.criticism.score_test import Candidate, ProjectedResponse, assess, noise_left, project_responses, screen
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.problem import masked
@@ -124,6 +124,7 @@ class FirstPass:
     Attributes
     ----------
     first, last : screening before and after the groups were projected out.
+    rest : the last one at the noise that is left.
     alarm : whether an effect or structure is significant.
     cleared : the projection without groups and without patterns that cannot be noise.
     """
@@ -133,6 +134,7 @@ class FirstPass:
     noise: tuple[NoiseCandidate, ...]
     groups: tuple[EquivalenceGroup, ...]
     last: Screening
+    rest: Screening
     alarm: bool
     cleared: Projection
 
@@ -170,12 +172,12 @@ def _first_pass(given: SearchInput) -> FirstPass:
         look_elsewhere([structure.score for structure in first.structures], first.scans),
     )
     noise = screen_noise(first.projection)
-    groups, last = _select_effects(first, corrections.of_effect)
+    groups, last, rest = _select_effects(first, corrections.of_effect)
     alarm, cleared = bool(groups or corrections.significant(first.structures)), last.projection
     if alarm or _significant_noise(noise, thresholds.FALSE_ALARM_NOISE):
         at_least = int(alarm and not groups)
         cleared = _without_patterns(last, corrections.of_structure, at_least).projection
-    return FirstPass(first, corrections, tuple(noise), groups, last, alarm, cleared)
+    return FirstPass(first, corrections, tuple(noise), groups, last, rest, alarm, cleared)
 
 
 def _outliers(given: SearchInput, first: FirstPass) -> tuple[list[NoiseCandidate], np.ndarray]:
@@ -221,18 +223,18 @@ def _refit_without(fitted: Fit, outlying: np.ndarray, rounds: int) -> tuple[Fit,
 
 @dataclass(frozen=True)
 class _Outcome:
-    """Screening before and after the groups were projected out, with the factor on the budget of false alarms."""
+    """First screening, groups, last one at the noise that is left, with the factor on the budget of false alarms."""
 
     first: Screening
     groups: tuple[EquivalenceGroup, ...]
-    last: Screening
+    rest: Screening
     factor: float = 1.0
 
 
 def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
     """Return the outcome with the noise that the residuals show."""
     adopted, modelled = _noise_hypotheses(at)
-    outcome = _under_noise(given, at, modelled) if modelled else _Outcome(at.first, at.groups, at.last)
+    outcome = _under_noise(given, at, modelled) if modelled else _Outcome(at.first, at.groups, at.rest)
     # What runs of one input have in common is no noise, however long that remembers.
     common = tuple(common_courses((at.last if outcome.groups else at.first).projection))
     if _silent(at, outcome) and not common and not adopted:
@@ -242,7 +244,7 @@ def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
             outcome = _with_evidence_between_runs(given, at, outcome)
             adopted = suspected if _silent(at, outcome) else []
     structures = at.corrections.significant(outcome.first.structures, outcome.factor)
-    remaining = at.corrections.significant(outcome.last.structures, outcome.factor)
+    remaining = at.corrections.significant(outcome.rest.structures, outcome.factor)
     return SearchResult(
         first=outcome.first,
         responses=given.responses,
@@ -277,7 +279,8 @@ def _under_noise(given: SearchInput, at: FirstPass, modelled: Sequence[NoiseCand
     effects = {each.effect for each in modelled}
     first = given.screening(prewhitening(at.cleared, modelled), "run_scatter" in effects)
     factor = thresholds.ESTIMATED_CORRELATION_FACTOR if "correlated_noise" in effects else 1.0
-    return _Outcome(first, *_select_effects(first, at.corrections.of_effect, factor), factor)
+    groups, _, rest = _select_effects(first, at.corrections.of_effect, factor)
+    return _Outcome(first, groups, rest, factor)
 
 
 def _silent(at: FirstPass, outcome: _Outcome) -> bool:
@@ -298,7 +301,7 @@ def _with_evidence_between_runs(given: SearchInput, at: FirstPass, outcome: _Out
     near = [candidates[k] for k, value in evident.items() if value > evident[best] - thresholds.DECISIVE_LOG_ODDS]
     first, leader = replace(first, candidates=tuple(candidates)), candidates[best]
     group = equivalence_group(first.projection, leader, candidates, at.corrections.of_effect(leader.score.p), near)
-    return _Outcome(first, (group,), deflate(first, span_over_shapes(first, leader)))
+    return _Outcome(first, (group,), _at_noise_left(deflate(first, span_over_shapes(first, leader))))
 
 
 def _not_passed_over(
@@ -309,7 +312,7 @@ def _not_passed_over(
     A pattern that cannot be noise stays what it is; otherwise the noise that would explain it is adopted.
     """
     if at.alarm and _first_p(at) < thresholds.PATTERN_NOT_NOISE_P:
-        return _Outcome(at.first, at.groups, at.last), []
+        return _Outcome(at.first, at.groups, at.rest), []
     return outcome, modelled or _significant_noise(at.noise, thresholds.FALSE_ALARM_NOISE)
 
 
@@ -337,18 +340,47 @@ def _screening(
 
 def _select_effects(
     at: Screening, corrected: LookElsewhere, factor: float = 1.0
-) -> tuple[tuple[EquivalenceGroup, ...], Screening]:
-    """Select the best candidate, project it out and screen again, while one is significant."""
+) -> tuple[tuple[EquivalenceGroup, ...], Screening, Screening]:
+    """Select the best candidate, project it out and screen again at the noise that is left, while one is significant.
+
+    Returns the groups, and the last screening at the noise of the fit and at the noise that is left.
+    """
     groups: list[EquivalenceGroup] = []
-    threshold = factor * thresholds.FALSE_ALARM_EFFECT
-    while at.candidates and len(groups) < thresholds.MAX_EFFECTS:
-        p = corrected(min(candidate.p for candidate in at.candidates))
+    threshold, seen = factor * thresholds.FALSE_ALARM_EFFECT, at
+    while seen.candidates and len(groups) < thresholds.MAX_EFFECTS:
+        p = corrected(min(candidate.p for candidate in seen.candidates))
         if p >= threshold:
             break
-        leader = next(candidate for candidate in at.candidates if corrected(candidate.p) < threshold)
+        leader = _same(at, next(candidate for candidate in seen.candidates if corrected(candidate.p) < threshold))
         groups.append(equivalence_group(at.projection, leader, at.candidates, p))
         at = deflate(at, span_over_shapes(at, leader))
-    return tuple(groups), at
+        seen = _at_noise_left(at)
+    return tuple(groups), at, seen
+
+
+def _same(at: Screening, candidate: Candidate) -> Candidate:
+    """Return a candidate as another screening assesses it."""
+    prepared = next(each for each in at.prepared if each.response.scan == candidate.scan)
+    names = [coefficient.parameter.name for coefficient in prepared.response.coefficients]
+    chosen = [names.index(coefficient.parameter.name) for coefficient in candidate.coefficients]
+    return assess(at.projection, prepared, np.array(chosen))
+
+
+def _at_noise_left(at: Screening) -> Screening:
+    """Return the screening at the noise that is left, where that is much less than a missing effect let it seem.
+
+    Priors weigh less against less noise.  With the scale of the fit they bend what is left, which then looks like
+    further effects.
+    """
+    projection = at.projection
+    variance, _ = noise_left(projection.strata.sums(projection.residual**2), projection.freedom)
+    if variance.min() > thresholds.LESS_NOISE:
+        return at
+    root = 1 / np.sqrt(projection.strata.at_rows(variance))
+    reweighted = projection.reweighted(root)
+    responses = [each.reweighted(reweighted, root) for each in at.prepared]
+    forms = [each.reweighted(reweighted, root) for each in at.forms]
+    return _screening(reweighted, responses, forms, [each.features.reweighted(root) for each in at.scans])
 
 
 def _without_patterns(at: Screening, corrected: LookElsewhere, at_least: int) -> Screening:

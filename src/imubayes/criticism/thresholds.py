@@ -83,6 +83,9 @@ SAME_RESPONSE = 1e-3
 DECISIVE_LOG_ODDS = math.log(20.0)
 
 # ---- Verdict (diagnosis, residual_evidence) --------------------------------------------------------------------------
+# Where effects explain more than half of the variance of some channel, what remains is screened at the noise that is
+# left.  Derived: priors weigh by what the noise is.  Numerical: above, a second screening is hardly different.
+LESS_NOISE = 0.5
 # Structure left by the candidates counts against the leader if it is worth more than this share of the leader's Δχ²: a
 # large effect reveals its smallest imperfection.  Blind study: smaller withholds right names, larger gives wrong ones.
 REMAINDER_SHARE = 0.01
