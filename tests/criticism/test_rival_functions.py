@@ -62,15 +62,16 @@ def test_a_form_is_determined_by_enough_levels(levels, told):
 
 
 @pytest.mark.parametrize(
-    ("effects", "expected"),
+    ("effects", "small", "expected"),
     [
-        (("accel_scale_temperature",), ["temperature_degC"]),
-        (("accel_bias_temperature",), []),
-        (("accel_scale_temperature", "accel_bias_temperature"), []),
-        (("gyro_g_sensitivity",), []),
+        (("accel_scale_temperature",), True, [["temperature_degC"]]),
+        (("accel_bias_temperature",), True, [["temperature_degC", "force_i"]]),
+        (("accel_bias_temperature",), False, []),
+        (("accel_scale_temperature", "accel_bias_temperature"), True, []),
+        (("gyro_g_sensitivity",), True, []),
     ],
 )
-def test_a_function_that_leaves_out_a_covariate_of_the_effect_is_a_rival(effects, expected):
+def test_a_function_that_leaves_out_a_covariate_or_adds_the_input_is_a_rival(monkeypatch, effects, small, expected):
     """What coincides at one force: ΔT, ΔT·f_i and f_i; which of them is new depends on what is in the group."""
     temperature, force = (ResidualCovariate(name, "", np.zeros(1), name) for name in ("temperature_degC", "force_i"))
     same = [Feature(each, "power", (0,)) for each in ((temperature,), (temperature, force), (force,))]
@@ -83,18 +84,29 @@ def test_a_function_that_leaves_out_a_covariate_of_the_effect_is_a_rival(effects
     found, group = Mock(spec=SearchResult), Mock(spec=EquivalenceGroup)
     found.first = SimpleNamespace(projection=SimpleNamespace(fitted=fitted))
     group.leader, group.effects = SimpleNamespace(owners=("a",)), effects
-    rivals = unlisted_causes._of_fewer_covariates(found, group, same)
-    assert [each.covariates[0].name for each in rivals] == expected
+    monkeypatch.setattr(unlisted_causes, "may_scale", lambda *_: small)
+    rivals = unlisted_causes._of_other_covariates(found, group, same)
+    assert [[covariate.name for covariate in each.covariates] for each in rivals] == expected
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("looked", "verdict"), [(True, "equivalent_effects"), (False, "missing_effect")])
-def test_a_scale_factor_over_temperature_is_not_certain_at_one_force(monkeypatch, looked, verdict):
-    """The unit warms in runs of one force along ax: the bias over temperature, not in the catalogue, looks the same."""
-    absent, fitted = "accel_bias_temperature", fitted_to("rotation-modulation", "rotation-modulation")
-    [truth] = [each for each in candidate_responses(fitted).candidates if each.scan.effect == absent]
-    owners = [coefficient.owner for coefficient in truth.coefficients]
-    planted = redrawn(fitted, 5, change=truth.columns[:, owners.index("ay")] * 60)
+@pytest.mark.parametrize(
+    ("absent", "other"),
+    [
+        ("accel_bias_temperature", "accel_scale_temperature"),
+        ("accel_scale_temperature", "accel_bias_temperature"),
+    ],
+)
+def test_an_effect_over_temperature_is_not_certain_at_one_force(monkeypatch, absent, other, looked, verdict):
+    """The unit warms in runs of one force along ay: a bias and a scale factor over temperature look the same there."""
+    fitted = fitted_to("rotation-modulation", "rotation-modulation")
+    responses = candidate_responses(fitted)
+    at = project(fitted, responses.misfit, responses.jacobian)
+    [truth] = [each for each in project_responses(at, responses.candidates) if each.response.scan.effect == absent]
+    place = [coefficient.owner for coefficient in truth.response.coefficients].index("ay")
+    size = 40 / np.linalg.norm(truth.projected[:, place])
+    planted = redrawn(fitted, 5, change=truth.response.columns[:, place] * size)
 
     def lacking(fit: Any, *more: Any) -> Any:
         found = candidate_responses(fit, *more)
@@ -102,10 +114,10 @@ def test_a_scale_factor_over_temperature_is_not_certain_at_one_force(monkeypatch
 
     monkeypatch.setattr(stepwise_search, "candidate_responses", lacking)
     if not looked:
-        monkeypatch.setattr(unlisted_causes, "_of_fewer_covariates", lambda *rest: [])
+        monkeypatch.setattr(unlisted_causes, "_of_other_covariates", lambda *rest: [])
     found = judge(planted)
     assert found.verdict == verdict
-    assert found.groups[0].effects == ("accel_scale_temperature",)
+    assert found.groups[0].effects == (other,)
 
 
 def test_a_drift_is_carried_through_the_motion_of_the_table_that_it_drives():

@@ -72,8 +72,8 @@ def kind_of_memory(member: type) -> str:
 def other_memory(found: SearchResult, group: EquivalenceGroup) -> ResidualCovariate | None:
     """Return the temperature that the leader of a group remembers, where another memory of it fits as well.
 
-    That is another kind, or of an effect that multiplies the signal the same one added to it.  None where the leader
-    has no memory, where the others are in the group, or where the data tell them apart.
+    That is another kind, or the same one added to the signal in place of multiplying it, or the reverse.  None where
+    the leader has no memory, where the others are in the group, or where the data tell them apart.
     """
     at, leader = found.first.projection, group.leader
     effects = at.fitted.model.registry.effects
@@ -90,20 +90,34 @@ def other_memory(found: SearchResult, group: EquivalenceGroup) -> ResidualCovari
         by_input = (np.ones(len(columns)), at.input)
         others = _others(courses, known).items()
         rivals += [(_factor(found, group, courses, own, by_input), kind, shapes) for kind, shapes in others]
-    if _multiplies(found, group):
+    multiplied = _multiplies(found, group)
+    if multiplied != {False, True} and (True in multiplied or may_scale(found, group)):
+        multiplier = np.ones(len(columns)) if True in multiplied else at.input
         shapes = [leader.scan.shape.get(_SHAPES[own], 0.0)]
-        rivals.append((_factor(found, group, courses, own, (np.ones(len(columns)),)), own, shapes))
+        rivals.append((_factor(found, group, courses, own, (multiplier,)), own, shapes))
     if any(_fits_as_well(found, group, courses, *rival) for rival in rivals):
         return next(each for each in found.covariates if each.name == COVARIATES[name].column)
     return None
 
 
-def _multiplies(found: SearchResult, group: EquivalenceGroup) -> bool:
-    """Tell whether all effects of a group multiply the signal of its channels."""
+def _multiplies(found: SearchResult, group: EquivalenceGroup) -> set[bool]:
+    """Return whether the effects of a group multiply the signal of its channels; both where they differ in that."""
     model = found.first.projection.fitted.model
     kinds = {channel.kind for channel in model.campaign.channels if channel.name in group.leader.owners}
     members = [model.registry.effects[name] for name in group.effects]
-    return all(INPUTS[kind] in each for member in members for kind in kinds for each in covariates_of(member, kind))
+    return {INPUTS[kind] in each for member in members for kind in kinds for each in covariates_of(member, kind)}
+
+
+def may_scale(found: SearchResult, group: EquivalenceGroup) -> bool:
+    """Tell whether what the leader of a group adds might be a change of the scale factor, by its size."""
+    at, leader = found.first.projection, group.leader
+    campaign, entries = at.fitted.model.campaign, at.fitted.model.entries
+    scales = np.array([channel.scale_si for channel in campaign.channels] + [np.inf] * 3)
+    names = [channel.name for channel in campaign.channels]
+    here = np.isin(entries.channel, [names.index(owner) for owner in leader.owners if owner in names])
+    added = _columns(found, group) @ leader.value / scales[entries.channel]
+    largest = np.abs(at.input[here]).max(initial=0.0)
+    return bool(np.abs(added[here]).max(initial=0.0) < thresholds.SCALE_CHANGE_MAX * largest)
 
 
 def _others(courses: dict[int, Course], known: set[str]) -> dict[str, list[float]]:

@@ -79,6 +79,9 @@ DISTINGUISHABLE_CHI2 = 16.0
 # A plain function is the response of an effect where it leaves less than this share of its square.  Numerical, with
 # room for the curvature of the model: smaller takes an effect for a rival of itself.
 SAME_RESPONSE = 1e-3
+# What is added to the output may be a change of the scale factor if it is below this share of the largest input.
+# Convention: scale factors change by a few per cent over temperature.  Larger lets Earth rate at rest be scaled.
+SCALE_CHANGE_MAX = 0.1
 # Odds of 20 to 1 do not decide between two candidates that explain half of the same.  Convention (95 %), blind study.
 DECISIVE_LOG_ODDS = math.log(20.0)
 

@@ -9,8 +9,9 @@ a free series of an angle is like any function of it: such a series is always a 
 the effect has coefficients is none, as it fits by its freedom.  Of an effect that remembers the temperature, the other
 kind of memory is such a cause, and not the other functions of a rate of change at few levels.
 
-An effect that goes with several covariates coincides with a function of fewer of them where the others do not vary: of
-a scale factor over temperature at one input, the bias over temperature is such a function, and no other form.
+An effect that goes with several covariates coincides with a function of fewer of them where the others do not vary, and
+one of the bias with one of the scale factor where the input does not: at one input, a scale factor over temperature and
+a bias over temperature are alike.
 """
 
 from collections.abc import Sequence
@@ -19,7 +20,7 @@ from itertools import combinations
 import numpy as np
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.effect_covariates import covariates_of
+from imubayes.criticism.effect_covariates import INPUTS, covariates_of
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.localised_structure import Feature, FeatureScan
 from imubayes.criticism.projection import orthonormal
@@ -27,7 +28,7 @@ from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.rival_functions import SERIES, rival_scans
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.stepwise_search import Screening, SearchResult
-from imubayes.criticism.temperature_memory import kind_of_memory, other_memory
+from imubayes.criticism.temperature_memory import kind_of_memory, may_scale, other_memory
 
 Causes = tuple[tuple[ResidualCovariate, ...], ...]
 """Covariates, one to three, of each function."""
@@ -45,7 +46,7 @@ def unlisted_causes(found: SearchResult, group: EquivalenceGroup) -> Causes:
     near, same = _as_good_functions(found, group)
     if not kind_of_memory(at.projection.fitted.model.registry.effects[leader.effect]):
         near.extend(_undetermined_forms(same))
-    near.extend(_of_fewer_covariates(found, group, [feature for _, feature in same]))
+    near.extend(_of_other_covariates(found, group, [feature for _, feature in same]))
     by_name = {tuple(covariate.name for covariate in feature.covariates): feature.covariates for feature in near}
     if (remembered := other_memory(found, group)) is not None:
         by_name[remembered.name,] = (remembered,)
@@ -156,14 +157,22 @@ def _undetermined_forms(same: Sequence[tuple[FeatureScan, Feature]]) -> list[Fea
     return [found[0] for found in forms.values() if len({(each.family, len(each.columns)) for each in found}) > 1]
 
 
-def _of_fewer_covariates(found: SearchResult, group: EquivalenceGroup, same: Sequence[Feature]) -> list[Feature]:
-    """Return the functions that coincide with an effect of the group and leave out a covariate that it goes with."""
+def _of_other_covariates(found: SearchResult, group: EquivalenceGroup, same: Sequence[Feature]) -> list[Feature]:
+    """Return the functions that coincide with an effect of the group, and leave out or add a covariate.
+
+    They leave out any that the effect goes with, or add the input: then the effect might be one of the scale factor.
+    """
     model = found.first.projection.fitted.model
     kinds = dict.fromkeys(channel.kind for channel in model.campaign.channels if channel.name in group.leader.owners)
     members = [model.registry.effects[name] for name in group.effects]
     own = {each for member in members for kind in kinds for each in covariates_of(member, kind)}
-    fewer = [(frozenset(covariate.name for covariate in feature.covariates), feature) for feature in same]
-    return [feature for names, feature in fewer if names not in own and any(names < each for each in own)]
+    scaled = {each | {INPUTS[kind]} for kind in kinds for each in own if each} if may_scale(found, group) else set()
+    other = [(frozenset(covariate.name for covariate in feature.covariates), feature) for feature in same]
+    return [
+        feature
+        for names, feature in other
+        if names not in own and (names in scaled or any(names < each for each in own))
+    ]
 
 
 def _response(at: Screening, member: Candidate) -> np.ndarray:
