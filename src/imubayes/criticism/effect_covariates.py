@@ -13,13 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.array_shapes import Array
-from imubayes.campaign_data import Kind
 from imubayes.covariates import COVARIATES, ambient_names
 from imubayes.effects.base import RecordEffect, SignalEffect
 from imubayes.parameters.parameter_declarations import declared_parameters
 from imubayes.signal_path_state import Ambient, Sample
 
-INPUTS: Mapping[Kind, str] = {"gyro": "rate_i", "accelerometer": "force_i"}
+INPUTS: Mapping[str, str] = {"gyro": "rate_i", "accelerometer": "force_i"}
 """The covariate that the signal of a kind of channel follows."""
 MEMORY = "memory"
 _GENERIC = np.random.default_rng(952).uniform(0.5, 2.0, 64)
@@ -27,7 +26,7 @@ _CHANGED = 1e-9
 """Relative change by which rounding is told from a dependence."""
 
 
-def covariates_of(member: type, kind: Kind) -> tuple[frozenset[str], ...]:
+def covariates_of(member: type, kind: str) -> tuple[frozenset[str], ...]:
     """Return for each coefficient of an effect the columns of the covariates that it goes with; none of a motion.
 
     A direction of the site counts by the name of its axis, since it is no covariate, and a memory by `MEMORY`.  What
@@ -41,15 +40,15 @@ def covariates_of(member: type, kind: Kind) -> tuple[frozenset[str], ...]:
 
 
 def _of_coefficient(
-    member: type[SignalEffect | RecordEffect], nulls: Mapping[str, Array], field: str, kind: Kind
+    member: type[SignalEffect | RecordEffect], nulls: Mapping[str, Array], field: str, kind: str
 ) -> frozenset[str]:
-    remembers = issubclass(member, RecordEffect)
-
     @jax.jit
     def first_order(signal, sample, memory):
         def output(value):
             effect = member(**{**nulls, field: value})
-            return effect.apply(signal, sample, memory) if remembers else effect.apply(signal, sample)
+            if isinstance(effect, RecordEffect):
+                return effect.apply(signal, sample, memory)
+            return effect.apply(signal, sample)
 
         return jax.jvp(output, (nulls[field],), (jnp.ones(()),))[1]
 
