@@ -85,27 +85,26 @@ def other_memory(found: SearchResult, group: EquivalenceGroup) -> ResidualCovari
     # An effect is gated off in a run whose temperature hardly changes, and so is its rival.
     acting = set(at.fitted.model.entries.run[np.any(columns, axis=1)].tolist())
     courses = {place: course for place, course in _courses(at.fitted, name).items() if place in acting}
-    rivals = []
-    if not {LAG, PLAY} <= known:
-        by_input = (np.ones(len(columns)), at.input)
-        others = _others(courses, known).items()
-        rivals += [(_factor(found, group, courses, own, by_input), kind, shapes) for kind, shapes in others]
-    multiplied = _multiplies(found, group)
-    if multiplied != {False, True} and (True in multiplied or may_scale(found, group)):
-        multiplier = np.ones(len(columns)) if True in multiplied else at.input
-        shapes = [leader.scan.shape.get(_SHAPES[own], 0.0)]
-        rivals.append((_factor(found, group, courses, own, (multiplier,)), own, shapes))
+    by_input = (np.ones(len(columns)), at.input)
+    others = {} if {LAG, PLAY} <= known else _others(courses, known)
+    rivals = [(_factor(found, group, courses, own, by_input), kind, shapes) for kind, shapes in others.items()]
+    shapes = [leader.scan.shape.get(_SHAPES[own], 0.0)]
+    rivals += [(_factor(found, group, courses, own, (by,)), own, shapes) for by in _other_multiplier(found, group)]
     if any(_fits_as_well(found, group, courses, *rival) for rival in rivals):
         return next(each for each in found.covariates if each.name == COVARIATES[name].column)
     return None
 
 
-def _multiplies(found: SearchResult, group: EquivalenceGroup) -> set[bool]:
-    """Return whether the effects of a group multiply the signal of its channels; both where they differ in that."""
-    model = found.first.projection.fitted.model
+def _other_multiplier(found: SearchResult, group: EquivalenceGroup) -> list[np.ndarray]:
+    """Return one where all effects of a group multiply the signal, the input, (E,), where none does, or nothing."""
+    at = found.first.projection
+    model = at.fitted.model
     kinds = {channel.kind for channel in model.campaign.channels if channel.name in group.leader.owners}
-    members = [model.registry.effects[name] for name in group.effects]
-    return {INPUTS[kind] in each for member in members for kind in kinds for each in covariates_of(member, kind)}
+    pairs = [(model.registry.effects[name], kind) for name in group.effects for kind in kinds]
+    multiplies = {INPUTS[kind] in each for member, kind in pairs for each in covariates_of(member, kind)}
+    if multiplies == {True}:
+        return [np.ones_like(at.input)]
+    return [at.input] if multiplies == {False} and may_scale(found, group) else []
 
 
 def may_scale(found: SearchResult, group: EquivalenceGroup) -> bool:

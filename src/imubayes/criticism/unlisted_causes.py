@@ -162,17 +162,23 @@ def _of_other_covariates(found: SearchResult, group: EquivalenceGroup, same: Seq
 
     They leave out any that the effect goes with, or add the input: then the effect might be one of the scale factor.
     """
-    model = found.first.projection.fitted.model
-    kinds = dict.fromkeys(channel.kind for channel in model.campaign.channels if channel.name in group.leader.owners)
-    members = [model.registry.effects[name] for name in group.effects]
-    own = {each for member in members for kind in kinds for each in covariates_of(member, kind)}
-    scaled = {each | {INPUTS[kind]} for kind in kinds for each in own if each} if may_scale(found, group) else set()
+    own, scaled = _goes_with(found, group)
     other = [(frozenset(covariate.name for covariate in feature.covariates), feature) for feature in same]
     return [
         feature
         for names, feature in other
         if names not in own and (names in scaled or any(names < each for each in own))
     ]
+
+
+def _goes_with(found: SearchResult, group: EquivalenceGroup) -> tuple[set[frozenset[str]], set[frozenset[str]]]:
+    """Return what the coefficients of a group go with, and what they would as changes of the scale factor."""
+    model = found.first.projection.fitted.model
+    kinds = {channel.kind for channel in model.campaign.channels if channel.name in group.leader.owners}
+    pairs = [(model.registry.effects[name], kind) for name in group.effects for kind in kinds]
+    own = {(each, INPUTS[kind]) for member, kind in pairs for each in covariates_of(member, kind)}
+    scaled = {each | {along} for each, along in own if each} if may_scale(found, group) else set()
+    return {each for each, _ in own}, scaled
 
 
 def _response(at: Screening, member: Candidate) -> np.ndarray:
