@@ -1,9 +1,14 @@
 # pyright: reportMissingImports=false
-"""What the outputs of a drawn campaign say of its set-up, to one who knows the law that they were drawn from.
+"""What the outputs of a drawn campaign say of its set-up, by two laws.
 
 χ² of the outputs under a linear Gaussian law: the nominal input of every row, worked out here from the files, and all
-errors with the standard deviations from which `data/generators` draws them.  A mistake that raises it by less than
-`DETECTABLE` changes the expected outputs by less than noise and errors conceal: nobody can detect it in that campaign.
+errors with standard deviations.  A mistake that raises it by less than `DETECTABLE` changes the expected outputs by
+less than noise and errors conceal: nobody who knows no more than the law can detect it in that campaign.
+
+`GENERATING` has the standard deviations from which `data/generators` draws.  `STATED` has those that a reader of the
+campaign files can assume of a tactical unit, which no file narrows: the default priors of the catalogue of effects
+(`imubayes effects`), and repeatabilities from one run to the next of 10 deg/h and 0.5 mg, as data sheets have them.
+χ² is then that of the best valid explanation with every physical parameter free within its plausible range.
 Nothing here is shared with the package.
 """
 
@@ -21,15 +26,51 @@ DETECTABLE = 49.0
 have been made."""
 ARCSEC, DEG_H, UG, PPM = pi / 648000, pi / 180 / 3600, 9.8e-6, 1e-6
 KNOWN = ("rate_table", "rotation_modulation", "dividing_head", "polar_tumble", "thermal_ramp")
-# Standard deviations of the errors of a channel, SI: the widest of the models in use.
-# Scale factor, two misalignments, bias, its slope, that of the scale factor, three terms of g or one quadratic in g,
-# slopes of bias and scale factor with the temperature of the converter, three lever arms.
-SPREAD = {
-    "gyro": (1e-3, 300 * ARCSEC, 300 * ARCSEC, 100 * DEG_H, 0.2 * DEG_H, 1e-5, *(5 * DEG_H,) * 3, 0, 0, 0, 0, 0),
-    "accelerometer": (
-        3e-4, 100 * ARCSEC, 100 * ARCSEC, 1000 * UG, 20 * UG, 2e-5, 20 * UG, 0, 0, 25 * UG, 5e-6, 0.01, 0.01, 0.01,
+
+
+@dataclass(frozen=True)
+class Law:
+    """Standard deviations of the errors of channels, SI.
+
+    Attributes
+    ----------
+    gyro, accelerometer : scale factor, two misalignments, bias, its slope and curvature with the temperature, the same
+        of the scale factor, three terms of g, six quadratic in g, slopes of bias and scale factor with the temperature
+        of the converter, three lever arms.
+    offsets : of single runs, kind → SI; None where they are those that were drawn.
+    rows : of single rows, kind → SI; of single rows of polar tumbles in the law without terms quadratic in g.
+    share : of the input.
+    """
+
+    gyro: tuple[float, ...]
+    accelerometer: tuple[float, ...]
+    offsets: dict[str, float] | None
+    rows: dict[str, float]
+    share: float
+
+
+# The widest of the models in use.
+GENERATING = Law(
+    gyro=(1e-3, 300 * ARCSEC, 300 * ARCSEC, 100 * DEG_H, 0.2 * DEG_H, 0, 1e-5, 0, *(5 * DEG_H,) * 3, *(0,) * 11),
+    accelerometer=(
+        3e-4, 100 * ARCSEC, 100 * ARCSEC, 1000 * UG, 20 * UG, 0, 2e-5, 0, 0, 0, 0, 20 * UG, *(0,) * 5,
+        25 * UG, 5e-6, *(0.01,) * 3,
     ),
-}  # fmt: skip
+    offsets=None, rows={"gyro": 0.0, "accelerometer": 0.0}, share=1e-6,
+)  # fmt: skip
+STATED = Law(
+    gyro=(
+        2e-3, 200 * ARCSEC, 200 * ARCSEC, 3600 * DEG_H, 20 * DEG_H, 0.5 * DEG_H, 1e-4, 1e-6, *(100 * DEG_H,) * 3,
+        *(10 * DEG_H,) * 6, 20 * DEG_H, 1e-4, *(0,) * 3,
+    ),
+    accelerometer=(
+        2e-3, 200 * ARCSEC, 200 * ARCSEC, 20000 * UG, 100 * UG, 5 * UG, 1e-4, 1e-6, 0, 0, 0, *(50 * UG,) * 6,
+        100 * UG, 1e-4, *(0.1,) * 3,
+    ),
+    offsets={"gyro": 10 * DEG_H, "accelerometer": 500 * UG},
+    rows={"gyro": 0.3 * DEG_H, "accelerometer": 20 * UG}, share=3e-4,
+)  # fmt: skip
+_TUMBLE_ROWS = 0.3 * DEG_H  # terms quadratic in g, where a law has none
 
 
 @dataclass
@@ -51,14 +92,14 @@ class System:
         return self.square - float(np.sum(np.linalg.solve(lower, self.vector) ** 2))
 
 
-def chi_square(folder: Path) -> float:
+def chi_square(folder: Path, law: Law = GENERATING) -> float:
     """Return χ² of all outputs of the runs on tables of one axis, all errors integrated out."""
     said = tomllib.loads((folder / "campaign.toml").read_text(encoding="utf-8"))
     truth = tomllib.loads((folder / "truth.toml").read_text(encoding="utf-8"))["parameters"]
     drawn = folder / "drawn_noise.toml"
     noise = tomllib.loads(drawn.read_text(encoding="utf-8")) if drawn.exists() else {}
     runs = [run for run in said["run"] if run["procedure"] in KNOWN and "mounting" in run]
-    channels, count = said["channel"], len(SPREAD["gyro"])
+    channels, count = said["channel"], len(law.gyro)
     seats = [mounting["name"] for mounting in said["mounting"]]
     tables = [table["name"] for table in said["table"]]
     shared = count * len(channels)
@@ -79,7 +120,7 @@ def chi_square(folder: Path) -> float:
             if channel["name"] not in rows:
                 continue
             gyro = channel["kind"] == "gyro"
-            design = _design(channel, rows, turn, force, rate, gravity)
+            design = _design(channel, rows, turn, force, rate, gravity) * (law.gyro if gyro else law.accelerometer)
             seated = np.cross(turn if gyro else force, _axes(channel)[0]) * loose
             up = site.earth_rate if gyro else np.array([0.0, 0.0, gravity])
             tilted = np.cross(_axes(channel)[0] @ stand, up) * tilt
@@ -89,7 +130,7 @@ def chi_square(folder: Path) -> float:
             factor = channel["noise"] / noise.get(label, channel["noise"])
             sigma = factor * truth.get(f"white_noise.sigma[{label}]", channel["noise"] / factor)
             scatter = factor * truth.get(f"run_scatter.tau[{label}]", 0.1 * channel["noise"] / factor)
-            offset = np.full((len(design), 1), scatter / abs(per))
+            offset = np.full((len(design), 1), law.offsets[channel["kind"]] if law.offsets else scatter / abs(per))
             places = np.concatenate([
                 count * k + np.arange(count), shared + 3 * seat + np.arange(3),
                 shared + 3 * len(seats) + 3 * table + np.arange(3), [offsets + number * len(channels) + k],
@@ -97,10 +138,10 @@ def chi_square(folder: Path) -> float:
             whole = np.concatenate([design, seated, tilted, offset], axis=1)
             error = (rows[label] - channel.get("offset", 0.0)) / per - (turn if gyro else force) @ _axes(channel)[0]
             # Products of errors, which a linear law leaves out: of seat and lever arm, of seat and scale factor.
-            share = max(1e-6, loose**2) * np.linalg.norm(turn if gyro else force, axis=1)
+            share = max(law.share, loose**2) * np.linalg.norm(turn if gyro else force, axis=1)
             arms = 0.0 if gyro else 2 * loose * 0.03 * np.sum(rate**2, axis=1)
-            squares = 0.3 * DEG_H if run["procedure"] == "polar_tumble" else 0.0  # terms quadratic in g
-            left_out = share**2 + arms**2 + squares**2
+            of_row = max(law.rows[channel["kind"]], _TUMBLE_ROWS if run["procedure"] == "polar_tumble" else 0.0)
+            left_out = share**2 + arms**2 + of_row**2
             system.add(whole, places, error, (sigma / per) ** 2 / rows["samples"] + left_out)
     return system.chi_square()
 
@@ -147,16 +188,15 @@ def _scale_si(channel: dict, gravity: float) -> float:
 def _design(
     channel: dict, rows: dict[str, np.ndarray], turn: np.ndarray, force: np.ndarray, rate: np.ndarray, gravity: float
 ) -> np.ndarray:
-    """Response to each error of a channel, in units of its standard deviation, shape (rows, 14)."""
+    """Response to each error of a channel, in the order of a law, shape (rows, 22)."""
     gyro, axes = channel["kind"] == "gyro", _axes(channel)
     along = (turn if gyro else force) @ axes.T
     one = np.ones(len(along))
     warm = rows.get("temperature_degC", 25 * one) - 25
     converter = rows.get("converter_temperature_degC", 25 * one) - 25
     in_g = force @ axes.T / gravity
-    squared = np.zeros((len(along), 3))
-    squared[:, 0] = in_g[:, 0] ** 2
+    squared = np.stack([in_g[:, a] * in_g[:, b] for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))])
     # Centripetal force of a lever arm r: Ω(Ω·r) − Ω²r, along the input axis.
     arm = (rate @ axes[0])[:, None] * rate - np.sum(rate**2, axis=1)[:, None] * axes[0]
-    parts = [along, one, warm, warm * along[:, 0], *(in_g if gyro else squared).T, converter, converter * along[:, 0]]
-    return np.column_stack([*parts, arm]) * SPREAD[channel["kind"]]
+    thermal = [warm, warm**2, warm * along[:, 0], warm**2 * along[:, 0]]
+    return np.column_stack([along, one, *thermal, in_g, *squared, converter, converter * along[:, 0], arm])

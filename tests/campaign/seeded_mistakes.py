@@ -1,36 +1,40 @@
-# pyright: reportMissingImports=false
 """Mistakes planted into campaigns drawn at random: what was done to the files, and what a remedy has to say.
 
-The campaigns come from `data/generators`, in other units and under other names than there; a mistake edits
-`campaign.toml` or the columns of run tables as text, so that nothing here is shared with the package.
+A mistake edits `campaign.toml` or the columns of run tables as text, so that nothing here is shared with the package.
 """
 
-import csv
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import full_qualification
 import numpy as np
-import polar_tumble
-import redundant_imu
-import rotation_modulation
-import tomlkit
-import trihedral_imu
-from plan import Plan
-from random_plans import random_plan
-from simulate import write_simulated
+from campaign_files import Files
 
-PLANS = ("table", "temperatures", "head", "cycle", "gyros", "converter", "converter_cycle")
-SHIPPED = {
-    "trihedral-imu": trihedral_imu, "redundant-imu": redundant_imu,
-    "rotation-modulation": rotation_modulation, "full-qualification": full_qualification,
-    "polar-tumble": polar_tumble,
-}  # fmt: skip
-KINDS = (*PLANS, *SHIPPED)
-THERMAL = ("temperatures", "cycle", "gyros", "converter", "converter_cycle")
 ANGLED, RATED = ("dividing_head", "polar_tumble"), ("rate_table", "rotation_modulation")
+
+
+@dataclass(frozen=True)
+class Angle:
+    """An angle that a message has to state, deg.
+
+    Attributes
+    ----------
+    stated : pattern of the statement, with the value as its group.
+    value : that was planted.
+    within : tolerance where the outputs tell the angle well, and the widest where they do not.
+    """
+
+    stated: str
+    value: float
+    within: tuple[float, float]
+
+    def said(self, text: str, uncertainty: float) -> bool:
+        """Whether a message states the angle to within its tolerance or three times what the outputs tell it to."""
+        least, most = self.within
+        tolerance = max(least, min(3 * uncertainty, most))
+        found = [float(each) for each in re.findall(self.stated, text)]
+        return any(abs((each - self.value + 180) % 360 - 180) <= tolerance + 1e-9 for each in found)
 
 
 @dataclass(frozen=True)
@@ -40,63 +44,17 @@ class Planted:
     Attributes
     ----------
     kind : of the mistake.
-    named : texts, each of which the message has to contain; alternatives in a tuple.
+    named : what the message has to contain; alternatives in a tuple.
+    more : plants the same mistake with another angle, deg; None where it has none.
     """
 
     kind: str
-    named: tuple[str | tuple[str, ...], ...]
+    named: tuple[str | tuple[str, ...] | Angle, ...]
+    more: Callable[[Files, float], None] | None = None
 
 
-class Files:
-    """The files of a campaign, for edits."""
-
-    def __init__(self, folder: Path):
-        self.folder = folder
-        self.document = tomlkit.parse((folder / "campaign.toml").read_text(encoding="utf-8"))
-        self.runs = [dict(run) for run in self.document["run"]]
-
-    def of(self, *procedures: str) -> list[dict]:
-        return [run for run in self.runs if run["procedure"] in procedures]
-
-    def has(self, run: dict, column: str) -> bool:
-        with (self.folder / run["file"]).open(encoding="utf-8", newline="") as stream:
-            return column in next(csv.reader(stream))
-
-    def channels(self, kind: str) -> list[str]:
-        return [str(channel["name"]) for channel in self.document["channel"] if channel["kind"] == kind]
-
-    def contrast(self, run: dict, first: str, second: str) -> float:
-        """Difference of the rates that two channels see in a run, as a share of that of the table.
-
-        Decides beforehand whether an exchange of the two can be seen.
-        """
-        mounting = next(each for each in self.document["mounting"] if each["name"] == run["mounting"])
-        axis = np.array(mounting.get("body_to_table", [[3**-0.5] * 3] * 3)[2], dtype=float)
-        inputs = {str(each["name"]): np.array(each["input_axis"], dtype=float) for each in self.document["channel"]}
-        return abs(float(axis @ (inputs[first] - inputs[second])))
-
-    def input_along(self, run: dict, channel: str, kind: str) -> float:
-        """Largest share of the rate of a table, or of gravity about a horizontal axis, that a channel sees in a run."""
-        mounting = next(each for each in self.document["mounting"] if each["name"] == run["mounting"])
-        axis = np.array(mounting.get("body_to_table", [[3**-0.5] * 3] * 3)[2], dtype=float)
-        along = next(each["input_axis"] for each in self.document["channel"] if each["name"] == channel)
-        share = abs(float(axis @ np.array(along, dtype=float) / np.linalg.norm(along)))
-        return share if kind == "gyro" else float(np.sqrt(max(1 - share**2, 0.0)))
-
-    def save(self) -> None:
-        (self.folder / "campaign.toml").write_text(tomlkit.dumps(self.document), encoding="utf-8")
-
-    def edit(self, run: dict, change: Callable[[dict[str, list[str]]], None]) -> None:
-        """Change the columns of a run table, name → cells."""
-        file = self.folder / run["file"]
-        with file.open(encoding="utf-8", newline="") as stream:
-            head, *rows = list(csv.reader(stream))
-        columns = {name: [row[place] for row in rows] for place, name in enumerate(head)}
-        change(columns)
-        with file.open("w", encoding="utf-8", newline="") as stream:
-            writer = csv.writer(stream)
-            writer.writerow(columns)
-            writer.writerows(zip(*columns.values(), strict=True))
+CLOSE, LOOSE = (1.0, 5.0), (10.0, 30.0)
+"""Tolerances of angles that gravity tells, and of those that the Earth rate tells."""
 
 
 Mistake = Callable[[Files, np.random.Generator], Planted | None]
@@ -113,15 +71,6 @@ def _angle(generator: np.random.Generator) -> float:
     return float(generator.choice([-1, 1]) * np.round(generator.uniform(5, 175), 1))
 
 
-def _near(key: str, right: float, within: float) -> tuple[str, ...]:
-    """How a value may be written to within so much: exactly, to a tenth or whole."""
-    tenths = range(round(-10 * within), round(10 * within) + 1)
-    texts = [
-        f"{key} = {value:g}" for step in tenths for value in (round(right + step / 10, 1), round(right + step / 10))
-    ]
-    return tuple(dict.fromkeys([f"{key} = {right:.6g}", *texts]))
-
-
 def _rows(matrix: np.ndarray) -> str:
     return str((np.round(matrix, 6) + 0.0).tolist())
 
@@ -133,16 +82,35 @@ def _turn(offset: float) -> Callable[[dict[str, list[str]]], None]:
     return change
 
 
+_ZERO = r"zero of the table angle is off by ([+-][\d.]+) deg"
+
+
+def _raised(section: str, key: str, name: str = "") -> Callable[[Files, float], None]:
+    """Return what adds to an angle that a campaign states."""
+
+    def more(files: Files, by: float) -> None:
+        stated = files.document[section]
+        entry = stated if not name else next(each for each in stated if each["name"] == name)
+        entry[key] = float(entry[key]) + by
+        files.save()
+
+    return more
+
+
 def zero_of_table(files: Files, generator: np.random.Generator) -> Planted | None:
     """Read all angles of the dividing head from another zero."""
     heads, offset = files.of(*ANGLED), _angle(generator)
     if not heads:
         return None
     table = heads[generator.integers(len(heads))]["table"]
-    for run in files.of(*ANGLED, "rotation_modulation"):
-        if run["table"] == table:
-            files.edit(run, _turn(offset))
-    return Planted("table_zero", ("zero of the table angle", f"'{table}'", _angle_text(offset)))
+
+    def more(edited: Files, by: float) -> None:
+        for run in edited.of(*ANGLED, "rotation_modulation"):
+            if run["table"] == table:
+                edited.edit(run, _turn(by))
+
+    more(files, offset)
+    return Planted("table_zero", (f"'{table}'", Angle(_ZERO, offset, CLOSE)), more)
 
 
 def zero_of_run(files: Files, generator: np.random.Generator) -> Planted | None:
@@ -152,15 +120,9 @@ def zero_of_run(files: Files, generator: np.random.Generator) -> Planted | None:
         return None
     run = heads[generator.integers(len(heads))]
     files.edit(run, _turn(offset))
-    return Planted("table_zero", ("zero of the table angle", f"'{run['name']}'", _angle_text(offset)))
-
-
-def _angle_text(offset: float) -> tuple[str, ...]:
-    """How an offset may be written to within a degree."""
-    folded = (offset + 180) % 360 - 180
-    near = [folded + step / 10 for step in range(-10, 11)]
-    texts = [f"{(value + 180) % 360 - 180:{form}}" for value in near for form in ("+.0f", "+.4g")]
-    return tuple(dict.fromkeys(texts)) + (("+180",) if abs(abs(folded) - 180) < 1 else ())
+    return Planted(
+        "table_zero", (f"'{run['name']}'", Angle(_ZERO, offset, CLOSE)), lambda edited, by: edited.edit(run, _turn(by))
+    )
 
 
 def elevation(files: Files, generator: np.random.Generator) -> Planted | None:
@@ -173,7 +135,8 @@ def elevation(files: Files, generator: np.random.Generator) -> Planted | None:
     step = step if generator.random() < 0.6 else float(np.round(generator.uniform(3, 90), 1))
     table["elevation_deg"] = right + step * (-1 if right > 0 else float(generator.choice([-1, 1])))
     files.save()
-    return Planted("table_elevation", (f"'{table['name']}'", _near("elevation_deg", right, 1)))
+    said = Angle(r"elevation_deg = (-?[\d.]+)", right, CLOSE)
+    return Planted("table_elevation", (f"'{table['name']}'", said), _raised("table", "elevation_deg", table["name"]))
 
 
 def mislabelled(files: Files, generator: np.random.Generator) -> Planted | None:
@@ -348,8 +311,8 @@ def azimuth(files: Files, generator: np.random.Generator) -> Planted | None:
     off = float(generator.choice([90, 180, 270])) if generator.random() < 0.6 else float(generator.integers(30, 330))
     table["azimuth_deg"] = (right + off) % 360
     files.save()
-    near = tuple(f"azimuth_deg = {round(right + step) % 360}" for step in range(-10, 11))
-    return Planted("table_azimuth", (f"'{table['name']}'", near))
+    said = Angle(r"azimuth_deg = (-?[\d.]+)", right, LOOSE)
+    return Planted("table_azimuth", (f"'{table['name']}'", said), _raised("table", "azimuth_deg", table["name"]))
 
 
 def mounting_matrix(files: Files, generator: np.random.Generator) -> Planted | None:
@@ -422,8 +385,8 @@ def latitude_value(files: Files, generator: np.random.Generator) -> Planted | No
     wrong = [value for value in (0.0, 15.0, -25.0, 34.25, 48.0, -60.0, 75.0) if abs(value - right) > 20]
     files.document["site"]["latitude_deg"] = float(generator.choice(wrong))
     files.save()
-    near = tuple(f"latitude_deg = {round(right + step)}" for step in range(-15, 16))
-    return Planted("latitude_value", ((f"latitude_deg = {right:.6g}", *near),))
+    said = Angle(r"latitude_deg = (-?[\d.]+)", right, (15.0, LOOSE[1]))
+    return Planted("latitude_value", (said,), _raised("site", "latitude_deg"))
 
 
 def height(files: Files, generator: np.random.Generator) -> Planted | None:
@@ -502,82 +465,18 @@ MISTAKES: dict[str, Mistake] = {
 }  # fmt: skip
 
 
-def valid_campaign(folder: Path, seed: int) -> str:
-    """Write a valid campaign drawn at random, in units and under names of its own; return its kind.
-
-    In every third the equipment is poor, and its errors are as large as the stated uncertainties allow: one to two and
-    a half times as large.
-    """
-    generator = np.random.default_rng([seed, 1])
-    kind = KINDS[seed % len(KINDS)]
-    if kind in SHIPPED:
-        plan = SHIPPED[kind].plan(seed)
-    else:
-        model = "hidden-effects-thermal" if kind in THERMAL else "hidden-effects"
-        plan = random_plan(kind, generator, model)
-    values = None
-    if generator.random() < 1 / 3:
-        plan = _poor(plan, generator)
-        values = plan.draw(seed)
-        for name, spread in plan.equipment.items():
-            values[name] = float(generator.choice([-1, 1]) * generator.uniform(1, 2.5) * spread)
-    write_simulated(folder, plan, seed, values=values)
-    if generator.random() < 0.5:
-        _expressed_otherwise(Files(folder), generator)
-    return kind
-
-
-def _poor(plan: Plan, generator: np.random.Generator) -> Plan:
-    """Return a plan with less certain mountings and tables."""
-    seats, axes = generator.choice([1.0, 3.0, 10.0], 2)
-    return replace(
-        plan,
-        mountings=tuple(replace(each, uncertainty_arcmin=each.uncertainty_arcmin * seats) for each in plan.mountings),
-        tables=tuple(
-            replace(each, axis_uncertainty_arcsec=(each.axis_uncertainty_arcsec or 20.0) * axes) for each in plan.tables
-        ),
-    )
-
-
-def _expressed_otherwise(files: Files, generator: np.random.Generator) -> None:
-    """Write the outputs of some channels in mV about an offset, and give tables and mountings other names."""
-    document = files.document
-    gains = {str(channel["name"]): float(np.round(generator.uniform(0.01, 3), 3)) for channel in document["channel"]}
-    offsets = {name: float(generator.choice([0.0, 2500.0])) for name in gains}
-    drawn = {str(channel["name"]): float(channel["noise"]) for channel in document["channel"]}
-    for channel in document["channel"]:
-        name = str(channel["name"])
-        channel["output_unit"] = "mV"
-        for key in ("scale", "noise"):
-            channel[key] = float(channel[key]) * gains[name]
-        channel["offset"] = float(channel.get("offset", 0.0)) * gains[name] + offsets[name]
-    for section, word in (("table", "stand"), ("mounting", "seat")):
-        names = {str(entry["name"]): f"{word}-{number + 1}" for number, entry in enumerate(document[section])}
-        for entry in document[section]:
-            entry["name"] = names[str(entry["name"])]
-        for run in document["run"]:
-            if section in run:
-                run[section] = names[str(run[section])]
-    files.save()
-
-    def change(columns: dict[str, list[str]]) -> None:
-        for column in [*columns]:
-            name, spread = column.removesuffix("_sd"), column.endswith("_sd")
-            if name in gains:
-                gain, offset = gains[name], 0.0 if spread else offsets[name]
-                columns[column] = [f"{float(cell) * gain + offset:.9g}" if cell else "" for cell in columns[column]]
-
-    for run in files.runs:
-        files.edit(run, change)
-    (files.folder / "drawn_noise.toml").write_text(tomlkit.dumps(drawn), encoding="utf-8")
-
-
 def plant(folder: Path, name: str, seed: int) -> Planted | None:
     """Plant a mistake into the files of a campaign; None where it cannot be made there."""
     return MISTAKES[name](Files(folder), np.random.default_rng([seed, 2]))
 
 
-def says(planted: Planted, text: str) -> bool:
-    """Whether a message names a planted mistake."""
+def says(planted: Planted, text: str, uncertainty: float = 0.0) -> bool:
+    """Whether a message names a planted mistake, its angle to within so many degrees of standard deviation."""
     plain = re.sub(r"\s+", " ", text)
-    return all(any(each in plain for each in ((part,) if isinstance(part, str) else part)) for part in planted.named)
+
+    def said(part: str | tuple[str, ...] | Angle) -> bool:
+        if isinstance(part, Angle):
+            return part.said(plain, uncertainty)
+        return any(each in plain for each in ((part,) if isinstance(part, str) else part))
+
+    return all(said(part) for part in planted.named)

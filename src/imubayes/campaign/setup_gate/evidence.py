@@ -21,6 +21,7 @@ import numpy as np
 from imubayes.campaign.setup_gate.plausible_errors import (
     COMPENSATED,
     G_SENSITIVITIES,
+    G_SQUARED,
     GROSS,
     LEVER_ARM,
     LOOSE_OFFSET,
@@ -32,14 +33,15 @@ from imubayes.campaign.setup_gate.plausible_errors import (
     Steadiness,
     widths,
 )
-from imubayes.campaign.setup_gate.run_view import RunView
+from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone, views_of
 from imubayes.campaign.unit_grade import grade_of
 from imubayes.campaign_data import Campaign
 from imubayes.earth import earth_rate
 
 # Parameters of a channel: scale, two misalignments, bias, three of the temperature, three of g-sensitivity, two of the
-# converter's temperature.
-OWN = 12
+# converter's temperature; of gyros that feel the Earth rate alone six terms quadratic in g, of which every tumble makes
+# the same pattern.
+_OWN, _SQUARES = 12, ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 _OF_TEMPERATURE = (4, 5, 6, 10, 11)
 _WARM = 25.0
 
@@ -108,15 +110,18 @@ class ErrorModel:
         self.channels = [campaign.channels[k] for k in self.places]
         self.widths = [widths(channel.kind, grade_of(campaign, channel.kind)) for channel in self.channels]
         self._stack(steadiness)
-        start = OWN * len(self.channels)
+        tumbled = all(channel.kind == "gyro" for channel in self.channels)
+        self.squares = _SQUARES if tumbled and feels_the_earth_alone(campaign, views_of(campaign)) else ()
+        self.own = _OWN + len(self.squares)
+        start = self.own * len(self.channels)
         self.mountings = {name: start + 3 * k for k, name in enumerate(campaign.mountings)}
         start += 3 * len(self.mountings)
         self.tables = {name: start + 3 * k for k, name in enumerate(campaign.tables)}
         self.size = start + 3 * len(self.tables)
         self.sd = self._standard_deviations(campaign)
-        self.thermal = np.add.outer(OWN * np.arange(len(self.channels)), _OF_TEMPERATURE).ravel()
+        self.thermal = np.add.outer(self.own * np.arange(len(self.channels)), _OF_TEMPERATURE).ravel()
         gyro = [k for k, channel in enumerate(self.channels) if channel.kind == "gyro"]
-        self.g_sensitive = np.array([OWN * k + 7 + axis for k in gyro for axis in range(3)], dtype=int)
+        self.g_sensitive = np.array([self.own * k + 7 + axis for k in gyro for axis in range(3)], dtype=int)
 
     def _stack(self, steadiness: Steadiness) -> None:
         """Set the facts about the channels as arrays: axes (K, 3, 3), gyro and run_offset (K,), others (K, 1)."""
@@ -136,8 +141,10 @@ class ErrorModel:
         sd = np.ones(self.size)
         for k, width in enumerate(self.widths):
             own = [width.scale, width.misalignment, width.misalignment, width.bias, width.bias_slope]
-            sd[OWN * k : OWN * k + 7] = [*own, width.bias_slope / 3, width.scale_slope]
-            sd[OWN * k + 10 : OWN * (k + 1)] = width.bias_slope, width.scale_slope
+            first = self.own * k
+            sd[first : first + 7] = [*own, width.bias_slope / 3, width.scale_slope]
+            sd[first + 10 : first + _OWN] = width.bias_slope, width.scale_slope
+            sd[first + _OWN : first + self.own] = G_SQUARED
         for name, place in self.mountings.items():
             stated = campaign.mountings[name].uncertainty
             sd[place : place + 3] = MOUNTING_UNSTATED if stated is None else max(2 * stated, MOUNTING_LEAST)
@@ -148,19 +155,23 @@ class ErrorModel:
 
     def terms(self, view: RunView, loose: bool = False) -> NormalTerms:
         """Return what a run adds to the normal equations; of a loose run bias and scale factor are its own."""
-        seen = self.seen(view)
+        return self.terms_of(self.seen(view), loose)
+
+    def terms_of(self, seen: "Seen", loose: bool = False) -> NormalTerms:
+        """Return what the outputs of a run add to the normal equations."""
         design, shared, there = seen.design, seen.shared, seen.there
         variance = seen.white + seen.left_out + seen.arm
         weight = np.where(there, 1 / variance, 0.0)
         found = weighted(design, seen.error, weight, *self._of_run(seen.along, loose))
-        own = np.arange(OWN * len(self.channels))
-        blocks = own.reshape(-1, OWN)
+        each = self.own
+        own = np.arange(each * len(self.channels))
+        blocks = own.reshape(-1, each)
         matrix, vector = np.zeros((self.size, self.size)), np.zeros(self.size)
-        matrix[blocks[:, :, None], blocks[:, None, :]] = found.matrix[:, :OWN, :OWN]
-        across = found.matrix[:, :OWN, OWN:].reshape(len(own), len(shared))
+        matrix[blocks[:, :, None], blocks[:, None, :]] = found.matrix[:, :each, :each]
+        across = found.matrix[:, :each, each:].reshape(len(own), len(shared))
         matrix[np.ix_(own, shared)], matrix[np.ix_(shared, own)] = across, across.T
-        matrix[np.ix_(shared, shared)] = found.matrix[:, OWN:, OWN:].sum(axis=0)
-        vector[own], vector[shared] = found.vector[:, :OWN].ravel(), found.vector[:, OWN:].sum(axis=0)
+        matrix[np.ix_(shared, shared)] = found.matrix[:, each:, each:].sum(axis=0)
+        vector[own], vector[shared] = found.vector[:, :each].ravel(), found.vector[:, each:].sum(axis=0)
         volume = float(np.log(variance)[there].sum() + found.volume.sum())
         return NormalTerms(matrix, vector, float(found.square.sum()), volume, int(there.sum()))
 
@@ -176,7 +187,9 @@ class ErrorModel:
         design = self._design(view, stand, felt, along, np.where(self.gyro[:, None, None], earth, up), len(shared))
         output = view.observed[:, self.places].T
         there = np.isfinite(output)
-        at_zero = along[:, :, 0] if self.centre is None else along[:, :, 0] - design[:, :, OWN:] @ self.centre[shared]
+        at_zero = (
+            along[:, :, 0] if self.centre is None else along[:, :, 0] - design[:, :, self.own :] @ self.centre[shared]
+        )
         error = np.where(there, (output - self.offset) / self.scale - at_zero, 0.0)
         white = (self.noise / self.scale) ** 2 / view.samples
         left_out, arm = self._left_out(view, np.linalg.norm(felt, axis=2))
@@ -191,11 +204,13 @@ class ErrorModel:
             for name in ("temperature", "converter_temperature")
         )
         in_g = (stand[:, :, 2] @ self.axes.swapaxes(1, 2)) * self.gyro[:, None, None]
-        design = np.empty((len(self.channels), view.rows, OWN + shared))
+        design = np.empty((len(self.channels), view.rows, self.own + shared))
         design[:, :, :3], design[:, :, 3], design[:, :, 4], design[:, :, 5] = along, 1.0, warm, warm**2
         design[:, :, 6], design[:, :, 7:10] = warm * along[:, :, 0], in_g
         design[:, :, 10], design[:, :, 11] = converter, converter * along[:, :, 0]
-        place = OWN
+        for place, (a, b) in enumerate(self.squares, start=_OWN):
+            design[:, :, place] = in_g[:, :, a] * in_g[:, :, b]
+        place = self.own
         if view.mounting is not None:
             design[:, :, place : place + 3] = -felt @ self.across
             place += 3

@@ -42,14 +42,15 @@ class Mistake(ABC):
     """A suspected mistake in the set-up of some runs.
 
     `rarity` is −2 times the logarithm of how usual it is, over the most usual mistakes: its evidence has to make up for
-    that.  A usual size is taken for the best one if it is within `usual_within` of it.  `by_evidence` is whether the
-    size of most evidence is the best, not that of least misfit.
+    that.  A usual size is taken for the best one if it is within `usual_within` of it and its evidence falls short by
+    less than `as_usual`.  `by_evidence` is whether the size of most evidence is the best, not that of least misfit.
     """
 
     scope: Scope
     kind: ClassVar[str]
     sizes: ClassVar[tuple[float, ...]] = ()
     usual_within: ClassVar[float] = math.inf
+    as_usual: ClassVar[float] = 6.0
     by_evidence: ClassVar[bool] = False
     rarity: ClassVar[float] = 0.0
 
@@ -303,6 +304,8 @@ class TableAzimuth(Mistake):
 
     kind: ClassVar[str] = "table_azimuth"
     rarity: ClassVar[float] = 4.0
+    # The g-sensitivity of a poor gyro moves the best azimuth by three standard deviations.
+    as_usual: ClassVar[float] = 12.0
     by_evidence: ClassVar[bool] = True
     sizes: ClassVar[tuple[float, ...]] = tuple(np.arange(-150, 181, 30) * _DEGREE)
 

@@ -79,6 +79,8 @@ _ACCELEROMETER = {
 G_SENSITIVITIES = (1.5 * _DEG_H, 5 * _DEG_H, 15 * _DEG_H, 50 * _DEG_H, 150 * _DEG_H, 500 * _DEG_H)
 """Standard deviations of the g-sensitivity of gyros that are tried, rad/s per g: gyros of a make share it, and no
 data sheet of a grade tells it within a factor of ten."""
+G_SQUARED = 10 * _DEG_H
+"""Standard deviation of each term quadratic in g of a gyro, rad/s per g²."""
 GROSS = {"gyro": 0.1 * _DEG_S, "accelerometer": 20 * _MG}
 """Standard deviation of errors at zero input beyond which outputs contradict the set-up although no mistake is known
 that explains it; smaller ones are the business of a diagnosis."""

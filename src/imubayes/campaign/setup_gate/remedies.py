@@ -93,9 +93,15 @@ def _folded(angle: float) -> float:
     return 180.0 if folded == -180 else folded + 0.0
 
 
+def _uncertainty(found: Explanation) -> str:
+    """Return the uncertainty of a size in words, where it has one worth saying."""
+    degrees = math.degrees(found.uncertainty)
+    return f" (± {degrees:.1f} deg)" if degrees >= 0.05 else ""
+
+
 def _zero(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake, subject, off = found.mistake, _subject(found.mistake), _folded(-math.degrees(found.size))
-    what = f"the zero of the table angle is off by {off:+g} deg {subject}"
+    what = f"the zero of the table angle is off by {off:+g} deg{_uncertainty(found)} {subject}"
     allowed = "angles from the zero, at which the table axes are as azimuth and elevation say"
     if mistake.scope.section == "table":
         zero = _folded(places.zero(mistake.scope.name) + off)
@@ -111,7 +117,7 @@ def _turned(campaign: Campaign, found: Explanation, places: Places) -> Words:
     turn = math.radians(by)
     about = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
     return Words(
-        f"mounting '{name}' is turned by {by:+g} deg about the axis of the table",
+        f"mounting '{name}' is turned by {by:+g} deg{_uncertainty(found)} about the axis of the table",
         places.line("mounting", name, "body_to_table"),
         "body_to_table of the unit as it was mounted",
         f"write body_to_table = {_rows(about @ campaign.mountings[name].body_to_table)}, or correct the angles",
@@ -144,7 +150,8 @@ def _elevation(campaign: Campaign, found: Explanation, places: Places) -> Words:
     over = abs(actual) > 90
     elevation = math.copysign(180, actual) - actual if over else actual
     return Words(
-        f"the elevation of the axis of table '{name}' is {elevation:g} deg, not {stated:g} deg "
+        f"the elevation of the axis of table '{name}' is {elevation:g} deg{_uncertainty(found)}, "
+        f"not {stated:g} deg "
         f"{_subject(found.mistake)}",
         places.line("table", name, "elevation_deg"),
         "the elevation of the axis above the horizontal",
@@ -157,7 +164,7 @@ def _azimuth(campaign: Campaign, found: Explanation, places: Places) -> Words:
     stated = math.degrees(campaign.tables[name].azimuth)
     actual = round(stated + math.degrees(found.size)) % 360
     return Words(
-        f"the azimuth of the axis of table '{name}' is about {actual:g} deg, not {stated:g} deg",
+        f"the azimuth of the axis of table '{name}' is about {actual:g} deg{_uncertainty(found)}, not {stated:g} deg",
         places.line("table", name, "azimuth_deg"),
         "the azimuth of the axis, clockwise from North",
         f"write azimuth_deg = {actual:g}, as exactly as it is known",
@@ -234,7 +241,8 @@ def _latitude_value(campaign: Campaign, found: Explanation, places: Places) -> W
     latitude, sign = math.degrees(campaign.site.latitude), 1 if found.mistake.north else -1
     actual = sign * round(max(0.0, math.degrees(sign * found.size)))
     return Words(
-        f"the gyros show the Earth rate at a latitude of about {actual} deg, not {latitude:.6g} deg",
+        f"the gyros show the Earth rate at a latitude of about {actual} deg{_uncertainty(found)}, "
+        f"not {latitude:.6g} deg",
         places.site("latitude_deg"),
         "degrees, positive north of the equator",
         f"write latitude_deg = {actual}, as exactly as it is known",

@@ -1,8 +1,6 @@
 """The search for the mistake that explains why a campaign does not show what its set-up says.
 
-Evidence of the set-up as stated is compared with that of every suspected correction.  The misfit of the linear model of
-plausible errors tells a campaign without gross mistakes.  There only the mistakes are tried that such errors could
-conceal, and the unit is taken for as steady as its outputs show (`hidden_mistakes`).
+Evidence of the set-up as stated is compared with that of every suspected correction.
 """
 
 import math
@@ -12,13 +10,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, total
-from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake, TableAzimuth, TableElevation, TableZero
+from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake
 from imubayes.campaign.setup_gate.plausible_errors import POOR, Steadiness
-from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone, turns_through, views_of
-from imubayes.campaign.setup_gate.shown_steadiness import shown_steadiness
-from imubayes.campaign.setup_gate.site_mistakes import LATITUDE_MISTAKES, LatitudeSign, LatitudeValue
+from imubayes.campaign.setup_gate.run_view import RunView, views_of
 from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
-from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES, AngleUnit, ChannelGain, RateUnit
+from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES, ChannelGain, RateUnit
 from imubayes.campaign_data import Campaign
 
 ORDINARY_MISFIT, ORDINARY_ERROR = 1.0, 3.5
@@ -28,28 +24,6 @@ have a misfit of 0.01 to 0.4 and errors within 1.6 standard deviations."""
 DECISIVE = 25.0
 """Gain in twice the log evidence, less the `unlikelihood` of a mistake, for it to be named: odds of e^12 to 1 outweigh
 some thousand suspected mistakes and priors of 1 in 100."""
-STOPPING = 100.0
-"""The same for a hidden mistake to stop a fit; up to it a warning says it.  Its evidence rests on how steady the unit
-is taken to be, which errors that no model lists make too much of."""
-DECISIVE_LATITUDE = 8.0
-"""The same for the sign of the latitude where several gyros show it, which is a single suspected mistake; up to
-`DECISIVE` it is a warning."""
-MOST_MISFIT_LEFT, MOST_MISFIT_OF_TEMPERATURES = 2.0, 1.25
-"""Misfit per output of a unit that is taken for steady, up to which a correction explains its outputs, and up to which
-one of temperatures does.  Of a unit that is taken for too steady any correction explains something."""
-WORTH_TRYING = 4.0
-"""Gain of a hidden mistake in a unit as steady as its outputs show, from which it is tried in a steadier one."""
-AS_USUAL = 6.0
-"""Evidence that a usual angle may fall short of the best one to be named in its place."""
-LEAST_TURN = math.radians(25.0)
-"""Least error of an azimuth that is doubted where plausible errors would explain the outputs as well: the Earth rate
-of a tactical gyro tells no less."""
-LEAST_LATITUDE = math.radians(15.0)
-"""The same of a latitude: what a linear model leaves out moved that of a valid campaign by 9 degrees."""
-LEAST_TILT = math.radians(2.0)
-"""The same of an elevation: smaller ones pass for errors that the linear model leaves out."""
-LEAST_ZERO = math.radians(4.0)
-"""The same of a zero, beside which a loose mounting may be turned about the axis."""
 LEAST_SHARE = 0.98
 """Least share of the excess misfit that the correction of a mistake removes."""
 MOST_MISTAKES = 3
@@ -58,20 +32,6 @@ TRIED_FIRST, TRIED_NEXT = 4, 1
 """How many of the best are tried as the first of several, and as each one after it: every trial is a search."""
 EQUIVALENT = 10.0
 """Mistakes whose gain is within this of the best are equally good explanations; of hidden ones, `DECISIVE`."""
-RIVALLED = 49.0
-"""Gain per channel beyond which a mistake in temperatures is said, as a warning, although other biases in a run explain
-the outputs as well: a bias off by seven plausible standard deviations.  Valid campaigns gained up to 26."""
-LEVELS = (
-    (1.0, 1.0, 0), (3.0, 3.0, 0), (1.0, 1.0, 1), (1.0, 0.3, 2), (0.3, 0.3, 2), (1.0, 0.1, 3), (0.3, 0.1, 4),
-    (1.0, 0.03, 5),
-)  # fmt: skip
-"""Degrees of steadiness: factors of what rows leave out and of offsets of runs, to what each channel shows by itself,
-and the degree below, where a mistake has to be supported as well; the first is a poor unit.  A mistake makes channels
-look less steady than they are."""
-LEVELS_OF_TUMBLES = ((1.0, 1.0, 0), (0.3, 0.3, 0), (0.1, 0.1, 1), (0.03, 0.03, 2), (0.01, 0.01, 3))
-"""The same, to a poor unit, of gyros that feel the Earth rate alone: few rows, of which terms quadratic in g make one
-pattern, show no steadiness of their own."""
-_STEPS = 4
 _REFINEMENTS = 4
 _SUSPECTS = 5  # runs whose own mistakes are tried
 
@@ -85,6 +45,7 @@ class Explanation:
     misfit : per output with the correction.
     rival : gain of what passes for the mistake in a valid set-up.
     stopping : support beyond which the mistake stops a fit.
+    uncertainty : standard deviation of the size; 0 where there is none.
     """
 
     mistake: Mistake
@@ -93,6 +54,7 @@ class Explanation:
     misfit: float
     rival: float = 0.0
     stopping: float = DECISIVE
+    uncertainty: float = 0.0
 
     @property
     def support(self) -> float:
@@ -105,40 +67,7 @@ class Explanation:
         return self.rival > 0 and self.gain < self.rival + DECISIVE
 
 
-@dataclass(frozen=True)
-class Judgement:
-    """Outcome of the search.
-
-    Attributes
-    ----------
-    mistakes : each with its equally good explanations, the best first; empty where there is none.
-    misfit : of the set-up as stated, per output.
-    unexplained : run → misfit per output of the runs that disagree, where no mistake explains it.
-    """
-
-    mistakes: tuple[tuple[Explanation, ...], ...] = ()
-    misfit: float = 0.0
-    unexplained: tuple[tuple[str, float], ...] = ()
-
-
-def judge_setup(campaign: Campaign) -> Judgement:
-    """Return the mistakes in the set-up of a campaign, if its outputs show any."""
-    search = Search(campaign)
-    if not search.views or not search.total.values:
-        return Judgement()
-    if search.ordinary:
-        hidden = hidden_mistakes(campaign)
-        return Judgement((_equally_good(hidden, DECISIVE),) if hidden else (), search.misfit)
-    if found := search.several_mistakes(1):
-        return Judgement(tuple(found), search.misfit)
-    if hidden := hidden_mistakes(campaign):
-        return Judgement((_equally_good(hidden, DECISIVE),), search.misfit)
-    if found := search.several_mistakes(MOST_MISTAKES):
-        return Judgement(tuple(found), search.misfit)
-    return Judgement(misfit=search.misfit, unexplained=tuple(search.disagreements()))
-
-
-def _equally_good(found: Sequence[Explanation], within: float = EQUIVALENT) -> tuple[Explanation, ...]:
+def equally_good(found: Sequence[Explanation], within: float = EQUIVALENT) -> tuple[Explanation, ...]:
     """Return the best explanations, the first of each kind and scope."""
     best = max(each.support for each in found)
     equal = [each for each in found if each.support >= best - within]
@@ -150,131 +79,8 @@ def _is_like(mistake: RateUnit, found: Sequence[Explanation]) -> bool:
     return any(mistake.like(each.mistake) for each in found)
 
 
-def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
-    """Return the mistakes that explain the outputs of a campaign decisively although plausible errors would do.
-
-    A small input, such as the Earth rate or what a temperature does, shows in a good unit only.  How good it is follows
-    from the outputs themselves: of several degrees of steadiness that of most evidence is taken, for the set-up as
-    stated and for each correction.  They are factors to what each channel shows by itself.
-    """
-    levels = SteadinessLevels(campaign)
-    first, stated = levels.of_most_evidence()
-    views = levels[0].views
-    concealed = (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES)
-    if feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views):
-        concealed = (*MISTAKES, ChannelGain, AngleUnit, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
-    found = [
-        best
-        for kind in concealed
-        for mistake in kind.suspected(campaign, views)
-        if _is_of_equipment(mistake) and (best := levels.steadiest(mistake, first, stated)) is not None
-    ]
-    found = [each for each in found if each.support > _bar(each.mistake, campaign) and not _small(each, campaign)]
-    return [each for each in found if not each.rivalled or each.gain > RIVALLED * len(campaign.channels)]
-
-
-class SteadinessLevels:
-    """The searches in units of rising steadiness, each made when it is first asked for: a poor unit, and `LEVELS`."""
-
-    def __init__(self, campaign: Campaign):
-        self.campaign = campaign
-        self.shown, self.centre = POOR, None
-        tumbled = feels_the_earth_alone(campaign, views_of(campaign))
-        self.levels = LEVELS_OF_TUMBLES if tumbled else LEVELS
-        # Mountings off by a degree need a second step, and a steady unit tells them better than a poor one.
-        for step in range(_STEPS):
-            search = Search(campaign, self.shown, centre=self.centre)
-            if step and not tumbled:
-                poor = ErrorModel(campaign, centre=self.centre)
-                self.shown = shown_steadiness(poor, search.views, search.model.estimates(search.total))
-            self.centre = search.model.estimates(search.total)
-        self.made: dict[int, Search] = {}
-
-    def __getitem__(self, level: int) -> "Search":
-        if level not in self.made:
-            steadiness = self.shown.poor() if level == 0 else self.shown.times(*self.levels[level][:2])
-            self.made[level] = Search(self.campaign, steadiness, centre=self.centre)
-        return self.made[level]
-
-    def of_most_evidence(self) -> tuple[int, float]:
-        """Return the level of most evidence for the set-up as stated that fits, and −2 log of the most evidence."""
-        scores: dict[int, float] = {}
-        for level, (_, _, below) in enumerate(self.levels):
-            if below < 1 or (below in scores and self[below].misfit < MOST_MISFIT_LEFT):
-                scores[level] = self[level].stated
-        adequate = [level for level in scores if self[level].misfit < MOST_MISFIT_LEFT] or [0]
-        return min(adequate, key=lambda level: scores[level]), min(scores.values())
-
-    def steadiest(self, mistake: Mistake, first: int, stated: float) -> Explanation | None:
-        """Return the correction of a mistake at the level of most evidence; None where it explains nothing.
-
-        The outputs of a unit look no steadier with a mistake than without, so that no level below the `first`, that of
-        most evidence for the set-up as stated, is tried.  What a linear model leaves out is not independent from row to
-        row, and the steadiest unit makes too much of it: one level below the mistake has to be supported as well.
-
-        No correction may ask of a unit what no unit does.  A wrong rate shrinks the errors that a rate makes, and gains
-        evidence by that while a bias takes its place.
-
-        Parameters
-        ----------
-        stated : −2 log evidence of the set-up as stated.
-        """
-        tried = self._tried(mistake, first)
-        if not tried:
-            return None
-        score, level, best = min(tried, key=lambda each: each[0])
-        gain, rival = stated - score, stated
-        if isinstance(mistake, TEMPERATURE_MISTAKES):
-            rival = min(self[tried_at].rival(mistake) for _, tried_at, _ in tried)
-        elif gain > DECISIVE_LATITUDE and not self._holds_below(level, mistake):
-            return None
-        if gain > DECISIVE_LATITUDE and not self[0].error_left(mistake, best.size) < ORDINARY_ERROR:
-            return None
-        return Explanation(mistake, best.size, gain, best.misfit, max(0.0, stated - rival), STOPPING)
-
-    def _tried(self, mistake: Mistake, first: int) -> list[tuple[float, int, Explanation]]:
-        """Return −2 log evidence, level and correction at each level where the correction fits."""
-        most = MOST_MISFIT_OF_TEMPERATURES if isinstance(mistake, TEMPERATURE_MISTAKES) else MOST_MISFIT_LEFT
-        tried: list[tuple[float, int, Explanation]] = []
-        fitting = set(range(first))
-        for level in range(first, len(self.levels)):
-            if level > first and self.levels[level][2] not in fitting:
-                continue
-            found = self[level].explain(mistake)
-            if found.gain < WORTH_TRYING and not tried and not isinstance(mistake, LatitudeSign):
-                break
-            if found.misfit < most:
-                fitting.add(level)
-                tried.append((self[level].stated - found.gain, level, found))
-        return tried
-
-    def _holds_below(self, level: int, mistake: Mistake) -> bool:
-        # A sign has no size that would adapt to what is left out.
-        bar = 0.0 if isinstance(mistake, LatitudeSign) else DECISIVE
-        below = self.levels[level][2]
-        return not below or self[below].explain(mistake).support > bar
-
-
-def _is_of_equipment(mistake: Mistake) -> bool:
-    """Whether a mistake is that of a table as a whole, where it is one of elevation."""
-    return not (isinstance(mistake, TableElevation) and mistake.scope.section == "run")
-
-
-def _small(found: Explanation, campaign: Campaign) -> bool:
-    if isinstance(found.mistake, LatitudeValue):
-        return abs(found.size - campaign.site.latitude) < LEAST_LATITUDE
-    least = LEAST_ZERO if isinstance(found.mistake, TableZero) else LEAST_TILT
-    least = LEAST_TURN if isinstance(found.mistake, TableAzimuth) else least
-    return isinstance(found.mistake, (TableAzimuth, TableElevation, TableZero)) and abs(found.size) < least
-
-
 def _support(first: Explanation, rest: Sequence[tuple[Explanation, ...]]) -> float:
     return first.support + sum(equal[0].support for equal in rest)
-
-
-def _bar(mistake: Mistake, campaign: Campaign) -> float:
-    several = len(campaign.of_kind("gyro")) > 1
-    return DECISIVE_LATITUDE if isinstance(mistake, LatitudeSign) and several else DECISIVE
 
 
 def _distinct(found: Sequence[Explanation]) -> Iterator[Explanation]:
@@ -324,9 +130,9 @@ class Search:
         tried : how many of the best are tried as the first of several.
         """
         found = [each for each in self._suspected() if each.support > DECISIVE]
-        whole = [each for each in found if self._explains(each)]
+        whole = [each for each in found if self._explains(each) and not self.passes_for_noise(each.mistake)]
         if whole:
-            return [_equally_good(whole)]
+            return [equally_good(whole)]
         if most == 1:
             return []
         # The first of several need not be the one that gains most: two wrong files may look like one wrong table.
@@ -355,6 +161,17 @@ class Search:
     def _explains(self, found: Explanation) -> bool:
         excess, left = self.misfit - ORDINARY_MISFIT / 2, found.misfit - ORDINARY_MISFIT / 2
         return found.misfit < ORDINARY_MISFIT or left < (1 - LEAST_SHARE) * excess
+
+    def passes_for_noise(self, mistake: Mistake) -> bool:
+        """Whether errors as many times as large as the outputs of a mistaken unit explain as much.
+
+        Outputs divided by a factor have smaller errors; a mistaken unit shows in the response to the input.
+        """
+        if not isinstance(mistake, ChannelGain) or mistake.factor < 1:
+            return False
+        factors = np.array([mistake.factor if place in mistake.places else 1.0 for place in self.model.places])
+        larger = Search(self.campaign, Steadiness(factors, factors, factors), self.views, self.model.centre)
+        return self.explain(mistake).gain < self.stated - larger.stated + DECISIVE
 
     def disagreements(self) -> list[tuple[str, float]]:
         """Return the runs that disagree with the others and their misfit per output, worst first."""
@@ -390,7 +207,7 @@ class Search:
             if abs(math.remainder(usual - size, 2 * math.pi)) > mistake.usual_within:
                 continue
             also = self._corrected(mistake, base, usual)
-            if (well := self.stated - self.model.score(also)) > gain - AS_USUAL:
+            if (well := self.stated - self.model.score(also)) > gain - mistake.as_usual:
                 size, terms, gain = usual, also, well
                 break
         return Explanation(mistake, float(size), gain, self.model.misfit(terms) / max(terms.values, 1))
@@ -410,12 +227,25 @@ class Search:
     def _best_size(self, mistake: Mistake, base: NormalTerms) -> float:
         """Return the size of least misfit, by parabolas about the best of the grid.
 
-        The misfit is a single wave in an angle, so that a coarse grid finds the basin of its minimum.  Where the Earth
-        rate alone tells the size, a large g-sensitivity passes for its vertical part, and the evidence decides.
+        The misfit is a single wave in an angle, so that a coarse grid finds the basin of its minimum; terms quadratic
+        in g make it two, and every basin is tried.  Where the Earth rate alone tells the size, a large g-sensitivity
+        passes for its vertical part, and the evidence decides.
         """
         judged = self._evidence_as_stated if mistake.by_evidence else self.model.misfit
         tried = {size: judged(self._corrected(mistake, base, size)) for size in mistake.sizes}
-        best = min(tried, key=lambda size: tried[size])
+        starts = [min(tried, key=lambda size: tried[size])]
+        if self.model.squares:
+            sizes = sorted(tried)
+            around = zip(sizes, [sizes[-1], *sizes], [*sizes[1:], sizes[0]], strict=False)
+            starts = [size for size, low, high in around if tried[size] <= min(tried[low], tried[high])] or starts
+        found = [self._refined(mistake, base, dict(tried), start) for start in starts]
+        return min(found, key=lambda each: each[1])[0]
+
+    def _refined(
+        self, mistake: Mistake, base: NormalTerms, tried: dict[float, float], best: float
+    ) -> tuple[float, float]:
+        """Return the size at the minimum next to one of the grid, and what is least there."""
+        judged = self._evidence_as_stated if mistake.by_evidence else self.model.misfit
         step = float(np.min(np.diff(sorted(mistake.sizes)))) / 2
         for _ in range(_REFINEMENTS):
             for near in (best - step, best + step):
@@ -424,9 +254,9 @@ class Search:
             bend = low - 2 * middle + high
             vertex = best + step * float(np.clip((low - high) / 2 / bend, -1, 1)) if bend > 0 else best
             tried[vertex] = judged(self._corrected(mistake, base, vertex))
-            best = min(tried, key=lambda size: tried[size])
+            best = min((best - step, vertex, best, best + step), key=lambda size: tried[size])
             step /= 6
-        return best
+        return best, tried[best]
 
     def rival(self, mistake: Mistake) -> float:
         """Return −2 log evidence of what passes for a mistake in the temperatures of the set-up as stated.

@@ -3,8 +3,10 @@
 import math
 
 from imubayes.campaign.findings import Finding, Severity
+from imubayes.campaign.setup_gate.judgement import judge_setup
 from imubayes.campaign.setup_gate.remedies import REMEDIES, Places, Words
-from imubayes.campaign.setup_gate.search import Explanation, judge_setup
+from imubayes.campaign.setup_gate.search import Explanation
+from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
 from imubayes.campaign_data import Campaign
 
 _MOST_RUNS = 5
@@ -37,8 +39,7 @@ def _explained(
     what = ", or ".join([words.what, *(each.what for each in others)])
     evidence = f"the outputs fit {'each' if others else 'that'} far better (Δχ² {first.gain:.3g})"
     if first.rivalled:
-        rival = "biases and scale factors unlike those of other runs" if run else "outputs that ignore the temperature"
-        evidence += f", but cannot tell it from {rival}"
+        evidence += f", but cannot tell it from {_rival(first)}"
     remedy = words.remedy
     if others:
         what = f"the data cannot tell whether {what}"
@@ -51,6 +52,15 @@ def _explained(
     return Finding(
         first.mistake.kind, severity, run, f"{what}: {evidence}", words.where, words.allowed, remedy
     )  # fmt: skip
+
+
+def _rival(found: Explanation) -> str:
+    """Return what passes for a mistake in a valid set-up."""
+    if not isinstance(found.mistake, TEMPERATURE_MISTAKES):
+        return "a bias that changes from run to run"
+    if found.mistake.scope.section == "run":
+        return "biases and scale factors unlike those of other runs"
+    return "outputs that ignore the temperature"
 
 
 def _unexplained(run: str, misfit: float, where: str) -> Finding:

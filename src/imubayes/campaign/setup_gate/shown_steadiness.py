@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.evidence import OWN, ErrorModel, Seen, weighted
+from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen, weighted
 from imubayes.campaign.setup_gate.plausible_errors import G_SENSITIVITIES, Steadiness
 from imubayes.campaign.setup_gate.run_view import RunView
 
@@ -17,6 +17,8 @@ FACTORS = (10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
 """Factors of offsets of runs, and of what a linear model leaves out, that are tried."""
 LOWER_NOISE = (1.0, 0.6, 0.3)
 """Noise of a channel over what the campaign states that is tried where no rows repeat a position."""
+MORE_NOISE = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
+"""The same that is tried in place of a mistake in the set-up."""
 _LEAST_DIFFERENCES = 8
 _MEDIAN = 0.4549  # of χ² with one degree of freedom
 
@@ -29,8 +31,8 @@ def shown_steadiness(model: ErrorModel, views: Sequence[RunView], errors: np.nda
     model : of a poor unit, linear about errors near those that the campaign shows.
     errors : that the campaign shows, shape (P,).
     """
-    own = errors[: OWN * len(model.channels)].reshape(-1, OWN)
-    seen = [_without_shared(model.seen(view), errors) for view in views]
+    own = errors[: model.own * len(model.channels)].reshape(-1, model.own)
+    seen = [_without_shared(model.seen(view), errors, model.own) for view in views]
     noise, known = _noise(seen, views, own)
     sd = model.widths_with(G_SENSITIVITIES[-1])[: own.size].reshape(own.shape)
     one = np.ones(len(own))
@@ -42,9 +44,19 @@ def shown_steadiness(model: ErrorModel, views: Sequence[RunView], errors: np.nda
     return Steadiness(rows, runs, noise)
 
 
-def _without_shared(seen: Seen, errors: np.ndarray) -> Seen:
+def noise_as_rival(model: ErrorModel, views: Sequence[RunView], errors: np.ndarray) -> Steadiness:
+    """Return the noise of each channel, no less than stated, with which the outputs fit the set-up as stated best."""
+    seen = [_without_shared(model.seen(view), errors, model.own) for view in views]
+    sd = model.widths_with(G_SENSITIVITIES[-1])[: model.own * len(model.channels)].reshape(-1, model.own)
+    one = np.ones(len(sd))
+    noise = _best(MORE_NOISE, lambda factor: _evidence(model, seen, sd, Steadiness(one, one, factor * one)))
+    return Steadiness(noise=noise)
+
+
+def _without_shared(seen: Seen, errors: np.ndarray, own: int) -> Seen:
     """Return a run without what the errors of its mounting and its table make."""
-    return replace(seen, error=np.where(seen.there, seen.error - seen.design[:, :, OWN:] @ errors[seen.shared], 0.0))
+    shared = seen.design[:, :, own:] @ errors[seen.shared]
+    return replace(seen, error=np.where(seen.there, seen.error - shared, 0.0))
 
 
 def _best(factors: tuple[float, ...], evidence: Callable[[float], np.ndarray]) -> np.ndarray:
@@ -55,15 +67,16 @@ def _evidence(model: ErrorModel, seen: Sequence[Seen], own: np.ndarray, steadine
     """Return −2 log evidence of each channel by itself, up to a constant, shape (K,)."""
     noise, rows = (np.asarray(each)[:, None] for each in (steadiness.noise, steadiness.rows))
     spread = (model.run_offset * steadiness.runs)[:, None]
-    matrix, vector = np.zeros((len(own), OWN, OWN)), np.zeros((len(own), OWN))
+    count = model.own
+    matrix, vector = np.zeros((len(own), count, count)), np.zeros((len(own), count))
     score = np.zeros(len(own))
     for run in seen:
         variance = noise**2 * run.white + rows**2 * run.left_out + run.arm
         weight = np.where(run.there, 1 / variance, 0.0)
-        found = weighted(run.design[:, :, :OWN], run.error, weight, np.ones_like(run.along), spread)
+        found = weighted(run.design[:, :, :count], run.error, weight, np.ones_like(run.along), spread)
         matrix, vector = matrix + found.matrix, vector + found.vector
         score += found.square + found.volume + np.sum(np.where(run.there, np.log(variance), 0.0), axis=1)
-    lower = np.linalg.cholesky(np.eye(OWN) + own[:, :, None] * matrix * own[:, None, :])
+    lower = np.linalg.cholesky(np.eye(count) + own[:, :, None] * matrix * own[:, None, :])
     solved = np.linalg.solve(lower, (own * vector)[:, :, None])[:, :, 0]
     return score - np.sum(solved**2, axis=1) + 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
 
@@ -75,7 +88,7 @@ def _noise(seen: Sequence[Seen], views: Sequence[RunView], own: np.ndarray) -> t
     """
     found: list[np.ndarray] = []
     for run, view in zip(seen, views, strict=True):
-        left = run.error - (run.design[:, :, :OWN] @ own[:, :, None])[:, :, 0]
+        left = run.error - (run.design[:, :, : own.shape[1]] @ own[:, :, None])[:, :, 0]
         left = np.where(run.there & (run.white > 0), left, np.nan)
         squares = np.diff(left, axis=1) ** 2 / (run.white[:, 1:] + run.white[:, :-1])
         found.append(squares[:, view.repeats()])
