@@ -73,9 +73,14 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
         for mistake in kind.suspected(campaign, views)
         if _is_of_equipment(mistake) and (best := levels.steadiest(mistake, first, stated)) is not None
     ]
-    found = [each for each in found if each.support > _bar(each.mistake, campaign) and not _small(each, campaign)]
-    found = [each for each in found if not levels[0].passes_for_noise(each.mistake)]
-    return [each for each in found if not each.rivalled or each.gain > RIVALLED * len(campaign.channels)]
+    return [each for each in found if _is_sayable(each, campaign) and not levels[0].passes_for_noise(each.mistake)]
+
+
+def _is_sayable(found: Explanation, campaign: Campaign) -> bool:
+    """Whether a mistake is supported well enough to be said."""
+    if found.support <= _bar(found.mistake, campaign) or _small(found, campaign):
+        return False
+    return not found.rivalled or found.gain > RIVALLED * len(campaign.channels)
 
 
 class SteadinessLevels:
