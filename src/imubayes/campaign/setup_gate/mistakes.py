@@ -71,6 +71,10 @@ class Mistake(ABC):
         """Return the sizes that lead to what benches usually have."""
         return ()
 
+    def like(self, other: "Mistake") -> bool:
+        """Return whether another mistake, although of more evidence, is none that the outputs tell from this one."""
+        return False
+
     @property
     def variant(self) -> str:
         """What tells the mistake from others of its kind and scope that are said beside it."""
@@ -245,6 +249,10 @@ class TableZero(Mistake):
     def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
         """Return right angles, by which a zero is off most often; a loose mounting does not tell it exactly."""
         return math.pi / 2, -math.pi / 2, math.pi
+
+    def like(self, other: Mistake) -> bool:
+        """Return whether another mistake is a shift by whole rows: at equal steps it turns the angles as well."""
+        return isinstance(other, TimeShift) and other.whole and other.scope.runs == self.scope.runs
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the zero moved."""

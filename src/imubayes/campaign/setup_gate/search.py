@@ -14,7 +14,7 @@ from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake
 from imubayes.campaign.setup_gate.plausible_errors import POOR, Steadiness
 from imubayes.campaign.setup_gate.run_view import RunView, views_of
 from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
-from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES, ChannelGain, RateUnit
+from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES, ChannelGain
 from imubayes.campaign_data import Campaign
 
 ORDINARY_MISFIT, ORDINARY_ERROR = 1.0, 3.5
@@ -71,12 +71,8 @@ def equally_good(found: Sequence[Explanation], within: float = EQUIVALENT) -> tu
     """Return the best explanations, the first of each kind and scope."""
     best = max(each.support for each in found)
     equal = [each for each in found if each.support >= best - within]
-    like = [each for each in found if isinstance(each.mistake, RateUnit) and _is_like(each.mistake, equal)]
+    like = [each for each in found if any(each.mistake.like(other.mistake) for other in equal)]
     return tuple(_distinct([*like, *sorted(equal, key=lambda each: -each.support)]))
-
-
-def _is_like(mistake: RateUnit, found: Sequence[Explanation]) -> bool:
-    return any(mistake.like(each.mistake) for each in found)
 
 
 def _support(first: Explanation, rest: Sequence[tuple[Explanation, ...]]) -> float:

@@ -127,11 +127,12 @@ class RateUnit(Mistake):
             yield cls(scope, unit)
 
     def like(self, other: Mistake) -> bool:
-        """Return whether another mistake is a gain of several gyros in the same turning runs that does the same.
+        """Return whether another mistake is a gain of gyros in the same turning runs that does the same.
 
-        Only the Earth rate, their biases and the lever arms of accelerometers tell the two, all of them loosely.
+        Only the Earth rate, biases and the lever arms of accelerometers tell the two, all of them loosely.  A gain of
+        one gyro is alike where it alone sees the rate.
         """
-        if not isinstance(other, ChannelGain) or len(other.channels) == 1:
+        if not isinstance(other, ChannelGain):
             return False
         same = self.scope.section == "table" if other.scope.section == "campaign" else other.scope == self.scope
         return same and abs(other.factor / RATE_UNITS[self.unit] - 1) < _SAME_FACTOR
