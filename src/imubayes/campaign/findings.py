@@ -39,6 +39,7 @@ FINDINGS: dict[str, str] = {
     "mounting_turned": "a mounting is turned about the axis of the table",
     "table_reversed": "the table turns against the stated sense",
     "table_zero": "the zero of the table angle is off",
+    "axis_zero": "the zero of the outer or middle axis of a table is off",
     "table_elevation": "the elevation of the axis of a table is wrong",
     "table_azimuth": "the azimuth of the axis of a table is wrong",
     "axes_exchanged": "channels are exchanged",
@@ -60,7 +61,7 @@ UNIT_FINDINGS = ("rate_unit", "acceleration_unit")
 """Findings of wrong units of outputs in single runs, which may be what a mistake `LIKE_UNITS` looks like there."""
 LIKE_UNITS = (
     "files_exchanged", "mounting_mislabelled", "mountings_exchanged", "mounting_turned", "mounting_wrong",
-    "table_zero", "table_elevation", "table_reversed", "axes_exchanged", "time_shift", "angle_unit",
+    "table_zero", "axis_zero", "table_elevation", "table_reversed", "axes_exchanged", "time_shift", "angle_unit",
 )  # fmt: skip
 
 

@@ -69,11 +69,11 @@ def _stimulus(run: Run, table: Table, mounting: Mounting, campaign: Campaign | N
             "the direction at zero angles, in axes with z along the outer axis, such as [0, 0, 1]",
             "state the directions of the axes: inner_axis, and middle_axis of a table of three axes",
         )
-    rate = _columns(run, "rate", 0.0)
-    per_row = [_path(*row) for row in zip(_angles(run, rate), rate, _columns(run, "angle_span", 0.0), strict=True)]
+    rate = axis_columns(run, "rate", 0.0)
+    per_row = [row_path(*row) for row in zip(axis_angles(run), rate, axis_columns(run, "angle_span", 0.0), strict=True)]
     row = np.repeat(np.arange(run.rows), [len(weight) for _, weight in per_row])
     angle = np.concatenate([path for path, _ in per_row])
-    acceleration, count = _columns(run, "acceleration", 0.0)[row], len(row)
+    acceleration, count = axis_columns(run, "acceleration", 0.0)[row], len(row)
     arms = np.array([[table.arm, 0.0, 0.0], [0.0, 0.0, 0.0]])
     ambient = ambient_of(run, row, campaign)
     ambient |= {f"{axis}_angle": angle[:, place] for place, axis in enumerate(AXES) if _has(table, axis)}
@@ -104,15 +104,15 @@ def _has(table: Table, axis: str) -> bool:
     return axis != "middle" or table.middle_axis is not None
 
 
-def _columns(run: Run, quantity: str, missing: float) -> np.ndarray:
+def axis_columns(run: Run, quantity: str, missing: float) -> np.ndarray:
     """Return a quantity of the three axes, (R, 3), with a value for what is not recorded."""
     absent = np.full(run.rows, missing)
     return np.stack([run.covariates.get(f"{axis}_{quantity}", absent) for axis in AXES], axis=1)
 
 
-def _angles(run: Run, rate: np.ndarray) -> np.ndarray:
+def axis_angles(run: Run) -> np.ndarray:
     """Return the angles of the axes, (R, 3): 0 where an axis at rest has none, NaN where it makes whole turns."""
-    angle, turning = _columns(run, "angle", math.nan), rate != 0
+    angle, turning = axis_columns(run, "angle", math.nan), axis_columns(run, "rate", 0.0) != 0
     unknown = np.isnan(angle) & turning
     if np.any(unknown.sum(axis=1) > 1):
         row = int(np.argmax(unknown.sum(axis=1) > 1))
@@ -125,7 +125,7 @@ def _angles(run: Run, rate: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(angle) & ~turning, 0.0, angle)
 
 
-def _path(angle: np.ndarray, rate: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def row_path(angle: np.ndarray, rate: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return angles (k, 3) and weights (k,) of the nodes of one row; all arguments have shape (3,).
 
     An axis of unknown angle makes a whole turn from 0; where it has angle 0, axes that turn along have their own.

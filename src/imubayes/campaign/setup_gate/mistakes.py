@@ -367,7 +367,8 @@ class ChannelsExchanged(Mistake):
 
 
 def _is_static(view: RunView) -> bool:
-    return not (np.any(view.span) or view.reference is not None or np.any(view.rate))
+    """Whether no stimulus is between those of two rows: at rest, or on several axes."""
+    return view.outer is not None or not (np.any(view.span) or view.reference is not None or np.any(view.rate))
 
 
 @register
@@ -414,6 +415,7 @@ class TimeShift(Mistake):
             span=at(view.span),
             reference=None if view.reference is None else at(view.reference),
             attitude=None if view.attitude is None else view.attitude[before],
+            outer=None if view.outer is None else view.outer.at(before),
             observed=np.where(outside[:, None], np.nan, view.observed),
         )
 

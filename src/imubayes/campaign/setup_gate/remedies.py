@@ -112,6 +112,18 @@ def _zero(campaign: Campaign, found: Explanation, places: Places) -> Words:
     return Words(what, places.column(mistake, "table_angle_deg"), allowed, remedy)
 
 
+def _axis_zero(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    axis, off = found.mistake.variant, _folded(-math.degrees(found.size))
+    column = f"{axis}_angle_deg"
+    return Words(
+        f"the zero of the angle of the {axis} axis is off by {off:+g} deg{_uncertainty(found)} "
+        f"{_subject(found.mistake)}",
+        places.column(found.mistake, column),
+        "angles from the zero, at which the axes are as the table states them",
+        f"add {_folded(-off):+g} to column '{column}' {_subject(found.mistake)}",
+    )
+
+
 def _turned(campaign: Campaign, found: Explanation, places: Places) -> Words:
     name, by = found.mistake.scope.name, _folded(math.degrees(found.size))
     turn = math.radians(by)
@@ -370,6 +382,7 @@ REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Words]] = {
     "mountings_exchanged": _seats,
     "table_reversed": _sense,
     "table_zero": _zero,
+    "axis_zero": _axis_zero,
     "mounting_turned": _turned,
     "table_elevation": _elevation,
     "table_azimuth": _azimuth,

@@ -10,9 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.campaign.setup_gate.outer_axes import OuterAxes, outer_axes
 from imubayes.campaign_data import Campaign, Run
 from imubayes.earth import earth_rate, table_to_local
 from imubayes.procedures import PROCEDURES
+from imubayes.procedures.serial_axes import axis_angles, serial_stimulus
 
 REFERENCE = ("reference_x", "reference_y", "reference_z")
 
@@ -36,6 +38,7 @@ class RunView:
     temperatures : name of a recorded temperature → shape (R,), °C.
     observed : shape (R, C), output units.
     samples : shape (R,).
+    outer : the axes that carry that of the table; None where there are none.
     """
 
     name: str
@@ -56,6 +59,7 @@ class RunView:
     temperatures: Mapping[str, np.ndarray]
     observed: np.ndarray
     samples: np.ndarray
+    outer: OuterAxes | None = None
 
     @property
     def rows(self) -> int:
@@ -66,6 +70,9 @@ class RunView:
         """Return the rotation from local level to body axes, mean over the arc of each row, shape (R, 3, 3)."""
         if self.attitude is not None:
             return np.swapaxes(self.attitude, 1, 2)
+        to_local = table_to_local(self.azimuth, self.elevation)
+        if self.outer is not None:
+            return self.body_to_table.T @ self.outer.turned((self.angle, self.rate, self.span), to_local)
         known = np.isfinite(self.angle)
         angle = np.where(known, self.angle, 0.0)
         short = np.where(known, np.sinc(self.span / (2 * math.pi)), 0.0)
@@ -74,12 +81,15 @@ class RunView:
         turn[:, 0, 1] = short * np.sin(angle)
         turn[:, 1, 0] = -turn[:, 0, 1]
         turn[:, 2, 2] = 1.0
-        return self.body_to_table.T @ turn @ table_to_local(self.azimuth, self.elevation).T
+        return self.body_to_table.T @ turn @ to_local.T
 
     def rate_in_body(self, local_to_body: np.ndarray) -> np.ndarray:
         """Return the nominal angular rate in body axes, rad/s, shape (R, 3)."""
         if self.reference is not None:
             return self.reference
+        if self.outer is not None:
+            turning = self.outer.rate_of_table((self.angle, self.rate, self.span)) @ self.body_to_table
+            return local_to_body @ earth_rate(self.latitude) + turning
         return local_to_body @ earth_rate(self.latitude) + self.rate[:, None] * self.body_to_table[2]
 
     def repeats(self) -> np.ndarray:
@@ -87,13 +97,16 @@ class RunView:
         still = self.largest_rate() == 0
         if self.attitude is None:
             same = np.nan_to_num(np.diff(self.angle)) == 0
+            same = same if self.outer is None else same & self.outer.repeats()
         else:
             same = np.all(self.attitude[1:] == self.attitude[:-1], axis=(1, 2))
         return still[1:] & still[:-1] & same
 
     def largest_rate(self) -> np.ndarray:
         """Return the magnitude of the rate of the table in each row, rad/s, shape (R,)."""
-        return np.abs(self.rate) if self.reference is None else np.linalg.norm(self.reference, axis=1)
+        if self.reference is not None:
+            return np.linalg.norm(self.reference, axis=1)
+        return np.abs(self.rate) + (0.0 if self.outer is None else np.abs(self.outer.rate).sum(axis=1))
 
 
 def views_of(campaign: Campaign) -> tuple[RunView, ...]:
@@ -102,10 +115,11 @@ def views_of(campaign: Campaign) -> tuple[RunView, ...]:
 
 
 def _is_known(campaign: Campaign, run: Run) -> bool:
-    """Whether the nominal input of a run is that of a unit on one axis or in a named direction."""
+    """Whether the nominal input of a run is that of a unit on a table or in a named direction."""
     procedure = PROCEDURES[run.procedure]
     if run.table is not None and campaign.tables[run.table].inner_axis is not None:
-        return False
+        table = campaign.tables[run.table]
+        return procedure.kinematics is serial_stimulus and not table.arm and run.mounting is not None and run.rows > 0
     if procedure.injected or procedure.driven or run.tumble is not None or not run.rows:
         return False
     if not procedure.rate_recorded and not all(name in run.covariates for name in REFERENCE):
@@ -116,6 +130,7 @@ def _is_known(campaign: Campaign, run: Run) -> bool:
 def _view(campaign: Campaign, run: Run) -> RunView:
     table = None if run.table is None else campaign.tables[run.table]
     recorded = run.covariates
+    serial = None if table is None or table.inner_axis is None else outer_axes(run, table)
     names = ("temperature", "converter_temperature")
     referenced = not PROCEDURES[run.procedure].rate_recorded
     return RunView(
@@ -129,7 +144,7 @@ def _view(campaign: Campaign, run: Run) -> RunView:
         elevation=table.elevation if table else math.pi / 2,
         body_to_table=np.eye(3) if run.mounting is None else campaign.mountings[run.mounting].body_to_table,
         attitude=run.attitude,
-        angle=recorded["table_angle"],
+        angle=recorded["table_angle"] if serial is None else axis_angles(run)[:, -1],
         span=recorded["table_angle_span"],
         rate=recorded["table_rate"],
         reference=np.stack([recorded[name] for name in REFERENCE], axis=1) if referenced else None,
@@ -137,6 +152,7 @@ def _view(campaign: Campaign, run: Run) -> RunView:
         temperatures={name: recorded[name] for name in names if name in recorded},
         observed=run.observed,
         samples=run.samples,
+        outer=serial,
     )
 
 

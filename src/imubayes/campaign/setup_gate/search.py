@@ -11,6 +11,8 @@ import numpy as np
 
 from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, total
 from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake
+from imubayes.campaign.setup_gate.outer_axes import OuterAxes
+from imubayes.campaign.setup_gate.outer_mistakes import AxisZero
 from imubayes.campaign.setup_gate.plausible_errors import POOR, Steadiness
 from imubayes.campaign.setup_gate.run_view import RunView, views_of
 from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
@@ -149,7 +151,7 @@ class Search:
 
     def _suspected(self) -> Iterator[Explanation]:
         suspects = self.suspects()
-        for kind in (*MISTAKES, *UNIT_MISTAKES, *TEMPERATURE_MISTAKES):
+        for kind in (*MISTAKES, AxisZero, *UNIT_MISTAKES, *TEMPERATURE_MISTAKES):
             for mistake in kind.suspected(self.campaign, self.views):
                 if mistake.scope.section != "run" or suspects.issuperset(mistake.scope.runs):
                     yield self.explain(mistake)
@@ -303,6 +305,8 @@ def _identity(view: RunView, stated: RunView) -> tuple[bytes | str | float, ...]
         found.append(each.name)
         if isinstance(value, np.ndarray):
             found.append(value.tobytes())
+        elif isinstance(value, OuterAxes):
+            found += [value.angle.tobytes(), value.rate.tobytes()]
         elif isinstance(value, Mapping):
             found += [part for name, array in value.items() for part in (name, array.tobytes())]
         else:

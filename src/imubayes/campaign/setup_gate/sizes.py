@@ -14,6 +14,7 @@ import numpy as np
 from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen, total
 from imubayes.campaign.setup_gate.hidden_mistakes import LEVELS_OF_TUMBLES
 from imubayes.campaign.setup_gate.mistakes import Mistake, TableAzimuth, TableElevation, TableZero
+from imubayes.campaign.setup_gate.outer_mistakes import AxisZero
 from imubayes.campaign.setup_gate.plausible_errors import POOR, Steadiness
 from imubayes.campaign.setup_gate.run_view import RunView, views_of
 from imubayes.campaign.setup_gate.search import Explanation, Search
@@ -21,7 +22,7 @@ from imubayes.campaign.setup_gate.shown_steadiness import shown_steadiness
 from imubayes.campaign.setup_gate.site_mistakes import LatitudeValue
 from imubayes.campaign_data import Campaign
 
-SIZED = (TableZero, TableElevation, TableAzimuth, LatitudeValue)
+SIZED = (TableZero, AxisZero, TableElevation, TableAzimuth, LatitudeValue)
 """Mistakes whose size is an angle, of which the remedy writes the value."""
 _STEP = math.radians(0.01)  # of the derivative by the size
 _APART = math.radians(1.0)
