@@ -11,7 +11,7 @@ from multi_axis_table import generate  # pyright: ignore[reportMissingImports]
 from seeded_mistakes import Angle, Planted, says
 
 from imubayes.campaign import inspect_campaign, load_campaign
-from imubayes.campaign.setup_gate.outer_axes import OuterAxes
+from imubayes.campaign.setup_gate.outer_axes import CarryingAxes
 from imubayes.campaign.setup_gate.search import Search
 from imubayes.campaign.setup_gate.setup_findings import SETUP_FINDINGS
 
@@ -107,5 +107,5 @@ def test_drawn_campaigns_pass(seed: int, tmp_path: Path, monkeypatch: pytest.Mon
     # The planted fault: without the motion of the outer axes the outputs contradict the set-up.
     campaign = load_campaign(tmp_path)
     assert Search(campaign).ordinary
-    monkeypatch.setattr(OuterAxes, "rate_of_table", lambda self, inner: np.zeros((len(self.angle), 3)))
+    monkeypatch.setattr(CarryingAxes, "rate_of_table", lambda self, inner: np.zeros((len(self.angle), 3)))
     assert not Search(campaign).ordinary

@@ -10,7 +10,7 @@ from imubayes.procedures.serial_axes import about_z, axis_angles, axis_columns, 
 
 
 @dataclass(frozen=True)
-class OuterAxes:
+class CarryingAxes:
     """The nominal motion of the outer and the middle axis in one run, in SI.
 
     Attributes
@@ -24,7 +24,7 @@ class OuterAxes:
     span: np.ndarray
     links: np.ndarray
 
-    def at(self, rows: np.ndarray) -> "OuterAxes":
+    def at(self, rows: np.ndarray) -> "CarryingAxes":
         """Return the motion of other rows."""
         return replace(self, angle=self.angle[rows], rate=self.rate[rows], span=self.span[rows])
 
@@ -76,7 +76,7 @@ def _means_of(angle: bytes, rate: bytes, span: bytes, links: bytes) -> tuple[np.
     )
 
 
-def outer_axes(run: Run, table: Table) -> OuterAxes:
+def outer_axes(run: Run, table: Table) -> CarryingAxes:
     """Return the motion of the outer axes of a run on a table of several axes."""
     rate, span = axis_columns(run, "rate", 0.0), axis_columns(run, "angle_span", 0.0)
-    return OuterAxes(axis_angles(run)[:, :2], rate[:, :2], span[:, :2], table.links)
+    return CarryingAxes(axis_angles(run)[:, :2], rate[:, :2], span[:, :2], table.links)

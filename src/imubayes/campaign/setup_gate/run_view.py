@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.outer_axes import OuterAxes, outer_axes
+from imubayes.campaign.setup_gate.outer_axes import CarryingAxes, outer_axes
 from imubayes.campaign_data import Campaign, Run
 from imubayes.earth import earth_rate, table_to_local
 from imubayes.procedures import PROCEDURES
@@ -59,7 +59,7 @@ class RunView:
     temperatures: Mapping[str, np.ndarray]
     observed: np.ndarray
     samples: np.ndarray
-    outer: OuterAxes | None = None
+    outer: CarryingAxes | None = None
 
     @property
     def rows(self) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 
 from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, total
 from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake
-from imubayes.campaign.setup_gate.outer_axes import OuterAxes
+from imubayes.campaign.setup_gate.outer_axes import CarryingAxes
 from imubayes.campaign.setup_gate.outer_mistakes import AxisZero
 from imubayes.campaign.setup_gate.plausible_errors import POOR, Steadiness
 from imubayes.campaign.setup_gate.run_view import RunView, views_of
@@ -305,7 +305,7 @@ def _identity(view: RunView, stated: RunView) -> tuple[bytes | str | float, ...]
         found.append(each.name)
         if isinstance(value, np.ndarray):
             found.append(value.tobytes())
-        elif isinstance(value, OuterAxes):
+        elif isinstance(value, CarryingAxes):
             found += [value.angle.tobytes(), value.rate.tobytes()]
         elif isinstance(value, Mapping):
             found += [part for name, array in value.items() for part in (name, array.tobytes())]
