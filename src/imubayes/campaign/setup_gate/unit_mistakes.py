@@ -10,6 +10,7 @@ import numpy as np
 
 from imubayes.campaign.setup_gate.mistakes import (
     Mistake,
+    TableSense,
     all_runs,
     has_angles,
     single_runs,
@@ -99,6 +100,10 @@ class ChannelGain(Mistake):
                 names, offsets = tuple(c.name for c in channels), tuple(c.offset for c in channels)
                 for units, factor in factors.items():
                     yield cls(scope, names, group, offsets, factor, units)
+
+    def like(self, other: Mistake) -> bool:
+        """Return whether another mistake is the sense of the table in the run: alike for the one gyro that turns."""
+        return not self.units and isinstance(other, TableSense) and other.scope == self.scope
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the outputs divided by the factor."""
