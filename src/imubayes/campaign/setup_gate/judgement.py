@@ -14,6 +14,10 @@ from imubayes.campaign.setup_gate.shown_steadiness import noise_as_rival
 from imubayes.campaign.setup_gate.sizes import sized
 from imubayes.campaign_data import Campaign
 
+_STEPS = 3
+_TURNED_FAR = 30.0
+"""Misfit per output up to which squares of plausible rotations may make it; a larger one is that of a mistake."""
+
 
 @dataclass(frozen=True)
 class Judgement:
@@ -38,20 +42,29 @@ def judge_setup(campaign: Campaign) -> Judgement:
         return Judgement()
     # Of tumbles a steady gyro tells one mistake from another where a poor one does not.
     tumbled = feels_the_earth_alone(campaign, search.views)
-    if (
-        not search.ordinary
-        and not tumbled
-        and (found := search.several_mistakes(1))
-        and _more_than_noise(search, found)
-    ):
-        return Judgement((_sized(campaign, found[0]),), search.misfit)
+    ordinary = search.ordinary or _turned_far(search)
+    single = [] if ordinary or tumbled else search.several_mistakes(1)
+    if single and _more_than_noise(search, single):
+        return Judgement((_sized(campaign, single[0]),), search.misfit)
     if hidden := hidden_mistakes(campaign):
         return Judgement((_sized(campaign, equally_good(hidden, DECISIVE)),), search.misfit)
-    if search.ordinary:
+    if ordinary:
         return Judgement((), search.misfit)
     if (found := search.several_mistakes(MOST_MISTAKES)) and _more_than_noise(search, found):
         return Judgement(tuple(found), search.misfit)
     return Judgement(misfit=search.misfit, unexplained=tuple(search.disagreements()))
+
+
+def _turned_far(search: Search) -> bool:
+    """Whether a campaign shows what its set-up says about mountings and tables that plausible errors turn far.
+
+    Squares of rotations by some degrees are beyond what a model that is linear about zero leaves out.
+    """
+    if search.misfit > _TURNED_FAR:
+        return False
+    for _ in range(_STEPS):
+        search = Search(search.campaign, views=search.views, centre=search.model.estimates(search.total))
+    return search.ordinary
 
 
 def _more_than_noise(search: Search, found: Sequence[tuple[Explanation, ...]]) -> bool:
