@@ -72,7 +72,10 @@ class Mistake(ABC):
         return ()
 
     def like(self, other: "Mistake") -> bool:
-        """Return whether another mistake, although of more evidence, is none that the outputs tell from this one."""
+        """Return whether another mistake, although of more evidence, is none that the outputs tell from this one.
+
+        This one is named first, unless the other is like it as well.
+        """
         return False
 
     @property
@@ -217,6 +220,10 @@ class TableSense(Mistake):
     def unlikelihood(self) -> float:
         """A table turns the same way in all runs."""
         return 6.0 if self.scope.section == "run" else 0.0
+
+    def like(self, other: Mistake) -> bool:
+        """Return whether another mistake is the sign of the one channel that sees the rate in the run."""
+        return other.kind == "channel_unit" and other.like(self)
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:

@@ -70,11 +70,12 @@ class Explanation:
 
 
 def equally_good(found: Sequence[Explanation], within: float = EQUIVALENT) -> tuple[Explanation, ...]:
-    """Return the best explanations, the first of each kind and scope."""
+    """Return the best explanations, the first of each kind and scope, and those that are like them."""
     best = max(each.support for each in found)
     equal = [each for each in found if each.support >= best - within]
     like = [each for each in found if any(each.mistake.like(other.mistake) for other in equal)]
-    return tuple(_distinct([*like, *sorted(equal, key=lambda each: -each.support)]))
+    first = [each for each in like if not any(other.mistake.like(each.mistake) for other in equal)]
+    return tuple(_distinct([*first, *sorted(equal, key=lambda each: -each.support), *like]))
 
 
 def _support(first: Explanation, rest: Sequence[tuple[Explanation, ...]]) -> float:
