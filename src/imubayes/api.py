@@ -8,7 +8,6 @@ from pathlib import Path
 
 import polars as pl
 
-import imubayes.display.registered_representations  # noqa: F401  (records learn how to show themselves)
 from imubayes.atomic_files import refuse_existing
 from imubayes.campaign import load_campaign
 from imubayes.campaign_data import Campaign
@@ -39,6 +38,7 @@ from imubayes.qualification.recording_files import CorrectedRecording, correct_r
 from imubayes.qualification.report_budgets import keep_budgets
 from imubayes.qualification.report_record import QualificationReport
 from imubayes.qualification.until_digits import fit_until_digits
+from imubayes.representation import displayed_by
 from imubayes.results.addition import Addition, added_variable, addition_of
 from imubayes.results.apply_calibration import CalibratedInputs, apply_calibration, read_readings
 from imubayes.results.folder_state import claim, claim_new
@@ -47,6 +47,8 @@ from imubayes.results.history_tree import read_tree, write_node
 from imubayes.results.loop_files import read_diagnosis, write_addition, write_diagnosis
 from imubayes.results.record_names import CHECKPOINT
 from imubayes.results.result import Result, read_result, result_of
+
+displayed_by("imubayes.display.registered_representations")
 
 
 def fit(

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # loads its parts when they are first used
-from scipy.interpolate import BSpline
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.localised_structure import Feature, FeatureScan, FeatureSet, Step, time_in_run, time_rank
@@ -137,7 +136,7 @@ def _form(covariate: ResidualCovariate, rows: np.ndarray) -> tuple[str, np.ndarr
     # A cubic B-spline with knots at quantiles.
     inner = np.unique(np.quantile(values, np.linspace(0, 1, thresholds.SPLINE_COLUMNS - 2)))
     knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
-    return "spline", BSpline.design_matrix(values, knots, 3).toarray()
+    return "spline", scipy.interpolate.BSpline.design_matrix(values, knots, 3).toarray()
 
 
 def _at_rows(basis: np.ndarray, rows: np.ndarray) -> np.ndarray:

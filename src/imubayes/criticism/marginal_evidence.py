@@ -19,7 +19,8 @@ from functools import cached_property
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import optimize, special
+import scipy  # loads its parts when they are first used
+from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
@@ -90,7 +91,7 @@ class _Marginal:
         now = self.scatter
         bounds = [(-thresholds.SCATTER_REACH, max(thresholds.SCATTER_REACH, value)) for value in now.tolist()]
         found = [
-            optimize.minimize(
+            scipy.optimize.minimize(
                 lambda scatter: -self.at(scatter).log_bayes_factor(columns),
                 start,
                 method="L-BFGS-B",

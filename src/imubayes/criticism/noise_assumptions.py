@@ -8,7 +8,7 @@ white noise, and two more: power at the lowest frequencies of each run, and the 
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.fft import dct
+import scipy  # loads its parts when they are first used
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.noise_tests import KINDS, OUTLIERS, screen_noise
@@ -46,7 +46,7 @@ def low_frequency(projection: Projection, entries: np.ndarray, chosen: np.ndarra
     for size in np.unique(sizes[chosen]):
         modes = min(thresholds.SLOW_MODES, size // 2)
         own = entries[projection.turn.series[chosen & (sizes == size), :size]]
-        spectrum = np.asarray(dct(own, axis=1, norm="ortho"))[:, 1 : modes + 1]
+        spectrum = np.asarray(scipy.fft.dct(own, axis=1, norm="ortho"))[:, 1 : modes + 1]
         low, count = low + np.sum(spectrum**2, axis=(0, 1)), count + spectrum.shape[0] * modes
         total, rows = total + np.sum(own**2, axis=(0, 1)), rows + own.shape[0] * int(size)
     return (low / count) / (total / rows) - 1

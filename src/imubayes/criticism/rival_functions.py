@@ -11,7 +11,7 @@ table, a drift d(φ) turns it by δφ = φ′ ∫ d/φ′ dt, the solution of th
 from dataclasses import replace
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
+import scipy  # loads its parts when they are first used
 
 from imubayes.covariates import COVARIATES
 from imubayes.criticism import thresholds
@@ -101,4 +101,4 @@ def drifts_of_series(angle: np.ndarray, time: np.ndarray) -> np.ndarray:
     rate = np.gradient(angle, time)
     # Where the table stops, or turns back, the linearised solution has no such form.
     rate = (rate if np.all(rate > 0) or np.all(rate < 0) else np.ones_like(rate))[:, None]
-    return rate * cumulative_trapezoid(drift / rate, time, axis=0, initial=0)
+    return rate * scipy.integrate.cumulative_trapezoid(drift / rate, time, axis=0, initial=0)

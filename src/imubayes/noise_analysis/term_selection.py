@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # loads its parts when they are first used
-from scipy.optimize import brentq
 
 from imubayes.noise_analysis.likelihood import Maximum, NoiseLikelihood
 from imubayes.noise_analysis.noise_spectra import NoiseTerm
@@ -256,7 +255,7 @@ def _root(likelihood: NoiseLikelihood, centre: Maximum, place: int, low: float, 
 
 
 def _zero(function: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
-    return float(brentq(function, low, high, xtol=tolerance))  # type: ignore[arg-type]
+    return float(scipy.optimize.brentq(function, low, high, xtol=tolerance))  # type: ignore[arg-type]
 
 
 def _profile(likelihood: NoiseLikelihood, centre: Maximum, place: int, shift: float) -> float:

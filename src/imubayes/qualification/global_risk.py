@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy import optimize, special
+import scipy  # loads its parts when they are first used
+from scipy import special
 
 from imubayes.qualification.conformance import ProbabilityByTwoMethods, ToleranceInterval, compared, fraction_error
 from imubayes.qualification.marginal import gauss_legendre
@@ -109,4 +110,4 @@ def guard_for_risk(
         return 0.0
     if excess(widest) > 0:
         return None
-    return standard * float(np.asarray(optimize.brentq(excess, 0.0, widest, xtol=1e-6)))
+    return standard * float(np.asarray(scipy.optimize.brentq(excess, 0.0, widest, xtol=1e-6)))
