@@ -41,6 +41,9 @@ class InputError(Exception):
         self.issues = (issues,) if isinstance(issues, Issue) else tuple(issues)
         super().__init__("\n".join(str(issue) for issue in self.issues))
 
+    def __reduce__(self):
+        return type(self), (self.issues,)  # pickled between processes with its issues, not with their text
+
 
 def input_error(what: str, where: str, allowed: str, remedy: str) -> InputError:
     """Return the error of a single issue; see `Issue` for the four parts."""

@@ -51,14 +51,15 @@ def fit(
     verbose
         List every parameter, also those of single poses.
     """
-    with progress() as tell:
+    from imubayes.cli.beside import inspecting
+
+    with progress() as tell, inspecting(campaign) as inspected:
         start_jax()
         from imubayes.api import fit as fit_campaign
-        from imubayes.campaign import inspect_campaign
         from imubayes.display.check_report import usable, warning_lines
 
         tell("reading the campaign")
-        recorded = usable(inspection := inspect_campaign(campaign))
+        recorded = usable(inspection := inspected())
     print("".join(f"{line}\n" for line in warning_lines(inspection)), end="", file=sys.stderr)
     with progress("compiling") as tell:
         result = fit_campaign(
