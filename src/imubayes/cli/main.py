@@ -58,6 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command and exit with its status: 0 success, 1 negative result, 2 unusable input."""
     # Imports and tracing create a million long-lived objects: garbage collection among them costs half a second.
     gc.set_threshold(_COLLECTION_THRESHOLD)
+    # The matrices are small: threads of OpenBLAS wait for each other, on the cores that compiled code needs.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _leave(run(arguments))
 
 
