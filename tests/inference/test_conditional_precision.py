@@ -50,13 +50,13 @@ def test_precision_and_gradient_follow_the_scatter_between_runs(far):
 
 def test_a_second_mode_of_a_scale_is_named():
     approximation = nested_laplace(made().problem, mode())
-    assert approximation.other_modes() == []
+    assert approximation.other_modes(made().problem) == []
     count = len(mode().h)
     knots = np.tile(np.linspace(-8.0, 8.0, 33), (count, 1))
     heights = -0.5 * knots**2
     heights[0] = np.logaddexp(heights[0], -1.0 - 2 * (knots[0] - 5) ** 2)
     both = eqx.tree_at(lambda known: known.along, approximation, tabulate(knots, heights, np.ones(count)))
-    (other,) = both.other_modes()
+    (other,) = both.other_modes(made().problem)
     assert other[0] == pytest.approx(float(mode().h[0]) + 5, abs=0.2)
 
 

@@ -167,7 +167,7 @@ def _fit(
         return fit
     weak, bend = curved_directions(problem, mode)
     approximation = NestedLaplace(z, found.h, axes, along, ExactPrecision(about), weak, bend)
-    if approximation.other_modes():
+    if approximation.other_modes(problem):
         return None
     delta = np.asarray(drawn.delta).reshape(-1, len(z))
     bent = delta + _bent(delta, np.asarray(weak), np.asarray(bend))

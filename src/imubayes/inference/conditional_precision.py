@@ -25,6 +25,8 @@ from imubayes.noise.base import EntryNoise, SeriesNoise, SharedNoise, TailNoise
 
 # Run means are of one class where their variances agree to this, relative, at the mode and at a few points besides.
 _DIGITS, _PROBES = 9, 3
+# Products up to which the precision of correlated rows is computed anew for each draw: half a millisecond.
+_MOST_WORK = 5e6
 
 
 class PrecisionBlocks(eqx.Module):
@@ -102,10 +104,19 @@ def _of_means(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"]:
 
 def precision_blocks(problem: Problem, mode: Mode) -> PrecisionBlocks | ExactPrecision:
     """Return the blocks about a mode."""
-    if problem.timeline is not None:
+    if problem.timeline is not None or _small_and_correlated(problem):
         return ExactPrecision(mode.about)
     member, class_of, shared = _classes(problem, mode.h)
     return _precision_blocks(problem, mode, jnp.asarray(shared), jnp.asarray(class_of), jnp.asarray(member))
+
+
+def _small_and_correlated(problem: Problem) -> bool:
+    """Whether rows are correlated and the exact precision is cheap.
+
+    The blocks take the mean of a run as a sum of equal weights; as φ nears 1 its ends weigh more than all between.
+    """
+    work = len(problem.observations.value) * problem.size[0] ** 2
+    return work <= _MOST_WORK and any(issubclass(layer.noise, SeriesNoise) for layer in problem.noise)
 
 
 @kept

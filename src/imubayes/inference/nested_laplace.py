@@ -4,8 +4,9 @@ A normal distribution about the mode is a poor proposal in fifty dimensions for 
 The width of all θ depends on the noise scales: h is drawn first, from its Laplace marginal, then θ given h, with the
 precision that θ has at that h (`imubayes.inference.conditional_precision`).  The marginal of a noise scale is skewed;
 that of a scatter between few runs is as wide as its prior and may have a second mode: it is evaluated along each of its
-axes and drawn from as tabulated (Rue, Martino & Chopin 2009, § 3.1).  The few directions that the data leave to the
-prior are curved ridges: along them the strong directions are bent by half the second derivative,
+axes and drawn from as tabulated (Rue, Martino & Chopin 2009, § 3.1).  Correlated noise has a curved ridge, which the
+scale of its innovations makes straight (`imubayes.inference.innovation_scale`).  The few directions that the data leave
+to the prior are curved ridges: along them the strong directions are bent by half the second derivative,
 δ → δ + ½ Σ_ij w_i w_j A_ij with w the weak coordinates (geodesic acceleration, Transtrum & Sethna 2011).  The bend does
 not change w, so its determinant is 1 and it is inverted by subtraction: the density of the proposal is exact, whatever
 its quality.  Where the marginal of a weak direction is not normal it is tabulated, too
@@ -22,6 +23,7 @@ from jax.scipy.linalg import solve_triangular
 
 from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.inference.conditional_precision import ExactPrecision, PrecisionBlocks, conditional, precision_blocks
+from imubayes.inference.innovation_scale import InnovationScale, innovation_scale
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import knowledge, log_marginal
 from imubayes.inference.tabulated_density import TabulatedDensity, from_normal, log_density, tabulate
@@ -50,13 +52,14 @@ class NestedLaplace(eqx.Module):
     Attributes
     ----------
     z, h : the mode.
-    hyper_axes : shape (H, H), columns are the axes of the marginal of h: unit lower triangular, the identity where
-        the scales are independent.
+    hyper_axes : shape (H, H), columns are the axes of the marginal of h, or of u where there is a ridge: unit lower
+        triangular, the identity where the scales are independent.
     along : the marginal along each axis, from the mode.
     blocks : precision of θ given h.
     weak : shape (P, K), orthonormal weak directions.
     bend : shape (K, K, P), acceleration along pairs of weak directions.
     shape : marginals of weak directions that are not normal; None where all are.
+    ridge : coordinates u in which the scales of correlated noise have no ridge; None where no rows are correlated.
     """
 
     z: Float[Array, " P"]
@@ -67,13 +70,9 @@ class NestedLaplace(eqx.Module):
     weak: Float[Array, "P K"]
     bend: Float[Array, "K K P"]
     shape: TabulatedDirections | None = None
+    ridge: InnovationScale | None = None
 
-    def hyper_covariance(self) -> np.ndarray:
-        """Return the covariance (H, H) of the marginal of h."""
-        axes = np.asarray(self.hyper_axes)
-        return (axes * self.along.sd() ** 2) @ axes.T
-
-    def other_modes(self) -> list[np.ndarray]:
+    def other_modes(self, problem: Problem) -> list[np.ndarray]:
         """Return h (H,) at the other maxima of the marginal along its axes that hold some of the mass."""
         found = []
         tables = zip(np.asarray(self.along.knots), np.asarray(self.along.log_density), strict=True)
@@ -83,8 +82,12 @@ class NestedLaplace(eqx.Module):
             for place in inside:
                 between = height[min(place, highest) : max(place, highest) + 1].min()
                 if place != highest and height[place] > max(height[highest] - _HOPELESS, between + _APART):
-                    found.append(np.asarray(self.h) + knots[place] * np.asarray(self.hyper_axes)[:, axis])
+                    found.append(np.asarray(self.scales(problem, self.h + knots[place] * self.hyper_axes[:, axis])))
         return found
+
+    def scales(self, problem: Problem, straight: Float[Array, " H"]) -> Float[Array, " H"]:
+        """Return the noise scales h of u."""
+        return straight if self.ridge is None else self.ridge.scales(problem, straight)
 
 
 @kept
@@ -133,8 +136,9 @@ def _pulled(problem: Problem, mode: Mode, changes: Float[Array, "n E"]) -> Float
 def nested_laplace(problem: Problem, mode: Mode) -> NestedLaplace:
     """Return the proposal about a mode."""
     weak, bend, shape = weak_directions(problem, mode)
-    axes, along = _marginal(problem, mode)
-    return NestedLaplace(mode.z, mode.h, axes, along, precision_blocks(problem, mode), weak, bend, shape)
+    ridge = innovation_scale(problem, mode.h)
+    axes, along = _marginal(problem, mode, ridge)
+    return NestedLaplace(mode.z, mode.h, axes, along, precision_blocks(problem, mode), weak, bend, shape, ridge)
 
 
 def weak_directions(
@@ -163,10 +167,18 @@ def _log_marginals(problem: Problem, mode: Mode, h: Float[Array, "n H"]) -> Floa
     return jax.lax.map(lambda point: log_marginal(problem, mode.about, point), h)
 
 
-def _marginal(problem: Problem, mode: Mode) -> tuple[Float[Array, "H H"], TabulatedDensity]:
-    """Return axes of the marginal of h, and the marginal along each."""
-    probes = hyper_probes(np.asarray(mode.h), np.asarray(mode.marginal.information))
-    values = np.asarray(_log_marginals(problem, mode, jnp.asarray(probes.points)))
+def _marginal(
+    problem: Problem, mode: Mode, ridge: InnovationScale | None
+) -> tuple[Float[Array, "H H"], TabulatedDensity]:
+    """Return axes of the marginal of h, or of u where there is a ridge, and the marginal along each."""
+    information = np.asarray(mode.marginal.information)
+    if ridge is not None:
+        information = np.asarray(ridge.straightened_information(problem, mode.h, mode.marginal.information))
+    probes = hyper_probes(np.asarray(mode.h), information)
+    points = jnp.asarray(probes.points)
+    if ridge is not None:
+        points = jax.vmap(lambda point: ridge.scales(problem, point))(points)
+    values = np.asarray(_log_marginals(problem, mode, points))
     return jnp.asarray(probes.axes), probes.tabulated(values - float(mode.marginal.value))
 
 
@@ -219,7 +231,7 @@ def to_point(
     """
     size = approximation.z.shape[0]
     along = from_normal(approximation.along, normal[size:])
-    h = approximation.h + approximation.hyper_axes @ along
+    h = approximation.scales(problem, approximation.h + approximation.hyper_axes @ along)
     factor, mean = _conditional(approximation, problem, h)
     whitened, excess = normal[:size], jnp.zeros(())
     if approximation.shape is not None:
@@ -236,7 +248,8 @@ def to_normal(
     size = approximation.z.shape[0]
     z, h = point[:size], point[size:]
     axes = approximation.hyper_axes
-    along = solve_triangular(axes, h - approximation.h, lower=True, unit_diagonal=True) if h.size else h
+    straight = h if approximation.ridge is None else approximation.ridge.straightened(problem, h)
+    along = solve_triangular(axes, straight - approximation.h, lower=True, unit_diagonal=True) if h.size else h
     factor, mean = _conditional(approximation, problem, h)
     bent = z - approximation.z
     # The bend does not change the weak coordinates, so it is computed from the bent step and subtracted.

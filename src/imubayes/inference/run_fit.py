@@ -212,7 +212,7 @@ def _highest(
     Where runs are few the scatter between them may as well be small, with their offsets taken for parameters, as large.
     The proposal holds both; θ of those passed over is added to `others`.
     """
-    for h in approximation.other_modes():
+    for h in approximation.other_modes(problem):
         again = find_mode(problem, mode.z, jnp.asarray(h))
         if bool(again.converged) and log_evidence(again) > log_evidence(mode):
             others.append(np.asarray(mode.z))
