@@ -113,7 +113,7 @@ def precision_blocks(problem: Problem, mode: Mode) -> PrecisionBlocks | ExactPre
 def _small_and_correlated(problem: Problem) -> bool:
     """Whether rows are correlated and the exact precision is cheap.
 
-    The blocks take the mean of a run as a sum of equal weights; as φ nears 1 its ends weigh more than all between.
+    In the blocks the rows of a run weigh alike; as φ nears 1 its ends weigh more than all between.
     """
     work = len(problem.observations.value) * problem.size[0] ** 2
     return work <= _MOST_WORK and any(issubclass(layer.noise, SeriesNoise) for layer in problem.noise)
