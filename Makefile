@@ -32,7 +32,6 @@ demo: $(READY)
 	$(BIN)/imubayes fit data/trihedral-imu --model models/trihedral-imu.toml --out results/trihedral-imu --replace
 	$(BIN)/imubayes compare results/trihedral-imu
 
-# Types are checked beside the tests: pyright keeps only one core busy.
 # An effect is missing in the shipped archive: diagnose names it.
 archive-demo: $(READY)
 	$(BIN)/imubayes batch data/unit-archive --model models/accel-channel.toml --out results/unit-archive
@@ -40,6 +39,7 @@ archive-demo: $(READY)
 	$(BIN)/imubayes batch trends results/unit-archive --picture results/unit-archive/trends.png
 	$(BIN)/imubayes batch diagnose results/unit-archive --picture results/unit-archive/evidence.png
 
+# Types are checked beside the tests: pyright keeps only one core busy.
 test: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
