@@ -1,8 +1,7 @@
 """How records present themselves in a terminal and in a notebook.
 
 Records stand below what displays them: `imubayes.display.registered_representations` registers the text and the HTML
-of each type.  `imubayes.api` names that module, and it is imported when the first
-record is shown.
+of each type.  `imubayes.api` names that module, and it is imported when the first record is shown.
 """
 
 from functools import singledispatch

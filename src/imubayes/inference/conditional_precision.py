@@ -18,7 +18,7 @@ from imubayes.gather import take
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import Linearised, knowledge
 from imubayes.kept_programs import kept
-from imubayes.model.noise_covariance import group_sum, noise_distribution, whitener
+from imubayes.model.noise_covariance import group_sum, noise_distribution, row_correlations, rows_correlate, whitener
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
 from imubayes.noise.base import EntryNoise, SeriesNoise, SharedNoise, TailNoise
@@ -84,7 +84,7 @@ def conditional(
         return known.precision + jnp.diag(prior), known.gradient - prior * blocks.about.z
     values = problem.hyper_priors.values
     shrink = (values(blocks.h) / values(h)) ** 2
-    if any(issubclass(layer.noise, SeriesNoise) for layer in problem.noise):
+    if rows_correlate(problem):
         shrink = shrink * (1 + blocks.rows @ (_of_means(problem, h) / _of_means(problem, blocks.h) - 1))
     weight = 1 / take(mean_variances(problem, h), blocks.member)
     prior_precision = prior_widths(problem, h) ** -2
@@ -95,9 +95,7 @@ def conditional(
 
 def _of_means(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"]:
     """Return what correlation leaves of the information of a run on its mean, 1ᵀR⁻¹1/n of AR(1), rows not masked."""
-    layers = [layer for layer in problem.noise if issubclass(layer.noise, SeriesNoise)]
-    correlations = [layer.correlations(problem.hyper_priors.values(h)) for layer in layers]
-    correlation = jnp.sum(jnp.stack(correlations), axis=0)
+    correlation = row_correlations(problem, problem.hyper_priors.values(h))
     count = jnp.maximum(group_sum(jnp.where(problem.observations.weight > 0, 1.0, 0.0), problem.observations), 1.0)
     return (1 - (1 - 2 / jnp.maximum(count, 2.0)) * correlation) / (1 + correlation)
 
@@ -116,7 +114,7 @@ def _small_and_correlated(problem: Problem) -> bool:
     In the blocks the rows of a run weigh alike; as φ nears 1 its ends weigh more than all between.
     """
     work = len(problem.observations.value) * problem.size[0] ** 2
-    return work <= _MOST_WORK and any(issubclass(layer.noise, SeriesNoise) for layer in problem.noise)
+    return work <= _MOST_WORK and rows_correlate(problem)
 
 
 @kept

@@ -13,9 +13,8 @@ import numpy as np
 
 from imubayes.array_shapes import Array, Float
 from imubayes.kept_programs import kept
-from imubayes.model.noise_covariance import group_sum, noise_distribution
+from imubayes.model.noise_covariance import group_sum, noise_distribution, row_correlations, rows_correlate
 from imubayes.model.problem import Problem
-from imubayes.noise.base import SeriesNoise
 
 # Least singular value, relative to the largest, that counts for how scales move the variance of a run.
 _LEAST = 1e-6
@@ -54,7 +53,7 @@ class InnovationScale(eqx.Module):
 
 def innovation_scale(problem: Problem, h: Float[Array, " H"]) -> InnovationScale | None:
     """Return the shear about the mode h; None where no rows are correlated."""
-    if problem.timeline is not None or not any(issubclass(layer.noise, SeriesNoise) for layer in problem.noise):
+    if problem.timeline is not None or not rows_correlate(problem):
         return None
     sensitivity, at_mode = _at(problem, h)
     return InnovationScale(-jnp.asarray(np.linalg.pinv(np.asarray(sensitivity), rcond=_LEAST)), at_mode)
@@ -74,6 +73,4 @@ def _at(problem: Problem, h: Float[Array, " H"]) -> tuple[Float[Array, "G H"], F
 
 
 def _log_innovation(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " G"]:
-    values = problem.hyper_priors.values(h)
-    layers = [layer.correlations(values) for layer in problem.noise if issubclass(layer.noise, SeriesNoise)]
-    return 0.5 * jnp.log1p(-(jnp.sum(jnp.stack(layers), axis=0) ** 2))
+    return 0.5 * jnp.log1p(-(row_correlations(problem, problem.hyper_priors.values(h)) ** 2))

@@ -156,10 +156,23 @@ def whitener_of(
     return Whitener(root, shrink, log_determinant, series)
 
 
+def rows_correlate(problem: Problem) -> bool:
+    """Whether a member of the noise correlates the rows of a run."""
+    return any(issubclass(layer.noise, SeriesNoise) for layer in problem.noise)
+
+
+def row_correlations(problem: Problem, values: Float[Array, " H"]) -> Float[Array, " G"]:
+    """Return the correlation of neighbouring rows of every run and channel, at values of the noise scales in SI."""
+    one_row = jnp.zeros(problem.observations.in_time.shape[0])
+    for layer in problem.noise:
+        if issubclass(layer.noise, SeriesNoise):
+            one_row = one_row + layer.correlations(values)
+    return one_row
+
+
 def _series(problem: Problem, values: Float[Array, " H"]) -> Series | None:
     """Return each entry's correlation with the one before it that is not masked; None where nothing correlates."""
-    layers = [layer for layer in problem.noise if issubclass(layer.noise, SeriesNoise)]
-    if not layers:
+    if not rows_correlate(problem):
         return None
     observations = problem.observations
     groups, most = observations.in_time.shape
@@ -173,10 +186,7 @@ def _series(problem: Problem, values: Float[Array, " H"]) -> Series | None:
     apart = (
         observations.rank - jnp.concatenate([observations.rank, jnp.zeros(1, dtype=observations.rank.dtype)])[before]
     )
-    one_row = jnp.zeros(groups)
-    for layer in layers:
-        one_row = one_row + layer.correlations(values)
-    linked = before < none
+    linked, one_row = before < none, row_correlations(problem, values)
     steps = jnp.where(linked, apart, 1).astype(float)
     return Series(before, jnp.where(linked, take(one_row, observations.group) ** steps, 0.0))
 

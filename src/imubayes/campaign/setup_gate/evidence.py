@@ -332,6 +332,12 @@ class Seen:
     along: np.ndarray
     shared: np.ndarray
 
+    def without_shared(self, errors: np.ndarray) -> "Seen":
+        """Return the outputs less what errors (P,) of the mounting and the table make."""
+        first = self.design.shape[2] - len(self.shared)
+        made = self.design[:, :, first:] @ errors[self.shared]
+        return replace(self, error=np.where(self.there, self.error - made, 0.0))
+
 
 @dataclass(frozen=True)
 class Weighted:

@@ -18,10 +18,10 @@ from imubayes.campaign.setup_gate.unit_mistakes import AngleUnit, ChannelGain
 from imubayes.campaign_data import Campaign
 
 STOPPING = 100.0
-"""The same for a hidden mistake to stop a fit; up to it a warning says it.  Its evidence rests on how steady the unit
-is taken to be, which errors that no model lists make too much of."""
+"""Support beyond which a hidden mistake stops a fit; up to it a warning says it.  Its evidence rests on how steady the
+unit is taken to be, which errors that no model lists make too much of."""
 DECISIVE_LATITUDE = 8.0
-"""The same for the sign of the latitude where several gyros show it, which is a single suspected mistake; up to
+"""Support from which the sign of the latitude is named where several gyros show it: a single suspected mistake.  Up to
 `DECISIVE` it is a warning."""
 MOST_MISFIT_LEFT, MOST_MISFIT_OF_TEMPERATURES = 2.0, 1.25
 """Misfit per output of a unit that is taken for steady, up to which a correction explains its outputs, and up to which

@@ -19,6 +19,7 @@ from imubayes.campaign.setup_gate.run_view import RunView
 from imubayes.campaign_data import Campaign
 
 _DEGREE = math.pi / 180
+RIGHT_ANGLES = math.pi / 2, -math.pi / 2, math.pi
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,13 @@ class Mistake(ABC):
         This one is named first, unless the other is like it as well.
         """
         return False
+
+    def removed(self, views: Sequence[RunView], size: float) -> list[RunView]:
+        """Return the runs of a campaign without the mistake."""
+        found = list(views)
+        for place in self.scope.runs:
+            found[place] = self.corrected(views, place, size)
+        return found
 
     @property
     def variant(self) -> str:
@@ -255,7 +263,7 @@ class TableZero(Mistake):
 
     def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
         """Return right angles, by which a zero is off most often; a loose mounting does not tell it exactly."""
-        return math.pi / 2, -math.pi / 2, math.pi
+        return RIGHT_ANGLES
 
     def like(self, other: Mistake) -> bool:
         """Return whether another mistake is a shift by whole rows: at equal steps it turns the angles as well."""

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.mistakes import Mistake, tables_of
+from imubayes.campaign.setup_gate.mistakes import RIGHT_ANGLES, Mistake, tables_of
 from imubayes.campaign.setup_gate.run_view import RunView
 from imubayes.campaign_data import Campaign
 
@@ -39,7 +39,7 @@ class AxisZero(Mistake):
 
     def usual(self, views: Sequence[RunView]) -> tuple[float, ...]:
         """Return right angles."""
-        return math.pi / 2, -math.pi / 2, math.pi
+        return RIGHT_ANGLES
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the zero moved."""

@@ -145,10 +145,7 @@ class Search:
 
     def _corrected_by(self, found: Explanation) -> "Search":
         """Return the search in the campaign without a mistake."""
-        views = list(self.views)
-        for place in found.mistake.scope.runs:
-            views[place] = found.mistake.corrected(self.views, place, found.size)
-        return Search(self.campaign, views=views)
+        return Search(self.campaign, views=found.mistake.removed(self.views, found.size))
 
     def _suspected(self) -> Iterator[Explanation]:
         suspects = self.suspects()

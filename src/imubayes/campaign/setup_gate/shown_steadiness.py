@@ -5,7 +5,6 @@ itself, with mountings and tables as the whole campaign shows them.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -32,7 +31,7 @@ def shown_steadiness(model: ErrorModel, views: Sequence[RunView], errors: np.nda
     errors : that the campaign shows, shape (P,).
     """
     own = errors[: model.own * len(model.channels)].reshape(-1, model.own)
-    seen = [_without_shared(model.seen(view), errors, model.own) for view in views]
+    seen = [model.seen(view).without_shared(errors) for view in views]
     noise, known = _noise(seen, views, own)
     sd = model.widths_with(G_SENSITIVITIES[-1])[: own.size].reshape(own.shape)
     one = np.ones(len(own))
@@ -46,17 +45,11 @@ def shown_steadiness(model: ErrorModel, views: Sequence[RunView], errors: np.nda
 
 def noise_as_rival(model: ErrorModel, views: Sequence[RunView], errors: np.ndarray) -> Steadiness:
     """Return the noise of each channel, no less than stated, with which the outputs fit the set-up as stated best."""
-    seen = [_without_shared(model.seen(view), errors, model.own) for view in views]
+    seen = [model.seen(view).without_shared(errors) for view in views]
     sd = model.widths_with(G_SENSITIVITIES[-1])[: model.own * len(model.channels)].reshape(-1, model.own)
     one = np.ones(len(sd))
     noise = _best(MORE_NOISE, lambda factor: _evidence(model, seen, sd, Steadiness(one, one, factor * one)))
     return Steadiness(noise=noise)
-
-
-def _without_shared(seen: Seen, errors: np.ndarray, own: int) -> Seen:
-    """Return a run without what the errors of its mounting and its table make."""
-    shared = seen.design[:, :, own:] @ errors[seen.shared]
-    return replace(seen, error=np.where(seen.there, seen.error - shared, 0.0))
 
 
 def _best(factors: tuple[float, ...], evidence: Callable[[float], np.ndarray]) -> np.ndarray:

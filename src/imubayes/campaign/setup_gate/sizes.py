@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.evidence import ErrorModel, Seen, total
+from imubayes.campaign.setup_gate.evidence import ErrorModel, total
 from imubayes.campaign.setup_gate.hidden_mistakes import LEVELS_OF_TUMBLES
 from imubayes.campaign.setup_gate.mistakes import Mistake, TableAzimuth, TableElevation, TableZero
 from imubayes.campaign.setup_gate.outer_mistakes import AxisZero
@@ -47,7 +47,7 @@ def sized(campaign: Campaign, found: Explanation) -> Explanation:
     if not isinstance(found.mistake, SIZED):
         return found
     views = views_of(campaign)
-    steadiness = _shown(campaign, _corrected(found.mistake, views, found.size))
+    steadiness = _shown(campaign, found.mistake.removed(views, found.size))
     size, bowl = found.size, _bowl(campaign, steadiness, found.mistake, views, found.size)
     if bowl is None:
         return found
@@ -72,13 +72,6 @@ def _as_usual(mistake: Mistake, views: Sequence[RunView], size: float, bowl: _Bo
     return size
 
 
-def _corrected(mistake: Mistake, views: Sequence[RunView], size: float) -> list[RunView]:
-    corrected = list(views)
-    for place in mistake.scope.runs:
-        corrected[place] = mistake.corrected(views, place, size)
-    return corrected
-
-
 def _shown(campaign: Campaign, views: Sequence[RunView]) -> Steadiness:
     """Return how steady the outputs show the channels to be with a mistake corrected."""
     steadiness, centre = POOR, None
@@ -97,15 +90,17 @@ def _bowl(
     campaign: Campaign, steadiness: Steadiness, mistake: Mistake, views: Sequence[RunView], size: float
 ) -> _Bowl | None:
     """Return the evidence near a size, with all other errors at their best; None where the outputs do not tell it."""
-    corrected = _corrected(mistake, views, size)
-    search = Search(campaign, steadiness, corrected)
+    corrected = mistake.removed(views, size)
+    search, centre = Search(campaign, steadiness, corrected), np.zeros(0)
     for _ in range(2):
-        search = Search(campaign, steadiness, corrected, search.model.estimates(search.total))
+        centre = search.model.estimates(search.total)
+        search = Search(campaign, steadiness, corrected, centre)
     model = search.model
     seen = [model.seen(view) for view in corrected]
+    # How the size moves the outputs less what is predicted with mounting and table at the centre.
     rates = [
-        (_as_predicted(model, model.seen(view)) - _as_predicted(model, one)) / _STEP
-        for view, one in zip(_corrected(mistake, views, size + _STEP), seen, strict=True)
+        (model.seen(view).without_shared(centre).error - one.without_shared(centre).error) / _STEP
+        for view, one in zip(mistake.removed(views, size + _STEP), seen, strict=True)
     ]
 
     def evidence(apart: float) -> float:
@@ -117,10 +112,3 @@ def _bowl(
     if not bend > 2 / _WIDEST**2:
         return None
     return _Bowl(middle, size - (high - low) / (2 * _APART) / bend, math.sqrt(2 / bend))
-
-
-def _as_predicted(model: ErrorModel, seen: Seen) -> np.ndarray:
-    """Return the outputs less what is predicted with mounting and table at the centre, shape (K, R)."""
-    if model.centre is None:
-        return seen.error
-    return np.where(seen.there, seen.error - seen.design[:, :, model.own :] @ model.centre[seen.shared], 0.0)
