@@ -12,7 +12,7 @@ import xarray
 from imubayes.api import fit
 from imubayes.inference.convergence import Convergence
 from imubayes.inference.ensemble_sampling import Chains, Settings
-from imubayes.inference.posterior_tree import by_ensemble
+from imubayes.inference.posterior_groups import by_ensemble
 from imubayes.results.result import read_result
 
 ROOT = Path(__file__).parents[2]
@@ -52,6 +52,20 @@ def test_a_chain_is_an_ensemble(tree):
     assert tree.posterior.sizes["chain"] == 4
     assert tree.posterior.sizes["draw"] > 400
     assert tree.sample_stats["lp"].shape == (4, tree.posterior.sizes["draw"])
+
+
+def test_the_file_is_what_xarray_would_write(tmp_path):
+    """Names, labels, units, attributes and values, for groups with and without chains."""
+    campaign, model = ROOT / "data" / "accel-channel", ROOT / "models" / "accel-channel.toml"
+    result = fit(campaign, model, tmp_path / "result", sample=False)
+    result.posterior.to_netcdf(str(tmp_path / "xarray.nc"), engine="h5netcdf")
+    with (
+        xarray.open_datatree(tmp_path / "result" / "posterior.nc", engine="h5netcdf") as written,
+        xarray.open_datatree(tmp_path / "xarray.nc", engine="h5netcdf") as expected,
+    ):
+        assert written.attrs == expected.attrs
+        xarray.testing.assert_identical(written, expected)
+        assert set(written["log_likelihood"].coords) == {"chain", "draw", "entry", "run", "channel", "row"}
 
 
 def test_the_summary_of_arviz_has_a_number_everywhere(tree):

@@ -16,8 +16,8 @@ from imubayes.errors import InputError
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.identifiability import from_data
+from imubayes.inference.posterior_groups import in_units
 from imubayes.inference.posterior_mode import log_evidence
-from imubayes.inference.posterior_tree import in_units
 from imubayes.inference.run_fit import joint_fit
 from imubayes.kept_programs import kept
 from imubayes.model.bind import Model, bind

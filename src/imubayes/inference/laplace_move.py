@@ -5,9 +5,11 @@ has the posterior as its stationary distribution; the quality decides the accept
 """
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import jax
+import jax.numpy as jnp
 import lazy_loader
 import numpy as np
 
@@ -23,18 +25,29 @@ else:
     emcee = lazy_loader.load("emcee")  # takes long to import, and only sampling needs it
 
 
+# Points per vectorised block: larger blocks exceed the cache of a core.
+_MOST_IN_BLOCK = 16
+
+
+def _in_blocks(function: Callable[[Array], Any], rows: Float[Array, "n PH"]):
+    """Apply a function of one row to all; the last block is padded, since a shorter one would be compiled as well.
+
+    Vectorised as a whole, the precisions of 4000 draws take hundreds of megabytes, and five times as long.
+    """
+    count = rows.shape[0]
+    block = min(_MOST_IN_BLOCK, count)
+    padded = jnp.concatenate([rows, jnp.repeat(rows[-1:], -count % block, axis=0)])
+    return jax.tree.map(lambda whole: whole[:count], jax.lax.map(function, padded, batch_size=block))
+
+
 @kept
 def _to_point(approximation: NestedLaplace, problem: Problem, normal: Float[Array, "n PH"]):
-    return jax.vmap(lambda vector: to_point(approximation, problem, vector))(normal)
+    return _in_blocks(lambda vector: to_point(approximation, problem, vector), normal)
 
 
 @kept
 def _to_normal(approximation: NestedLaplace, problem: Problem, points: Float[Array, "n PH"]):
-    return jax.vmap(lambda point: to_normal(approximation, problem, point))(points)
-
-
-# Points per vectorised block: larger blocks exceed the cache of a core.
-_MOST_IN_BLOCK = 16
+    return _in_blocks(lambda point: to_normal(approximation, problem, point), points)
 
 
 @kept

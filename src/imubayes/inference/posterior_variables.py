@@ -1,4 +1,4 @@
-"""Variables of the posterior tree: draws by name, unit and labelled dimensions, without gaps.
+"""Variables of the posterior: draws by name, unit and labelled dimensions, without gaps.
 
 An array has a number for every combination of its labels, but parameters come as they are declared: a gyro has no
 accelerometer bias.  So a dimension holds exactly the labels that its variables have.  It is called ``channel`` where
@@ -9,19 +9,12 @@ labels do not make a full grid, such as the angles between pairs of axes, they s
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import TYPE_CHECKING
 
-import lazy_loader
 import numpy as np
 
 from imubayes.campaign_data import Campaign
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
-
-if TYPE_CHECKING:
-    import xarray
-else:
-    xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
 
 SAMPLE = ("chain", "draw")
 # What the labels of a derived quantity are.
@@ -71,6 +64,15 @@ class Members:
 
 
 @dataclass(frozen=True)
+class Labelled:
+    """An array with a name for each of its dimensions, and attributes such as its unit."""
+
+    dimensions: Labels
+    values: np.ndarray
+    attributes: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Variable:
     """A variable: its dimensions, and for each place of its array the column in a flat array of draws."""
 
@@ -78,9 +80,9 @@ class Variable:
     dimensions: Labels
     columns: np.ndarray
 
-    def of(self, draws: np.ndarray) -> "xarray.Variable":
+    def of(self, draws: np.ndarray) -> Labelled:
         """Return draws (chain, draw, D) as (chain, draw, dimensions…)."""
-        return xarray.Variable((*SAMPLE, *self.dimensions), draws[..., self.columns], {"units": self.unit})
+        return Labelled((*SAMPLE, *self.dimensions), draws[..., self.columns], {"units": self.unit})
 
 
 class Dimensions:

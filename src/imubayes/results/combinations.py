@@ -10,7 +10,7 @@ from imubayes.inference.determined_combinations import (
 )
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.identifiability import from_data
-from imubayes.inference.posterior_tree import in_units
+from imubayes.inference.posterior_groups import in_units
 from imubayes.json_record import finite
 from imubayes.procedures.classical import declared_combinations
 from imubayes.procedures.estimable_functions import written

@@ -10,10 +10,11 @@ import polars as pl
 
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.posterior_tree import posterior_tree
+from imubayes.inference.posterior_groups import posterior_groups
 from imubayes.representation import Presented
 from imubayes.results.fit_file import read_fit
 from imubayes.results.posterior_draws import Draws, draws_of
+from imubayes.results.posterior_tree import posterior_tree
 from imubayes.results.read_folder import read_summary_and_residuals
 from imubayes.results.record_files import damaged
 from imubayes.results.record_names import POSTERIOR
@@ -81,7 +82,7 @@ class Result(Presented):
             where the fit did not converge, or the file with the draws cannot be read.
         """
         if self._fit is not None and self._fit.posterior is not None:
-            return posterior_tree(self._fit)
+            return posterior_tree(posterior_groups(self._fit))
         file = self.posterior_file
         if file is None:
             where = str(self.folder) if self.folder is not None else "this fit"

@@ -10,9 +10,10 @@ import tomlkit
 
 from imubayes.atomic_files import replacing_files
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.posterior_tree import posterior_tree
+from imubayes.inference.posterior_groups import posterior_groups
 from imubayes.model.model_spec import ModelSpec
 from imubayes.results.fit_file import fit_record
+from imubayes.results.posterior_file import write_posterior
 from imubayes.results.record_names import FIT, MODEL, POSTERIOR, RESIDUALS, SUMMARY
 from imubayes.results.residual_table import Residuals
 from imubayes.results.summary import Summary
@@ -31,7 +32,7 @@ def write_result(folder: Path, fit: Fit, summary: Summary, residuals: Residuals,
         for file in fit.model.spec.files:
             shutil.copyfile(file, scratch / Path(file).name)
         if fit.posterior is not None:
-            posterior_tree(fit).to_netcdf(str(scratch / POSTERIOR), engine="h5netcdf")
+            write_posterior(posterior_groups(fit), scratch / POSTERIOR)
         else:
             (folder / POSTERIOR).unlink(missing_ok=True)
 

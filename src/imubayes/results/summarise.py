@@ -16,8 +16,8 @@ from imubayes.inference.identifiability import (
     weak_directions,
 )
 from imubayes.inference.nested_laplace import posterior_precision
+from imubayes.inference.posterior_groups import in_units
 from imubayes.inference.posterior_mode import log_evidence
-from imubayes.inference.posterior_tree import in_units
 from imubayes.inference.prior_agreement import prior_conflicts
 from imubayes.inference.procedure_contributions import contributions
 from imubayes.json_record import finite

@@ -1,18 +1,21 @@
-"""The posterior as an ArviZ tree: variables with named dimensions, and every group that model criticism asks for."""
+"""The groups of ArviZ's schema: draws with named dimensions, and every group that model criticism asks for.
+
+They are arrays alone, which `imubayes.results.posterior_file` writes and `imubayes.results.posterior_tree` hands to
+ArviZ as a tree of xarray, which takes long to import.
+"""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
-import lazy_loader
 import numpy as np
 
 from imubayes.array_shapes import Array, Float
 from imubayes.gather import in_batches
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.fitted_model import Fit, Posterior, evenly_spaced
-from imubayes.inference.posterior_variables import SAMPLE, Labels, Variable, variables_of
+from imubayes.inference.posterior_variables import SAMPLE, Labelled, Labels, Variable, variables_of
 from imubayes.inference.run_fit import data_hash, model_hash
 from imubayes.kept_programs import kept
 from imubayes.model.bind import Model
@@ -22,16 +25,30 @@ from imubayes.model.problem import Problem, predict_many
 from imubayes.model.student_t import heavy_tailed
 from imubayes.units import to_si
 
-if TYPE_CHECKING:
-    import xarray
-else:
-    xarray = lazy_loader.load("xarray")  # takes long to import, and few commands need it
-
+# The dimension of what was measured.
+ENTRY = "entry"
 # Predictions and likelihoods are kept for so many values a variable (8 MB), of so many draws at least and at most.
 _KEPT_VALUES, _FEWEST_KEPT, _MOST_KEPT = 1_000_000, 100, 1000
 _PRIOR_KEPT, _BATCH = 200, 20
 # Independent draws are divided into chains, since diagnostics of chains compare several.
 _INDEPENDENT_CHAINS = 4
+
+
+@dataclass(frozen=True)
+class Group:
+    """A group: variables by name, the coordinates of their dimensions and of other labels, and attributes."""
+
+    variables: Mapping[str, Labelled]
+    coordinates: Mapping[str, Labelled]
+    attributes: Mapping[str, str | int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Groups:
+    """All groups by name, and what is said of the whole."""
+
+    named: Mapping[str, Group]
+    attributes: Mapping[str, str | int]
 
 
 @kept
@@ -65,7 +82,7 @@ def in_units(model: Model, points: np.ndarray) -> np.ndarray:
     return np.asarray(_values(model.problem, flat)).reshape(points.shape) / factors
 
 
-def posterior_tree(fit: Fit) -> "xarray.DataTree":
+def posterior_groups(fit: Fit) -> Groups:
     """Return prior, posterior, predictive, likelihood and data groups of a fit, for ArviZ.
 
     A variable has a dimension for each kind of label of its members, and no gaps (`posterior_variables`).  A chain is
@@ -92,13 +109,14 @@ def posterior_tree(fit: Fit) -> "xarray.DataTree":
     predicted, likelihood = _predicted(problem, kept, random)
     prior_predicted, _ = _predicted(problem, prior[None, :_PRIOR_KEPT], random)
     own, derived, labels = variables_of(fit)
+
+    def parameters(own_draws: np.ndarray, derived_draws: np.ndarray) -> Group:
+        found = _variables(own, own_draws) | _variables(derived, derived_draws)
+        return Group(found, _coordinates(found, labels) | _sample_coordinates(own_draws))
+
     groups = {
-        "posterior": _dataset(own, in_units(model, draws), labels).assign(
-            _dataset(derived, by_ensemble(posterior.derived, chains), labels).data_vars
-        ),
-        "prior": _dataset(own, in_units(model, prior)[None], labels).assign(
-            _dataset(derived, posterior.prior_derived[None], labels).data_vars
-        ),
+        "posterior": parameters(in_units(model, draws), by_ensemble(posterior.derived, chains)),
+        "prior": parameters(in_units(model, prior)[None], posterior.prior_derived[None]),
         "posterior_predictive": _outputs(model, predicted),
         "prior_predictive": _outputs(model, prior_predicted),
         "log_likelihood": _at_entries(model, likelihood, "log density of an entry given the others of its run"),
@@ -109,12 +127,10 @@ def posterior_tree(fit: Fit) -> "xarray.DataTree":
         density = by_ensemble(chains.log_density.reshape(-1, 1), chains)[..., 0]
         _, steps, walkers, _ = chains.points.shape
         about = {"walkers": walkers, "steps": steps, "order": "draw = walker · steps + step"}
-        groups["sample_stats"] = xarray.Dataset({"lp": (SAMPLE, density)}, _sample_coordinates(density), about)
-    tree = xarray.DataTree.from_dict(groups)
-    tree.attrs = _attributes(fit)
-    for name in groups:
-        tree[name].attrs.update(tree.attrs)
-    return tree
+        groups["sample_stats"] = Group({"lp": Labelled(SAMPLE, density)}, _sample_coordinates(density), about)
+    whole = _attributes(fit)
+    groups = {name: replace(group, attributes={**group.attributes, **whole}) for name, group in groups.items()}
+    return Groups(groups, whole)
 
 
 def by_ensemble(draws: np.ndarray, chains: Chains | None) -> np.ndarray:
@@ -154,46 +170,49 @@ def _predicted(problem: Problem, draws: np.ndarray, random: np.random.Generator)
     return tuple(part.reshape(*draws.shape[:2], -1) for part in (replicated, entry))
 
 
-def _dataset(variables: Mapping[str, Variable], draws: np.ndarray, labels: Mapping[str, Labels]) -> "xarray.Dataset":
-    """Return variables of draws (chain, draw, D) with the coordinates of their dimensions."""
-    found = {name: variable.of(draws) for name, variable in variables.items()}
-    used = dict.fromkeys(dimension for variable in variables.values() for dimension in variable.dimensions)
-    return xarray.Dataset(found, {name: list(labels[name]) for name in used} | _sample_coordinates(draws))
+def _variables(variables: Mapping[str, Variable], draws: np.ndarray) -> dict[str, Labelled]:
+    """Return variables of draws (chain, draw, D)."""
+    return {name: variable.of(draws) for name, variable in variables.items()}
 
 
-def _sample_coordinates(draws: np.ndarray) -> dict[str, np.ndarray]:
-    return {name: np.arange(size) for name, size in zip(SAMPLE, draws.shape, strict=False)}
+def _coordinates(variables: Mapping[str, Labelled], labels: Mapping[str, Labels]) -> dict[str, Labelled]:
+    used = dict.fromkeys(name for variable in variables.values() for name in variable.dimensions if name not in SAMPLE)
+    return {name: Labelled((name,), np.array(labels[name])) for name in used}
 
 
-def _outputs(model: Model, values: np.ndarray) -> "xarray.Dataset":
+def _sample_coordinates(draws: np.ndarray) -> dict[str, Labelled]:
+    return {name: Labelled((name,), np.arange(size)) for name, size in zip(SAMPLE, draws.shape, strict=False)}
+
+
+def _outputs(model: Model, values: np.ndarray) -> Group:
     """Return outputs (…, E) in output units, closing rotations in degrees."""
     return _at_entries(model, values * np.where(model.entries.closing, 1 / to_si("deg"), 1.0))
 
 
-def _at_entries(model: Model, values: np.ndarray, meaning: str = "") -> "xarray.Dataset":
+def _at_entries(model: Model, values: np.ndarray, meaning: str = "") -> Group:
     """Return what belongs to the entries, (…, E), with run, channel and row of each."""
-    entries = model.entries
-    place = {
-        "run": np.array([run.name for run in model.campaign.runs])[entries.run],
-        "channel": _channel_names(model)[entries.channel],
-        "row": entries.row,
-    }
-    coordinates = {name: ("entry", labels) for name, labels in place.items()} | {"entry": np.arange(len(entries))}
     sample = _sample_coordinates(values) if values.ndim > 1 else {}
     about = {"long_name": meaning} if meaning else {}
-    return xarray.Dataset({"output": ((*sample, "entry"), values, about)}, coordinates | sample)
+    return Group({"output": Labelled((*sample, ENTRY), values, about)}, _entry_coordinates(model) | sample)
+
+
+def _entry_coordinates(model: Model) -> dict[str, Labelled]:
+    entries = model.entries
+    run = np.array([run.name for run in model.campaign.runs])[entries.run]
+    labels = {"run": run, "channel": _channel_names(model)[entries.channel], "row": entries.row}
+    return {name: Labelled((ENTRY,), values) for name, values in (labels | {ENTRY: np.arange(len(entries))}).items()}
 
 
 def _channel_names(model: Model) -> np.ndarray:
     return np.array([*(channel.name for channel in model.campaign.channels), "closure_x", "closure_y", "closure_z"])
 
 
-def _constant_data(model: Model) -> "xarray.Dataset":
+def _constant_data(model: Model) -> Group:
     """Return what is known of the entries: run, channel, row, number of samples and unit of the output."""
     entries, channels = model.entries, model.campaign.channels
-    about = _at_entries(model, entries.samples)
     units = np.array([*(channel.output_unit for channel in channels), "deg", "deg", "deg"])[entries.channel]
-    return about.rename(output="samples").assign(unit=("entry", units))
+    found = {"samples": Labelled((ENTRY,), entries.samples), "unit": Labelled((ENTRY,), units)}
+    return Group(found, _entry_coordinates(model))
 
 
 def _attributes(fit: Fit) -> dict[str, str | int]:
