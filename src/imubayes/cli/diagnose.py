@@ -1,8 +1,12 @@
 """`imubayes diagnose`: what is missing."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from imubayes.cli.options import Flag, Json, print_json
+
+if TYPE_CHECKING:
+    from imubayes.criticism.diagnosis_record import Diagnosis
 
 
 def diagnose(
@@ -37,14 +41,11 @@ def diagnose(
         start_jax()
         from imubayes.api import diagnose as find_missing
         from imubayes.display.diagnosis_report import diagnosis_json, diagnosis_report, effect_source
-        from imubayes.display.figures.evidence_pictures import save_evidence, save_recorded_noise
         from imubayes.display.report_layout import print_report
 
         found = find_missing(result, effect, progress=tell)
         tell("drawing")
-        pictures = [save_evidence(result, found.evidence)] if found.evidence is not None else []
-        if found.disagreeing_noise and found.scatter is not None:
-            pictures.append(save_recorded_noise(result, found.scatter))
+        pictures = _pictures(result, found)
     if python:
         print(effect_source(found))
     elif as_json:
@@ -52,3 +53,17 @@ def diagnose(
     else:
         print_report(diagnosis_report(found, pictures, verbose))
     return 1 if found.verdict == "not_converged" else 0
+
+
+def _pictures(result: Path, found: "Diagnosis") -> list[Path]:
+    """Draw what the diagnosis rests on; Matplotlib is imported where there is something to draw."""
+    pictures = []
+    if found.evidence is not None:
+        from imubayes.display.figures.evidence_pictures import save_evidence
+
+        pictures.append(save_evidence(result, found.evidence))
+    if found.disagreeing_noise and found.scatter is not None:
+        from imubayes.display.figures.evidence_pictures import save_recorded_noise
+
+        pictures.append(save_recorded_noise(result, found.scatter))
+    return pictures

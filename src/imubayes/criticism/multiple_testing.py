@@ -5,7 +5,9 @@ distribution of the smallest of all p-values is found by simulating it (Westfall
 Testing, 1993), correlations included and without any refit.
 """
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +16,8 @@ from scipy import special
 from imubayes.criticism import thresholds
 from imubayes.criticism.localised_structure import FeatureScan
 from imubayes.criticism.score_test import ScoreTest
+
+_MOST_THREADS = 4
 
 
 @dataclass(frozen=True)
@@ -51,14 +55,18 @@ def look_elsewhere(scores: Sequence[ScoreTest], scans: Sequence[FeatureScan] = (
     freedom = np.array([score.span.shape[1] for score in scores], dtype=int)
     starts = np.cumsum(freedom) - freedom
     random = np.random.default_rng(seed)
-    parts = []
-    for _ in range(thresholds.LOOK_DRAWS // thresholds.LOOK_DRAWS_AT_ONCE):
-        draws = random.normal(size=(thresholds.LOOK_DRAWS_AT_ONCE, height))
+
+    def least(draws: np.ndarray) -> np.ndarray:
         each = [*_of_scans(scans, draws), *(cone.p_values(draws) for cone in cones)]
         if scores:
             each.append(_least_p(np.add.reduceat((draws @ spans) ** 2, starts, axis=1), freedom))
-        parts.append(np.min(each, axis=0))
-    smallest = np.sort(np.concatenate(parts))
+        return np.min(each, axis=0)
+
+    # Draws come from one generator in turn: the result does not depend on the number of cores.
+    parts = thresholds.LOOK_DRAWS // thresholds.LOOK_DRAWS_AT_ONCE
+    drawn = (random.normal(size=(thresholds.LOOK_DRAWS_AT_ONCE, height)) for _ in range(parts))
+    with ThreadPoolExecutor(min(_MOST_THREADS, os.cpu_count() or 1)) as pool:
+        smallest = np.sort(np.concatenate(list(pool.map(least, drawn))))
     edge = max(2, int(thresholds.LOOK_TAIL * thresholds.LOOK_DRAWS))
     return LookElsewhere(smallest, float(edge / thresholds.LOOK_DRAWS / smallest[edge - 1]))
 

@@ -161,12 +161,15 @@ class RowTransform:
 
     def reflect(self, white: np.ndarray) -> np.ndarray:
         """Reflect each group so that its common direction becomes its first row; the reflection is its own inverse."""
-        padded = np.concatenate([white, np.zeros((1, white.shape[1]))])[self.members]
-        along = np.einsum("gm,gmc->gc", self.reflectors, padded)
-        padded = padded - 2 * self.reflectors[:, :, None] * along[:, None, :]
-        result = np.empty((len(white) + 1, white.shape[1]))
-        result[self.members.reshape(-1)] = padded.reshape(-1, white.shape[1])
-        return result[:-1]
+        result = white.copy()
+        # Group by group: all at once takes several times the memory of the rows, and as much longer.
+        for group, reflector in zip(self.members, self.reflectors, strict=True):
+            real = group < len(white)
+            members, direction = group[real], reflector[real]
+            if direction.any():
+                own = white[members]
+                result[members] = own - np.outer(2 * direction, direction @ own)
+        return result
 
 
 @kept
