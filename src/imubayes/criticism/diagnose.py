@@ -32,6 +32,7 @@ from imubayes.criticism.formula_search import Formula, coefficient_unit, find_fo
 from imubayes.criticism.free_form_dependence import Structure, dominant_channel
 from imubayes.criticism.large_effects import remainder_of_leader
 from imubayes.criticism.localised_structure import STEP
+from imubayes.criticism.noise_against_prior import NoiseBeyondPrior, noise_beyond_prior
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, following_covariate, residual_evidence
 from imubayes.criticism.score_test import Candidate
@@ -80,7 +81,8 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
 def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
     found, unexplained = _with_large_effect_fitted(found)
     unlisted = [] if unexplained else [unlisted_causes(found, group) for group in found.groups]
-    verdict = _verdict(found, unexplained, unlisted)
+    beyond_prior = noise_beyond_prior(fit)
+    verdict = _verdict(found, unexplained, unlisted, beyond_prior)
     open_question = verdict == "unexplained_structure"
     evidence = [_evidence(found, group) for group in found.groups]
     named = found.groups if verdict in MISSING else ()
@@ -100,6 +102,7 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         suggested=_suggested(found, verdict),
         strongest=_strongest(found) if open_question else None,
         recorded_noise=found.record.comparisons,
+        beyond_prior=beyond_prior,
         more_remains=verdict in MISSING and bool(found.remaining or found.groups[1:]),
         message=fit.message if not fit.sampled else "",
     )
@@ -137,13 +140,18 @@ def _refuse_unknown(effect: str, fit: Fit) -> None:
         )
 
 
-def _verdict(found: SearchResult, unexplained: Sequence[Significant], unlisted: Sequence[Causes]) -> Verdict:
+def _verdict(
+    found: SearchResult,
+    unexplained: Sequence[Significant],
+    unlisted: Sequence[Causes],
+    beyond_prior: Sequence[NoiseBeyondPrior],
+) -> Verdict:
     if unexplained:
         return "unexplained_structure"
     if found.groups:
         alone = len(found.groups[0].members) == 1 and not unlisted[0]
         return "missing_effect" if alone else "equivalent_effects"
-    return "noise_model" if found.adopted or found.record.excessive else "adequate"
+    return "noise_model" if found.adopted or found.record.excessive or beyond_prior else "adequate"
 
 
 def _asked(effect: str, found: SearchResult, result: str) -> Diagnosis:

@@ -12,6 +12,7 @@ from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import Absorber, ParameterBias
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.localised_structure import Step
+from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
 from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
 from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.criticism.verdict import EffectChoice, RmsChange, Verdict
@@ -256,6 +257,7 @@ class Diagnosis(Presented, Record):
     more_remains : whether structure or further effects remain beside the first group, small against what it explains:
         add it and diagnose again.
     recorded_noise : fitted against recorded noise of each channel, after the groups.
+    beyond_prior : noise parameters that the fit puts far beyond their priors, the least probable first.
     asked : the effect that was asked about, where one was.
     """
 
@@ -279,6 +281,7 @@ class Diagnosis(Presented, Record):
     strongest: StrongestStructure | None = None
     more_remains: bool = False
     recorded_noise: tuple[NoiseComparison, ...] = ()
+    beyond_prior: tuple[NoiseBeyondPrior, ...] = ()
     asked: AskedEffect | None = None
     _evidence: ResidualEvidence | None = PrivateAttr(None)
     _scatter: RecordedNoise | None = PrivateAttr(None)

@@ -179,6 +179,13 @@ STATED_NOISE_LOG_SD = 0.5
 # Fewest degrees of freedom within runs for which a comparison is made.  Convention: below, σ is known to 30 % at best.
 NOISE_FREEDOM_MIN = 5.0
 
+# ---- Fitted noise against its prior (noise_against_prior) ------------------------------------------------------------
+# A noise parameter beyond its prior with less than this p-value, all parameters together, is not adequate.  Convention:
+# half of the budget for noise; a mode is drawn towards the median, so that fewer alarms come of it.
+NOISE_BEYOND_PRIOR_P = 0.5 * FALSE_ALARM_NOISE
+# Quantile of the prior that is told beside it, on the scale of a standard normal (97.5 %).  Convention.
+EXPECTED_NOISE_Z = 1.96
+
 # ---- Free forms (lack_of_fit) ----------------------------------------------------------------------------------------
 # One value per level up to so many levels, otherwise a cubic spline of so many columns; fewer rows have no form.
 # Convention: more columns follow narrower structure at the cost of power for broad structure.

@@ -9,6 +9,7 @@ from typing import Any
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, RankedEffect, UndetectableEffect
+from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
 from imubayes.criticism.recorded_noise import NoiseComparison
 from imubayes.criticism.verdict import MISSING
 from imubayes.display.labels import listed, pretty
@@ -180,12 +181,26 @@ def _structure_sentence(found: Diagnosis) -> str:
 
 def _noise_sentence(found: Diagnosis) -> str:
     adopted = [f"{noise.effect} on {', '.join(noise.channels)}" for noise in found.noise if noise.adopted]
+    if not adopted and found.beyond_prior:
+        return _beyond_prior_sentence(found.beyond_prior)
     if not adopted:
         return (
             "The model does not explain the scatter from row to row: no single effect and no noise of the catalogue is "
             "significant, but something acts there that the model lacks."
         )
     return f"The noise model is inadequate: {' and '.join(adopted)}. With it corrected, no effect is missing."
+
+
+def _beyond_prior_sentence(beyond: Sequence[NoiseBeyondPrior]) -> str:
+    """Return which noise is larger than its prior allows, and what that may mean."""
+    worst, rest = beyond[0], len(beyond) - 1
+    said = (
+        f"{worst.parameter} is {significant(worst.value)} {pretty(worst.unit)}, far beyond its prior (above "
+        f"{significant(worst.expected)} with 2.5 % probability; p {_relation(worst.p)})"
+    )
+    said += f", and so {'is one more parameter' if rest == 1 else f'are {rest} more parameters'}." if rest else "."
+    where = "between runs" if worst.between_runs else "from row to row"
+    return f"{said} Either something acts {where} that the model lacks, or the prior is too narrow for this unit."
 
 
 def _record_sentence(found: Diagnosis) -> str:
