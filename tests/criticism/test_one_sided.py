@@ -5,7 +5,7 @@ import pytest
 from scipy import optimize, stats
 
 from imubayes.criticism.multiple_testing import look_elsewhere
-from imubayes.criticism.one_sided import Cone
+from imubayes.criticism.one_sided import Cone, least_p_of_cones
 from imubayes.criticism.projection import Projection, Strata
 from imubayes.criticism.score_test import score_test
 
@@ -95,3 +95,13 @@ def test_all_looks_are_counted_one_sided_ones_as_such():
     either = np.min([stats.chi2.sf((data @ each.span[:, 0]) ** 2, 1) / 2 for each in cones], axis=0)
     halved = np.array([corrected(float(each)) for each in either])
     assert np.mean(halved <= 0.1) > 1.5 * np.mean(p <= 0.1)
+
+
+def test_the_smallest_p_value_over_cones_is_that_of_the_cones_one_by_one():
+    """Single coefficients of either sign, which have a way of their own, beside cones of several coefficients."""
+    single = [cone(sign * columns(1, seed=20 + k), np.array([True])) for k in range(3) for sign in (1, -1)]
+    several = [cone(columns(3, seed=30), np.array([True, True, False]))]
+    for cones in (single, several, single + several, single[:1]):
+        expected = np.min([each.p_values(residuals(200)) for each in cones], axis=0)
+        np.testing.assert_allclose(least_p_of_cones(cones, residuals(200)), expected, rtol=1e-9)
+    np.testing.assert_array_equal(least_p_of_cones([], residuals(5)), np.ones(5))

@@ -32,7 +32,7 @@ from imubayes.cli.simulate import simulate
 from imubayes.errors import InputError, Issue, closest_first
 
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
-_COLLECTION_THRESHOLD = 500_000
+_COLLECTION_THRESHOLD = 2_000_000
 _COMMANDS = (
     check, fit, compare, classical, noise, carrier, apply, export, diagnose, add, history, plant, report, effects,
     simulate, schema,

@@ -33,6 +33,9 @@ from imubayes.model.problem import Problem, predict_from
 from imubayes.parameters.parameter_declarations import declared_parameters
 from imubayes.parameters.vector import Parameter
 
+# Columns of the Jacobian at once: most places of a scan need the derivatives by a few shapes' coefficients alone.
+_SEEDS_AT_ONCE = 16
+
 
 @dataclass(frozen=True)
 class Coefficient:
@@ -133,20 +136,19 @@ def _linearised_with(
     z = np.concatenate([fitted.z, np.zeros(len(extended.parameters) - extended.own)])
     slopes = np.asarray(_slopes(extended.problem, jnp.asarray(z)))
     own = np.asarray(_values(extended.problem, jnp.asarray(z)))[: extended.own]
-    predicted, first = _linearised(extended, own, scan_place=0)
+    first = _linearised(extended, own, 0, range(len(extended.parameters)))
     candidates: list[Response] = []
-    longest = max((1, *(len(_grid(effect)) for effect in acting)))
-    for place in range(longest):
-        jacobian = first if place == 0 else _linearised(extended, own, place)[1]
-        candidates.extend(
-            _response(effect, extended, jacobian, place) for effect in acting if place < max(1, len(_grid(effect)))
-        )
+    for place in range(max((1, *(len(_grid(effect)) for effect in acting)))):
+        scanned = [effect for effect in acting if place < max(1, len(_grid(effect)))]
+        linear = [extended.places[parameter.name] for effect in scanned for parameter in _linear(effect)]
+        at = first if place == 0 else _linearised(extended, own, place, linear)
+        candidates.extend(_response(effect, extended, at, place) for effect in scanned)
+    predicted, jacobian = first.predicted, first.columns(range(extended.own))
     misfit = np.asarray(fitted.model.problem.observations.value) - predicted
-    count = extended.own
     shown = _responding(candidates, extended, own, predicted)
     silent = {effect.name for effect in acting} - {response.scan.effect for response in shown}
     unobservable |= dict.fromkeys(sorted(silent), ())
-    return Responses(misfit, first[:, :count] * slopes[None, :count], shown, unobservable)
+    return Responses(misfit, jacobian * slopes[None, : extended.own], shown, unobservable)
 
 
 def _responding(
@@ -256,13 +258,40 @@ def _grid(effect: BoundEffect) -> list[dict[str, float]]:
     return [{field: grid[min(place, len(grid) - 1)] for field, grid in grids.items()} for place in range(longest)]
 
 
-def _linearised(extended: _Extended, own: np.ndarray, scan_place: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return prediction (E,) and its derivative by all parameters in SI (E, P + C), candidates at their nulls."""
-    whole = jnp.concatenate([jnp.asarray(_at_nulls(extended, own, scan_place)), extended.problem.nulls])
-    predicted, packed = _push(extended.problem, whole)
-    sparsity = extended.problem.sparsity
-    jacobian = np.where(np.asarray(sparsity.reach), np.asarray(packed)[np.asarray(sparsity.colour)].T, 0.0)
-    return np.asarray(predicted), jacobian
+@dataclass(frozen=True)
+class _Linearised:
+    """The prediction and its derivative by some parameters in SI, candidates at their nulls.
+
+    Attributes
+    ----------
+    predicted : shape (E,).
+    packed : shape (colours, E), derivatives by parameters that reach no common entry, added up.
+    row : shape (P + C,), the row of `packed` that holds a parameter's derivative.
+    reach : shape (E, P + C), bool: which parameters reach which entries.
+    """
+
+    predicted: np.ndarray
+    packed: np.ndarray
+    row: np.ndarray
+    reach: np.ndarray
+
+    def columns(self, places: Sequence[int]) -> np.ndarray:
+        """Return the derivatives by some of these parameters, (E, len(places))."""
+        chosen = np.array(places, dtype=int)
+        return np.where(self.reach[:, chosen], self.packed[self.row[chosen]].T, 0.0)
+
+
+def _linearised(extended: _Extended, own: np.ndarray, scan_place: int, places: Sequence[int]) -> _Linearised:
+    """Return the prediction and its derivative by the parameters at some places, at one place of the scanned shapes."""
+    problem, sparsity = extended.problem, extended.problem.sparsity
+    whole = jnp.concatenate([jnp.asarray(_at_nulls(extended, own, scan_place)), problem.nulls])
+    colour = np.asarray(sparsity.colour)
+    needed = np.unique(colour[np.array(places, dtype=int)])
+    seeds = np.zeros((max(1, -(-len(needed) // _SEEDS_AT_ONCE)) * _SEEDS_AT_ONCE, len(colour)))
+    seeds[: len(needed)] = np.asarray(sparsity.seeds)[needed]
+    pushed = [_push(problem, whole, jnp.asarray(each)) for each in np.split(seeds, len(seeds) // _SEEDS_AT_ONCE)]
+    packed = np.concatenate([np.asarray(each) for _, each in pushed])
+    return _Linearised(np.asarray(pushed[0][0]), packed, np.searchsorted(needed, colour), np.asarray(sparsity.reach))
 
 
 def _at_nulls(extended: _Extended, own: np.ndarray, scan_place: int) -> np.ndarray:
@@ -280,10 +309,10 @@ def _at_nulls(extended: _Extended, own: np.ndarray, scan_place: int) -> np.ndarr
 
 
 @kept
-def _push(problem: Problem, values):
+def _push(problem: Problem, values, seeds):
     predicted, push = jax.linearize(lambda values: predict_from(problem, values), values)
     nulls = jnp.zeros_like(problem.nulls)
-    return predicted, jax.vmap(lambda seed: push(jnp.concatenate([seed, nulls])))(problem.sparsity.seeds)
+    return predicted, jax.vmap(lambda seed: push(jnp.concatenate([seed, nulls])))(seeds)
 
 
 @kept
@@ -296,10 +325,15 @@ def _slopes(problem: Problem, z: Float[Array, " P"]) -> Float[Array, " P"]:
     return problem.priors.slopes(z)
 
 
-def _response(effect: BoundEffect, extended: _Extended, jacobian: np.ndarray, scan_place: int) -> Response:
+def _linear(effect: BoundEffect) -> list[Parameter]:
+    """Return the parameters of an effect that are its coefficients, not its shape."""
+    return [parameter for parameter in effect.parameters if not effect.declared[parameter.field].shape]
+
+
+def _response(effect: BoundEffect, extended: _Extended, at: _Linearised, scan_place: int) -> Response:
     grid = _grid(effect)
     shape = grid[scan_place] if grid else {}
-    linear = [parameter for parameter in effect.parameters if not effect.declared[parameter.field].shape]
+    linear = _linear(effect)
     places = [extended.places[parameter.name] for parameter in linear]
     coefficients = tuple(
         Coefficient(parameter, ",".join(parameter.label), declared.typical, declared.null)
@@ -307,4 +341,4 @@ def _response(effect: BoundEffect, extended: _Extended, jacobian: np.ndarray, sc
         for declared in [effect.declared[parameter.field]]
     )
     factors = np.array([parameter.factor for parameter in linear])
-    return Response(ShapeScan(effect.name, shape), coefficients, jacobian[:, places] * factors)
+    return Response(ShapeScan(effect.name, shape), coefficients, at.columns(places) * factors)

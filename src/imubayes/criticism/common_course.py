@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # loads its parts when they are first used
+from scipy import special
 
 from imubayes.campaign_data import Run
 from imubayes.criticism import thresholds
@@ -152,7 +152,7 @@ def course_p_value(projection: Projection, of: Sequence[Replicates]) -> float:
         return 1.0
     effective = freedom / inflation(apart)
     ratio = (common / freedom[0]) / (scatter / freedom[1])
-    return max(float(scipy.stats.f.sf(ratio, *effective)), 1e-300)
+    return max(float(special.fdtrc(*effective, ratio)), 1e-300)
 
 
 def inflation(apart: Sequence[np.ndarray]) -> float:

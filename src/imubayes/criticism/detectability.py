@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # loads its parts when they are first used
+from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.projection import Projection
@@ -83,6 +83,7 @@ def detectability(projection: Projection, response: ProjectedResponse, threshold
         smallest = needed * np.where(length**2 > thresholds.RETAINED_MIN * raw, 1 / length, np.inf)
     best = int(np.argmin(smallest / np.array([coefficient.typical[1] for coefficient in coefficients])))
     coefficient, whitened = coefficients[best], response.whitened[:, best]
+    shift = projection.absorb(whitened)
     return Detectability(
         effect=response.response.scan.effect,
         name=coefficient.parameter.name,
@@ -90,8 +91,8 @@ def detectability(projection: Projection, response: ProjectedResponse, threshold
         retained=float(length[best] ** 2 / raw[best]) if raw[best] > 0 else 0.0,
         smallest_detectable=float(smallest[best]),
         typical=coefficient.typical,
-        absorbed_by=_absorbers(projection, whitened, float(raw[best])),
-        bias=_bias(projection, whitened * coefficient.typical[1]),
+        absorbed_by=_absorbers(projection, whitened, shift, float(raw[best])),
+        bias=_bias(projection, shift * coefficient.typical[1]),
     )
 
 
@@ -119,21 +120,20 @@ def noncentrality_needed(p: np.ndarray, freedom: np.ndarray) -> np.ndarray:
     ----------
     p, freedom : shape (C,).
     """
-    critical = scipy.stats.t.isf(p, freedom)
+    critical = -special.stdtrit(freedom, p)
     # Student's t is normal over √(χ²/ν): the power is a mean over quantiles of the latter.
     quantiles = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
-    scale = np.sqrt(scipy.stats.chi2.ppf(quantiles[:, None], freedom) / freedom)
+    scale = np.sqrt(2 * special.gammaincinv(freedom / 2, quantiles[:, None]) / freedom)
     low, high = np.zeros_like(critical), critical * scale.max(axis=0) + 10
     for _ in range(60):
         middle = (low + high) / 2
-        enough = scipy.stats.norm.cdf(middle - critical * scale).mean(axis=0) > thresholds.DETECTION_POWER
+        enough = special.ndtr(middle - critical * scale).mean(axis=0) > thresholds.DETECTION_POWER
         low, high = np.where(enough, low, middle), np.where(enough, middle, high)
     return high
 
 
-def _bias(projection: Projection, whitened: np.ndarray) -> ParameterBias | None:
-    """Return the bias of the parameter that a whitened change of the data, (R,), shifts most in posterior sd."""
-    shift = projection.absorb(whitened)
+def _bias(projection: Projection, shift: np.ndarray) -> ParameterBias | None:
+    """Return the bias of the parameter that a shift of all parameters in z, (P,), moves most in posterior sd."""
     if not len(shift):
         return None
     in_sd = shift / projection.posterior_sd
@@ -143,13 +143,18 @@ def _bias(projection: Projection, whitened: np.ndarray) -> ParameterBias | None:
     return ParameterBias(parameter.name, parameter.unit, value, float(in_sd[most]))
 
 
-def _absorbers(projection: Projection, whitened: np.ndarray, raw: float) -> tuple[Absorber, ...]:
-    """Return the shares of a response of squared length `raw` that parameter families and run offsets absorb."""
+def _absorbers(projection: Projection, whitened: np.ndarray, shift: np.ndarray, raw: float) -> tuple[Absorber, ...]:
+    """Return the shares of a response of squared length `raw` that parameter families and run offsets absorb.
+
+    Parameters
+    ----------
+    whitened, shift : the response, (R,), and the parameters that fit it best, (P,) in z.
+    """
     if raw <= 0:
         return ()
     shares = {RUN_OFFSETS: max(0.0, 1 - float(whitened @ whitened) / raw)}
     # Shares of the regression: g·(J_k c_k)/|g|² add up to what is absorbed in all.
-    each = (projection.jacobian * projection.absorb(whitened)).T @ whitened / raw
+    each = shift * (projection.jacobian.T @ whitened) / raw
     for parameter, share in zip(projection.fitted.model.layout.parameters, each.tolist(), strict=True):
         family = f"{parameter.effect}.{parameter.field}"
         shares[family] = shares.get(family, 0.0) + share

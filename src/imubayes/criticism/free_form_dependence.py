@@ -18,6 +18,7 @@ from imubayes.criticism.localised_structure import Feature, FeatureScan, Feature
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import ScoreTest, generalised_least_squares, score_test
+from imubayes.criticism.tail_probabilities import chi2_log_survival
 from imubayes.criticism.term_library import levels
 from imubayes.units import to_si
 
@@ -186,7 +187,7 @@ def _best(projection: Projection, of: FeatureScan) -> list[Feature]:
     """Return the feature with the strongest evidence against each covariate."""
     best: dict[str, tuple[float, Feature]] = {}
     for batch, scores in of.scores(projection.residual[None, :]):
-        log_p = scipy.stats.chi2.logsf(scores[0], np.maximum(batch.freedom, 1))
+        log_p = chi2_log_survival(scores[0], np.maximum(batch.freedom, 1))
         for place, value, freedom in zip(batch.members.tolist(), log_p.tolist(), batch.freedom.tolist(), strict=True):
             feature = of.features.found[place]
             key = " × ".join(covariate.phrase for covariate in feature.covariates)

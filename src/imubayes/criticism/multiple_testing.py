@@ -15,6 +15,7 @@ from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.localised_structure import FeatureScan
+from imubayes.criticism.one_sided import least_p_of_cones
 from imubayes.criticism.score_test import ScoreTest
 
 _MOST_THREADS = 4
@@ -57,7 +58,7 @@ def look_elsewhere(scores: Sequence[ScoreTest], scans: Sequence[FeatureScan] = (
     random = np.random.default_rng(seed)
 
     def least(draws: np.ndarray) -> np.ndarray:
-        each = [*_of_scans(scans, draws), *(cone.p_values(draws) for cone in cones)]
+        each = [*_of_scans(scans, draws), least_p_of_cones(cones, draws)]
         if scores:
             each.append(_least_p(np.add.reduceat((draws @ spans) ** 2, starts, axis=1), freedom))
         return np.min(each, axis=0)

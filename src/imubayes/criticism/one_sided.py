@@ -5,13 +5,14 @@ Statistical Inference, 2005).  With one such coefficient half of the residuals a
 other half χ² with one degree of freedom.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # loads its parts when they are first used
-from scipy.special import logsumexp
+from scipy import special
 
 from imubayes.criticism import thresholds
+from imubayes.criticism.tail_probabilities import chi2_log_survival
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Cone:
         weights = self.weights[1:].reshape(freedom.shape)
         if not len(freedom):
             return np.zeros_like(chi2)
-        tails = np.asarray(logsumexp(scipy.stats.chi2.logsf(chi2, freedom), axis=0, b=weights))
+        tails = np.asarray(special.logsumexp(chi2_log_survival(chi2, freedom), axis=0, b=weights))
         return np.where(chi2 > 0, tails, 0.0)
 
     def f_survival(self, total: float, denominator: float) -> float:
@@ -71,7 +72,20 @@ class Cone:
         if not total > 0:
             return 1.0
         freedom = np.arange(1, len(self.weights))
-        return float(np.sum(self.weights[1:] * scipy.stats.f.sf(total / freedom, freedom, denominator)))
+        return float(np.sum(self.weights[1:] * special.fdtrc(freedom, denominator, total / freedom)))
+
+
+def least_p_of_cones(cones: Sequence[Cone], residuals: np.ndarray) -> np.ndarray:
+    """Return the smallest p-value of residuals (n, R) over all cones, (n,); 1 without cones."""
+    one = [cone.columns.shape == (1, 1) and bool(cone.bounded[0]) and cone.columns[0, 0] != 0 for cone in cones]
+    smallest = [np.ones(len(residuals))]
+    smallest += [cone.p_values(residuals) for cone, alone in zip(cones, one, strict=True) if not alone]
+    rays = [cone.span * np.sign(cone.columns[0, 0]) for cone, alone in zip(cones, one, strict=True) if alone]
+    if rays:
+        # A single coefficient: half the tail of χ² with one degree of freedom, which is the normal tail of the score.
+        largest = (residuals @ np.concatenate(rays, axis=1)).max(axis=1)
+        smallest.append(np.where(largest > 0, special.ndtr(-largest), 1.0))
+    return np.min(smallest, axis=0)
 
 
 def _solved(columns: np.ndarray, bounded: np.ndarray, targets: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-import scipy  # loads its parts when they are first used
+from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.noise_tests import to_entries
@@ -88,7 +88,7 @@ def _cluster_p(row: np.ndarray, run: np.ndarray, cell: np.ndarray, hit: np.ndarr
     if not sufficient(cell):
         return []
     hits, rows = len(np.unique(row[hit])), len(np.unique(row[cell]))
-    return [float(scipy.stats.binom.sf(hits - 1, rows, share)) if sufficient(hit) else 1.0]
+    return [float(special.bdtrc(hits - 1, rows, share)) if sufficient(hit) else 1.0]
 
 
 def consecutive(model: Model, sizes: np.ndarray) -> bool:
@@ -108,7 +108,7 @@ def consecutive(model: Model, sizes: np.ndarray) -> bool:
     # A shock to the table acts on all channels, and counts once.
     pairs = len(np.unique(np.stack([model.entries.run[at], model.entries.row[at]]), axis=1).T)
     expected = neighbours.sum() * np.mean(sizes != 0) ** 2 / 2
-    return float(scipy.stats.poisson.sf(pairs - 1, expected)) < thresholds.CLUSTER_P
+    return pairs > 0 and float(special.pdtrc(pairs - 1, expected)) < thresholds.CLUSTER_P
 
 
 def _of_table(model: Model, name: str) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
-import scipy  # loads its parts when they are first used
+from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.noise_tests import to_entries
@@ -135,9 +135,9 @@ def _judged(ratio: float, freedom: float, record: _Record) -> tuple[float, float
     excess = ratio / thresholds.NOISE_AGREES
     if record.source == "samples":
         sd = np.sqrt(0.5 / freedom + 0.5 / record.freedom)
-        return float(sd), max(float(scipy.stats.f.sf(excess**2, freedom, record.freedom)), 1e-300)
+        return float(sd), max(float(special.fdtrc(freedom, record.freedom, excess**2)), 1e-300)
     sd = np.hypot(thresholds.STATED_NOISE_LOG_SD, np.sqrt(0.5 / freedom))
-    return float(sd), max(float(scipy.stats.norm.sf(np.log(excess) / sd)), 1e-300)
+    return float(sd), max(float(special.ndtr(-np.log(excess) / sd)), 1e-300)
 
 
 def _within(projection: Projection, channel: int) -> tuple[float, float]:

@@ -14,13 +14,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import scipy  # loads its parts when they are first used
 from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Coefficient, Response, ShapeScan
 from imubayes.criticism.one_sided import Cone
 from imubayes.criticism.projection import Projection, orthonormal
+from imubayes.criticism.tail_probabilities import chi2_log_survival
 
 # A stratum with fewer degrees of freedom has no scale that could be judged; of a known scale they are unlimited.
 LEAST_FREEDOM, KNOWN_FREEDOM = 0.5, 1e9
@@ -85,7 +85,7 @@ class Candidate:
         that.
         """
         chi2, cone = 2 * self.score.log_likelihood_gain, self.score.cone
-        return float(cone.log_survival(chi2) if cone is not None else scipy.stats.chi2.logsf(chi2, max(self.dof, 1)))
+        return float(cone.log_survival(chi2) if cone is not None else chi2_log_survival(chi2, max(self.dof, 1)))
 
     @property
     def delta_chi2(self) -> float:

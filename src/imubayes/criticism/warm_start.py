@@ -12,7 +12,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy  # loads its parts when they are first used
+from scipy import special
 from scipy.linalg import solve_triangular
 
 from imubayes.array_shapes import Array, Float
@@ -341,7 +341,7 @@ def _contradicting(
     beyond = thresholds.PRIOR_CONFLICT_SD
     alone = np.abs(estimate) > beyond * np.sqrt(width**2 + slope**2 * variance)
     score = float(np.sum((along + axes[:, told].T @ null) ** 2 / (1 + 1 / values[told])))
-    together = scipy.stats.chi2.sf(score, int(told.sum())) < 2 * scipy.stats.norm.sf(beyond)
+    together = special.chdtrc(int(told.sum()), score) < 2 * special.ndtr(-beyond)
     return np.where(alone | (together & (np.abs(estimate) > beyond * width)), estimate, 0.0)
 
 
