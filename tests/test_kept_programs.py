@@ -1,8 +1,11 @@
 """A kept program is the one that tracing now would give, or none is taken."""
 
+import atexit
 import os
 import subprocess
 import sys
+import threading
+import time
 from functools import partial
 from pathlib import Path
 
@@ -11,10 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from imubayes import kept_programs, program_identity
+from imubayes import kept_programs, program_identity, program_preloading
 from imubayes.kept_programs import kept
 from imubayes.model.effect_registry import Registry
+from imubayes.program_files import read_program
 from imubayes.program_identity import NoIdentityError, describe
+from imubayes.program_preloading import Preloading
 
 TRACED: list[str] = []
 
@@ -198,7 +203,8 @@ def test_the_programs_used_longest_ago_give_way(folder, monkeypatch):
     for age, file in enumerate(folder.iterdir()):
         os.utime(file, (1e9 - age, 1e9 - age))
     in_a_new_process(np.ones(2))  # used again: now the youngest
-    monkeypatch.setattr(kept_programs, "MOST_BYTES", 3.5 * max(file.stat().st_size for file in folder.iterdir()))
+    largest = max(file.stat().st_size for file in folder.iterdir())
+    monkeypatch.setattr(kept_programs, "MOST_BYTES", 7 * largest // 2)
     in_a_new_process(np.ones(6))
     assert len(list(folder.iterdir())) == 2
     TRACED.clear()
@@ -243,6 +249,55 @@ def test_the_environment_switches_it_off(monkeypatch, tmp_path):
     monkeypatch.delenv(kept_programs.SWITCH)
     kept_programs.keep_programs(tmp_path)
     assert kept_programs._Folder.place == tmp_path
+
+
+def preloading(folder: Path, purpose: str = "diagnose") -> Preloading:
+    """What a process loads ahead, with its list written at once instead of at the exit."""
+    found = Preloading(folder, purpose)
+    atexit.unregister(found.remember)
+    return found
+
+
+def test_what_the_last_process_used_is_loaded_ahead_in_that_order(folder, monkeypatch):
+    monkeypatch.setattr(kept_programs._Folder, "preloading", first := preloading(folder))
+    made = [in_a_new_process(np.ones(count))["out"] for count in (4, 3, 4)]
+    first.remember()
+    names = (folder / "diagnose.used").read_text().split()
+    assert len(names) == len(set(names)) == 2
+
+    read: list[tuple[str, str]] = []
+
+    def seen(file):
+        read.append((file.name, threading.current_thread().name))
+        return read_program(file)
+
+    monkeypatch.setattr(program_preloading, "read_program", seen)
+    monkeypatch.setattr(kept_programs._Folder, "preloading", again := preloading(folder))
+    while len(read) < 2:
+        time.sleep(0.01)
+    assert [name for name, _ in read] == names
+    assert all(thread.startswith("preloading") for _, thread in read)
+    TRACED.clear()
+    assert np.array_equal(in_a_new_process(np.ones(3))["out"], made[1])
+    assert TRACED == []
+    assert len(read) == 2
+    # A program that is asked for a second time, and one that was not on the list, are read as ever.
+    in_a_new_process(np.ones(3))
+    in_a_new_process(np.ones(7))
+    assert [name for name, _ in read[2:3]] == names[1:]
+    assert all(not thread.startswith("preloading") for _, thread in read[2:])
+    again.remember()
+    assert len((folder / "diagnose.used").read_text().split()) == 2  # those of 3 and of 7
+    assert not (folder / "add.used").exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"no-such-program\n", b"\xff\xfe\x00"])
+def test_a_list_that_names_nothing_is_survived(folder, monkeypatch, content):
+    (folder / "diagnose.used").write_bytes(content)
+    monkeypatch.setattr(kept_programs._Folder, "preloading", found := preloading(folder))
+    in_a_new_process(VALUES)
+    found.remember()
+    assert (folder / "diagnose.used").read_text().split() != ["no-such-program"]
 
 
 def test_another_process_finds_the_program_and_its_linear_algebra(tmp_path):

@@ -14,6 +14,8 @@ FLOORS = (
         "gather",
         "jax_settings",
         "kept_programs",
+        "program_files",
+        "program_preloading",
         "program_identity",
         "rotations",
         "earth",

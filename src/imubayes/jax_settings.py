@@ -19,8 +19,12 @@ from imubayes.kept_programs import keep_programs
 _BEING_WRITTEN_S = 60.0
 
 
-def prepare_jax() -> None:
+def prepare_jax(command: str = "") -> None:
     """Switch double precision and the persistent compilation cache on, unless the process has chosen a cache itself.
+
+    Parameters
+    ----------
+    command : that is running: the programs that it used the last time are loaded ahead.
 
     Raises
     ------
@@ -38,7 +42,7 @@ def prepare_jax() -> None:
         jax.config.update("jax_enable_x64", True)
     if jax.config.jax_compilation_cache_dir is None:
         _keep_compiled()
-    keep_programs(_own_folder("programs") if jax.config.jax_enable_compilation_cache else None)
+    keep_programs(_own_folder("programs") if jax.config.jax_enable_compilation_cache else None, command)
 
 
 def _own_folder(name: str) -> Path | None:

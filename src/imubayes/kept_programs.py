@@ -9,7 +9,6 @@ A kept program cannot be differentiated or batched: only outermost functions are
 """
 
 import functools
-import hashlib
 import itertools
 import os
 import pickle
@@ -23,17 +22,15 @@ import equinox as eqx
 import jax
 from jax._src import config, core
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
-from jax.experimental.serialize_executable import deserialize_and_load, serialize
-from jaxlib.lapack import prepare_lapack_call
 
-from imubayes.atomic_files import replacing
+from imubayes.program_files import make_room, packed_program, read_program, write_program
 from imubayes.program_identity import NoIdentityError, Slot, identity, sources_unchanged
+from imubayes.program_preloading import Preloading
 
 SWITCH = "IMUBAYES_KEEP_PROGRAMS"
 """Environment variable; at 0 every process traces its programs anew."""
 MOST_BYTES = 300_000_000
 """Size of the folder above which the programs used longest ago are removed: some thousand, of one fit some hundred."""
-_DIGEST_BYTES = 32
 
 
 @dataclass(frozen=True)
@@ -61,17 +58,25 @@ class _Program:
 
 
 class _Folder:
-    """Where programs are kept: none until `keep_programs` names one."""
+    """Where programs are kept: none until `keep_programs` names one; and those that are loaded ahead."""
 
     place: Path | None = None
+    preloading: Preloading | None = None
 
 
 _programs: dict[Any, _Program | None] = {}
 
 
-def keep_programs(folder: Path | None) -> None:
-    """Keep programs in a folder that belongs to the user alone, unless the environment says otherwise."""
+def keep_programs(folder: Path | None, purpose: str = "") -> None:
+    """Keep programs in a folder that belongs to the user alone, unless the environment says otherwise.
+
+    Parameters
+    ----------
+    purpose : the command that is running: what it used the last time is loaded ahead; nothing where it is empty.
+    """
     _Folder.place = None if os.environ.get(SWITCH) == "0" else folder
+    if purpose and _Folder.place is not None:
+        _Folder.preloading = Preloading(_Folder.place, purpose)
 
 
 def forget_programs() -> None:
@@ -136,11 +141,12 @@ def _found_or_made(function: Callable, leaves: list[Any], tree: Any) -> _Program
         file = _Folder.place / identity(function, arguments)
     except NoIdentityError:
         return None
-    program = _read(file, len(arrays))
-    if program is None:
-        program = _compiled(function, arguments, arrays)
-        if program is not None:
-            _write(file, program)
+    stored = (_Folder.preloading.read if _Folder.preloading is not None else read_program)(file)
+    if stored is not None:
+        return _Program(stored.executable, pickle.loads(stored.skeleton), file)
+    program = _compiled(function, arguments, arrays)
+    if program is not None:
+        _write(file, program, len(arrays))
     return program
 
 
@@ -176,52 +182,16 @@ def _is_slot(leaf: Any) -> bool:
     return isinstance(leaf, Slot)
 
 
-def _read(file: Path, count: int) -> _Program | None:
-    """Return a kept program of `count` arrays; None where there is none, or its file is damaged."""
-    try:
-        content = file.read_bytes()
-        os.utime(file)
-    except OSError:
-        return None
-    digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
-    if hashlib.sha256(content).digest() != digest:
-        return None
-    serialised, skeleton = pickle.loads(content)
-    results = sum(map(_is_slot, jax.tree.leaves(skeleton, is_leaf=_is_slot)))
-    taken, given = jax.tree.structure(((0,) * count, {})), jax.tree.structure((0,) * results)
-    _connect_lapack()
-    return _Program(deserialize_and_load(serialised, taken, given), skeleton, file)
-
-
-@functools.cache
-def _connect_lapack() -> None:
-    """Hand the compiled code the routines of LAPACK, which lowering does otherwise."""
-    prepare_lapack_call("potrf_ffi", "float64")
-
-
-def _write(file: Path, program: _Program) -> None:
+def _write(file: Path, program: _Program, arguments: int) -> None:
     """Keep a program, where jaxlib can and the sources are still those that it was made of."""
+    results = sum(map(_is_slot, jax.tree.leaves(program.skeleton, is_leaf=_is_slot)))
     try:
-        content = pickle.dumps((serialize(program.executable)[0], program.skeleton))
-    except (ValueError, TypeError, NotImplementedError, pickle.PicklingError, jax.errors.JaxRuntimeError):
+        skeleton = pickle.dumps(program.skeleton)
+    except (TypeError, AttributeError, pickle.PicklingError):
         return  # compiled by each process
-    if not sources_unchanged():
+    content = packed_program(program.executable, arguments, results, skeleton)
+    if content is None or not sources_unchanged():
         return
     with suppress(OSError):
-        _make_room(file.parent)
-        with replacing(file) as scratch:
-            scratch.write_bytes(hashlib.sha256(content).digest() + content)
-
-
-def _make_room(folder: Path) -> None:
-    """Remove the programs used longest ago where all together exceed `MOST_BYTES`, until they take half of that."""
-    with os.scandir(folder) as entries:
-        known = [(entry.stat(), entry.path) for entry in entries]
-    found = sorted(((stat.st_mtime, stat.st_size, path) for stat, path in known), reverse=True)
-    if sum(size for _, size, _ in found) <= MOST_BYTES:
-        return
-    kept_bytes = 0
-    for _, size, path in found:
-        kept_bytes += size
-        if kept_bytes > MOST_BYTES / 2:
-            Path(path).unlink(missing_ok=True)
+        make_room(file.parent, MOST_BYTES)
+        write_program(file, content)

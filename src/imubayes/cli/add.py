@@ -49,7 +49,7 @@ def add(
     if not effects:
         raise input_error("no effect is named", "command line", "imubayes effects lists them", "name one")
     with progress() as tell:
-        start_jax()
+        start_jax("add")
         from imubayes.api import add as add_effects
         from imubayes.display.addition_report import addition_report, next_command
         from imubayes.display.report_layout import print_report

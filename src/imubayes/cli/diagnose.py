@@ -38,7 +38,7 @@ def diagnose(
     from imubayes.cli.session import progress, start_jax
 
     with progress() as tell:
-        start_jax()
+        start_jax("diagnose")
         from imubayes.api import diagnose as find_missing
         from imubayes.display.diagnosis_report import diagnosis_json, diagnosis_report, effect_source
         from imubayes.display.report_layout import print_report

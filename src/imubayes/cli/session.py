@@ -6,11 +6,11 @@ from contextlib import AbstractContextManager
 from imubayes.display.terminal_progress import terminal_progress
 
 
-def start_jax() -> None:
-    """Enable double precision and the persistent compilation cache."""
+def start_jax(command: str = "") -> None:
+    """Enable double precision and the persistent compilation cache, and load what the command used the last time."""
     from imubayes.jax_settings import prepare_jax
 
-    prepare_jax()
+    prepare_jax(command)
 
 
 def progress(text: str = "loading") -> AbstractContextManager[Callable[[str], None]]:

@@ -1,0 +1,138 @@
+"""Use and report the calibration of a unit."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import polars as pl
+
+from imubayes.display.notebook_progress import progress_of
+from imubayes.display.onboard.export_files import ExportOptions, Format, write_constants
+from imubayes.qualification.build_report import report_of
+from imubayes.qualification.noise_densities import of_fit, of_record, read_noise
+from imubayes.qualification.onboard_constants import onboard_constants as constants_of
+from imubayes.qualification.onboard_losses import Loss
+from imubayes.qualification.onboard_record import OnboardConstants
+from imubayes.qualification.recording_files import CorrectedRecording, correct_recording, open_recording
+from imubayes.qualification.report_record import QualificationReport
+from imubayes.results.apply_calibration import CalibratedInputs, apply_calibration, read_readings
+from imubayes.results.result import Result, read_result
+
+
+def apply(result: Result | str | Path, readings: pl.DataFrame | str | Path) -> CalibratedInputs:
+    """Return the inputs of a calibrated unit from its outputs, with uncertainty.
+
+    Parameters
+    ----------
+    result : a fit of the unit, or its folder.
+    readings : a table, or a CSV or Parquet file: a column per channel in output units, and
+        `converter_temperature_degC` and `temperature_degC` where the model depends on them.
+
+    Raises
+    ------
+    InputError
+        for a result without a posterior, and a table that cannot be read or lacks what the model needs.
+    """
+    found = result if isinstance(result, Result) else read_result(result)
+    if isinstance(readings, pl.DataFrame):
+        return apply_calibration(found, readings)
+    return apply_calibration(found, read_readings(Path(readings)), str(readings))
+
+
+def correct(
+    result: Result | str | Path,
+    recording: str | Path,
+    out: str | Path,
+    *,
+    run: str = "",
+    temperatures: Mapping[str, float] | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> CorrectedRecording:
+    """Write a recording with rate and specific force in body axes, solved from all channels jointly, with uncertainty.
+
+    Parameters
+    ----------
+    result : a fit of the unit, or its folder.
+    recording : a CSV or Parquet table with a column per channel, of any length, or a campaign folder.
+    out : the table to write, CSV or Parquet.
+    run : of the campaign, where it has several.
+    temperatures : `temperature` and `converter_temperature` of all rows, °C, where no column gives them.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for a result without a posterior, and a recording that cannot be read or lacks what the model needs.
+    """
+    with progress_of(progress) as tell:
+        tell("reading the fit")
+        found = result if isinstance(result, Result) else read_result(result)
+        source = open_recording(Path(recording), found.fit.model.campaign.channels, run, temperatures)
+        tell("correcting")
+        return correct_recording(found, source, Path(out), tell)
+
+
+def onboard_constants(result: Result | str | Path) -> OnboardConstants:
+    """Return the constants of a unit to use on board: matrix, biases, gains over temperature, with joint covariance.
+
+    Parameters
+    ----------
+    result : a fit of the unit, or its folder.
+
+    Raises
+    ------
+    InputError
+        for a result without a posterior, and a unit whose channels do not span three axes.
+    """
+    return constants_of(result if isinstance(result, Result) else read_result(result))
+
+
+def export_constants(
+    result: Result | str | Path,
+    out: str | Path,
+    format: Format = "json",
+    *,
+    noise: str | Path | None = None,
+    rate: float | None = None,
+    topic: str = "/imu0",
+    accept_loss: bool = False,
+) -> tuple[Loss, ...]:
+    """Write the constants of a unit in the format of another program; return what that format leaves out.
+
+    Parameters
+    ----------
+    result : a fit of the unit, or its folder.
+    out : the file to write.
+    format : json, c, kalibr, px4, ardupilot or ros.
+    noise : record of `imubayes noise`, for kalibr.
+    rate : of the samples on board, Hz, for kalibr.
+    topic : ROS topic, for kalibr.
+    accept_loss : whether to leave out what is larger than its uncertainty.
+
+    Raises
+    ------
+    InputError
+        where the format cannot hold the constants, or needs what is not known.
+    """
+    found = result if isinstance(result, Result) else read_result(result)
+    constants = constants_of(found)
+    known = of_fit(found, constants, rate)
+    if noise is not None:
+        known |= of_record(read_noise(Path(noise)), found.fit.model.campaign)
+    return write_constants(constants, format, Path(out), ExportOptions(rate, topic, known, accept_loss))
+
+
+def report(result: Result | str | Path, specification: str | Path | None = None) -> QualificationReport:
+    """Return the uncertainty report of a result as a record; `imubayes report` writes it as page, PDF and JSON.
+
+    Parameters
+    ----------
+    result : a result that has a folder, or the folder; its diagnosis and history are read from there.
+    specification : file with limits and decision rules; None where nothing is to be decided.
+
+    Raises
+    ------
+    InputError
+        for a result that cannot be read, one whose campaign is gone or has changed, and a specification that cannot be
+        used with it.
+    """
+    return report_of(result, specification)

@@ -1,0 +1,97 @@
+"""Fit a campaign, or load the result of a fit."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace as with_fields
+from pathlib import Path
+
+from imubayes.campaign import load_campaign
+from imubayes.campaign_data import Campaign
+from imubayes.display.notebook_progress import progress_of
+from imubayes.inference.ensemble_sampling import Settings
+from imubayes.inference.run_fit import joint_fit
+from imubayes.model.bind import Model, bind
+from imubayes.model.model_file import read_model
+from imubayes.model.model_spec import ModelSpec
+from imubayes.qualification.digits import Digits
+from imubayes.qualification.report_budgets import keep_budgets
+from imubayes.qualification.until_digits import fit_until_digits
+from imubayes.results.folder_state import claim
+from imubayes.results.history_file import first_node
+from imubayes.results.history_tree import write_node
+from imubayes.results.record_names import CHECKPOINT
+from imubayes.results.result import Result, read_result, result_of
+
+
+def fit(
+    campaign: Campaign | str | Path,
+    model: ModelSpec | str | Path,
+    out: str | Path | None = None,
+    *,
+    sample: bool = True,
+    seed: int = 0,
+    resume: bool = False,
+    replace: bool = False,
+    settings: Settings | None = None,
+    until_digits: Digits | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Result:
+    """Fit all runs of a campaign jointly and sample the posterior.
+
+    Parameters
+    ----------
+    campaign : a campaign, or its folder.
+    model : a model, or its file.
+    out : result folder to write; None for none.
+    sample : whether to sample, or to stay with the Laplace approximation.
+    seed : of the sampler.
+    resume : continue the checkpoint in `out`.
+    replace : whether a sampled result in `out` may be replaced; one that was not sampled always is.
+    settings : of the sampler, beyond the seed.
+    until_digits : significant digits of the standard uncertainty that every quantity is to deserve (JCGM 101, 7.9.4);
+        sampling goes on until then, or until memory allows no more.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for anything that cannot be used; nothing is written then.
+    """
+    clock = time.perf_counter()
+    declared = bound(campaign, model)
+    load_seconds = time.perf_counter() - clock
+    folder = Path(out) if out is not None else None
+    checkpoint = folder / CHECKPOINT if folder is not None else None
+    if folder is not None:
+        claim(folder, resume, replace)
+    sampling = with_fields(settings or Settings(), seed=seed) if sample else None
+    with progress_of(progress) as tell:
+        if until_digits is not None:
+            fitted = fit_until_digits(declared, sampling, until_digits, checkpoint, resume, tell)
+        else:
+            fitted = joint_fit(declared, sampling, checkpoint, resume, tell)
+        tell("summarising")
+        result = result_of(fitted, folder, seed, load_seconds)
+        if folder is not None:
+            write_node(folder, first_node(fitted.model, result.summary, seed))
+            if sample:  # a quick fit of the loop leaves them to its first report
+                tell("uncertainty budgets")
+                keep_budgets(result)
+    return result
+
+
+def load(folder: str | Path) -> Result:
+    """Return the result that a folder holds: summary and residuals at once, fit and posterior when they are asked for.
+
+    Raises
+    ------
+    InputError
+        if it is missing, incomplete or damaged; every issue is in it.
+    """
+    return read_result(folder)
+
+
+def bound(campaign: Campaign | str | Path, model: ModelSpec | str | Path) -> Model:
+    """Return a model bound to a campaign, each read from its file where it is not in memory."""
+    loaded = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
+    return bind(model if isinstance(model, ModelSpec) else read_model(model), loaded)
