@@ -14,7 +14,7 @@ from scipy import special
 
 from imubayes.campaign_data import Run
 from imubayes.criticism import thresholds
-from imubayes.criticism.free_form_dependence import FreeForm, Structure, project_forms
+from imubayes.criticism.free_form_dependence import FreeForm, FreeForms, Structure, project_forms
 from imubayes.criticism.localised_structure import time_in_run
 from imubayes.criticism.noise_tests import to_entries
 from imubayes.criticism.projection import Projection
@@ -186,6 +186,6 @@ def _structure(projection: Projection, of: Sequence[Replicates]) -> Structure:
     said = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     covariate = ResidualCovariate(first.name, first.unit, first.values, f"time alike in runs of one input ({said})")
     channel = model.campaign.channels[largest.channel].name
-    form = project_forms(projection, [FreeForm((channel,), covariate, COMMON_COURSE, columns)])[0]
+    form = project_forms(projection, FreeForms((FreeForm(channel, covariate, COMMON_COURSE, columns),)))[0]
     score = score_test(projection, form.columns, form.length, thresholds.FORM_RETAINED_MIN)
     return Structure(channel, (covariate,), COMMON_COURSE, score)

@@ -8,7 +8,7 @@ what the model absorbs is not taken for structure.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy  # loads its parts when they are first used
@@ -49,9 +49,9 @@ class Structure:
 
 @dataclass(frozen=True)
 class FreeForm:
-    """A free form on one or more channels: columns over the entries, before whitening, shape (E, C)."""
+    """A free form on one channel: columns over the entries, before whitening, shape (E, C)."""
 
-    channels: tuple[str, ...]
+    channel: str
     covariate: ResidualCovariate
     test: str
     columns: np.ndarray
@@ -59,9 +59,18 @@ class FreeForm:
 
 @dataclass(frozen=True)
 class ProjectedForm:
-    """A form as projected rows (R, C), with the lengths of its whitened columns before projection."""
+    """A form on one or more channels as projected rows.
 
-    form: FreeForm
+    Attributes
+    ----------
+    channels, covariate, test : what it is a form of.
+    columns : shape (R, C).
+    length : shape (C,), of the whitened columns before projection.
+    """
+
+    channels: tuple[str, ...]
+    covariate: ResidualCovariate
+    test: str
     columns: np.ndarray
     length: np.ndarray
 
@@ -72,22 +81,28 @@ class ProjectedForm:
         """
         columns, before = root[:, None] * self.columns, np.linalg.norm(self.columns, axis=0)
         grown = np.linalg.norm(columns, axis=0) / np.where(before > 0, before, 1.0)
-        return ProjectedForm(self.form, projection.project(columns), self.length * grown)
+        return replace(self, columns=projection.project(columns), length=self.length * grown)
 
 
-def free_forms(projection: Projection, covariates: Sequence[ResidualCovariate]) -> list[FreeForm]:
+@dataclass(frozen=True)
+class FreeForms:
+    """Free forms of single channels, and which of them, by their places, are one form of all channels of a kind."""
+
+    single: tuple[FreeForm, ...]
+    together: tuple[tuple[int, ...], ...] = ()
+
+
+def free_forms(projection: Projection, covariates: Sequence[ResidualCovariate]) -> FreeForms:
     """Return the free forms of every channel, and of all channels of a kind, in every covariate."""
     entries, found = projection.fitted.model.entries, []
-    kinds: dict[str, dict[str, list[FreeForm]]] = {}
+    kinds: dict[tuple[str, str], list[int]] = {}
     for place, channel in enumerate(projection.fitted.model.campaign.channels):
         here = (entries.channel == place) & ~entries.closing
-        own = _of_channel(channel.name, here, covariates)
-        found += [*own, *_courses(projection, channel.name, here)]
-        for form in own:
-            kinds.setdefault(channel.kind, {}).setdefault(form.covariate.name, []).append(form)
-    for forms in kinds.values():
-        found += [_together(same) for same in forms.values() if len(same) > 1]
-    return found
+        for form in _of_channel(channel.name, here, covariates):
+            kinds.setdefault((channel.kind, form.covariate.name), []).append(len(found))
+            found.append(form)
+        found += _courses(projection, channel.name, here)
+    return FreeForms(tuple(found), tuple(tuple(places) for places in kinds.values() if len(places) > 1))
 
 
 def _of_channel(channel: str, here: np.ndarray, covariates: Sequence[ResidualCovariate]) -> list[FreeForm]:
@@ -97,15 +112,8 @@ def _of_channel(channel: str, here: np.ndarray, covariates: Sequence[ResidualCov
         if rows.sum() >= thresholds.FORM_MIN_ROWS and np.ptp(covariate.values[rows]) > 0:
             test, basis = _form(covariate, rows)
             if basis.shape[1]:
-                found.append(FreeForm((channel,), covariate, test, _at_rows(basis, rows)))
+                found.append(FreeForm(channel, covariate, test, _at_rows(basis, rows)))
     return found
-
-
-def _together(forms: Sequence[FreeForm]) -> FreeForm:
-    """Return the forms of several channels in the same covariate as one, each channel with its own values."""
-    channels = tuple(name for form in forms for name in form.channels)
-    columns = np.concatenate([form.columns for form in forms], axis=1)
-    return FreeForm(channels, forms[0].covariate, forms[0].test, columns)
 
 
 def _courses(projection: Projection, channel: str, here: np.ndarray) -> list[FreeForm]:
@@ -120,7 +128,7 @@ def _courses(projection: Projection, channel: str, here: np.ndarray) -> list[Fre
         place[rows] = time_rank(projection, rows)
         segment = place[rows] * min(thresholds.MAX_SEGMENTS, count // thresholds.SEGMENT_ROWS) // count
         columns = _at_rows(np.eye(segment.max() + 1)[segment], rows)
-        found.append(FreeForm((channel,), time_in_run(projection, index, rows, place), "course of one run", columns))
+        found.append(FreeForm(channel, time_in_run(projection, index, rows, place), "course of one run", columns))
     return found
 
 
@@ -146,15 +154,29 @@ def _at_rows(basis: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return columns
 
 
-def project_forms(projection: Projection, forms: Sequence[FreeForm]) -> list[ProjectedForm]:
-    """Return forms as rows of the projection."""
-    if not forms:
+def project_forms(projection: Projection, forms: FreeForms) -> list[ProjectedForm]:
+    """Return forms as rows of the projection, those of several channels after those of one."""
+    if not forms.single:
         return []
-    whitened = projection.whitened(np.concatenate([form.columns for form in forms], axis=1))
-    ends = np.cumsum([form.columns.shape[1] for form in forms])[:-1]
+    whitened = projection.whitened(np.concatenate([form.columns for form in forms.single], axis=1))
+    ends = np.cumsum([form.columns.shape[1] for form in forms.single])[:-1]
     lengths = np.split(np.linalg.norm(whitened, axis=0), ends)
     columns = np.split(projection.project(whitened), ends, axis=1)
-    return [ProjectedForm(*each) for each in zip(forms, columns, lengths, strict=True)]
+    found = [
+        ProjectedForm((form.channel,), form.covariate, form.test, *each)
+        for form, *each in zip(forms.single, columns, lengths, strict=True)
+    ]
+    return found + [_together([found[place] for place in places]) for places in forms.together]
+
+
+def _together(forms: Sequence[ProjectedForm]) -> ProjectedForm:
+    """Return the forms of several channels in the same covariate as one, each channel with its own values."""
+    return replace(
+        forms[0],
+        channels=tuple(name for form in forms for name in form.channels),
+        columns=np.concatenate([form.columns for form in forms], axis=1),
+        length=np.concatenate([form.length for form in forms]),
+    )
 
 
 def screen_structure(
@@ -164,8 +186,8 @@ def screen_structure(
     found = []
     for each in forms:
         score = score_test(projection, each.columns, each.length, thresholds.FORM_RETAINED_MIN)
-        channel = dominant_channel(projection, each.form.channels, score)
-        found.append(Structure(channel, (each.form.covariate,), each.form.test, score))
+        channel = dominant_channel(projection, each.channels, score)
+        found.append(Structure(channel, (each.covariate,), each.test, score))
     found += [_of_feature(projection, each.features, best) for each in scans for best in _best(projection, each)]
     return sorted((each for each in found if each.score.span.shape[1]), key=lambda each: each.score.p)
 
