@@ -1,5 +1,6 @@
 """Pictures: drawn, captioned, with units, nothing outside the paper, readable where the data are odd."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ import polars as pl
 import pytest
 import synthetic_results as made
 from matplotlib import rcParams
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.dates import num2date
@@ -21,6 +23,8 @@ from imubayes.display.figures import (
     corner_figure,
     identifiability_figure,
     measurement_figure,
+    mounted_pairs,
+    mounting_sketch_figure,
     prior_posterior_figure,
     residual_figure,
     run_chi2_figure,
@@ -327,3 +331,44 @@ def test_runs_on_a_time_axis():
     without = replace(campaign, runs=tuple(replace(run, start=None) for run in campaign.runs))
     with pytest.raises(ValueError, match="no run states its start"):
         campaign_timeline_figure(without)
+
+
+@pytest.mark.parametrize("name", ["trihedral-imu", "polar-tumble", "multi-axis-table", "centrifuge", "redundant-imu"])
+def test_mountings_are_sketched(name):
+    campaign = load_campaign(DATA / name)
+    pairs = mounted_pairs(campaign)
+    figure = mounting_sketch_figure(campaign, pairs[:6])
+    assert_readable(figure, touching=2.0)
+    titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
+    assert len(titles) == min(len(pairs), 6)
+    for (table, mounting), title in zip(pairs[:6], titles, strict=True):
+        count = sum((run.table, run.mounting) == (table, mounting) for run in campaign.runs)
+        assert title.startswith(f"{mounting} on {table}, {count} run")
+
+
+def labelled(axes: Axes) -> dict[str, np.ndarray]:
+    return {text.get_text().partition(":")[0]: np.array(text.get_position()) for text in axes.texts}
+
+
+def test_a_sketch_shows_which_axis_is_up_and_the_positive_sense():
+    """Seen from the south and above: up is up, East is to the right, and a positive turn about up or East goes left."""
+    campaign = load_campaign(DATA / "trihedral-imu")
+    pairs = mounted_pairs(campaign)
+    figure = mounting_sketch_figure(campaign, pairs)
+    for axes, (table, mounting) in zip(figure.axes, pairs, strict=False):
+        at, expected = labelled(axes), mounting.removesuffix("-up")
+        if mounting == "pyramid":
+            assert np.ptp([float(value) for value in re.findall(r"([\d.]+)°", axes.texts[-1].get_text())]) == 0
+            continue
+        highest = max("xyz", key=lambda name: at[name][1])
+        farthest = max("xyz", key=lambda name: at[name][0])
+        assert (highest if table == "rate" else farthest) == expected
+        assert f"{expected} 0°" in axes.texts[-1].get_text()
+        arc = max((line.get_xydata() for line in axes.lines), key=len)
+        first, last = np.asarray(arc)[[0, -1]]
+        assert first[0] * last[1] - first[1] * last[0] > 0
+
+
+def test_without_a_table_there_is_nothing_to_sketch():
+    with pytest.raises(ValueError, match="no run has a table and a mounting"):
+        mounting_sketch_figure(load_campaign(DATA / "desk-imu"))

@@ -13,6 +13,8 @@ from imubayes.display.figures import (
     corner_figure,
     identifiability_figure,
     measurement_figure,
+    mounted_pairs,
+    mounting_sketch_figure,
     prior_posterior_figure,
     residual_figure,
     run_chi2_figure,
@@ -76,6 +78,8 @@ def _of_campaign(campaign: Campaign, draws: Mapping[str, Any], thermal: ThermalM
     courses = {} if thermal is None else thermal_courses(campaign, draws, thermal)
     if courses:
         yield "temperature", lambda: temperature_figure(campaign, courses)
+    for page, pairs in _pages(mounted_pairs(campaign)):
+        yield f"mountings{page}", lambda pairs=pairs: mounting_sketch_figure(campaign, pairs)
     if any(run.start is not None for run in campaign.runs):
         yield "campaign-timeline", lambda: campaign_timeline_figure(campaign)
 
@@ -93,7 +97,7 @@ def most_telling_first(
     worst = [f"run-{files[run]}" for run in worst_first(summary) if run in files]
     wanted = [
         "fit-of-runs", *map(_against, covariates[:1]), *worst[:1], "mounting-prior-posterior", "identifiability",
-        "temperature", "corner", "campaign-timeline", *map(_against, covariates[1:]), *worst[1:],
+        "temperature", "mountings", "corner", "campaign-timeline", *map(_against, covariates[1:]), *worst[1:],
     ]  # fmt: skip
     place = {name: number for number, name in reversed(list(enumerate(wanted)))}
     return sorted(names, key=lambda name: place.get(name, place.get(name.rpartition("-")[0], len(wanted))))
@@ -125,8 +129,9 @@ def _channels_with(residuals: pl.DataFrame, covariate: Covariate) -> list[str]:
     return [name for name in names if varies(numbers(residuals.filter(pl.col("channel") == name), covariate.column))]
 
 
-def _pages(channels: Sequence[str]) -> list[tuple[str, list[str]]]:
-    pages = [list(channels[start : start + MOST_PANELS]) for start in range(0, len(channels), MOST_PANELS)]
+def _pages[T](panels: Sequence[T]) -> list[tuple[str, list[T]]]:
+    """Return what the panels of each page show, with the ending of its name."""
+    pages = [list(panels[start : start + MOST_PANELS]) for start in range(0, len(panels), MOST_PANELS)]
     return [(f"-{number}" if len(pages) > 1 else "", page) for number, page in enumerate(pages, 1)]
 
 

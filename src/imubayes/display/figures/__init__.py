@@ -4,6 +4,7 @@ from imubayes.display.figures.campaign_timeline import campaign_timeline_figure
 from imubayes.display.figures.corner import corner_figure
 from imubayes.display.figures.identifiability import identifiability_figure
 from imubayes.display.figures.measurement import measurement_figure
+from imubayes.display.figures.mounting_sketch import mounted_pairs, mounting_sketch_figure
 from imubayes.display.figures.prior_posterior import prior_posterior_figure
 from imubayes.display.figures.residual import residual_figure
 from imubayes.display.figures.run_chi2 import run_chi2_figure
@@ -14,6 +15,8 @@ __all__ = [
     "corner_figure",
     "identifiability_figure",
     "measurement_figure",
+    "mounted_pairs",
+    "mounting_sketch_figure",
     "prior_posterior_figure",
     "residual_figure",
     "run_chi2_figure",
