@@ -3,6 +3,7 @@
 
     python tests/study/setup_gate_shares.py mistakes FILE FIRST COUNT    append the mistakes of so many seeds
     python tests/study/setup_gate_shares.py valid FILE FIRST COUNT       append so many valid campaigns
+    python tests/study/setup_gate_shares.py static FILE FIRST COUNT      append so many valid static records
     python tests/study/setup_gate_shares.py table FILE...                print the tables
 
 A file holds one JSON object a line and can be continued with other seeds.  A mistake counts where the outputs tell it
@@ -27,6 +28,7 @@ sys.path[:0] = [str(ROOT / "tests" / "campaign"), str(ROOT / "data" / "generator
 
 from campaign_files import Files  # noqa: E402
 from generating_law import DETECTABLE, STATED, chi_square  # noqa: E402
+from hidden import random_campaign  # noqa: E402
 from seeded_mistakes import MISTAKES, Planted, plant, says  # noqa: E402
 from valid_campaigns import valid_campaign  # noqa: E402
 
@@ -60,11 +62,21 @@ class Judged:
 
 def judge_valid(seed: int, folder: Path) -> Judged:
     """Return what the gate says of a valid campaign, which is written to a folder."""
-    campaign = valid_campaign(folder, seed)
+    return judged_valid(seed, folder, valid_campaign(folder, seed))
+
+
+def judged_valid(seed: int, folder: Path, campaign: str) -> Judged:
+    """Return what the gate says of a valid campaign of a kind."""
     inspection = inspect_campaign(folder)
     doubted = {finding.name for finding in inspection.findings} & {*SETUP_FINDINGS, "setup_disagrees"}
     text = " ".join(map(str, inspection.findings)) if doubted else ""
     return Judged(seed, campaign, "", True, bool(doubted), bool(inspection.issues), text=text)
+
+
+def judge_static(seed: int, folder: Path) -> Judged:
+    """Return what the gate says of a valid static record, in three of four with an effect that no model expects."""
+    random_campaign(folder, seed, "hidden" if seed % 4 else "null-white", "static_record")
+    return judged_valid(seed, folder, "static_record")
 
 
 def judge_mistakes(seed: int, folder: Path) -> Iterator[Judged]:
@@ -158,7 +170,10 @@ def main(what: str, *arguments: str) -> None:
         for seed in range(int(first), int(first) + int(count)):
             with tempfile.TemporaryDirectory() as folder:
                 place = Path(folder)
-                judged = judge_mistakes(seed, place) if what == "mistakes" else [judge_valid(seed, place / "valid")]
+                if what == "mistakes":
+                    judged = judge_mistakes(seed, place)
+                else:
+                    judged = [(judge_static if what == "static" else judge_valid)(seed, place / "valid")]
                 for each in judged:
                     print(json.dumps(asdict(each)), file=out, flush=True)
 

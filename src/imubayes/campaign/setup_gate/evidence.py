@@ -157,12 +157,16 @@ class ErrorModel:
         """Return what a run adds to the normal equations; of a loose run bias and scale factor are its own."""
         return self.terms_of(self.seen(view), loose)
 
-    def terms_of(self, seen: "Seen", loose: bool = False) -> NormalTerms:
-        """Return what the outputs of a run add to the normal equations."""
+    def terms_of(self, seen: "Seen", loose: bool = False, drift: "Drift | None" = None) -> NormalTerms:
+        """Return what the outputs of a run, which may drift, add to the normal equations."""
         design, shared, there = seen.design, seen.shared, seen.there
         variance = seen.white + seen.left_out + seen.arm
         weight = np.where(there, 1 / variance, 0.0)
-        found = weighted(design, seen.error, weight, *self._of_run(seen.along, loose))
+        own, spread = self._of_run(seen.along, loose)
+        if drift is not None:
+            courses = np.broadcast_to(drift.courses, (len(own), *drift.courses.shape))
+            own, spread = np.concatenate([own, courses], axis=2), np.concatenate([spread, drift.sd], axis=1)
+        found = weighted(design, seen.error, weight, own, spread)
         each = self.own
         own = np.arange(each * len(self.channels))
         blocks = own.reshape(-1, each)
@@ -307,6 +311,20 @@ def _rotation(vector: np.ndarray) -> np.ndarray:
 
 def _column(factors: float | np.ndarray) -> np.ndarray:
     return np.atleast_1d(factors)[:, None]
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How the outputs of one run may change with time.
+
+    Attributes
+    ----------
+    courses : shape (R, q).
+    sd : standard deviation of the coefficient of each course in each channel, SI, shape (K, q); 0 for none.
+    """
+
+    courses: np.ndarray
+    sd: np.ndarray
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@ A small input, such as the Earth rate or what a temperature does, shows in a goo
 import math
 from functools import cached_property
 
+import numpy as np
+
 from imubayes.campaign.setup_gate.evidence import ErrorModel
 from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake, TableAzimuth, TableElevation, TableZero
 from imubayes.campaign.setup_gate.plausible_errors import POOR, Steadiness
@@ -13,7 +15,7 @@ from imubayes.campaign.setup_gate.run_view import feels_the_earth_alone, turns_t
 from imubayes.campaign.setup_gate.search import DECISIVE, ORDINARY_ERROR, Explanation, Search
 from imubayes.campaign.setup_gate.shown_steadiness import shown_steadiness
 from imubayes.campaign.setup_gate.site_mistakes import LATITUDE_MISTAKES, LatitudeSign, LatitudeValue
-from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
+from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
 from imubayes.campaign.setup_gate.unit_mistakes import AngleUnit, ChannelGain
 from imubayes.campaign_data import Campaign
 
@@ -130,7 +132,8 @@ class SteadinessLevels:
         row, and the steadiest unit makes too much of it: one level below the mistake has to be supported as well.
 
         No correction may ask of a unit what no unit does.  A wrong rate shrinks the errors that a rate makes, and gains
-        evidence by that while a bias takes its place.
+        evidence by that while a bias takes its place.  A column is said to run backwards
+        where outputs that may drift tell it as well.
 
         Parameters
         ----------
@@ -145,6 +148,12 @@ class SteadinessLevels:
             rival = self.unsteady - (STOPPING - DECISIVE)
         if isinstance(mistake, TEMPERATURE_MISTAKES):
             rival = min(self[tried_at].rival(mistake) for _, tried_at, _ in tried)
+            if isinstance(mistake, TemperatureReversed):
+                drifting = np.array([self[tried_at].with_drift(mistake) for _, tried_at, _ in tried])
+                beside = float(np.subtract(*drifting.min(axis=0)))
+                if beside < 0:
+                    return None
+                rival = min(rival, score) if beside < DECISIVE else rival
         elif gain > DECISIVE_LATITUDE and not self._holds_below(level, mistake):
             return None
         if gain > DECISIVE_LATITUDE and not self[0].error_left(mistake, best.size) < ORDINARY_ERROR:

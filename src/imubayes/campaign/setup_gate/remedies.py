@@ -365,12 +365,14 @@ def _thermometers(campaign: Campaign, found: Explanation, places: Places) -> Wor
 
 def _backwards(campaign: Campaign, found: Explanation, places: Places) -> Words:
     assert isinstance(found.mistake, TemperatureReversed)
-    column = _COLUMN[found.mistake.name]
+    mistake = found.mistake
+    columns = " and ".join(f"'{_COLUMN[name]}'" for name in mistake.names)
+    one = len(mistake.names) == 1
     return Words(
-        f"column '{column}' runs backwards in time {_subject(found.mistake)}",
-        places.column(found.mistake, column),
+        f"{'column' if one else 'columns'} {columns} {'runs' if one else 'run'} backwards in time {_subject(mistake)}",
+        places.column(mistake, _COLUMN[mistake.names[0]]),
         "temperatures in the order of the rows",
-        f"reverse the order of column '{column}' {_subject(found.mistake)}",
+        f"reverse the order of {'column' if one else 'columns'} {columns} {_subject(mistake)}",
     )
 
 

@@ -9,13 +9,14 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from imubayes.campaign.setup_gate.drift_rivals import score_with_drift
 from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, total
 from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake
 from imubayes.campaign.setup_gate.outer_axes import CarryingAxes
 from imubayes.campaign.setup_gate.outer_mistakes import AxisZero
 from imubayes.campaign.setup_gate.plausible_errors import POOR, Steadiness
 from imubayes.campaign.setup_gate.run_view import RunView, views_of
-from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
+from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
 from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES, ChannelGain
 from imubayes.campaign_data import Campaign
 
@@ -129,7 +130,7 @@ class Search:
         tried : how many of the best are tried as the first of several.
         """
         found = [each for each in self._suspected() if each.support > DECISIVE]
-        whole = [each for each in found if self._explains(each) and not self.passes_for_noise(each.mistake)]
+        whole = [each for each in found if self._explains(each) and not self._passes(each)]
         if whole:
             return [equally_good(whole)]
         if most == 1:
@@ -266,6 +267,25 @@ class Search:
             loose = self.model.terms(self.views[place], loose=True)
             rivals.append(self.model.score(self.total - self.terms[place] + loose))
         return min(rivals)
+
+    def with_drift(self, mistake: TemperatureReversed) -> tuple[float, float]:
+        """Return −2 log evidence where the outputs of the run of a mistake drift: as stated, and corrected."""
+        (place,) = mistake.scope.runs
+        stated, rest = self.views[place], self.total - self.terms[place]
+        views = (stated, mistake.corrected(self.views, place, 0.0))
+        as_stated, corrected = (score_with_drift(self.model, view, rest) for view in views)
+        return as_stated, corrected
+
+    def _passes(self, found: Explanation) -> bool:
+        """Whether what is no mistake explains the outputs as well."""
+        return self.passes_for_noise(found.mistake) or self.passes_for_drift(found.mistake)
+
+    def passes_for_drift(self, mistake: Mistake) -> bool:
+        """Whether outputs that may drift do not tell that a column of temperatures is reversed."""
+        if not isinstance(mistake, TemperatureReversed):
+            return False
+        stated, corrected = self.with_drift(mistake)
+        return stated - corrected < DECISIVE
 
     def _evidence_as_stated(self, terms: NormalTerms) -> float:
         """Return −2 log of the evidence with the g-sensitivity that the set-up as stated shows."""

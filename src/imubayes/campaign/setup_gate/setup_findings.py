@@ -6,7 +6,7 @@ from imubayes.campaign.findings import Finding, Severity
 from imubayes.campaign.setup_gate.judgement import judge_setup
 from imubayes.campaign.setup_gate.remedies import REMEDIES, Places, Words
 from imubayes.campaign.setup_gate.search import Explanation
-from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES
+from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
 from imubayes.campaign_data import Campaign
 
 _MOST_RUNS = 5
@@ -58,6 +58,8 @@ def _rival(found: Explanation) -> str:
     """Return what passes for a mistake in a valid set-up."""
     if not isinstance(found.mistake, TEMPERATURE_MISTAKES):
         return "a bias that changes from run to run"
+    if isinstance(found.mistake, TemperatureReversed):
+        return "biases that drift, or unlike those of other runs"
     if found.mistake.scope.section == "run":
         return "biases and scale factors unlike those of other runs"
     return "outputs that ignore the temperature"

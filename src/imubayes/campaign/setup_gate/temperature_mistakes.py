@@ -91,24 +91,24 @@ class ThermometersExchanged(Mistake):
 
 @dataclass(frozen=True)
 class TemperatureReversed(Mistake):
-    """A column of temperatures runs backwards in time."""
+    """Columns of temperatures run backwards in time."""
 
-    name: str
+    names: tuple[str, ...]
     kind: ClassVar[str] = "temperature_reversed"
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield the runs in which a temperature changes."""
-        for name in (SENSOR, CONVERTER):
+        """Yield the runs in which a temperature changes, and those in which both do."""
+        for names in ((SENSOR,), (CONVERTER,), (SENSOR, CONVERTER)):
             for scope in single_runs(views):
-                recorded = views[scope.runs[0]].temperatures.get(name)
-                if recorded is not None and np.ptp(recorded) > _LEAST_COURSE:
-                    yield cls(scope, name)
+                recorded = views[scope.runs[0]].temperatures
+                if all(name in recorded and np.ptp(recorded[name]) > _LEAST_COURSE for name in names):
+                    yield cls(scope, names)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with the column in the order of time."""
+        """Return the run with the columns in the order of time."""
         recorded = views[place].temperatures
-        return replace(views[place], temperatures={**recorded, self.name: recorded[self.name][::-1]})
+        return replace(views[place], temperatures={**recorded, **{name: recorded[name][::-1] for name in self.names}})
 
 
 TEMPERATURE_MISTAKES: tuple[type[Mistake], ...] = (ThermometersExchanged, TemperatureUnit, TemperatureReversed)

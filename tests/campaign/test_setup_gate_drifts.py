@@ -1,0 +1,39 @@
+"""A bias that drifts in a static record is no column of temperatures in the wrong order; a reversed column is."""
+
+from pathlib import Path
+
+import pytest
+from hidden import random_campaign
+from seeded_mistakes import plant, says
+from valid_campaigns import KINDS, valid_campaign
+
+from imubayes.campaign import Inspection, inspect_campaign
+from imubayes.campaign.setup_gate.search import Search
+from imubayes.campaign.setup_gate.setup_findings import SETUP_FINDINGS
+
+COURSES = (("gyro_thermal_lag", 8006), ("accel_bias_temperature_rate", 8009), ("accel_thermal_lag", 8010))
+"""Effects that follow the temperature late, each with the seed of a static record."""
+_CYCLE = next(seed for seed in range(7000, 8000) if KINDS[seed % len(KINDS)] == "cycle")
+
+
+def gate(inspection: Inspection) -> set[str]:
+    return {finding.name for finding in inspection.findings} & {*SETUP_FINDINGS, "setup_disagrees"}
+
+
+@pytest.mark.parametrize(("effect", "seed"), COURSES)
+def test_a_bias_that_follows_late_is_no_reversed_column(
+    tmp_path: Path, effect: str, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    random_campaign(tmp_path / "record", seed, "hidden", "static_record", effect)
+    assert not gate(inspect_campaign(tmp_path / "record"))
+    # The planted fault: a gate to which no drift is a rival.
+    monkeypatch.setattr(Search, "with_drift", lambda self, mistake: (float("inf"), 0.0))
+    assert gate(inspect_campaign(tmp_path / "record")) == {"temperature_reversed"}
+
+
+def test_a_reversed_column_is_named_where_a_ramp_goes_up_and_down(tmp_path: Path) -> None:
+    valid_campaign(tmp_path / "cycle", _CYCLE)
+    planted = plant(tmp_path / "cycle", "temperature_reversed", _CYCLE)
+    assert planted is not None
+    inspection = inspect_campaign(tmp_path / "cycle")
+    assert says(planted, " ".join(map(str, (*inspection.issues, *inspection.findings))))
