@@ -103,6 +103,7 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         strongest=_strongest(found) if open_question else None,
         recorded_noise=found.record.comparisons,
         beyond_prior=beyond_prior,
+        wandering=found.wandering,
         more_remains=verdict in MISSING and bool(found.remaining or found.groups[1:]),
         message=fit.message if not fit.sampled else "",
     )
@@ -149,9 +150,10 @@ def _verdict(
     if unexplained:
         return "unexplained_structure"
     if found.groups:
-        alone = len(found.groups[0].members) == 1 and not unlisted[0]
+        alone = len(found.groups[0].members) == 1 and not unlisted[0] and not found.wandering
         return "missing_effect" if alone else "equivalent_effects"
-    return "noise_model" if found.adopted or found.record.excessive or beyond_prior else "adequate"
+    noisy = found.adopted or found.record.excessive or beyond_prior or found.wandering
+    return "noise_model" if noisy else "adequate"
 
 
 def _asked(effect: str, found: SearchResult, result: str) -> Diagnosis:

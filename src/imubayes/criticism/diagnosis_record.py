@@ -15,6 +15,7 @@ from imubayes.criticism.localised_structure import Step
 from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
 from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
 from imubayes.criticism.residual_evidence import ResidualEvidence
+from imubayes.criticism.slow_noise_records import WanderingNoise
 from imubayes.criticism.verdict import EffectChoice, RmsChange, Verdict
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.json_record import Record
@@ -258,6 +259,7 @@ class Diagnosis(Presented, Record):
         add it and diagnose again.
     recorded_noise : fitted against recorded noise of each channel, after the groups.
     beyond_prior : noise parameters that the fit puts far beyond their priors, the least probable first.
+    wandering : whether noise that wanders otherwise than the model's explains what is found as well, or instead of it.
     asked : the effect that was asked about, where one was.
     """
 
@@ -282,6 +284,7 @@ class Diagnosis(Presented, Record):
     more_remains: bool = False
     recorded_noise: tuple[NoiseComparison, ...] = ()
     beyond_prior: tuple[NoiseBeyondPrior, ...] = ()
+    wandering: WanderingNoise = ""
     asked: AskedEffect | None = None
     _evidence: ResidualEvidence | None = PrivateAttr(None)
     _scatter: RecordedNoise | None = PrivateAttr(None)

@@ -120,7 +120,7 @@ def evident_between_runs(
     enough = math.log(len(candidates) / thresholds.MARGINAL_EVIDENCE)
     grid, found = marginal.grid(), {}
     for place in acting:
-        columns = _columns(prepared, candidates[place])
+        columns = columns_of(prepared, candidates[place])
         if max(at.log_bayes_factor(columns) for at in grid) > enough - thresholds.GRID_SLACK:
             found[place] = marginal.best(columns)
     return {place: value for place, value in found.items() if value > enough}
@@ -134,7 +134,7 @@ def _scatter_places(fitted: Fit) -> np.ndarray:
     return np.array([place for place, each in enumerate(parameters) if each.effect in shared], dtype=int)
 
 
-def _columns(prepared: Sequence[ProjectedResponse], candidate: Candidate) -> np.ndarray:
+def columns_of(prepared: Sequence[ProjectedResponse], candidate: Candidate) -> np.ndarray:
     """Return the response to a candidate, (E, C), per largest typical size of its coefficients."""
     response = next(each.response for each in prepared if each.response.scan == candidate.scan)
     names = [coefficient.parameter.name for coefficient in response.coefficients]

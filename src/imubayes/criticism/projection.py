@@ -152,12 +152,16 @@ class RowTransform:
 
     def __call__(self, columns: np.ndarray) -> np.ndarray:
         flat = columns.reshape(len(columns), -1)
-        white = np.asarray(_whiten(self.problem, self.h, flat))
+        white = self.whiten(flat)
         if self.extra is not None:
             white = self.extra(white)
         turned = self.reflect(white)
         rows = np.concatenate([turned, np.zeros((self.priors, turned.shape[1]))])
         return rows.reshape(len(rows), *columns.shape[1:])
+
+    def whiten(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns (E, C), in output units, as entries whitened by the noise of the model."""
+        return np.asarray(_whiten(self.problem, self.h, columns))
 
     def reflect(self, white: np.ndarray) -> np.ndarray:
         """Reflect each group so that its common direction becomes its first row; the reflection is its own inverse."""

@@ -12,21 +12,19 @@ from imubayes.criticism.candidate_effects import Responses, candidate_responses
 from imubayes.criticism.common_course import common_courses
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
 from imubayes.criticism.free_form_dependence import (
-    ProjectedForm,
     Structure,
-    free_forms,
-    project_forms,
-    screen_structure,
 )
-from imubayes.criticism.localised_structure import FeatureScan, FeatureSet, features, scan_features
-from imubayes.criticism.marginal_evidence import evident_between_runs
+from imubayes.criticism.marginal_evidence import columns_of, evident_between_runs
 from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
-from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, Prewhitening, prewhitening, screen_noise
+from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, prewhitening, screen_noise
 from imubayes.criticism.outliers import clustered, consecutive, deletion_residuals, find_outliers
 from imubayes.criticism.projection import Projection, orthonormal, project
 from imubayes.criticism.recorded_noise import RecordedNoise, compare_with_record
 from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
-from imubayes.criticism.score_test import Candidate, ProjectedResponse, assess, noise_left, project_responses, screen
+from imubayes.criticism.score_test import Candidate, assess, noise_left
+from imubayes.criticism.search_input import Screening, SearchInput, screened
+from imubayes.criticism.slow_noise_evidence import slow_noise_evidence
+from imubayes.criticism.slow_noise_records import WanderingNoise
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.problem import masked
@@ -34,18 +32,6 @@ from imubayes.step_counter import Tell, counted, silent
 
 # Noise that passes for effects where the model lacks it.
 _CONFOUNDED_NOISE = ("correlated_noise", "run_scatter")
-
-
-@dataclass(frozen=True)
-class Screening:
-    """Candidates and free forms, tested against one projected residual; both sorted, the most significant first."""
-
-    projection: Projection
-    prepared: tuple[ProjectedResponse, ...]
-    forms: tuple[ProjectedForm, ...]
-    scans: tuple[FeatureScan, ...]
-    candidates: tuple[Candidate, ...]
-    structures: tuple[Structure, ...]
 
 
 @dataclass(frozen=True)
@@ -77,6 +63,7 @@ class SearchResult:
     outlier_sd : shape (E,), deletion residual of each outlier in standard deviations; 0 for other samples.
     look_elsewhere : correction of the candidates' p-values.
     factor : on the budget of false alarms, where the correlation of the noise was estimated.
+    wandering : whether correlated noise of another kind than the model's explains what is found as well, or instead.
     record : noise that remains after the groups, against the noise that the campaign records.
     """
 
@@ -92,6 +79,7 @@ class SearchResult:
     look_elsewhere: LookElsewhere
     factor: float
     record: RecordedNoise
+    wandering: WanderingNoise = ""
 
     def against_budget(self, p: float, share: float = thresholds.FALSE_ALARM_EFFECT) -> float:
         """Return a p-value, corrected for its own family of tests, on the scale of the whole budget.
@@ -99,22 +87,6 @@ class SearchResult:
         Below `thresholds.FALSE_ALARM` if and only if the search takes it for significant (weighted Bonferroni).
         """
         return min(1.0, p * thresholds.FALSE_ALARM / (share * self.factor))
-
-
-@dataclass(frozen=True)
-class SearchInput:
-    """A fit, linearised with all candidates, and the covariates of its residuals."""
-
-    fitted: Fit
-    responses: Responses
-    covariates: tuple[ResidualCovariate, ...]
-
-    def screening(self, extra: Prewhitening | None = None, offsets: bool = False) -> Screening:
-        """Return the first screening, with further noise where `extra` and `offsets` say so."""
-        at = project(self.fitted, self.responses.misfit, self.responses.jacobian, extra, offsets)
-        responses = project_responses(at, self.responses.candidates)
-        forms = project_forms(at, free_forms(at, self.covariates))
-        return _screening(at, responses, forms, features(at, self.covariates))
 
 
 @dataclass(frozen=True)
@@ -143,6 +115,34 @@ def search(fitted: Fit, tell: Tell = silent) -> SearchResult:
     """Return what is missing in a converged fit; it is refitted only where there are outliers."""
     tell("responses of the candidates")
     given = SearchInput(fitted, candidate_responses(fitted), tuple(covariates(fitted)))
+    found = _searched(given, tell)
+    if not given.records or found.groups or found.structures:
+        return found
+    return _past_wandering_noise(given, found, _searched(replace(given, as_modelled=True), tell))
+
+
+def _past_wandering_noise(given: SearchInput, found: SearchResult, as_modelled: SearchResult) -> SearchResult:
+    """Return what is missing where nothing is at the likeliest noise: what is at that of the model, unless it is noise.
+
+    Parameters
+    ----------
+    found, as_modelled : outcome at the likeliest noise, and at the noise of the model.
+    """
+    if not (as_modelled.groups or as_modelled.structures):
+        return as_modelled
+    if as_modelled.groups:
+        leader = as_modelled.groups[0].leader
+        columns = columns_of(as_modelled.first.prepared, leader)
+        acting = [(own, own.directions(columns)) for own in given.records.values()]
+        # Each of its coefficients has to be decisive: every channel has one that may follow the noise.
+        if sum(own.log_odds(at) - thresholds.DECISIVE_LOG_ODDS * at.shape[1] for own, at in acting) > 0:
+            return replace(as_modelled, wandering="rival")
+    return replace(found, wandering="instead")
+
+
+def _searched(given: SearchInput, tell: Tell) -> SearchResult:
+    """Return what is missing at one noise of records with correlated noise."""
+    fitted = given.fitted
     tell("screening candidates and structure")
     first = _first_pass(given)
     noise, outlying = _outliers(given, first)
@@ -153,7 +153,7 @@ def search(fitted: Fit, tell: Tell = silent) -> SearchResult:
     for _ in counted(tell, "fitting without outliers", range(thresholds.MAX_OUTLIER_ROUNDS)):
         # Deviations caused by a missing effect are no outliers: only those that remain without it are rejected.
         rest, sizes = _refit_without(fitted, outlying, 1 if at.groups else thresholds.MAX_OUTLIER_ROUNDS)
-        current = SearchInput(rest, candidate_responses(rest), given.covariates)
+        current = SearchInput(rest, candidate_responses(rest), given.covariates, given.as_modelled)
         at = _first_pass(current)
         more = find_outliers(at.last.projection)
         if not more.any():
@@ -172,8 +172,8 @@ def _first_pass(given: SearchInput) -> FirstPass:
         look_elsewhere([structure.score for structure in first.structures], first.scans),
     )
     noise = screen_noise(first.projection)
-    groups, last, rest = _select_effects(first, corrections.of_effect)
-    alarm, cleared = bool(groups or corrections.significant(first.structures)), last.projection
+    groups, last, rest = _select_effects(first, corrections.of_effect, given.factor)
+    alarm, cleared = bool(groups or corrections.significant(first.structures, given.factor)), last.projection
     if alarm or _significant_noise(noise, thresholds.FALSE_ALARM_NOISE):
         at_least = int(alarm and not groups)
         cleared = _without_patterns(last, corrections.of_structure, at_least).projection
@@ -234,9 +234,12 @@ class _Outcome:
 def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
     """Return the outcome with the noise that the residuals show."""
     adopted, modelled = _noise_hypotheses(at)
-    outcome = _under_noise(given, at, modelled) if modelled else _Outcome(at.first, at.groups, at.rest)
+    outcome = _under_noise(given, at, modelled) if modelled else _Outcome(at.first, at.groups, at.rest, given.factor)
     # What runs of one input have in common is no noise, however long that remembers.
     common = tuple(common_courses((at.last if outcome.groups else at.first).projection))
+    judged = not given.as_modelled and not outcome.groups and not common
+    if judged and (beside := _beside_slow_noise(given, at)) is not None:
+        outcome, adopted = beside, []
     if _silent(at, outcome) and not common and not adopted:
         outcome, suspected = _not_passed_over(at, outcome, modelled)
         if _silent(at, outcome):
@@ -278,13 +281,39 @@ def _under_noise(given: SearchInput, at: FirstPass, modelled: Sequence[NoiseCand
     """Return the outcome with further noise in the model."""
     effects = {each.effect for each in modelled}
     first = given.screening(prewhitening(at.cleared, modelled), "run_scatter" in effects)
-    factor = thresholds.ESTIMATED_CORRELATION_FACTOR if "correlated_noise" in effects else 1.0
+    factor = thresholds.ESTIMATED_CORRELATION_FACTOR if "correlated_noise" in effects else given.factor
     groups, _, rest = _select_effects(first, at.corrections.of_effect, factor)
     return _Outcome(first, groups, rest, factor)
 
 
 def _silent(at: FirstPass, outcome: _Outcome) -> bool:
     return not (outcome.groups or at.corrections.significant(outcome.first.structures, outcome.factor))
+
+
+def _beside_slow_noise(given: SearchInput, at: FirstPass) -> _Outcome | None:
+    """Return the outcome at the noise beside an effect that correlated noise took up; None where none is evident."""
+    first = at.first
+    columns = [columns_of(first.prepared, each) for each in first.candidates]
+    evidence = slow_noise_evidence(given.records, columns)
+    if evidence is None or evidence.corrected >= thresholds.SLOW_NOISE_EVIDENCE:
+        return None
+    beside = given.screening_beside(columns[min(evidence.p, key=lambda place: evidence.p[place])])
+    known = {_identity(first.candidates[place]): p for place, p in evidence.p.items()}
+    candidates = [
+        replace(each, score=replace(each.score, p=max(each.score.p, known.get(_identity(each), 0.0))))
+        for each in beside.candidates
+    ]
+    beside = replace(beside, candidates=tuple(candidates))
+    leader = next(each for each in candidates if _identity(each) in known)
+    group = equivalence_group(beside.projection, leader, candidates, evidence.corrected)
+    rest = _at_noise_left(deflate(beside, span_over_shapes(beside, leader)))
+    return _Outcome(beside, (group,), rest, thresholds.SLOW_NOISE_EVIDENCE / thresholds.FALSE_ALARM_EFFECT)
+
+
+def _identity(candidate: Candidate) -> tuple[str, ...]:
+    """Return what tells a candidate from others: effect, shape and coefficients."""
+    shape = (f"{field}={value}" for field, value in candidate.scan.shape.items())
+    return candidate.effect, *shape, *(each.parameter.name for each in candidate.coefficients)
 
 
 def _with_evidence_between_runs(given: SearchInput, at: FirstPass, outcome: _Outcome) -> _Outcome:
@@ -325,17 +354,6 @@ def _first_p(at: FirstPass) -> float:
 def _significant_noise(noise: Sequence[NoiseCandidate], threshold: float) -> list[NoiseCandidate]:
     """Return the noise candidates with a p-value below a threshold (Bonferroni)."""
     return [each for each in noise if each.p * len(noise) < threshold]
-
-
-def _screening(
-    projection: Projection,
-    prepared: Sequence[ProjectedResponse],
-    forms: Sequence[ProjectedForm],
-    feature_sets: Sequence[FeatureSet],
-) -> Screening:
-    scans = tuple(scan_features(projection, each) for each in feature_sets)
-    candidates, structures = screen(projection, prepared), screen_structure(projection, forms, scans)
-    return Screening(projection, tuple(prepared), tuple(forms), scans, tuple(candidates), tuple(structures))
 
 
 def _select_effects(
@@ -380,7 +398,7 @@ def _at_noise_left(at: Screening) -> Screening:
     reweighted = projection.reweighted(root)
     responses = [each.reweighted(reweighted, root) for each in at.prepared]
     forms = [each.reweighted(reweighted, root) for each in at.forms]
-    return _screening(reweighted, responses, forms, [each.features.reweighted(root) for each in at.scans])
+    return screened(reweighted, responses, forms, [each.features.reweighted(root) for each in at.scans])
 
 
 def _without_patterns(at: Screening, corrected: LookElsewhere, at_least: int) -> Screening:
@@ -419,4 +437,4 @@ def deflate(at: Screening, span: np.ndarray) -> Screening:
 
     responses = [replace(each, projected=less(each.projected)) for each in at.prepared]
     forms = [replace(each, columns=less(each.columns)) for each in at.forms]
-    return _screening(at.projection.without(span), responses, forms, [each.features for each in at.scans])
+    return screened(at.projection.without(span), responses, forms, [each.features for each in at.scans])

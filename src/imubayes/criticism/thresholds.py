@@ -71,6 +71,24 @@ SIZE_WIDTHS = (0.01, 0.1, 1.0, 10.0, 100.0)
 # them; bound of a scale in prior standard deviations, and most steps of its search.  Effort.
 GRID_SLACK, SCATTER_REACH, SCATTER_STEPS = 10.0, 6.0, 15
 
+# ---- Records with correlated noise in the model (slow_noise_records, slow_noise_evidence) ----------------------------
+# Factor on the budgets for effects and structure there, whose noise is estimated from the same rows, and p-value of an
+# effect that correlated noise took up, all candidates counted.  Derived: half of the two budgets, 2 %, and 1.5 % leave
+# the false alarms below 5 %.  Larger makes alarms of noise that wanders.
+SLOW_NOISE_FACTOR, SLOW_NOISE_EVIDENCE = 0.5, 0.015
+# Simulated records.  Effort: of 400, six are below the threshold.
+SLOW_DRAWS = 400
+# Shapes of the noise: share and correlation of Gauss–Markov noise; variances of flicker noise and of the step of a
+# random walk, over that of white noise of a row.  Numerical: neighbours differ by less than one unit of log likelihood.
+SLOW_SHARES = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95, 0.99)
+SLOW_CORRELATIONS = (0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.98, 0.995)
+SLOW_FLICKERS = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+SLOW_WALKS = (0.0, 1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+# Fewest and most rows of the longest record of a channel.  Effort: covariances of a record are held in full.
+SLOW_LEAST_ROWS, SLOW_MOST_ROWS = 24, 200
+# Share of its square that a direction keeps past the model.  Numerical.
+SLOW_RETAINED_MIN = 1e-6
+
 # ---- Equivalence groups (equivalent_effects, discriminating_run) -----------------------------------------------------
 # Two candidates are distinguishable where substituting one for the other leaves at least this χ².  Derived: three
 # standard deviations (9) raised to four for some fifty rivals that can lead by chance; confirmed by the blind study

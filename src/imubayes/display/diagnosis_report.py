@@ -115,6 +115,7 @@ def sentence(found: Diagnosis) -> str:
     noise = ""
     if found.groups:
         said = _missing_sentence(found.groups[0]) + _more_sentence(found)
+        said += " A random walk or flicker of the noise would fit as well." if found.wandering else ""
         noise = _adopted_sentence(found)
     elif found.verdict == "unexplained_structure":
         said = _structure_sentence(found)
@@ -181,6 +182,11 @@ def _structure_sentence(found: Diagnosis) -> str:
 
 def _noise_sentence(found: Diagnosis) -> str:
     adopted = [f"{noise.effect} on {', '.join(noise.channels)}" for noise in found.noise if noise.adopted]
+    if not adopted and found.wandering:
+        return (
+            "The noise wanders as flicker noise or a random walk does, and not as the model says; with it, no effect "
+            "is missing. Write flicker_noise and random_walk_noise into the model in place of correlated_noise."
+        )
     if not adopted and found.beyond_prior:
         return _beyond_prior_sentence(found.beyond_prior)
     if not adopted:
