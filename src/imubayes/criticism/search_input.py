@@ -20,7 +20,7 @@ from imubayes.criticism.noise_tests import Prewhitening
 from imubayes.criticism.projection import Projection, Whitening, project
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import Candidate, ProjectedResponse, project_responses, screen
-from imubayes.criticism.slow_noise_records import SlowRecords, slow_records, slow_whitening
+from imubayes.criticism.slow_noise_records import SlowRecords, slow_records, slow_whitening, with_slow_noise
 from imubayes.inference.fitted_model import Fit
 
 
@@ -51,7 +51,7 @@ class SearchInput:
     @cached_property
     def records(self) -> dict[int, SlowRecords]:
         """The records of the channels whose model has correlated noise, by the place of the channel."""
-        return slow_records(self._as_modelled, self.responses)
+        return slow_records(self._as_modelled, self.responses) if with_slow_noise(self.fitted) else {}
 
     @cached_property
     def _as_modelled(self) -> Projection:

@@ -17,6 +17,7 @@ import scipy  # loads its parts when they are first used
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
 from imubayes.criticism.projection import Projection, Whitening
+from imubayes.inference.fitted_model import Fit
 from imubayes.noise.base import SeriesNoise, SlowNoise
 
 WanderingNoise = Literal["", "rival", "instead"]
@@ -152,7 +153,7 @@ def slow_records(projection: Projection, responses: Responses) -> dict[int, Slow
 
     Channels with a record of many rows, and those with short ones alone, are left out.
     """
-    found = {place: _records_of(projection, responses, place) for place in _with_slow_noise(projection)}
+    found = {place: _records_of(projection, responses, place) for place in with_slow_noise(projection.fitted)}
     return {place: records for place, records in found.items() if records is not None}
 
 
@@ -187,9 +188,9 @@ def slow_whitening(
     return whiten
 
 
-def _with_slow_noise(projection: Projection) -> list[int]:
+def with_slow_noise(fitted: Fit) -> list[int]:
     """Return the places of the channels whose model has correlated noise."""
-    model = projection.fitted.model
+    model = fitted.model
     slow = [each for each in model.assembly.effects if issubclass(each.effect_class, (SeriesNoise, SlowNoise))]
     names = {name for each in slow for name in each.channels}
     return [place for place, channel in enumerate(model.campaign.channels) if channel.name in names]
