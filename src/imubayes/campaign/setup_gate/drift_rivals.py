@@ -6,7 +6,7 @@ Over one slow swing of the temperature they look alike: a sine reversed in time 
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.evidence import Drift, ErrorModel, NormalTerms
+from imubayes.campaign.setup_gate.evidence import RunDrift, ErrorModel, NormalTerms
 from imubayes.campaign.setup_gate.plausible_errors import Widths
 from imubayes.campaign.setup_gate.run_view import RunView
 
@@ -26,7 +26,7 @@ def score_with_drift(model: ErrorModel, view: RunView, rest: NormalTerms) -> flo
     seen = model.seen(view)
 
     def score(sd: np.ndarray) -> float:
-        return model.score(rest + model.terms_of(seen, drift=Drift(courses, sd)))
+        return model.score(rest + model.terms_of(seen, drift=RunDrift(courses, sd)))
 
     courses, families, sizes = _courses(view, model.widths)
     none = np.zeros(sizes.shape)

@@ -157,7 +157,7 @@ class ErrorModel:
         """Return what a run adds to the normal equations; of a loose run bias and scale factor are its own."""
         return self.terms_of(self.seen(view), loose)
 
-    def terms_of(self, seen: "Seen", loose: bool = False, drift: "Drift | None" = None) -> NormalTerms:
+    def terms_of(self, seen: "Seen", loose: bool = False, drift: "RunDrift | None" = None) -> NormalTerms:
         """Return what the outputs of a run, which may drift, add to the normal equations."""
         design, shared, there = seen.design, seen.shared, seen.there
         variance = seen.white + seen.left_out + seen.arm
@@ -314,7 +314,7 @@ def _column(factors: float | np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Drift:
+class RunDrift:
     """How the outputs of one run may change with time.
 
     Attributes
