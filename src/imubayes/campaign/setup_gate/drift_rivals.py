@@ -6,7 +6,7 @@ Over one slow swing of the temperature they look alike: a sine reversed in time 
 
 import numpy as np
 
-from imubayes.campaign.setup_gate.evidence import RunDrift, ErrorModel, NormalTerms
+from imubayes.campaign.setup_gate.evidence import ErrorModel, NormalTerms, RunDrift
 from imubayes.campaign.setup_gate.plausible_errors import Widths
 from imubayes.campaign.setup_gate.run_view import RunView
 
