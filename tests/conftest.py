@@ -67,6 +67,7 @@ GROUPS = {
         "criticism/test_outliers.py",
         "criticism/test_shipped.py",
         "criticism/test_noise_against_prior.py",
+        "criticism/test_wrong_names.py",
         "criticism/test_dead_zone.py",
     ),
     "polar-tumble": ("batch/test_run_batch.py", "batch/test_lanes.py"),

@@ -32,7 +32,7 @@ class Remainder:
     Attributes
     ----------
     explained : drop of χ² by the refit, in units of the noise after it.
-    structures : significant ones on the channels of the effect, with corrected p-values.
+    structures : significant ones on the channels of the effect, and larger ones on others, with corrected p-values.
     """
 
     explained: float
@@ -60,9 +60,14 @@ def remainder_of_leader(found: SearchResult) -> Remainder | None:
     screened = screen_structure(at, forms, scans)
     corrected = look_elsewhere([structure.score for structure in screened], scans)
     owners = channels_of(found, leader)
-    left = [(each, corrected(each.score.p)) for each in screened if not owners or each.channel in owners]
+    explained = _explained(found, at, mode)
+    left = [
+        (each, corrected(each.score.p))
+        for each in screened
+        if not owners or each.channel in owners or each.score.delta_chi2 > explained
+    ]
     significant = tuple(pair for pair in left if pair[1] < thresholds.FALSE_ALARM_STRUCTURE)
-    return Remainder(_explained(found, at, mode), significant)
+    return Remainder(explained, significant)
 
 
 def _refit(found: SearchResult, leader: Candidate) -> tuple[Fit, Mode] | None:

@@ -62,9 +62,17 @@ def simplest(structures: Sequence[Significant]) -> list[Significant]:
 
 
 def _larger_than_leader(found: SearchResult, leader: Candidate) -> list[Significant]:
-    """Return remaining structure that is larger than what the leader explains: the leader took a part of it."""
-    remaining = _of_kind(found, leader, found.remaining)
-    return [pair for pair in remaining if pair[0].score.delta_chi2 > leader.delta_chi2]
+    """Return remaining structure that is larger than what the leader explains: the leader took a part of it.
+
+    It counts on every channel.  A motion that the catalogue lacks acts on gyros and accelerometers alike, and an effect
+    of the accelerometers may imitate its smaller part.  At few degrees of freedom a form leaves next to nothing of the
+    noise by chance, and its Δχ² is then large without being significant.
+    """
+    return [
+        (structure, p)
+        for structure, p in found.remaining
+        if p < thresholds.AGAINST_SINGLE_NAME_P and structure.score.delta_chi2 > leader.delta_chi2
+    ]
 
 
 def _steps_beyond_leader(found: SearchResult, leader: Candidate) -> list[Significant]:
