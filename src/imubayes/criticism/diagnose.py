@@ -41,6 +41,7 @@ from imubayes.criticism.unexplained_structure import (
     Significant,
     channels_of,
     mostly_step,
+    scatter_remains,
     simplest,
     unexplained_structure,
 )
@@ -104,6 +105,7 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         recorded_noise=found.record.comparisons,
         beyond_prior=beyond_prior,
         wandering=found.wandering,
+        scatter_remains=verdict in MISSING and scatter_remains(found),
         more_remains=verdict in MISSING and bool(found.remaining or found.groups[1:]),
         message=fit.message if not fit.sampled else "",
     )
@@ -116,11 +118,16 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
 def _with_large_effect_fitted(found: SearchResult) -> tuple[SearchResult, Sequence[Significant]]:
     """Return the outcome with the structure that no effect explains, after a refit where a large effect is doubted."""
     unexplained = unexplained_structure(found)
-    left = remainder_of_leader(found) if unexplained else None
-    if left is None or not left.small:
+    doubted = unexplained or (found.groups and scatter_remains(found))
+    left = remainder_of_leader(found) if doubted else None
+    if left is None:
+        return found, unexplained
+    if not unexplained:
+        return replace(found, record=left.record), []
+    if not left.small:
         return found, unexplained
     # What else the linear search found beside a large effect is its curvature, or waits until it is fitted.
-    return replace(found, groups=found.groups[:1], remaining=left.structures), []
+    return replace(found, groups=found.groups[:1], remaining=left.structures, record=left.record), []
 
 
 def _refuse_unknown(effect: str, fit: Fit) -> None:
@@ -150,7 +157,8 @@ def _verdict(
     if unexplained:
         return "unexplained_structure"
     if found.groups:
-        alone = len(found.groups[0].members) == 1 and not unlisted[0] and not found.wandering
+        doubtful = bool(unlisted[0]) or bool(found.wandering) or scatter_remains(found)
+        alone = len(found.groups[0].members) == 1 and not doubtful
         return "missing_effect" if alone else "equivalent_effects"
     noisy = found.adopted or found.record.excessive or beyond_prior or found.wandering
     return "noise_model" if noisy else "adequate"

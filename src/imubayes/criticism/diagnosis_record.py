@@ -257,6 +257,8 @@ class Diagnosis(Presented, Record):
     strongest : the structure that no effect explains.
     more_remains : whether structure or further effects remain beside the first group, small against what it explains:
         add it and diagnose again.
+    scatter_remains : whether rows still scatter more than recorded beside the first group, so that it may only resemble
+        the cause.
     recorded_noise : fitted against recorded noise of each channel, after the groups.
     beyond_prior : noise parameters that the fit puts far beyond their priors, the least probable first.
     wandering : whether noise that wanders otherwise than the model's explains what is found as well, or instead of it.
@@ -282,6 +284,7 @@ class Diagnosis(Presented, Record):
     suggested: EffectChoice | None = None
     strongest: StrongestStructure | None = None
     more_remains: bool = False
+    scatter_remains: bool = False
     recorded_noise: tuple[NoiseComparison, ...] = ()
     beyond_prior: tuple[NoiseBeyondPrior, ...] = ()
     wandering: WanderingNoise = ""

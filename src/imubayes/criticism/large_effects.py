@@ -16,6 +16,7 @@ from imubayes.criticism.free_form_dependence import Structure, free_forms, proje
 from imubayes.criticism.localised_structure import features, scan_features
 from imubayes.criticism.multiple_testing import look_elsewhere
 from imubayes.criticism.projection import Projection, project
+from imubayes.criticism.recorded_noise import RecordedNoise, compare_with_record
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.stepwise_search import SearchResult
 from imubayes.criticism.unexplained_structure import channels_of
@@ -33,10 +34,12 @@ class Remainder:
     ----------
     explained : drop of χ² by the refit, in units of the noise after it.
     structures : significant ones on the channels of the effect, and larger ones on others, with corrected p-values.
+    record : noise that remains, against the noise that the campaign records.
     """
 
     explained: float
     structures: tuple[tuple[Structure, float], ...]
+    record: RecordedNoise
 
     @property
     def small(self) -> bool:
@@ -67,7 +70,7 @@ def remainder_of_leader(found: SearchResult) -> Remainder | None:
         if not owners or each.channel in owners or each.score.delta_chi2 > explained
     ]
     significant = tuple(pair for pair in left if pair[1] < thresholds.FALSE_ALARM_STRUCTURE)
-    return Remainder(explained, significant)
+    return Remainder(explained, significant, compare_with_record(at))
 
 
 def _refit(found: SearchResult, leader: Candidate) -> tuple[Fit, Mode] | None:

@@ -37,6 +37,7 @@ class NoiseComparison:
     p : p-value of a ratio of at most `thresholds.NOISE_AGREES`, over all channels compared (Bonferroni).
     correlated : whether the model has autocorrelated noise on this channel, which scatters rows but not samples.
     unit : output unit.
+    freedom : degrees of freedom of the fitted noise; 0 of diagnoses of earlier versions.
     """
 
     channel: str
@@ -48,11 +49,17 @@ class NoiseComparison:
     p: float
     correlated: bool
     unit: str
+    freedom: float = 0.0
 
     @property
     def excessive(self) -> bool:
         """Whether rows scatter more than recorded, beyond chance, with nothing in the model that would explain it."""
         return not self.correlated and self.p < thresholds.EXCESS_NOISE_P
+
+    @property
+    def excess_chi2(self) -> float:
+        """The χ² by which rows scatter more than recorded, at the noise that remains; 0 where that may be chance."""
+        return self.freedom * (1 - (thresholds.NOISE_AGREES / self.ratio) ** 2) if self.excessive else 0.0
 
     @property
     def agrees(self) -> bool:
@@ -120,7 +127,7 @@ def compare_with_record(projection: Projection) -> RecordedNoise:
         comparisons.append(
             NoiseComparison(
                 channels[place].name, fitted, record.sd, record.source, ratio, ratio * sd, p,
-                bool(correlated[here].any()), channels[place].output_unit,
+                bool(correlated[here].any()), channels[place].output_unit, freedom,
             )
         )  # fmt: skip
     count = len(comparisons)

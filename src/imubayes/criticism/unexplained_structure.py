@@ -34,6 +34,18 @@ def unexplained_structure(found: SearchResult) -> list[Significant]:
     return [(structure, p) for structure, p in remaining if p < thresholds.AGAINST_SINGLE_NAME_P]
 
 
+def scatter_remains(found: SearchResult) -> bool:
+    """Tell whether rows on which the leader acts still scatter more than recorded, by more than a trifle beside it.
+
+    A wrong effect takes a part of what the cause does, and the rest may have no plain form.  It may as well be noise
+    from row to row: the leader remains the best name, but not the only explanation.
+    """
+    leader = found.groups[0].leader
+    channels = channels_of(found, leader)
+    left = sum(each.excess_chi2 for each in found.record.comparisons if not channels or each.channel in channels)
+    return left > thresholds.REMAINDER_SHARE * leader.delta_chi2
+
+
 def channels_of(found: SearchResult, candidate: Candidate) -> tuple[str, ...]:
     """Return the channels among the owners of a candidate."""
     names = {channel.name for channel in found.first.projection.fitted.model.campaign.channels}

@@ -161,6 +161,8 @@ def _stage_sentence(group: EffectGroup) -> str:
 
 
 def _more_sentence(found: Diagnosis) -> str:
+    if found.scatter_remains:
+        return " Rows scatter beyond the recorded noise all the same: it may only resemble the cause."
     if not found.more_remains:
         return ""
     return " More remains beside it, small against what it explains: add it and diagnose again."
