@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from null_data import fitted_to, redrawn
 
-from imubayes.criticism import stepwise_search
+from imubayes.criticism import chain_stage, stepwise_search
 from imubayes.criticism.candidate_effects import candidate_responses, moved_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import ChainStage, Diagnosis
@@ -76,3 +76,22 @@ def test_a_converter_that_is_driven_alone_shows_its_own():
     assert not np.any(own.columns[injected])
     assert moved.columns[injected, 0] / unit == pytest.approx(quadratic[injected], rel=0.02)
     assert moved.columns[~injected] == pytest.approx(own.columns[~injected], rel=0.05)
+
+
+def test_a_curve_about_another_zero_is_of_sensor_or_converter(monkeypatch):
+    """A cube with a little square is a cube about another zero: that of the converter is not that of the sensor."""
+    fitted = fitted_to("desk-imu", "desk-imu")
+    entries, channels = fitted.model.entries, fitted.model.campaign.channels
+    place = [channel.name for channel in channels].index("ay")
+    outputs = np.asarray(predict(fitted.model.problem, jnp.asarray(fitted.z))) - channels[place].offset
+    through = np.where(entries.channel == place, outputs, 0.0)
+    share = through / np.abs(through).max()
+    planted = redrawn(fitted, 1, change=-0.02 * share**2 - 0.156 * share**3)
+    found = without(monkeypatch, planted, "converter_nonlinearity")
+    assert found.groups[0].effects == ("accel_cubic",)
+    assert found.groups[0].stage == ChainStage(named="sensor", sensor="accelerometer", determined=False)
+    # Planted fault: the zero of the curve is held.
+    monkeypatch.setattr(chain_stage, "_is_curve", lambda *_: False)
+    held = judge(planted).groups[0].stage
+    assert held is not None
+    assert held.determined

@@ -5,15 +5,20 @@ factor error, a drift, or an effect of temperature where both devices have the s
 stages is therefore moved to the other on the signal path, whether or not the catalogue has an effect like it there, and
 its response to all runs is compared.  A run that injects its input drives the converter alone; an effect of what acts
 across the input axis, or of the motion, is none of a converter.
+
+A curve of the input is one about the zero of its own device.  How much of the bias lies before the converter is not
+known, so that what is cubic in the force is, as a curve of the converter, a cube with a square of any size.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imubayes.criticism.candidate_effects import Response, moved_responses
+from imubayes.criticism.effect_covariates import INPUTS, covariates_of
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, indistinguishable
+from imubayes.criticism.projection import Projection
 from imubayes.criticism.score_test import Candidate, assess, project_responses
 from imubayes.criticism.stepwise_search import SearchResult
 from imubayes.effects.base import Effect, Stage
@@ -70,8 +75,34 @@ def _same_elsewhere(found: SearchResult, leader: Candidate, moved: Sequence[Resp
     """Tell whether the leader at the other stage would not be distinguished from it."""
     at = found.first.projection
     names = {coefficient.parameter.name for coefficient in leader.coefficients}
-    for projected in project_responses(at, [each for each in moved if each.scan == leader.scan]):
-        own = [coefficient.parameter.name in names for coefficient in projected.response.coefficients]
-        if any(own):
-            return indistinguishable(at, leader, assess(at, projected, np.flatnonzero(own)))
+    for response in moved:
+        own = [place for place, each in enumerate(response.coefficients) if each.parameter.name in names]
+        if response.scan != leader.scan or not own:
+            continue
+        coefficients = tuple(response.coefficients[place] for place in own)
+        rivals = [replace(response, coefficients=coefficients, columns=response.columns[:, own])]
+        if _is_curve(at.fitted, leader):
+            rivals.append(_about_any_zero(at, rivals[0]))
+        there = (assess(at, each, np.arange(each.projected.shape[1])) for each in project_responses(at, rivals))
+        return any(indistinguishable(at, leader, each) for each in there)
     return False
+
+
+def _is_curve(fitted: Fit, leader: Candidate) -> bool:
+    """Tell whether an effect goes with the input alone, by coefficients of either sign."""
+    member = fitted.model.registry.effects[leader.effect]
+    kinds = {channel.kind for channel in fitted.model.campaign.channels if channel.name in leader.owners}
+    goes_with = {each for kind in kinds for each in covariates_of(member, kind)}
+    signed = any(coefficient.sign for coefficient in leader.coefficients)
+    return not signed and goes_with == {frozenset({INPUTS[kind]}) for kind in kinds}
+
+
+def _about_any_zero(at: Projection, curve: Response) -> Response:
+    """Return a curve with the square of the input of each of its channels beside it."""
+    places = {channel.name: place for place, channel in enumerate(at.fitted.model.campaign.channels)}
+    own = np.array([places[coefficient.owner] for coefficient in curve.coefficients])
+    squares = np.where(at.fitted.model.entries.channel[:, None] == own, at.input[:, None] ** 2, 0.0)
+    # Of the size of the curve, since directions that are small beside others are taken for rounding.
+    squares *= np.linalg.norm(curve.columns, axis=0) / np.maximum(np.linalg.norm(squares, axis=0), 1e-300)
+    both = (*curve.coefficients, *curve.coefficients)
+    return replace(curve, coefficients=both, columns=np.concatenate([curve.columns, squares], axis=1))
