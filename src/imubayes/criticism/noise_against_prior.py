@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-import scipy  # loads its parts when they are first used
+from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.inference.fitted_model import Fit
@@ -54,7 +54,7 @@ def noise_beyond_prior(fitted: Fit) -> tuple[NoiseBeyondPrior, ...]:
     compared = [place for place, parameter in enumerate(parameters) if parameter.effect in sizes]
     found = []
     for place in compared:
-        p = min(1.0, float(scipy.stats.norm.sf(z[place])) * len(compared))
+        p = min(1.0, float(special.ndtr(-z[place])) * len(compared))
         if p >= thresholds.NOISE_BEYOND_PRIOR_P:
             continue
         parameter = parameters[place]
