@@ -39,7 +39,9 @@ def planted(size: float, seed: int) -> Fit:
     return redrawn(polar(), seed, change=truth.columns @ (size * sizes * np.array([0.8, -0.6, 0.3])))
 
 
-@pytest.mark.parametrize(("bound", "verdict"), [(thresholds.MARGINAL_EVIDENCE, "missing_effect"), (1e-300, "noise_model")])
+@pytest.mark.parametrize(
+    ("bound", "verdict"), [(thresholds.MARGINAL_EVIDENCE, "missing_effect"), (1e-300, "noise_model")]
+)
 def test_an_effect_between_few_runs_is_not_passed_over(
     monkeypatch: pytest.MonkeyPatch, bound: float, verdict: Any
 ) -> None:
