@@ -102,6 +102,14 @@ def test_the_answer_comes_first(capsys):
     assert "lever_arm (turning)" in " ".join(out.split())
 
 
+def test_wandering_noise_is_named_beside_the_effect_that_it_rivals():
+    found = diagnosis().model_copy(update={"wandering": "rival", "suggested": None})
+    report = shown.diagnosis_report(found)
+    assert report.lines[0].startswith("Either gyro_scale_asymmetry is missing on gx, or the noise wanders")
+    assert "Record the unit at rest again: a systematic drift repeats" in "\n".join(report.lines)
+    assert shown.next_command(found) == "imubayes compare R"
+
+
 @pytest.mark.parametrize("determined", [True, False])
 def test_an_undetermined_stage_is_said(determined):
     found = diagnosis()

@@ -407,7 +407,8 @@ def _suggested(found: SearchResult, verdict: Verdict) -> EffectChoice | None:
     """Return the effect or noise to add next; its channels where they are not all on which it was screened."""
     if verdict == "noise_model":
         return EffectChoice(effect=found.adopted[0].effect, channels=None) if found.adopted else None
-    if verdict not in MISSING:
+    # What noise explains as well is not worth an addition before another record has told them apart.
+    if verdict not in MISSING or found.wandering:
         return None
     leader = found.groups[0].leader
     channels = channels_of(found, leader)

@@ -93,6 +93,8 @@ def diagnosis_lines(found: Diagnosis) -> list[str]:
     if found.groups:
         lines.append(_prediction(found))
         lines += _discriminating_run(found.groups[0])
+        if found.wandering == "rival":
+            lines.append("Record the unit at rest again: a systematic drift repeats, wandering noise does not.")
     elif found.verdict == "not_converged":
         lines.append("Candidates are not ranked about a fit that did not converge.")
     if found.message and found.verdict != "not_converged":
@@ -114,8 +116,7 @@ def sentence(found: Diagnosis) -> str:
         return found.message
     noise = ""
     if found.groups:
-        said = _missing_sentence(found.groups[0]) + _more_sentence(found)
-        said += " A random walk or flicker of the noise would fit as well." if found.wandering else ""
+        said = _missing_sentence(found.groups[0], found.wandering == "rival") + _more_sentence(found)
         noise = _adopted_sentence(found)
     elif found.verdict == "unexplained_structure":
         said = _structure_sentence(found)
@@ -137,9 +138,12 @@ def _adopted_sentence(found: Diagnosis) -> str:
     return f"The noise model lacks {' and '.join(each)}." if each else ""
 
 
-def _missing_sentence(group: EffectGroup) -> str:
+def _missing_sentence(group: EffectGroup, noise_rivals: bool) -> str:
     first, *others = group.effects
-    said = f"{first} is missing on {', '.join(group.channels)}."
+    said = f"{first} is missing on {', '.join(group.channels)}"
+    if noise_rivals:
+        said = f"Either {said}, or the noise wanders as flicker noise or a random walk does: these records cannot tell"
+    said += "."
     if group.covariate is not None:
         said += f" The residual of {group.residual.channel} depends on {group.covariate.phrase}."
     if others:
@@ -274,7 +278,7 @@ def next_command(found: Diagnosis) -> str:
         adding = f"imubayes add found_shape.py --to {result} --out {result}-found_shape"
         written = f"imubayes diagnose {result} --python > found_shape.py && {adding}"
         return written if printable else f"imubayes compare {result}"
-    if found.verdict in ("noise_model", "not_converged"):
+    if found.verdict in ("noise_model", "not_converged") or found.wandering:
         return f"imubayes compare {result}"
     return f"imubayes plant --result {result}"
 
