@@ -137,6 +137,70 @@ def test_positions_of_a_dividing_head(column: str, profile: str) -> None:
     np.testing.assert_allclose(rows.numbers["a"], 20000 * np.cos(np.deg2rad(angle)), atol=4)
 
 
+SPANS = importlib.import_module("imubayes.campaign.reduction.constant_spans")
+SETTLING = importlib.import_module("imubayes.campaign.reduction.settling")
+
+
+@pytest.mark.parametrize("hz", [0.5, 1.0])
+@pytest.mark.parametrize("profile", ["linear", "jerk", "ringing"])
+def test_rows_in_motion_of_a_slow_log_are_no_positions(
+    hz: float, profile: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(profile, 8.0, "encoder", noise=0.0, quantum=1e-4, hz=hz, hold=53.0)
+    columns = head_log(bench, np.random.default_rng(3))
+    rows = reduced(columns, reduction=Reduction.AT_REST)
+    angle = rows.numbers["table_angle_deg"]
+    np.testing.assert_allclose(angle, 30.0 * np.arange(12), atol=1e-3)
+    np.testing.assert_allclose(rows.numbers["a"], 20000 * np.cos(np.deg2rad(angle)), atol=2)
+    assert rows.unsettled == ()
+    monkeypatch.setattr(SPANS, "_least_rows", lambda blocks, label: 1)
+    assert len(reduced(columns, reduction=Reduction.AT_REST).numbers["a"]) > 24
+
+
+def test_a_manual_head_with_a_row_per_position_keeps_every_row() -> None:
+    angle = np.repeat(30.0 * np.arange(12), 2)
+    columns = {"time_s": 60.0 * np.arange(24), "table_angle_deg": angle, "a": 20000 * np.cos(np.deg2rad(angle))}
+    rows = reduced(columns, reduction=Reduction.AT_REST)
+    np.testing.assert_array_equal(rows.numbers["samples"], 2)
+    assert len(rows.numbers["a"]) == 12
+
+
+def test_slow_logs_of_rates() -> None:
+    unit, found = Unit(), []
+    for seed in range(24):
+        generator = np.random.default_rng([seed, 99])
+        bench = replace(
+            drawn(seed), hz=float(generator.choice([0.5, 1.0, 2.0])), hold=float(generator.uniform(40, 120))
+        )
+        rows = reduced(rate_log(bench, unit, np.random.default_rng(seed)))
+        found.append(deviation(rows, unit))
+    assert np.abs(found).max() < 4
+    assert np.std(found) < 1.4
+
+
+def test_white_noise_of_a_short_level_is_no_transient(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = np.random.default_rng(1).normal(size=(1000, 45))
+
+    def shortened() -> float:
+        nothing = np.zeros(45)
+        parts = [SETTLING.steady_part([each], 1, nothing, [np.nan]) for each in values]
+        return float(np.mean([part.last - part.first < 44 or not part.settled for part in parts]))
+
+    assert shortened() < 0.005
+    monkeypatch.setattr(SETTLING, "_successive_scatter", lambda residual: 0.0)
+    monkeypatch.setattr(SETTLING, "_LEAST_STRETCH", 4)
+    assert shortened() > 0.015
+
+
+def test_a_transient_of_a_short_level_is_found() -> None:
+    time = np.arange(45.0)
+    for seed in range(20):
+        values = np.random.default_rng([seed, 2]).normal(size=45) + 40 * np.exp(-time / 3)
+        part = SETTLING.steady_part([values], 1, np.zeros(45), [np.nan])
+        assert part.settled
+        assert 4 <= part.first <= 25
+
+
 def test_settings_of_a_table() -> None:
     columns = rate_log(Bench(ramp=0.5, hz=20.0), Unit(), np.random.default_rng(4))
     free, longer = (reduced(columns, BenchSettings(settling)).numbers["samples"].sum() for settling in (0.0, 10.0))

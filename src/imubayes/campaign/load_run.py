@@ -23,6 +23,7 @@ from imubayes.campaign.reduction import (
     Limits,
     SegmentTracker,
     Span,
+    UnsettledLevel,
     reduce_log,
 )
 from imubayes.campaign.run_columns import lay_out
@@ -33,6 +34,8 @@ from imubayes.errors import InputError, Issue, input_error
 from imubayes.procedures import PROCEDURES, Reduction, procedure_named
 
 ANGLE_COLUMN = "table_angle_deg"
+_MOST_LEVELS = 2
+"""Unsteady levels that a warning names."""
 
 
 @dataclass(frozen=True)
@@ -224,10 +227,18 @@ def _from_zero(numbers: dict[str, np.ndarray], source: TableSource, bench: Bench
     return {**numbers, ANGLE_COLUMN: numbers[ANGLE_COLUMN] - bench.zero_angle}
 
 
-def _unsettled(entry: RunEntry, where: str, levels: int) -> Finding:
-    what = f"at {levels} levels of the stimulus an output did not become steady; they are left out"
+def _unsettled(entry: RunEntry, where: str, levels: Sequence[UnsettledLevel]) -> Finding:
+    count, named = len(levels), [_level_text(level) for level in levels[:_MOST_LEVELS]]
+    rest = f" and {count - len(named)} more" if count > len(named) else ""
+    plural = "s" if count > 1 else ""
+    what = f"{count} level{plural} of the stimulus left out, not steady: {'; '.join(named)}{rest}"
     remedy = "record each level longer than the table takes to settle"
     return Finding("not_settled", "warning", entry.name, what, where, "steady outputs at each level", remedy)
+
+
+def _level_text(level: UnsettledLevel) -> str:
+    at = f"raw row {level.row + 1}" + (f" ({level.time:g} s)" if level.time is not None else "")
+    return f"{level.channel} from {at}" if level.channel else f"shorter than settling_s from {at}"
 
 
 def _unsteady(entry: RunEntry, where: str, rows: tuple[int, ...]) -> Finding:

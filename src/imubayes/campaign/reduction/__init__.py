@@ -8,7 +8,7 @@ with clipped samples are left out (`clipping`).  Memory does not grow with the l
 
 from imubayes.campaign.reduction.block_survey import BlockBuilder, BlockSurvey, sampling_interval
 from imubayes.campaign.reduction.clipping import Limits, clipping_note
-from imubayes.campaign.reduction.constant_spans import BenchSettings, Span, constant_spans
+from imubayes.campaign.reduction.constant_spans import BenchSettings, Span, UnsettledLevel, constant_spans
 from imubayes.campaign.reduction.log_reduction import Rows, reduce_log
 from imubayes.campaign.reduction.segment_labels import SegmentTracker
 
@@ -20,6 +20,7 @@ __all__ = [
     "Rows",
     "SegmentTracker",
     "Span",
+    "UnsettledLevel",
     "clipping_note",
     "constant_spans",
     "reduce_log",

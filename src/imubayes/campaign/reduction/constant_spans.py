@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from imubayes.campaign.reduction.block_survey import BlockSurvey
-from imubayes.campaign.reduction.settling import steady_part
+from imubayes.campaign.reduction.settling import Steady, steady_part
 from imubayes.campaign.reduction.stimulus_levels import (
     NOISE_FACTOR,
     WIDTH,
@@ -28,6 +28,7 @@ ANGLE_TOLERANCE = 0.01  # deg; smaller than the steps of a dividing head
 ANGLE_STEADY = 0.002  # deg; what an angle at rest may vary by within a block
 CURRENT_TOLERANCE = 1e-3  # of the largest current
 LEAST_SECONDS = 1.0  # shorter spans are transitions
+LONG_LEVEL_ROWS, LEAST_SHARE = 4, 0.05  # of a log of slow rows: typical level, and share of it that a level lasts
 SMOOTHED_SECONDS = 0.5  # the running median of a stimulus lasts no longer
 BIN_KELVIN = 0.25
 BIN_SECONDS = 60.0
@@ -54,23 +55,35 @@ class BenchSettings:
     zero_angle: float = 0.0
 
 
+@dataclass(frozen=True)
+class UnsettledLevel:
+    """A level of the stimulus that is left out: its first raw row, its time in s, and the output that is not steady.
+
+    `time` is None in a log without; `channel` is empty where the level is shorter than the settling time.
+    """
+
+    row: int
+    time: float | None
+    channel: str
+
+
 @dataclass
 class Dropped:
-    """Raw rows in no span, by cause, and the number of levels that were left out as a whole.
+    """Raw rows in no span, by cause, and the levels that were left out as a whole.
 
     Attributes
     ----------
-    changing : rows at no level of the stimulus, or at one of less than `LEAST_SECONDS`.
+    changing : rows at no level of the stimulus, or at one too short for one.
     moving : rows in motion, where only rest is wanted.
     settling : rows at the ends of levels, before the outputs were steady.
-    unsettled : rows of levels at which an output never became steady; `levels` is their number.
+    unsettled : rows of `levels`, at which an output never became steady.
     """
 
     changing: int = 0
     moving: int = 0
     settling: int = 0
     unsettled: int = 0
-    levels: int = 0
+    levels: list[UnsettledLevel] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -114,12 +127,12 @@ def constant_spans(
     """
     bench = bench or BenchSettings()
     rate, turning, label, loose = _levels(blocks, bench)
-    swept, holed = _swept(blocks, rate), _holed(blocks)
+    swept, holed, least = _swept(blocks, rate), _holed(blocks), _least_rows(blocks, label)
     found, dropped, before = [], Dropped(), [np.nan] * len(channels)
     edges = np.flatnonzero(np.diff(label)) + 1
     for begin, end in pairwise([0, *edges.tolist(), blocks.size]):
         first, last = _trimmed(loose, begin, end)
-        if not _long_enough(blocks, first, last):
+        if last <= first or _rows(blocks, first, last) < least:
             dropped.changing += _rows(blocks, begin, end)
             continue
         dropped.changing += _rows(blocks, begin, end) - _rows(blocks, first, last)
@@ -131,34 +144,28 @@ def constant_spans(
             # A fast ramp gives short bins; the minimum duration applies to the whole level.
             bins = _settled_bins(blocks, channels, first, last, swept)
         else:
-            bins = _settled(blocks, outputs, first, last, swept, before, bench)
-        _count_left_out(dropped, _rows(blocks, first, last), sum(_rows(blocks, *each) for each in bins))
+            steady = steady_part(outputs, int(np.median(blocks.count)), swept[first:last], before)
+            bins = _settled(blocks, steady, first, least, bench)
+            if not bins:
+                slowest = "" if steady.settled or steady.slowest is None else channels[steady.slowest]
+                time = float(blocks.first["time_s"][first]) if "time_s" in blocks.first else None
+                dropped.levels.append(UnsettledLevel(int(blocks.start[first]), time, slowest))
+        kept = sum(_rows(blocks, *each) for each in bins)
+        if kept:
+            dropped.settling += _rows(blocks, first, last) - kept
+        else:
+            dropped.unsettled += _rows(blocks, first, last)
         before = [_mean_of(values) for values in outputs]
         found += [_span(blocks, *each, turning) for each in bins]
     return Detected(found, dropped)
 
 
 def _settled(
-    blocks: BlockSurvey,
-    outputs: Sequence[np.ndarray],
-    first: int,
-    last: int,
-    swept: np.ndarray,
-    before: Sequence[float],
-    bench: BenchSettings,
+    blocks: BlockSurvey, steady: Steady, first: int, least: int, bench: BenchSettings
 ) -> list[tuple[int, int]]:
-    """Return the steady part of a level; nothing where an output does not settle."""
-    part = steady_part(outputs, int(np.median(blocks.count)), swept[first:last], before)
-    begin, end = _after(blocks, first, part.first, bench.settling), first + part.last
-    return [(begin, end)] if part.settled and _long_enough(blocks, begin, end) else []
-
-
-def _count_left_out(dropped: Dropped, rows: int, kept: int) -> None:
-    if kept:
-        dropped.settling += rows - kept
-    else:
-        dropped.unsettled += rows
-        dropped.levels += 1
+    """Return the steady part of a level that begins at block `first`; nothing where an output does not settle."""
+    begin, end = _after(blocks, first, steady.first, bench.settling), first + steady.last
+    return [(begin, end)] if steady.settled and end > begin and _rows(blocks, begin, end) >= least else []
 
 
 def _levels(blocks: BlockSurvey, bench: BenchSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -352,10 +359,16 @@ def _smooth(values: np.ndarray) -> np.ndarray:
     return np.convolve(padded, np.full(width, 1 / width), mode="valid")
 
 
-def _long_enough(blocks: BlockSurvey, first: int, last: int) -> bool:
-    if last <= first:
-        return False
-    if blocks.interval is None or blocks.interval >= LEAST_SECONDS:
-        return True
-    rows = int(np.sum(blocks.count[first:last]))
-    return rows * blocks.interval >= LEAST_SECONDS
+def _least_rows(blocks: BlockSurvey, label: np.ndarray) -> int:
+    """Return the least number of rows of a level.
+
+    A level lasts `LEAST_SECONDS`.  In a log of slower rows every row in motion is at a level of its own; where levels
+    usually have several rows, those of hardly any are motion.
+    """
+    if blocks.interval is None:
+        return 1
+    if blocks.interval < LEAST_SECONDS:
+        return int(np.ceil(LEAST_SECONDS / blocks.interval))
+    rows = np.sort(np.bincount(label, blocks.count))
+    typical = rows[np.searchsorted(np.cumsum(rows), 0.5 * rows.sum())]  # of the level of a typical row
+    return 1 if typical < LONG_LEVEL_ROWS else max(2, int(np.ceil(LEAST_SHARE * typical)))

@@ -17,6 +17,7 @@ from imubayes.campaign.reduction.constant_spans import (
     Detected,
     Dropped,
     Span,
+    UnsettledLevel,
     block_spans,
     constant_spans,
     followed_spans,
@@ -41,14 +42,14 @@ class Rows:
     first : index of the first raw row of each.
     unsteady : indices of labelled segments in which the stimulus varies.
     notes : account of the reduction.
-    unsettled : number of levels of the stimulus left out because an output never became steady.
+    unsettled : levels of the stimulus left out because an output never became steady.
     """
 
     numbers: dict[str, np.ndarray]
     first: tuple[int, ...]
     unsteady: tuple[int, ...]
     notes: tuple[str, ...]
-    unsettled: int = 0
+    unsettled: tuple[UnsettledLevel, ...] = ()
 
 
 def reduce_log(
@@ -89,7 +90,7 @@ def reduce_log(
         first,
         unsteady,
         (*_account(rows, reduced, how, spans, detected.dropped), *lost),
-        detected.dropped.levels,
+        tuple(detected.dropped.levels),
     )
 
 

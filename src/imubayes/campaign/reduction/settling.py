@@ -24,15 +24,26 @@ _MARGIN = 0.3  # of a transient: a servo has decayed tenfold more, and what is l
 _STILL_MOVING = 0.02  # of the step to this level, over what is kept of it
 _LEAST_SCATTER = 1e-100  # of a channel that is 0 throughout
 _CLIP, _ROUNDS = 4.0, 3
+_LEAST_STRETCH = (
+    10  # blocks of a stretch other than the usual one: the quietest of several short ones is quiet by chance
+)
 
 
 @dataclass(frozen=True)
 class Steady:
-    """The steady part of a level: blocks `first` to `last` (exclusive); whether the outputs settled at all."""
+    """The steady part of a level.
+
+    Attributes
+    ----------
+    first, last : its blocks, `last` exclusive.
+    settled : whether the outputs settled at all.
+    slowest : place of the output with the longest transient, or of the first that still changes; None without one.
+    """
 
     first: int
     last: int
     settled: bool = True
+    slowest: int | None = None
 
 
 def steady_part(outputs: Sequence[np.ndarray], count: int, swept: np.ndarray, before: Sequence[float]) -> Steady:
@@ -49,21 +60,23 @@ def steady_part(outputs: Sequence[np.ndarray], count: int, swept: np.ndarray, be
     if length < LEAST_BLOCKS:
         return Steady(0, length)
     design = _design(swept)
-    head, tail = 0, 0
-    for values, was in zip(outputs, before, strict=True):
+    heads, tails = [0] * len(outputs), [0] * len(outputs)
+    for place, (values, was) in enumerate(zip(outputs, before, strict=True)):
         present = np.isfinite(values)
         if present.sum() < max(LEAST_BLOCKS, length // 2):
             continue
         unsteady = _unsteady(values, design, count, was)
-        head = max(head, _transient(unsteady[0]))
-        tail = max(tail, _transient(unsteady[1][::-1]))
+        heads[place] = _transient(unsteady[0])
+        tails[place] = _transient(unsteady[1][::-1])
+    head, tail = max(heads, default=0), max(tails, default=0)
+    slowest = int(np.argmax(np.add(heads, tails))) if head or tail else None
     first, last = head + round(_MARGIN * head), length - tail - round(_MARGIN * tail)
     if last - first < min(LEAST_BLOCKS, length // 4):
-        return Steady(first, max(first, last), False)
-    moving = any(
-        _moves(values[first:last], design[first:last], was) for values, was in zip(outputs, before, strict=True)
-    )
-    return Steady(first, last, not moving)
+        return Steady(first, max(first, last), False, slowest)
+    for place, (values, was) in enumerate(zip(outputs, before, strict=True)):
+        if _moves(values[first:last], design[first:last], was):
+            return Steady(first, last, False, place)
+    return Steady(first, last, True, slowest)
 
 
 def _design(swept: np.ndarray) -> np.ndarray:
@@ -88,6 +101,8 @@ def _fit(values: np.ndarray, design: np.ndarray, count: int) -> _Fit:
     best: _Fit | None = None
     for begin, end in _STRETCHES:
         stretch = slice(int(begin * len(values)), max(int(end * len(values)), int(begin * len(values)) + 4))
+        if best is not None and stretch.stop - stretch.start < _LEAST_STRETCH:
+            continue
         found = _fit_in(stretch, values, design, count)
         if best is None or found.scatter * _QUIETER < best.scatter:
             best = found
@@ -113,7 +128,18 @@ def _fit_in(stretch: slice, values: np.ndarray, design: np.ndarray, count: int) 
     coarse = quantum * np.sqrt(count / 12) if quantum * count > 3 * scatter and np.isfinite(quantum) else 0.0
     # Missing values are steady.
     residual = np.where(np.isfinite(values), values - design @ beta, 0.0)
-    return _Fit(covariance, residual, max(scatter, coarse, 1e-9 * largest, _LEAST_SCATTER), stretch)
+    scatter = max(scatter, coarse, _successive_scatter(residual), 1e-9 * largest, _LEAST_SCATTER)
+    return _Fit(covariance, residual, scatter, stretch)
+
+
+def _successive_scatter(residual: np.ndarray) -> float:
+    """Return the scatter of a block from successive differences in the second half of a level.
+
+    It has more blocks than a stretch, from which the median of few deviations may come out far too small, and a slow
+    transient does not enter it.
+    """
+    late = residual[len(residual) // 2 :]
+    return 1.4826 * float(np.median(np.abs(np.diff(late)))) / np.sqrt(2.0)
 
 
 def _unsteady(values: np.ndarray, design: np.ndarray, count: int, before: float) -> np.ndarray:
