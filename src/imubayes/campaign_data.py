@@ -5,6 +5,7 @@ taken while the stimulus was what the covariates say.  These are plain frozen re
 and units are the business of `imubayes.campaign`, pictures and datasheet units of `imubayes.display`.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -77,6 +78,7 @@ class Table:
     arm : distance of the inner from the outer axis along x of the outer one, m; 0 but for a centrifuge.
     zero_uncertainty, squareness_uncertainty : of the zero of each axis and of the angle between successive axes, rad.
     intersection_uncertainty, arm_uncertainty : of the distance between successive axes and of the arm, m.
+    azimuth_uncertainty, elevation_uncertainty : rad; None where they are that of the axis.
 
     All uncertainties are one sigma; 0 is exact.
     """
@@ -94,6 +96,21 @@ class Table:
     squareness_uncertainty: float | None = None
     intersection_uncertainty: float | None = None
     arm_uncertainty: float | None = None
+    azimuth_uncertainty: float | None = None
+    elevation_uncertainty: float | None = None
+
+    @property
+    def tilt_uncertainty(self) -> tuple[float | None, float | None]:
+        """Uncertainty of the direction of the outer axis about table x and y at angle 0, rad; None where not stated.
+
+        Table x is horizontal: a tilt about it is one of the elevation, and one about y moves the axis by the azimuth
+        times the cosine of the elevation.
+        """
+        across, about_x, about_y = self.axis_uncertainty, self.elevation_uncertainty, self.azimuth_uncertainty
+        return (
+            across if about_x is None else about_x,
+            across if about_y is None else about_y * math.cos(self.elevation),
+        )
 
     @property
     def outer_to_local(self) -> np.ndarray:

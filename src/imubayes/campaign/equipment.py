@@ -74,6 +74,8 @@ def build_tables(entries: Mapping[int, TableEntry], ledger: Ledger) -> dict[str,
             _times(entry.squareness_uncertainty_arcsec, ARCSEC),
             _times(entry.intersection_uncertainty_um, MICROMETRE),
             _times(entry.arm_uncertainty_um, MICROMETRE),
+            _times(entry.azimuth_uncertainty_arcsec, ARCSEC),
+            _times(entry.elevation_uncertainty_arcsec, ARCSEC),
         )
         for entry in entries.values()
     }

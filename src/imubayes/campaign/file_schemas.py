@@ -99,6 +99,12 @@ class TableEntry(_Entry):
     axis_uncertainty_arcsec: NotNegative | None = Field(
         default=None, description="of the direction of the rotation axis, about each of two axes across it"
     )
+    azimuth_uncertainty_arcsec: NotNegative | None = Field(
+        default=None, description="of azimuth_deg, where it differs from axis_uncertainty_arcsec: north is known worse"
+    )
+    elevation_uncertainty_arcsec: NotNegative | None = Field(
+        default=None, description="of elevation_deg, where it differs from axis_uncertainty_arcsec: a level tells it"
+    )
     rate_uncertainty_ppm: NotNegative | None = Field(default=None, description="of the commanded or measured rate")
     angle_uncertainty_arcsec: NotNegative | None = Field(
         default=None, description="of an angle that is read; of the record of a servo table"

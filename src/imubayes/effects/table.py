@@ -22,8 +22,8 @@ class TableAxisTilt(MotionEffect):
     per = ("table",)
     confused_with = "g-sensitivity of gyros; accelerometer misalignment where few mountings are tested"
     reference = "IEEE Std 1293, axis of rotation levelling error"
-    x: Scalar = parameter("arcsec", "normal(0, 60 arcsec)", (1, 120), "the tilt about table x", "axis")
-    y: Scalar = parameter("arcsec", "normal(0, 60 arcsec)", (1, 120), "the tilt about table y", "axis")
+    x: Scalar = parameter("arcsec", "normal(0, 60 arcsec)", (1, 120), "the tilt about table x", "axis_x")
+    y: Scalar = parameter("arcsec", "normal(0, 60 arcsec)", (1, 120), "the tilt about table y", "axis_y")
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:
         tilt = exponential(vector3(self.x, self.y, jnp.zeros_like(self.x)))

@@ -21,7 +21,8 @@ from imubayes.units import to_si
 _UNKNOWN_NOISE_SHARE, _UNKNOWN_NOISE_LOG_SD = 1e-3, 3.0
 
 _OF_TABLES: dict[str, Callable[[Table], float | None]] = {
-    "axis": lambda table: table.axis_uncertainty,
+    "axis_x": lambda table: table.tilt_uncertainty[0],
+    "axis_y": lambda table: table.tilt_uncertainty[1],
     "rate": lambda table: table.rate_uncertainty,
     "zero": lambda table: table.zero_uncertainty,
     "squareness": lambda table: table.squareness_uncertainty,

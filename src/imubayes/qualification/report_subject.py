@@ -26,6 +26,8 @@ class ReportedTable(Record):
     axis_uncertainty_arcsec: float | None
     rate_uncertainty_ppm: float | None
     angle_uncertainty_arcsec: float | None
+    azimuth_uncertainty_arcsec: float | None = None
+    elevation_uncertainty_arcsec: float | None = None
 
 
 class ReportedMounting(Record):

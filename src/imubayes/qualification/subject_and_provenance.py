@@ -62,6 +62,8 @@ def subject_of(campaign: Campaign, result: Result) -> Subject:
                 axis_uncertainty_arcsec=_in(table.axis_uncertainty, math.radians(1 / 3600)),
                 rate_uncertainty_ppm=_in(table.rate_uncertainty, 1e-6),
                 angle_uncertainty_arcsec=_in(table.angle_uncertainty, math.radians(1 / 3600)),
+                azimuth_uncertainty_arcsec=_in(table.azimuth_uncertainty, math.radians(1 / 3600)),
+                elevation_uncertainty_arcsec=_in(table.elevation_uncertainty, math.radians(1 / 3600)),
             )
             for table in campaign.tables.values()
         ),

@@ -146,15 +146,10 @@ def constant_spans(
         else:
             steady = steady_part(outputs, int(np.median(blocks.count)), swept[first:last], before)
             bins = _settled(blocks, steady, first, least, bench)
-            if not bins:
-                slowest = "" if steady.settled or steady.slowest is None else channels[steady.slowest]
-                time = float(blocks.first["time_s"][first]) if "time_s" in blocks.first else None
-                dropped.levels.append(UnsettledLevel(int(blocks.start[first]), time, slowest))
+            dropped.levels += [] if bins else [_unsettled(blocks, steady, first, channels)]
         kept = sum(_rows(blocks, *each) for each in bins)
-        if kept:
-            dropped.settling += _rows(blocks, first, last) - kept
-        else:
-            dropped.unsettled += _rows(blocks, first, last)
+        dropped.settling += _rows(blocks, first, last) - kept if kept else 0
+        dropped.unsettled += 0 if kept else _rows(blocks, first, last)
         before = [_mean_of(values) for values in outputs]
         found += [_span(blocks, *each, turning) for each in bins]
     return Detected(found, dropped)
@@ -166,6 +161,13 @@ def _settled(
     """Return the steady part of a level that begins at block `first`; nothing where an output does not settle."""
     begin, end = _after(blocks, first, steady.first, bench.settling), first + steady.last
     return [(begin, end)] if steady.settled and end > begin and _rows(blocks, begin, end) >= least else []
+
+
+def _unsettled(blocks: BlockSurvey, steady: Steady, first: int, channels: tuple[str, ...]) -> UnsettledLevel:
+    """Return what is said of the level that begins at block `first`."""
+    slowest = "" if steady.settled or steady.slowest is None else channels[steady.slowest]
+    time = float(blocks.first["time_s"][first]) if "time_s" in blocks.first else None
+    return UnsettledLevel(int(blocks.start[first]), time, slowest)
 
 
 def _levels(blocks: BlockSurvey, bench: BenchSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

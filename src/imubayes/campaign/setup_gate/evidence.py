@@ -149,8 +149,8 @@ class ErrorModel:
             stated = campaign.mountings[name].uncertainty
             sd[place : place + 3] = MOUNTING_UNSTATED if stated is None else max(2 * stated, MOUNTING_LEAST)
         for name, place in self.tables.items():
-            stated = campaign.tables[name].axis_uncertainty
-            sd[place : place + 3] = TABLE_UNSTATED if stated is None else max(2 * stated, TABLE_LEAST)
+            known = [each for each in campaign.tables[name].tilt_uncertainty if each is not None]
+            sd[place : place + 3] = max(2 * max(known), TABLE_LEAST) if known else TABLE_UNSTATED
         return sd
 
     def terms(self, view: RunView, loose: bool = False) -> NormalTerms:

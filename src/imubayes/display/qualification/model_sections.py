@@ -16,6 +16,7 @@ from imubayes.qualification.report_record import (
     StatisticalScope,
     Subject,
 )
+from imubayes.qualification.report_subject import ReportedTable
 
 _NOISE = {
     "autocorrelation": "residuals are autocorrelated",
@@ -45,7 +46,7 @@ def equipment_section(subject: Subject) -> list[Block]:
     tables = [
         (
             Text(table.name), Text(f"{table.azimuth_deg:g}"), Text(f"{table.elevation_deg:g}"),
-            Text(_known(table.axis_uncertainty_arcsec)), Text(_known(table.rate_uncertainty_ppm)),
+            Text(_axis_known(table)), Text(_known(table.rate_uncertainty_ppm)),
             Text(_known(table.angle_uncertainty_arcsec)),
         )
         for table in subject.tables
@@ -78,6 +79,13 @@ def equipment_section(subject: Subject) -> list[Block]:
 
 def _vector(axis: tuple[float, float, float]) -> str:
     return "(" + ", ".join(f"{value:.4g}" for value in axis) + ")"
+
+
+def _axis_known(table: ReportedTable) -> str:
+    """Return the uncertainty of an axis: one value, or azimuth and elevation."""
+    apart = (("azimuth", table.azimuth_uncertainty_arcsec), ("elevation", table.elevation_uncertainty_arcsec))
+    own = [f"{name} {value:.4g}" for name, value in apart if value is not None]
+    return ", ".join([*own, *([_known(table.axis_uncertainty_arcsec)] if len(own) < 2 else [])])
 
 
 def _known(value: float | None) -> str:
