@@ -1,4 +1,4 @@
-"""A bias that drifts in a static record is no column of temperatures in the wrong order; a reversed column is."""
+"""A bias that drifts, or bends with temperature, is no mistake in the columns of temperatures; a reversed column is."""
 
 from pathlib import Path
 
@@ -8,6 +8,7 @@ from seeded_mistakes import plant, says
 from valid_campaigns import KINDS, valid_campaign
 
 from imubayes.campaign import Inspection, inspect_campaign
+from imubayes.campaign.setup_gate.evidence import ErrorModel
 from imubayes.campaign.setup_gate.search import Search
 from imubayes.campaign.setup_gate.setup_findings import SETUP_FINDINGS
 
@@ -37,3 +38,24 @@ def test_a_reversed_column_is_named_where_a_ramp_goes_up_and_down(tmp_path: Path
     assert planted is not None
     inspection = inspect_campaign(tmp_path / "cycle")
     assert says(planted, " ".join(map(str, (*inspection.issues, *inspection.findings))))
+
+
+@pytest.mark.parametrize(
+    ("seed", "effect"), [(160040, "converter_offset_drift_quadratic"), (150005, "converter_leakage")]
+)
+def test_a_curve_of_the_converter_is_no_exchange_of_thermometers(
+    tmp_path: Path, seed: int, effect: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = random_campaign(tmp_path / "ramp", seed, "hidden", "thermal_ramp")
+    assert [each.effect for each in drawn.planted] == [effect]
+    assert not gate(inspect_campaign(tmp_path / "ramp"))
+    # The planted fault: only the temperature of the sensor bends the bias.
+    curved = ErrorModel._design
+
+    def straight(self, view, *others):
+        design = curved(self, view, *others)
+        design[:, :, 11] = 0.0
+        return design
+
+    monkeypatch.setattr(ErrorModel, "_design", straight)
+    assert gate(inspect_campaign(tmp_path / "ramp")) == {"thermometers_exchanged"}

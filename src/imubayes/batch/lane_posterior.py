@@ -165,7 +165,7 @@ def _fit(
     fit = judged_fit(model, mode)
     if not fit.converged:
         return fit
-    weak, bend = curved_directions(problem, mode)
+    weak, _, bend = curved_directions(problem, mode)
     approximation = NestedLaplace(z, found.h, axes, along, ExactPrecision(about), weak, bend)
     if approximation.other_modes(problem):
         return None

@@ -145,21 +145,43 @@ def weak_directions(
     problem: Problem, mode: Mode
 ) -> tuple[Float[Array, "P K"], Float[Array, "K K P"], TabulatedDirections | None]:
     """Return the weak directions about a mode, as of `curved_directions`, and the marginals that are not normal."""
-    weak, bend = curved_directions(problem, mode)
-    reach = np.asarray(jnp.sum(weak * (posterior_precision(problem, mode) @ weak), axis=0)) ** -0.5
+    weak, reach, bend = curved_directions(problem, mode)
     return weak, bend, tabulated_directions(problem, mode, weak, reach, bend)
 
 
-def curved_directions(problem: Problem, mode: Mode) -> tuple[Float[Array, "P K"], Float[Array, "K K P"]]:
-    """Return the weak directions about a mode, orthonormal, and the acceleration along every pair of them."""
-    eigenvalues, eigenvectors = np.linalg.eigh(np.asarray(posterior_precision(problem, mode)))
-    count = min(int(np.sum(eigenvalues < _WEAK_SD**-2)), _MOST_WEAK)
-    weak, strong = eigenvectors[:, :count], eigenvectors[:, count:]
-    inverse = jnp.asarray((strong / eigenvalues[None, count:]) @ strong.T)
-    size = mode.z.shape[0]
-    reach = jnp.asarray(eigenvalues[:count] ** -0.5)
-    weak = jnp.asarray(weak)
-    return weak, bends(problem, mode, weak, reach, inverse) if count else jnp.zeros((0, 0, size))
+def inverse_of_precision(precision: np.ndarray) -> np.ndarray:
+    """Return the inverse of a positive definite matrix, (P, P).
+
+    Some parameters of a servo table are determined to 1e-8 of their prior, and the eigenvalues of their precision
+    differ by more than the rounding of the largest.  Cholesky's factor does not depend on the scale of the parameters,
+    and weak directions are those of the largest variance, which rounding does not touch.
+    """
+    scale = np.sqrt(np.diag(precision))
+    correlated = precision / np.outer(scale, scale)
+    try:
+        lower = np.linalg.cholesky(correlated)
+    except np.linalg.LinAlgError:
+        lower = np.linalg.cholesky(correlated + len(scale) * np.finfo(float).eps * np.eye(len(scale)))
+    half = np.linalg.solve(lower, np.diag(1 / scale))
+    return half.T @ half
+
+
+def curved_directions(problem: Problem, mode: Mode) -> tuple[Float[Array, "P K"], np.ndarray, Float[Array, "K K P"]]:
+    """Return the weak directions about a mode.
+
+    Returns
+    -------
+    Orthonormal directions, the posterior standard deviation along each, (K,), and the acceleration along every pair.
+    """
+    covariance = inverse_of_precision(np.asarray(posterior_precision(problem, mode)))
+    variances, vectors = np.linalg.eigh(covariance)
+    count = min(int(np.sum(variances > _WEAK_SD**2)), _MOST_WEAK)
+    # The largest variance comes first, as the least precision.
+    weak, strong = vectors[:, ::-1][:, :count], vectors[:, ::-1][:, count:]
+    inverse = jnp.asarray((strong * variances[::-1][None, count:]) @ strong.T)
+    reach, weak = variances[::-1][:count] ** 0.5, jnp.asarray(weak)
+    none = jnp.zeros((0, 0, mode.z.shape[0]))
+    return weak, reach, bends(problem, mode, weak, jnp.asarray(reach), inverse) if count else none
 
 
 @kept

@@ -38,11 +38,11 @@ from imubayes.campaign.unit_grade import grade_of
 from imubayes.campaign_data import Campaign
 from imubayes.earth import earth_rate
 
-# Parameters of a channel: scale, two misalignments, bias, three of the temperature, three of g-sensitivity, two of the
-# converter's temperature; of gyros that feel the Earth rate alone six terms quadratic in g, of which every tumble makes
-# the same pattern.
-_OWN, _SQUARES = 12, ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
-_OF_TEMPERATURE = (4, 5, 6, 10, 11)
+# Parameters of a channel: scale, two misalignments, bias, three of the temperature, three of g-sensitivity, three of
+# the converter's temperature (as many as of the sensor's, or a curve would tell that the thermometers are exchanged);
+# of gyros that feel the Earth rate alone six terms quadratic in g, of which every tumble makes the same pattern.
+_OWN, _SQUARES = 13, ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
+_OF_TEMPERATURE = (4, 5, 6, 10, 11, 12)
 _WARM = 25.0
 
 
@@ -143,7 +143,7 @@ class ErrorModel:
             own = [width.scale, width.misalignment, width.misalignment, width.bias, width.bias_slope]
             first = self.own * k
             sd[first : first + 7] = [*own, width.bias_slope / 3, width.scale_slope]
-            sd[first + 10 : first + _OWN] = width.bias_slope, width.scale_slope
+            sd[first + 10 : first + _OWN] = width.bias_slope, width.bias_slope / 3, width.scale_slope
             sd[first + _OWN : first + self.own] = G_SQUARED
         for name, place in self.mountings.items():
             stated = campaign.mountings[name].uncertainty
@@ -211,7 +211,8 @@ class ErrorModel:
         design = np.empty((len(self.channels), view.rows, self.own + shared))
         design[:, :, :3], design[:, :, 3], design[:, :, 4], design[:, :, 5] = along, 1.0, warm, warm**2
         design[:, :, 6], design[:, :, 7:10] = warm * along[:, :, 0], in_g
-        design[:, :, 10], design[:, :, 11] = converter, converter * along[:, :, 0]
+        design[:, :, 10], design[:, :, 11] = converter, converter**2
+        design[:, :, 12] = converter * along[:, :, 0]
         for place, (a, b) in enumerate(self.squares, start=_OWN):
             design[:, :, place] = in_g[:, :, a] * in_g[:, :, b]
         place = self.own
