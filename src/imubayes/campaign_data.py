@@ -79,6 +79,7 @@ class Table:
     zero_uncertainty, squareness_uncertainty : of the zero of each axis and of the angle between successive axes, rad.
     intersection_uncertainty, arm_uncertainty : of the distance between successive axes and of the arm, m.
     azimuth_uncertainty, elevation_uncertainty : rad; None where they are that of the axis.
+    zero_angle : reading of the angle of the inner axis at its zero, rad; angles of runs are counted from that zero.
 
     All uncertainties are one sigma; 0 is exact.
     """
@@ -98,6 +99,7 @@ class Table:
     arm_uncertainty: float | None = None
     azimuth_uncertainty: float | None = None
     elevation_uncertainty: float | None = None
+    zero_angle: float = 0.0
 
     @property
     def tilt_uncertainty(self) -> tuple[float | None, float | None]:
@@ -231,6 +233,12 @@ class Campaign:
     def of_kind(self, kind: str) -> list[Channel]:
         """Return the channels of a kind, in order."""
         return [channel for channel in self.channels if channel.kind == kind]
+
+    def as_read(self, run: Run, covariate: str) -> np.ndarray:
+        """Return a covariate of a run as it was read, (R,) in SI: the angle of a table on its scale."""
+        table = self.tables.get(run.table or "")
+        zero = table.zero_angle if table is not None and covariate == "table_angle" else 0.0
+        return run.covariates[covariate] + zero
 
     def only(self, *names: str) -> "Campaign":
         """Return the campaign restricted to the named runs, in their original order."""

@@ -251,11 +251,14 @@ def test_settings_and_zero_angle_of_a_campaign(tmp_path: Path) -> None:
     columns = rate_log(Bench(hz=10.0, angle=True), Unit(), np.random.default_rng(8))
     columns.pop("a")
     plain = load_campaign(write(tmp_path, columns)).runs[0]
-    turned = load_campaign(write(tmp_path, columns, "zero_angle_deg = 90.0\nsettling_s = 20.0")).runs[0]
+    settled = load_campaign(write(tmp_path, columns, "settling_s = 20.0")).runs[0]
+    campaign = load_campaign(write(tmp_path, columns, "zero_angle_deg = 90.0\nsettling_s = 20.0"))
+    turned = campaign.runs[0]
     assert turned.samples.sum() < 0.7 * plain.samples.sum()
     at_rest = plain.covariates["table_rate"] == 0
     apart = (plain.covariates["table_angle"] - turned.covariates["table_angle"])[at_rest]
     np.testing.assert_allclose(np.rad2deg(apart), 90.0, atol=1e-3)
+    np.testing.assert_allclose(campaign.as_read(turned, "table_angle"), settled.covariates["table_angle"], atol=1e-12)
 
 
 def test_ringing_of_an_accelerometer_is_left_out() -> None:

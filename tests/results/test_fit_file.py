@@ -3,6 +3,7 @@
 import json
 import shutil
 import tomllib
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from imubayes.campaign import campaign_reader
 from imubayes.errors import InputError
 from imubayes.inference.run_fit import model_hash
 from imubayes.model.likelihood import residuals
+from imubayes.results.residuals import residuals_of
 from imubayes.results.result import read_result
 
 ROOT = Path(__file__).parents[2]
@@ -53,6 +55,17 @@ def test_the_fit_comes_back(place, result):
     whitened = np.asarray(residuals(found.model.problem, found.z, found.h))
     assert np.allclose(whitened, np.asarray(residuals(was.model.problem, was.z, was.h)), rtol=0, atol=1e-12)
     assert json.loads((place / "result" / "fit.json").read_text())["seed"] == 3
+
+
+def test_residuals_have_the_angle_that_the_scale_reads(result):
+    campaign = result.fit.model.campaign
+    turned = {name: replace(table, zero_angle=np.radians(90.0)) for name, table in campaign.tables.items()}
+    model = replace(result.fit.model, campaign=replace(campaign, tables=turned))
+    read, counted = (residuals_of(each).table for each in (replace(result.fit, model=model), result.fit))
+    apart = (read["table_angle_deg"] - counted["table_angle_deg"]).drop_nulls()
+    assert len(apart)
+    assert np.allclose(apart, 90.0)
+    assert read.drop("table_angle_deg").equals(counted.drop("table_angle_deg"))
 
 
 def test_the_set_up_is_judged_once(copy, monkeypatch):

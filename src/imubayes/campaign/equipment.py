@@ -76,6 +76,7 @@ def build_tables(entries: Mapping[int, TableEntry], ledger: Ledger) -> dict[str,
             _times(entry.arm_uncertainty_um, MICROMETRE),
             _times(entry.azimuth_uncertainty_arcsec, ARCSEC),
             _times(entry.elevation_uncertainty_arcsec, ARCSEC),
+            entry.zero_angle_deg * DEGREE,
         )
         for entry in entries.values()
     }

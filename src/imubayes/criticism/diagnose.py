@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from imubayes.campaign_data import Kind
+from imubayes.covariates import COVARIATES
 from imubayes.criticism import thresholds
 from imubayes.criticism.chain_stage import FoundStage, stages_of
 from imubayes.criticism.detectability import Detectability, detectability
@@ -51,6 +52,7 @@ from imubayes.effects.base import Effect, Stage
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.json_record import finite
+from imubayes.model.bind import Model
 from imubayes.step_counter import Tell, silent
 
 
@@ -398,9 +400,21 @@ def _outliers(found: SearchResult) -> tuple[Outlier, ...]:
             channel=channels[entries.channel[place]].name,
             row=int(entries.row[place]) + 1,
             distance=float(distance[place]),
+            time_s=_read(model, "time", place),
+            table_angle_deg=_read(model, "table_angle", place),
         )
         for place in np.argsort(-np.abs(distance), kind="stable")[: np.count_nonzero(distance)]
     )
+
+
+def _read(model: Model, covariate: str, place: int) -> float | None:
+    """Return what the row of an entry recorded of a covariate, in the unit of its column; None where nothing."""
+    run = model.campaign.runs[model.entries.run[place]]
+    if covariate not in run.covariates or model.entries.closing[place]:
+        return None
+    value = model.campaign.as_read(run, covariate)[model.entries.row[place]]
+    known = np.isfinite(value) and (run.table is not None or not covariate.startswith("table_"))
+    return float(value) / COVARIATES[covariate].factor() if known else None
 
 
 def _suggested(found: SearchResult, verdict: Verdict) -> EffectChoice | None:

@@ -223,12 +223,21 @@ class StrongestStructure(Record):
 
 
 class Outlier(Record):
-    """An outlying sample: `row` counts from 1; `distance` is its deletion residual in standard deviations."""
+    """An outlying sample.
+
+    Attributes
+    ----------
+    row : counts from 1; of a raw log, the rows are its means.
+    distance : deletion residual in standard deviations.
+    time_s, table_angle_deg : of the row, as recorded; None where it has none.
+    """
 
     run: str
     channel: str
     row: int
     distance: float
+    time_s: float | None = None
+    table_angle_deg: float | None = None
 
 
 class AskedEffect(Record):

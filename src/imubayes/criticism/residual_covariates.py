@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from imubayes.covariates import Covariate, regressors
+from imubayes.covariates import COVARIATES, Covariate, regressors
 from imubayes.inference.fitted_model import Fit
 from imubayes.kept_programs import kept
 from imubayes.model.problem import Problem, row_means, signal_path, values_of
@@ -42,6 +42,16 @@ def covariates(fitted: Fit) -> list[ResidualCovariate]:
         if _varies(known):
             found.append(ResidualCovariate(entry.column, entry.unit, known, entry.phrase, entry.periodic))
     return found
+
+
+def as_read(fitted: Fit, covariate: ResidualCovariate) -> np.ndarray:
+    """Return the values of a covariate as they were read, (E,): effects count the angle of a table from its zero."""
+    if covariate.name != COVARIATES["table_angle"].column:
+        return covariate.values
+    model = fitted.model
+    tables = [model.campaign.tables.get(run.table or "") for run in model.campaign.runs]
+    zeros = np.array([0.0 if table is None else table.zero_angle for table in tables])
+    return covariate.values + np.degrees(zeros)[model.entries.run]
 
 
 def _varies(values: np.ndarray) -> bool:

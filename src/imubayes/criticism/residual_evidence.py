@@ -9,7 +9,7 @@ from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
 from imubayes.criticism.free_form_dependence import Structure
 from imubayes.criticism.projection import PRIOR, Projection
-from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.criticism.residual_covariates import ResidualCovariate, as_read
 from imubayes.criticism.score_test import Candidate, ProjectedResponse
 
 
@@ -94,7 +94,7 @@ def residual_evidence(
         channel=channel,
         effect=candidate.effect,
         covariate=covariate,
-        at=covariate.values[here] if covariate is not None else explained[here] * factor,
+        at=as_read(projection.fitted, covariate)[here] if covariate is not None else explained[here] * factor,
         run=runs[model.entries.run[here]],
         residual=responses.misfit[here] * factor,
         explained=explained[here] * factor,

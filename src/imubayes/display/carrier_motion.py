@@ -38,10 +38,15 @@ def rotating_run(campaign: Campaign, name: str) -> Run:
     )
 
 
-def carrier_table(found: CarrierEstimate, gravity: float) -> pl.DataFrame:
-    """Return the motion of a carrier as a table in deg/s and g; with uncertainties where it is corrected."""
+def carrier_table(found: CarrierEstimate, gravity: float, zero_angle: float = 0.0) -> pl.DataFrame:
+    """Return the motion of a carrier as a table in deg/s and g; with uncertainties where it is corrected.
+
+    Parameters
+    ----------
+    zero_angle : reading of the table angle at the zero of the table, rad.
+    """
     motion = found.motion
-    columns = {"time_s": motion.time, "table_angle_deg": np.degrees(motion.angle)}
+    columns = {"time_s": motion.time, "table_angle_deg": np.degrees(motion.angle + zero_angle)}
     columns |= {f"rate_{axis}_deg_s": np.degrees(motion.rate[:, place]) for place, axis in enumerate("xyz")}
     columns |= {f"force_{axis}_g": motion.force[:, place] / gravity for place, axis in enumerate("xyz")}
     if found.corrected:
@@ -94,6 +99,7 @@ def modulation_picture(campaign: Campaign, run: Run) -> Picture | None:
 
 def write_carrier(file: Path, campaign: Campaign, run: Run, found: CarrierEstimate) -> list[Path]:
     """Write the table of the motion of a carrier, and the figure beside it; return the files."""
-    write_text(file, carrier_table(found, campaign.site.gravity).write_csv())
+    zero = campaign.tables[run.table].zero_angle if run.table else 0.0
+    write_text(file, carrier_table(found, campaign.site.gravity, zero).write_csv())
     drawn = modulation_picture(campaign, run)
     return [file, *([] if drawn is None else [drawn.save(file.with_suffix(".png"))])]

@@ -430,7 +430,9 @@ def structure_sheet(found: Diagnosis) -> Sheet:
         form = Cell(" ".join(part for part in (structure_shape(each), height) if part))
         rows.append((Cell(each.channel), Cell(each.covariate), Cell(each.test), Cell(chance_text(each.p), "bad"), form))
     head = ("channel", "depends on", "test", "p", "form")
-    note = _more(len(found.structure) - len(rows)).strip()
+    angle = any("φ" in structure_shape(each) for each in found.structure[:_MOST_STRUCTURES])
+    counted = " φ is counted from the zero of the table, not from that of its scale." if angle else ""
+    note = f"{_more(len(found.structure) - len(rows))}{counted}".strip()
     return Sheet("Structure in the residuals, whatever its cause", head, rows, (0, 1, 2, 4), "", note)
 
 
@@ -469,10 +471,15 @@ def recorded_noise_sheet(found: Diagnosis) -> Sheet:
 def outlier_sheet(found: Diagnosis) -> Sheet:
     """Return the outliers, the farthest first."""
     rows = [
-        (Cell(each.run), Cell(each.channel), Cell(str(each.row)), Cell(f"{each.distance:+.1f}"))
+        (
+            *(Cell(each.run), Cell(each.channel), Cell(str(each.row))),
+            *(Cell("–" if value is None else f"{value:.6g}") for value in (each.time_s, each.table_angle_deg)),
+            Cell(f"{each.distance:+.1f}"),
+        )
         for each in found.outliers[:_MOST_OUTLIERS]
     ]
     note = _more(len(found.outliers) - len(rows)) + (
         "Deletion residuals, in standard deviations of the other samples. The search excludes outliers."
     )
-    return Sheet("Outliers", ("run", "channel", "row", "residual / sd"), rows, (0, 1), "", note)
+    head = ("run", "channel", "row", "time / s", "table angle / °", "residual / sd")
+    return Sheet("Outliers", head, rows, (0, 1), "", note)

@@ -59,6 +59,9 @@ def residuals_of(fit: Fit) -> Residuals:
     to_input = np.where(closing, 1 / degree, per_output[place])
     offset = np.where(closing, 0.0, np.array([c.offset for c in channels])[place])
     residual = entries.value - predicted
+    # The angle of a table that a gyro drives is an output, and is shown on the scale of the table as well.
+    zeros = np.array([campaign.tables[run.table].zero_angle if run.table else 0.0 for run in campaign.runs])
+    reading = np.where(kind == "angle", np.degrees(zeros)[entries.run], 0.0)
     table = {
         "run": np.array([run.name for run in campaign.runs])[entries.run],
         "procedure": np.array([run.procedure for run in campaign.runs])[entries.run],
@@ -68,8 +71,8 @@ def residuals_of(fit: Fit) -> Residuals:
         "kind": kind,
         **_covariates(fit),
         "samples": entries.samples,
-        "observed": entries.value * to_output,
-        "predicted": predicted * to_output,
+        "observed": entries.value * to_output + reading,
+        "predicted": predicted * to_output + reading,
         "sd": sd * to_output,
         "model_sd": model_sd * to_output,
         "residual": residual * to_output,
@@ -84,7 +87,7 @@ def residuals_of(fit: Fit) -> Residuals:
 
 
 def _covariates(fit: Fit) -> dict[str, pl.Series]:
-    """Return each covariate per entry, null where the run lacks it or the entry is a closing rotation."""
+    """Return each covariate per entry as it was read; null where a run lacks it and for closing rotations."""
     campaign, entries = fit.model.campaign, fit.model.entries
     found = {}
     for covariate in shown():
@@ -93,7 +96,8 @@ def _covariates(fit: Fit) -> dict[str, pl.Series]:
         for index, run in enumerate(campaign.runs):
             chosen = (entries.run == index) & ~entries.closing
             if name in run.covariates and (run.table is not None or not name.startswith("table_")):
-                values[chosen] = run.covariates[name][entries.row[chosen]] / covariate.factor(campaign.site.gravity)
+                read = campaign.as_read(run, name) / covariate.factor(campaign.site.gravity)
+                values[chosen] = read[entries.row[chosen]]
                 known[chosen] = True
         found[column] = pl.Series(column, [v if k else None for v, k in zip(values, known, strict=True)], pl.Float64)
     return found
