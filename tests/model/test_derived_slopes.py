@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from imubayes.model.bind import bind
 from imubayes.model.derived_quantities import derived_jacobian, derived_quantities, evaluate_derived
@@ -38,3 +39,22 @@ def test_slopes_are_compared_where_the_model_has_a_drift_of_the_converter():
     }
     assert not [name for name in names["accel_bias"] if name.startswith("delta_k")]
     assert {"delta_k[ax,inject]", "delta_k[ax,inject-low]"} & set(names["converter_gain_drift"])
+
+
+def test_input_axes_are_the_tilted_nominal_axes():
+    """By trigonometry of the angles, and only of channels that have a misalignment."""
+    model = bind(spec("gyro_misalignment", "gyro_scale_factor", "accel_scale_factor"), campaign())
+    derived, z = derived_quantities(model.assembly), np.random.default_rng(2).normal(size=model.problem.size[0])
+    names = [one.name for one in derived.names]
+    found = dict(zip(names, evaluate_derived(derived.derivation, model.problem, z[None])[0], strict=True))
+    values = dict(zip(model.layout.names, np.asarray(values_of(model.problem, jnp.asarray(z))), strict=False))
+    gyros = campaign().of_kind("gyro")
+    assert len([name for name in names if name.startswith("input_axis[")]) == 3 * len(gyros)
+    for gyro in gyros:
+        axis = np.array([found[f"input_axis[{gyro.name},{component}]"] for component in "xyz"])
+        along, second, third = (float(axis @ direction) for direction in gyro.axes)
+        assert np.hypot(np.hypot(along, second), third) - 1 == pytest.approx(0, abs=1e-14)
+        for name, part in (("toward_o", second), ("toward_s", third)):
+            angle = values[f"gyro_misalignment.{name}[{gyro.name}]"]
+            assert abs(angle) > 1e-5
+            assert part / along == pytest.approx(angle, rel=1e-9)

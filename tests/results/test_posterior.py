@@ -35,6 +35,11 @@ def test_labels_are_dimensions(result, tree):
     assert float(scale.mean()) == pytest.approx(estimates[f"{SCALE}[gx]"].mean)
     angle = posterior["mounting_angle"].sel(channel="ax", mounting="pyramid")
     assert float(angle.std()) == pytest.approx(estimates["mounting_angle[ax,pyramid]"].sd)
+    axis = posterior["input_axis"].sel(channel="gz")
+    assert posterior["input_axis"].dims == ("chain", "draw", "channel", "component")
+    assert axis.component.values.tolist() == ["x", "y", "z"]
+    np.testing.assert_allclose((axis**2).sum("component"), 1.0, rtol=1e-12)
+    assert float(axis.sel(component="x").std()) == pytest.approx(estimates["input_axis[gz,x]"].sd)
     assert list(posterior["axis_angle"].axis_pair.values[:2]) == ["ax,ay", "ax,az"]
 
 

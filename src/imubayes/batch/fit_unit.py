@@ -139,11 +139,14 @@ def quantiles_of(draws: np.ndarray) -> np.ndarray:
 
 
 def _derived(fit: Fit) -> tuple[Quantities, ...]:
-    posterior, names = fit.posterior, fit.derived.names
+    posterior = fit.posterior
     assert posterior is not None
-    if not names:
+    # Components of input axes are left out: they tell nothing beyond the misalignments.
+    places = [place for place, each in enumerate(fit.derived.names) if not each.name.startswith("input_axis[")]
+    if not places:
         return ()
-    draws, prior = posterior.derived, posterior.prior_derived
+    names = [fit.derived.names[place] for place in places]
+    draws, prior = posterior.derived[:, places], posterior.prior_derived[:, places]
     fixed = np.array([is_constant(column) for column in prior.T])
     share = np.where(fixed, np.nan, from_data(draws.var(axis=0), np.where(fixed, 1.0, prior.var(axis=0))))
     return (

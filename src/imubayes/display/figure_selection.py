@@ -173,7 +173,8 @@ def corner_choice(summary: Summary, draws: Mapping[str, np.ndarray], most: int =
     most : number of quantities.
     """
     of_interest = [entry.name for entry in summary.parameters if not entry.nuisance]
-    chosen = _correlated([entry.name for entry in summary.derived], draws) + _correlated(of_interest, draws)
+    derived = [entry.name for entry in summary.derived if not entry.repeats_misalignments]
+    chosen = _correlated(derived, draws) + _correlated(of_interest, draws)
     if len(chosen) < 2:
         chosen = _angles_with_scales(summary, most // 2)
     if len(chosen) < 2:

@@ -20,6 +20,7 @@ SAMPLE = ("chain", "draw")
 # What the labels of a derived quantity are.
 _DERIVED_LABELS = {
     "scale_factor": ("channel",),
+    "input_axis": ("channel", "component"),
     "mounting_angle": ("channel", "mounting"),
     "axis_angle": ("axis", "axis"),
     "delta_k": ("channel", "run"),
@@ -36,7 +37,7 @@ class Members:
     Attributes
     ----------
     owner : effect or derived quantity that the variable belongs to.
-    kinds : what each part of a label names: channel, run, mounting, table, pose.
+    kinds : what each part of a label names: channel, component, run, mounting, table, pose.
     columns, labels, units : of each member, its place in a flat array of draws, its label and its unit.
     """
 

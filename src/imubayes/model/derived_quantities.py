@@ -1,6 +1,6 @@
 """Derived quantities of a model: their names and units, and the function that computes them."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -46,12 +46,14 @@ class DerivedFunction(eqx.Module):
     Attributes
     ----------
     inputs : the nodes and layers at which the path is evaluated.
+    tilting : kind → places of the channels whose input axes parameters tilt.
     pairs : kind → shape (pairs, 2), channels whose axes are compared.
     thermal_pairs : kind → shape (n, 3): channel, run, and the run with the input nearest 1 g.
     factors : shape (D,), divides the numbers found.
     """
 
     inputs: SensitivityInputs
+    tilting: dict[str, Int[Array, " _"]]
     pairs: dict[str, Int[Array, "_ 2"]]
     thermal_pairs: dict[str, Int[Array, "_ 3"]]
     factors: Float[Array, " D"]
@@ -66,6 +68,7 @@ class DerivedFunction(eqx.Module):
                 toward = jnp.sign(jnp.sum(response[kind] * self.inputs.channels[kind].axes[:, 0], axis=-1))
                 parts.append(toward * jnp.sqrt(jnp.sum(response[kind] ** 2, axis=-1)))
                 sensitive = response[kind] * toward[:, None]
+                parts.append(unit_vectors(sensitive[self.tilting[kind]]).reshape(-1))
                 parts.append(angle_between(sensitive[:, None, :], axes[None, :, :]).reshape(-1))
                 first, second = self.pairs[kind][:, 0], self.pairs[kind][:, 1]
                 parts.append(angle_between(sensitive[first], sensitive[second]))
@@ -130,12 +133,14 @@ def derived_quantities(assembly: Assembly) -> DerivedQuantities:
     thermal = _thermal_runs(assembly)
     names: list[DerivedQuantity] = []
     thermal_names: list[DerivedQuantity] = []
-    pairs, thermal_pairs = {}, {}
+    tilting, pairs, thermal_pairs = {}, {}, {}
+    tilted = _tilted_channels(assembly)
     for kind in assembly.channels:
         channels = campaign.of_kind(kind)
         # The angle between two axes; of a redundant unit every pair, since none is special.
         couples = list(combinations(range(len(channels)), 2))
-        names += _quantities_of_kind(channels, mountings, couples, campaign.site.gravity)
+        tilting[kind] = np.array([place for place, c in enumerate(channels) if c.name in tilted], dtype=int)
+        names += _quantities_of_kind(channels, tilted, mountings, couples, campaign.site.gravity)
         pairs[kind] = np.array(couples, dtype=int).reshape(-1, 2)
         rows = _thermal_comparisons(assembly, channels, thermal) if kind == "accelerometer" else []
         for column, place, _ in rows:
@@ -153,20 +158,38 @@ def derived_quantities(assembly: Assembly) -> DerivedQuantities:
         thermal_input={kind: np.where(np.abs(si) < 1e-12, 1.0, si) for kind, si in thermal.inputs.items()},
     )
     factors = np.array([name.factor for name in names])
-    return DerivedQuantities(tuple(names), on_device(DerivedFunction(inputs, pairs, thermal_pairs, factors)))
+    return DerivedQuantities(tuple(names), on_device(DerivedFunction(inputs, tilting, pairs, thermal_pairs, factors)))
+
+
+def _tilted_channels(assembly: Assembly) -> set[str]:
+    """Return the channels whose input axes an effect tilts; the axes of the others are the nominal ones."""
+    return {
+        channel
+        for effect in assembly.effects
+        if issubclass(effect.effect_class, Effect)
+        and effect.effect_class.stage == Stage.SENSOR
+        and effect.effect_class.order == Order.AXIS
+        for channel in effect.channels
+    }
 
 
 def _quantities_of_kind(
-    channels: Sequence[Channel], mountings: Sequence[str], couples: Sequence[tuple[int, int]], gravity: float
+    channels: Sequence[Channel],
+    tilted: Container[str],
+    mountings: Sequence[str],
+    couples: Sequence[tuple[int, int]],
+    gravity: float,
 ) -> list[DerivedQuantity]:
-    """Return scale factors, mounting angles and angles between the axes of the channels of one kind."""
+    """Return scale factors, input axes, mounting angles and angles between the axes of the channels of one kind."""
     scales = [
         DerivedQuantity(f"scale_factor[{c.name}]", f"{c.output_unit} per {c.per}", 1 / to_si(c.per, gravity))
         for c in channels
     ]
+    axes = [f"input_axis[{c.name},{component}]" for c in channels if c.name in tilted for component in "xyz"]
+    vectors = [DerivedQuantity(name, "1", 1.0) for name in axes]
     angles = [f"mounting_angle[{channel.name},{mounting}]" for channel in channels for mounting in mountings]
     angles += [f"axis_angle[{channels[i].name},{channels[j].name}]" for i, j in couples]
-    return scales + [DerivedQuantity(name, "deg", to_si("deg")) for name in angles]
+    return scales + vectors + [DerivedQuantity(name, "deg", to_si("deg")) for name in angles]
 
 
 @dataclass(frozen=True)

@@ -264,7 +264,11 @@ def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) ->
             (each.effect, ", ".join(each.needs)) for each in undetectable if each.reason == "not_supplied"
         ),
         weak_directions=result.summary.weak_directions,
-        from_priors=tuple(line.name for line in lines if line.from_data is not None and line.from_data < _UNDETERMINED),
+        from_priors=tuple(
+            line.name
+            for line in lines
+            if line.from_data is not None and line.from_data < _UNDETERMINED and not line.repeats_misalignments
+        ),
     )
 
 

@@ -100,7 +100,9 @@ def _kept(file: Path) -> KeptBudgets | None:
 
 def _computed(result: Result, unit: TestedUnit) -> UncertaintyBudgets:
     draws = unit.quantities.draws
-    names = [name for name in posterior_quantities(result).entries if not is_constant(draws[name])]
+    # The component along a nominal axis has no gradient there; the budgets of the misalignments say it all.
+    entries = posterior_quantities(result).entries.values()
+    names = [line.name for line in entries if not line.repeats_misalignments and not is_constant(draws[line.name])]
     arrays = budget_of(result, names, functions_of_quantities(result, unit))
     widths = tuple(finite(parameter.prior_sd) for parameter in arrays.priors)
     parts = _Parts(result, unit, arrays, widths)

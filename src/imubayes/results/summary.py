@@ -38,6 +38,11 @@ class Quantity(Record):
     prior_sd: float | None = None
     from_data: float | None = None
 
+    @property
+    def repeats_misalignments(self) -> bool:
+        """Whether it is a component of an input axis, which tells nothing beyond the misalignments."""
+        return self.name.startswith("input_axis[")
+
 
 class ParameterSummary(Quantity):
     """A parameter: `map` is the posterior mode, the others are sampling diagnostics (None without sampling)."""

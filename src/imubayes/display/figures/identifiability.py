@@ -31,7 +31,7 @@ def identifiability_figure(summary: Summary) -> Picture:
     entries = [
         (entry.from_data, entry.name)
         for entry in (*summary.parameters, *summary.derived)
-        if entry.from_data is not None and not is_nuisance(entry)
+        if entry.from_data is not None and not is_nuisance(entry) and not entry.repeats_misalignments
     ]
     if not entries:
         raise ValueError("the summary gives the share from the data for no quantity")

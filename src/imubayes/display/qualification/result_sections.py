@@ -198,7 +198,8 @@ def _delta_k_table(lines: Sequence[ThermalLinearity]) -> ReportTable:
 def result_section(report: QualificationReport) -> list[Block]:
     """Return the full result table."""
     parameters = [line for line in report.results if line.kind == "parameter"]
-    derived = [line for line in report.results if line.kind == "derived"]
+    axes = [line for line in report.results if line.name.startswith("input_axis[")]
+    derived = [line for line in report.results if line.kind == "derived" and line not in axes]
     note = (
         "u: standard uncertainty, the standard deviation of the joint posterior (GUM, type A and B combined). Digits "
         "are those that the Monte Carlo error leaves (JCGM 101, 7.9). From data: 1 − posterior variance / prior "
@@ -212,7 +213,19 @@ def result_section(report: QualificationReport) -> list[Block]:
             head = ("quantity", "estimate", "u", "95 % interval", "unit", "from data")
             found.append(ReportTable(caption, head, rows, (0, 4), note))
             note = ""
-    return found
+    return [*found, *([_axis_table(axes)] if axes else [])]
+
+
+def _axis_table(lines: Sequence[ResultLine]) -> ReportTable:
+    """Return the input axes as vectors, a row for each channel."""
+    cells: dict[str, list[Text]] = {}
+    for line in lines:
+        estimate, u, _, _ = stated(line)
+        channel = line.name.partition("[")[2].partition(",")[0]
+        cells.setdefault(channel, []).append(Text(estimate if estimate == u else f"{estimate} ± {u}"))
+    rows = [(Text(channel), *own) for channel, own in cells.items()]
+    note = "Components of the unit vectors in body axes; their budgets are those of the misalignments."
+    return ReportTable("Input axes (input_axis)", ("channel", "x", "y", "z"), rows, (0,), note)
 
 
 def _result_row(line: ReportedEstimate) -> tuple[Text, ...]:
