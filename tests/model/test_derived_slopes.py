@@ -27,7 +27,9 @@ def test_batches_and_jacobian_agree_with_single_points():
     found = derived_jacobian(derived, problem, points[1])
     assert np.any(found != 0)
     largest = np.maximum(np.abs(slopes).max(axis=1, keepdims=True), 1e-30)
-    np.testing.assert_allclose(found / largest, slopes / largest, rtol=1e-6, atol=1e-7)
+    # Beside that the rounding of the values over the step: a component near 1 hardly changes.
+    rounding = 4 * np.finfo(float).eps * np.abs(values)[:, None] / 1e-3
+    assert np.all(np.abs(found - slopes) <= 1e-6 * np.abs(slopes) + 1e-7 * largest + rounding)
     assert evaluate_derived(derived, problem, np.zeros((0, points.shape[1]))).shape == (0, len(values))
 
 

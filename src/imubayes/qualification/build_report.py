@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +51,7 @@ from imubayes.results.history_tree import read_tree
 from imubayes.results.loop_files import read_diagnosis
 from imubayes.results.posterior_draws import draws_of
 from imubayes.results.result import Result, read_result
-from imubayes.results.summary import ParameterSummary
+from imubayes.results.summary import ParameterSummary, Quantity
 
 # Share of the information below which a quantity is not determined by the data.
 _UNDETERMINED = 0.1
@@ -255,7 +256,7 @@ def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) ->
             )
     starts = sorted(run.start for run in campaign.runs if run.start is not None)
     undetectable = diagnosis.undetectable if diagnosis is not None else ()
-    lines = (*result.summary.parameters, *result.summary.derived)
+    lines = [*result.summary.parameters, *(each for each in result.summary.derived if not each.repeats_misalignments)]
     return StatisticalScope(
         ranges=tuple(ranges),
         first_start=starts[0] if starts else None,
@@ -264,12 +265,12 @@ def scope_of(campaign: Campaign, result: Result, diagnosis: Diagnosis | None) ->
             (each.effect, ", ".join(each.needs)) for each in undetectable if each.reason == "not_supplied"
         ),
         weak_directions=result.summary.weak_directions,
-        from_priors=tuple(
-            line.name
-            for line in lines
-            if line.from_data is not None and line.from_data < _UNDETERMINED and not line.repeats_misalignments
-        ),
+        from_priors=_from_priors(lines),
     )
+
+
+def _from_priors(lines: Sequence[Quantity]) -> tuple[str, ...]:
+    return tuple(line.name for line in lines if line.from_data is not None and line.from_data < _UNDETERMINED)
 
 
 def pictures_of(
