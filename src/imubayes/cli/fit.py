@@ -49,7 +49,7 @@ def fit(
     as_json
         Print summary.json on standard output.
     verbose
-        List every parameter, also those of single poses.
+        Print every table: all parameters with intervals, runs, combinations, contributions of procedures.
     """
     from imubayes.cli.beside import inspecting
 

@@ -42,9 +42,16 @@ def weighted_sum(quantities: tuple[str, ...], weights: tuple[float, ...]) -> str
     return text
 
 
-def combination_sheet(summary: Summary, most: int = 24) -> Sheet:
-    """Return the combinations that the data determine much better than each of their members, at most `most`."""
-    shown = summary.combinations[:most]
+def combination_sheet(summary: Summary, most: int = 24, standard: bool = False) -> Sheet:
+    """Return the combinations that the data determine much better than each of their members.
+
+    Parameters
+    ----------
+    most : number of rows.
+    standard : only those that have a symbol in the standard of a test.
+    """
+    known = [found for found in summary.combinations if found.standard or not standard]
+    shown = known[:most]
     rows = [_row(found) for found in shown]
     few = [
         (
@@ -53,7 +60,7 @@ def combination_sheet(summary: Summary, most: int = 24) -> Sheet:
         )
         for found in shown
     ]
-    title, note = "Determined combinations", (_NOTE + more(len(summary.combinations) - len(shown))).strip()
+    title, note = "Determined combinations", (_NOTE + more(len(known) - len(shown))).strip()
     narrow = Sheet(title, ("combination", "estimate ± sd"), few, (0, 1), alarm_of(summary), note)
     head = ("symbol", "combination", "estimate", "sd", summary.interval, "unit")
     return Sheet(title, head, rows, (0, 1, 5), alarm_of(summary), note, narrow=narrow)

@@ -129,7 +129,7 @@ def next_run_sheet(summary: Summary) -> Sheet:
     designs = [run_design_text(run.run) for run in summary.next_runs]
     first = [not place or designs[place] != designs[place - 1] for place in range(len(designs))]
     rows = [
-        (Cell(design if new else ""), Cell(run.quantity), Cell(_narrowing(run)))
+        (Cell(design if new else ""), Cell(run.quantity), Cell(narrowing_text(run)))
         for design, new, run in zip(designs, first, summary.next_runs, strict=True)
     ]
     dividers = frozenset(place for place, new in enumerate(first) if new and place)
@@ -137,7 +137,8 @@ def next_run_sheet(summary: Summary) -> Sheet:
     return Sheet("Most informative next runs", head, rows, (0, 1, 2), "", note, dividers)
 
 
-def _narrowing(run: NextRun) -> str:
+def narrowing_text(run: NextRun) -> str:
+    """Return the standard deviation of the quantity of a candidate run before and after it."""
     factor, unit = readable(run.unit, abs(run.sd_before))
     sizes: Iterable[float] = (run.sd_before, run.sd_after)
     return f"{' → '.join(significant(sd * factor, 2) for sd in sizes)} {pretty(unit)}"

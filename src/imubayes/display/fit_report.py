@@ -1,47 +1,96 @@
 """A fit and its classical evaluation as reports for the terminal."""
 
+from dataclasses import replace
+
+from imubayes.display.calibration_sheet import MARK, CalibrationSheet, axis_sheet, calibration_sheets
 from imubayes.display.classical_comparison import (
     ClassicalComparison,
     classical_sheet,
     decision_sheet,
     undetermined_sheet,
 )
-from imubayes.display.combination_tables import combination_sheet, weak_sheet
+from imubayes.display.combination_tables import combination_sheet, weak_sheet, weak_text
 from imubayes.display.fit_cautions import alarm_of, notices
-from imubayes.display.fit_quality_tables import contribution_sheet, next_run_sheet, run_sheet
+from imubayes.display.fit_quality_tables import (
+    NOT_DETERMINED,
+    contribution_sheet,
+    narrowing_text,
+    next_run_sheet,
+    run_sheet,
+)
+from imubayes.display.labels import listed
 from imubayes.display.prior_conflicts import conflict_sheet
-from imubayes.display.quantity_tables import derived_sheet, is_undetermined, parameter_sheet
+from imubayes.display.quantity_tables import (
+    derived_sheet,
+    is_nuisance,
+    is_undetermined,
+    parameter_sheet,
+    sampling_note,
+    scale_and_angle_sheet,
+)
 from imubayes.display.report_layout import Report
-from imubayes.display.table_layout import without_alarm
+from imubayes.display.rounding import percent
+from imubayes.display.run_design_words import run_design_text
+from imubayes.display.table_layout import Sheet, without_alarm
 from imubayes.results.summary import Summary
 
-_FEW_COMBINATIONS, _MANY_COMBINATIONS = 8, 24
+_FEW_COMBINATIONS = 8
 
 
 def summary_report(summary: Summary, verbose: bool = False) -> Report:
-    """Return a summary; nuisance parameters, such as attitudes of poses, and single runs only where `verbose`."""
-    most = _MANY_COMBINATIONS if verbose else _FEW_COMBINATIONS
-    sheets = [parameter_sheet(summary, nuisance=verbose), derived_sheet(summary)]
-    sheets += [run_sheet(summary)] if verbose else []
-    sheets += [combination_sheet(summary, most)] if summary.combinations else []
-    sheets += [
-        weak_sheet(summary),
-        conflict_sheet(summary.prior_conflicts),
-        next_run_sheet(summary),
-        contribution_sheet(summary),
-    ]
+    """Return the calibration of each channel and the mounting angles; every table where `verbose`."""
+    of_channels = calibration_sheets(summary)
+    sheets: list[Sheet | CalibrationSheet] = [*of_channels, axis_sheet(summary)]
+    brief = (scale_and_angle_sheet(summary), combination_sheet(summary, _FEW_COMBINATIONS, standard=True))
+    sheets += _every_table(summary) if verbose else brief
+    sheets += [conflict_sheet(summary.prior_conflicts)]
+    weak = () if verbose else _weak_lines(summary)
     chi2 = "–" if summary.chi2 is None else f"{summary.chi2:.1f}"
+    meaning = f"intervals are {summary.interval}; " if verbose else ""
     closing = (
         f"{_outcome(summary)} chi2 {chi2} for {summary.dof:.0f} degrees of freedom; "
         f"fit {summary.seconds.fit:.1f} s, sampling {summary.seconds.sample:.1f} s; "
-        f"intervals are {summary.interval}; uncertainty is the {summary.uncertainty}"
+        f"{meaning}uncertainty is the {summary.uncertainty if verbose else 'posterior standard deviation'}"
     )
     # A warning stands on the first line, above the first table; nothing comes before it.
-    said = notices(summary)
-    if not alarm_of(summary):
-        return Report(said, sheets, (closing,))
-    shown = [sheet for sheet in sheets if sheet.rows]
-    return Report((), [*shown[:1], *(without_alarm(sheet) for sheet in shown[1:])], (*said, closing))
+    said, alarm = notices(summary), alarm_of(summary)
+    if not alarm:
+        return Report(said, sheets, (*weak, closing))
+    first, *others = [sheet for sheet in sheets if sheet.blocks()]
+    rest = [without_alarm(sheet) if isinstance(sheet, Sheet) else sheet for sheet in others]
+    return Report((), [replace(first, alarm=alarm), *rest], (*said, *weak, closing))
+
+
+def _every_table(summary: Summary) -> list[Sheet]:
+    return [
+        parameter_sheet(summary, nuisance=True),
+        derived_sheet(summary),
+        run_sheet(summary),
+        combination_sheet(summary),
+        weak_sheet(summary),
+        next_run_sheet(summary),
+        contribution_sheet(summary),
+    ]
+
+
+def _weak_lines(summary: Summary) -> tuple[str, ...]:
+    """Return what is not or weakly determined, the run that would determine most of it, and where the tables are."""
+    loose = [entry.name for entry in summary.parameters if is_undetermined(entry) and not is_nuisance(entry)]
+    confused = [weak_text(found) for found in summary.weak_directions if found.kind == "confusion"]
+    weak = len(summary.weak_directions) - len(confused)
+    said = [f"{MARK} Not determined (less than {percent(NOT_DETERMINED)} from the data): {listed(loose)}."] * bool(
+        loose
+    )
+    said += [f"Not separated: {listed(confused, 2)}."] * bool(confused)
+    sums = len(summary.combinations)
+    determined = f"; sums of their members that are determined: {sums}" if sums else ""
+    said += [f"Weakly determined combinations: {weak}{determined}."] * bool(weak)
+    if summary.next_runs:
+        first = summary.next_runs[0]
+        said.append(f"Next run: {run_design_text(first.run)} ({first.quantity}: sd {narrowing_text(first)}).")
+    said += [sampling_note(summary.parameters).strip()] if summary.sampled else []
+    where = f"All {len(summary.parameters)} parameters and every table: --verbose."
+    return (" ".join([*filter(None, said), where]),)
 
 
 def _outcome(summary: Summary) -> str:

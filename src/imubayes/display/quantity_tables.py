@@ -6,7 +6,7 @@ from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.fit_quality_tables import NOT_DETERMINED, more
 from imubayes.display.labels import pretty
 from imubayes.display.rounding import is_exact, percent, rounded, value_and_sd
-from imubayes.display.table_layout import Cell, Sheet
+from imubayes.display.table_layout import Cell, Sheet, without_dividers
 from imubayes.results.summary import ParameterSummary, Quantity, Summary
 
 R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
@@ -16,6 +16,16 @@ _MEANING = "sd: standard uncertainty. from data: 1 − (sd/prior sd)² on the sc
 def parameter_sheet(summary: Summary, most: int | None = None, nuisance: bool = False) -> Sheet:
     """Return the parameters, those of single poses only where `nuisance`; at most `most`, the questionable first."""
     return _quantities(summary, summary.parameters, "Parameters", most, nuisance)
+
+
+def scale_and_angle_sheet(summary: Summary) -> Sheet:
+    """Return the derived quantities but for angles between axes and the vectors of the input axes."""
+    own = [
+        entry
+        for entry in summary.derived
+        if not entry.repeats_misalignments and not entry.name.startswith("axis_angle[")
+    ]
+    return without_dividers(_quantities(summary, own, "Derived quantities", None, nuisance=False))
 
 
 def derived_sheet(summary: Summary, most: int | None = None) -> Sheet:
@@ -46,7 +56,7 @@ def is_nuisance(entry: Quantity) -> bool:
 
 
 def _note(entries: Sequence[Quantity], left_out: int) -> str:
-    note = _MEANING + _sampling_note(entries)
+    note = _MEANING + sampling_note(entries)
     undetermined = sum(map(is_undetermined, entries))
     if undetermined:
         note += (
@@ -107,7 +117,7 @@ def _unsettled(entry: Quantity) -> bool:
     return any(cell.mood == "bad" for cell in _sampling_cells(entry))
 
 
-def _sampling_note(entries: Sequence[Quantity]) -> str:
+def sampling_note(entries: Sequence[Quantity]) -> str:
     """Return the worst R̂ and effective size, which replace the columns where all is well."""
     r_hats = [r_hat for r_hat in map(_r_hat, entries) if r_hat is not None]
     sizes = [size for size in map(_effective_size, entries) if size is not None]

@@ -7,7 +7,7 @@ from html import escape
 
 from rich.console import Console
 
-from imubayes.display.table_layout import Sheet, sheet_html, terminal
+from imubayes.display.table_layout import Tabular, sheet_html, terminal
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class Report:
     """Lines said first, tables of evidence (those without rows are left out), and lines said last."""
 
     lines: Sequence[str]
-    sheets: Sequence[Sheet] = ()
+    sheets: Sequence[Tabular] = ()
     closing: Sequence[str] = ()
 
 
@@ -24,8 +24,10 @@ def print_report(report: Report, console: Console | None = None) -> None:
     console = console or Console()
     _print_lines(console, report.lines)
     for sheet in report.sheets:
-        if sheet.rows:
-            console.print(terminal(sheet))
+        for block in sheet.blocks(console.width):
+            console.print(terminal(block))
+            if block.dense:
+                console.print()
     _print_lines(console, report.closing)
 
 
@@ -41,7 +43,7 @@ def report_text(report: Report, width: int = 120) -> str:
 
 def report_html(report: Report) -> str:
     """Return a report as HTML for a notebook."""
-    tables = "".join(sheet_html(sheet) for sheet in report.sheets if sheet.rows)
+    tables = "".join(sheet_html(block) for sheet in report.sheets for block in sheet.blocks())
     return _paragraphs(report.lines) + tables + _paragraphs(report.closing)
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from rich import box
 from rich.console import Console, ConsoleOptions
@@ -25,6 +25,15 @@ class Cell:
     mood: str = ""
 
 
+@runtime_checkable
+class Tabular(Protocol):
+    """What comes in one or several tables, depending on the room there is."""
+
+    def blocks(self, width: int | None = None) -> Sequence["Sheet"]:
+        """Return the tables for a medium of so many columns; none where there is nothing to show."""
+        ...
+
+
 @dataclass(frozen=True)
 class Sheet:
     """A table independent of the medium.
@@ -37,6 +46,7 @@ class Sheet:
     note : explanation below the table.
     dividers : rows before which a new group begins.
     narrow : the same content in fewer columns, for narrow terminals.
+    dense : without margins on the terminal.
     """
 
     title: str
@@ -47,11 +57,22 @@ class Sheet:
     note: str = ""
     dividers: frozenset[int] = field(default_factory=frozenset)
     narrow: "Sheet | None" = None
+    dense: bool = False
+
+    def blocks(self, width: int | None = None) -> Sequence["Sheet"]:
+        """Return the table, whatever the width, unless it has no rows."""
+        return [self] if self.rows else []
 
 
 def without_alarm(sheet: Sheet) -> Sheet:
     """Return a sheet without its warning, which another sheet above has said."""
     return replace(sheet, alarm="", narrow=None if sheet.narrow is None else without_alarm(sheet.narrow))
+
+
+def without_dividers(sheet: Sheet) -> Sheet:
+    """Return a sheet whose rows follow one another without gaps."""
+    narrow = None if sheet.narrow is None else without_dividers(sheet.narrow)
+    return replace(sheet, dividers=frozenset(), narrow=narrow)
 
 
 def of_columns(sheet: Sheet, places: Sequence[int]) -> Sheet:
@@ -84,13 +105,15 @@ class SheetTable(Table):
     def __init__(self, sheet: Sheet, narrow: "SheetTable | None" = None):
         alarm = f"{sheet.alarm}\n" if sheet.alarm else ""
         super().__init__(
-            title=Text.assemble((alarm, "bold red"), (sheet.title, "bold")),
+            title=Text.assemble((alarm, "bold red"), (sheet.title, "bold")) if alarm or sheet.title else None,
             title_justify="left",
             caption=Text(sheet.note, style="dim") if sheet.note else None,
             caption_justify="left",
             box=box.SIMPLE_HEAD,
             header_style="bold",
             pad_edge=False,
+            padding=(0, 1, 0, 0) if sheet.dense else (0, 1),
+            show_edge=not sheet.dense,
         )
         self._title_width = len(sheet.title) + 2
         self._narrow = narrow
