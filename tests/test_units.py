@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy import constants
 
 from imubayes.errors import InputError
-from imubayes.units import dimension, same_dimension, to_si
+from imubayes.units import dimension, same_dimension, to_si, with_output_unit
 
 SITE = 9.7966
 EXPECTED = {
@@ -138,3 +138,17 @@ def test_a_quotient_of_units_is_the_quotient_of_their_values(one, other, gravity
     if "/" not in other and "^" not in other:
         quotient = to_si(f"{one}/{other}", gravity)
         assert math.isclose(quotient, to_si(one, gravity) / to_si(other, gravity), rel_tol=1e-14)
+
+
+def test_output_is_shown_as_the_unit_of_the_channel():
+    shown = {
+        ("output", "mV"): "mV",
+        ("output/degC", "counts/s"): "counts/s/degC",
+        ("output/(degC/min)", "V"): "V/(degC/min)",
+        ("ppm/output", "counts/s"): "ppm/(counts/s)",
+        ("ppm/output^2", "counts/s"): "ppm/(counts/s)^2",
+        ("ppm/output^2", "V"): "ppm/V^2",
+        ("output", ""): "output",
+        ("deg/h", "V"): "deg/h",
+    }
+    assert {key: with_output_unit(*key) for key in shown} == shown

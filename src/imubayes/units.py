@@ -88,6 +88,18 @@ def to_si(
     return factor * gravity**gravity_power
 
 
+def with_output_unit(unit: str, output: str) -> str:
+    """Return a unit as it is shown, with a channel's own output unit for `output`: output/degC → pulse/s/degC.
+
+    Model files keep `output`: the output unit of a channel is free text, which no prior can be parsed with.
+    """
+    if not output:
+        return unit
+    whole = f"({output})" if "/" in output or " " in output else output
+    first = re.sub(r"(?<!/)\boutput\b(?!\^)", lambda _: output, unit)
+    return re.sub(r"(?<=/)output\b|\boutput(?=\^)", lambda _: whole, first)
+
+
 def dimension(unit: str, where: str = "") -> tuple[int, ...]:
     """Return the dimension of `unit` as exponents of (rad, s, m, K, A, output, T).
 

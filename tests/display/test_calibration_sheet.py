@@ -10,6 +10,7 @@ from display import synthetic_results as made
 from imubayes.display.calibration_sheet import axis_sheet, calibration_sheets
 from imubayes.display.fit_report import summary_report
 from imubayes.display.report_layout import Report, print_report
+from imubayes.display.summary_html import summary_html
 from imubayes.results.summary import Summary
 
 CHANNELS = (*made.GYROS, *made.ACCELEROMETERS)
@@ -84,6 +85,19 @@ def test_what_is_not_determined_is_marked_and_named(summary):
     assert row.count("*") == 1
     assert bias in next(line for line in lines(summary_report(doubted), 120) if line.startswith("* Not determined"))
     assert not [line for line in lines(summary_report(summary), 120) if line.startswith("gyro_bias") and "*" in line]
+
+
+def test_output_units_are_those_of_the_channel(summary):
+    of_output = [
+        one.model_copy(update={"unit": "output"}) if one.name.startswith("white_noise") else one
+        for one in summary.parameters
+    ]
+    shown = summary.model_copy(update={"parameters": tuple(of_output)})
+    for verbose in (False, True):
+        text = lines(summary_report(shown, verbose), 80)
+        assert not [line for line in text if "output" in line]
+        assert any(line.startswith("white_noise.sigma") and line.rstrip().endswith("pulse/s") for line in text)
+    assert ">output<" not in summary_html(shown)
 
 
 def test_axes_are_vectors(summary):

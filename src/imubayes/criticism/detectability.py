@@ -87,7 +87,7 @@ def detectability(projection: Projection, response: ProjectedResponse, threshold
     return Detectability(
         effect=response.response.scan.effect,
         name=coefficient.parameter.name,
-        unit=coefficient.parameter.unit,
+        unit=coefficient.parameter.shown_unit,
         retained=float(length[best] ** 2 / raw[best]) if raw[best] > 0 else 0.0,
         smallest_detectable=float(smallest[best]),
         typical=coefficient.typical,
@@ -140,7 +140,7 @@ def _bias(projection: Projection, shift: np.ndarray) -> ParameterBias | None:
     most = int(np.argmax(np.abs(in_sd)))
     parameter = projection.fitted.model.layout.parameters[most]
     value = float(shift[most] * projection.slopes[most] / parameter.factor)
-    return ParameterBias(parameter.name, parameter.unit, value, float(in_sd[most]))
+    return ParameterBias(parameter.name, parameter.shown_unit, value, float(in_sd[most]))
 
 
 def _absorbers(projection: Projection, whitened: np.ndarray, shift: np.ndarray, raw: float) -> tuple[Absorber, ...]:

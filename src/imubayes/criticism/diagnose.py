@@ -219,7 +219,7 @@ def _coefficients(candidate: Candidate) -> tuple[CoefficientEstimate, ...]:
             name=coefficient.parameter.name,
             value=finite(value),
             sd=finite(sd),
-            unit=coefficient.parameter.unit,
+            unit=coefficient.parameter.shown_unit,
         )
         for coefficient, value, sd in zip(candidate.coefficients, candidate.value, candidate.sd, strict=True)
     )

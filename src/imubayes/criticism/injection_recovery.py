@@ -262,7 +262,7 @@ def _trial(fitted: Fit, clear: _Clear, name: str, size: Size, seed: int, screen:
     z = _placed(model, null, unit, scale)
     values = np.asarray(model.problem.priors.values(jnp.asarray(z))) / model.layout.factors()
     planted = tuple(
-        InjectedParameter(parameter.name, float(values[place]), parameter.unit)
+        InjectedParameter(parameter.name, float(values[place]), parameter.shown_unit)
         for place, parameter in ((place, model.layout.parameters[place]) for place in (*unit, *shape))
     )
     drop = strength(scale)

@@ -49,7 +49,6 @@ def noise_beyond_prior(fitted: Fit) -> tuple[NoiseBeyondPrior, ...]:
     shared = {name for name, member in classes.items() if issubclass(member, SharedNoise)}
     sizes = {name for name, member in classes.items() if issubclass(member, EntryNoise)} | shared
     sizes -= {name for name in sizes if issubclass(classes[name], WhiteNoise)}
-    units = {channel.name: channel.output_unit for channel in model.campaign.channels}
     parameters, z = model.hyper_layout.parameters, np.asarray(fitted.h)
     compared = [place for place, parameter in enumerate(parameters) if parameter.effect in sizes]
     found = []
@@ -62,7 +61,8 @@ def noise_beyond_prior(fitted: Fit) -> tuple[NoiseBeyondPrior, ...]:
             float(parameter.prior.value(jnp.asarray(at))) / parameter.factor
             for at in (z[place], thresholds.EXPECTED_NOISE_Z)
         )
-        unit = units[parameter.label[0]] if parameter.unit == "output" else parameter.unit
         between_runs = parameter.effect in shared
-        found.append(NoiseBeyondPrior(parameter.name, unit, value, expected, max(p, 1e-300), between_runs))
+        found.append(
+            NoiseBeyondPrior(parameter.name, parameter.shown_unit, value, expected, max(p, 1e-300), between_runs)
+        )
     return tuple(sorted(found, key=lambda each: each.p))

@@ -419,7 +419,7 @@ def _coefficients(
                     name=parameter.name,
                     value=finite(here / parameter.factor),
                     sd=finite(spread / parameter.factor),
-                    unit=parameter.unit,
+                    unit=parameter.shown_unit,
                 )
             )
     return tuple(found)

@@ -12,6 +12,7 @@ from imubayes.display.labels import pretty
 from imubayes.display.quantity_tables import is_undetermined
 from imubayes.display.rounding import NO_NUMBER, is_exact, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
+from imubayes.results.output_units import in_output_units
 from imubayes.results.summary import Quantity, Summary
 
 MARK = "*"
@@ -107,7 +108,7 @@ def _channels(summary: Summary) -> Iterable[tuple[str, str]]:
 
 def _rows(summary: Summary, channels: Sequence[str]) -> list[tuple[str, str, dict[str, Quantity]]]:
     found: dict[tuple[str, str], dict[str, Quantity]] = {}
-    for entry in summary.parameters:
+    for entry in in_output_units(summary).parameters:
         match = _OF_ONE.fullmatch(entry.name)
         if match and match["channel"] in channels:
             found.setdefault((match["name"], entry.unit), {})[match["channel"]] = entry

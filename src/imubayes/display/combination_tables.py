@@ -6,6 +6,7 @@ from imubayes.display.labels import pretty
 from imubayes.display.rounding import percent, rounded, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.inference.identifiability import WeakDirection
+from imubayes.results.output_units import in_output_units
 from imubayes.results.summary import CombinationSummary, Summary
 
 _NOTE = (
@@ -50,7 +51,7 @@ def combination_sheet(summary: Summary, most: int = 24, standard: bool = False) 
     most : number of rows.
     standard : only those that have a symbol in the standard of a test.
     """
-    known = [found for found in summary.combinations if found.standard or not standard]
+    known = [found for found in in_output_units(summary).combinations if found.standard or not standard]
     shown = known[:most]
     rows = [_row(found) for found in shown]
     few = [

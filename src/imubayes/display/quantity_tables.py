@@ -7,6 +7,7 @@ from imubayes.display.fit_quality_tables import NOT_DETERMINED, more
 from imubayes.display.labels import pretty
 from imubayes.display.rounding import is_exact, percent, rounded, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet, without_dividers
+from imubayes.results.output_units import in_output_units
 from imubayes.results.summary import ParameterSummary, Quantity, Summary
 
 R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
@@ -15,7 +16,7 @@ _MEANING = "sd: standard uncertainty. from data: 1 − (sd/prior sd)² on the sc
 
 def parameter_sheet(summary: Summary, most: int | None = None, nuisance: bool = False) -> Sheet:
     """Return the parameters, those of single poses only where `nuisance`; at most `most`, the questionable first."""
-    return _quantities(summary, summary.parameters, "Parameters", most, nuisance)
+    return _quantities(summary, in_output_units(summary).parameters, "Parameters", most, nuisance)
 
 
 def scale_and_angle_sheet(summary: Summary) -> Sheet:

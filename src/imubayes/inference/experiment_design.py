@@ -89,7 +89,9 @@ def rank(fit: Fit, quantities: Sequence[str]) -> list[list[NextRun]]:
     if not quantities:
         return []
     designs, sd_before, sd_after = narrowed(fit, _gradients(fit, quantities))
-    units = {name.name: name.unit for name in fit.derived.names} | {p.name: p.unit for p in fit.model.layout.parameters}
+    units = {name.name: name.unit for name in fit.derived.names} | {
+        p.name: p.shown_unit for p in fit.model.layout.parameters
+    }
     found = []
     for row, quantity in enumerate(quantities):
         lines = [

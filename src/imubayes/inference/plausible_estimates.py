@@ -75,7 +75,7 @@ def _judged(
     return ImplausibleEstimate(
         reason="far_from_prior" if inside else "outside_domain",
         name=parameter.name,
-        unit=parameter.unit,
+        unit=parameter.shown_unit,
         value=value,
         lowest=None if inside else finite(lowest),
         highest=None if inside else finite(highest),

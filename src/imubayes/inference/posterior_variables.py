@@ -159,16 +159,13 @@ def _parameters(model: Model) -> dict[str, Members]:
         for name in effect.declared:
             per.setdefault(f"{effect.name}.{name}", set()).add(effect.per_of(name))
     found: dict[str, Members] = {}
-    outputs = {channel.name: channel.output_unit for channel in model.campaign.channels}
     for column, parameter in enumerate(model.layout.parameters + model.hyper_layout.parameters):
         name = f"{parameter.effect}.{parameter.field}"
         if len(per[name]) == 1:
             kinds, label = next(iter(per[name])), parameter.label
         else:  # an effect that the model lists twice, its values belonging to different things
             kinds, label = ("label",), (",".join(parameter.label),)
-        channels = [part for part in parameter.label if part in outputs]
-        unit = parameter.unit.replace("output", outputs[channels[0]]) if channels else parameter.unit
-        found.setdefault(name, Members(parameter.effect, kinds)).append(column, label, unit)
+        found.setdefault(name, Members(parameter.effect, kinds)).append(column, label, parameter.shown_unit)
     return found
 
 

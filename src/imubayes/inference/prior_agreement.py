@@ -63,7 +63,7 @@ def _conflict(parameter: Parameter, effect: BoundEffect, z: float, variance: flo
     asked = about + slope * (alone - z)
     return PriorConflict(
         name=parameter.name,
-        unit=parameter.unit,
+        unit=parameter.shown_unit,
         effect=parameter.effect,
         parameter=parameter.field,
         prior_mean=_in_unit(parameter, 0.0),

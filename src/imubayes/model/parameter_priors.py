@@ -70,7 +70,8 @@ def parameter_of(
             prior = LogNormal(prior.median, _UNKNOWN_NOISE_LOG_SD)
     factor = to_si(declared.unit, gravity, where, units.si)
     names = tuple(label.values()) or ("all",)
-    return Parameter(effect_class.name, field, names, declared.unit, factor, prior, effect_class.nuisance)
+    output = _output_unit(effect_class, label, campaign)
+    return Parameter(effect_class.name, field, names, declared.unit, factor, prior, effect_class.nuisance, output)
 
 
 def unit_factors(effect_class: EffectClass, campaign: Campaign, channel: str = "") -> dict[str, float]:
@@ -104,6 +105,13 @@ def _representative_channel(effect_class: EffectClass, label: dict[str, str], ca
     labelled = [channel for channel in campaign.channels if channel.name == label.get("channel")]
     suitable = [channel for channel in campaign.channels if channel.kind in effect_class.kinds]
     return next(iter(labelled + suitable), None)
+
+
+def _output_unit(effect_class: EffectClass, label: dict[str, str], campaign: Campaign) -> str:
+    """Return the output unit of the labelled channel, or of all of the right kind; empty where they have several."""
+    own = {channel.output_unit for channel in campaign.channels if channel.name == label.get("channel")}
+    units = own or {channel.output_unit for channel in campaign.channels if channel.kind in effect_class.kinds}
+    return units.pop() if len(units) == 1 else ""
 
 
 @dataclass(frozen=True)

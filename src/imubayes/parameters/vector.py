@@ -16,11 +16,15 @@ import numpy as np
 from imubayes.array_shapes import Array, Float, Int
 from imubayes.gather import take
 from imubayes.parameters.priors import Prior
+from imubayes.units import with_output_unit
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One scalar parameter: `effect.parameter[label]` with unit, the unit's SI value, and prior in SI."""
+    """One scalar parameter: `effect.parameter[label]` with unit, the unit's SI value, and prior in SI.
+
+    `output` is what the word `output` in its unit stands for; empty where that is not one unit.
+    """
 
     effect: str
     field: str
@@ -29,6 +33,12 @@ class Parameter:
     factor: float
     prior: Prior
     nuisance: bool = False
+    output: str = ""
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit as it is shown; `unit` is that of model files and priors."""
+        return with_output_unit(self.unit, self.output)
 
     @cached_property
     def name(self) -> str:

@@ -31,6 +31,7 @@ from imubayes.qualification.standard_quantities import (
     draws_of_standard,
 )
 from imubayes.results.estimates import is_constant
+from imubayes.results.output_units import in_output_units
 from imubayes.results.result import Result
 from imubayes.results.summary import DerivedSummary, ParameterSummary
 
@@ -91,6 +92,7 @@ def result_lines(result: Result, unit: TestedUnit | None) -> tuple[ResultLine, .
         for parameter in (*model.layout.parameters, *model.hyper_layout.parameters)
         if isinstance(parameter.prior, Normal)
     }
+    shown = {line.name: line.unit for line in in_output_units(result.summary).parameters}
     found = []
     for line in (*result.summary.parameters, *result.summary.derived):
         if isinstance(line, ParameterSummary) and line.nuisance:
@@ -104,7 +106,7 @@ def result_lines(result: Result, unit: TestedUnit | None) -> tuple[ResultLine, .
         found.append(
             ResultLine(
                 name=line.name,
-                unit=line.unit,
+                unit=shown.get(line.name, line.unit),
                 d_si=digital_unit(line.unit, gravity, outputs.get(channel, "")),
                 prior_mean=means.get(line.name),
                 prior_sd=line.prior_sd,

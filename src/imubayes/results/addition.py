@@ -17,6 +17,7 @@ from imubayes.criticism.warm_start import Extension
 from imubayes.inference.prior_conflict import PriorConflict
 from imubayes.json_record import Record, finite
 from imubayes.representation import Presented
+from imubayes.results.output_units import in_output_units
 from imubayes.results.result import Result
 from imubayes.results.summary import Summary
 
@@ -141,7 +142,7 @@ def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
 def _estimates(summary: Summary, names: set[str]) -> tuple[CoefficientEstimate, ...]:
     return tuple(
         CoefficientEstimate(name=parameter.name, value=parameter.mean, sd=parameter.sd, unit=parameter.unit)
-        for parameter in summary.parameters
+        for parameter in in_output_units(summary).parameters
         if parameter.name in names
     )
 

@@ -18,6 +18,7 @@ from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.labels import pretty, readable, shortened
 from imubayes.display.rounding import concise
 from imubayes.display.theme import BLUE, INK, QUIET, SMALL, Picture, panels, picture, themed
+from imubayes.results.output_units import in_output_units
 from imubayes.results.posterior_draws import complete, draws_of, thinned
 from imubayes.results.summary import Quantity, Summary
 
@@ -54,7 +55,7 @@ def corner_figure(posterior: Any, names: Sequence[str], summary: Summary) -> Pic
     names : as in the summary.
     summary : for units and prior widths.
     """
-    entries = {entry.name: entry for entry in (*summary.parameters, *summary.derived)}
+    entries = {entry.name: entry for entry in (*in_output_units(summary).parameters, *summary.derived)}
     draws = thinned(complete(draws_of(posterior, names)), _DRAWS)
     absent = [name for name in names if name not in draws or name not in entries]
     if absent or not names:

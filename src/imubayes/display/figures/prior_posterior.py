@@ -28,6 +28,7 @@ from imubayes.display.theme import (
     picture,
     themed,
 )
+from imubayes.results.output_units import in_output_units
 from imubayes.results.summary import Quantity, Summary
 
 _MOST = 40
@@ -78,7 +79,7 @@ def prior_posterior_figure(summary: Summary, names: Sequence[str] | None = None)
 
 def _chosen(summary: Summary, names: Sequence[str] | None) -> tuple[list[Quantity], str]:
     """Return the quantities to draw, at most `_MOST`, in order, and the caption."""
-    entries = {entry.name: entry for entry in (*summary.parameters, *summary.derived)}
+    entries = {entry.name: entry for entry in (*in_output_units(summary).parameters, *summary.derived)}
     wanted = [name for name in (names or mounting_quantities(summary)) if name in entries and _is_known(entries[name])]
     if not wanted:
         raise ValueError("no quantity with a prior and a posterior width was named")

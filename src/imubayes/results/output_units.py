@@ -1,0 +1,31 @@
+"""Quantities in output units as they are shown: in the unit of their channel."""
+
+from imubayes.results.summary import Quantity, Summary
+from imubayes.units import with_output_unit
+
+
+def output_units(summary: Summary) -> dict[str, str]:
+    """Return the output unit of each channel, which its scale factor has."""
+    scales = [entry for entry in summary.derived if entry.name.startswith("scale_factor[")]
+    return {entry.name[len("scale_factor[") : -1]: entry.unit.rpartition(" per ")[0] for entry in scales}
+
+
+def in_output_units(summary: Summary) -> Summary:
+    """Return a summary whose parameters have the output units of their channels in place of `output`.
+
+    What belongs to channels of different output units keeps it.
+    """
+    units = output_units(summary)
+    common = next(iter(units.values())) if len(set(units.values())) == 1 else ""
+
+    def shown[Line: Quantity](line: Line, name: str) -> Line:
+        label = name.partition("[")[2].removesuffix("]").split(",")
+        output = next((units[part] for part in label if part in units), common)
+        return line.model_copy(update={"unit": with_output_unit(line.unit, output)})
+
+    return summary.model_copy(
+        update={
+            "parameters": tuple(shown(line, line.name) for line in summary.parameters),
+            "combinations": tuple(shown(line, line.quantities[0]) for line in summary.combinations),
+        }
+    )
