@@ -29,7 +29,7 @@ class CalibrationSheet:
 
     Attributes
     ----------
-    title, alarm : as of a `Sheet`.
+    title : of the first block.
     channels : the columns.
     rows : name and unit of each row, and its quantity by channel.
     """
@@ -37,7 +37,6 @@ class CalibrationSheet:
     title: str
     channels: Sequence[str]
     rows: Sequence[tuple[str, str, dict[str, Quantity]]]
-    alarm: str = ""
 
     def blocks(self, width: int | None = None) -> list[Sheet]:
         """Return the table in the fewest blocks that fit into a width, with `±` where that takes no more of them."""
@@ -61,8 +60,8 @@ class CalibrationSheet:
             for name, unit, own in self.rows
             if any(channel in own for channel in channels)
         ]
-        title, alarm = (self.title + _MEANING * is_short, self.alarm) if first else ("", "")
-        return Sheet(title, ("", *channels, "unit"), rows, (0, len(channels) + 1), alarm, dense=True)
+        title = self.title + _MEANING * is_short if first else ""
+        return Sheet(title, ("", *channels, "unit"), rows, (0, len(channels) + 1), dense=True)
 
 
 def _width(sheet: Sheet) -> int:

@@ -1,7 +1,5 @@
 """A fit and its classical evaluation as reports for the terminal."""
 
-from dataclasses import replace
-
 from imubayes.display.calibration_sheet import MARK, CalibrationSheet, axis_sheet, calibration_sheets
 from imubayes.display.classical_comparison import (
     ClassicalComparison,
@@ -56,9 +54,8 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     said, alarm = notices(summary), alarm_of(summary)
     if not alarm:
         return Report(said, sheets, (*weak, closing))
-    first, *others = [sheet for sheet in sheets if sheet.blocks()]
-    rest = [without_alarm(sheet) if isinstance(sheet, Sheet) else sheet for sheet in others]
-    return Report((), [replace(first, alarm=alarm), *rest], (*said, *weak, closing))
+    quiet = [without_alarm(sheet) if isinstance(sheet, Sheet) else sheet for sheet in sheets]
+    return Report((), quiet, (*said, *weak, closing), alarm)
 
 
 def _every_table(summary: Summary) -> list[Sheet]:

@@ -12,16 +12,19 @@ from imubayes.display.table_layout import Tabular, sheet_html, terminal
 
 @dataclass(frozen=True)
 class Report:
-    """Lines said first, tables of evidence (those without rows are left out), and lines said last."""
+    """Lines said first, tables of evidence (those without rows are left out), lines said last; a warning above all."""
 
     lines: Sequence[str]
     sheets: Sequence[Tabular] = ()
     closing: Sequence[str] = ()
+    alarm: str = ""
 
 
 def print_report(report: Report, console: Console | None = None) -> None:
     """Print a report on a terminal."""
     console = console or Console()
+    if report.alarm:
+        console.print(report.alarm, style="bold red", highlight=False, markup=False, soft_wrap=True)
     _print_lines(console, report.lines)
     for sheet in report.sheets:
         for block in sheet.blocks(console.width):
@@ -44,7 +47,8 @@ def report_text(report: Report, width: int = 120) -> str:
 def report_html(report: Report) -> str:
     """Return a report as HTML for a notebook."""
     tables = "".join(sheet_html(block) for sheet in report.sheets for block in sheet.blocks())
-    return _paragraphs(report.lines) + tables + _paragraphs(report.closing)
+    alarm = f'<p style="color:#d33;font-weight:600">{escape(report.alarm)}</p>' if report.alarm else ""
+    return alarm + _paragraphs(report.lines) + tables + _paragraphs(report.closing)
 
 
 def _paragraphs(lines: Sequence[str]) -> str:
