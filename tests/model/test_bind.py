@@ -167,3 +167,10 @@ def test_rotations_of_a_free_tumble_determine_scale_and_misalignment(name):
     closing = model.entries.closing
     places = [i for i, p in enumerate(model.layout.parameters) if p.effect == name]
     assert reach[closing][:, places].all()
+
+
+def test_output_units_are_shown_and_not_written_into_priors():
+    """Free text such as pulse/s would not parse as the unit of a prior."""
+    parameters = bind(spec("gyro_bias"), campaign()).hyper_layout.parameters
+    found = {parameter.name: (parameter.unit, parameter.shown_unit) for parameter in parameters}
+    assert found["white_noise.sigma[gx]"] == ("output", "pulse/s")
