@@ -7,11 +7,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from imubayes.api import apply, fit
+from imubayes.api import apply, correct, fit, onboard_constants
 from imubayes.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 TRUTH = tomllib.loads((ROOT / "data" / "accel-channel" / "truth.toml").read_text())["parameters"]
+
+RUN = "inject-12g"
 
 
 def readings(acceleration, temperature):
@@ -66,3 +68,15 @@ def test_bad_readings_are_refused(result, tmp_path):
             apply(result, bad)
     with pytest.raises(InputError, match="no such file"):
         apply(result, tmp_path / "missing.csv")
+
+
+def test_what_a_unit_of_few_axes_is_told_to_do_works(result, tmp_path):
+    """Constants of a matrix need three axes; `apply` on a table of readings does not, and a campaign is no such table."""
+    for refused in (
+        lambda: onboard_constants(result),
+        lambda: correct(result, ROOT / "data" / "accel-channel", tmp_path / "out.csv", run=RUN),
+    ):
+        with pytest.raises(InputError, match="span three axes") as caught:
+            refused()
+        assert "apply" in caught.value.issues[0].remedy
+    assert "ax_g" in apply(result, readings(np.ones(2), np.array([25.0, 26.0]))).table.columns

@@ -188,7 +188,16 @@ def correction_of(result: Result, header: tuple[str, ...], where: str) -> Correc
     posterior = sensor_posterior(result)
     kinds = complete_kinds(posterior.campaign.channels, header)
     if not kinds:
-        named = ", ".join(channel.name for channel in posterior.campaign.channels if channel.kind != "angle")
+        sensors = [channel for channel in posterior.campaign.channels if channel.kind != "angle"]
+        named = ", ".join(channel.name for channel in sensors)
+        if not complete_kinds(posterior.campaign.channels, [channel.name for channel in sensors]):
+            raise InputError(
+                Issue(
+                    "neither the gyros nor the accelerometers of the unit span three axes", str(where),
+                    f"a table of readings, CSV or Parquet, with columns among {named}",
+                    "give the readings as a table: `imubayes apply` then gives the input along each axis",
+                )
+            )  # fmt: skip
         raise InputError(
             Issue(
                 "the recording has no complete set of gyros or accelerometers that span three axes",

@@ -86,7 +86,8 @@ def onboard_constants(result: Result) -> OnboardConstants:
             Issue(
                 "neither the gyros nor the accelerometers of the unit span three axes",
                 str(result.folder or "this fit"), "three or more channels of a kind in different directions",
-                "`imubayes apply` gives the inputs along single channels",
+                "scale factor, misalignment and bias of each channel are in summary.json; `imubayes apply RESULT "
+                "READINGS.csv --out FILE.csv`, on a table with a column per channel, gives the input along each axis",
             )
         )  # fmt: skip
     needs = _needs(result)
