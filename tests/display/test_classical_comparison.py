@@ -4,19 +4,25 @@ import io
 import json
 from pathlib import Path
 
+import numpy as np
+import polars as pl
 import pytest
 import synthetic_results as made
 from rich.console import Console
 
+from imubayes.campaign import load_campaign
 from imubayes.cli.main import run
 from imubayes.display.classical_comparison import (
     classical_json,
     classical_sheet,
     compare_classical,
     decision_sheet,
+    discrepancy_sheet,
     undetermined_sheet,
 )
+from imubayes.display.classical_of_prediction import OfPrediction, of_prediction
 from imubayes.display.table_layout import terminal
+from imubayes.procedures.classical import classical
 from imubayes.procedures.textbook import Estimate, Undetermined
 
 ROOT = Path(__file__).parents[2]
@@ -84,3 +90,30 @@ def test_on_the_command_line(capsys):
     assert run(["classical", str(ROOT / "data" / "desk-imu")]) == 1
     assert "No classical evaluation" in capsys.readouterr().out
     assert run(["classical", str(ROOT / "data" / "none")]) == 2
+
+
+@pytest.mark.parametrize(("of_prediction", "alarm"), [(1000.0005, False), (1000.01, True), (None, True)])
+def test_no_alarm_where_predicted_outputs_give_the_same_estimate(of_prediction, alarm):
+    """Beyond three sd of what the classical evaluation of the prediction gives, the alarm stays."""
+    value = {} if of_prediction is None else {("scale_factor[gx]", "rate-pyramid"): of_prediction}
+    predicted = OfPrediction(value, {}, {"rate-pyramid": -15.0}, ("the seat",))
+    sheet = discrepancy_sheet(compare_classical(FOUND, summary(1000.0686, TRIHEDRAL), predicted))
+    assert ("disagree" in sheet.title) == alarm
+    assert ("takes the seat as exact" in sheet.note) != alarm
+    assert any(cell.mood == "bad" for row in sheet.rows for cell in row) == alarm
+
+
+def test_the_prediction_is_evaluated_like_the_measurement():
+    campaign = load_campaign(ROOT / "data" / "geographic-tumble")
+    table = pl.concat(
+        pl.DataFrame({"run": run.name, "row": np.arange(run.rows), "channel": channel.name, "predicted": column})
+        for run in campaign.runs
+        for channel, column in zip(campaign.channels, run.observed.T, strict=True)
+    )
+    measured = compare_classical(classical(campaign), None, of_prediction(campaign, table, summary(1.0, 0.0)))
+    known = [each for each in measured.estimates if np.isfinite(each.classical.sd)]
+    assert known
+    assert all(each.explained for each in known)
+    # Fault planted: outputs that the fit predicts a per cent too large.
+    other = of_prediction(campaign, table.with_columns(pl.col("predicted") * 1.01), summary(1.0, 0.0))
+    assert not all(each.explained for each in compare_classical(classical(campaign), None, other).estimates)

@@ -71,7 +71,7 @@ def test_bad_readings_are_refused(result, tmp_path):
 
 
 def test_what_a_unit_of_few_axes_is_told_to_do_works(result, tmp_path):
-    """Constants of a matrix need three axes; `apply` on a table of readings does not, and a campaign is no such table."""
+    """Constants of a matrix need three axes; `apply` on a table of readings does not."""
     for refused in (
         lambda: onboard_constants(result),
         lambda: correct(result, ROOT / "data" / "accel-channel", tmp_path / "out.csv", run=RUN),

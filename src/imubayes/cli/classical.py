@@ -29,12 +29,13 @@ def classical(
     with progress() as tell:
         from imubayes.campaign import load_campaign
         from imubayes.display.classical_comparison import classical_json, compare_classical
+        from imubayes.display.classical_of_prediction import of_prediction
         from imubayes.display.fit_report import classical_report
         from imubayes.display.report_layout import print_report
         from imubayes.errors import input_error
         from imubayes.procedures.classical import classical as evaluate
         from imubayes.results.fit_record import refuse_other_data
-        from imubayes.results.result import read_result
+        from imubayes.results.read_folder import read_summary_and_residuals
 
         tell("reading the campaign")
         loaded = load_campaign(campaign)
@@ -42,13 +43,14 @@ def classical(
         raise input_error(
             f"a threshold of {delta_k_threshold:g} %", "--delta-k-threshold", "a percentage above 0", "correct it"
         )
-    summary = None
+    summary = predicted = None
     if result is not None:
         refuse_other_data(result, loaded)
-        summary = read_result(result).summary
+        summary, read = read_summary_and_residuals(result)
+        predicted = of_prediction(loaded, read.table, summary)
     fitted = None if summary is None else summary.delta_k_threshold
     percent = fitted if delta_k_threshold is None else delta_k_threshold
-    comparison = compare_classical(evaluate(loaded, None if percent is None else percent / 100), summary)
+    comparison = compare_classical(evaluate(loaded, None if percent is None else percent / 100), summary, predicted)
     if as_json:
         print_json(classical_json(comparison))
     else:

@@ -5,7 +5,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from imubayes.display.labels import pretty
+from imubayes.covariates import REFERENCE_TEMPERATURE
+from imubayes.display.classical_of_prediction import OfPrediction
+from imubayes.display.labels import listed, pretty
 from imubayes.display.rounding import significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.json_record import finite
@@ -27,11 +29,21 @@ class AngleError:
 
 @dataclass(frozen=True)
 class ComparedEstimate:
-    """A classical estimate with the same quantity of the joint fit, None where that does not have it."""
+    """A classical estimate with the same quantity of the joint fit, None where that does not have it.
+
+    Attributes
+    ----------
+    of_prediction : the classical estimate from the outputs that the joint fit predicts; None where not evaluated.
+    of_offset : what a run offset of one standard deviation does to it.
+    temperature : of the run, °C, where it is not that of the joint values.
+    """
 
     classical: Estimate
     joint: Quantity | None
     of_angle: AngleError | None
+    of_prediction: float | None = None
+    of_offset: float = 0.0
+    temperature: float | None = None
 
     @property
     def difference(self) -> float:
@@ -48,6 +60,19 @@ class ComparedEstimate:
         return abs(self.difference) / math.hypot(self.classical.sd, self.joint.sd)
 
     @property
+    def beyond(self) -> bool:
+        """Whether it differs from the joint fit by more than both uncertainties."""
+        return self.normalised_difference > _BEYOND
+
+    @property
+    def explained(self) -> bool:
+        """Whether the outputs that the joint fit predicts give the same classical estimate."""
+        if self.of_prediction is None or not math.isfinite(self.of_prediction):
+            return False
+        apart = abs(self.classical.value - self.of_prediction)
+        return apart <= _BEYOND * math.hypot(self.classical.sd, self.of_offset)
+
+    @property
     def conformance(self) -> Conformance | None:
         """Probability from the joint fit that the quantity does not exceed its threshold."""
         return self.joint.within if isinstance(self.joint, DerivedSummary) else None
@@ -59,15 +84,38 @@ class ClassicalComparison:
 
     estimates: tuple[ComparedEstimate, ...]
     undetermined: tuple[Undetermined, ...]
+    assumed: tuple[str, ...] = ()
 
 
-def compare_classical(findings: Sequence[TextbookResult], summary: Summary | None = None) -> ClassicalComparison:
-    """Return classical estimates beside those of a fit of the same campaign, where there is one."""
+def compare_classical(
+    findings: Sequence[TextbookResult], summary: Summary | None = None, predicted: OfPrediction | None = None
+) -> ClassicalComparison:
+    """Return classical estimates beside those of a fit of the same campaign, where there is one.
+
+    Parameters
+    ----------
+    findings : of the classical evaluation.
+    summary : of the fit.
+    predicted : the classical evaluation of what the fit predicts.
+    """
     known = () if summary is None else (*summary.combinations, *summary.derived, *summary.parameters)
     joint = {entry.name: entry for entry in known}
     return ClassicalComparison(
-        tuple(_compared(finding, joint) for finding in findings if isinstance(finding, Estimate)),
+        tuple(_with_prediction(_compared(each, joint), predicted) for each in findings if isinstance(each, Estimate)),
         tuple(finding for finding in findings if isinstance(finding, Undetermined)),
+        () if predicted is None else predicted.assumed,
+    )
+
+
+def _with_prediction(compared: ComparedEstimate, predicted: OfPrediction | None) -> ComparedEstimate:
+    if predicted is None:
+        return compared
+    key = (compared.classical.name, compared.classical.run)
+    return replace(
+        compared,
+        of_prediction=predicted.value.get(key),
+        of_offset=predicted.of_offset.get(key, 0.0),
+        temperature=predicted.temperature.get(key[1]),
     )
 
 
@@ -111,6 +159,8 @@ def _json(compared: ComparedEstimate) -> dict[str, Any]:
         "joint": fit,
         "difference": finite(compared.difference),
         "of_angle": asdict(compared.of_angle) if compared.of_angle else None,
+        "of_prediction": None if compared.of_prediction is None else finite(compared.of_prediction),
+        "explained": compared.explained,
     }
 
 
@@ -147,27 +197,54 @@ def _joint_cells(compared: ComparedEstimate) -> tuple[Cell, Cell, Cell, Cell]:
     relative = joint.name.startswith("scale_factor[")
     size = compared.difference / joint.mean * 1e6 if relative else compared.difference
     text = significant(size) + (" ppm" if relative else "")
-    because = ""
+    because = []
     if angle is not None and abs(angle.ppm) >= 1:
-        because = f"angle error {significant(angle.arcsec)} arcsec: {significant(angle.ppm)} ppm"
-    mood = "bad" if compared.normalised_difference > _BEYOND else ""
-    return Cell(value), Cell(sd), Cell(text, mood), Cell(because)
+        because.append(f"angle error {significant(angle.arcsec)} arcsec: {significant(angle.ppm)} ppm")
+    if compared.temperature is not None:
+        because.append(f"run at {compared.temperature:.0f} °C")
+    mood = "bad" if compared.beyond and not compared.explained else ""
+    return Cell(value), Cell(sd), Cell(text, mood), Cell("; ".join(because))
 
 
 def discrepancy_sheet(comparison: ClassicalComparison) -> Sheet:
-    """Return the estimates that differ from the joint fit beyond both uncertainties, the furthest first."""
+    """Return the estimates that differ from the joint fit, those first that its assumptions do not explain."""
     known = [compared for compared in comparison.estimates if math.isfinite(compared.normalised_difference)]
-    ranked = sorted(known, key=lambda compared: -compared.normalised_difference)
-    beyond = [compared for compared in ranked if compared.normalised_difference > _BEYOND]
-    note = (
+    ranked = sorted(known, key=lambda compared: (compared.explained, -compared.normalised_difference))
+    beyond = [compared for compared in ranked if compared.beyond]
+    open_ones = [compared for compared in beyond if not compared.explained]
+    sheet = classical_sheet((open_ones or beyond)[:_MOST_BESIDE])
+    first = (
         f"{len(beyond)} of {len(known)} classical estimates differ from the joint fit by more than {_BEYOND:g} "
-        "combined standard uncertainties: the assumptions of the classical evaluation do not hold. All estimates: "
-        "imubayes classical CAMPAIGN --result RESULT."
+        f"combined standard uncertainties. {_explanation(comparison, beyond, len(open_ones))}"
     )
-    sheet = classical_sheet(beyond[:_MOST_BESIDE])
+    note = f"{first} All estimates: imubayes classical CAMPAIGN --result RESULT."
     title = "Classical estimates that disagree with the joint fit"
+    if not open_ones:
+        title = "Classical estimates whose difference the joint fit explains"
     narrow = None if sheet.narrow is None else replace(sheet.narrow, title=title, note=note)
     return replace(sheet, title=title, note=note, narrow=narrow)
+
+
+def _explanation(comparison: ClassicalComparison, beyond: Sequence[ComparedEstimate], unexplained: int) -> str:
+    """Return which assumptions of the classical evaluation explain differences, and whether all of them."""
+    explained = len(beyond) - unexplained
+    if not explained:
+        return "The assumptions of the classical evaluation do not hold."
+    warm = [each.temperature for each in beyond if each.explained and each.temperature is not None]
+    at = f"{min(warm):.0f} °C" if warm and max(warm) - min(warm) < 1 else ""
+    at = at or (f"{min(warm):.0f} … {max(warm):.0f} °C" if warm else "")
+    own = f"evaluates runs at their own temperature ({at}; joint values are at {REFERENCE_TEMPERATURE:g} °C)"
+    exact = f"takes {listed(comparison.assumed)} as exact" if comparison.assumed else ""
+    gives = " and ".join(part for part in (exact, own if warm else "") if part) or "leaves effects of the model out"
+    how_many = f"{explained} are" if unexplained else "All are"
+    said = (
+        f"{how_many} explained: the classical evaluation {gives}, and applied to the outputs that the joint fit "
+        "predicts it gives the same values."
+    )
+    rest = (
+        f" {unexplained} are not: the measured outputs of these runs deviate from the fit (imubayes diagnose RESULT)."
+    )
+    return said + (rest if unexplained else "")
 
 
 def decision_sheet(comparison: ClassicalComparison) -> Sheet:

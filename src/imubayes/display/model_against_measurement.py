@@ -17,6 +17,7 @@ from rich.console import Console, ConsoleOptions
 
 from imubayes.atomic_files import write_json, write_text
 from imubayes.display.classical_comparison import ClassicalComparison, compare_classical, discrepancy_sheet
+from imubayes.display.classical_of_prediction import of_prediction
 from imubayes.display.combination_tables import combination_sheet, weak_sheet
 from imubayes.display.comparison_page import FIRST, comparison_page
 from imubayes.display.figure_selection import corner_choice, most_telling_first, plan, runs_shown
@@ -136,7 +137,10 @@ def compare(
     with progress_of(progress) as tell:
         wanted = {name: draw for name, draw in figures.items() if name in ranked}
         made, captions = _draw(wanted, folder / "figures", tell)
-    classical_estimates = None if campaign is None else compare_classical(classical(campaign), summary)
+    classical_estimates = None
+    if campaign is not None:
+        predicted = of_prediction(campaign, residuals, summary)
+        classical_estimates = compare_classical(classical(campaign), summary, predicted)
     notes = tuple(_notes(residuals, draws, chosen) if every else _left_out(len(figures) - len(wanted)))
     page = folder / PAGE
     write_text(page, comparison_page(summary, [f"{name}.png" for name in ranked], captions, notes))
