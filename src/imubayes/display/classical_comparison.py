@@ -70,7 +70,7 @@ class ComparedEstimate:
         if self.of_prediction is None or not math.isfinite(self.of_prediction):
             return False
         apart = abs(self.classical.value - self.of_prediction)
-        return apart <= _BEYOND * math.hypot(self.classical.sd, self.of_offset)
+        return bool(apart <= _BEYOND * math.hypot(self.classical.sd, self.of_offset))
 
     @property
     def conformance(self) -> Conformance | None:
@@ -230,12 +230,8 @@ def _explanation(comparison: ClassicalComparison, beyond: Sequence[ComparedEstim
     explained = len(beyond) - unexplained
     if not explained:
         return "The assumptions of the classical evaluation do not hold."
-    warm = [each.temperature for each in beyond if each.explained and each.temperature is not None]
-    at = f"{min(warm):.0f} °C" if warm and max(warm) - min(warm) < 1 else ""
-    at = at or (f"{min(warm):.0f} … {max(warm):.0f} °C" if warm else "")
-    own = f"evaluates runs at their own temperature ({at}; joint values are at {REFERENCE_TEMPERATURE:g} °C)"
-    exact = f"takes {listed(comparison.assumed)} as exact" if comparison.assumed else ""
-    gives = " and ".join(part for part in (exact, own if warm else "") if part) or "leaves effects of the model out"
+    exact = [f"takes {listed(comparison.assumed)} as exact"] if comparison.assumed else []
+    gives = " and ".join([*exact, *_at_own_temperature(beyond)]) or "leaves effects of the model out"
     how_many = f"{explained} are" if unexplained else "All are"
     said = (
         f"{how_many} explained: the classical evaluation {gives}, and applied to the outputs that the joint fit "
@@ -245,6 +241,15 @@ def _explanation(comparison: ClassicalComparison, beyond: Sequence[ComparedEstim
         f" {unexplained} are not: the measured outputs of these runs deviate from the fit (imubayes diagnose RESULT)."
     )
     return said + (rest if unexplained else "")
+
+
+def _at_own_temperature(beyond: Sequence[ComparedEstimate]) -> list[str]:
+    warm = [each.temperature for each in beyond if each.explained and each.temperature is not None]
+    if not warm:
+        return []
+    ends = dict.fromkeys(f"{at:.0f}" for at in (min(warm), max(warm)))
+    at = f"{' … '.join(ends)} °C; joint values are at {REFERENCE_TEMPERATURE:g} °C"
+    return [f"evaluates runs at their own temperature ({at})"]
 
 
 def decision_sheet(comparison: ClassicalComparison) -> Sheet:

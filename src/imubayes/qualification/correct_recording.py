@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.campaign.run_tables import RowBatch
-from imubayes.campaign_data import Channel
+from imubayes.campaign_data import Campaign, Channel
 from imubayes.covariates import COVARIATES, REFERENCE_TEMPERATURE
 from imubayes.errors import InputError, Issue
 from imubayes.model.body_solution import solve_rows
@@ -172,6 +172,22 @@ class Correction:
         return columns
 
 
+def _refusal(campaign: Campaign, where: str) -> InputError:
+    """Return the error for a recording, or a unit, without channels for all three axes."""
+    names = [channel.name for channel in campaign.channels if channel.kind != "angle"]
+    if complete_kinds(campaign.channels, names):
+        what = "the recording has no complete set of gyros or accelerometers that span three axes"
+        issue = Issue(what, f"{where}, header", f"columns {', '.join(names)}", "name the columns like the channels")
+        return InputError(issue)
+    return InputError(
+        Issue(
+            "neither the gyros nor the accelerometers of the unit span three axes", where,
+            f"a table of readings, CSV or Parquet, with columns among {', '.join(names)}",
+            "give the readings as a table: `imubayes apply` then gives the input along each axis",
+        )
+    )  # fmt: skip
+
+
 def correction_of(result: Result, header: tuple[str, ...], where: str) -> Correction:
     """Return the correction of recordings of a fitted unit.
 
@@ -188,22 +204,7 @@ def correction_of(result: Result, header: tuple[str, ...], where: str) -> Correc
     posterior = sensor_posterior(result)
     kinds = complete_kinds(posterior.campaign.channels, header)
     if not kinds:
-        sensors = [channel for channel in posterior.campaign.channels if channel.kind != "angle"]
-        named = ", ".join(channel.name for channel in sensors)
-        if not complete_kinds(posterior.campaign.channels, [channel.name for channel in sensors]):
-            raise InputError(
-                Issue(
-                    "neither the gyros nor the accelerometers of the unit span three axes", str(where),
-                    f"a table of readings, CSV or Parquet, with columns among {named}",
-                    "give the readings as a table: `imubayes apply` then gives the input along each axis",
-                )
-            )  # fmt: skip
-        raise InputError(
-            Issue(
-                "the recording has no complete set of gyros or accelerometers that span three axes",
-                f"{where}, header", f"columns {named}", "name the columns like the channels",
-            )
-        )  # fmt: skip
+        raise _refusal(posterior.campaign, where)
     channels = [channel for kind in kinds for channel in posterior.campaign.of_kind(kind)]
     needed = {need for layer in result.fit.model.assembly.effects for need in layer.effect_class.needs}
     runs = posterior.campaign.runs
