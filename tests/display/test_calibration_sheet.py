@@ -9,8 +9,10 @@ from rich.console import Console
 from display import synthetic_results as made
 from imubayes.display.calibration_sheet import axis_sheet, calibration_sheets
 from imubayes.display.fit_report import summary_report
+from imubayes.display.qualification.result_sections import axis_table
 from imubayes.display.report_layout import Report, print_report
 from imubayes.display.summary_html import summary_html
+from imubayes.qualification.report_record import MonteCarloError, ResultLine
 from imubayes.results.summary import Summary
 
 CHANNELS = (*made.GYROS, *made.ACCELEROMETERS)
@@ -105,6 +107,25 @@ def test_axes_are_vectors(summary):
     assert [row[0].text for row in block.rows] == list(made.GYROS)
     assert [cell.text for cell in block.rows[0][1:]] == ["0.50000 ± 0.00023"] * 3
     assert "0.50000(23)" in "\n".join(lines(Report((), [axis_sheet(summary)]), 50))
+
+
+def test_the_report_states_every_component_with_its_uncertainty():
+    """Also one that is as large as its uncertainty; what the draws do not support is withheld."""
+    values = {"x": (1.0, None), "y": (0.00023, 2), "z": (0.00051, 0)}
+    table = axis_table(
+        [
+            ResultLine(
+                name=f"input_axis[gx,{component}]", unit="1", d_si=None, kind="derived", estimate=estimate,
+                standard_uncertainty=0.00023 if digits is not None else 0.0, low=0.0, high=1.0, exact=digits is None,
+                monte_carlo=None if digits is None else MonteCarloError(
+                    estimate=0.0, standard_uncertainty=0.0, low=0.0, high=0.0, effective=100.0, digits=digits,
+                    tolerance=1e-5, worst="mean",
+                ),
+            )
+            for component, (estimate, digits) in values.items()
+        ]
+    )  # fmt: skip
+    assert [cell.text for cell in table.rows[0]] == ["gx", "1.00000 ± 0", "0.00023 ± 0.00023", "withheld"]
 
 
 def test_the_first_screen_is_short_and_the_whole_is_there(summary):

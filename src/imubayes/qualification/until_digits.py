@@ -81,7 +81,7 @@ def draws_lacking(fit: Fit, digits: Digits) -> tuple[float, str]:
     quantities = posterior_quantities(result_of(fit))
     worst, worst_name = 0.0, ""
     for name, draws in quantities.draws.items():
-        if is_constant(draws) or quantities.entries[name].repeats_misalignments:
+        if is_constant(draws):
             continue
         marginal = quantities.marginal(name)
         factor = (2 * marginal.errors.largest / numerical_tolerance(marginal.sd, digits)) ** 2

@@ -213,16 +213,16 @@ def result_section(report: QualificationReport) -> list[Block]:
             head = ("quantity", "estimate", "u", "95 % interval", "unit", "from data")
             found.append(ReportTable(caption, head, rows, (0, 4), note))
             note = ""
-    return [*found, *([_axis_table(axes)] if axes else [])]
+    return [*found, *([axis_table(axes)] if axes else [])]
 
 
-def _axis_table(lines: Sequence[ResultLine]) -> ReportTable:
+def axis_table(lines: Sequence[ResultLine]) -> ReportTable:
     """Return the input axes as vectors, a row for each channel."""
     cells: dict[str, list[Text]] = {}
     for line in lines:
         estimate, u, _, _ = stated(line)
         channel = line.name.partition("[")[2].partition(",")[0]
-        cells.setdefault(channel, []).append(Text(estimate if estimate == u else f"{estimate} ± {u}"))
+        cells.setdefault(channel, []).append(Text(f"{estimate} ± {u}" if u[0].isdigit() else estimate))
     rows = [(Text(channel), *own) for channel, own in cells.items()]
     note = "Components of the unit vectors in body axes; their budgets are those of the misalignments."
     return ReportTable("Input axes (input_axis)", ("channel", "x", "y", "z"), rows, (0,), note)
