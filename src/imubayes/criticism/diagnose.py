@@ -231,7 +231,7 @@ def _evidence(found: SearchResult, group: EquivalenceGroup) -> ResidualEvidence:
     names = [channel.name for channel in projection.fitted.model.campaign.channels]
     channel = dominant_channel(projection, names, leader.score)
     covariate = following_covariate(projection, found.first.structures, leader, channel)
-    return residual_evidence(projection, found.responses, response, leader, channel, covariate)
+    return residual_evidence(projection, found.responses, response, leader, channel, covariate, found.covariates)
 
 
 def _group(

@@ -1,16 +1,35 @@
 """The evidence for a missing effect: the residual of a channel against the covariate that the effect depends on."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imubayes.campaign_data import Kind
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
 from imubayes.criticism.free_form_dependence import Structure
 from imubayes.criticism.projection import PRIOR, Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate, as_read
 from imubayes.criticism.score_test import Candidate, ProjectedResponse
+
+# Degree of the polynomial that stands for any function of a covariate: it follows what a term of the catalogue may be.
+_DEGREE = 5
+_INPUT = {"gyro": "rate_i", "accelerometer": "force_i"}
+
+
+@dataclass(frozen=True)
+class InputTimes:
+    """A covariate c with the response input × f(c).
+
+    Attributes
+    ----------
+    covariate : c.
+    input : shape (n,), along the input axis, in the unit of the residuals.
+    """
+
+    covariate: ResidualCovariate
+    input: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -21,10 +40,11 @@ class ResidualEvidence:
     ----------
     channel, effect : names of the channel and of the candidate.
     covariate : the covariate that the explained part follows; None where no single one does.
-    at : shape (n,), values of the covariate; the explained part where there is none.
+    at : shape (n,), values of the covariate, or of `over`'s; the number of the entry where there is neither.
     run : shape (n,), name of the run of each entry.
     residual, explained : shape (n,), in `unit`.
     unit : nominal input unit, deg/s or g.
+    over : where the response is the input times a function of a covariate.
     """
 
     channel: str
@@ -35,6 +55,7 @@ class ResidualEvidence:
     residual: np.ndarray
     explained: np.ndarray
     unit: str
+    over: "InputTimes | None" = None
 
     @property
     def rms(self) -> tuple[float, float, str]:
@@ -69,12 +90,15 @@ def residual_evidence(
     candidate: Candidate,
     channel: str,
     covariate: ResidualCovariate | None,
+    known: Sequence[ResidualCovariate] = (),
 ) -> ResidualEvidence:
     """Return the residuals of a channel with the part that a candidate explains.
 
     Parameters
     ----------
     projected : the response that the candidate is made of.
+    covariate : that the explained part follows, if any.
+    known : covariates of the runs; without one that the explained part follows, the input times one of them may.
     """
     model = projection.fitted.model
     names = [coefficient.parameter.name for coefficient in projected.response.coefficients]
@@ -89,14 +113,43 @@ def residual_evidence(
     unit, size = ("deg/s", np.pi / 180) if constants.kind == "gyro" else ("g", model.campaign.site.gravity)
     here = np.flatnonzero((model.entries.channel == place) & ~model.entries.closing)
     factor = 1 / (constants.scale_si * size)
+    over, place_of = None, covariate
+    if covariate is None:
+        response = (projected.response.columns @ value)[here]
+        over = _input_times(response, constants.kind, [replace(each, values=each.values[here]) for each in known])
+        place_of = next((each for each in known if over is not None and each.name == over.covariate.name), None)
     runs = np.array([run.name for run in model.campaign.runs])
     return ResidualEvidence(
         channel=channel,
         effect=candidate.effect,
         covariate=covariate,
-        at=as_read(projection.fitted, covariate)[here] if covariate is not None else explained[here] * factor,
+        at=as_read(projection.fitted, place_of)[here] if place_of is not None else np.arange(len(here), dtype=float),
         run=runs[model.entries.run[here]],
         residual=responses.misfit[here] * factor,
         explained=explained[here] * factor,
         unit=unit,
+        over=over,
     )
+
+
+def _input_times(response: np.ndarray, kind: Kind, known: Sequence[ResidualCovariate]) -> InputTimes | None:
+    """Return the covariate c for which a response is best input × f(c); None where all leave much of it."""
+    own = next((each for each in known if each.name == _INPUT[kind]), None)
+    if own is None:
+        return None
+    recorded = [each for each in known if not each.name.startswith(("rate_", "force_"))]
+    shares = [(_share(response, own.values, each.values), each) for each in recorded]
+    share, covariate = max(shares, key=lambda pair: pair[0], default=(0.0, own))
+    return InputTimes(covariate, own.values) if share > thresholds.COVARIATE_SHARE else None
+
+
+def _share(response: np.ndarray, stimulus: np.ndarray, values: np.ndarray) -> float:
+    """Return the share of the squares of a response that the input times a polynomial of a covariate gives."""
+    good = np.isfinite(values) & np.isfinite(stimulus)
+    whole = float(response @ response)
+    if good.sum() <= 2 * _DEGREE or whole == 0 or np.ptp(values[good]) == 0:
+        return 0.0
+    middle, half = np.mean([values[good].min(), values[good].max()]), np.ptp(values[good]) / 2
+    design = stimulus[good, None] * np.vander((values[good] - middle) / half, _DEGREE + 1)
+    left = response[good] - design @ np.linalg.lstsq(design, response[good])[0]
+    return (float(response[good] @ response[good]) - float(left @ left)) / whole

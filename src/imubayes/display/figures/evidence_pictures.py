@@ -22,8 +22,8 @@ _LEVELS, _TIME_LAST = 24, 0.1
 
 def save_evidence(folder: Path, evidence: ResidualEvidence) -> Path:
     """Draw the residual that shows a missing effect into the `figures` of its result folder; return the file."""
-    covariate, unit = evidence.covariate, pretty(evidence.unit)
-    against = f"part explained by the effect / {unit}"
+    covariate = evidence.covariate if evidence.over is None else evidence.over.covariate
+    against = "row, in the order of the runs"
     if covariate is not None:
         against = covariate.phrase + (f" / {pretty(covariate.unit)}" if covariate.unit else "")
     return _saved(folder, evidence_figure(evidence, against, _signs_of(folder)), "diagnosis.png")

@@ -13,6 +13,7 @@ from imubayes.display.run_signs import RunSigns
 from imubayes.display.theme import BAND, INK, QUIET, Picture, at_runs, panels, picture, runs_legend, themed
 
 _LEGEND = 2.05
+_LEAST_INPUT = 1 / 3
 
 
 @themed
@@ -28,8 +29,11 @@ def evidence_figure(evidence: ResidualEvidence, against: str, signs: RunSigns | 
     channel, effect, runs, at = evidence.channel, evidence.effect, evidence.run.tolist(), evidence.at
     factor, shown = readable(evidence.unit, float(np.median(np.abs(evidence.residual))))
     residual, explained = evidence.residual * factor, evidence.explained * factor
+    over = evidence.over
+    divided = "" if over is None else " over its input, where that is a third of the largest or more"
     caption = (
-        f"Left: residual of {channel}; black: the part that {effect} explains and the present model cannot absorb. "
+        f"Left: residual of {channel}{divided}; black: the part that {effect} explains and the present model cannot "
+        "absorb. "
         "Right: residual against that part; if the candidate is the cause, every run follows the line "
         "of slope 1 within its noise. A good model shows no pattern on the left and an uncorrelated cloud about zero "
         "on the right."
@@ -38,13 +42,19 @@ def evidence_figure(evidence: ResidualEvidence, against: str, signs: RunSigns | 
     names = np.array(list(runs))
     title = f"Residual of {channel} and the part explained by {effect}"
     figure, signs, (left, right) = _pair_of_panels(title, caption, names, signs)
-    for axes, x in ((left, at), (right, explained)):
-        _cloud(axes, x, residual, names, signs, high)
-    left.plot(at, explained, "D", color=INK, markersize=2.6, zorder=6)
-    left.set_title("against its covariate")
+    _cloud(right, explained, residual, names, signs, high)
+    if over is None:
+        _cloud(left, at, residual, names, signs, high)
+        left.plot(at, explained, "D", color=INK, markersize=2.6, zorder=6)
+        left.set_title("against its covariate" if evidence.covariate is not None else "row by row")
+        left.set(xlabel=against, ylabel=f"residual / {pretty(shown)}")
+    else:
+        _over_input(left, evidence, over.input, names, signs)
+        left.set(
+            xlabel=against, ylabel="residual / input / ppm", title=f"over its input, against {over.covariate.phrase}"
+        )
     right.axline((0, 0), slope=1, color=INK, linewidth=1.3, zorder=6)
     right.set_title(f"against the explained part; slope {significant(_slope(explained, residual))}")
-    left.set(xlabel=against, ylabel=f"residual / {pretty(shown)}")
     right.set(xlabel=f"explained / {pretty(shown)}", ylabel=f"residual / {pretty(shown)}")
     return figure
 
@@ -136,6 +146,18 @@ def _signs(figure: Picture, runs: np.ndarray, signs: RunSigns | None) -> RunSign
     signs = signs if signs is not None else RunSigns(runs.tolist())
     runs_legend(figure, figure.inside[2] - _LEGEND + 0.3, signs, runs.tolist())
     return signs
+
+
+def _over_input(
+    axes: Axes, evidence: ResidualEvidence, stimulus: np.ndarray, runs: np.ndarray, signs: RunSigns
+) -> None:
+    """Draw the residual over the input in ppm, where the input is large enough not to magnify the noise."""
+    size = np.abs(stimulus)
+    large = size >= _LEAST_INPUT * np.nanmax(size)
+    ratio, explained = (1e6 * each[large] / stimulus[large] for each in (evidence.residual, evidence.explained))
+    high = limit_of(np.concatenate([ratio, explained]), 1e-12)
+    _cloud(axes, evidence.at[large], ratio, runs[large], signs, high)
+    axes.plot(evidence.at[large], explained, "D", color=INK, markersize=2.6, zorder=6)
 
 
 def _slope(x: np.ndarray, y: np.ndarray) -> float:
