@@ -31,7 +31,7 @@ from imubayes.criticism.localised_structure import Step
 from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, Tree, node_id
 from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.residual_evidence import ResidualEvidence
+from imubayes.criticism.residual_evidence import ResidualEvidence, input_times
 from imubayes.criticism.verdict import EffectChoice, RmsChange, Verdict
 from imubayes.display import diagnosis_report as shown
 from imubayes.display.figures.evidence_pictures import (
@@ -198,6 +198,28 @@ def test_the_picture_of_the_evidence(tmp_path, with_covariate):
     covariate = ResidualCovariate("rate_i", "deg/s", rate, "rate") if with_covariate else None
     runs, at = np.repeat(["a", "b", "c"], 20), rate if with_covariate else explained
     evidence = ResidualEvidence("gx", "gyro_scale_asymmetry", covariate, at, runs, residual, explained, "deg/s")
+    assert save_evidence(tmp_path, evidence).read_bytes()[:4] == PNG
+
+
+def test_the_picture_of_a_response_that_is_the_input_times_a_function(tmp_path):
+    """A parabola over temperature is shown over temperature, whatever the input."""
+    random = np.random.default_rng(0)
+    force, warm = np.tile(np.cos(np.linspace(0, 2 * np.pi, 24)), 5), np.repeat([-15.0, 5.0, 25.0, 40.0, 58.0], 24)
+    known = [
+        ResidualCovariate(name, unit, values, name)
+        for name, unit, values in (
+            ("force_i", "g", force), ("time_s", "s", np.tile(np.arange(24.0), 5)), ("temperature_degC", "degC", warm),
+        )
+    ]  # fmt: skip
+    response = 1e-8 * force * (warm - 25) ** 2
+    found = input_times(response, "accelerometer", known)
+    assert found is not None
+    assert found.covariate.name == "temperature_degC"
+    # Faults planted: a response without the input, and one of no covariate.
+    assert input_times(1e-8 * (warm - 25) ** 2, "accelerometer", known) is None
+    assert input_times(random.normal(size=120), "accelerometer", known) is None
+    residual, runs = response + 1e-6 * random.normal(size=120), np.repeat(["a", "b", "c", "d", "e"], 24)
+    evidence = ResidualEvidence("ax", "effect", None, warm, runs, residual, response, "g", found)
     assert save_evidence(tmp_path, evidence).read_bytes()[:4] == PNG
 
 

@@ -116,7 +116,7 @@ def residual_evidence(
     over, place_of = None, covariate
     if covariate is None:
         response = (projected.response.columns @ value)[here]
-        over = _input_times(response, constants.kind, [replace(each, values=each.values[here]) for each in known])
+        over = input_times(response, constants.kind, [replace(each, values=each.values[here]) for each in known])
         place_of = next((each for each in known if over is not None and each.name == over.covariate.name), None)
     runs = np.array([run.name for run in model.campaign.runs])
     return ResidualEvidence(
@@ -132,7 +132,7 @@ def residual_evidence(
     )
 
 
-def _input_times(response: np.ndarray, kind: Kind, known: Sequence[ResidualCovariate]) -> InputTimes | None:
+def input_times(response: np.ndarray, kind: Kind, known: Sequence[ResidualCovariate]) -> InputTimes | None:
     """Return the covariate c for which a response is best input × f(c); None where all leave much of it."""
     own = next((each for each in known if each.name == _INPUT[kind]), None)
     if own is None:
