@@ -235,7 +235,7 @@ def _explanation(comparison: ClassicalComparison, beyond: Sequence[ComparedEstim
     how_many = f"{explained} are" if unexplained else "All are"
     said = (
         f"{how_many} explained: the classical evaluation {gives}, and applied to the outputs that the joint fit "
-        "predicts it gives the same values."
+        "predicts it gives the same values within noise and run offsets."
     )
     rest = (
         f" {unexplained} are not: the measured outputs of these runs deviate from the fit (imubayes diagnose RESULT)."
