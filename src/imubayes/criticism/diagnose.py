@@ -400,8 +400,8 @@ def _outliers(found: SearchResult) -> tuple[Outlier, ...]:
             channel=channels[entries.channel[place]].name,
             row=int(entries.row[place]) + 1,
             distance=float(distance[place]),
-            time_s=_read(model, "time", place),
-            table_angle_deg=_read(model, "table_angle", place),
+            time_s=_read(model, "time", int(place)),
+            table_angle_deg=_read(model, "table_angle", int(place)),
         )
         for place in np.argsort(-np.abs(distance), kind="stable")[: np.count_nonzero(distance)]
     )
