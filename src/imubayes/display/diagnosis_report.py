@@ -105,6 +105,8 @@ def diagnosis_lines(found: Diagnosis) -> list[str]:
 def next_lines(found: Diagnosis, pictures: Sequence[Path] = ()) -> list[str]:
     """Return the pictures and the next command, one line each."""
     command = next_command(found)
+    # The only command of the loop that takes minutes.
+    command += "  # minutes: would these runs have shown an effect?" if found.verdict == "adequate" and command else ""
     return [*(f"picture: {picture}" for picture in pictures), *([f"next: {command}"] if command else [])]
 
 
