@@ -109,6 +109,16 @@ def test_axes_are_vectors(summary):
     assert "0.50000(23)" in "\n".join(lines(Report((), [axis_sheet(summary)]), 50))
 
 
+def test_every_parameter_but_those_of_seats_is_on_the_first_screen(summary):
+    tilt = made.quantity("table_axis_tilt.x[head]", "arcsec", -2.5, 0.4, 0.9)
+    tilted = summary.model_copy(update={"parameters": (*summary.parameters, tilt)})
+    text = "\n".join(lines(summary_report(tilted), 80))
+    assert "table_axis_tilt.x[head]" in text
+    assert "-2.50 ± 0.40 arcsec" in text
+    shown = [entry.name for entry in tilted.parameters if entry.name.rpartition("[")[0] not in text]
+    assert all(name.startswith("mounting_error.") for name in shown)
+
+
 def test_the_report_states_every_component_with_its_uncertainty():
     """Also one that is as large as its uncertainty; what the draws do not support is withheld."""
     values = {"x": (1.0, None), "y": (0.00023, 2), "z": (0.00051, 0)}
@@ -130,7 +140,7 @@ def test_the_report_states_every_component_with_its_uncertainty():
 
 def test_the_first_screen_is_short_and_the_whole_is_there(summary):
     brief, whole = (lines(summary_report(summary, verbose), 80) for verbose in (False, True))
-    assert len(brief) < 90 < 170 < len(whole)
+    assert len(brief) < 100 < 170 < len(whole)
     text = "\n".join(whole)
     missing = [one.name for one in (*summary.parameters, *summary.derived) if f" {one.name} " not in text]
     assert missing == []

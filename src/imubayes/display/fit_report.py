@@ -20,6 +20,7 @@ from imubayes.display.labels import listed
 from imubayes.display.prior_conflicts import conflict_sheet
 from imubayes.display.quantity_tables import (
     derived_sheet,
+    equipment_sheet,
     is_nuisance,
     is_undetermined,
     parameter_sheet,
@@ -39,7 +40,9 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     """Return the calibration of each channel and the mounting angles; every table where `verbose`."""
     of_channels = calibration_sheets(summary)
     sheets: list[Sheet | CalibrationSheet] = [*of_channels, axis_sheet(summary)]
-    brief = (scale_and_angle_sheet(summary), combination_sheet(summary, _FEW_COMBINATIONS, standard=True))
+    in_sheets = {entry.name for sheet in of_channels for *_, own in sheet.rows for entry in own.values()}
+    equipment = equipment_sheet(summary, in_sheets)
+    brief = (equipment, scale_and_angle_sheet(summary), combination_sheet(summary, _FEW_COMBINATIONS, standard=True))
     sheets += _every_table(summary) if verbose else brief
     sheets += [conflict_sheet(summary.prior_conflicts)]
     weak = () if verbose else _weak_lines(summary)

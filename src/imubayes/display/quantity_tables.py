@@ -1,6 +1,7 @@
 """Parameters and derived quantities as tables: estimate, standard uncertainty, interval, share from the data."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.fit_quality_tables import NOT_DETERMINED, more
@@ -27,6 +28,24 @@ def scale_and_angle_sheet(summary: Summary) -> Sheet:
         if not entry.repeats_misalignments and not entry.name.startswith("axis_angle[")
     ]
     return without_dividers(_quantities(summary, own, "Derived quantities", None, nuisance=False))
+
+
+def equipment_sheet(summary: Summary, shown: Collection[str]) -> Sheet:
+    """Return what is neither of a channel alone nor of a seat: axes of tables, a station, a reference.
+
+    Parameters
+    ----------
+    shown : names that other tables show; the mounting angles tell the seats.
+    """
+    own = [
+        entry
+        for entry in in_output_units(summary).parameters
+        if entry.name not in shown and not entry.name.startswith("mounting_error.")
+    ]
+    sheet = without_dividers(_quantities(summary, own, "Tables, station and reference", None, nuisance=False))
+    # The same note stands below the derived quantities.
+    narrow = replace(sheet.narrow, note="", dense=True) if sheet.narrow is not None else None
+    return replace(sheet, note="", dense=True, narrow=narrow)
 
 
 def derived_sheet(summary: Summary, most: int | None = None) -> Sheet:
