@@ -201,7 +201,7 @@ def test_a_prior_gives_way_to_what_was_measured_beyond_doubt(first):
     found = extend(fitted, [LACKING])
     (one,) = found.coefficients
     assert one.value == pytest.approx(drift, rel=0.01)
-    assert found.widened == {f"{LACKING}.slope": f"normal(0, 1000 {one.unit})"}
+    assert found.widened == {f"{LACKING}.slope": "normal(0, 1000 output/degC)"}  # as a model file states it
 
 
 @pytest.mark.parametrize(("sd", "prior"), [(12.0, {f"{LACKING}.slope": "normal(0, 50 output/degC)"}), (18.0, {})])
