@@ -5,14 +5,14 @@ GUM 7.2.2, 13.26(26), keeps them side by side.  What needs more room goes on in 
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from imubayes.display.labels import pretty
 from imubayes.display.quantity_tables import is_undetermined
 from imubayes.display.rounding import NO_NUMBER, is_exact, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
-from imubayes.results.output_units import in_output_units
+from imubayes.results.output_units import channel_units, in_output_units
 from imubayes.results.summary import Quantity, Summary
 
 MARK = "*"
@@ -91,18 +91,11 @@ def _parenthesised(estimate: str, sd: str) -> str:
 def calibration_sheets(summary: Summary) -> list[CalibrationSheet]:
     """Return what was fitted of each channel alone, a table for gyros and one for accelerometers."""
     kinds: dict[str, list[str]] = {}
-    for channel, unit in _channels(summary):
+    for channel, (_, unit) in channel_units(summary).items():
         kind = "Gyros" if unit.partition("/")[0] in _ANGLES else "Accelerometers"
         kinds.setdefault(kind, []).append(channel)
     sheets = [CalibrationSheet(kind, kinds[kind], _rows(summary, kinds[kind])) for kind in sorted(kinds, reverse=True)]
     return [sheet for sheet in sheets if sheet.rows]
-
-
-def _channels(summary: Summary) -> Iterable[tuple[str, str]]:
-    """Yield each channel with the unit of its input: all channels have a scale factor."""
-    for entry in summary.derived:
-        if entry.name.startswith("scale_factor["):
-            yield entry.name[len("scale_factor[") : -1], entry.unit.rpartition(" per ")[2]
 
 
 def _rows(summary: Summary, channels: Sequence[str]) -> list[tuple[str, str, dict[str, Quantity]]]:

@@ -25,7 +25,7 @@ from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.inference.conditional_precision import ExactPrecision, PrecisionBlocks, conditional, precision_blocks
 from imubayes.inference.innovation_scale import InnovationScale, innovation_scale
 from imubayes.inference.posterior_mode import Mode
-from imubayes.inference.posterior_precision import knowledge, log_marginal
+from imubayes.inference.posterior_precision import inverse_of_precision, knowledge, log_marginal
 from imubayes.inference.tabulated_density import TabulatedDensity, from_normal, log_density, tabulate
 from imubayes.inference.tabulated_density import to_normal as to_standard
 from imubayes.inference.tabulated_directions import TabulatedDirections, tabulated_directions
@@ -147,23 +147,6 @@ def weak_directions(
     """Return the weak directions about a mode, as of `curved_directions`, and the marginals that are not normal."""
     weak, reach, bend = curved_directions(problem, mode)
     return weak, bend, tabulated_directions(problem, mode, weak, reach, bend)
-
-
-def inverse_of_precision(precision: np.ndarray) -> np.ndarray:
-    """Return the inverse of a positive definite matrix, (P, P).
-
-    Some parameters of a servo table are determined to 1e-8 of their prior, and the eigenvalues of their precision
-    differ by more than the rounding of the largest.  Cholesky's factor does not depend on the scale of the parameters,
-    and weak directions are those of the largest variance, which rounding does not touch.
-    """
-    scale = np.sqrt(np.diag(precision))
-    correlated = precision / np.outer(scale, scale)
-    try:
-        lower = np.linalg.cholesky(correlated)
-    except np.linalg.LinAlgError:
-        lower = np.linalg.cholesky(correlated + len(scale) * np.finfo(float).eps * np.eye(len(scale)))
-    half = np.linalg.solve(lower, np.diag(1 / scale))
-    return half.T @ half
 
 
 def curved_directions(problem: Problem, mode: Mode) -> tuple[Float[Array, "P K"], np.ndarray, Float[Array, "K K P"]]:

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imubayes.inference.posterior_precision import inverse_of_precision
+
 
 @dataclass(frozen=True)
 class LinearContributions:
@@ -40,14 +42,7 @@ class LinearContributions:
 
 def posterior_covariance(whitened: np.ndarray, widths: np.ndarray) -> np.ndarray:
     """Return C, shape (P, P), from the whitened Jacobian (E, P) and the prior standard deviations (P,)."""
-    return inverse_of(whitened.T @ whitened + np.diag(widths**-2.0))
-
-
-def inverse_of(precision: np.ndarray) -> np.ndarray:
-    """Return the inverse of a positive definite matrix (P, P), scaled to a unit diagonal for its digits."""
-    scale = 1 / np.sqrt(np.diagonal(precision))
-    inverse = np.linalg.inv(precision * np.outer(scale, scale))
-    return (inverse + inverse.T) / 2 * np.outer(scale, scale)
+    return inverse_of_precision(whitened.T @ whitened + np.diag(widths**-2.0))
 
 
 def linear_contributions(
@@ -77,7 +72,7 @@ def deviation_with_halved_groups(
     precision = whitened.T @ whitened + np.diag(widths**-2.0)
     found = np.zeros((len(gradients), len(groups)))
     for place, chosen in enumerate(groups):
-        covariance = inverse_of(precision + np.diag(np.where(chosen, 3 / widths**2, 0.0)))
+        covariance = inverse_of_precision(precision + np.diag(np.where(chosen, 3 / widths**2, 0.0)))
         found[:, place] = np.sqrt(np.sum((gradients @ covariance) * gradients, axis=1))
     return found
 
@@ -92,7 +87,7 @@ def deviation_with_more_of_a_run(
     precision = whitened.T @ whitened + np.diag(widths**-2.0)
     found = np.zeros((len(gradients), len(member)))
     for place, chosen in enumerate(member):
-        covariance = inverse_of(precision + times * whitened[chosen].T @ whitened[chosen])
+        covariance = inverse_of_precision(precision + times * whitened[chosen].T @ whitened[chosen])
         found[:, place] = np.sqrt(np.sum((gradients @ covariance) * gradients, axis=1))
     return found
 

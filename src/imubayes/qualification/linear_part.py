@@ -20,13 +20,12 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import weak_directions
 from imubayes.inference.noise_marginal import Curvature
 from imubayes.inference.posterior_mode import Mode
-from imubayes.inference.posterior_precision import Linearised
+from imubayes.inference.posterior_precision import Linearised, inverse_of_precision
 from imubayes.inference.tabulated_directions import TabulatedDirections
 from imubayes.kept_programs import kept
 from imubayes.model.derived_quantities import derived_jacobian, evaluate_derived
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.qualification.better_priors import BetterPriors, LinearGivenScales
-from imubayes.qualification.budget_algebra import inverse_of
 
 # Draws of the noise scales taken at once, and draws bent back at once.
 AT_ONCE, _BENT_AT_ONCE = 40, 500
@@ -145,7 +144,7 @@ def conditional_moments(part: LinearPart, problem: Problem, gradients: np.ndarra
     for start in range(0, len(h), AT_ONCE):
         given = conditionals(part, problem, h[start : start + AT_ONCE])
         for precision, slope, widths in zip(given.precision, given.slope, given.widths, strict=True):
-            covariance = inverse_of(precision)
+            covariance = inverse_of_precision(precision)
             along, shift = gradients @ covariance, covariance @ slope
             variance, mean = np.sum(along * gradients, axis=1), gradients @ shift
             scaled, at = along / widths, LinearGivenScales(along, variance, mean, np.diagonal(covariance), shift)
@@ -163,7 +162,7 @@ def conditional_moments(part: LinearPart, problem: Problem, gradients: np.ndarra
 
 def conditional_covariance(part: LinearPart, problem: Problem, h: np.ndarray) -> np.ndarray:
     """Return the covariance of θ given noise scales h, (H,); shape (P, P)."""
-    return inverse_of(conditionals(part, problem, h[None]).precision[0])
+    return inverse_of_precision(conditionals(part, problem, h[None]).precision[0])
 
 
 def stretched(part: LinearPart, problem: Problem, h: np.ndarray, gradients: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.posterior_precision import Linearised, linearise, whitened_jacobian
+from imubayes.inference.posterior_precision import Linearised, inverse_of_precision, linearise, whitened_jacobian
 from imubayes.model.problem import Problem
 from imubayes.parameters.priors import HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal, Prior, Uniform
 from imubayes.parameters.vector import Layout, Parameter
@@ -27,7 +27,6 @@ from imubayes.qualification.budget_algebra import (
     degrees_of_freedom,
     deviation_with_halved_groups,
     deviation_with_more_of_a_run,
-    inverse_of,
     posterior_covariance,
     type_a_contributions,
 )
@@ -369,7 +368,7 @@ def _over_runs(
     found = []
     for scales, precision in zip(h, conditionals(part, problem, h).precision, strict=True):
         whitened = np.asarray(whitened_jacobian(problem, about, jnp.asarray(scales)))
-        found.append(type_a_contributions(gradients @ inverse_of(precision), whitened, member))
+        found.append(type_a_contributions(gradients @ inverse_of_precision(precision), whitened, member))
     return np.stack(found, axis=2)
 
 

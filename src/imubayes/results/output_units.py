@@ -4,10 +4,11 @@ from imubayes.results.summary import Quantity, Summary
 from imubayes.units import with_output_unit
 
 
-def output_units(summary: Summary) -> dict[str, str]:
-    """Return the output unit of each channel, which its scale factor has."""
+def channel_units(summary: Summary) -> dict[str, tuple[str, str]]:
+    """Return the units of output and input of each channel, which its scale factor has."""
     scales = [entry for entry in summary.derived if entry.name.startswith("scale_factor[")]
-    return {entry.name[len("scale_factor[") : -1]: entry.unit.rpartition(" per ")[0] for entry in scales}
+    parts = [(entry.name[len("scale_factor[") : -1], entry.unit.rpartition(" per ")) for entry in scales]
+    return {channel: (output, per) for channel, (output, _, per) in parts}
 
 
 def in_output_units(summary: Summary) -> Summary:
@@ -15,7 +16,7 @@ def in_output_units(summary: Summary) -> Summary:
 
     What belongs to channels of different output units keeps it.
     """
-    units = output_units(summary)
+    units = {channel: output for channel, (output, _) in channel_units(summary).items()}
     common = next(iter(units.values())) if len(set(units.values())) == 1 else ""
 
     def shown[Line: Quantity](line: Line, name: str) -> Line:
