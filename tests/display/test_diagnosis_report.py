@@ -276,10 +276,19 @@ def test_before_and_after_are_shown_against_the_covariate():
     assert drawn is not None
     assert drawn.png()[:4] == PNG
     change = before["input_residual"].to_numpy() - after["input_residual"].to_numpy()
-    assert followed_covariate(before, change)[1] == "temperature / °C"
-    assert followed_covariate(before, change, "time_s")[1].startswith("time")
+    assert followed_covariate(before, change).label == "temperature / °C"
+    assert followed_covariate(before, change, "time_s").label.startswith("time")
     # Planted fault: what follows nothing is shown by row.
-    assert followed_covariate(before, np.random.default_rng(2).normal(size=60))[1].startswith("row")
+    assert followed_covariate(before, np.random.default_rng(2).normal(size=60)).label.startswith("row")
+    # A change of the scale factor with temperature, in rows of both signs of the input: its ratio is shown.
+    stimulus = np.where(before["row"].to_numpy() % 2, 50.0, -50.0)
+    observed = before.with_columns(pl.Series("input_observed", stimulus))
+    scaled = followed_covariate(observed, change * stimulus)
+    assert scaled.label == "temperature / °C"
+    assert scaled.over is not None
+    assert followed_covariate(observed, change).over is None
+    ratio = observed.with_columns(input_residual=pl.col("input_residual") * pl.col("input_observed"))
+    assert before_after(ratio, after, "gyro_scale_temperature") is not None
     assert before_after(before, after.with_columns(pl.lit("other").alias("run")), "x") is None
 
 

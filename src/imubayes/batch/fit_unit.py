@@ -24,6 +24,7 @@ from imubayes.model.bind import Model, bind
 from imubayes.model.effect_registry import Registry
 from imubayes.model.likelihood import whitened
 from imubayes.model.model_spec import ModelSpec
+from imubayes.parameters.input_axis_names import channel_of_component
 from imubayes.results.estimates import is_constant
 
 QUANTILES = (2.5, 25.0, 50.0, 75.0, 97.5)
@@ -142,7 +143,7 @@ def _derived(fit: Fit) -> tuple[Quantities, ...]:
     posterior = fit.posterior
     assert posterior is not None
     # Components of input axes are left out: they tell nothing beyond the misalignments.
-    places = [place for place, each in enumerate(fit.derived.names) if not each.name.startswith("input_axis[")]
+    places = [place for place, each in enumerate(fit.derived.names) if channel_of_component(each.name) is None]
     if not places:
         return ()
     names = [fit.derived.names[place] for place in places]

@@ -8,6 +8,7 @@ import numpy as np
 from imubayes.campaign_data import Kind
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
+from imubayes.criticism.effect_covariates import INPUTS
 from imubayes.criticism.free_form_dependence import Structure
 from imubayes.criticism.projection import PRIOR, Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate, as_read
@@ -15,7 +16,6 @@ from imubayes.criticism.score_test import Candidate, ProjectedResponse
 
 # Degree of the polynomial that stands for any function of a covariate: it follows what a term of the catalogue may be.
 _DEGREE = 5
-_INPUT = {"gyro": "rate_i", "accelerometer": "force_i"}
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def residual_evidence(
 
 def input_times(response: np.ndarray, kind: Kind, known: Sequence[ResidualCovariate]) -> InputTimes | None:
     """Return the covariate c for which a response is best input × f(c); None where all leave much of it."""
-    own = next((each for each in known if each.name == _INPUT[kind]), None)
+    own = next((each for each in known if each.name == INPUTS[kind]), None)
     if own is None:
         return None
     recorded = [each for each in known if not each.name.startswith(("rate_", "force_"))]

@@ -12,6 +12,7 @@ from imubayes.display.labels import pretty
 from imubayes.display.quantity_tables import is_undetermined
 from imubayes.display.rounding import NO_NUMBER, is_exact, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
+from imubayes.parameters.input_axis_names import channel_of_component
 from imubayes.results.output_units import channel_units, in_output_units
 from imubayes.results.summary import Quantity, Summary
 
@@ -111,8 +112,9 @@ def axis_sheet(summary: Summary) -> Sheet:
     """Return the input axes as vectors, a row for each channel."""
     axes: dict[str, list[Quantity]] = {}
     for entry in summary.derived:
-        if entry.repeats_misalignments:
-            axes.setdefault(entry.name.partition("[")[2].partition(",")[0], []).append(entry)
+        channel = channel_of_component(entry.name)
+        if channel is not None:
+            axes.setdefault(channel, []).append(entry)
     wide, narrow = (
         [(Cell(channel), *(estimate_cell(entry, is_short) for entry in own)) for channel, own in axes.items()]
         for is_short in (False, True)

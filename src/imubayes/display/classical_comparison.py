@@ -248,7 +248,7 @@ def _at_own_temperature(beyond: Sequence[ComparedEstimate]) -> list[str]:
     if not warm:
         return []
     ends = dict.fromkeys(f"{at:.0f}" for at in (min(warm), max(warm)))
-    at = f"{' … '.join(ends)} °C; joint values are at {REFERENCE_TEMPERATURE:g} °C"
+    at = f"{' … '.join(ends).replace('-', '−')} °C; joint values are at {REFERENCE_TEMPERATURE:g} °C"
     return [f"evaluates runs at their own temperature ({at})"]
 
 

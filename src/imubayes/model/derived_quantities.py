@@ -29,6 +29,7 @@ from imubayes.model.sensitive_axes import (
     unit_vectors,
 )
 from imubayes.model.signal_path import Layer
+from imubayes.parameters.input_axis_names import component_names
 from imubayes.procedures.converter_temperature import NEAR_ONE_G
 from imubayes.units import to_si
 
@@ -185,7 +186,7 @@ def _quantities_of_kind(
         DerivedQuantity(f"scale_factor[{c.name}]", f"{c.output_unit} per {c.per}", 1 / to_si(c.per, gravity))
         for c in channels
     ]
-    axes = [f"input_axis[{c.name},{component}]" for c in channels if c.name in tilted for component in "xyz"]
+    axes = [name for c in channels if c.name in tilted for name in component_names(c.name)]
     vectors = [DerivedQuantity(name, "1", 1.0) for name in axes]
     angles = [f"mounting_angle[{channel.name},{mounting}]" for channel in channels for mounting in mountings]
     angles += [f"axis_angle[{channels[i].name},{channels[j].name}]" for i, j in couples]

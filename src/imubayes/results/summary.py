@@ -14,6 +14,7 @@ from imubayes.inference.implausible_record import ImplausibleEstimate, Unexplain
 from imubayes.inference.next_run import NextRun
 from imubayes.inference.prior_conflict import PriorConflict
 from imubayes.json_record import Record
+from imubayes.parameters.input_axis_names import channel_of_component
 from imubayes.results.provenance_record import FitProvenance
 
 
@@ -41,7 +42,7 @@ class Quantity(Record):
     @property
     def repeats_misalignments(self) -> bool:
         """Whether it is a component of an input axis, which tells nothing beyond the misalignments."""
-        return self.name.startswith("input_axis[")
+        return channel_of_component(self.name) is not None
 
 
 class ParameterSummary(Quantity):

@@ -6,27 +6,39 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from imubayes.covariates import shown
+from imubayes.covariates import Covariate, shown
 from imubayes.criticism.diagnosis_record import EffectGroup
 from imubayes.criticism.recorded_noise import RecordedNoise
+from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.display.figures.recorded_noise import recorded_noise_figure
-from imubayes.display.figures.residual_evidence import added_variable_figure, before_after_figure, evidence_figure
+from imubayes.display.figures.residual_evidence import (
+    FollowedCovariate,
+    added_variable_figure,
+    before_after_figure,
+    evidence_figure,
+)
 from imubayes.display.labels import pretty
+from imubayes.display.residual_columns import numbers
 from imubayes.display.run_signs import RunSigns, run_signs
 from imubayes.display.theme import Picture
 from imubayes.results.record_names import RESIDUALS
 
-_LEVELS, _TIME_LAST = 24, 0.1
+_LEVELS, _LEAST_SHARE, _TIME_LAST = 24, 0.15, 0.1
+# A ratio to the input is shown where it tells clearly more than the plain residual.
+_RATIO_LAST = 0.2
+_BY_ROW = "row, in the order of the runs"
 
 
 def save_evidence(folder: Path, evidence: ResidualEvidence) -> Path:
     """Draw the residual that shows a missing effect into the `figures` of its result folder; return the file."""
     covariate = evidence.covariate if evidence.over is None else evidence.over.covariate
-    against = "row, in the order of the runs"
-    if covariate is not None:
-        against = covariate.phrase + (f" / {pretty(covariate.unit)}" if covariate.unit else "")
+    against = _label(covariate) if covariate is not None else _BY_ROW
     return _saved(folder, evidence_figure(evidence, against, _signs_of(folder)), "diagnosis.png")
+
+
+def _label(covariate: Covariate | ResidualCovariate) -> str:
+    return covariate.phrase + (f" / {pretty(covariate.unit)}" if covariate.unit else "")
 
 
 def save_recorded_noise(folder: Path, record: RecordedNoise) -> Path:
@@ -73,44 +85,54 @@ def before_after(
         channel = group.residual.channel
     named = group.covariate.name if group is not None and group.covariate is not None else None
     own = joined.filter(pl.col("channel") == channel)
-    at, label = followed_covariate(own, own["input_residual"].to_numpy() - own["after"].to_numpy(), named)
+    before_own, after_own = own["input_residual"].to_numpy(), own["after"].to_numpy()
+    followed = followed_covariate(own, before_own - after_own, named)
     return before_after_figure(
-        at, own["input_residual"].to_numpy(), own["after"].to_numpy(), own["run"].to_list(), channel,
-        own["input_unit"][0], label, added, (floors or {}).get(channel), run_signs(before),
+        followed, before_own, after_own, own["run"].to_list(), channel, own["input_unit"][0], added,
+        (floors or {}).get(channel), run_signs(before),
     )  # fmt: skip
 
 
-def followed_covariate(own: pl.DataFrame, change: np.ndarray, named: str | None = None) -> tuple[np.ndarray, str]:
+def followed_covariate(own: pl.DataFrame, change: np.ndarray, named: str | None = None) -> FollowedCovariate:
     """Return the covariate that a change follows best, by the means of its levels; the row where it follows none.
 
-    One that is named goes first where the table has it; time, along which everything changes, goes last.
+    One that is named goes first where the table has it; time, along which everything changes, goes last.  Where the
+    change over the input follows a covariate clearly better than the change itself follows any, that one is returned
+    with the input: a change of the scale factor with temperature, in rows of both signs of the input.
     """
-    best, found = 0.15, None
+    stimulus = numbers(own, "input_observed")
+    best, followed = _LEAST_SHARE, FollowedCovariate(np.arange(own.height, dtype=float), _BY_ROW)
     for covariate in shown():
-        if covariate.column not in own.columns:
-            continue
-        x = own[covariate.column].cast(pl.Float64).fill_null(float("nan")).to_numpy()
-        share = _share(x, change) + (2.0 if covariate.column == named else 0.0)
-        share -= _TIME_LAST if covariate.si == "s" else 0.0
-        if share > best:
-            best, found = share, (x, f"{covariate.phrase} / {pretty(covariate.unit)}")
-    return found or (np.arange(own.height, dtype=float), "row, in the order of the runs")
+        x = numbers(own, covariate.column)
+        late = _TIME_LAST if covariate.si == "s" else 0.0
+        shares = (_share(x, change) + (2.0 if covariate.column == named else 0.0), _share_of_ratio(x, change, stimulus))
+        for share, over in ((shares[0], None), (shares[1] - _RATIO_LAST, stimulus)):
+            if share - late > best:
+                best, followed = share - late, FollowedCovariate(x, _label(covariate), over)
+    return followed
 
 
 def _share(x: np.ndarray, y: np.ndarray) -> float:
     """Return the share of the variance of y between levels of x, less what chance gives."""
-    good = np.isfinite(x)
+    return _share_of_ratio(x, y, np.ones(len(y)))
+
+
+def _share_of_ratio(x: np.ndarray, y: np.ndarray, stimulus: np.ndarray) -> float:
+    """Return the share of the variance of y that a ratio y/stimulus by levels of x gives beyond a constant ratio."""
+    good = np.isfinite(x) & np.isfinite(stimulus)
     if good.sum() < 0.6 * len(x) or np.ptp(x[good]) == 0:
         return 0.0
-    x, y = x[good], y[good]
+    x, y, stimulus = x[good], y[good], stimulus[good]
     edges = np.unique(np.quantile(x, np.linspace(0, 1, min(_LEVELS, max(3, len(x) // 6)) + 1)))
     level = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
-    count = np.bincount(level, minlength=len(edges) - 1)
-    means = np.bincount(level, y, len(edges) - 1) / np.maximum(count, 1)
+    weight = np.bincount(level, stimulus**2, len(edges) - 1)
+    product = np.bincount(level, stimulus * y, len(edges) - 1)
+    constant = float(product.sum() ** 2 / weight.sum()) if weight.sum() > 0 else 0.0
     whole = float(np.sum((y - y.mean()) ** 2))
-    between = float(np.sum(count * (means - y.mean()) ** 2))
+    rest = float(y @ y) - constant
+    between = float(np.sum(product**2 / np.where(weight > 0, weight, np.inf))) - constant
     free = len(x) - len(edges) + 1
-    return (between - (len(edges) - 2) * (whole - between) / max(free, 1)) / whole if whole > 0 else 0.0
+    return (between - (len(edges) - 2) * (rest - between) / max(free, 1)) / whole if whole > 0 else 0.0
 
 
 def added_variable(table: pl.DataFrame, added: str, residuals: pl.DataFrame | None = None) -> Picture | None:

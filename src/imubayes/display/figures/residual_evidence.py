@@ -1,6 +1,7 @@
 """Residuals of one channel against what the missing effect depends on, before and after it is added."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,6 +15,22 @@ from imubayes.display.theme import BAND, INK, QUIET, Picture, at_runs, panels, p
 
 _LEGEND = 2.05
 _LEAST_INPUT = 1 / 3
+
+
+@dataclass(frozen=True)
+class FollowedCovariate:
+    """The covariate that the change of a residual follows (n points).
+
+    Attributes
+    ----------
+    at : shape (n,), its values.
+    label : its name and unit, for the axis.
+    over : shape (n,), the input, in the unit of the residual, where the residual over the input follows it.
+    """
+
+    at: np.ndarray
+    label: str
+    over: np.ndarray | None = None
 
 
 @themed
@@ -61,13 +78,12 @@ def evidence_figure(evidence: ResidualEvidence, against: str, signs: RunSigns | 
 
 @themed
 def before_after_figure(
-    at: np.ndarray,
+    followed: FollowedCovariate,
     before: np.ndarray,
     after: np.ndarray,
     runs: Sequence[str],
     channel: str,
     unit: str,
-    against: str,
     added: str,
     floor: float | None = None,
     signs: RunSigns | None = None,
@@ -76,23 +92,29 @@ def before_after_figure(
 
     Parameters
     ----------
-    at : shape (n,), the covariate.
+    followed : the covariate.
     before, after : shape (n,), residuals in `unit`.
     runs : of each point.
-    channel, unit, against : for the labels.
+    channel, unit : for the labels.
     added : the effect.
     floor : noise of one row in `unit`, drawn as a band; None for none.
     signs : of the runs; without them each run has its own hue.
     """
     factor, shown = readable(unit, float(np.median(np.abs(before))))
+    names, at, over = np.array(list(runs)), followed.at, followed.over
+    divided, quantity = "in input units", f"residual / {pretty(shown)}"
+    if over is not None:
+        large, over = _large_inputs(over)
+        names, at, floor = names[large], at[large], None if floor is None else floor / float(np.median(np.abs(over)))
+        before, after, factor, shown = before[large] / over, after[large] / over, 1e6, "ppm"
+        divided, quantity = "over its input, where that is a third of the largest or more,", "residual / input / ppm"
     before, after = before * factor, after * factor
     caption = (
-        f"Residual of {channel} in input units before and after adding {added}, on one scale; black: "
+        f"Residual of {channel} {divided} before and after adding {added}, on one scale; black: "
         "means of neighbouring points with ±2 standard errors. A good model leaves a band without pattern about zero"
         + (", as wide as the grey band, the noise of one row (±1 sd)." if floor is not None else ".")
     )
     high = limit_of(np.concatenate([before, after]), 3 * floor * factor if floor else 1e-12)
-    names = np.array(list(runs))
     figure, signs, grid = _pair_of_panels(f"{channel} before and after adding {added}", caption, names, signs)
     for axes, word, y in zip(grid, ("before", "after"), (before, after), strict=True):
         if floor is not None:
@@ -100,8 +122,8 @@ def before_after_figure(
         _cloud(axes, at, y, names, signs, high)
         draw_means(axes, at, y)
         axes.set_title(f"{word}: rms {significant(float(np.sqrt(np.nanmean(y**2))))} {pretty(shown)}")
-        axes.set_xlabel(against)
-    grid[0].set_ylabel(f"residual / {pretty(shown)}")
+        axes.set_xlabel(followed.label)
+    grid[0].set_ylabel(quantity)
     return figure
 
 
@@ -152,12 +174,18 @@ def _over_input(
     axes: Axes, evidence: ResidualEvidence, stimulus: np.ndarray, runs: np.ndarray, signs: RunSigns
 ) -> None:
     """Draw the residual over the input in ppm, where the input is large enough not to magnify the noise."""
-    size = np.abs(stimulus)
-    large = size >= _LEAST_INPUT * np.nanmax(size)
-    ratio, explained = (1e6 * each[large] / stimulus[large] for each in (evidence.residual, evidence.explained))
+    large, divisor = _large_inputs(stimulus)
+    ratio, explained = (1e6 * each[large] / divisor for each in (evidence.residual, evidence.explained))
     high = limit_of(np.concatenate([ratio, explained]), 1e-12)
     _cloud(axes, evidence.at[large], ratio, runs[large], signs, high)
     axes.plot(evidence.at[large], explained, "D", color=INK, markersize=2.6, zorder=6)
+
+
+def _large_inputs(stimulus: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the input is large enough not to magnify the noise, and the input there."""
+    size = np.abs(stimulus)
+    large = size >= _LEAST_INPUT * np.nanmax(size)
+    return large, stimulus[large]
 
 
 def _slope(x: np.ndarray, y: np.ndarray) -> float:

@@ -12,6 +12,7 @@ from imubayes.display.qualification.words import (
     stated,
 )
 from imubayes.display.rounding import percent, rounded, significant, value_and_sd
+from imubayes.parameters.input_axis_names import channel_of_component
 from imubayes.qualification.report_record import (
     MountingAngle,
     NotEstimated,
@@ -198,7 +199,7 @@ def _delta_k_table(lines: Sequence[ThermalLinearity]) -> ReportTable:
 def result_section(report: QualificationReport) -> list[Block]:
     """Return the full result table."""
     parameters = [line for line in report.results if line.kind == "parameter"]
-    axes = [line for line in report.results if line.name.startswith("input_axis[")]
+    axes = [line for line in report.results if channel_of_component(line.name) is not None]
     derived = [line for line in report.results if line.kind == "derived" and line not in axes]
     note = (
         "u: standard uncertainty, the standard deviation of the joint posterior (GUM, type A and B combined). Digits "
@@ -221,7 +222,8 @@ def axis_table(lines: Sequence[ResultLine]) -> ReportTable:
     cells: dict[str, list[Text]] = {}
     for line in lines:
         estimate, u, _, _ = stated(line)
-        channel = line.name.partition("[")[2].partition(",")[0]
+        channel = channel_of_component(line.name)
+        assert channel is not None, line.name
         cells.setdefault(channel, []).append(Text(f"{estimate} ± {u}" if u[0].isdigit() else estimate))
     rows = [(Text(channel), *own) for channel, own in cells.items()]
     note = "Components of the unit vectors in body axes; their budgets are those of the misalignments."
