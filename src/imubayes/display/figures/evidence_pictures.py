@@ -26,7 +26,7 @@ from imubayes.results.record_names import RESIDUALS
 
 _LEVELS, _LEAST_SHARE, _TIME_LAST = 24, 0.15, 0.1
 # A ratio to the input is shown where it tells clearly more than the plain residual.
-_RATIO_LAST = 0.2
+_RATIO_LAST = 0.05
 _BY_ROW = "row, in the order of the runs"
 
 
@@ -118,7 +118,10 @@ def _share(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def _share_of_ratio(x: np.ndarray, y: np.ndarray, stimulus: np.ndarray) -> float:
-    """Return the share of the variance of y that a ratio y/stimulus by levels of x gives beyond a constant ratio."""
+    """Return the share of the variance of y that a ratio y/stimulus by levels of x gives, less what chance gives.
+
+    It is 0 where one ratio for all levels gives as much.
+    """
     good = np.isfinite(x) & np.isfinite(stimulus)
     if good.sum() < 0.6 * len(x) or np.ptp(x[good]) == 0:
         return 0.0
@@ -127,12 +130,13 @@ def _share_of_ratio(x: np.ndarray, y: np.ndarray, stimulus: np.ndarray) -> float
     level = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
     weight = np.bincount(level, stimulus**2, len(edges) - 1)
     product = np.bincount(level, stimulus * y, len(edges) - 1)
-    constant = float(product.sum() ** 2 / weight.sum()) if weight.sum() > 0 else 0.0
-    whole = float(np.sum((y - y.mean()) ** 2))
-    rest = float(y @ y) - constant
-    between = float(np.sum(product**2 / np.where(weight > 0, weight, np.inf))) - constant
-    free = len(x) - len(edges) + 1
-    return (between - (len(edges) - 2) * (rest - between) / max(free, 1)) / whole if whole > 0 else 0.0
+    whole, squares = float(np.sum((y - y.mean()) ** 2)), float(y @ y)
+    rest = squares - float(np.sum(product**2 / np.where(weight > 0, weight, np.inf)))
+    constant = squares - (float(product.sum() ** 2 / weight.sum()) if weight.sum() > 0 else 0.0)
+    chance = (len(edges) - 2) * rest / max(len(x) - len(edges) + 1, 1)
+    if whole <= 0 or constant - rest - chance <= _LEAST_SHARE * whole:
+        return 0.0
+    return 1 - (rest + chance) / whole
 
 
 def added_variable(table: pl.DataFrame, added: str, residuals: pl.DataFrame | None = None) -> Picture | None:
