@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from imubayes.display.labels import pretty
 from imubayes.display.quantity_tables import is_undetermined
-from imubayes.display.rounding import NO_NUMBER, is_exact, value_and_sd
+from imubayes.display.rounding import NO_NUMBER, concise, is_exact, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.parameters.input_axis_names import channel_of_component
 from imubayes.results.output_units import channel_units, in_output_units
@@ -78,15 +78,8 @@ def estimate_cell(entry: Quantity | None, is_short: bool) -> Cell:
         return Cell(NO_NUMBER, "dim")
     estimate, sd = value_and_sd(entry.mean, entry.sd)
     exact = is_exact(entry.mean, entry.sd)
-    text = estimate if exact else _parenthesised(estimate, sd) if is_short else f"{estimate} ± {sd}"
+    text = estimate if exact else concise(entry.mean, entry.sd) if is_short else f"{estimate} ± {sd}"
     return Cell(f"{text}{MARK}", "dim") if is_undetermined(entry) else Cell(text)
-
-
-def _parenthesised(estimate: str, sd: str) -> str:
-    """Return an estimate with its uncertainty in units of its last digit: -0.00013, 0.00023 → -0.00013(23)."""
-    if "e" in sd:
-        return f"{estimate} ± {sd}"
-    return f"{estimate}({sd.removeprefix('0.').lstrip('0') if sd.startswith('0.') else sd})"
 
 
 def calibration_sheets(summary: Summary) -> list[CalibrationSheet]:

@@ -64,10 +64,14 @@ def value_and_sd(value: float | None, sd: float | None) -> tuple[str, str]:
 
 
 def concise(value: float, sd: float) -> str:
-    """Return the estimate with its standard uncertainty in parentheses: 12.346(21)."""
+    """Return the estimate with its standard uncertainty in parentheses, GUM 7.2.2: 12.346(21), -0.00013(23)."""
     if not sd > 0:
         return rounded((value,), sd)[0]
-    return Formatter(round_mode="sig_fig", ndigits=2, paren_uncertainty=True)(value, sd)
+    estimate, uncertainty = value_and_sd(value, sd)
+    if "e" in uncertainty:
+        return f"{estimate} ± {uncertainty}"
+    digits = uncertainty.removeprefix("0.").lstrip("0") if uncertainty.startswith("0.") else uncertainty
+    return estimate if uncertainty == "0" else f"{estimate}({digits})"
 
 
 def significant(value: float | None, digits: int = 3) -> str:
