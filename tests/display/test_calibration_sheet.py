@@ -89,6 +89,13 @@ def test_what_is_not_determined_is_marked_and_named(summary):
     assert not [line for line in lines(summary_report(summary), 120) if line.startswith("gyro_bias") and "*" in line]
 
 
+def test_notebook_shows_the_calibration_of_each_channel_first(summary):
+    page = summary_html(summary)
+    assert page.index("Gyros") < page.index("Input axes") < page.index("<details")
+    loose = [one.model_copy(update={"from_data": 0.0}) for one in summary.parameters]
+    assert "* Not determined" in summary_html(summary.model_copy(update={"parameters": tuple(loose)}))
+
+
 def test_output_units_are_those_of_the_channel(summary):
     of_output = [
         one.model_copy(update={"unit": "output"}) if one.name.startswith("white_noise") else one

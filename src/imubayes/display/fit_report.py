@@ -45,7 +45,7 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     brief = (equipment, scale_and_angle_sheet(summary), combination_sheet(summary, _FEW_COMBINATIONS, standard=True))
     sheets += _every_table(summary) if verbose else brief
     sheets += [conflict_sheet(summary.prior_conflicts)]
-    weak = () if verbose else _weak_lines(summary)
+    weak = () if verbose else weak_lines(summary)
     chi2 = "–" if summary.chi2 is None else f"{summary.chi2:.1f}"
     meaning = f"intervals are {summary.interval}; " if verbose else ""
     closing = (
@@ -73,7 +73,7 @@ def _every_table(summary: Summary) -> list[Sheet]:
     ]
 
 
-def _weak_lines(summary: Summary) -> tuple[str, ...]:
+def weak_lines(summary: Summary) -> tuple[str, ...]:
     """Return what is not or weakly determined, the run that would determine most of it, and where the tables are."""
     loose = [entry.name for entry in summary.parameters if is_undetermined(entry) and not is_nuisance(entry)]
     confused = [weak_text(found) for found in summary.weak_directions if found.kind == "confusion"]

@@ -1,25 +1,37 @@
 """A result as self-contained HTML for a notebook: no scripts, links or external styles; all text is escaped."""
 
+from imubayes.display.calibration_sheet import axis_sheet, calibration_sheets
 from imubayes.display.combination_tables import combination_sheet, weak_sheet
 from imubayes.display.fit_cautions import alarm_of, notices
 from imubayes.display.fit_quality_tables import contribution_sheet, next_run_sheet, run_sheet
+from imubayes.display.fit_report import weak_lines
 from imubayes.display.provenance_line import provenance_line
-from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
+from imubayes.display.quantity_tables import derived_sheet, parameter_sheet, scale_and_angle_sheet
 from imubayes.display.templates import render
 from imubayes.results.summary import Summary
 
 
 def summary_html(summary: Summary) -> str:
-    """Return the whole result: convergence, parameters, derived quantities, runs and what is weakly determined."""
-    optional = (
-        (summary.derived, derived_sheet),
-        (summary.runs, run_sheet),
-        (summary.combinations, combination_sheet),
-        (summary.weak_directions, weak_sheet),
-        (summary.next_runs, next_run_sheet),
-        (summary.contributions, contribution_sheet),
+    """Return the whole result: convergence and calibration; folded, every table of the fit."""
+    at_a_glance = [*calibration_sheets(summary), axis_sheet(summary), scale_and_angle_sheet(summary)]
+    every = (
+        parameter_sheet(summary),
+        derived_sheet(summary),
+        run_sheet(summary),
+        combination_sheet(summary),
+        weak_sheet(summary),
+        next_run_sheet(summary),
+        contribution_sheet(summary),
     )
-    sheets = [parameter_sheet(summary), *(sheet(summary) for content, sheet in optional if content)]
-    origin = provenance_line(summary.provenance)
-    shown = {"alarm": alarm_of(summary), "notices": notices(summary), "sheets": sheets, "origin": origin}
-    return render("summary", summary=summary, **shown)
+    shown, folded = ([block for sheet in sheets for block in sheet.blocks()] for sheets in (at_a_glance, every))
+    return render(
+        "summary",
+        summary=summary,
+        alarm=alarm_of(summary),
+        notices=notices(summary),
+        # Without a channel of its own, such as a result of equipment alone, the parameters stand open.
+        shown=shown or folded[:1],
+        weak=weak_lines(summary),
+        folded=folded if shown else folded[1:],
+        origin=provenance_line(summary.provenance),
+    )
