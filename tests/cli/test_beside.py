@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from imubayes.campaign import Inspection, inspect_campaign
 from imubayes.errors import InputError, Issue
@@ -21,6 +22,20 @@ if __name__ == "__main__":
     with inspecting(Path(sys.argv[1])) as inspected:
         found = pickle.dumps(inspected())
     Path(sys.argv[2]).write_bytes(found)
+"""
+
+# Commands end by os._exit after atexit, which joins every child: one that waits for its next task would never end.
+LEFT = """
+import sys
+from contextlib import suppress
+from multiprocessing import active_children
+from pathlib import Path
+from imubayes.cli.beside import inspecting
+
+if __name__ == "__main__":
+    with suppress(ZeroDivisionError), inspecting(Path(sys.argv[1])) as inspected:
+        {wait}
+    print(len(active_children()), "children")
 """
 
 
@@ -47,6 +62,14 @@ def test_faults_come_back_with_their_four_parts(tmp_path):
     found = read_beside(tmp_path / "empty", tmp_path)
     assert found.campaign is None
     assert found.issues == inspect_campaign(tmp_path / "empty").issues
+
+
+@pytest.mark.parametrize("waiting", [True, False])
+def test_no_child_is_left_when_the_reading_ends_or_is_given_up(tmp_path, waiting):
+    script = tmp_path / "left.py"
+    script.write_text(LEFT.format(wait="inspected()" if waiting else "1 / 0"), encoding="utf-8")
+    told = subprocess.run([sys.executable, script, CAMPAIGN], check=True, capture_output=True, text=True, timeout=60)
+    assert told.stdout.strip() == "0 children"
 
 
 def test_an_input_error_is_pickled_with_its_issues():

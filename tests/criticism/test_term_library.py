@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from imubayes.criticism.term_library import levels
+from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.criticism.term_library import levels, library
 
 
 @pytest.mark.parametrize("count", [20, 51, 80, 1000])
@@ -22,3 +23,11 @@ def test_set_points_that_scatter_are_levels() -> None:
 
 def test_a_constant_is_one_level() -> None:
     assert not levels(np.full(9, 3.5)).any()
+
+
+def test_one_speed_in_both_directions_has_no_bump():
+    speed = np.repeat([50.0, -50.0], 20)
+    terms = library([ResidualCovariate("rate_i", "deg/s", speed, "rate along the input axis")], np.arange(40), 9.8)
+    assert "power" in {term.sort for term in terms}
+    assert "bump" not in {term.sort for term in terms}
+    assert all(np.isfinite(term.values).all() for term in terms)

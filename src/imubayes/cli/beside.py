@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +37,12 @@ def inspecting(campaign: Path) -> Iterator[Callable[[], "Inspection"]]:
     try:
         yield wait
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        if not inspection.done():  # an error elsewhere: nobody waits for the result
+            for child in active_children():
+                child.terminate()
+        # A child that is still to be told to end would wait for it for ever: the command ends without Python's shutdown
+        # of threads, and joins its children.
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _inspect(campaign: Path) -> "Inspection":

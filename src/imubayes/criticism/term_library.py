@@ -165,6 +165,8 @@ def _bumps(base: _Base, gravity: float) -> list[Term]:
     if base.entry.symmetric:
         text, code, size = f"|{text}|", f"jnp.abs({code})", np.abs(size)
     low, high = float(np.nanmin(size)), float(np.nanmax(size))
+    if not high > low:  # one rate, in both directions
+        return []
     unit, factor = base.entry.unit, base.entry.factor(gravity)
     found = []
     for centre in np.linspace(low, high, thresholds.BUMP_CENTRES + 2)[1:-1].tolist():
