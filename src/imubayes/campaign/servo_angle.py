@@ -9,7 +9,7 @@ from imubayes.campaign_data import Channel, Run, Table
 from imubayes.procedures import PROCEDURES
 from imubayes.units import to_si
 
-ANGLE = "table_angle"
+ANGLE, ANGLE_UNIT = "table_angle", "deg"
 
 
 def with_angles(
@@ -25,7 +25,7 @@ def with_angles(
     stated = [tables[run.table].angle_uncertainty for run in driven if run.table is not None]
     noise = max((uncertainty for uncertainty in stated if uncertainty), default=None)
     sd = None if noise is None else float(np.degrees(noise))
-    angle = Channel(ANGLE, "angle", np.eye(3), "deg", 1.0, "deg", 1 / to_si("deg"), noise=sd)
+    angle = Channel(ANGLE, "angle", np.eye(3), ANGLE_UNIT, 1.0, ANGLE_UNIT, 1 / to_si(ANGLE_UNIT), noise=sd)
     return (*channels, angle), tuple(_with_angle(run) for run in runs)
 
 

@@ -171,7 +171,7 @@ def _first_pass(given: SearchInput) -> FirstPass:
         look_elsewhere([candidate.score for candidate in first.candidates]),
         look_elsewhere([structure.score for structure in first.structures], first.scans),
     )
-    noise = screen_noise(first.projection)
+    noise = _screened_noise(first.projection)
     groups, last, rest = _select_effects(first, corrections.of_effect, given.factor)
     alarm, cleared = bool(groups or corrections.significant(first.structures, given.factor)), last.projection
     if alarm or _significant_noise(noise, thresholds.FALSE_ALARM_NOISE):
@@ -268,7 +268,7 @@ def _noise_hypotheses(at: FirstPass) -> tuple[list[NoiseCandidate], list[NoiseCa
     """Return the noise that is adopted, and that under which effects are judged: also what is only suspected."""
     if not (at.alarm or _significant_noise(at.noise, thresholds.FALSE_ALARM_NOISE)):
         return [], []
-    remaining = [each for each in screen_noise(at.cleared) if each.effect != OUTLIERS]
+    remaining = [each for each in _screened_noise(at.cleared) if each.effect != OUTLIERS]
     adopted = _significant_noise(remaining, thresholds.FALSE_ALARM_NOISE)
     if not at.alarm:
         return adopted, adopted
@@ -349,6 +349,14 @@ def _first_p(at: FirstPass) -> float:
     """Return the smallest corrected p-value of the first look, of effects and of structure."""
     structures = at.corrections.significant(at.first.structures)
     return min([group.p for group in at.groups[:1]] + [p for _, p in structures], default=1.0)
+
+
+def _screened_noise(projection: Projection) -> list[NoiseCandidate]:
+    """Return the noise candidates that a member of the catalogue describes on their channels, the clearest first."""
+    model = projection.fitted.model
+    kinds = {channel.name: channel.kind for channel in model.campaign.channels}
+    screened = screen_noise(projection)
+    return [each for each in screened if kinds[each.channels[0]] in model.registry.effects[each.effect].kinds]
 
 
 def _significant_noise(noise: Sequence[NoiseCandidate], threshold: float) -> list[NoiseCandidate]:

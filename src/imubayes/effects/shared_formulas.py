@@ -324,13 +324,17 @@ class ThermalHysteresisScale(TemperaturePlay):
 
 
 class ScaleAsymmetry(Sensor, SignalEffect):
-    """Scale factor asymmetry: signal + S_a·|x|, S_a half the difference of the scale factors for either sign of x."""
+    """Scale factor asymmetry: signal + S_a·|x|, S_a half the difference of the scale factors for either sign of x.
+
+    x is the input along the true axis.  Along the nominal one |x| would have its corner where a mounting error is 0,
+    the mode of its prior, and no gradient leads into a corner.
+    """
 
     order = Order.SENSITIVITY
     asymmetry: Parameter
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
-        return signal + self.asymmetry * jnp.abs(self.measurand(sample)[0])
+        return signal + self.asymmetry * jnp.abs(signal)
 
 
 class SecondOrderNonlinearity(Sensor, SignalEffect):

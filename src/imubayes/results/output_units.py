@@ -1,5 +1,6 @@
 """Quantities in output units as they are shown: in the unit of their channel."""
 
+from imubayes.campaign.servo_angle import ANGLE, ANGLE_UNIT
 from imubayes.results.summary import Quantity, Summary
 from imubayes.units import with_output_unit
 
@@ -18,6 +19,8 @@ def in_output_units(summary: Summary) -> Summary:
     """
     units = {channel: output for channel, (output, _) in channel_units(summary).items()}
     common = next(iter(units.values())) if len(set(units.values())) == 1 else ""
+
+    units[ANGLE] = ANGLE_UNIT
 
     def shown[Line: Quantity](line: Line, name: str) -> Line:
         label = name.partition("[")[2].removesuffix("]").split(",")
