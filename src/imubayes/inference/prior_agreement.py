@@ -24,8 +24,8 @@ from imubayes.parameters.vector import Parameter
 # Distance in standard deviations from which prior and data disagree.  Convention: 0.3 % by chance.  Larger lets priors
 # decide against the data unnoticed; smaller names parameters of good fits.
 CONFLICT_SD = 3.0
-# Below this share of information from the data nothing can be said of what the likelihood favours: its width is hundreds
-# of times that of the prior, and a mode off by a thousandth of that is the echo of another parameter.  Numerical.
+# Below this share of information from the data nothing can be said of what the likelihood favours: its width is
+# hundreds of times that of the prior, and the mode is off by the echo of other parameters.  Numerical.
 _LEAST_FROM_DATA = 1e-5
 
 
