@@ -13,6 +13,15 @@ from imubayes.criticism.projection import project
 from imubayes.criticism.score_test import project_responses
 from imubayes.criticism.stepwise_search import search
 
+
+def test_only_noise_that_acts_on_the_channels_is_a_candidate():
+    found = {each.effect for each in search(fitted_to("accel-channel", "accel-channel")).noise}
+    assert "correlated_noise" in found
+    assert "rate_proportional_noise" not in found  # it goes with the rate: accelerometers have none
+    of_gyros = {each.effect for each in search(fitted_to("hidden-none")).noise}
+    assert "rate_proportional_noise" in of_gyros
+
+
 HYSTERESIS, PLAY = "converter_gain_hysteresis", 12.0
 
 

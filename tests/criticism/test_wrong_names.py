@@ -72,13 +72,13 @@ def cubic_drift(fitted: Fit) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_rows_that_still_scatter_leave_a_name_open(monkeypatch, seed):
-    """Without its cause a wobble of the table takes most of the drift; the rest has no plain form."""
+    """Without its cause another effect takes most of the drift; the rest has no plain form."""
     fitted = fitted_to("centrifuge", "centrifuge")
     planted = redrawn(fitted, seed, change=cubic_drift(fitted))
     assert judge(planted).groups[0].effects == ("gyro_scale_g_dependence",)
     found = without(monkeypatch, planted, "gyro_scale_g_dependence")
     assert found.verdict == "equivalent_effects"
-    assert found.groups[0].effects == ("table_wobble",)
+    assert "gyro_scale_g_dependence" not in found.groups[0].effects
     assert "it may only resemble the cause" in sentence(found)
     # Planted fault: the record of the noise is not looked at.
     monkeypatch.setattr(NoiseComparison, "excess_chi2", 0.0)

@@ -13,6 +13,7 @@ from imubayes.display.qualification.result_sections import axis_table
 from imubayes.display.report_layout import Report, print_report
 from imubayes.display.summary_html import summary_html
 from imubayes.qualification.report_record import MonteCarloError, ResultLine
+from imubayes.results.output_units import in_output_units
 from imubayes.results.summary import Summary
 
 CHANNELS = (*made.GYROS, *made.ACCELEROMETERS)
@@ -107,6 +108,14 @@ def test_output_units_are_those_of_the_channel(summary):
         assert not [line for line in text if "output" in line]
         assert any(line.startswith("white_noise.sigma") and line.rstrip().endswith("pulse/s") for line in text)
     assert ">output<" not in summary_html(shown)
+
+
+def test_noise_of_a_servo_angle_is_an_angle(summary):
+    (noise, *_) = (one for one in summary.parameters if one.name.startswith("white_noise"))
+    angle = noise.model_copy(update={"name": "white_noise.sigma[table_angle]", "unit": "output"})
+    shown = in_output_units(summary.model_copy(update={"parameters": (noise, angle)}))
+    assert shown.parameters[1].unit == "deg"
+    assert shown.parameters[0].unit != "deg"
 
 
 def test_axes_are_vectors(summary):

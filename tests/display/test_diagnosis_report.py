@@ -23,6 +23,7 @@ from imubayes.criticism.diagnosis_record import (
     ResidualStructure,
     StrongestStructure,
     UndetectableEffect,
+    UntypicalSize,
 )
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.held_out_record import CrossValidation
@@ -255,6 +256,14 @@ def test_the_picture_of_the_recorded_noise(tmp_path):
 def test_more_that_remains_is_said_beside_the_first_effect():
     assert "diagnose again" not in shown.sentence(diagnosis())
     assert "diagnose again" in shown.sentence(diagnosis().model_copy(update={"more_remains": True}))
+
+
+def test_an_effect_of_unusual_size_is_said_to_be_one():
+    assert "typical" not in shown.sentence(diagnosis())
+    size = UntypicalSize(name="station_level.north[all]", value=-1456.0, largest=60.0, unit="arcsec")
+    group = diagnosis().groups[0].model_copy(update={"beyond_typical": (size,)})
+    said = shown.sentence(diagnosis().model_copy(update={"groups": (group,)}))
+    assert "station_level.north[all] would be -1460 arcsec, beyond the typical range (up to 60.0)" in said
 
 
 def residual_table(size: float) -> pl.DataFrame:

@@ -54,6 +54,12 @@ def test_a_statement_of_the_campaign_is_changed_there():
     assert "campaign.toml, a larger uncertainty of 'flat'" in conflict_line(found)
 
 
+def test_the_echo_of_another_parameter_is_no_conflict():
+    # The mode is off by a thousandth of the prior, on data of a width of 2800 times that of the prior.
+    assert judged(5 * 2800.0, 2800.0) == ()
+    assert judged(5 * 200.0, 200.0)  # planted fault: what the data do know is named
+
+
 def test_no_conflict_without_data():
     model = full_model()
     z = np.full(len(model.layout), 1e-3)

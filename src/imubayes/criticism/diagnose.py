@@ -26,6 +26,7 @@ from imubayes.criticism.diagnosis_record import (
     ResidualStructure,
     StrongestStructure,
     UndetectableEffect,
+    UntypicalSize,
 )
 from imubayes.criticism.discriminating_run import discriminating_run
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
@@ -267,7 +268,21 @@ def _group(
         discriminating_run=discriminating_run(fit, group),
         unlisted=tuple(tuple(map(_label, each)) for each in unlisted),
         stage=_chain_stage(fit, leader, stage) if stage is not None else None,
+        beyond_typical=_beyond_typical(leader),
     )
+
+
+def _beyond_typical(leader: Candidate) -> tuple[UntypicalSize, ...]:
+    """Return the coefficients that are certainly larger than those met in practice."""
+    sizes = zip(leader.coefficients, leader.value.tolist(), leader.sd.tolist(), strict=True)
+    return tuple(
+        UntypicalSize(
+            name=coefficient.parameter.name, value=value, largest=coefficient.typical[1],
+            unit=coefficient.parameter.shown_unit,
+        )
+        for coefficient, value, sd in sizes
+        if abs(value) - thresholds.PRIOR_CONFLICT_SD * sd > coefficient.typical[1]
+    )  # fmt: skip
 
 
 def _chain_stage(fit: Fit, leader: Candidate, stage: FoundStage) -> ChainStage:

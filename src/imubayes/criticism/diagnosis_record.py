@@ -95,6 +95,15 @@ class ChainStage(Record):
     determined: bool
 
 
+class UntypicalSize(Record):
+    """A coefficient beyond what is met in practice; `largest` is the largest typical size, in the same unit."""
+
+    name: str
+    value: float
+    largest: float
+    unit: str
+
+
 class EffectGroup(Record):
     """Effects that these runs cannot distinguish, the best first.
 
@@ -110,6 +119,8 @@ class EffectGroup(Record):
     unlisted : covariates, one to three, of each plain function that fits as well and is none of the effects: it may be
         of a cause that the catalogue lacks.
     stage : where in the signal chain the first acts, and whether that is determined; None of an effect outside of it.
+    beyond_typical : the coefficients of the first that are larger than those met in practice; several effects at once
+        may imitate one of such a size.
     """
 
     effects: tuple[str, ...]
@@ -124,6 +135,7 @@ class EffectGroup(Record):
     discriminating_run: RunDesign | None = None
     unlisted: tuple[tuple[CovariateLabel, ...], ...] = ()
     stage: ChainStage | None = None
+    beyond_typical: tuple[UntypicalSize, ...] = ()
 
 
 class NearestEffect(Record):

@@ -155,7 +155,18 @@ def _missing_sentence(group: EffectGroup, noise_rivals: bool) -> str:
     if group.unlisted:
         phrase = " and ".join(label.phrase for label in group.unlisted[0])
         said += f" An unlisted cause that depends on {phrase} would fit as well."
-    return said + _stage_sentence(group)
+    return said + _stage_sentence(group) + _size_sentence(group)
+
+
+def _size_sentence(group: EffectGroup) -> str:
+    """Return that the first effect is of unusual size; empty where it is not."""
+    if not group.beyond_typical:
+        return ""
+    worst = max(group.beyond_typical, key=lambda each: abs(each.value) / each.largest)
+    return (
+        f" {worst.name} would be {significant(worst.value)} {pretty(worst.unit)}, beyond the typical range (up to "
+        f"{significant(worst.largest)}): two smaller effects at once may imitate it."
+    )
 
 
 def _stage_sentence(group: EffectGroup) -> str:
