@@ -219,6 +219,8 @@ def test_the_picture_of_a_response_that_is_the_input_times_a_function(tmp_path):
     # Faults planted: a response without the input, and one of no covariate.
     assert input_times(1e-8 * (warm - 25) ** 2, "accelerometer", known) is None
     assert input_times(random.normal(size=120), "accelerometer", known) is None
+    # The angle of a table that a gyro drives has no input.
+    assert input_times(response, "angle", known) is None
     residual, runs = response + 1e-6 * random.normal(size=120), np.repeat(["a", "b", "c", "d", "e"], 24)
     evidence = ResidualEvidence("ax", "effect", None, warm, runs, residual, response, "g", found)
     assert save_evidence(tmp_path, evidence).read_bytes()[:4] == PNG

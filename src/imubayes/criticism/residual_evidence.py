@@ -43,7 +43,7 @@ class ResidualEvidence:
     at : shape (n,), values of the covariate, or of `over`'s; the number of the entry where there is neither.
     run : shape (n,), name of the run of each entry.
     residual, explained : shape (n,), in `unit`.
-    unit : nominal input unit, deg/s or g.
+    unit : nominal input unit, deg/s or g, of the angle of a driven table deg.
     over : where the response is the input times a function of a covariate.
     """
 
@@ -59,8 +59,8 @@ class ResidualEvidence:
 
     @property
     def rms(self) -> tuple[float, float, str]:
-        """The rms residual before and after the candidate is added, and its unit: deg/h or ug."""
-        factor, unit = (3600.0, "deg/h") if self.unit == "deg/s" else (1e6, "ug")
+        """The rms residual before and after the candidate is added, and its unit: deg/h, ug, or arcsec."""
+        factor, unit = {"deg/s": (3600.0, "deg/h"), "deg": (3600.0, "arcsec")}.get(self.unit, (1e6, "ug"))
         before, after = (float(np.sqrt(np.mean(rest**2))) for rest in (self.residual, self.residual - self.explained))
         return factor * before, factor * after, unit
 
@@ -110,7 +110,9 @@ def residual_evidence(
     explained = projected.response.columns @ value - responses.jacobian @ absorbed
     place = [each.name for each in model.campaign.channels].index(channel)
     constants = model.campaign.channels[place]
-    unit, size = ("deg/s", np.pi / 180) if constants.kind == "gyro" else ("g", model.campaign.site.gravity)
+    unit, size = {"gyro": ("deg/s", np.pi / 180), "angle": ("deg", np.pi / 180)}.get(
+        constants.kind, ("g", model.campaign.site.gravity)
+    )
     here = np.flatnonzero((model.entries.channel == place) & ~model.entries.closing)
     factor = 1 / (constants.scale_si * size)
     over, place_of = None, covariate
@@ -133,8 +135,8 @@ def residual_evidence(
 
 
 def input_times(response: np.ndarray, kind: Kind, known: Sequence[ResidualCovariate]) -> InputTimes | None:
-    """Return the covariate c for which a response is best input × f(c); None where all leave much of it."""
-    own = next((each for each in known if each.name == INPUTS[kind]), None)
+    """Return the covariate c for which a response is best input × f(c); None where all leave much of it, or without one."""
+    own = next((each for each in known if each.name == INPUTS.get(kind)), None)
     if own is None:
         return None
     recorded = [each for each in known if not each.name.startswith(("rate_", "force_"))]
