@@ -135,7 +135,7 @@ def residual_evidence(
 
 
 def input_times(response: np.ndarray, kind: Kind, known: Sequence[ResidualCovariate]) -> InputTimes | None:
-    """Return the covariate c for which a response is best input × f(c); None where all leave much of it, or without one."""
+    """Return the covariate c for which a response is best input × f(c); None where there is none, or no input."""
     own = next((each for each in known if each.name == INPUTS.get(kind)), None)
     if own is None:
         return None
