@@ -16,6 +16,8 @@ from imubayes.earth import table_to_local, towards
 from imubayes.parameters.unit_grades import Grade
 
 Kind = Literal["gyro", "accelerometer", "angle"]
+INPUT_UNIT: dict[str, str] = {"gyro": "deg/s", "accelerometer": "g", "angle": "deg"}
+"""Unit in which inputs and residuals at the input are stated, by kind of channel."""
 
 
 @dataclass(frozen=True)

@@ -70,15 +70,15 @@ def cubic_drift(fitted: Fit) -> np.ndarray:
     return drift
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_rows_that_still_scatter_leave_a_name_open(monkeypatch, seed):
+@pytest.mark.parametrize(("seed", "instead"), [(1, "table_wobble"), (2, "gyro_scale_asymmetry")])
+def test_rows_that_still_scatter_leave_a_name_open(monkeypatch, seed, instead):
     """Without its cause another effect takes most of the drift; the rest has no plain form."""
     fitted = fitted_to("centrifuge", "centrifuge")
     planted = redrawn(fitted, seed, change=cubic_drift(fitted))
     assert judge(planted).groups[0].effects == ("gyro_scale_g_dependence",)
     found = without(monkeypatch, planted, "gyro_scale_g_dependence")
     assert found.verdict == "equivalent_effects"
-    assert "gyro_scale_g_dependence" not in found.groups[0].effects
+    assert found.groups[0].effects == (instead,)
     assert "it may only resemble the cause" in sentence(found)
     # Planted fault: the record of the noise is not looked at.
     monkeypatch.setattr(NoiseComparison, "excess_chi2", 0.0)

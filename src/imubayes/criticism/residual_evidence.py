@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imubayes.campaign_data import Kind
+from imubayes.campaign_data import INPUT_UNIT, Kind
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
 from imubayes.criticism.effect_covariates import INPUTS
@@ -13,6 +13,7 @@ from imubayes.criticism.free_form_dependence import Structure
 from imubayes.criticism.projection import PRIOR, Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate, as_read
 from imubayes.criticism.score_test import Candidate, ProjectedResponse
+from imubayes.units import to_si
 
 # Degree of the polynomial that stands for any function of a covariate: it follows what a term of the catalogue may be.
 _DEGREE = 5
@@ -110,11 +111,9 @@ def residual_evidence(
     explained = projected.response.columns @ value - responses.jacobian @ absorbed
     place = [each.name for each in model.campaign.channels].index(channel)
     constants = model.campaign.channels[place]
-    unit, size = {"gyro": ("deg/s", np.pi / 180), "angle": ("deg", np.pi / 180)}.get(
-        constants.kind, ("g", model.campaign.site.gravity)
-    )
+    unit = INPUT_UNIT[constants.kind]
     here = np.flatnonzero((model.entries.channel == place) & ~model.entries.closing)
-    factor = 1 / (constants.scale_si * size)
+    factor = 1 / (constants.scale_si * to_si(unit, model.campaign.site.gravity))
     over, place_of = None, covariate
     if covariate is None:
         response = (projected.response.columns @ value)[here]

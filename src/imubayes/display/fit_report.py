@@ -43,7 +43,7 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     in_sheets = {entry.name for sheet in of_channels for *_, own in sheet.rows for entry in own.values()}
     equipment = equipment_sheet(summary, in_sheets)
     brief = (equipment, scale_and_angle_sheet(summary), combination_sheet(summary, _FEW_COMBINATIONS, standard=True))
-    sheets += _every_table(summary) if verbose else brief
+    sheets += every_table(summary, nuisance=True) if verbose else brief
     sheets += [conflict_sheet(summary.prior_conflicts)]
     weak = () if verbose else weak_lines(summary)
     chi2 = "–" if summary.chi2 is None else f"{summary.chi2:.1f}"
@@ -61,9 +61,10 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     return Report((), quiet, (*said, *weak, closing), alarm)
 
 
-def _every_table(summary: Summary) -> list[Sheet]:
+def every_table(summary: Summary, nuisance: bool) -> list[Sheet]:
+    """Return every table of a fit, the parameters first, with the nuisance parameters where asked for."""
     return [
-        parameter_sheet(summary, nuisance=True),
+        parameter_sheet(summary, nuisance=nuisance),
         derived_sheet(summary),
         run_sheet(summary),
         combination_sheet(summary),

@@ -1,12 +1,10 @@
 """A result as self-contained HTML for a notebook: no scripts, links or external styles; all text is escaped."""
 
 from imubayes.display.calibration_sheet import axis_sheet, calibration_sheets
-from imubayes.display.combination_tables import combination_sheet, weak_sheet
 from imubayes.display.fit_cautions import alarm_of, notices
-from imubayes.display.fit_quality_tables import contribution_sheet, next_run_sheet, run_sheet
-from imubayes.display.fit_report import weak_lines
+from imubayes.display.fit_report import every_table, weak_lines
 from imubayes.display.provenance_line import provenance_line
-from imubayes.display.quantity_tables import derived_sheet, parameter_sheet, scale_and_angle_sheet
+from imubayes.display.quantity_tables import scale_and_angle_sheet
 from imubayes.display.templates import render
 from imubayes.results.summary import Summary
 
@@ -14,16 +12,8 @@ from imubayes.results.summary import Summary
 def summary_html(summary: Summary) -> str:
     """Return the whole result: convergence and calibration; folded, every table of the fit."""
     at_a_glance = [*calibration_sheets(summary), axis_sheet(summary), scale_and_angle_sheet(summary)]
-    every = (
-        parameter_sheet(summary),
-        derived_sheet(summary),
-        run_sheet(summary),
-        combination_sheet(summary),
-        weak_sheet(summary),
-        next_run_sheet(summary),
-        contribution_sheet(summary),
-    )
-    shown, folded = ([block for sheet in sheets for block in sheet.blocks()] for sheets in (at_a_glance, every))
+    tables = (at_a_glance, every_table(summary, nuisance=False))
+    shown, folded = ([block for sheet in sheets for block in sheet.blocks()] for sheets in tables)
     return render(
         "summary",
         summary=summary,

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.array_shapes import Array, Float
-from imubayes.campaign_data import Channel
+from imubayes.campaign_data import INPUT_UNIT, Channel
 from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
 from imubayes.json_record import finite
 from imubayes.kept_programs import kept
@@ -33,7 +33,6 @@ UNEXPLAINED_SHARE, UNEXPLAINED_WITHIN_RUNS, UNEXPLAINED_NOISE = 0.5, 0.1, 100.0
 # Least size of the outputs of a channel in that comparison: drifts of consumer units over temperature are
 # large against the input of a unit at rest.
 LEAST_OUTPUT = {"deg/s": 30.0, "g": 1.0}
-INPUT_UNIT = {"gyro": "deg/s", "accelerometer": "g"}
 
 
 def implausible_estimates(model: Model, z: np.ndarray, h: np.ndarray) -> tuple[ImplausibleEstimate, ...]:
@@ -96,7 +95,7 @@ def unexplained_outputs(model: Model, misfit: np.ndarray) -> tuple[UnexplainedOu
     misfit = misfit[: len(entries.channel)]
     for place, channel in enumerate(model.campaign.channels):
         here = (entries.channel == place) & ~np.asarray(entries.closing)
-        if channel.kind in INPUT_UNIT and channel.noise and here.any():
+        if channel.kind != "angle" and channel.noise and here.any():
             found.append(_described(model, channel, misfit[here], here))
     return tuple(sorted(filter(_contradicts, found), key=lambda each: -each.residual / each.noise))
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from imubayes.campaign_data import INPUT_UNIT
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, node_id
 from imubayes.errors import InputError
@@ -13,7 +14,6 @@ from imubayes.model.bind import Model
 from imubayes.results.addition import Addition, channel_rms
 from imubayes.results.fit_file import campaign_hash
 from imubayes.results.history_tree import read_node, select, write_node
-from imubayes.results.residual_table import INPUT_UNIT
 from imubayes.results.result import read_result
 from imubayes.results.summary import Summary
 from imubayes.units import to_si

@@ -23,9 +23,6 @@ COLUMNS = (
 )  # fmt: skip
 
 
-INPUT_UNIT = {"gyro": "deg/s", "accelerometer": "g", "angle": "deg"}
-
-
 @dataclass(frozen=True)
 class Residuals:
     """Residuals as a table, one line per run, row and channel."""

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import polars as pl
 
+from imubayes.campaign_data import INPUT_UNIT
 from imubayes.covariates import shown
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
@@ -14,7 +15,7 @@ from imubayes.kept_programs import kept
 from imubayes.model.noise_covariance import Whitener, group_sum, whiten, whitener
 from imubayes.model.problem import Problem
 from imubayes.model.robust_likelihood import pseudo_values
-from imubayes.results.residual_table import INPUT_UNIT, Residuals
+from imubayes.results.residual_table import Residuals
 from imubayes.units import to_si
 
 if TYPE_CHECKING:
