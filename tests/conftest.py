@@ -89,7 +89,11 @@ GROUPS = {
         "procedures/test_converters.py",
         "qualification/test_until_digits.py",
     ),
-    "geographic-tumble": ("criticism/test_unlisted_causes.py", "criticism/test_chain_stage.py"),
+    "geographic-tumble": (
+        "criticism/test_unlisted_causes.py",
+        "criticism/test_rival_explanations.py",
+        "criticism/test_chain_stage.py",
+    ),
 }
 
 # Imports and tracing create millions of objects that stay, and looking for garbage among them takes time.

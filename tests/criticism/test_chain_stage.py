@@ -16,7 +16,7 @@ from imubayes.criticism import chain_stage, stepwise_search
 from imubayes.criticism.candidate_effects import candidate_responses, moved_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import ChainStage, Diagnosis
-from imubayes.display.diagnosis_report import sentence
+from imubayes.display.diagnosis_sentences import sentence
 from imubayes.effects.base import Stage
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bound_effects import Move

@@ -9,7 +9,8 @@ from null_data import fitted_to, redrawn
 from imubayes.criticism import diagnose
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.noise_against_prior import noise_beyond_prior
-from imubayes.display.diagnosis_report import next_command, sentence
+from imubayes.display.diagnosis_report import next_command
+from imubayes.display.diagnosis_sentences import sentence
 from imubayes.inference.fitted_model import Fit
 
 

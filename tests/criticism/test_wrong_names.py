@@ -15,7 +15,7 @@ from imubayes.criticism.diagnose import judge
 from imubayes.criticism.recorded_noise import NoiseComparison
 from imubayes.criticism.stepwise_search import SearchResult, search
 from imubayes.criticism.unexplained_structure import unexplained_structure
-from imubayes.display.diagnosis_report import sentence
+from imubayes.display.diagnosis_sentences import sentence
 from imubayes.inference.fitted_model import Fit
 
 

@@ -33,7 +33,7 @@ from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, Tr
 from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, input_times
-from imubayes.criticism.verdict import EffectChoice, RmsChange, Verdict
+from imubayes.criticism.verdict import EffectChoice, RmsChange, Suggestion, Verdict
 from imubayes.display import diagnosis_report as shown
 from imubayes.display.figures.evidence_pictures import (
     before_after,
@@ -85,7 +85,7 @@ def diagnosis(verdict: Verdict = "equivalent_effects", terms: tuple[FormulaTerm,
         ranking=(*ranked, line("gyro_g_sensitivity", 2.0, 0.9)), undetectable=(hidden, lacking),
         structure=(pattern,), looks=40.0,
         strongest=StrongestStructure(channel="gx", covariates=(), step=Step("ramp", 3.0, "s")),
-        suggested=EffectChoice(effect="gyro_scale_asymmetry", channels=None)
+        suggested=Suggestion(effects=("gyro_scale_asymmetry",), channels=None)
         if verdict == "equivalent_effects" else None,
     )  # fmt: skip
 

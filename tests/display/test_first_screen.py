@@ -14,7 +14,8 @@ from imubayes.criticism.held_out_record import CrossValidation
 from imubayes.criticism.verdict import EffectChoice, RmsChange
 from imubayes.display.addition_report import addition_report
 from imubayes.display.check_report import check_report
-from imubayes.display.diagnosis_report import diagnosis_report, sentence
+from imubayes.display.diagnosis_report import diagnosis_report
+from imubayes.display.diagnosis_sentences import sentence
 from imubayes.display.grouped_notes import grouped
 from imubayes.display.report_layout import Report, print_report
 from imubayes.results.addition import Addition, BeforeAfter, Observation, RunRmsChange

@@ -118,7 +118,7 @@ def _named(
     suggested = diagnosis.suggested if diagnosis is not None else None
     if suggested is None:
         raise input_error("no effect is named", "add", "imubayes effects lists them", "name one")
-    return [suggested.effect], channels or suggested.channels
+    return suggested.effects, channels or suggested.channels
 
 
 def _sampled(refit: Refit, folder: Path | None, seed: int, tell: Callable[[str], None]) -> Refit:

@@ -24,6 +24,7 @@ from imubayes.criticism.diagnosis_record import (
     Outlier,
     RankedEffect,
     ResidualStructure,
+    RivalExplanation,
     StrongestStructure,
     UndetectableEffect,
     UntypicalSize,
@@ -48,7 +49,7 @@ from imubayes.criticism.unexplained_structure import (
     unexplained_structure,
 )
 from imubayes.criticism.unlisted_causes import Causes, unlisted_causes
-from imubayes.criticism.verdict import MISSING, EffectChoice, RmsChange, Verdict
+from imubayes.criticism.verdict import MISSING, EffectChoice, RmsChange, Suggestion, Verdict
 from imubayes.effects.base import Effect, Stage
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
@@ -104,16 +105,18 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         looks=found.look_elsewhere.looks,
         outliers=_outliers(found),
         suggested=_suggested(found, verdict),
+        paired=found.paired and bool(named),
+        rivals=_rivals(found, verdict),
         strongest=_strongest(found) if open_question else None,
         recorded_noise=found.record.comparisons,
         beyond_prior=beyond_prior,
         wandering=found.wandering,
         scatter_remains=verdict in MISSING and scatter_remains(found),
-        more_remains=verdict in MISSING and bool(found.remaining or found.groups[1:]),
+        more_remains=verdict in MISSING and bool(found.remaining or found.groups[1 + found.paired :]),
         message=fit.message if not fit.sampled else "",
     )
     if diagnosis.noise_outweighs:
-        noise = EffectChoice(effect=found.adopted[0].effect, channels=None)
+        noise = Suggestion(effects=(found.adopted[0].effect,), channels=None)
         diagnosis = diagnosis.model_copy(update={"suggested": noise})
     return diagnosis.with_evidence(evidence[0] if evidence else None, found.record)
 
@@ -160,7 +163,7 @@ def _verdict(
     if unexplained:
         return "unexplained_structure"
     if found.groups:
-        doubtful = bool(unlisted[0]) or bool(found.wandering) or scatter_remains(found)
+        doubtful = bool(unlisted[0]) or bool(found.wandering) or bool(found.rivals) or scatter_remains(found)
         alone = len(found.groups[0].members) == 1 and not doubtful
         return "missing_effect" if alone else "equivalent_effects"
     noisy = found.adopted or found.record.excessive or beyond_prior or found.wandering
@@ -432,10 +435,24 @@ def _read(model: Model, covariate: str, place: int) -> float | None:
     return float(value) / COVARIATES[covariate].factor() if known else None
 
 
-def _suggested(found: SearchResult, verdict: Verdict) -> EffectChoice | None:
-    """Return the effect or noise to add next; its channels where they are not all on which it was screened."""
+def _rivals(found: SearchResult, verdict: Verdict) -> tuple[RivalExplanation, ...]:
+    rivals = found.rivals if verdict in MISSING else ()
+    return tuple(
+        RivalExplanation(
+            effects=tuple(EffectChoice(effect=member.effect, channels=member.owners) for member in each.members),
+            log_odds=each.log_odds,
+        )
+        for each in rivals
+    )
+
+
+def _suggested(found: SearchResult, verdict: Verdict) -> Suggestion | None:
+    """Return what to add next; the channels where they are not all on which its first effect was screened.
+
+    Where other effects explain the same together, all of them: the posterior then holds every explanation.
+    """
     if verdict == "noise_model":
-        return EffectChoice(effect=found.adopted[0].effect, channels=None) if found.adopted else None
+        return Suggestion(effects=(found.adopted[0].effect,), channels=None) if found.adopted else None
     # What noise explains as well is not worth an addition before another record has told them apart.
     if verdict not in MISSING or found.wandering:
         return None
@@ -443,4 +460,11 @@ def _suggested(found: SearchResult, verdict: Verdict) -> EffectChoice | None:
     channels = channels_of(found, leader)
     same = [candidate for candidate in found.first.candidates if candidate.effect == leader.effect]
     everywhere = {name for candidate in same for name in channels_of(found, candidate)}
-    return EffectChoice(effect=leader.effect, channels=channels if set(channels) != everywhere else None)
+    together = [member.effect for each in found.rivals[:1] for member in each.members]
+    effects = tuple(dict.fromkeys((leader.effect, *_paired(found), *together)))
+    return Suggestion(effects=effects, channels=channels if set(channels) != everywhere else None)
+
+
+def _paired(found: SearchResult) -> list[str]:
+    """Return the effects of a pair that was selected together, without its first."""
+    return [group.leader.effect for group in found.groups[1:2]] if found.paired else []

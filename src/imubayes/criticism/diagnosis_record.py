@@ -16,7 +16,7 @@ from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
 from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
 from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.criticism.slow_noise_records import WanderingNoise
-from imubayes.criticism.verdict import EffectChoice, RmsChange, Verdict
+from imubayes.criticism.verdict import EffectChoice, RmsChange, Suggestion, Verdict
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.json_record import Record
 from imubayes.representation import Presented
@@ -136,6 +136,20 @@ class EffectGroup(Record):
     unlisted: tuple[tuple[CovariateLabel, ...], ...] = ()
     stage: ChainStage | None = None
     beyond_typical: tuple[UntypicalSize, ...] = ()
+
+
+class RivalExplanation(Record):
+    """Other effects that explain the same together.
+
+    Attributes
+    ----------
+    effects : with their channels, mountings or tables.
+    log_odds : logarithm of their odds against what was found; sizes beyond the typical range and every further effect
+        count against either.
+    """
+
+    effects: tuple[EffectChoice, ...]
+    log_odds: float
 
 
 class NearestEffect(Record):
@@ -274,7 +288,9 @@ class Diagnosis(Presented, Record):
     ranking : every candidate, the most significant first.
     nearest : effects that explain a part of unexplained structure.
     looks : effective number of independent candidates.
-    suggested : the effect, or noise, to add next.
+    suggested : the effects, or noise, to add next.
+    paired : whether the first two groups were found together: neither explains without the other what both do.
+    rivals : other sets of effects that the data do not exclude in place of those found, the likeliest first.
     strongest : the structure that no effect explains.
     more_remains : whether structure or further effects remain beside the first group, small against what it explains:
         add it and diagnose again.
@@ -302,7 +318,9 @@ class Diagnosis(Presented, Record):
     structure: tuple[ResidualStructure, ...] = ()
     looks: float = 0.0
     outliers: tuple[Outlier, ...] = ()
-    suggested: EffectChoice | None = None
+    suggested: Suggestion | None = None
+    paired: bool = False
+    rivals: tuple[RivalExplanation, ...] = ()
     strongest: StrongestStructure | None = None
     more_remains: bool = False
     scatter_remains: bool = False
@@ -346,7 +364,7 @@ class Diagnosis(Presented, Record):
 
     def channels_for(self, effect: str) -> tuple[str, ...] | None:
         """Return the channels on which an effect was found; None for all on which it was screened, and if not found."""
-        if self.suggested is not None and self.suggested.effect == effect:
+        if self.suggested is not None and self.suggested.effects == (effect,):
             return self.suggested.channels
         members = [member for group in self.groups for member in group.candidates if member.effect == effect]
         everywhere = {name for line in self.ranking if line.effect == effect for name in line.channels}

@@ -10,19 +10,19 @@ import numpy as np
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses, candidate_responses
 from imubayes.criticism.common_course import common_courses
+from imubayes.criticism.effect_selection import Selection, at_noise_left, deflate, select_effects, span_over_shapes
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
-from imubayes.criticism.free_form_dependence import (
-    Structure,
-)
+from imubayes.criticism.free_form_dependence import Structure
 from imubayes.criticism.marginal_evidence import columns_of, evident_between_runs
 from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
 from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, prewhitening, screen_noise
 from imubayes.criticism.outliers import clustered, consecutive, deletion_residuals, find_outliers
-from imubayes.criticism.projection import Projection, orthonormal, project
+from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.recorded_noise import RecordedNoise, compare_with_record
 from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
-from imubayes.criticism.score_test import Candidate, assess, noise_left
-from imubayes.criticism.search_input import Screening, SearchInput, screened
+from imubayes.criticism.rival_explanations import RivalEffects
+from imubayes.criticism.score_test import Candidate
+from imubayes.criticism.search_input import Screening, SearchInput
 from imubayes.criticism.slow_noise_evidence import slow_noise_evidence
 from imubayes.criticism.slow_noise_records import WanderingNoise
 from imubayes.inference.fitted_model import Fit
@@ -56,6 +56,8 @@ class SearchResult:
     first : the first screening, with the noise finally adopted.
     responses, covariates : what was screened.
     groups : one per effect found, in order of evidence.
+    rivals : other sets of effects that the data do not exclude, the likeliest first.
+    paired : whether the first two groups were selected together.
     structures : those significant in the first screening, with corrected p-values; then common courses of runs.
     remaining : those still significant after the groups were projected out.
     noise : noise candidates as first screened.
@@ -71,6 +73,8 @@ class SearchResult:
     responses: Responses
     covariates: tuple[ResidualCovariate, ...]
     groups: tuple[EquivalenceGroup, ...]
+    rivals: tuple[RivalEffects, ...]
+    paired: bool
     structures: tuple[tuple[Structure, float], ...]
     remaining: tuple[tuple[Structure, float], ...]
     noise: tuple[NoiseCandidate, ...]
@@ -95,8 +99,8 @@ class FirstPass:
 
     Attributes
     ----------
-    first, last : screening before and after the groups were projected out.
-    rest : the last one at the noise that is left.
+    first : the screening before anything was projected out.
+    selection : the effects that it shows.
     alarm : whether an effect or structure is significant.
     cleared : the projection without groups and without patterns that cannot be noise.
     """
@@ -104,9 +108,7 @@ class FirstPass:
     first: Screening
     corrections: Corrections
     noise: tuple[NoiseCandidate, ...]
-    groups: tuple[EquivalenceGroup, ...]
-    last: Screening
-    rest: Screening
+    selection: Selection
     alarm: bool
     cleared: Projection
 
@@ -152,10 +154,10 @@ def _searched(given: SearchInput, tell: Tell) -> SearchResult:
     current, at, sizes = given, first, np.zeros(len(outlying))
     for _ in counted(tell, "fitting without outliers", range(thresholds.MAX_OUTLIER_ROUNDS)):
         # Deviations caused by a missing effect are no outliers: only those that remain without it are rejected.
-        rest, sizes = _refit_without(fitted, outlying, 1 if at.groups else thresholds.MAX_OUTLIER_ROUNDS)
+        rest, sizes = _refit_without(fitted, outlying, 1 if at.selection.groups else thresholds.MAX_OUTLIER_ROUNDS)
         current = SearchInput(rest, candidate_responses(rest), given.covariates, given.as_modelled)
         at = _first_pass(current)
-        more = find_outliers(at.last.projection)
+        more = find_outliers(at.selection.last.projection)
         if not more.any():
             break
         outlying = (sizes != 0) | more
@@ -172,12 +174,13 @@ def _first_pass(given: SearchInput) -> FirstPass:
         look_elsewhere([structure.score for structure in first.structures], first.scans),
     )
     noise = _screened_noise(first.projection)
-    groups, last, rest = _select_effects(first, corrections.of_effect, given.factor)
-    alarm, cleared = bool(groups or corrections.significant(first.structures, given.factor)), last.projection
+    selection = select_effects(first, corrections.of_effect, given.factor)
+    alarm = bool(selection.groups or corrections.significant(first.structures, given.factor))
+    cleared = selection.last.projection
     if alarm or _significant_noise(noise, thresholds.FALSE_ALARM_NOISE):
-        at_least = int(alarm and not groups)
-        cleared = _without_patterns(last, corrections.of_structure, at_least).projection
-    return FirstPass(first, corrections, tuple(noise), groups, last, rest, alarm, cleared)
+        at_least = int(alarm and not selection.groups)
+        cleared = _without_patterns(selection.last, corrections.of_structure, at_least).projection
+    return FirstPass(first, corrections, tuple(noise), selection, alarm, cleared)
 
 
 def _outliers(given: SearchInput, first: FirstPass) -> tuple[list[NoiseCandidate], np.ndarray]:
@@ -186,7 +189,7 @@ def _outliers(given: SearchInput, first: FirstPass) -> tuple[list[NoiseCandidate
     A few outliers pass for a pattern, and a pattern in a few rows for outliers.  A pattern explains more of them than
     it has directions, or they cluster at one value of a covariate.
     """
-    before, last = first.first.projection, first.last.projection
+    before, last = first.first.projection, first.selection.last.projection
     noise = [each for each in _significant_noise(first.noise, thresholds.FALSE_ALARM_NOISE) if each.effect == OUTLIERS]
     outlying = find_outliers(last)
     directions = first.cleared.basis.shape[1] - before.basis.shape[1]
@@ -223,20 +226,24 @@ def _refit_without(fitted: Fit, outlying: np.ndarray, rounds: int) -> tuple[Fit,
 
 @dataclass(frozen=True)
 class _Outcome:
-    """First screening, groups, last one at the noise that is left, with the factor on the budget of false alarms."""
+    """First screening, the effects that it shows, and the factor on the budget of false alarms."""
 
     first: Screening
-    groups: tuple[EquivalenceGroup, ...]
-    rest: Screening
+    selection: Selection
     factor: float = 1.0
+
+    @property
+    def groups(self) -> tuple[EquivalenceGroup, ...]:
+        """One per effect found, in order of evidence."""
+        return self.selection.groups
 
 
 def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
     """Return the outcome with the noise that the residuals show."""
     adopted, modelled = _noise_hypotheses(at)
-    outcome = _under_noise(given, at, modelled) if modelled else _Outcome(at.first, at.groups, at.rest, given.factor)
+    outcome = _under_noise(given, at, modelled) if modelled else _Outcome(at.first, at.selection, given.factor)
     # What runs of one input have in common is no noise, however long that remembers.
-    common = tuple(common_courses((at.last if outcome.groups else at.first).projection))
+    common = tuple(common_courses((at.selection.last if outcome.groups else at.first).projection))
     judged = not given.as_modelled and not outcome.groups and not common
     if judged and (beside := _beside_slow_noise(given, at)) is not None:
         outcome, adopted = beside, []
@@ -247,12 +254,14 @@ def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
             outcome = _with_evidence_between_runs(given, at, outcome)
             adopted = suspected if _silent(at, outcome) else []
     structures = at.corrections.significant(outcome.first.structures, outcome.factor)
-    remaining = at.corrections.significant(outcome.rest.structures, outcome.factor)
+    remaining = at.corrections.significant(outcome.selection.rest.structures, outcome.factor)
     return SearchResult(
         first=outcome.first,
         responses=given.responses,
         covariates=given.covariates,
         groups=outcome.groups,
+        rivals=outcome.selection.rivals,
+        paired=outcome.selection.paired,
         structures=(*structures, *common),
         remaining=(*remaining, *common),
         noise=at.noise,
@@ -260,7 +269,7 @@ def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
         outlier_sd=np.zeros(len(given.responses.misfit)),
         look_elsewhere=at.corrections.of_effect,
         factor=outcome.factor,
-        record=compare_with_record((at.last if outcome.groups else at.first).projection),
+        record=compare_with_record((at.selection.last if outcome.groups else at.first).projection),
     )
 
 
@@ -282,8 +291,7 @@ def _under_noise(given: SearchInput, at: FirstPass, modelled: Sequence[NoiseCand
     effects = {each.effect for each in modelled}
     first = given.screening(prewhitening(at.cleared, modelled), "run_scatter" in effects)
     factor = thresholds.ESTIMATED_CORRELATION_FACTOR if "correlated_noise" in effects else given.factor
-    groups, _, rest = _select_effects(first, at.corrections.of_effect, factor)
-    return _Outcome(first, groups, rest, factor)
+    return _Outcome(first, select_effects(first, at.corrections.of_effect, factor), factor)
 
 
 def _silent(at: FirstPass, outcome: _Outcome) -> bool:
@@ -306,8 +314,7 @@ def _beside_slow_noise(given: SearchInput, at: FirstPass) -> _Outcome | None:
     beside = replace(beside, candidates=tuple(candidates))
     leader = next(each for each in candidates if _identity(each) in known)
     group = equivalence_group(beside.projection, leader, candidates, evidence.corrected)
-    rest = _at_noise_left(deflate(beside, span_over_shapes(beside, leader)))
-    return _Outcome(beside, (group,), rest, thresholds.SLOW_NOISE_EVIDENCE / thresholds.FALSE_ALARM_EFFECT)
+    return _Outcome(beside, _only(beside, group), thresholds.SLOW_NOISE_EVIDENCE / thresholds.FALSE_ALARM_EFFECT)
 
 
 def _identity(candidate: Candidate) -> tuple[str, ...]:
@@ -330,7 +337,13 @@ def _with_evidence_between_runs(given: SearchInput, at: FirstPass, outcome: _Out
     near = [candidates[k] for k, value in evident.items() if value > evident[best] - thresholds.DECISIVE_LOG_ODDS]
     first, leader = replace(first, candidates=tuple(candidates)), candidates[best]
     group = equivalence_group(first.projection, leader, candidates, at.corrections.of_effect(leader.score.p), near)
-    return _Outcome(first, (group,), _at_noise_left(deflate(first, span_over_shapes(first, leader))))
+    return _Outcome(first, _only(first, group))
+
+
+def _only(at: Screening, group: EquivalenceGroup) -> Selection:
+    """Return the selection of one group."""
+    last = deflate(at, span_over_shapes(at, group.leader))
+    return Selection((group,), last, at_noise_left(last))
 
 
 def _not_passed_over(
@@ -341,14 +354,14 @@ def _not_passed_over(
     A pattern that cannot be noise stays what it is; otherwise the noise that would explain it is adopted.
     """
     if at.alarm and _first_p(at) < thresholds.PATTERN_NOT_NOISE_P:
-        return _Outcome(at.first, at.groups, at.rest), []
+        return _Outcome(at.first, at.selection), []
     return outcome, modelled or _significant_noise(at.noise, thresholds.FALSE_ALARM_NOISE)
 
 
 def _first_p(at: FirstPass) -> float:
     """Return the smallest corrected p-value of the first look, of effects and of structure."""
     structures = at.corrections.significant(at.first.structures)
-    return min([group.p for group in at.groups[:1]] + [p for _, p in structures], default=1.0)
+    return min([group.p for group in at.selection.groups[:1]] + [p for _, p in structures], default=1.0)
 
 
 def _screened_noise(projection: Projection) -> list[NoiseCandidate]:
@@ -364,51 +377,6 @@ def _significant_noise(noise: Sequence[NoiseCandidate], threshold: float) -> lis
     return [each for each in noise if each.p * len(noise) < threshold]
 
 
-def _select_effects(
-    at: Screening, corrected: LookElsewhere, factor: float = 1.0
-) -> tuple[tuple[EquivalenceGroup, ...], Screening, Screening]:
-    """Select the best candidate, project it out and screen again at the noise that is left, while one is significant.
-
-    Returns the groups, and the last screening at the noise of the fit and at the noise that is left.
-    """
-    groups: list[EquivalenceGroup] = []
-    threshold, seen = factor * thresholds.FALSE_ALARM_EFFECT, at
-    while seen.candidates and len(groups) < thresholds.MAX_EFFECTS:
-        p = corrected(min(candidate.p for candidate in seen.candidates))
-        if p >= threshold:
-            break
-        leader = _same(at, next(candidate for candidate in seen.candidates if corrected(candidate.p) < threshold))
-        groups.append(equivalence_group(at.projection, leader, at.candidates, p))
-        at = deflate(at, span_over_shapes(at, leader))
-        seen = _at_noise_left(at)
-    return tuple(groups), at, seen
-
-
-def _same(at: Screening, candidate: Candidate) -> Candidate:
-    """Return a candidate as another screening assesses it."""
-    prepared = next(each for each in at.prepared if each.response.scan == candidate.scan)
-    names = [coefficient.parameter.name for coefficient in prepared.response.coefficients]
-    chosen = [names.index(coefficient.parameter.name) for coefficient in candidate.coefficients]
-    return assess(at.projection, prepared, np.array(chosen))
-
-
-def _at_noise_left(at: Screening) -> Screening:
-    """Return the screening at the noise that is left, where that is much less than a missing effect let it seem.
-
-    Priors weigh less against less noise.  With the scale of the fit they bend what is left, which then looks like
-    further effects.
-    """
-    projection = at.projection
-    variance, _ = noise_left(projection.strata.sums(projection.residual**2), projection.freedom)
-    if variance.min() > thresholds.LESS_NOISE:
-        return at
-    root = 1 / np.sqrt(projection.strata.at_rows(variance))
-    reweighted = projection.reweighted(root)
-    responses = [each.reweighted(reweighted, root) for each in at.prepared]
-    forms = [each.reweighted(reweighted, root) for each in at.forms]
-    return screened(reweighted, responses, forms, [each.features.reweighted(root) for each in at.scans])
-
-
 def _without_patterns(at: Screening, corrected: LookElsewhere, at_least: int) -> Screening:
     """Project out the strongest patterns that cannot be noise; the weaker ones would take noise along."""
     for place in range(thresholds.MAX_PATTERNS):
@@ -419,30 +387,3 @@ def _without_patterns(at: Screening, corrected: LookElsewhere, at_least: int) ->
             break
         at = deflate(at, strongest.span)
     return at
-
-
-def span_over_shapes(at: Screening, leader: Candidate) -> np.ndarray:
-    """Return the directions of a candidate at every shape scanned, (R, d): the true shape lies between them."""
-    names = {coefficient.parameter.name for coefficient in leader.coefficients}
-    own = leader.score.span
-    columns, lengths = [np.zeros((len(own), 0))], [np.zeros(0)]
-    for each in at.prepared:
-        if each.response.scan.effect == leader.effect and each.response.scan != leader.scan:
-            chosen = [place for place, c in enumerate(each.response.coefficients) if c.parameter.name in names]
-            projected = each.projected[:, chosen]
-            columns.append(projected - own @ (own.T @ projected))
-            lengths.append(np.linalg.norm(each.whitened[:, chosen], axis=0))
-    others = orthonormal(np.concatenate(columns, axis=1), np.concatenate(lengths), thresholds.SHAPE_RETAINED_MIN)
-    # Its own directions are projected out however little of them the model leaves: the search would find them again.
-    return np.concatenate([own, others], axis=1)
-
-
-def deflate(at: Screening, span: np.ndarray) -> Screening:
-    """Return the screening after some orthonormal directions, (R, d), were projected out."""
-
-    def less(columns: np.ndarray) -> np.ndarray:
-        return columns - span @ (span.T @ columns)
-
-    responses = [replace(each, projected=less(each.projected)) for each in at.prepared]
-    forms = [replace(each, columns=less(each.columns)) for each in at.forms]
-    return screened(at.projection.without(span), responses, forms, [each.features for each in at.scans])

@@ -26,6 +26,13 @@ class EffectChoice(Record):
     channels: tuple[str, ...] | None
 
 
+class Suggestion(Record):
+    """Effects, or noise, to add next, on the channels that those which act on channels share; None for all."""
+
+    effects: tuple[str, ...]
+    channels: tuple[str, ...] | None
+
+
 class RmsChange(Record):
     """Residual rms of one channel before and after an addition, in `unit`."""
 

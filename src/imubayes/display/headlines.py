@@ -3,7 +3,6 @@
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.injection_recovery import Trials
 from imubayes.criticism.model_history import Tree
-from imubayes.criticism.verdict import EffectChoice
 from imubayes.display.rounding import significant
 from imubayes.results.addition import Addition
 from imubayes.results.history_tree import shown_place
@@ -23,13 +22,13 @@ def result_headline(result: Result) -> str:
 
 def diagnosis_headline(found: Diagnosis) -> str:
     """Return the verdict and what to add."""
-    choice = found.suggested
-    return f"<Diagnosis {found.verdict.replace('_', ' ')}{'' if choice is None else ': ' + _named(choice)}>"
+    verdict, choice = found.verdict.replace("_", " "), found.suggested
+    return f"<Diagnosis {verdict}{'' if choice is None else ': ' + _on(', '.join(choice.effects), choice.channels)}>"
 
 
 def addition_headline(addition: Addition) -> str:
     """Return what was added, whether it was taken, and Δχ²."""
-    names = ", ".join(map(_named, addition.added))
+    names = ", ".join(_on(each.effect, each.channels) for each in addition.added)
     taken = "taken" if addition.taken else "not taken"
     return f"<Addition {names}: {taken}, Δχ² {significant(addition.observed.delta_chi2)}>"
 
@@ -44,5 +43,5 @@ def trials_headline(trials: Trials) -> str:
     return f"<Trials {trials.campaign}: {trials.detected} of {len(trials.trials)} injected effects detected>"
 
 
-def _named(choice: EffectChoice) -> str:
-    return choice.effect + (f" on {', '.join(choice.channels)}" if choice.channels else "")
+def _on(effects: str, channels: tuple[str, ...] | None) -> str:
+    return effects + (f" on {', '.join(channels)}" if channels else "")

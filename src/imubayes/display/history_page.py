@@ -12,7 +12,8 @@ from pathlib import Path
 
 from imubayes.criticism.model_history import Node, Tree
 from imubayes.display.addition_report import addition_lines, channel_sheet, coefficient_sheet, run_change_sheet
-from imubayes.display.diagnosis_report import next_command, sentence
+from imubayes.display.diagnosis_report import next_command
+from imubayes.display.diagnosis_sentences import sentence
 from imubayes.display.figures.evidence_pictures import added_variable, before_after
 from imubayes.display.figures.history_steps import ChannelSteps, error_per_step_figure
 from imubayes.display.history_table import history_sheet

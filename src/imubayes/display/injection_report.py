@@ -3,10 +3,10 @@
 from typing import Any
 
 from imubayes.criticism.injection_recovery import Trial, Trials
-from imubayes.display.diagnosis_report import chance_text, sentence
+from imubayes.display.diagnosis_sentences import sentence
 from imubayes.display.labels import listed, pretty
 from imubayes.display.report_layout import Report
-from imubayes.display.rounding import percent, significant
+from imubayes.display.rounding import chance_text, percent, significant
 from imubayes.display.table_layout import Cell, Sheet
 
 _MOOD = {"first": "", "other name": "weak", "missed": "bad"}

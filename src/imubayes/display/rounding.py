@@ -105,3 +105,16 @@ def percent(share: float | None) -> str:
     # Rounded down where it is near certainty: 99.96 % is not 100 %.
     share = math.floor(share * 10**decimals) / 10**decimals if decimals else share
     return f"{share:.{decimals}f} %"
+
+
+def chance_text(p: float | None) -> str:
+    """Return a p-value: two digits, and a power of ten where it is small."""
+    if p is None:
+        return "–"
+    return f"{p:.2g}" if p >= 1e-3 else ("< 1e-30" if p < 1e-30 else f"{p:.0e}".replace("e-0", "e-"))
+
+
+def relation(p: float) -> str:
+    """Return a p-value with its sign of equality, or below what is smallest."""
+    text = chance_text(p)
+    return text if text.startswith("<") else f"= {text}"

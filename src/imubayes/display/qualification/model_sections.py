@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 
 from imubayes.criticism import thresholds
-from imubayes.display.diagnosis_report import chance_text
 from imubayes.display.labels import pretty
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
 from imubayes.display.qualification.words import VERDICTS, enumerated, hash_text
-from imubayes.display.rounding import NO_NUMBER, percent, ratio_text, significant, value_and_sd
+from imubayes.display.rounding import NO_NUMBER, chance_text, percent, ratio_text, significant, value_and_sd
 from imubayes.qualification.report_record import (
     Adequacy,
     Omissions,

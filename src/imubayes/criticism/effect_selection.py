@@ -1,0 +1,145 @@
+"""Selection of effects: the best candidate, projected out, and the next, then whether a pair explains the same better.
+
+Forward selection takes the single effect that explains most.  If a pair without it is likelier than all that was
+selected, it is exchanged for that pair; what was selected first remains a rival explanation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imubayes.criticism import thresholds
+from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
+from imubayes.criticism.multiple_testing import LookElsewhere
+from imubayes.criticism.projection import orthonormal
+from imubayes.criticism.rival_explanations import RivalEffects, rival_pairs
+from imubayes.criticism.score_test import Candidate, assess, noise_left
+from imubayes.criticism.search_input import Screening, screened
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Effects selected.
+
+    Attributes
+    ----------
+    groups : one per effect, in order of evidence.
+    last, rest : the last screening at the noise of the fit, and at the noise that is left.
+    rivals : other sets of effects that the data do not exclude, the likeliest first.
+    paired : whether the first two groups were selected together.
+    """
+
+    groups: tuple[EquivalenceGroup, ...]
+    last: Screening
+    rest: Screening
+    rivals: tuple[RivalEffects, ...] = ()
+    paired: bool = False
+
+
+def select_effects(at: Screening, corrected: LookElsewhere, factor: float = 1.0) -> Selection:
+    """Return the effects that a screening shows, below `factor` times the threshold."""
+    threshold = factor * thresholds.FALSE_ALARM_EFFECT
+    forward = _forward(at, (), corrected, threshold)
+    if not forward.groups:
+        return forward
+    rivals = _rivals(at, forward)
+    best = next((each for each in rivals if each.log_odds > 0), None)
+    if best is None:
+        return replace(forward, rivals=tuple(rivals))
+    # From here on, odds are against the pair.
+    others = [each for each in rivals if each is not best]
+    leaders = tuple(group.leader for group in forward.groups)
+    before = RivalEffects(leaders, 0.0)
+    kept = [replace(each, log_odds=each.log_odds - best.log_odds) for each in (before, *others)]
+    likely = tuple(each for each in kept if each.log_odds > -2 * thresholds.DECISIVE_LOG_ODDS)
+    return replace(_forward(at, best.members, corrected, threshold), rivals=likely, paired=True)
+
+
+def _forward(at: Screening, pair: Sequence[Candidate], corrected: LookElsewhere, threshold: float) -> Selection:
+    """Select the best candidate, project it out and screen again at the noise that is left, while one is significant.
+
+    A pair is selected first, each of its members beside the other.
+    """
+    groups = [_beside(at, own, [each for each in pair if each is not own], corrected) for own in pair]
+    groups.sort(key=lambda group: group.leader.log_p)
+    for own in pair:
+        at = deflate(at, span_over_shapes(at, _same(at, own)))
+    seen = at_noise_left(at) if pair else at
+    while seen.candidates and len(groups) < thresholds.MAX_EFFECTS:
+        p = corrected(min(candidate.p for candidate in seen.candidates))
+        if p >= threshold:
+            break
+        leader = _same(at, next(candidate for candidate in seen.candidates if corrected(candidate.p) < threshold))
+        groups.append(equivalence_group(at.projection, leader, at.candidates, p))
+        at = deflate(at, span_over_shapes(at, leader))
+        seen = at_noise_left(at)
+    return Selection(tuple(groups), at, seen)
+
+
+def _beside(
+    at: Screening, candidate: Candidate, others: Sequence[Candidate], corrected: LookElsewhere
+) -> EquivalenceGroup:
+    """Return the group of a candidate where others are projected out."""
+    for other in others:
+        at = deflate(at, span_over_shapes(at, other))
+    leader = _same(at, candidate)
+    return equivalence_group(at.projection, leader, at.candidates, corrected(leader.p))
+
+
+def _rivals(at: Screening, forward: Selection) -> list[RivalEffects]:
+    strata, rest = at.projection.strata, forward.last.projection
+    variance, _ = noise_left(strata.sums(rest.residual**2), rest.freedom)
+    return rival_pairs(at, [group.leader for group in forward.groups], variance)
+
+
+def _same(at: Screening, candidate: Candidate) -> Candidate:
+    """Return a candidate as another screening assesses it."""
+    prepared = next(each for each in at.prepared if each.response.scan == candidate.scan)
+    names = [coefficient.parameter.name for coefficient in prepared.response.coefficients]
+    chosen = [names.index(coefficient.parameter.name) for coefficient in candidate.coefficients]
+    return assess(at.projection, prepared, np.array(chosen))
+
+
+def at_noise_left(at: Screening) -> Screening:
+    """Return the screening at the noise that is left, where that is much less than a missing effect let it seem.
+
+    Priors weigh less against less noise.  With the scale of the fit they bend what is left, which then looks like
+    further effects.
+    """
+    projection = at.projection
+    variance, _ = noise_left(projection.strata.sums(projection.residual**2), projection.freedom)
+    if variance.min() > thresholds.LESS_NOISE:
+        return at
+    root = 1 / np.sqrt(projection.strata.at_rows(variance))
+    reweighted = projection.reweighted(root)
+    responses = [each.reweighted(reweighted, root) for each in at.prepared]
+    forms = [each.reweighted(reweighted, root) for each in at.forms]
+    return screened(reweighted, responses, forms, [each.features.reweighted(root) for each in at.scans])
+
+
+def span_over_shapes(at: Screening, leader: Candidate) -> np.ndarray:
+    """Return the directions of a candidate at every shape scanned, (R, d): the true shape lies between them."""
+    names = {coefficient.parameter.name for coefficient in leader.coefficients}
+    own = leader.score.span
+    columns, lengths = [np.zeros((len(own), 0))], [np.zeros(0)]
+    for each in at.prepared:
+        if each.response.scan.effect == leader.effect and each.response.scan != leader.scan:
+            chosen = [place for place, c in enumerate(each.response.coefficients) if c.parameter.name in names]
+            projected = each.projected[:, chosen]
+            columns.append(projected - own @ (own.T @ projected))
+            lengths.append(np.linalg.norm(each.whitened[:, chosen], axis=0))
+    others = orthonormal(np.concatenate(columns, axis=1), np.concatenate(lengths), thresholds.SHAPE_RETAINED_MIN)
+    # Its own directions are projected out however little of them the model leaves: the search would find them again.
+    return np.concatenate([own, others], axis=1)
+
+
+def deflate(at: Screening, span: np.ndarray) -> Screening:
+    """Return the screening after some orthonormal directions, (R, d), were projected out."""
+
+    def less(columns: np.ndarray) -> np.ndarray:
+        return columns - span @ (span.T @ columns)
+
+    responses = [replace(each, projected=less(each.projected)) for each in at.prepared]
+    forms = [replace(each, columns=less(each.columns)) for each in at.forms]
+    return screened(at.projection.without(span), responses, forms, [each.features for each in at.scans])

@@ -1,0 +1,205 @@
+"""The verdict of a diagnosis in words: a few sentences, the finding of the strongest evidence first."""
+
+import math
+from collections.abc import Sequence
+
+from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, UndetectableEffect
+from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
+from imubayes.criticism.recorded_noise import NoiseComparison
+from imubayes.display.labels import listed, pretty
+from imubayes.display.rounding import percent, relation, significant, value_and_sd
+from imubayes.display.structure_words import step_text
+
+_MOST_NAMED = 3
+
+
+def sentence(found: Diagnosis) -> str:
+    """Return the verdict in a few sentences, the finding of the strongest evidence first."""
+    if found.asked is not None:
+        return _asked_sentence(found)
+    if found.verdict == "not_converged":
+        return found.message
+    noise = ""
+    if found.groups:
+        said = _missing_sentence(found.groups[0], found.wandering == "rival") + _pair_sentence(found)
+        said += _rival_sentence(found) + _more_sentence(found)
+        noise = _adopted_sentence(found)
+    elif found.verdict == "unexplained_structure":
+        said = _structure_sentence(found)
+        noise = _adopted_sentence(found)
+    elif found.verdict == "noise_model":
+        said = _noise_sentence(found)
+    else:
+        said = "The model explains the data: no effect of the catalogue is missing as far as these runs can show."
+        hidden = len(found.undetectable)
+        said += f" {hidden} effects of the catalogue are undetectable in these runs." if hidden else ""
+    parts = [noise, said] if found.noise_outweighs else [said, noise]
+    return " ".join(part for part in parts if part) + _record_sentence(found) + _outlier_sentence(found)
+
+
+def _adopted_sentence(found: Diagnosis) -> str:
+    """Return which noise the model lacks beside an effect or structure; empty where none."""
+    adopted = [noise for noise in found.noise if noise.adopted]
+    each = [f"{noise.effect} on {listed(noise.channels)} (Δχ² {significant(noise.delta_chi2)})" for noise in adopted]
+    return f"The noise model lacks {' and '.join(each)}." if each else ""
+
+
+def _missing_sentence(group: EffectGroup, noise_rivals: bool) -> str:
+    first, *others = group.effects
+    said = f"{first} is missing on {', '.join(group.channels)}"
+    if noise_rivals:
+        said = f"Either {said}, or the noise wanders as flicker noise or a random walk does: these records cannot tell"
+    said += "."
+    if group.covariate is not None:
+        said += f" The residual of {group.residual.channel} depends on {group.covariate.phrase}."
+    if others:
+        rest = len(others) - _MOST_NAMED
+        names = [*others[:_MOST_NAMED], *([f"{rest} more"] if rest > 0 else [])]
+        said += f" {' and '.join(names)} would fit as well: these runs cannot distinguish them."
+    if group.unlisted:
+        phrase = " and ".join(label.phrase for label in group.unlisted[0])
+        said += f" An unlisted cause that depends on {phrase} would fit as well."
+    return said + _stage_sentence(group) + _size_sentence(group)
+
+
+def _pair_sentence(found: Diagnosis) -> str:
+    """Return which effect was found together with the first; empty where it was found alone."""
+    if not found.paired:
+        return ""
+    second = found.groups[1]
+    others = f" ({', '.join(second.effects[1:])} in its place would fit as well)" if second.effects[1:] else ""
+    return f" {second.effects[0]} is missing beside it{others}: neither explains alone what both do."
+
+
+def _rival_sentence(found: Diagnosis) -> str:
+    """Return which effects would explain the same together; empty where the data exclude all others."""
+    if not found.rivals:
+        return ""
+    best = found.rivals[0]
+    names = listed([each.effect for each in best.effects])
+    together = " together" if len(best.effects) > 1 else ""
+    return f" {names}{together} would fit as well: the posterior with all of them in the model holds both explanations."
+
+
+def _size_sentence(group: EffectGroup) -> str:
+    """Return that the first effect is of unusual size; empty where it is not."""
+    if not group.beyond_typical:
+        return ""
+    worst = max(group.beyond_typical, key=lambda each: abs(each.value) / each.largest)
+    return (
+        f" {worst.name} would be {significant(worst.value)} {pretty(worst.unit)}, beyond the typical range (up to "
+        f"{significant(worst.largest)}): two smaller effects at once may imitate it."
+    )
+
+
+def _stage_sentence(group: EffectGroup) -> str:
+    """Return that the stage of the signal chain is not determined; empty where it is."""
+    if group.stage is None or group.stage.determined:
+        return ""
+    devices = f"the {group.stage.sensor} or in its converter"
+    return f" Whether it acts in {devices} is not determined: drive the converter alone."
+
+
+def _more_sentence(found: Diagnosis) -> str:
+    if found.scatter_remains:
+        return " Rows scatter beyond the recorded noise all the same: it may only resemble the cause."
+    if not found.more_remains:
+        return ""
+    return " More remains beside it, small against what it explains: add it and diagnose again."
+
+
+def _structure_sentence(found: Diagnosis) -> str:
+    strongest = found.strongest
+    assert strongest is not None
+    if strongest.step:
+        where = step_text(strongest.step)
+        return f"The residual of {strongest.channel} has a {where}: no effect of the catalogue happens once."
+    phrases = " and ".join(covariate.phrase for covariate in strongest.covariates)
+    said = (
+        f"The residual of {strongest.channel} depends on {phrases} in a way that no effect of the catalogue explains."
+    )
+    parts = [f"{group.effects[0]} on {', '.join(group.channels)}" for group in found.nearest]
+    return f"{said} Explained in part by {'; '.join(parts)}." if parts else said
+
+
+def _noise_sentence(found: Diagnosis) -> str:
+    adopted = [f"{noise.effect} on {', '.join(noise.channels)}" for noise in found.noise if noise.adopted]
+    if not adopted and found.wandering:
+        return (
+            "The noise wanders as flicker noise or a random walk does, and not as the model says; with it, no effect "
+            "is missing. Write flicker_noise and random_walk_noise into the model in place of correlated_noise."
+        )
+    if not adopted and found.beyond_prior:
+        return _beyond_prior_sentence(found.beyond_prior)
+    if not adopted:
+        return (
+            "The model does not explain the scatter from row to row: no single effect and no noise of the catalogue is "
+            "significant, but something acts there that the model lacks."
+        )
+    return f"The noise model is inadequate: {' and '.join(adopted)}. With it corrected, no effect is missing."
+
+
+def _beyond_prior_sentence(beyond: Sequence[NoiseBeyondPrior]) -> str:
+    """Return which noise is larger than its prior allows, and what that may mean."""
+    worst, rest = beyond[0], len(beyond) - 1
+    said = (
+        f"{worst.parameter} is {significant(worst.value)} {pretty(worst.unit)}, far beyond its prior (above "
+        f"{significant(worst.expected)} with 2.5 % probability; p {relation(worst.p)})"
+    )
+    said += f", and so {'is one more parameter' if rest == 1 else f'are {rest} more parameters'}." if rest else "."
+    where = "between runs" if worst.between_runs else "from row to row"
+    return f"{said} Either something acts {where} that the model lacks, or the prior is too narrow for this unit."
+
+
+def _record_sentence(found: Diagnosis) -> str:
+    """Return by how much the fitted noise differs from the recorded one; empty where they agree."""
+    apart = found.disagreeing_noise
+    if not apart:
+        return ""
+    worst = max(apart, key=lambda each: abs(math.log(each.ratio)))
+    rest = len(apart) - 1
+    more = f" {rest} more {'channel disagrees' if rest == 1 else 'channels disagree'}." if rest else ""
+    return (
+        f" The fitted noise of {worst.channel} is {noise_ratio(worst)} times the recorded noise ({_both(worst)}).{more}"
+    )
+
+
+def _both(each: NoiseComparison) -> str:
+    """Return fitted and recorded noise of one sample."""
+    unit = f" {pretty(each.unit)}" if each.unit else ""
+    return f"{significant(each.fitted)} against {significant(each.recorded)}{unit} per sample"
+
+
+def _outlier_sentence(found: Diagnosis) -> str:
+    if not found.outliers:
+        return ""
+    worst, count = found.outliers[0], len(found.outliers)
+    where = f"{worst.channel} in row {worst.row} of run {worst.run}, {abs(worst.distance):.0f} standard deviations"
+    return f" {count} outliers, the largest {where}." if count > 1 else f" One outlier: {where}."
+
+
+def _asked_sentence(found: Diagnosis) -> str:
+    asked = found.asked
+    assert asked is not None
+    if found.verdict == "missing_effect":
+        return f"{asked.effect} is missing, or an effect that resembles it: p = {found.p_global:.2g}."
+    if found.verdict == "adequate":
+        size = f"{significant(asked.smallest_detectable)} {pretty(asked.unit)}"
+        return f"{asked.effect} is absent down to {size}, the size that is detected with 80 % power."
+    hidden = found.undetectable[0]
+    absorbed = ", ".join(f"{percent(each.share)} in {each.parameter}" for each in hidden.absorbed_by[:3])
+    why = f"absorbed by the model, {absorbed}" if absorbed else why_undetectable(hidden)
+    return f"These runs cannot show {asked.effect}: {why}."
+
+
+def noise_ratio(each: NoiseComparison) -> str:
+    """Return fitted over recorded noise with its standard uncertainty."""
+    value, sd = value_and_sd(each.ratio, each.ratio_sd)
+    return f"{value} ± {sd}"
+
+
+def why_undetectable(hidden: UndetectableEffect) -> str:
+    """Return why an effect that no parameter absorbs is undetectable."""
+    if hidden.reason == "not_supplied":
+        return f"no run supplies {', '.join(hidden.needs)}" if hidden.needs else "their response to it is zero"
+    return {"absorbed": "the model absorbs it", "noise": "its largest typical size is below the noise"}[hidden.reason]

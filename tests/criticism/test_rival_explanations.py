@@ -1,0 +1,97 @@
+"""Two effects that are missing at once, and together imitate a third: it is not named alone, nor confirmed.
+
+A gyro in geographic positions, on a station whose north is off by 8 arcmin, with its scale factor in error: an error of
+the level explains the outputs nearly as well.  The readings are made without the package's effects.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import geographic_tumble
+import numpy as np
+import pytest
+from simulate import write_simulated
+
+import imubayes.api
+from imubayes.criticism import effect_selection
+from imubayes.criticism.diagnosis_record import Diagnosis
+from imubayes.display.diagnosis_report import next_command
+from imubayes.display.diagnosis_sentences import sentence
+from imubayes.model.model_file import read_model
+from imubayes.results.result import Result
+
+MODEL = Path(__file__).parents[2] / "models" / "geographic-tumble.toml"
+LACKING = ("station_heading", "station_level", "gyro_scale_factor")
+CAUSES = {"station_heading", "gyro_scale_factor"}
+DRIFT = ("gyro_bias.", "gyro_g_sensitivity.", "gyro_g2_sensitivity.")
+
+
+def fitted(folder: Path, seed: int) -> tuple[Result, dict[str, float]]:
+    """Return the fit of the model that lacks both causes, and the truth."""
+    plan = geographic_tumble.plan(seed, model=MODEL)
+    random = np.random.default_rng([77, seed])
+    scale = float(random.uniform(1500, 3500) * random.choice([-1, 1]))
+    truth = plan.draw(seed) | {
+        "station_heading.heading[all]": 480.0 * (-1) ** seed,
+        "station_level.east[all]": 0.0,
+        "station_level.north[all]": 0.0,
+        "gyro_scale_factor.scale[g]": scale,
+    }
+    folder.mkdir(parents=True)
+    write_simulated(folder, plan, seed, values=truth)
+    spec = read_model(MODEL)
+    spec = replace(spec, effects=tuple(one for one in spec.effects if one.name not in LACKING))
+    return imubayes.api.fit(folder, spec, sample=False), truth
+
+
+def names_level(found: Diagnosis) -> bool:
+    """Tell whether the level, which is not in error, is named alone."""
+    return found.verdict == "missing_effect" and found.groups[0].effects == ("station_level",)
+
+
+def scores(result: Result, truth: dict[str, float]) -> np.ndarray:
+    """Return (mean − truth)/sd of the drift terms."""
+    own = [one for one in result.summary.parameters if one.name.startswith(DRIFT)]
+    return np.array([(one.mean - truth[one.name]) / one.sd for one in own])
+
+
+def test_causes_are_proposed_together(tmp_path, monkeypatch):
+    result, truth = fitted(tmp_path / "campaign", 1)
+    found = imubayes.api.diagnose(result)
+    assert found.verdict == "equivalent_effects"
+    assert found.groups[0].effects == ("station_level",)
+    assert {each.effect for each in found.rivals[0].effects} == CAUSES
+    assert "station_heading, gyro_scale_factor together would fit as well" in sentence(found)
+    assert "imubayes add station_level station_heading gyro_scale_factor" in next_command(found)
+    added = imubayes.api.add(result, diagnosis=found)
+    assert added.taken
+    assert np.abs(scores(added.result, truth)).max() < 4
+    # Planted fault: pairs are not looked at.
+    monkeypatch.setattr(effect_selection, "rival_pairs", lambda *_: [])
+    misled = imubayes.api.diagnose(result)
+    assert names_level(misled)
+    wrong = imubayes.api.add(result, diagnosis=misled)
+    assert np.abs(scores(wrong.result, truth)).max() > 8
+
+
+def test_a_likelier_pair_is_exchanged_for_what_imitates_it(tmp_path):
+    result, _ = fitted(tmp_path / "campaign", 4)
+    found = imubayes.api.diagnose(result)
+    assert found.paired
+    assert {group.effects[0] for group in found.groups[:2]} == CAUSES
+    assert "neither explains alone what both do" in sentence(found)
+    assert set(found.suggested.effects) >= CAUSES
+
+
+@pytest.mark.slow
+def test_no_imitation_is_named_alone(tmp_path):
+    wrong, far = 0, []
+    for seed in range(100, 140):
+        result, truth = fitted(tmp_path / str(seed), seed)
+        found = imubayes.api.diagnose(result)
+        wrong += names_level(found)
+        added = imubayes.api.add(result, diagnosis=found)
+        far.append(np.abs(scores(added.result, truth)).max())
+        print(seed, found.verdict, [group.effects for group in found.groups], found.suggested.effects, far[-1])
+    assert wrong == 0
+    assert np.mean(np.array(far) < 4) >= 0.95
