@@ -84,14 +84,19 @@ def test_a_likelier_pair_is_exchanged_for_what_imitates_it(tmp_path):
 
 
 @pytest.mark.slow
-def test_no_imitation_is_named_alone(tmp_path):
-    wrong, far = 0, []
+def test_no_imitation_is_confirmed(tmp_path):
+    """What the loop ends with is right, or was said to be one of several explanations."""
+    wrong = confirmed = right = 0
     for seed in range(100, 140):
         result, truth = fitted(tmp_path / str(seed), seed)
-        found = imubayes.api.diagnose(result)
-        wrong += names_level(found)
-        added = imubayes.api.add(result, diagnosis=found)
-        far.append(np.abs(scores(added.result, truth)).max())
-        print(seed, found.verdict, [group.effects for group in found.groups], found.suggested.effects, far[-1])
-    assert wrong == 0
-    assert np.mean(np.array(far) < 4) >= 0.95
+        verdicts: list[str] = []
+        while len(verdicts) < 4 and (found := imubayes.api.diagnose(result)).suggested is not None:
+            verdicts.append(found.verdict)
+            wrong += names_level(found)
+            result = imubayes.api.add(result, diagnosis=found).result
+        far = np.abs(scores(result, truth)).max()
+        right += far < 4
+        confirmed += far >= 4 and "equivalent_effects" not in verdicts
+        print(seed, verdicts, f"{far:.1f}", flush=True)
+    print(f"of 40: right {right}, level named alone {wrong}, wrong and confirmed {confirmed}")
+    assert (wrong, confirmed) == (0, 0)

@@ -106,6 +106,7 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         outliers=_outliers(found),
         suggested=_suggested(found, verdict),
         paired=found.paired and bool(named),
+        unfinished=found.unfinished and bool(named),
         rivals=_rivals(found, verdict),
         strongest=_strongest(found) if open_question else None,
         recorded_noise=found.record.comparisons,
@@ -124,7 +125,7 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
 def _with_large_effect_fitted(found: SearchResult) -> tuple[SearchResult, Sequence[Significant]]:
     """Return the outcome with the structure that no effect explains, after a refit where a large effect is doubted."""
     unexplained = unexplained_structure(found)
-    doubted = unexplained or (found.groups and scatter_remains(found))
+    doubted = not found.unfinished and (unexplained or (found.groups and scatter_remains(found)))
     left = remainder_of_leader(found) if doubted else None
     if left is None:
         return found, unexplained
@@ -163,7 +164,7 @@ def _verdict(
     if unexplained:
         return "unexplained_structure"
     if found.groups:
-        doubtful = bool(unlisted[0]) or bool(found.wandering) or bool(found.rivals) or scatter_remains(found)
+        doubtful = bool(unlisted[0] or found.wandering or found.rivals or found.unfinished) or scatter_remains(found)
         alone = len(found.groups[0].members) == 1 and not doubtful
         return "missing_effect" if alone else "equivalent_effects"
     noisy = found.adopted or found.record.excessive or beyond_prior or found.wandering
@@ -461,6 +462,8 @@ def _suggested(found: SearchResult, verdict: Verdict) -> Suggestion | None:
     same = [candidate for candidate in found.first.candidates if candidate.effect == leader.effect]
     everywhere = {name for candidate in same for name in channels_of(found, candidate)}
     together = [member.effect for each in found.rivals[:1] for member in each.members]
+    if found.unfinished:
+        return Suggestion(effects=tuple(dict.fromkeys(group.leader.effect for group in found.groups)), channels=None)
     effects = tuple(dict.fromkeys((leader.effect, *_paired(found), *together)))
     return Suggestion(effects=effects, channels=channels if set(channels) != everywhere else None)
 

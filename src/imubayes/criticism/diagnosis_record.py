@@ -290,6 +290,7 @@ class Diagnosis(Presented, Record):
     looks : effective number of independent candidates.
     suggested : the effects, or noise, to add next.
     paired : whether the first two groups were found together: neither explains without the other what both do.
+    unfinished : whether more effects are missing than one search selects: the groups are the first of several.
     rivals : other sets of effects that the data do not exclude in place of those found, the likeliest first.
     strongest : the structure that no effect explains.
     more_remains : whether structure or further effects remain beside the first group, small against what it explains:
@@ -320,6 +321,7 @@ class Diagnosis(Presented, Record):
     outliers: tuple[Outlier, ...] = ()
     suggested: Suggestion | None = None
     paired: bool = False
+    unfinished: bool = False
     rivals: tuple[RivalExplanation, ...] = ()
     strongest: StrongestStructure | None = None
     more_remains: bool = False

@@ -12,9 +12,9 @@ import numpy as np
 from imubayes.criticism import thresholds
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
 from imubayes.criticism.multiple_testing import LookElsewhere
-from imubayes.criticism.projection import orthonormal
+from imubayes.criticism.projection import Projection, orthonormal
 from imubayes.criticism.rival_explanations import RivalEffects, rival_pairs
-from imubayes.criticism.score_test import Candidate, assess, noise_left
+from imubayes.criticism.score_test import Candidate, assess, noise_left, screen
 from imubayes.criticism.search_input import Screening, screened
 
 
@@ -28,6 +28,8 @@ class Selection:
     last, rest : the last screening at the noise of the fit, and at the noise that is left.
     rivals : other sets of effects that the data do not exclude, the likeliest first.
     paired : whether the first two groups were selected together.
+    unfinished : whether effects explain most of the variance of some channel, and more are significant than one search
+        selects: the model lacks a great deal.
     """
 
     groups: tuple[EquivalenceGroup, ...]
@@ -35,6 +37,7 @@ class Selection:
     rest: Screening
     rivals: tuple[RivalEffects, ...] = ()
     paired: bool = False
+    unfinished: bool = False
 
 
 def select_effects(at: Screening, corrected: LookElsewhere, factor: float = 1.0) -> Selection:
@@ -65,16 +68,16 @@ def _forward(at: Screening, pair: Sequence[Candidate], corrected: LookElsewhere,
     groups.sort(key=lambda group: group.leader.log_p)
     for own in pair:
         at = deflate(at, span_over_shapes(at, _same(at, own)))
-    seen = at_noise_left(at) if pair else at
-    while seen.candidates and len(groups) < thresholds.MAX_EFFECTS:
-        p = corrected(min(candidate.p for candidate in seen.candidates))
-        if p >= threshold:
+    seen = _candidates_at_noise_left(at) if pair else at.candidates
+    while significant := [each for each in seen if corrected(each.p) < threshold]:
+        if len(groups) == thresholds.MAX_EFFECTS:
             break
-        leader = _same(at, next(candidate for candidate in seen.candidates if corrected(candidate.p) < threshold))
+        leader, p = _same(at, significant[0]), corrected(min(candidate.p for candidate in seen))
         groups.append(equivalence_group(at.projection, leader, at.candidates, p))
         at = deflate(at, span_over_shapes(at, leader))
-        seen = at_noise_left(at)
-    return Selection(tuple(groups), at, seen)
+        seen = _candidates_at_noise_left(at)
+    unfinished = bool(significant) and _root_of_less_noise(at.projection) is not None
+    return Selection(tuple(groups), at, at_noise_left(at) if groups else at, unfinished=unfinished)
 
 
 def _beside(
@@ -107,15 +110,28 @@ def at_noise_left(at: Screening) -> Screening:
     Priors weigh less against less noise.  With the scale of the fit they bend what is left, which then looks like
     further effects.
     """
-    projection = at.projection
-    variance, _ = noise_left(projection.strata.sums(projection.residual**2), projection.freedom)
-    if variance.min() > thresholds.LESS_NOISE:
+    root = _root_of_less_noise(at.projection)
+    if root is None:
         return at
-    root = 1 / np.sqrt(projection.strata.at_rows(variance))
-    reweighted = projection.reweighted(root)
+    reweighted = at.projection.reweighted(root)
     responses = [each.reweighted(reweighted, root) for each in at.prepared]
     forms = [each.reweighted(reweighted, root) for each in at.forms]
-    return screened(reweighted, responses, forms, [each.features.reweighted(root) for each in at.scans])
+    return screened(reweighted, responses, forms, [each.reweighted(root) for each in at.feature_sets])
+
+
+def _candidates_at_noise_left(at: Screening) -> Sequence[Candidate]:
+    """Return the candidates of `at_noise_left`, without the forms that take most of its time."""
+    root = _root_of_less_noise(at.projection)
+    if root is None:
+        return at.candidates
+    reweighted = at.projection.reweighted(root)
+    return screen(reweighted, [each.reweighted(reweighted, root) for each in at.prepared])
+
+
+def _root_of_less_noise(projection: Projection) -> np.ndarray | None:
+    """Return what rows, (R,), are to be multiplied by for the noise that is left; None where that is hardly less."""
+    variance, _ = noise_left(projection.strata.sums(projection.residual**2), projection.freedom)
+    return None if variance.min() > thresholds.LESS_NOISE else 1 / np.sqrt(projection.strata.at_rows(variance))
 
 
 def span_over_shapes(at: Screening, leader: Candidate) -> np.ndarray:
@@ -142,4 +158,4 @@ def deflate(at: Screening, span: np.ndarray) -> Screening:
 
     responses = [replace(each, projected=less(each.projected)) for each in at.prepared]
     forms = [replace(each, columns=less(each.columns)) for each in at.forms]
-    return screened(at.projection.without(span), responses, forms, [each.features for each in at.scans])
+    return screened(at.projection.without(span), responses, forms, at.feature_sets)

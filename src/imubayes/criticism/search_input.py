@@ -26,14 +26,26 @@ from imubayes.inference.fitted_model import Fit
 
 @dataclass(frozen=True)
 class Screening:
-    """Candidates and free forms, tested against one projected residual; both sorted, the most significant first."""
+    """Candidates and free forms, tested against one projected residual; both sorted, the most significant first.
+
+    Structure is sought where it is asked for: that takes most of the time, and a search needs it at its ends alone.
+    """
 
     projection: Projection
     prepared: tuple[ProjectedResponse, ...]
     forms: tuple[ProjectedForm, ...]
-    scans: tuple[FeatureScan, ...]
+    feature_sets: tuple[FeatureSet, ...]
     candidates: tuple[Candidate, ...]
-    structures: tuple[Structure, ...]
+
+    @cached_property
+    def scans(self) -> tuple[FeatureScan, ...]:
+        """The features, scanned."""
+        return tuple(scan_features(self.projection, each) for each in self.feature_sets)
+
+    @cached_property
+    def structures(self) -> tuple[Structure, ...]:
+        """Free forms and features, tested."""
+        return tuple(screen_structure(self.projection, self.forms, self.scans))
 
 
 @dataclass(frozen=True)
@@ -93,6 +105,5 @@ def screened(
     feature_sets: Sequence[FeatureSet],
 ) -> Screening:
     """Return responses, forms and features tested against the residual of a projection."""
-    scans = tuple(scan_features(projection, each) for each in feature_sets)
-    candidates, structures = screen(projection, prepared), screen_structure(projection, forms, scans)
-    return Screening(projection, tuple(prepared), tuple(forms), scans, tuple(candidates), tuple(structures))
+    candidates = tuple(screen(projection, prepared))
+    return Screening(projection, tuple(prepared), tuple(forms), tuple(feature_sets), candidates)

@@ -34,6 +34,10 @@ from imubayes.step_counter import Tell, counted, silent
 _CONFOUNDED_NOISE = ("correlated_noise", "run_scatter")
 
 
+Significant = tuple[tuple[Structure, float], ...]
+"""Structures with their p-values, corrected for the number of looks."""
+
+
 @dataclass(frozen=True)
 class Corrections:
     """Look-elsewhere corrections: for the effects screened, and for the structure screened."""
@@ -41,7 +45,7 @@ class Corrections:
     of_effect: LookElsewhere
     of_structure: LookElsewhere
 
-    def significant(self, structures: Sequence[Structure], factor: float = 1.0) -> tuple[tuple[Structure, float], ...]:
+    def significant(self, structures: Sequence[Structure], factor: float = 1.0) -> Significant:
         """Return the structures below `factor` times the threshold, with their corrected p-values."""
         corrected = [(structure, self.of_structure(structure.score.p)) for structure in structures]
         return tuple(pair for pair in corrected if pair[1] < factor * thresholds.FALSE_ALARM_STRUCTURE)
@@ -58,6 +62,7 @@ class SearchResult:
     groups : one per effect found, in order of evidence.
     rivals : other sets of effects that the data do not exclude, the likeliest first.
     paired : whether the first two groups were selected together.
+    unfinished : whether more effects are missing than the groups, which explain most of the variance of some channel.
     structures : those significant in the first screening, with corrected p-values; then common courses of runs.
     remaining : those still significant after the groups were projected out.
     noise : noise candidates as first screened.
@@ -75,6 +80,7 @@ class SearchResult:
     groups: tuple[EquivalenceGroup, ...]
     rivals: tuple[RivalEffects, ...]
     paired: bool
+    unfinished: bool
     structures: tuple[tuple[Structure, float], ...]
     remaining: tuple[tuple[Structure, float], ...]
     noise: tuple[NoiseCandidate, ...]
@@ -177,7 +183,7 @@ def _first_pass(given: SearchInput) -> FirstPass:
     selection = select_effects(first, corrections.of_effect, given.factor)
     alarm = bool(selection.groups or corrections.significant(first.structures, given.factor))
     cleared = selection.last.projection
-    if alarm or _significant_noise(noise, thresholds.FALSE_ALARM_NOISE):
+    if not selection.unfinished and (alarm or _significant_noise(noise, thresholds.FALSE_ALARM_NOISE)):
         at_least = int(alarm and not selection.groups)
         cleared = _without_patterns(selection.last, corrections.of_structure, at_least).projection
     return FirstPass(first, corrections, tuple(noise), selection, alarm, cleared)
@@ -239,7 +245,9 @@ class _Outcome:
 
 
 def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
-    """Return the outcome with the noise that the residuals show."""
+    """Return the outcome with the noise that the residuals show, where what is missing allows to judge it."""
+    if at.selection.unfinished:
+        return _result(given, at, _Outcome(at.first, at.selection, given.factor))
     adopted, modelled = _noise_hypotheses(at)
     outcome = _under_noise(given, at, modelled) if modelled else _Outcome(at.first, at.selection, given.factor)
     # What runs of one input have in common is no noise, however long that remembers.
@@ -253,6 +261,16 @@ def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
             # Noise from row to row does not explain what acts between runs, and is adopted where nothing does.
             outcome = _with_evidence_between_runs(given, at, outcome)
             adopted = suspected if _silent(at, outcome) else []
+    return _result(given, at, outcome, adopted, common)
+
+
+def _result(
+    given: SearchInput,
+    at: FirstPass,
+    outcome: _Outcome,
+    adopted: Sequence[NoiseCandidate] = (),
+    common: Significant = (),
+) -> SearchResult:
     structures = at.corrections.significant(outcome.first.structures, outcome.factor)
     remaining = at.corrections.significant(outcome.selection.rest.structures, outcome.factor)
     return SearchResult(
@@ -262,6 +280,7 @@ def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
         groups=outcome.groups,
         rivals=outcome.selection.rivals,
         paired=outcome.selection.paired,
+        unfinished=outcome.selection.unfinished,
         structures=(*structures, *common),
         remaining=(*remaining, *common),
         noise=at.noise,

@@ -19,6 +19,8 @@ def unexplained_structure(found: SearchResult) -> list[Significant]:
     if not found.groups:
         return list(found.structures)
     leader = found.groups[0].leader
+    if found.unfinished:
+        return _steps_beyond_leader(found, leader)  # the rest may be explained by the effects still to come
     dominant = _larger_than_leader(found, leader) or _steps_beyond_leader(found, leader)
     if dominant:
         return dominant

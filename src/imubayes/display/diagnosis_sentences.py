@@ -63,7 +63,10 @@ def _missing_sentence(group: EffectGroup, noise_rivals: bool) -> str:
 
 
 def _pair_sentence(found: Diagnosis) -> str:
-    """Return which effect was found together with the first; empty where it was found alone."""
+    """Return which effects are to be added together with the first; empty where it is to be added alone."""
+    if found.unfinished:
+        others = list(dict.fromkeys(group.effects[0] for group in found.groups[1:]))
+        return f" {listed(others)} are missing beside it, and more: add them all and diagnose again."
     if not found.paired:
         return ""
     second = found.groups[1]
@@ -101,6 +104,8 @@ def _stage_sentence(group: EffectGroup) -> str:
 
 
 def _more_sentence(found: Diagnosis) -> str:
+    if found.unfinished:
+        return ""
     if found.scatter_remains:
         return " Rows scatter beyond the recorded noise all the same: it may only resemble the cause."
     if not found.more_remains:
