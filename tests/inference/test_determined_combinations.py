@@ -90,16 +90,67 @@ def test_a_prior_alone_combines_nothing():
     assert not determined_combinations(draws, members(precision), NOTHING)
 
 
+FIRST_HARMONIC = {"k1": 1.0, "k3": 0.75, "koq": 0.85}
+
+
+def first_harmonic(priors: np.ndarray, *standard: LinearCombination, further: tuple[list[float], ...] = ()):
+    """Return what is found of K1 + 3/4 K3 + 8/(3π) K_oq, which one tumble determines to 1 ppm."""
+    design = np.array([list(FIRST_HARMONIC.values()), *further])
+    precision, draws = posterior(design, 1.0, priors)
+    draws = draws._replace(names=tuple(FIRST_HARMONIC))
+    return determined_combinations(draws, members(precision), NOTHING, standard)
+
+
+def declared(*terms: str) -> LinearCombination:
+    return LinearCombination("+".join(terms), "ppm", {term: FIRST_HARMONIC[term] for term in terms})
+
+
+ODD = (declared("k1", "k3", "koq"), declared("k1", "k3"), declared("k1", "koq"))
+
+
+def test_a_member_with_a_narrow_prior_does_not_lose_the_sum():
+    """K3 and K_oq are known before the test to 4 ppm each, hardly worse than the sum after it."""
+    found = first_harmonic(np.array([300.0, 5.0, 5.0]), *ODD)
+    assert [each.symbol for each in found] == ["k1+k3+koq"]
+    (undeclared,) = first_harmonic(np.array([300.0, 5.0, 5.0]))
+    assert {name: abs(w) for name, w in zip(undeclared.quantities, undeclared.weights, strict=True)} == pytest.approx(
+        {name: w / FIRST_HARMONIC[undeclared.quantities[0]] for name, w in FIRST_HARMONIC.items()}, abs=0.1
+    )
+
+
+def test_a_single_well_known_parameter_is_no_combination():
+    """With K3 and K_oq known before the test to a tenth of its noise there is K1 alone."""
+    assert not first_harmonic(np.array([300.0, 0.1, 0.1]), *ODD)
+    assert not first_harmonic(np.array([300.0, 1.5, 1.5]), *ODD)
+
+
+def test_members_that_are_correlated_but_not_weak_have_a_standard_sum():
+    """Three harmonics tell K1, K3 and K_oq apart, each from data for the most part, but their sum much better."""
+    further = ([0.0, 0.02, 0.0], [0.0, 0.0, 0.02])
+    precision, _ = posterior(np.array([list(FIRST_HARMONIC.values()), *further]), 1.0, np.array([1e4, 1e4, 1e4]))
+    assert not members(precision).any()
+    found = first_harmonic(np.array([1e4, 1e4, 1e4]), *ODD, further=further)
+    assert [each.symbol for each in found] == ["k1+k3+koq"]
+
+
+def test_the_leading_member_makes_most_of_the_sum():
+    precision, draws = posterior(np.array([[1.0, 1.0]]), 1e-3, np.ones(2))
+    draws = draws._replace(values=draws.values + np.array([0.0, 5.0]))
+    (found,) = determined_combinations(draws, members(precision), NOTHING)
+    assert found.quantities == ("x1", "x0")
+    assert found.weights == (1.0, 1.0)
+
+
 def test_projected_scale_factor():
     """One mounting tells k cos θ; where another tells k as well there is nothing to report."""
-    declared = [ProjectedScaleFactor("k′", "1", "k", "theta")]
+    projected = [ProjectedScaleFactor("k′", "1", "k", "theta")]
 
     def found(further: list[list[float]]):
         slope = np.array([[np.cos(0.95), -np.sin(0.95) * 1e-3], *further])
         precision, draws = posterior(slope, 1e-6, np.array([1e-3, 1.0]))
         angle = np.degrees(0.95 + 1e-3 * draws.values[:, 1])
         derived = Draws(("k", "theta"), ("1", "deg"), np.stack([1 + draws.values[:, 0], angle], axis=1))
-        return determined_combinations(draws, members(precision), derived, declared)
+        return determined_combinations(draws, members(precision), derived, projected)
 
     assert [each.symbol for each in found([])] == ["k′"]
     assert not found([[1.0, 0.0]])

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from combination_scores import ROOT, fitted, scored
 
+from imubayes.campaign import load_campaign
 from imubayes.display.classical_comparison import compare_classical
-from imubayes.procedures.classical import classical
-from imubayes.results.summary import Summary
+from imubayes.display.combination_tables import symbol_text
+from imubayes.procedures.classical import classical, declared_combinations
+from imubayes.procedures.textbook import Estimate
+from imubayes.results.summary import CombinationSummary, Summary
 
 SYMBOLS = {
     "polar-tumble": {"D_II-D_SS[g]", "D_F+D_II[g]"},
@@ -28,6 +31,34 @@ def test_combinations_are_far_better_known_than_their_members_and_true(result):
     assert max(each.share for each in found) < 0.2
     assert max(abs(each.score) for each in found) < 4
     assert all(each.combination.unit and each.combination.q025 < each.combination.q975 for each in found)
+
+
+def test_one_polar_sweep_determines_its_mean_and_the_joint_fit_says_so():
+    """D_OO, D_II and D_SS have narrow priors, hardly wider than the sum is known; it is the constant of the sweep."""
+    folder = ROOT / "data" / "polar-tumble"
+    result = fitted(folder, "polar-tumble", ("tumble-O-north",))
+    textbook = {each.name for each in classical(result.fit.model.campaign) if isinstance(each, Estimate)}
+    mean = "D_F+D_O·sinL+D_OO·sin²L+½(D_II+D_SS)·cos²L[g]"
+    found = {each.combination.name: each for each in scored(result, folder)}
+    assert mean in textbook & set(found)
+    assert abs(found[mean].score) < 4
+    # What the textbook has as a sum the joint fit has under the same symbol, and nothing beside it.
+    assert set(found) == {name for name in textbook if "+" in name or "-D_" in name}
+
+
+def test_d_of_a_servo_table_says_when_it_holds():
+    """The drift changes with time: D is that in the middle of the record, and is shown with this."""
+    campaign = load_campaign(ROOT / "data" / "servo-table")
+    (total,) = [each for each in declared_combinations(campaign) if each.name == "D[g]"]
+    (run,) = [each for each in campaign.runs if each.name == "servo-day"]
+    assert total.middle_of == run.name
+    assert total.weights["gyro_bias_drift.slope[g]"] == pytest.approx(np.mean(run.covariates["time"]) / 3600, rel=1e-9)
+    members, weights = tuple(total.weights), tuple(total.weights.values())
+    shown = {"name": total.name, "unit": total.unit, "quantities": members, "weights": weights, "standard": True}
+    assert symbol_text(CombinationSummary(**shown, middle_of=run.name)) == "D[g] at mid-record of servo-day"
+    assert symbol_text(CombinationSummary(**shown)) == "D[g]"
+    (textbook,) = [each for each in classical(campaign) if isinstance(each, Estimate) and each.name == "D[g]"]
+    assert textbook.method.endswith("in the middle of the record")
 
 
 def test_they_are_stored_and_compared_with_the_classical_evaluation(result):

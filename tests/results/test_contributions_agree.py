@@ -14,7 +14,7 @@ CAMPAIGNS = [
 @pytest.mark.parametrize("name", CAMPAIGNS)
 def test_contributions_agree_with_the_posterior(name):
     summary = fitted(ROOT / "data" / name, name).summary
-    derived = {each.name: each for each in summary.derived}
+    derived = {each.name: each for each in (*summary.derived, *summary.combinations)}
     assert summary.contributions
     for each in summary.contributions:
         quantity = derived[each.quantity]

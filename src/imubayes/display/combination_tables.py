@@ -1,5 +1,7 @@
 """What the data leave together: the weak directions, and the combinations that are determined nevertheless."""
 
+from typing import Protocol, runtime_checkable
+
 from imubayes.display.fit_cautions import alarm_of
 from imubayes.display.fit_quality_tables import NOT_DETERMINED, more
 from imubayes.display.labels import pretty
@@ -10,9 +12,44 @@ from imubayes.results.output_units import in_output_units
 from imubayes.results.summary import CombinationSummary, Summary
 
 _NOTE = (
-    "The data determine these sums, not their members; each member counts in its own unit. Symbols are those of the "
-    "standard of the test. "
+    "The data determine these sums much better than their leading members; each member counts in its own unit. Symbols "
+    "are those of the standard of the test. "
 )
+
+
+@runtime_checkable
+class Combined(Protocol):
+    """A determined combination, as the summary and as the report have it."""
+
+    @property
+    def name(self) -> str:
+        """Standard symbol, or the sum as it is written."""
+        ...
+
+    @property
+    def standard(self) -> bool:
+        """Whether it has a standard symbol."""
+        ...
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Members."""
+        ...
+
+    @property
+    def weights(self) -> tuple[float, ...] | None:
+        """Weights of the members; None for k cos θ."""
+        ...
+
+    @property
+    def constant(self) -> float:
+        """What is added to the sum."""
+        ...
+
+    @property
+    def middle_of(self) -> str:
+        """Run in the middle of whose record it holds; empty where it does not change with time."""
+        ...
 
 
 def weak_sheet(summary: Summary) -> Sheet:
@@ -56,7 +93,7 @@ def combination_sheet(summary: Summary, most: int = 24, standard: bool = False) 
     rows = [_row(found) for found in shown]
     few = [
         (
-            Cell(found.name if found.standard else _members(found)),
+            Cell(symbol_text(found) or members_text(found)),
             Cell(f"{' ± '.join(value_and_sd(found.mean, found.sd))} {pretty(found.unit)}"),
         )
         for found in shown
@@ -69,13 +106,21 @@ def combination_sheet(summary: Summary, most: int = 24, standard: bool = False) 
 
 def _row(found: CombinationSummary) -> tuple[Cell, ...]:
     mean, sd, low, high = rounded((found.mean, found.sd, found.q025, found.q975), found.sd)
-    symbol = found.name if found.standard else ""
     return (
-        Cell(symbol), Cell(_members(found)), Cell(mean), Cell(sd), Cell(f"{low} … {high}"), Cell(pretty(found.unit)),
+        Cell(symbol_text(found)), Cell(members_text(found)), Cell(mean), Cell(sd), Cell(f"{low} … {high}"),
+        Cell(pretty(found.unit)),
     )  # fmt: skip
 
 
-def _members(found: CombinationSummary) -> str:
+def symbol_text(found: Combined) -> str:
+    """Return the standard symbol, with the instant at which it holds: `D[g] at mid-record of servo-day`."""
+    if not found.standard:
+        return ""
+    return f"{found.name} at mid-record of {found.middle_of}" if found.middle_of else found.name
+
+
+def members_text(found: Combined) -> str:
+    """Return a combination as a sum of its members, or k cos θ."""
     if found.weights is None:
         scale, angle = found.quantities
         return f"{scale}·cos({angle})"

@@ -12,6 +12,7 @@ from imubayes.display.labels import pretty, readable
 from imubayes.display.rounding import ratio_text, significant
 from imubayes.display.run_design_words import run_design_text
 from imubayes.display.table_layout import Cell, Sheet
+from imubayes.results.output_units import in_output_units
 from imubayes.results.summary import Contribution, NextRun, RunSummary, Summary
 
 NOT_DETERMINED = 0.1
@@ -85,8 +86,8 @@ def _fit_note(summary: Summary) -> str:
 
 
 def contribution_sheet(summary: Summary) -> Sheet:
-    """Return the standard uncertainty of angles and scale factors from each procedure alone, and from all."""
-    shown = _leading_contributions(summary)
+    """Return the standard uncertainty of angles, scale factors and standard sums from each procedure, and from all."""
+    shown = _leading_contributions(in_output_units(summary))
     procedures = [share.procedure for share in shown[0].by] if shown else []
     wide, narrow = [], []
     for contribution in shown:
@@ -108,7 +109,7 @@ def contribution_sheet(summary: Summary) -> Sheet:
 
 
 def _leading_contributions(summary: Summary) -> list[Contribution]:
-    """Return the angles, inclined axes first, and the scale factors that gain most from the combination."""
+    """Return the angles, inclined axes first, and the scale factors and standard sums that gain most from all runs."""
     mean = {derived.name: derived.mean for derived in summary.derived}
 
     def gain(contribution: Contribution) -> float:
@@ -120,7 +121,8 @@ def _leading_contributions(summary: Summary) -> list[Contribution]:
 
     found = sorted(summary.contributions, key=gain)
     angles = sorted((c for c in found if c.quantity.startswith("mounting_angle[")), key=inclination)
-    others = [c for c in found if not c.quantity.startswith("mounting_angle[")]
+    sums = {each.name for each in summary.combinations if not each.standard}
+    others = [c for c in found if not c.quantity.startswith("mounting_angle[") and c.quantity not in sums]
     return [*angles[:_MOST_CONTRIBUTIONS], *others[:_MOST_CONTRIBUTIONS]]
 
 

@@ -1,14 +1,17 @@
 """Combinations of parameters that the data determine although they do not determine the parameters themselves.
 
 A weak direction leaves all its members uncertain, but not every function of them: D_F and D_II of a tumble may be known
-to 0.06 °/h each and their sum to 0.002 °/h.  Members are the parameters whose posterior variance comes mostly from
-weak directions.  With C their posterior covariance a combination wᵀx is determined where √(wᵀCw) is much less than
-|w_i| √C_ii of every member: it is the residual of the regression of one member on some others.
+to 0.06 °/h each and their sum to 0.002 °/h.  With C the posterior covariance a combination wᵀx is determined where
+√(wᵀCw) is much less than the largest |w_i| √C_ii.  That member is then uncertain together with others, as no sum of
+independent terms is better known than one of them; a parameter that is known by itself combines with nothing.  Members
+whose own prior is narrow, such as K3 beside K1, may contribute no more than the combination does.
 
-The standard combinations of the procedures come first, then for every member the regression on the fewest others,
-which is sparse where an echelon form of the well-determined subspace is not, with coefficients rounded as far as the
-uncertainty allows.  Every combination that is returned adds a direction to those before it.  Since the weights are
-constants, the posterior of a combination is calibrated as that of its members is, whatever the rounding.
+The standard combinations of the procedures come first, whether a weak direction or a mere correlation joins their
+members.  Then comes, for every parameter whose posterior variance comes mostly from weak directions, the residual of
+its regression on the fewest others, which is sparse where an echelon form of the well-determined subspace is not, with
+coefficients rounded as far as the uncertainty allows.  Every combination that is returned adds a direction to those
+before it.  Since the weights are constants, the posterior of a combination is calibrated as that of its members is,
+whatever the rounding.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,11 +25,11 @@ from imubayes.procedures.standard_combinations import LinearCombination, Project
 
 # A parameter is a member where weak directions contribute more than this share of its posterior variance.
 _FROM_WEAK = 0.5
-# A combination is determined where its standard deviation is below this share of that of each of its members.
+# A combination is determined where its standard deviation is below this share of what its leading member contributes.
 MUCH_LESS = 0.2
-# Another member is worth while where it divides the standard deviation by this; what it adds must be that much larger
-# than what rounding its weight may add.
-_WORTH, _ROUNDING_COST = 4.0, 1.25
+# Another member is worth while where it divides the standard deviation by the first of these, or by the second where
+# without it nothing is determined; what it adds must be that much larger than what rounding its weight may add.
+_WORTH, _NEEDED, _ROUNDING_COST = 4.0, 2.0, 1.25
 _MOST_MEMBERS, _MOST_DIGITS = 8, 5
 # Least part of a combination, in units of the posterior standard deviations of its members, that is new.
 _LEAST_NEW = 0.1
@@ -45,6 +48,7 @@ class DeterminedCombination:
     unit : of the combination.
     constant : in `unit`.
     symbol : of the standard combination; empty for one that has none.
+    middle_of : run in the middle of whose record it holds, where it changes with time; else empty.
     """
 
     quantities: tuple[str, ...]
@@ -52,6 +56,15 @@ class DeterminedCombination:
     unit: str
     constant: float = 0.0
     symbol: str = ""
+    middle_of: str = ""
+
+
+def combined(weights: Sequence[float] | None, constant: float, members: Sequence[np.ndarray]) -> np.ndarray:
+    """Return draws of a combination, (S,), from those of its members; of k cos θ from k and θ in degrees."""
+    if weights is None:
+        scale, angle = members
+        return scale * np.cos(np.radians(angle))
+    return constant + np.array(weights) @ np.stack(members)
 
 
 class Draws(NamedTuple):
@@ -76,12 +89,12 @@ def members(precision: np.ndarray) -> np.ndarray:
 def determined_combinations(
     parameters: Draws, candidates: np.ndarray, derived: Draws, standard: Sequence[StandardCombination] = ()
 ) -> list[DeterminedCombination]:
-    """Return independent combinations of the candidates that are much better determined than each of their members.
+    """Return independent combinations that are much better determined than their leading members.
 
     Parameters
     ----------
     parameters : joint posterior draws of the parameters.
-    candidates : shape (P,), which of them may be members.
+    candidates : shape (P,), which of them may be members of combinations that are not standard.
     derived : draws of the derived quantities, row by row those of the first of the parameters' draws or of all.
     standard : combinations to prefer, in order.
     """
@@ -90,11 +103,12 @@ def determined_combinations(
         if isinstance(each, ProjectedScaleFactor):
             made = _projected(each, derived, parameters, space)
         else:
-            made = _linear(each, parameters, candidates, space)
+            made = _linear(each, parameters, space)
         if made is not None:
             found.append(made)
     chosen = np.flatnonzero(candidates & (space.deviation > 0))
-    for lead, weights in _sparse(space.covariance[np.ix_(chosen, chosen)]):
+    mean = parameters.values.mean(axis=0)
+    for lead, weights in _sparse(space.covariance[np.ix_(chosen, chosen)], mean[chosen]):
         whole = np.zeros(len(candidates))
         whole[chosen] = weights
         if space.add(whole):
@@ -124,24 +138,21 @@ class _Space:
         return True
 
 
-def _linear(
-    standard: LinearCombination, parameters: Draws, candidates: np.ndarray, space: _Space
-) -> DeterminedCombination | None:
-    """Return a standard sum of parameters where it is determined and its members are not."""
+def _linear(standard: LinearCombination, parameters: Draws, space: _Space) -> DeterminedCombination | None:
+    """Return a standard sum of parameters where it is determined and its leading member is not."""
     place = {name: index for index, name in enumerate(parameters.names)}
     known = {name: weight for name, weight in standard.weights.items() if name in place}
-    if len(known) < len(standard.weights) and not standard.total:
+    if not known or (len(known) < len(standard.weights) and not standard.total):
         return None
     weights = np.zeros(len(parameters.names))
     for name, weight in known.items():
         weights[place[name]] = weight
-    spread = float(np.sqrt(max(weights @ space.covariance @ weights, 0.0)))
-    combined = candidates & (MUCH_LESS * np.abs(weights) * space.deviation > spread)
-    # A total may hold members that are known by themselves as well.
-    enough = np.count_nonzero(combined) >= 2 and (standard.total or not np.any(weights[~combined]))
-    if not enough or not space.add(weights):
+    largest = float(np.max(np.abs(weights) * space.deviation))
+    if not _spread(space.covariance, weights) < MUCH_LESS * largest or not space.add(weights):
         return None
-    return DeterminedCombination(tuple(known), tuple(known.values()), standard.unit, standard.constant, standard.name)
+    return DeterminedCombination(
+        tuple(known), tuple(known.values()), standard.unit, standard.constant, standard.name, standard.middle_of
+    )
 
 
 def _projected(
@@ -167,13 +178,18 @@ def _slopes(points: np.ndarray, values: np.ndarray) -> np.ndarray:
     return slopes / scale
 
 
-def _sparse(covariance: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-    """Return leading member and weights, (n,), of determined combinations, those of the fewest members first."""
+def _sparse(covariance: np.ndarray, mean: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """Return leading member and weights, (n,), of determined combinations, those of the fewest members first.
+
+    The member that makes most of the sum, which has the mean wᵀ`mean`, leads it with the weight 1.
+    """
     deviation = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(deviation, deviation)
-    found = [(lead, weights) for lead in range(len(deviation)) if (weights := _fewest(correlation, lead)) is not None]
-    for lead, weights in sorted(found, key=lambda pair: (np.count_nonzero(pair[1]), pair[0])):
-        yield lead, _rounded(weights * deviation[lead] / deviation, covariance)
+    fewest = (_fewest(correlation, each) for each in range(len(deviation)))
+    found = [weights / deviation for weights in fewest if weights is not None]
+    for weights in sorted(found, key=np.count_nonzero):
+        lead = int(np.argmax(np.abs(weights * mean)))
+        yield lead, _rounded(weights / weights[lead], covariance)
 
 
 def _fewest(correlation: np.ndarray, lead: int) -> np.ndarray | None:
@@ -196,23 +212,32 @@ def _fewest(correlation: np.ndarray, lead: int) -> np.ndarray | None:
         kept = _without_superfluous(correlation, lead, others)
         weights = _residual(correlation, lead, kept)
         reached = _spread(correlation, weights)
-        if reached < MUCH_LESS * np.min(np.abs(weights[[lead, *kept]])) and reached < deviation / _WORTH:
+        # Where a shorter one is determined, each further member must be much less known than the sum.
+        clear = reached < MUCH_LESS * np.min(np.abs(weights[[lead, *kept]]))
+        if (clear or (best is None and _determined(weights, reached))) and reached < deviation / _WORTH:
             best, deviation = weights, reached
     return best
 
 
 def _without_superfluous(correlation: np.ndarray, lead: int, others: Sequence[int]) -> list[int]:
-    """Return the regressors without those that divide the residual deviation by little."""
+    """Return the regressors without those that divide the residual deviation by little and are not needed."""
     kept = list(others)
     while len(kept) > 1:
         now = _spread(correlation, _residual(correlation, lead, kept))
         trials = [[other for other in kept if other != gone] for gone in kept]
         spreads = [_spread(correlation, _residual(correlation, lead, trial)) for trial in trials]
         least = int(np.argmin(spreads))
-        if spreads[least] > _WORTH * now:
+        without = _residual(correlation, lead, trials[least])
+        worth = _WORTH if _determined(without, spreads[least]) else _NEEDED
+        if spreads[least] > worth * now:
             break
         kept = trials[least]
     return kept
+
+
+def _determined(weights: np.ndarray, spread: float) -> bool:
+    """Return whether a combination is much better known than its leading member; weights in posterior deviations."""
+    return spread < MUCH_LESS * float(np.max(np.abs(weights)))
 
 
 def _residual(correlation: np.ndarray, lead: int, others: Sequence[int]) -> np.ndarray:
@@ -230,7 +255,7 @@ def _spread(covariance: np.ndarray, weights: np.ndarray) -> float:
 def _rounded(weights: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Return the weights to as few significant digits as cost little of what is known."""
     sizes = np.abs(weights[weights != 0]) * np.sqrt(np.diag(covariance)[weights != 0])
-    allowed = min(_ROUNDING_COST * _spread(covariance, weights), MUCH_LESS * sizes.min())
+    allowed = min(_ROUNDING_COST * _spread(covariance, weights), MUCH_LESS * sizes.max())
     for digits in range(1, _MOST_DIGITS + 1):
         simple = np.array([float(f"{weight:.{digits - 1}e}") for weight in weights])
         if _spread(covariance, simple) <= allowed:

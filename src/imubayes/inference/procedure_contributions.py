@@ -11,6 +11,7 @@ it has no gradient there, and is left out: a linear variance would contradict it
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,36 +33,52 @@ _SCALES = 30
 _LINEAR = 0.9
 
 
-def contributions(fit: Fit) -> tuple[Contribution, ...]:
-    """Return for each mounting angle and scale factor that is linear in the parameters its uncertainty by procedure.
+class QuantityDraws(NamedTuple):
+    """A quantity with draws of its posterior, (S,) or the first of them, and of its prior, in its unit."""
 
-    Empty where the fit did not converge or there is one procedure alone.  `alone` is the standard deviation from the
-    prior and the runs of one procedure, `without` that from all others; both in the unit of the quantity, with the
-    gradient from the posterior draws.
+    name: str
+    unit: str
+    posterior: np.ndarray
+    prior: np.ndarray
+
+
+def contributions(fit: Fit, further: Sequence[QuantityDraws] = ()) -> tuple[Contribution, ...]:
+    """Return for each quantity that is linear in the parameters its uncertainty by procedure.
+
+    Quantities are mounting angles, scale factors, and further ones, such as determined combinations.  Empty where the
+    fit did not converge or there is one procedure alone.  `alone` is the standard deviation from the prior and the runs
+    of one procedure, `without` that from all others; both in the unit of the quantity, with the gradient from the
+    posterior draws.
     """
     procedures = list(dict.fromkeys(run.procedure for run in fit.model.campaign.runs))
     posterior = fit.posterior
     if len(procedures) < 2 or posterior is None or fit.mode is None:
         return ()
-    chosen = [place for place, name in enumerate(fit.derived.names) if name.name.startswith(_QUANTITIES)]
-    draws = posterior.points[:, : len(fit.z)]
-    gradients, linear = _gradients(draws, posterior.derived[:, chosen])
-    chosen = [place for place, is_linear in zip(chosen, linear, strict=True) if is_linear]
+    asked = [
+        QuantityDraws(name.name, name.unit, posterior.derived[:, place], posterior.prior_derived[:, place])
+        for place, name in enumerate(fit.derived.names)
+        if name.name.startswith(_QUANTITIES)
+    ]
+    asked += further
+    if not asked:
+        return ()
+    draws, count = posterior.points[:, : len(fit.z)], len(posterior.derived)
+    gradients, linear = _gradients(draws[:count], np.stack([each.posterior[:count] for each in asked], axis=1))
+    chosen = [each for each, is_linear in zip(asked, linear, strict=True) if is_linear]
     if not chosen:
         return ()
     alone, without = _deviations_by_procedure(fit, procedures, gradients[linear])
     found = []
-    for row, place in enumerate(chosen):
-        sd = float(np.std(posterior.derived[:, place]))
+    for row, each in enumerate(chosen):
+        sd = float(np.std(each.posterior))
         # No part of the data tells more than all of them, and none less than the prior, whose angles may be lengths.
-        most = max(sd, float(np.std(posterior.prior_derived[:, place])))
+        most = max(sd, float(np.std(each.prior)))
         alone_of, without_of = (np.clip(part[:, row], sd, most).tolist() for part in (alone, without))
         by = tuple(
             ProcedureShare(procedure=name, alone=one, without=others)
             for name, one, others in zip(procedures, alone_of, without_of, strict=True)
         )
-        name = fit.derived.names[place]
-        found.append(Contribution(quantity=name.name, unit=name.unit, sd=sd, by=by))
+        found.append(Contribution(quantity=each.name, unit=each.unit, sd=sd, by=by))
     return tuple(found)
 
 

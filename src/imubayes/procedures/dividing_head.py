@@ -164,7 +164,7 @@ def combinations(campaign: Campaign, _runs: Sequence[Run]) -> list[StandardCombi
     """Return the amplitude of the first harmonic of every accelerometer, with the odd terms that a model may have."""
     found: list[StandardCombination] = []
     for channel in campaign.of_kind("accelerometer"):
-        for terms in (("K1", "K3"), ("K1", "K_oq"), ("K1", "K3", "K_oq")):
+        for terms in (("K1", "K3", "K_oq"), ("K1", "K3"), ("K1", "K_oq")):
             symbol = "+".join(_FIRST_HARMONIC[term][0] for term in terms)
             weights = {
                 f"{_ODD_TERMS[term]}[{channel.name}]": channel.scale * 1e-6 * _FIRST_HARMONIC[term][1] for term in terms

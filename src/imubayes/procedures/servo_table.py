@@ -87,9 +87,10 @@ def _of_run(campaign: Campaign, run: Run, channel: Channel, cosine: float, total
     symbols = ("D_O+D_IO·f_I", "D_S+D_SI·f_I", "D_OO-D_SS", "gyro_g2_sensitivity.d_os", "gyro_bias_drift.slope")
     names = (total, *(f"{symbol}[{channel.name}]" for symbol in symbols))
     units = ("deg/h", "deg/h/g", "deg/h/g", "deg/h/g^2", "deg/h/g^2", "deg/h/h")
+    methods = (f"{METHOD}: in the middle of the record", *(METHOD for _ in symbols))
     return [
-        Estimate(name, run.name, float(coefficient), float(error), unit, METHOD)
-        for name, unit, coefficient, error in zip(names, units, value, sd, strict=True)
+        Estimate(name, run.name, float(coefficient), float(error), unit, method)
+        for name, unit, method, coefficient, error in zip(names, units, methods, value, sd, strict=True)
     ]
 
 
@@ -113,7 +114,7 @@ def combinations(campaign: Campaign, runs: Sequence[Run]) -> list[StandardCombin
         time = ambient_of(run, np.arange(run.rows), campaign).get("campaign_time")
         later = {} if time is None else {f"gyro_bias_drift.slope[{channel.name}]": float(np.mean(time)) / _HOUR}
         name = _total_drift(runs, run, channel)
-        found.append(LinearCombination(name, "deg/h", {**total.weights, **later}, total=True))
+        found.append(LinearCombination(name, "deg/h", {**total.weights, **later}, total=True, middle_of=run.name))
         along = constant.get("D_I", 0.0)
         found += [
             of_drift("D_O+D_IO·f_I", channel.name, "deg/h/g", {"D_O": 1.0, "D_IO": along}),

@@ -37,6 +37,7 @@ class LinearCombination:
     weights : name of the parameter → its weight.
     constant : added to the sum, in `unit`.
     total : whether the sum stands for everything that acts together, so that a model may lack some of its members.
+    middle_of : run in the middle of whose record it holds, where it changes with time; else empty.
     """
 
     name: str
@@ -44,6 +45,7 @@ class LinearCombination:
     weights: Mapping[str, float]
     total: bool = False
     constant: float = 0.0
+    middle_of: str = ""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,11 @@ from imubayes.qualification.conformity import (
     resolved_limits,
 )
 from imubayes.qualification.decision_rules import Outcome
-from imubayes.qualification.posterior_quantities import PosteriorQuantities, posterior_quantities
+from imubayes.qualification.posterior_quantities import (
+    PosteriorQuantities,
+    posterior_quantities,
+    with_combinations,
+)
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, UnitUnderTest, draws_of_standard
 from imubayes.qualification.temperature_range import thermal_model
@@ -80,14 +84,14 @@ def assess(
 
 
 def tested_unit(result: Result) -> TestedUnit:
-    """Return what a specification is held against: the quantities of the result and those of the standards.
+    """Return what a specification is held against: quantities of the result, their combinations, and the standards'.
 
     Raises
     ------
     InputError
         where the fit did not converge.
     """
-    quantities = posterior_quantities(result)
+    quantities = with_combinations(posterior_quantities(result), result.summary.combinations)
     model = result.fit.model
     thermal = thermal_model(model.spec, {name: entry.unit for name, entry in quantities.entries.items()})
     gravity = model.campaign.site.gravity

@@ -19,6 +19,7 @@ from imubayes.qualification.conformity import ConformityOfQuantity, TestedUnit
 from imubayes.qualification.d_si import digital_unit
 from imubayes.qualification.report_budgets import budgets_of
 from imubayes.qualification.report_estimates import (
+    determined_combinations,
     mounting_angles,
     not_estimated,
     probability_of,
@@ -86,6 +87,7 @@ def report_of(result: Result | str | Path, specification: str | Path | None = No
         conformity=conformity_of(assessment, specification, campaign.site.gravity),
         results=result_lines(found, unit),
         mounting_angles=angles,
+        combinations=determined_combinations(found, unit),
         standards=standard_estimates(found, unit),
         not_estimated=not_estimated(found, unit, diagnosis),
         thermal_linearity=thermal_linearity(found, unit),

@@ -1,15 +1,16 @@
 """The quantities of a result with their posterior draws: what conformity, digits and budget are computed from."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imubayes.errors import InputError, Issue
+from imubayes.inference.determined_combinations import combined
 from imubayes.qualification.marginal import Marginal
 from imubayes.results.result import Result
-from imubayes.results.summary import ParameterSummary, Quantity
+from imubayes.results.summary import CombinationSummary, ParameterSummary, Quantity
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,27 @@ def posterior_quantities(result: Result) -> PosteriorQuantities:
     least = min((_sampled_size(line) for line in summary.parameters), default=math.inf)
     sizes = {name: _effective(entries[name], draws[name], least) for name in draws}
     return PosteriorQuantities({name: entries[name] for name in draws}, draws, sizes)
+
+
+def with_combinations(known: PosteriorQuantities, combinations: Sequence[CombinationSummary]) -> PosteriorQuantities:
+    """Return quantities with determined combinations of them; those with a member that has no draws are left out."""
+    entries, draws, effective = dict(known.entries), dict(known.draws), dict(known.effective)
+    for found in combinations:
+        if not set(found.quantities) <= known.draws.keys():
+            continue
+        entries[found.name] = found
+        members = [known.draws[name] for name in found.quantities]
+        draws[found.name] = combined(found.weights, found.constant, members)
+        effective[found.name] = min(known.effective[name] for name in found.quantities)
+    return PosteriorQuantities(entries, draws, effective)
+
+
+def slopes(found: CombinationSummary, members: Sequence[np.ndarray]) -> tuple[float, ...]:
+    """Return the derivatives of a combination by its members, at the means of their draws."""
+    if found.weights is not None:
+        return found.weights
+    scale, angle = (float(np.nanmean(each)) for each in members)
+    return float(np.cos(np.radians(angle))), float(-scale * np.sin(np.radians(angle)) * np.pi / 180)
 
 
 def _sampled_size(line: ParameterSummary) -> float:

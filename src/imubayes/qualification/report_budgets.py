@@ -26,7 +26,7 @@ from imubayes.qualification.budget_record import (
     UncertaintyBudgets,
 )
 from imubayes.qualification.conformity import TestedUnit
-from imubayes.qualification.posterior_quantities import posterior_quantities
+from imubayes.qualification.posterior_quantities import posterior_quantities, slopes
 from imubayes.qualification.standard_quantities import STANDARD_QUANTITIES, draws_of_standard
 from imubayes.qualification.tolerances import LEAST_SHARE, USEFUL_RUN
 from imubayes.qualification.uncertainty_budget import (
@@ -43,7 +43,7 @@ from imubayes.results.result import Result
 
 BUDGETS = "budgets.json"
 # Changed where budgets of the same result come out otherwise, so that those that are kept are made anew.
-_METHOD = 6
+_METHOD = 7
 _MOST_HALVED = 3
 # Decimals of a correlation.
 _DECIMALS = 4
@@ -116,9 +116,16 @@ def _computed(result: Result, unit: TestedUnit) -> UncertaintyBudgets:
 
 
 def functions_of_quantities(result: Result, unit: TestedUnit) -> dict[str, FunctionOfQuantities]:
-    """Return the quantities of the standards that are functions of those of the result."""
-    under_test = standards_input(result, unit)
-    return {
+    """Return determined combinations, and quantities of the standards that are functions of those of the result."""
+    under_test, draws = standards_input(result, unit), unit.quantities.draws
+    combinations = {
+        found.name: FunctionOfQuantities(
+            draws[found.name], found.quantities, slopes=slopes(found, [draws[name] for name in found.quantities])
+        )
+        for found in result.summary.combinations
+        if found.name in draws
+    }
+    return combinations | {
         f"{quantity.key}[{found.label}]": FunctionOfQuantities(found.draws, found.members, found.length)
         for quantity in STANDARD_QUANTITIES
         for found in draws_of_standard(quantity, under_test)

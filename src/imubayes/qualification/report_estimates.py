@@ -19,6 +19,7 @@ from imubayes.qualification.report_record import (
     NotEstimated,
     Probability,
     ProcedureEvidence,
+    ReportedCombination,
     ResultLine,
     ScreenedCoefficient,
     StandardEstimate,
@@ -121,7 +122,7 @@ def result_lines(result: Result, unit: TestedUnit | None) -> tuple[ResultLine, .
 def mounting_angles(result: Result, unit: TestedUnit | None) -> tuple[MountingAngle, ...]:
     """Return the true mounting angles, and the uncertainty that each procedure alone would leave."""
     campaign, found = result.fit.model.campaign, []
-    evidence = {each.quantity: each.by for each in result.summary.contributions}
+    evidence = _evidence(result)
     lines = {line.name: line for line in result.summary.derived}
     for channel in campaign.channels:
         for mounting in campaign.mountings.values():
@@ -142,14 +143,48 @@ def mounting_angles(result: Result, unit: TestedUnit | None) -> tuple[MountingAn
                     mounting=mounting.name,
                     nominal=nominal,
                     deviation=None if line.mean is None else line.mean - nominal,
-                    evidence=tuple(
-                        ProcedureEvidence(procedure=each.procedure, alone=each.alone, without=each.without)
-                        for each in evidence.get(name, ())
-                    ),
+                    evidence=evidence.get(name, ()),
                     runs=tuple(run.name for run in campaign.runs if run.mounting == mounting.name),
                     **_estimate(unit, name),
                 )
             )
+    return tuple(found)
+
+
+def _evidence(result: Result) -> dict[str, tuple[ProcedureEvidence, ...]]:
+    """Return quantity → its uncertainty by procedure."""
+    return {
+        found.quantity: tuple(
+            ProcedureEvidence(procedure=each.procedure, alone=each.alone, without=each.without) for each in found.by
+        )
+        for found in result.summary.contributions
+    }
+
+
+def determined_combinations(result: Result, unit: TestedUnit | None) -> tuple[ReportedCombination, ...]:
+    """Return what the data determine of quantities that they do not determine by themselves."""
+    campaign, evidence = result.fit.model.campaign, _evidence(result)
+    outputs = _output_units(campaign)
+    found = []
+    for line, shown in zip(result.summary.combinations, in_output_units(result.summary).combinations, strict=True):
+        channel = line.quantities[0].partition("[")[2].removesuffix("]").partition(",")[0]
+        found.append(
+            ReportedCombination(
+                name=line.name,
+                unit=shown.unit,
+                d_si=digital_unit(line.unit, campaign.site.gravity, outputs.get(channel, "")),
+                prior_sd=line.prior_sd,
+                from_data=line.from_data,
+                standard=line.standard,
+                quantities=line.quantities,
+                weights=line.weights,
+                constant=line.constant,
+                middle_of=line.middle_of,
+                evidence=evidence.get(line.name, ()),
+                procedures=tuple(dict.fromkeys(run.procedure for run in campaign.runs)),
+                **_estimate(unit, line.name),
+            )
+        )
     return tuple(found)
 
 

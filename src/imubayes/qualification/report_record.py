@@ -133,7 +133,7 @@ class NotEstimated(Record):
 
 
 class ProcedureEvidence(Record):
-    """Standard uncertainty of a mounting angle from the runs of one procedure alone, and without them, in its unit."""
+    """Standard uncertainty of a quantity from the runs of one procedure alone, and without them, in its unit."""
 
     procedure: str
     alone: float
@@ -157,6 +157,26 @@ class MountingAngle(ReportedEstimate):
     deviation: float | None
     evidence: tuple[ProcedureEvidence, ...]
     runs: tuple[str, ...]
+
+
+class ReportedCombination(ReportedEstimate):
+    """A combination of quantities that the data determine much better than its leading member.
+
+    Attributes
+    ----------
+    name : the standard symbol and label, or the sum as it is written.
+    standard, quantities, weights, constant, middle_of : as in the summary of the fit.
+    evidence : by procedure; empty where the campaign has one procedure, or where the combination is not linear.
+    procedures : of the campaign.
+    """
+
+    standard: bool
+    quantities: tuple[str, ...]
+    weights: tuple[float, ...] | None
+    constant: float
+    middle_of: str
+    evidence: tuple[ProcedureEvidence, ...]
+    procedures: tuple[str, ...]
 
 
 class Probability(Record):
@@ -391,6 +411,7 @@ class QualificationReport(Record):
     conformity: Conformity | None
     results: tuple[ResultLine, ...]
     mounting_angles: tuple[MountingAngle, ...]
+    combinations: tuple[ReportedCombination, ...] = ()
     standards: tuple[StandardEstimate, ...]
     not_estimated: tuple[NotEstimated, ...]
     thermal_linearity: tuple[ThermalLinearity, ...]

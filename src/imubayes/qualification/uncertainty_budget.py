@@ -154,11 +154,13 @@ class FunctionOfQuantities:
     draws : shape (S,), NaN where it was not computed.
     members : the quantities that it is computed from.
     length : whether it is the length of the vector of its members, which near zero has no gradient.
+    slopes : its derivatives by the members; None where they are found by regression.
     """
 
     draws: np.ndarray
     members: tuple[str, ...]
     length: bool = False
+    slopes: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -192,8 +194,8 @@ def budget_of(
     ----------
     result : a fit that converged, with its campaign in place.
     names : of the quantities, as in the summary; those without draws, and noise scales, are left out.
-    functions : name → function of them, linearised by regression of its draws on those of its members (statistical
-        linearisation); those of other members are left out.
+    functions : name → function of them, linearised by its slopes or by regression of its draws on those of its members
+        (statistical linearisation); those of other members are left out.
 
     Raises
     ------
@@ -310,17 +312,23 @@ def _with_functions(
     for name, function in functions.items():
         if not set(function.members) <= order.keys() or name in values:
             continue
-        columns = [known.values[member] for member in function.members]
-        finite = np.isfinite(np.stack([function.draws, *columns])).all(axis=0)
-        about = np.stack([column[finite] - column[finite].mean() for column in columns], axis=1)
-        width = np.maximum(about.std(axis=0), np.finfo(float).tiny)
-        slope = np.linalg.lstsq(about / width, function.draws[finite] - function.draws[finite].mean())[0] / width
         row = np.zeros(len(order))
-        row[[order[member] for member in function.members]] = slope
+        row[[order[member] for member in function.members]] = _slopes(function, known.values)
         slopes.append(row)
         values[name] = function.draws
         effective[name] = min(known.effective[member] for member in function.members)
     return replace(known, values=values, effective=effective), np.array(slopes).reshape(-1, len(order))
+
+
+def _slopes(function: FunctionOfQuantities, known: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the slopes of a function on its members, (m,)."""
+    if function.slopes is not None:
+        return np.asarray(function.slopes)
+    columns = [known[member] for member in function.members]
+    finite = np.isfinite(np.stack([function.draws, *columns])).all(axis=0)
+    about = np.stack([column[finite] - column[finite].mean() for column in columns], axis=1)
+    width = np.maximum(about.std(axis=0), np.finfo(float).tiny)
+    return np.linalg.lstsq(about / width, function.draws[finite] - function.draws[finite].mean())[0] / width
 
 
 def _short_lengths(

@@ -1,10 +1,13 @@
 """The combinations that the data determine although they do not determine their members, with their estimates."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imubayes.inference.determined_combinations import (
     DeterminedCombination,
     Draws,
+    combined,
     determined_combinations,
     members,
 )
@@ -18,7 +21,16 @@ from imubayes.results.estimates import estimated
 from imubayes.results.summary import CombinationSummary
 
 
-def combinations(fit: Fit, precision: np.ndarray) -> tuple[CombinationSummary, ...]:
+@dataclass(frozen=True)
+class EstimatedCombination:
+    """A determined combination with draws of its posterior and of its prior, (S,) each, in its unit."""
+
+    summary: CombinationSummary
+    posterior: np.ndarray
+    prior: np.ndarray
+
+
+def combinations(fit: Fit, precision: np.ndarray) -> tuple[EstimatedCombination, ...]:
     """Return the determined combinations of a fit, those with a standard symbol first.
 
     Parameters
@@ -27,7 +39,7 @@ def combinations(fit: Fit, precision: np.ndarray) -> tuple[CombinationSummary, .
     """
     posterior, layout = fit.posterior, fit.model.layout
     candidates = members(precision) & ~np.array([parameter.nuisance for parameter in layout.parameters], dtype=bool)
-    if posterior is None or not candidates.any():
+    if posterior is None:
         return ()
     size, names = len(layout), tuple(quantity.name for quantity in fit.derived.names)
     units = tuple(quantity.unit for quantity in fit.derived.names)
@@ -38,19 +50,18 @@ def combinations(fit: Fit, precision: np.ndarray) -> tuple[CombinationSummary, .
     parameters, derived = Draws(layout.names, own, after), Draws(names, units, posterior.derived)
     prior = Draws(layout.names, own, before), Draws(names, units, posterior.prior_derived)
     standard = declared_combinations(fit.model.campaign)
-    return tuple(
-        _summary(found, _values(found, parameters, derived), _values(found, *prior))
-        for found in determined_combinations(parameters, candidates, derived, standard)
-    )
+    made = []
+    for found in determined_combinations(parameters, candidates, derived, standard):
+        draws, before = _values(found, parameters, derived), _values(found, *prior)
+        made.append(EstimatedCombination(_summary(found, draws, before), draws, before))
+    return tuple(made)
 
 
 def _values(found: DeterminedCombination, parameters: Draws, derived: Draws) -> np.ndarray:
     """Return draws of a combination, (S,)."""
-    if found.weights is None:
-        scale, angle = (derived.values[:, derived.names.index(name)] for name in found.quantities)
-        return scale * np.cos(np.radians(angle))
-    places = [parameters.names.index(name) for name in found.quantities]
-    return found.constant + parameters.values[:, places] @ np.array(found.weights)
+    of = derived if found.weights is None else parameters
+    members = [of.values[:, of.names.index(name)] for name in found.quantities]
+    return combined(found.weights, found.constant, members)
 
 
 def _summary(found: DeterminedCombination, draws: np.ndarray, prior: np.ndarray) -> CombinationSummary:
@@ -65,5 +76,6 @@ def _summary(found: DeterminedCombination, draws: np.ndarray, prior: np.ndarray)
         quantities=found.quantities,
         weights=weights,
         constant=found.constant,
+        middle_of=found.middle_of,
         **estimated(draws).model_dump(),
     )

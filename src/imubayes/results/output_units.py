@@ -27,9 +27,14 @@ def in_output_units(summary: Summary) -> Summary:
         output = next((units[part] for part in label if part in units), common)
         return line.model_copy(update={"unit": with_output_unit(line.unit, output)})
 
+    combinations = tuple(shown(line, line.quantities[0]) for line in summary.combinations)
+    own = {line.name: line.unit for line in combinations}
     return summary.model_copy(
         update={
             "parameters": tuple(shown(line, line.name) for line in summary.parameters),
-            "combinations": tuple(shown(line, line.quantities[0]) for line in summary.combinations),
+            "combinations": combinations,
+            "contributions": tuple(
+                each.model_copy(update={"unit": own.get(each.quantity, each.unit)}) for each in summary.contributions
+            ),
         }
     )

@@ -19,7 +19,7 @@ from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.inference.posterior_groups import in_units
 from imubayes.inference.posterior_mode import log_evidence
 from imubayes.inference.prior_agreement import prior_conflicts
-from imubayes.inference.procedure_contributions import contributions
+from imubayes.inference.procedure_contributions import QuantityDraws, contributions
 from imubayes.json_record import finite
 from imubayes.model.derived_quantities import DerivedQuantity, derived_jacobian
 from imubayes.procedures.converter_temperature import THRESHOLD
@@ -41,6 +41,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
     dof = entries - (effective_parameters(precision) if precision is not None else len(model.layout))
     weak = _weak(fit, precision) if precision is not None else []
     parameters, derived = _parameters(fit), _derived(fit)
+    found = combinations(fit, precision) if precision is not None else ()
     shares = {quantity.name: quantity.from_data for quantity in (*derived, *parameters)}
     chains = fit.posterior.chains if fit.posterior is not None else None
     violations = noise_violations(fit) if usable else ()
@@ -65,10 +66,12 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         dof=round(dof, 1),
         log_evidence=log_evidence(mode) if usable else None,
         weak_directions=tuple(weak),
-        combinations=combinations(fit, precision) if precision is not None else (),
+        combinations=tuple(each.summary for each in found),
         prior_conflicts=prior_conflicts(model, fit.z, precision) if precision is not None else (),
         next_runs=next_runs(fit, weak, shares) if usable else (),
-        contributions=contributions(fit),
+        contributions=contributions(
+            fit, [QuantityDraws(each.summary.name, each.summary.unit, each.posterior, each.prior) for each in found]
+        ),
         notes=(*model.campaign.notes, *(f"{run.name}: {note}" for run in model.campaign.runs for note in run.notes)),
         seconds=Seconds(load=load_seconds, **fit.seconds),
     )

@@ -70,7 +70,7 @@ class DerivedSummary(Quantity):
 
 
 class CombinationSummary(Quantity):
-    """A combination that the data determine much better than each of its members.
+    """A combination that the data determine much better than its leading member.
 
     Attributes
     ----------
@@ -79,12 +79,14 @@ class CombinationSummary(Quantity):
     quantities, weights : the members, and their weights in `unit` over the unit of each.  The weights are None for
         k′ = k cos θ, whose members are the scale factor k and the mounting angle θ.
     constant : added to the sum, in `unit`.
+    middle_of : run in the middle of whose record it holds, where it changes with time; else empty.
     """
 
     standard: bool
     quantities: tuple[str, ...]
     weights: tuple[float, ...] | None
     constant: float = 0.0
+    middle_of: str = ""
 
 
 class RunSummary(Record):

@@ -55,7 +55,7 @@ _FIRST_NOTE = (
 
 
 def budget_section(report: QualificationReport) -> list[Block]:
-    """Return the uncertainty budgets of the quantities of the standards, the mounting angles and all limits."""
+    """Return the uncertainty budgets of limits, mounting angles, quantities and combinations of the standards."""
     budgets = report.budgets
     if budgets is None:
         return []
@@ -83,6 +83,7 @@ def reported_budgets(report: QualificationReport, budgets: UncertaintyBudgets) -
     limits = report.conformity.limits if report.conformity is not None else ()
     names = [limit.name for limit in limits] + [angle.name for angle in report.mounting_angles]
     names += [each.name if each.name in known else each.members[0] for each in report.standards]
+    names += [each.name for each in report.combinations if each.standard]
     names += [each.name for each in report.thermal_linearity]
     return [known[name] for name in dict.fromkeys(names) if name in known]
 

@@ -17,6 +17,7 @@ from imubayes.display.qualification.model_sections import (
 )
 from imubayes.display.qualification.mounting_drawings import angle_drawings, mounting_drawings
 from imubayes.display.qualification.result_sections import (
+    combination_section,
     converter_section,
     mounting_section,
     result_section,
@@ -60,6 +61,7 @@ def _blocks(report: QualificationReport) -> Iterator[Block]:
     for drawings in (mounting_drawings(pictures), angle_drawings(pictures)):
         if drawings is not None:
             yield drawings
+    yield from combination_section(report.combinations)
     yield from converter_section(report.thermal_linearity, report.results)
     yield from budget_section(report)
     yield from adequacy_section(report.adequacy)

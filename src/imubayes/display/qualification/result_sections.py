@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from imubayes.display.combination_tables import members_text, symbol_text
 from imubayes.display.labels import pretty
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
 from imubayes.display.qualification.words import (
@@ -11,12 +12,14 @@ from imubayes.display.qualification.words import (
     probability_text,
     stated,
 )
-from imubayes.display.rounding import percent, rounded, significant, value_and_sd
+from imubayes.display.rounding import NO_NUMBER, percent, rounded, significant, value_and_sd
 from imubayes.parameters.input_axis_names import channel_of_component
 from imubayes.qualification.report_record import (
     MountingAngle,
     NotEstimated,
+    ProcedureEvidence,
     QualificationReport,
+    ReportedCombination,
     ReportedEstimate,
     ResultLine,
     StandardEstimate,
@@ -119,7 +122,8 @@ def mounting_section(angles: Sequence[MountingAngle]) -> list[Block]:
         rows.append(
             (
                 Text(each.mounting), Text(each.channel), Text(f"{each.nominal:.4f}"), Text(estimate), Text(u),
-                Text(shift), Text(percent(each.from_data)), Text(_determined_by(each)),
+                Text(shift), Text(percent(each.from_data)),
+                Text(_determined_by(each.evidence, each.standard_uncertainty, 3600.0, "arcsec")),
             )
         )  # fmt: skip
     head = (
@@ -155,13 +159,54 @@ def _deviation(angle: MountingAngle) -> str:
     return "–" if angle.deviation is None else rounded((angle.deviation * 3600,), u)[0]
 
 
-def _determined_by(angle: MountingAngle) -> str:
-    if not angle.evidence:
-        return "–"
-    best = min(angle.evidence, key=lambda each: each.alone)
-    alone = f"{best.procedure.replace('_', ' ')}, {significant(best.alone * 3600, 2)} arcsec"
-    gain = best.alone / angle.standard_uncertainty if angle.standard_uncertainty else 1.0
+def _determined_by(
+    evidence: Sequence[ProcedureEvidence], standard_uncertainty: float | None, factor: float, unit: str
+) -> str:
+    """Return the procedure that alone leaves the smallest uncertainty, which is shown times `factor` in `unit`."""
+    if not evidence:
+        return NO_NUMBER
+    best = min(evidence, key=lambda each: each.alone)
+    alone = f"{best.procedure.replace('_', ' ')}, {significant(best.alone * factor, 2)} {pretty(unit)}"
+    gain = best.alone / standard_uncertainty if standard_uncertainty else 1.0
     return f"{alone}; all runs {significant(gain, 2)} × better" if gain > 1.05 else alone
+
+
+def combination_section(combinations: Sequence[ReportedCombination]) -> list[Block]:
+    """Return what the data determine of quantities that they do not determine by themselves."""
+    if not combinations:
+        return []
+    rows = []
+    for each in sorted(combinations, key=lambda each: not each.standard):
+        estimate, u, _, _ = stated(each)
+        rows.append(
+            (
+                Text(_with_minus(symbol_text(each)), formula=True), Text(members_text(each)), Text(estimate), Text(u),
+                Text(interval_text(each)), Text(pretty(each.unit)), Text(percent(each.from_data)),
+                Text(_determined_together_by(each)),
+            )
+        )  # fmt: skip
+    head = ("symbol", "combination", "estimate", "u", "95 % interval", "unit", "from data", "determined by")
+    note = (
+        "The runs determine these combinations much better than their leading members, whose own estimates rest on "
+        "their priors or are strongly correlated; use the combination, not the sum of the single estimates with "
+        "their uncertainties. Each member counts in its own unit. Symbols are those of the standard of the test; a "
+        "combination without one was found from the information in the data. Determined by: as for mounting angles. "
+        f"{WITHHELD_NUMBER}"
+    )
+    table = ReportTable("What the runs determine together", head, rows, (0, 1, 5, 7), note)
+    return [Heading("Determined combinations"), table]
+
+
+def _with_minus(symbol: str) -> str:
+    """Return a symbol with minus signs in its sum, D_II−D_SS; its label keeps its hyphens."""
+    total, bracket, label = symbol.partition("[")
+    return total.replace("-", "−") + bracket + label
+
+
+def _determined_together_by(found: ReportedCombination) -> str:
+    if len(found.procedures) == 1:
+        return found.procedures[0].replace("_", " ")
+    return _determined_by(found.evidence, found.standard_uncertainty, 1.0, found.unit)
 
 
 def converter_section(lines: Sequence[ThermalLinearity], results: Sequence[ResultLine]) -> list[Block]:
