@@ -70,7 +70,12 @@ GROUPS = {
         "criticism/test_wrong_names.py",
         "criticism/test_dead_zone.py",
     ),
-    "polar-tumble": ("batch/test_run_batch.py", "batch/test_lanes.py"),
+    "polar-tumble": (
+        "batch/test_run_batch.py",
+        "batch/test_lanes.py",
+        "cli/test_report_combinations.py",
+        "results/test_combinations.py",
+    ),
     "desk-imu": (f"{README}commands_run_as_written[An IMU", "qualification/test_correct_recording.py"),
     "accel-channel": (
         f"{README}python_runs_as_written",

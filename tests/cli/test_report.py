@@ -132,7 +132,7 @@ def test_a_report_of_a_fit_evaluates_no_model(result, tmp_path, monkeypatch, cap
 
     for module, name in (
         (report_budgets, "budget_of"),
-        (report_budgets, "narrowed"),
+        (report_budgets, "expected_deviations"),
         (derived_quantities, "_derive_batch"),
     ):
         monkeypatch.setattr(module, name, refused)

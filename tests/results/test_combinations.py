@@ -9,6 +9,7 @@ from combination_scores import ROOT, fitted, scored
 from imubayes.campaign import load_campaign
 from imubayes.display.classical_comparison import compare_classical
 from imubayes.display.combination_tables import symbol_text
+from imubayes.inference.experiment_design import rank
 from imubayes.procedures.classical import classical, declared_combinations
 from imubayes.procedures.textbook import Estimate
 from imubayes.results.summary import CombinationSummary, Summary
@@ -59,6 +60,17 @@ def test_d_of_a_servo_table_says_when_it_holds():
     assert symbol_text(CombinationSummary(**shown)) == "D[g]"
     (textbook,) = [each for each in classical(campaign) if isinstance(each, Estimate) and each.name == "D[g]"]
     assert textbook.method.endswith("in the middle of the record")
+
+
+def test_what_a_further_run_leaves_of_an_angle_near_zero(result):
+    """The axis along that of the table: its angle is a length, which at zero has no gradient."""
+    name = "mounting_angle[g,I-north]"
+    (angle,) = [each for each in result.summary.derived if each.name == name]
+    assert angle.mean < 3 * angle.sd
+    (lines,) = rank(result.fit, [name])
+    assert lines[0].sd_before == pytest.approx(angle.sd, rel=0.05)
+    # Runs on this table tell nothing of the tilt of the seat; by the gradient 1e-9 of a degree would be left.
+    assert all(0.5 * angle.sd < line.sd_after <= line.sd_before * (1 + 1e-9) for line in lines)
 
 
 def test_they_are_stored_and_compared_with_the_classical_evaluation(result):

@@ -1,23 +1,27 @@
 """Experiment design: the candidate runs that the equipment allows, ranked by how much they would narrow a quantity.
 
 From the Jacobian alone, without simulation: a candidate adds JᵀΣ⁻¹J to the precision, and the variance of a quantity
-with gradient c is cᵀH⁻¹c.  All candidates are bound together, as runs whose observations do not count, so that one
-Jacobian serves all.
+with gradient c is cᵀH⁻¹c.  An angle near zero is the length of two components, and what is
+expected of it follows from their covariance.  All candidates are bound together, as runs whose observations do not
+count, so that one Jacobian serves all.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from imubayes.array_shapes import Array, Float
 from imubayes.effects.base import Effect, Stage
+from imubayes.inference.angle_components import Components, components_near_zero
 from imubayes.inference.candidate_runs import CandidateRun, RunDesign, candidate_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.identifiability import WeakDirection
 from imubayes.inference.next_run import NextRun
-from imubayes.inference.posterior_precision import deviations, linearise, precision_of
+from imubayes.inference.posterior_precision import inverse_of_precision, linearise, precision_of
+from imubayes.inference.vector_length import expected_length_deviation
 from imubayes.kept_programs import kept
 from imubayes.model.bind import Model, bind
 from imubayes.model.derived_quantities import derived_jacobian
@@ -88,7 +92,9 @@ def rank(fit: Fit, quantities: Sequence[str]) -> list[list[NextRun]]:
     """
     if not quantities:
         return []
-    designs, sd_before, sd_after = narrowed(fit, _gradients(fit, quantities))
+    near_zero = _near_zero(fit, quantities)
+    parts = [near_zero.get(name) or Components(np.zeros(1), gradient) for name, gradient in _gradients(fit, quantities)]
+    expected = expected_deviations(fit, parts)
     units = {name.name: name.unit for name in fit.derived.names} | {
         p.name: p.shown_unit for p in fit.model.layout.parameters
     }
@@ -98,56 +104,87 @@ def rank(fit: Fit, quantities: Sequence[str]) -> list[list[NextRun]]:
             NextRun(
                 run=design,
                 quantity=quantity,
-                sd_before=float(sd_before[row]),
+                sd_before=float(expected.before[row]),
                 sd_after=float(after[row]),
                 unit=units[quantity],
             )
-            for design, after in zip(designs, sd_after, strict=True)
+            for design, after in zip(expected.designs, expected.after, strict=True)
         ]
         found.append(sorted(lines, key=lambda line: line.sd_after))
     return found
 
 
-def narrowed(fit: Fit, gradients: np.ndarray) -> tuple[list[RunDesign], np.ndarray, np.ndarray]:
-    """Return the candidate runs, and the standard deviation of quantities before, (n,), and after each of them, (C, n).
+class ExpectedDeviations(NamedTuple):
+    """Standard deviations of n quantities now, (n,), and expected after each candidate run, (C, n)."""
+
+    designs: list[RunDesign]
+    before: np.ndarray
+    after: np.ndarray
+
+
+def expected_deviations(fit: Fit, quantities: Sequence[Components]) -> ExpectedDeviations:
+    """Return the candidate runs and the standard deviations of quantities before and after each of them.
 
     What came with the candidate runs, such as their tables and mountings, changes no quantity of the fit.
 
     Parameters
     ----------
     fit : a converged fit.
-    gradients : shape (n, P), of the quantities with respect to z.
+    quantities : with one component each, or with those of which they are the length.
     """
     wide, candidates = with_planned(fit)
     model = wide.model
     about = linearise(model.problem, jnp.asarray(wide.z))
+    gradients = np.concatenate([each.gradient for each in quantities])
     rows = np.stack([model.layout.carried(fit.model.layout, gradient) for gradient in gradients])
     known_runs = len(fit.model.campaign.runs)
 
     def precision(included: Iterable[int]) -> np.ndarray:
         return precision_of(model.problem, about, jnp.asarray(wide.h), np.isin(model.entries.run, list(included)))
 
-    before = precision(range(known_runs)) + np.eye(len(wide.z))
-    after = [deviations(rows, before + precision([known_runs + place])) for place in range(len(candidates))]
-    designs = [candidate.design for candidate in candidates]
-    return designs, deviations(rows, before), np.array(after).reshape(-1, len(rows))
+    now = precision(range(known_runs)) + np.eye(len(wide.z))
+    totals = (now, *(now + precision([known_runs + place]) for place in range(len(candidates))))
+    covariances = [rows @ np.linalg.solve(total, rows.T) for total in totals]
+    ends = np.cumsum([len(each.gradient) for each in quantities])
+    parts = [slice(end - len(each.gradient), end) for end, each in zip(ends, quantities, strict=True)]
+    places = list(zip(quantities, parts, strict=True))
+    found = np.array(
+        [
+            [_deviation(each, covariances[0][part, part], after[part, part]) for each, part in places]
+            for after in covariances
+        ]
+    )
+    return ExpectedDeviations([candidate.design for candidate in candidates], found[0], found[1:])
 
 
-def _gradients(fit: Fit, quantities: Sequence[str]) -> np.ndarray:
-    """Return the gradient of derived quantities and parameters, in their units, with respect to z, (n, P)."""
+def _deviation(quantity: Components, before: np.ndarray, after: np.ndarray) -> float:
+    """Return the standard deviation of a quantity that is expected where its components narrow to `after`."""
+    if len(quantity.at_mode) == 1:
+        return float(np.sqrt(after[0, 0]))
+    return expected_length_deviation(quantity.at_mode, before, after)
+
+
+def _near_zero(fit: Fit, quantities: Sequence[str]) -> dict[str, Components]:
+    """Return the components of those quantities that are angles near zero."""
+    problem = fit.model.problem
+    about = linearise(problem, jnp.asarray(fit.z))
+    precision = precision_of(problem, about, jnp.asarray(fit.h), np.ones(len(fit.model.entries.run), dtype=bool))
+    covariance = inverse_of_precision(precision + np.eye(len(fit.z)))
+    return components_near_zero(fit, quantities, covariance)
+
+
+def _gradients(fit: Fit, quantities: Sequence[str]) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield derived quantities and parameters with their gradients, in their units, with respect to z, (1, P)."""
     layout, problem = fit.model.layout, fit.model.problem
     names = [name.name for name in fit.derived.names]
     of_derived = derived_jacobian(fit.derived.derivation, problem, fit.z)
     slopes = np.asarray(_slopes(problem, jnp.asarray(fit.z))) / layout.factors()
-    rows = []
     for quantity in quantities:
         if quantity in names:
-            gradient = of_derived[names.index(quantity)]
+            yield quantity, of_derived[[names.index(quantity)]]
         else:
             place = layout.index(quantity)
-            gradient = np.eye(len(layout))[place] * slopes[place]
-        rows.append(gradient)
-    return np.array(rows)
+            yield quantity, np.eye(len(layout))[[place]] * slopes[place]
 
 
 @kept

@@ -11,7 +11,7 @@ import numpy as np
 
 from imubayes.atomic_files import write_text
 from imubayes.inference.candidate_runs import RunDesign
-from imubayes.inference.experiment_design import narrowed
+from imubayes.inference.experiment_design import expected_deviations
 from imubayes.json_record import Record, finite
 from imubayes.parameters.vector import Parameter
 from imubayes.qualification.assess import standards_input, tested_unit
@@ -267,10 +267,10 @@ def _next_runs(result: Result, arrays: BudgetArrays) -> list[NarrowingRun | None
     # Share of the standard deviation that each run leaves, predicted from the mode: (C, Q).
     left = (arrays.improved.repeated / before[:, None]).T
     designs: list[RunDesign] = []
-    if len(arrays.gradient):
-        designs, start, after = narrowed(result.fit, arrays.gradient)
-        squares = np.stack([np.bincount(arrays.owner, row**2, count) for row in (start, *after)])
-        left = np.concatenate([left, np.sqrt(squares[1:] / np.maximum(squares[0], np.finfo(float).tiny))])
+    if arrays.components:
+        expected = expected_deviations(result.fit, arrays.components)
+        designs = expected.designs
+        left = np.concatenate([left, expected.after / np.maximum(expected.before, np.finfo(float).tiny)])
     found: list[NarrowingRun | None] = []
     for place in range(count):
         best, u = int(left[:, place].argmin()), float(np.sqrt(arrays.posterior[place]))

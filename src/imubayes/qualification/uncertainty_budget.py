@@ -16,12 +16,12 @@ from functools import cached_property, partial
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.inference.angle_components import NEAR, Components, components_near_zero
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import Linearised, inverse_of_precision, linearise, whitened_jacobian
 from imubayes.model.problem import Problem
 from imubayes.parameters.priors import HalfCauchy, HalfNormal, LogNormal, LogUniform, Normal, Prior, Uniform
 from imubayes.parameters.vector import Layout, Parameter
-from imubayes.qualification.angle_components import NEAR, component_gradients
 from imubayes.qualification.budget_algebra import (
     LinearContributions,
     degrees_of_freedom,
@@ -109,8 +109,7 @@ class BudgetArrays:
     correlation : shape (Q, Q), of the posterior draws.
     at_zero : angles too close to 0° or 180° to have a gradient: inputs contribute through the two components of the
         direction, and contributions are scaled to the posterior variance of the angle.
-    gradient, owner : shapes (R, P) and (R,), gradients with respect to z, and the quantity of each; two components of
-        an angle at zero.
+    components : of each quantity: itself, or those of which it is the length where that is near zero.
     """
 
     names: tuple[str, ...]
@@ -126,8 +125,7 @@ class BudgetArrays:
     improved: Improvements
     correlation: np.ndarray
     at_zero: tuple[str, ...]
-    gradient: np.ndarray
-    owner: np.ndarray
+    components: tuple[Components, ...]
 
     @cached_property
     def contributions(self) -> np.ndarray:
@@ -210,10 +208,10 @@ def budget_of(
     widths = conditionals(part, problem, fit.h[None]).widths[0]
     covariance = posterior_covariance(whitened, widths)
     derivatives = _with_slopes(derivatives_of(fit, part, list(quantities.values)), slopes)
-    components = component_gradients(fit, list(draws.values), covariance)
+    components = components_near_zero(fit, list(draws.values), covariance)
     components |= _short_lengths(functions or {}, draws, derivatives.gradient, covariance)
-    gradients = [components.get(name, derivatives.gradient[[q]]) for q, name in enumerate(draws.values)]
-    rows = _rows(gradients, len(fit.z), partial(stretched, part, problem, fit.h))
+    own = [components.get(name, _itself(derivatives.gradient[[q]])) for q, name in enumerate(draws.values)]
+    rows = _rows([each.gradient for each in own], len(fit.z), partial(stretched, part, problem, fit.h))
     member = _members(fit)
     h = _evenly(draws.h, _most_draws(*rows.gradient.shape))
     moments = conditional_moments(part, problem, rows.gradient, h)
@@ -242,9 +240,13 @@ def budget_of(
         improved=_improvements(fit, rows, whitened, widths, factor, moments),
         correlation=_correlation(complete(draws.values)),
         at_zero=tuple(components),
-        gradient=rows.gradient,
-        owner=rows.owner,
+        components=tuple(replace(each, gradient=rows.gradient[rows.owner == q]) for q, each in enumerate(own)),
     )
+
+
+def _itself(gradient: np.ndarray) -> Components:
+    """Return a quantity with the gradient (1, P) as its only component."""
+    return Components(np.zeros(1), gradient)
 
 
 def _most_draws(quantities: int, parameters: int) -> int:
@@ -333,15 +335,16 @@ def _slopes(function: FunctionOfQuantities, known: Mapping[str, np.ndarray]) -> 
 
 def _short_lengths(
     functions: Mapping[str, FunctionOfQuantities], draws: PosteriorDraws, gradient: np.ndarray, covariance: np.ndarray
-) -> dict[str, np.ndarray]:
-    """Return the gradients (m, P) of the m members of every length that is short against their uncertainty."""
+) -> dict[str, Components]:
+    """Return the members of every length that is short against their uncertainty."""
     order, found = {name: place for place, name in enumerate(draws.values)}, {}
     for name, function in functions.items():
         if function.length and name in order:
             rows = gradient[[order[member] for member in function.members]]
             widest = np.sqrt(np.linalg.eigvalsh(rows @ covariance @ rows.T)[-1])
             if np.nanmean(function.draws) < NEAR * widest:
-                found[name] = rows
+                means = np.array([np.nanmean(draws.values[member]) for member in function.members])
+                found[name] = Components(means, rows)
     return found
 
 

@@ -30,17 +30,17 @@ class EstimatedCombination:
     prior: np.ndarray
 
 
-def combinations(fit: Fit, precision: np.ndarray) -> tuple[EstimatedCombination, ...]:
+def combinations(fit: Fit, precision: np.ndarray | None) -> tuple[EstimatedCombination, ...]:
     """Return the determined combinations of a fit, those with a standard symbol first.
 
     Parameters
     ----------
-    precision : shape (P, P), posterior precision of the parameters in z.
+    precision : shape (P, P), posterior precision of the parameters in z; None where the fit did not converge.
     """
     posterior, layout = fit.posterior, fit.model.layout
-    candidates = members(precision) & ~np.array([parameter.nuisance for parameter in layout.parameters], dtype=bool)
-    if posterior is None:
+    if posterior is None or precision is None:
         return ()
+    candidates = members(precision) & ~np.array([parameter.nuisance for parameter in layout.parameters], dtype=bool)
     size, names = len(layout), tuple(quantity.name for quantity in fit.derived.names)
     units = tuple(quantity.unit for quantity in fit.derived.names)
     own = tuple(parameter.unit for parameter in layout.parameters)

@@ -1,10 +1,12 @@
 """The summary of a fit: every number that is reported, in datasheet units, with what the data contributed to it."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from imubayes.criticism.noise_assumptions import noise_violations
+from imubayes.inference.contribution_record import Contribution
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.experiment_design import next_runs
 from imubayes.inference.fitted_model import Fit
@@ -23,7 +25,7 @@ from imubayes.inference.procedure_contributions import QuantityDraws, contributi
 from imubayes.json_record import finite
 from imubayes.model.derived_quantities import DerivedQuantity, derived_jacobian
 from imubayes.procedures.converter_temperature import THRESHOLD
-from imubayes.results.combinations import combinations
+from imubayes.results.combinations import EstimatedCombination, combinations
 from imubayes.results.estimates import estimated, is_constant
 from imubayes.results.prior_scatter import prior_scatter
 from imubayes.results.provenance import provenance
@@ -41,7 +43,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
     dof = entries - (effective_parameters(precision) if precision is not None else len(model.layout))
     weak = _weak(fit, precision) if precision is not None else []
     parameters, derived = _parameters(fit), _derived(fit)
-    found = combinations(fit, precision) if precision is not None else ()
+    found = combinations(fit, precision)
     shares = {quantity.name: quantity.from_data for quantity in (*derived, *parameters)}
     chains = fit.posterior.chains if fit.posterior is not None else None
     violations = noise_violations(fit) if usable else ()
@@ -69,9 +71,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         combinations=tuple(each.summary for each in found),
         prior_conflicts=prior_conflicts(model, fit.z, precision) if precision is not None else (),
         next_runs=next_runs(fit, weak, shares) if usable else (),
-        contributions=contributions(
-            fit, [QuantityDraws(each.summary.name, each.summary.unit, each.posterior, each.prior) for each in found]
-        ),
+        contributions=_contributions(fit, found),
         notes=(*model.campaign.notes, *(f"{run.name}: {note}" for run in model.campaign.runs for note in run.notes)),
         seconds=Seconds(load=load_seconds, **fit.seconds),
     )
@@ -82,6 +82,12 @@ def _sampling(chains: Chains | None) -> dict[str, Any]:
     if chains is None:
         return {"sampled": False, "acceptance": None}
     return {"sampled": True, "acceptance": chains.acceptance, "pareto_k": chains.diagnosis.pareto_k}
+
+
+def _contributions(fit: Fit, found: Sequence[EstimatedCombination]) -> tuple[Contribution, ...]:
+    """Return the contribution of each procedure to angles, scale factors and determined combinations."""
+    sums = [QuantityDraws(each.summary.name, each.summary.unit, each.posterior, each.prior) for each in found]
+    return contributions(fit, sums)
 
 
 def _parameters(fit: Fit) -> tuple[ParameterSummary, ...]:

@@ -6,6 +6,7 @@ components; E[angle²] is the sum of their mean squares, and each input contribu
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,8 +22,22 @@ _CLOSE = 20.0
 _APART = 1e-3
 
 
-def component_gradients(fit: Fit, names: Sequence[str], covariance: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the gradients of the two components of every angle near 0° or 180°, in deg, by name; shape (2, P).
+@dataclass(frozen=True)
+class Components:
+    """The components of which a quantity is the length, in its unit.
+
+    Attributes
+    ----------
+    at_mode : shape (m,).
+    gradient : shape (m, P), with respect to z.
+    """
+
+    at_mode: np.ndarray
+    gradient: np.ndarray
+
+
+def components_near_zero(fit: Fit, names: Sequence[str], covariance: np.ndarray) -> dict[str, Components]:
+    """Return the two components of every angle near 0° or 180°, in deg, by name.
 
     Parameters
     ----------
@@ -41,14 +56,15 @@ def component_gradients(fit: Fit, names: Sequence[str], covariance: np.ndarray) 
     middle, *rest = evaluate_directions(derivation, problem, points)
     above, below = np.split(np.stack(rest), 2)
     slopes = (above - below) / (2 * _APART)  # (P, A, 3)
-    gradients = {}
+    found = {}
     for name, (first, second) in pairs.items():
         sign = np.sign(middle[first] @ middle[second])
-        change = np.degrees((slopes[:, first] - sign * slopes[:, second]) @ _across(middle[first])).T
+        across = np.degrees(_across(middle[first]))
+        change = ((slopes[:, first] - sign * slopes[:, second]) @ across).T
         widest = np.sqrt(np.linalg.eigvalsh(change @ covariance @ change.T)[-1])
         if _distance(angles[name]) < NEAR * widest:
-            gradients[name] = change
-    return gradients
+            found[name] = Components((middle[first] - sign * middle[second]) @ across, change)
+    return found
 
 
 def _distance(angle: float) -> float:
