@@ -5,7 +5,7 @@ import pytest
 
 from imubayes.campaign_data import Campaign, Channel, Mounting, Run, Site, Table
 from imubayes.procedures.classical import classical
-from imubayes.procedures.textbook import Estimate
+from imubayes.procedures.textbook import Estimate, compared_probability
 
 G = 9.8
 SCALE, OFFSET = 20000.0, 500.0  # pulse/s per g, pulse/s
@@ -90,3 +90,11 @@ def test_wrong_decisions_are_rare():
         runs.append(ramp("twelve", 12, gain=22.2, offset=0.0, noise=2.0, seed=2000 + seed, injected=True))
         wrong += "line applies" in found(*runs)["delta_k[a,twelve]"].decision
     assert wrong / 300 < 0.05
+
+
+@pytest.mark.parametrize(
+    ("probability", "said"),
+    [(0.0, "< 0.001"), (2e-4, "< 0.001"), (0.014, "= 0.014"), (0.5, "= 0.5"), (0.9995, "> 0.999"), (1.0, "> 0.999")],
+)
+def test_a_probability_from_draws_is_never_said_to_be_zero_or_one(probability, said):
+    assert compared_probability(probability) == said

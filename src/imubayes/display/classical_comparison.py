@@ -11,7 +11,7 @@ from imubayes.display.labels import listed, pretty
 from imubayes.display.rounding import significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.json_record import finite
-from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined
+from imubayes.procedures.textbook import Estimate, TextbookResult, Undetermined, compared_probability
 from imubayes.results.summary import Conformance, DerivedSummary, Quantity, Summary
 
 # A difference beyond so many combined standard deviations is one that the classical uncertainty does not cover.
@@ -266,7 +266,7 @@ def decision_sheet(comparison: ClassicalComparison) -> Sheet:
 def _probability(within: Conformance | None) -> str:
     if within is None or within.probability is None:
         return ""
-    return f"P(≤ {within.threshold:g} {pretty(within.unit)}) = {within.probability:.2g}"
+    return f"P(≤ {within.threshold:g} {pretty(within.unit)}) {compared_probability(within.probability)}"
 
 
 def undetermined_sheet(comparison: ClassicalComparison) -> Sheet:

@@ -18,7 +18,16 @@ import numpy as np
 
 from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.procedures.standard_combinations import LinearCombination, StandardCombination
-from imubayes.procedures.textbook import Estimate, Line, TextbookResult, Undetermined, components, line, measured
+from imubayes.procedures.textbook import (
+    Estimate,
+    Line,
+    TextbookResult,
+    Undetermined,
+    compared_probability,
+    components,
+    line,
+    measured,
+)
 
 METHOD = "straight line against converter temperature"
 THRESHOLD = 0.1
@@ -190,5 +199,5 @@ def decided(one: ThermalLine, base: ThermalLine, threshold: float) -> str:
         text = f"{one.input:.3g} g needs its own line"
     else:
         text = "not decided by these data"
-    chance = "" if np.isnan(probability) else f", P(Δk ≤ {threshold * 100:g} %) = {probability:.2g}"
+    chance = "" if np.isnan(probability) else f", P(Δk ≤ {threshold * 100:g} %) {compared_probability(probability)}"
     return f"threshold {threshold * 100:g} %: {text}{chance}"

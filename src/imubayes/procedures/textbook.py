@@ -17,6 +17,17 @@ RESIDUALS = "type A: residuals of the fitted curve"
 _SAME_TEMPERATURE = 5.0
 
 
+# A probability from draws is not told from 0 or 1 below this: some thousand draws have none beyond.
+_LEAST_PROBABILITY = 1e-3
+
+
+def compared_probability(probability: float) -> str:
+    """Return a probability from draws with its relation: `= 0.014`, `< 0.001`, `> 0.999`."""
+    if probability < _LEAST_PROBABILITY:
+        return f"< {_LEAST_PROBABILITY:g}"
+    return f"> {1 - _LEAST_PROBABILITY:g}" if probability > 1 - _LEAST_PROBABILITY else f"= {probability:.2g}"
+
+
 @dataclass(frozen=True)
 class Estimate:
     """One number of a textbook evaluation.

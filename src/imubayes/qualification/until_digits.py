@@ -16,7 +16,7 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import LAPLACE_DRAWS, joint_fit
 from imubayes.model.bind import Model
 from imubayes.qualification.digits import Digits, numerical_tolerance
-from imubayes.qualification.posterior_quantities import posterior_quantities
+from imubayes.qualification.posterior_quantities import posterior_quantities, with_combinations
 from imubayes.results.estimates import is_constant
 from imubayes.results.result import result_of
 
@@ -78,7 +78,8 @@ def draws_lacking(fit: Fit, digits: Digits) -> tuple[float, str]:
 
     Digits of a quantity are deserved where twice its largest Monte Carlo error is at most δ of its uncertainty.
     """
-    quantities = posterior_quantities(result_of(fit))
+    result = result_of(fit)
+    quantities = with_combinations(posterior_quantities(result), result.summary.combinations)
     worst, worst_name = 0.0, ""
     for name, draws in quantities.draws.items():
         if is_constant(draws):

@@ -28,6 +28,7 @@ from imubayes.qualification.report_record import (
 
 _UNDETERMINED = 0.1
 _CONVERTER = "converter_"
+_TOGETHER = "Determined combinations"
 _REASONS = {
     "not_in_model": "not in the model",
     "undetectable": "these runs cannot show it",
@@ -50,11 +51,21 @@ def standards_section(report: QualificationReport) -> list[Block]:
     for standard in dict.fromkeys(each.standard for each in report.standards):
         own = [each for each in report.standards if each.standard == standard]
         found.append(_standard_table(standard, own))
+    together = _determined_together(report)
+    if together:
+        found.append(Paragraph(f"Much better determined together than by themselves: {together}; see {_TOGETHER}."))
     if not report.convergence.converged:
         found.append(Paragraph("None is stated: the fit did not converge."))
     if report.not_estimated:
         found.append(_not_estimated(report.not_estimated))
     return found
+
+
+def _determined_together(report: QualificationReport) -> str:
+    """Return the quantities of the standards that are members of standard combinations; empty for none."""
+    members = {name for found in report.combinations if found.standard for name in found.quantities}
+    named = [each for each in report.standards if members & set(each.members)]
+    return enumerated([f"{each.symbol}[{each.label}]" for each in named]) if named else ""
 
 
 def _standard_table(standard: str, own: Sequence[StandardEstimate]) -> ReportTable:
@@ -138,6 +149,8 @@ def mounting_section(angles: Sequence[MountingAngle]) -> list[Block]:
     )
     note = (
         "True angle between sensitive axis and axis of rotation. From data: 1 − posterior variance / prior variance. "
+        "That of an axis nominally along the axis of rotation is the length of its tilt, whose deviation is never "
+        "negative. "
         "Determined by: the procedure that alone would leave the smallest uncertainty, with that uncertainty, and how "
         "many times smaller it is with all runs together; a dash stands where the angle is not linear enough in the "
         "parameters for a share by procedure."
@@ -194,7 +207,7 @@ def combination_section(combinations: Sequence[ReportedCombination]) -> list[Blo
         f"{WITHHELD_NUMBER}"
     )
     table = ReportTable("What the runs determine together", head, rows, (0, 1, 5, 7), note)
-    return [Heading("Determined combinations"), table]
+    return [Heading(_TOGETHER), table]
 
 
 def _with_minus(symbol: str) -> str:
