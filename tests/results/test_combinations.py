@@ -47,6 +47,18 @@ def test_one_polar_sweep_determines_its_mean_and_the_joint_fit_says_so():
     assert set(found) == {name for name in textbook if "+" in name or "-D_" in name}
 
 
+def test_one_mounting_on_a_rate_table_determines_slope_and_zero_of_every_gyro():
+    """Neither k nor θ, neither D_F nor the g-sensitivities: k′ = k cos θ and F₀/k, the zero of the series."""
+    folder, runs = ROOT / "data" / "trihedral-imu", [f"rate-pyramid-{t}" for t in ("minus10C", "25C", "55C")]
+    found = {each.combination.name: each for each in scored(fitted(folder, "trihedral-imu", tuple(runs)), folder)}
+    for gyro in ("gx", "gy", "gz"):
+        slope, zero = found[f"k′[{gyro},pyramid]"], found[f"F₀/k[{gyro},pyramid]"]
+        assert max(abs(slope.score), abs(zero.score)) < 4
+        # Of k the table's rate error, 5 ppm, is left, and of the zero the scatter between runs; D_F alone has 5 °/h.
+        assert slope.combination.sd < 6e-6 * slope.combination.mean
+        assert zero.combination.sd < 3.0
+
+
 def test_d_of_a_servo_table_says_when_it_holds():
     """The drift changes with time: D is that in the middle of the record, and is shown with this."""
     campaign = load_campaign(ROOT / "data" / "servo-table")

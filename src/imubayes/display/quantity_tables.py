@@ -88,10 +88,15 @@ def _note(entries: Sequence[Quantity], left_out: int) -> str:
     return note
 
 
+def _after(unit: str) -> str:
+    """Return a unit as it stands behind a number: nothing for a number of dimension one."""
+    return "" if unit == "1" else pretty(unit)
+
+
 def _short(entry: Quantity) -> tuple[Cell, ...]:
     mean, sd = value_and_sd(entry.mean, entry.sd)
     mood = "weak" if is_undetermined(entry) else ""
-    return Cell(entry.name), Cell(f"{mean} ± {sd} {pretty(entry.unit)}", mood), _from_data(entry)
+    return Cell(entry.name), Cell(f"{mean} ± {sd} {_after(entry.unit)}".strip(), mood), _from_data(entry)
 
 
 def _from_data(entry: Quantity) -> Cell:

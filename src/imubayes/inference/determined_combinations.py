@@ -2,9 +2,10 @@
 
 A weak direction leaves all its members uncertain, but not every function of them: D_F and D_II of a tumble may be known
 to 0.06 °/h each and their sum to 0.002 °/h.  With C the posterior covariance a combination wᵀx is determined where
-√(wᵀCw) is much less than the largest |w_i| √C_ii.  That member is then uncertain together with others, as no sum of
-independent terms is better known than one of them; a parameter that is known by itself combines with nothing.  Members
-whose own prior is narrow, such as K3 beside K1, may contribute no more than the combination does.
+√(wᵀCw) is less than the largest |w_i| √C_ii: half of it for the standard combinations, which need no search, and a fifth
+for others.  That member is then uncertain together with others, as no sum of independent terms is better known than one
+of them; a parameter that is known by itself combines with nothing.  Members whose own prior is narrow, such as K3 beside
+K1, may contribute no more than the combination does.
 
 The standard combinations of the procedures come first, whether a weak direction or a mere correlation joins their
 members.  Then comes, for every parameter whose posterior variance comes mostly from weak directions, the residual of
@@ -27,6 +28,8 @@ from imubayes.procedures.standard_combinations import LinearCombination, Project
 _FROM_WEAK = 0.5
 # A combination is determined where its standard deviation is below this share of what its leading member contributes.
 MUCH_LESS = 0.2
+# A standard combination, which the test is made for, needs no search: it is reported where it is twice as well known.
+HALF = 0.5
 # Another member is worth while where it divides the standard deviation by the first of these, or by the second where
 # without it nothing is determined; what it adds must be that much larger than what rounding its weight may add.
 _WORTH, _NEEDED, _ROUNDING_COST = 4.0, 2.0, 1.25
@@ -148,7 +151,7 @@ def _linear(standard: LinearCombination, parameters: Draws, space: _Space) -> De
     for name, weight in known.items():
         weights[place[name]] = weight
     largest = float(np.max(np.abs(weights) * space.deviation))
-    if not _spread(space.covariance, weights) < MUCH_LESS * largest or not space.add(weights):
+    if not _spread(space.covariance, weights) < HALF * largest or not space.add(weights):
         return None
     return DeterminedCombination(
         tuple(known), tuple(known.values()), standard.unit, standard.constant, standard.name, standard.middle_of
@@ -165,7 +168,7 @@ def _projected(
     cosine = np.cos(np.radians(angle))
     values = scale * cosine
     parts = np.std(scale) * abs(np.mean(cosine)), abs(np.mean(scale)) * np.std(cosine)
-    if not np.std(values) < MUCH_LESS * min(parts) or not space.add(_slopes(parameters.values, values)):
+    if not np.std(values) < HALF * min(parts) or not space.add(_slopes(parameters.values, values)):
         return None
     return DeterminedCombination((standard.scale, standard.angle), None, standard.unit, symbol=standard.name)
 
