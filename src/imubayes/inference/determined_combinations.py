@@ -2,10 +2,10 @@
 
 A weak direction leaves all its members uncertain, but not every function of them: D_F and D_II of a tumble may be known
 to 0.06 °/h each and their sum to 0.002 °/h.  With C the posterior covariance a combination wᵀx is determined where
-√(wᵀCw) is less than the largest |w_i| √C_ii: half of it for the standard combinations, which need no search, and a fifth
-for others.  That member is then uncertain together with others, as no sum of independent terms is better known than one
-of them; a parameter that is known by itself combines with nothing.  Members whose own prior is narrow, such as K3 beside
-K1, may contribute no more than the combination does.
+√(wᵀCw) is less than the largest |w_i| √C_ii: than half of it for the standard combinations, which need no search, and
+than a fifth for others.  That member is then uncertain together with others, as no sum of independent terms is better
+known than one of them; a parameter that is known by itself combines with nothing.  Members whose own prior is narrow,
+such as K3 beside K1, may contribute no more than the combination does.
 
 The standard combinations of the procedures come first, whether a weak direction or a mere correlation joins their
 members.  Then comes, for every parameter whose posterior variance comes mostly from weak directions, the residual of
