@@ -106,7 +106,7 @@ def determined_combinations(
         if isinstance(each, ProjectedScaleFactor):
             made = _projected(each, derived, parameters, space)
         else:
-            made = _linear(each, parameters, space)
+            made = None if _part_of_one(each, found) else _linear(each, parameters, space)
         if made is not None:
             found.append(made)
     chosen = np.flatnonzero(candidates & (space.deviation > 0))
@@ -139,6 +139,12 @@ class _Space:
             return False
         self.basis = np.vstack([self.basis, rest / np.linalg.norm(rest)])
         return True
+
+
+def _part_of_one(standard: LinearCombination, found: Sequence[DeterminedCombination]) -> bool:
+    """Return whether a standard sum only lacks members of one that was found."""
+    wholes = [dict(zip(each.quantities, each.weights, strict=True)) for each in found if each.weights is not None]
+    return any(standard.weights.items() <= whole.items() for whole in wholes)
 
 
 def _linear(standard: LinearCombination, parameters: Draws, space: _Space) -> DeterminedCombination | None:
