@@ -21,7 +21,7 @@ _CONVERGED = 1e-9  # expected gain in log likelihood
 _DAMPING = 1e-10  # of a term that vanishes, and with it its information
 _LEAST_COUNT = 6  # coefficients of a band for the start
 _REVIVALS = 4
-_VANISHED = 0.01  # information on log θ below which a term has no part in the variance
+VANISHED = 0.01  # information on log θ below which a term has no part in the variance
 _KEPT = 12  # shapes of Gauss–Markov noise at recent correlation times
 _LOG_STEP = 1e-4  # for the derivative with respect to log T
 
@@ -173,7 +173,7 @@ class NoiseLikelihood:
         for _ in range(_REVIVALS):
             _, gradient, information = self._expansion(terms, found.parameters)
             size = np.maximum(np.diag(information)[: len(terms)], 1e-300)
-            gone = (size < _VANISHED) & (gradient[: len(terms)] > 0)
+            gone = (size < VANISHED) & (gradient[: len(terms)] > 0)
             if fixed is not None and fixed < len(terms):
                 gone[fixed] = False
             if not gone.any():
@@ -195,6 +195,11 @@ class NoiseLikelihood:
             if converged:
                 break
             step = _step(gradient[free], information[np.ix_(free, free)], damping)
+            promised = float(gradient[free] @ step)
+            if promised < 0:
+                # A step cut short in one parameter may lead down in the others; damped, each follows its gradient.
+                damping = max(10 * damping, 1e-2)
+                continue
             trial = parameters.copy()
             trial[free] = self._inside(terms, parameters + _spread(step, free, len(parameters)))[free]
             after, next_gradient, next_information = self._expansion(terms, trial)
@@ -204,7 +209,7 @@ class NoiseLikelihood:
                 parameters, value, gradient, information = trial, after, next_gradient, next_information
                 damping = damping / 10 if damping > 1e-3 else 0.0
             else:
-                converged = float(gradient[free] @ step) < _CONVERGED
+                converged = promised < _CONVERGED
                 damping = max(10 * damping, 1e-2)
         return Maximum(tuple(terms), parameters, value, converged)
 

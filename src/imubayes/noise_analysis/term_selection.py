@@ -1,9 +1,7 @@
-"""Which noise terms a record determines: estimates with intervals for those, upper limits for the others.
+"""The noise terms of a record: estimates with intervals for those that it determines, upper limits for the others.
 
-All terms are tried together.  A term is determined if leaving it out lowers the log likelihood by more than chance
-would, the least significant going first; a Gauss–Markov process, whose correlation time is found by a scan, is asked
-for more.  A term that is not determined is not set to zero: estimates, intervals and limits are those of the likelihood
-with all terms in it, or an interval would leave out what the undetermined ones could take over.
+A term that is not determined (`term_evidence`) is not set to zero: estimates, intervals and limits are those of the
+likelihood with all terms in it, or an interval would leave out what the undetermined ones could take over.
 """
 
 import math
@@ -13,20 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy  # loads its parts when they are first used
 
-from imubayes.noise_analysis.likelihood import Maximum, NoiseLikelihood
+from imubayes.noise_analysis.likelihood import VANISHED, Maximum, NoiseLikelihood
 from imubayes.noise_analysis.noise_spectra import NoiseTerm
+from imubayes.noise_analysis.term_evidence import BASIC, TermEvidence, term_evidence
 
 PROBABILITY = 0.95
-# A coefficient on its bound of 0 has −2 Δ log L ~ ½χ²₀ + ½χ²₁ (Self and Liang 1987): chance 1 % beyond 5.41.
-_LEAST_EVIDENCE = 5.41
-# Two coefficients (χ²₂, 13.8 at 0.1 %), of which the correlation time is chosen among some ten independent ones.
-_LEAST_EVIDENCE_MARKOV = 18.4
 _CHANCE_RAMP = 0.01
 _WALKS = 24
-_SCAN = 14
-_FAINT = 8.0  # in log θ: where a term that the selected model lacks starts
 _WIDEST = 60.0  # of an interval in log θ; a coefficient beyond is no coefficient
-_BASIC = (NoiseTerm.QUANTISATION, NoiseTerm.WHITE, NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK)
 
 
 @dataclass(frozen=True)
@@ -85,11 +77,12 @@ class NoiseEstimate:
     ----------
     estimates : of every term.
     correlation_time, correlation_time_sd : T of the Gauss–Markov process, s; NaN where not determined.
-    determined : the terms of the model, in the order of `correlation`.
+    determined : the determined terms but the ramp, in the order of `correlation`.
     correlation : shape (P, P), of the logarithms of the coefficients (the last of log T with Gauss–Markov noise).
     octaves : the fit, octave by octave.
     converged : whether the maximum was found.
-    alternative : a term that describes the record as well in place of a determined one, (determined, other).
+    undecided : terms that are not determined, of which the record needs at least one.
+    alternatives : a determined term, and one that describes the record as well in its place.
     """
 
     estimates: tuple[TermEstimate, ...]
@@ -99,7 +92,8 @@ class NoiseEstimate:
     correlation: np.ndarray
     octaves: tuple[Octave, ...]
     converged: bool
-    alternative: tuple[tuple[NoiseTerm, NoiseTerm], ...]
+    undecided: tuple[NoiseTerm, ...]
+    alternatives: tuple[tuple[NoiseTerm, NoiseTerm], ...]
 
     def of(self, term: NoiseTerm) -> TermEstimate:
         """Return the estimate of a term."""
@@ -108,118 +102,52 @@ class NoiseEstimate:
 
 def estimate_terms(likelihood: NoiseLikelihood) -> NoiseEstimate:
     """Return the noise terms that a record determines, and limits for the others."""
-    best, evidence = _selected(likelihood)
-    full = _with_all(likelihood, best)
-    found = [_of_term(likelihood, full, term, best, evidence) for term in _BASIC]
-    markov = NoiseTerm.MARKOV in best.terms
-    found.append(
-        _of_term(likelihood, full, NoiseTerm.MARKOV, best, evidence)
-        if markov
-        else _unknown(NoiseTerm.MARKOV, math.nan, 0.0)
-    )
-    found.append(_ramp(likelihood, full, found[_BASIC.index(NoiseTerm.RANDOM_WALK)]))
-    covariance = np.linalg.pinv(likelihood.information(best))
-    sd = np.sqrt(np.diag(covariance))
+    seen = term_evidence(likelihood)
+    full = seen.full
+    found = [_of_term(likelihood, term, seen) for term in BASIC]
+    markov = NoiseTerm.MARKOV in seen.determined
+    found.append(_of_term(likelihood, NoiseTerm.MARKOV, seen) if markov else _unknown(NoiseTerm.MARKOV, math.nan, 0.0))
+    found.append(_ramp(likelihood, full, found[BASIC.index(NoiseTerm.RANDOM_WALK)]))
+    sd, correlation = _normal_approximation(likelihood, seen)
     return NoiseEstimate(
         tuple(found),
         full.correlation_time,
         full.correlation_time * float(sd[-1]) if markov else math.nan,
-        best.terms,
-        covariance / np.outer(sd, sd),
+        seen.determined,
+        correlation,
         tuple(_octaves(likelihood, full)),
         full.converged,
-        tuple(_alternatives(likelihood, best)),
+        seen.undecided,
+        seen.alternatives,
     )
 
 
-def _with_all(likelihood: NoiseLikelihood, best: Maximum) -> Maximum:
-    """Return the maximum with all basic terms, and Gauss–Markov noise if that is determined."""
-    terms = (*_BASIC, *((NoiseTerm.MARKOV,) if NoiseTerm.MARKOV in best.terms else ()))
-    near = likelihood.start(terms, best.correlation_time) - _FAINT
-    for place, term in enumerate(terms):
-        if term in best.terms:
-            near[place] = best.parameters[best.terms.index(term)]
-    near[len(terms) :] = best.parameters[len(best.terms) :]
-    return _highest(likelihood, terms, best.correlation_time, near)
+def _normal_approximation(likelihood: NoiseLikelihood, seen: TermEvidence) -> tuple[np.ndarray, np.ndarray]:
+    """Return standard uncertainties and correlation of the logarithms of the determined coefficients, and of log T.
+
+    Undetermined terms are free to take their part, unless they have vanished: on its bound a term gives nothing away.
+    """
+    information = likelihood.information(seen.full)
+    wanted = [seen.full.terms.index(term) for term in seen.determined]
+    wanted += range(len(seen.full.terms), len(seen.full.parameters))
+    free = [place for place in range(len(information)) if place in wanted or information[place, place] > VANISHED]
+    chosen = [free.index(place) for place in wanted]
+    covariance = np.linalg.pinv(information[np.ix_(free, free)])[np.ix_(chosen, chosen)]
+    sd = np.sqrt(np.diag(covariance))
+    return sd, covariance / np.outer(sd, sd)
 
 
-def _highest(likelihood: NoiseLikelihood, terms: tuple[NoiseTerm, ...], time: float, *near: np.ndarray) -> Maximum:
-    """Return the highest of the maxima found from several starts: a slow term can take the place of another."""
-    far = likelihood.start(terms, time)
-    starts = [*near, far]
-    for place, term in enumerate(terms):
-        if term is not NoiseTerm.WHITE:
-            starts.append(far.copy())
-            starts[-1][place] -= _FAINT
-    return max((likelihood.maximise(terms, start) for start in starts), key=lambda found: found.log_likelihood)
-
-
-def _selected(likelihood: NoiseLikelihood) -> tuple[Maximum, dict[NoiseTerm, float]]:
-    """Return the maximum of the selected model, and the evidence for each of its terms."""
-    basic, evidence = _pruned(likelihood, _highest(likelihood, _BASIC, math.nan))
-    scanned = _with_markov(likelihood, _BASIC)
-    full, full_evidence = _pruned(likelihood, scanned)
-    gain = 2 * (full.log_likelihood - basic.log_likelihood)
-    extra = len(full.terms) - len(basic.terms)
-    # Fewer basic terms may do with the process in; each that it replaces counts for its own threshold.
-    if NoiseTerm.MARKOV in full.terms and gain > _LEAST_EVIDENCE_MARKOV + _LEAST_EVIDENCE * (extra - 1):
-        return full, full_evidence
-    return basic, evidence
-
-
-def _pruned(likelihood: NoiseLikelihood, maximum: Maximum) -> tuple[Maximum, dict[NoiseTerm, float]]:
-    """Leave out terms, the least significant first, until all that are left are significant."""
-    while True:
-        without = {term: _without(likelihood, maximum, term) for term in maximum.terms if len(maximum.terms) > 1}
-        evidence = {term: 2 * (maximum.log_likelihood - other.log_likelihood) for term, other in without.items()}
-        lacking = {term: found - _needed(term) for term, found in evidence.items()}
-        weakest = min(lacking, key=lambda term: lacking[term], default=None)
-        if weakest is None or lacking[weakest] > 0:
-            return maximum, evidence
-        maximum = without[weakest]
-
-
-def _needed(term: NoiseTerm) -> float:
-    return _LEAST_EVIDENCE_MARKOV if term is NoiseTerm.MARKOV else _LEAST_EVIDENCE
-
-
-def _without(likelihood: NoiseLikelihood, maximum: Maximum, term: NoiseTerm) -> Maximum:
-    """Return the maximum without a term."""
-    terms = tuple(other for other in maximum.terms if other is not term)
-    kept = [place for place, other in enumerate(maximum.terms) if other is not term]
-    if NoiseTerm.MARKOV in terms:
-        kept.append(len(maximum.terms))
-    near = maximum.parameters[kept]
-    time = math.exp(near[-1]) if NoiseTerm.MARKOV in terms else math.nan
-    return _highest(likelihood, terms, time, near)
-
-
-def _with_markov(likelihood: NoiseLikelihood, terms: tuple[NoiseTerm, ...]) -> Maximum:
-    """Return the maximum with a Gauss–Markov process, from starts all over the correlation times of the record."""
-    whole = (*terms, NoiseTerm.MARKOV)
-    times = np.geomspace(2 * likelihood.interval, likelihood.span / 5, _SCAN)
-    found = [_at_time(likelihood, whole, float(time)) for time in times]
-    start = max(found, key=lambda maximum: maximum.log_likelihood)
-    return likelihood.maximise(whole, start.parameters)
-
-
-def _at_time(likelihood: NoiseLikelihood, terms: tuple[NoiseTerm, ...], time: float) -> Maximum:
-    start = likelihood.start(terms, time)
-    return likelihood.maximise(terms, start, fixed=len(start) - 1)
-
-
-def _of_term(
-    likelihood: NoiseLikelihood, full: Maximum, term: NoiseTerm, best: Maximum, evidence: dict[NoiseTerm, float]
-) -> TermEstimate:
+def _of_term(likelihood: NoiseLikelihood, term: NoiseTerm, seen: TermEvidence) -> TermEstimate:
+    full, evidence = seen.full, seen.evidence[term]
     place = full.terms.index(term)
-    if term not in best.terms:
-        return _unknown(term, _upper_limit(likelihood, full, place), 0.0, math.exp(full.parameters[place] / 2))
+    if term not in seen.determined:
+        return _unknown(term, _upper_limit(likelihood, full, place), evidence, math.exp(full.parameters[place] / 2))
     value = math.exp(full.parameters[place] / 2)
     log_sd = 1 / math.sqrt(max(float(likelihood.information(full)[place, place]), 1.0))
     level = full.log_likelihood - float(scipy.stats.chi2.isf(1 - PROBABILITY, 1)) / 2
     low, high = (_bracketed(likelihood, full, place, side, level, 2 * log_sd) for side in (-1, 1))
     sd = (high - low) / (2 * float(scipy.stats.norm.isf((1 - PROBABILITY) / 2)))
-    return TermEstimate(term, value, sd, low, high, math.nan, evidence.get(term, math.inf), value)
+    return TermEstimate(term, value, sd, low, high, math.nan, evidence, value)
 
 
 def _unknown(term: NoiseTerm, limit: float, evidence: float, maximum: float = 0.0) -> TermEstimate:
@@ -308,17 +236,4 @@ def _octaves(likelihood: NoiseLikelihood, best: Maximum) -> list[Octave]:
         chance = 2 * min(float(scipy.stats.chi2.cdf(total, count)), float(scipy.stats.chi2.sf(total, count)))
         frequency = likelihood.frequency[at]
         found.append(Octave(float(frequency.min()), float(frequency.max()), total, count, min(chance, 1.0)))
-    return found
-
-
-def _alternatives(likelihood: NoiseLikelihood, best: Maximum) -> list[tuple[NoiseTerm, NoiseTerm]]:
-    """Return pairs of a determined term and one that describes the record as well in its place."""
-    found = []
-    for term in (NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK, NoiseTerm.QUANTISATION):
-        for other in (NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK, NoiseTerm.QUANTISATION):
-            if term in best.terms and other not in best.terms:
-                terms = tuple(other if kept is term else kept for kept in best.terms)
-                swapped = likelihood.maximise(terms, likelihood.start(terms, best.correlation_time))
-                if 2 * (best.log_likelihood - swapped.log_likelihood) < _LEAST_EVIDENCE:
-                    found.append((term, other))
     return found

@@ -1,0 +1,130 @@
+"""Which noise terms a record determines: the likelihood-ratio test of each term beside all others.
+
+A term is tested against the best model without it in which every other term is free, present or not: what the others
+can take over is no evidence for it.  A search that drops terms one by one would not do.  Where flicker noise and random
+walk are hard to tell apart, neither is needed beside the other; whichever goes first makes the other significant, and
+the wrong one as often as chance has it.  Such terms stay undetermined, and are named as undecided where the record
+needs one of them.
+
+Gauss–Markov noise is a term only where the record asks for it.  It can follow each slow noise over two decades of
+frequency, so that few records exclude it: it is named as an alternative, not counted against a term.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.noise_analysis.likelihood import Maximum, NoiseLikelihood
+from imubayes.noise_analysis.noise_spectra import NoiseTerm
+
+BASIC = (NoiseTerm.QUANTISATION, NoiseTerm.WHITE, NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK)
+# A coefficient on its bound of 0 has −2 Δ log L ~ ½χ²₀ + ½χ²₁ (Self and Liang 1987): chance 1 % beyond 5.41.
+LEAST_EVIDENCE = 5.41
+# Two coefficients on their bounds, ¼χ²₀ + ½χ²₁ + ¼χ²₂, if their estimates were uncorrelated: chance 1 % beyond 7.29.
+_LEAST_EVIDENCE_JOINT = 7.29
+# Two coefficients (χ²₂, 13.8 at 0.1 %), of which the correlation time is chosen among some ten independent ones.
+_LEAST_EVIDENCE_MARKOV = 18.4
+_SLOW = (NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK)
+_SCAN = 14
+_LONGEST_TIME = 1 / 5  # of a correlation time over the record; a longer one is a random walk
+# A process that is named beside a random walk has to level off well within the record.
+_LONGEST_ALTERNATIVE = 1 / 20
+_POLISHED = 2  # of the maxima at fixed correlation times
+_FAINT = 8.0  # in log θ: where a term starts that another may replace
+
+
+@dataclass(frozen=True)
+class TermEvidence:
+    """What the record says for each term.
+
+    Attributes
+    ----------
+    full : the maximum with all basic terms, and Gauss–Markov noise if that is determined.
+    evidence : −2 Δ log L of leaving a term of `full` out.
+    determined : the terms whose evidence chance does not explain.
+    undecided : terms that are not determined, of which the record needs at least one.
+    alternatives : a determined term, and one that describes the record as well in its place.
+    """
+
+    full: Maximum
+    evidence: dict[NoiseTerm, float]
+    determined: tuple[NoiseTerm, ...]
+    undecided: tuple[NoiseTerm, ...]
+    alternatives: tuple[tuple[NoiseTerm, NoiseTerm], ...]
+
+
+def term_evidence(likelihood: NoiseLikelihood) -> TermEvidence:
+    """Return the evidence for each term beside all others."""
+    basic = highest(likelihood, BASIC)
+    with_markov = highest(likelihood, (*BASIC, NoiseTerm.MARKOV))
+    gain = 2 * (with_markov.log_likelihood - basic.log_likelihood)
+    markov = gain > _LEAST_EVIDENCE_MARKOV
+    full = with_markov if markov else basic
+    evidence = {term: _lost(likelihood, full, {term}) for term in BASIC}
+    determined = [term for term in BASIC if evidence[term] > LEAST_EVIDENCE]
+    if markov:
+        evidence[NoiseTerm.MARKOV] = gain
+        determined.append(NoiseTerm.MARKOV)
+    alternatives = () if markov else _alternatives(likelihood, full, determined)
+    undecided = _undecided(likelihood, full, determined)
+    return TermEvidence(full, evidence, tuple(determined), undecided, alternatives)
+
+
+def highest(likelihood: NoiseLikelihood, terms: tuple[NoiseTerm, ...], longest: float = _LONGEST_TIME) -> Maximum:
+    """Return the highest maximum of a model: from several starts, and correlation times all over the record.
+
+    Parameters
+    ----------
+    terms : of the model.
+    longest : correlation time of Gauss–Markov noise over the duration of the record.
+    """
+    if NoiseTerm.MARKOV in terms:
+        times = np.geomspace(2 * likelihood.interval, longest * likelihood.span, _SCAN)
+        scanned = [_at_time(likelihood, terms, float(time)) for time in times]
+        scanned.sort(key=lambda maximum: maximum.log_likelihood, reverse=True)
+        starts = [maximum.parameters for maximum in scanned[:_POLISHED]]
+    else:
+        far = likelihood.start(terms)
+        starts = [far]
+        for place, term in enumerate(terms):
+            if term in _SLOW:
+                starts.append(far.copy())
+                starts[-1][place] -= _FAINT
+    return max((likelihood.maximise(terms, start) for start in starts), key=lambda found: found.log_likelihood)
+
+
+def _at_time(likelihood: NoiseLikelihood, terms: tuple[NoiseTerm, ...], time: float) -> Maximum:
+    start = likelihood.start(terms, time)
+    return likelihood.maximise(terms, start, fixed=len(start) - 1)
+
+
+def _lost(likelihood: NoiseLikelihood, full: Maximum, left_out: set[NoiseTerm]) -> float:
+    """Return −2 Δ log L of leaving terms out; infinite where none would be left."""
+    terms = tuple(term for term in full.terms if term not in left_out)
+    if not terms:
+        return math.inf
+    return max(0.0, 2 * (full.log_likelihood - highest(likelihood, terms).log_likelihood))
+
+
+def _undecided(likelihood: NoiseLikelihood, full: Maximum, determined: list[NoiseTerm]) -> tuple[NoiseTerm, ...]:
+    """Return the undetermined terms that would do by themselves, all of them if none would, where one is needed."""
+    open_terms = {term for term in full.terms if term not in determined}
+    if not open_terms or _lost(likelihood, full, open_terms) <= _LEAST_EVIDENCE_JOINT:
+        return ()
+    enough = {term for term in open_terms if _lost(likelihood, full, open_terms - {term}) <= LEAST_EVIDENCE}
+    return tuple(term for term in BASIC if term in (enough or open_terms))
+
+
+def _alternatives(
+    likelihood: NoiseLikelihood, full: Maximum, determined: list[NoiseTerm]
+) -> tuple[tuple[NoiseTerm, NoiseTerm], ...]:
+    """Return the slow terms that Gauss–Markov noise could replace."""
+    found = []
+    for term in _SLOW:
+        if term in determined:
+            terms = (*(other for other in BASIC if other is not term), NoiseTerm.MARKOV)
+            other = highest(likelihood, terms, _LONGEST_ALTERNATIVE)
+            if 2 * (full.log_likelihood - other.log_likelihood) < LEAST_EVIDENCE:
+                found.append((term, NoiseTerm.MARKOV))
+    return tuple(found)
