@@ -6,6 +6,7 @@ White noise, flicker noise and random walk come from the generator of the shippe
 estimate: independent values, the fractional sum of order ½ of white noise in the time domain, and a cumulative sum.
 """
 
+import re
 import sys
 import time
 from dataclasses import dataclass
@@ -111,6 +112,13 @@ def report(found: list[Recovery], seconds: float) -> str:
     return "\n".join(lines) + "\n"
 
 
+def replaced(file: Path, heading: str, section: str) -> None:
+    """Write a section of a report in the place of the one that it has."""
+    parts = re.split(r"(?m)^(?=## )", file.read_text())
+    kept = [part.rstrip() + "\n" for part in parts if not part.startswith(heading)]
+    file.write_text("\n".join([*kept, section]))
+
+
 def main() -> None:
     """Run all replicates and write the table beside what else stands in the report."""
     clock, found = time.process_time(), []
@@ -119,8 +127,7 @@ def main() -> None:
         print(seed, *(f"{each.term} {each.z:+.2f} {each.inside()}" for each in found[-3:]), flush=True)
     table = report(found, time.process_time() - clock)
     print(table)
-    before = REPORT.read_text().split(HEADING)[0] if REPORT.exists() else "# Noise terms of static records\n\n"
-    REPORT.write_text(before + table)
+    replaced(REPORT, HEADING, table)
 
 
 if __name__ == "__main__":

@@ -67,6 +67,7 @@ class NoiseLikelihood:
         self._collect(statistics, shortest_tau)
         self._shapes: dict[NoiseTerm, np.ndarray] = {}
         self._recent: dict[float, np.ndarray] = {}
+        self._stack: tuple[tuple[tuple[NoiseTerm, ...], float], np.ndarray] = (((), 0.0), np.zeros((0, 0)))
 
     def _collect(self, statistics: CosineStatistics, shortest_tau: float) -> None:
         power, count, slope, coefficient, frequency = [], [], [], [], []
@@ -222,8 +223,14 @@ class NoiseLikelihood:
     def _parts(self, terms: Sequence[NoiseTerm], parameters: np.ndarray) -> np.ndarray:
         """Return the contribution of every term to the variance, shape (terms, K)."""
         time = math.exp(parameters[-1]) if NoiseTerm.MARKOV in terms else math.nan
-        shapes = [self.shape(term, time) for term in terms]
-        return np.exp(parameters[: len(terms)])[:, None] * np.stack(shapes)
+        return np.exp(parameters[: len(terms)])[:, None] * self._stacked(tuple(terms), time)
+
+    def _stacked(self, terms: tuple[NoiseTerm, ...], time: float) -> np.ndarray:
+        """Return the shapes of the terms, shape (terms, K); those of the last call are kept."""
+        key = (terms, time if NoiseTerm.MARKOV in terms else 0.0)
+        if key != self._stack[0]:
+            self._stack = (key, np.stack([self.shape(term, time) for term in terms]))
+        return self._stack[1]
 
     def _derivatives(self, terms: Sequence[NoiseTerm], parameters: np.ndarray) -> np.ndarray:
         """Return the derivative of the variance with respect to every parameter, shape (P, K)."""

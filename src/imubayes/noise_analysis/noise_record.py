@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from imubayes.noise_analysis.cosine_coefficients import cosine_statistics
 from imubayes.noise_analysis.likelihood import NoiseLikelihood
 from imubayes.noise_analysis.noise_spectra import NoiseTerm, allan_shape
 from imubayes.noise_analysis.running_sum import RunningSum, running_sums
+from imubayes.noise_analysis.sudden_changes import sudden_change
 from imubayes.noise_analysis.term_selection import PROBABILITY, NoiseEstimate, TermEstimate, estimate_terms
 from imubayes.step_counter import counted, silent
 
@@ -84,8 +86,30 @@ class OctaveRecord(Record):
     p_value: float
 
 
+class ChangeRecord(Record):
+    """A change of the output that is no noise: of the mean over `tau_s` from one span to the next, at `time_s`."""
+
+    time_s: float
+    tau_s: float
+    change_in_output_units: float
+    ratio: float
+
+
+class LeftOut(Record):
+    """A channel without noise to estimate: without a sample (`empty`), or of a single value (`constant`)."""
+
+    run: str
+    channel: str
+    reason: Literal["empty", "constant"]
+
+
 class ChannelNoise(Record):
-    """The noise of one channel in one record."""
+    """The noise of one channel in one record.
+
+    `undecided` are terms that are not determined, of which the record needs at least one; `alternatives` pairs of a
+    determined term and one that describes the record as well in its place.  `rounding_share` is the part that rounding
+    to the steps of the log, `resolution_in_output_units`, has in the variance of single samples.
+    """
 
     run: str
     channel: str
@@ -102,8 +126,12 @@ class ChannelNoise(Record):
     correlation_time_sd_s: float | None
     correlated_terms: list[str]
     correlation: list[list[float]]
+    undecided: list[NoiseTerm] = []
     alternatives: list[tuple[NoiseTerm, NoiseTerm]]
     misfit: list[OctaveRecord]
+    sudden_change: ChangeRecord | None = None
+    resolution_in_output_units: float = 0.0
+    rounding_share: float = 0.0
     allan: list[AllanPoint]
 
     def of(self, term: NoiseTerm) -> TermRecord:
@@ -121,6 +149,7 @@ class StaticNoise(Record):
     campaign: str
     probability: float = PROBABILITY
     channels: list[ChannelNoise]
+    left_out: list[LeftOut] = []
 
 
 def coefficient_unit(channel: Channel, term: NoiseTerm, gravity: float) -> tuple[str, float]:
@@ -149,20 +178,29 @@ def static_noise(
     Raises
     ------
     InputError
-        where there is no static record, or one is too short.
+        where there is no static record, one is too short, or no channel varies.
     """
     found: list[ChannelNoise] = []
+    left_out: list[LeftOut] = []
     tell = progress or silent
     for run in _chosen(campaign, runs):
         tell(f"reading {run.name}")
         source = raw_log(campaign, run)
         sums = running_sums(source, source.layout.channels, str(source.file))
-        recorded = [channel for channel in campaign.channels if channel.name in sums]
-        found += [
-            _of_channel(campaign, run, channel, sums.pop(channel.name), shortest_tau)
-            for channel in counted(tell, f"noise of {run.name}, channel", recorded)
-        ]
-    return StaticNoise(campaign=campaign.name, channels=found)
+        recorded = [channel for channel in campaign.channels if channel.name in source.layout.channels]
+        for channel in counted(tell, f"noise of {run.name}, channel", recorded):
+            record = sums.pop(channel.name, None)
+            if record is None or not record.resolution:
+                reason = "empty" if record is None else "constant"
+                left_out.append(LeftOut(run=run.name, channel=channel.name, reason=reason))
+            else:
+                found.append(_of_channel(campaign, run, channel, record, shortest_tau))
+    if not found:
+        raise input_error(
+            "no channel varies", f"campaign '{campaign.name}', {', '.join(sorted({each.run for each in left_out}))}",
+            "samples with noise, at the resolution of the sensor", "correct the log",
+        )  # fmt: skip
+    return StaticNoise(campaign=campaign.name, channels=found, left_out=left_out)
 
 
 def _chosen(campaign: Campaign, names: Sequence[str]) -> list[Run]:
@@ -191,8 +229,6 @@ def _of_channel(
         allowed = "an averaging time far below the length of the record"
         raise input_error("too few octaves of frequency are left", where, allowed, "choose a shorter --shortest-tau")
     variance = allan_variance(record)
-    if not variance.variance.any():
-        raise input_error("the channel does not vary", where, "samples with noise", "leave the channel out")
     estimate = estimate_terms(likelihood)
     correlated = [str(term) for term in estimate.determined]
     return ChannelNoise(
@@ -211,8 +247,12 @@ def _of_channel(
         correlation_time_sd_s=finite(estimate.correlation_time_sd),
         correlated_terms=[*correlated, "correlation_time"] if NoiseTerm.MARKOV in estimate.determined else correlated,
         correlation=estimate.correlation.tolist(),
-        alternatives=list(estimate.alternative),
+        undecided=list(estimate.undecided),
+        alternatives=list(estimate.alternatives),
         misfit=_misfit(estimate),
+        sudden_change=_change(record),
+        resolution_in_output_units=record.resolution,
+        rounding_share=record.resolution**2 / 12 / float(variance.variance[0]),
         allan=_allan(variance, estimate, channel, campaign.site.gravity),
     )
 
@@ -257,6 +297,13 @@ def fitted_deviations(noise: ChannelNoise, tau: np.ndarray) -> tuple[dict[NoiseT
     per = noise.output_per_unit
     total = np.sqrt(np.sum([part**2 for part in parts.values()], axis=0))
     return {term: part / per for term, part in parts.items() if noise.of(term).determined}, total / per
+
+
+def _change(record: RunningSum) -> ChangeRecord | None:
+    found = sudden_change(record)
+    if found is None:
+        return None
+    return ChangeRecord(time_s=found.time, tau_s=found.tau, change_in_output_units=found.change, ratio=found.ratio)
 
 
 def _misfit(estimate: NoiseEstimate) -> list[OctaveRecord]:

@@ -19,6 +19,10 @@ from imubayes.errors import input_error
 CHUNK = 1 << 17
 _LOST = 1.5  # a time step of more sampling intervals than this has lost samples
 _JITTER = 2.5  # two steps of less than this are two samples, one late
+_IRREGULAR = 0.35  # of a sampling interval: a step that is further from a whole number of intervals
+_MOST_IRREGULAR = 0.2  # of the steps; uniform jitter of a third of an interval makes 0.2, random times 0.5
+_RESOLUTION_ROWS = 1 << 19  # samples from which the resolution is taken
+_SAME = 1e-9  # of the range of the values: closer ones differ by rounding
 _MOST_EMPTY = 4  # times the samples: gaps in a longer grid make the record one of several records
 
 
@@ -55,15 +59,19 @@ class RunningSum:
     interval : sampling interval, s.
     shift : x̃.
     holes : the missing samples, which add 0 to the sum; None where there are none.
+    resolution : smallest step between values of the samples, by the first half million of them; 0 where all are equal.
     """
 
-    def __init__(self, file: IO[bytes], samples: int, interval: float, shift: float, holes: Holes | None):
+    def __init__(
+        self, file: IO[bytes], samples: int, interval: float, shift: float, holes: Holes | None, resolution: float
+    ):
         self._file = file
         weakref.finalize(self, file.close)
         self.samples = samples
         self.interval = interval
         self.shift = shift
         self.holes = holes
+        self.resolution = resolution
 
     @property
     def present(self) -> int:
@@ -117,7 +125,7 @@ class _Grid:
         self._where = where
         self._step: float | None = None
         self._first = self._last = np.nan
-        self._rows = 0
+        self._rows = self._irregular = 0
         self.size = 0
 
     def places(self, time: np.ndarray) -> np.ndarray:
@@ -137,6 +145,7 @@ class _Grid:
         place = self.size - 1 + np.cumsum(np.where(lost, np.rint(np.where(lost, step, 1.0)), 1.0)).astype(np.int64)
         self._last, self._rows = float(time[-1]), self._rows + len(time)
         self.size = int(place[-1]) + 1
+        self._irregular += int(np.sum(np.abs(step - np.maximum(1.0, np.rint(step))) > _IRREGULAR))
         if self.size > _MOST_EMPTY * self._rows + CHUNK:
             raise self._refuse("the gaps are far longer than the record", "give each part as a run of its own")
         return place
@@ -145,6 +154,12 @@ class _Grid:
         """Return the mean sampling interval, s."""
         if self.size < 2:
             raise self._refuse("the record has fewer than two samples", "give a longer record")
+        if self._irregular > _MOST_IRREGULAR * self._rows:
+            share = self._irregular / self._rows
+            raise self._refuse(
+                f"the time has no constant sampling interval: {share:.0%} of the steps are irregular",
+                "give raw samples at the rate of the sensor, or resample with a stated filter",
+            )
         return (self._last - self._first) / (self.size - 1)
 
     def _refuse(self, what: str, remedy: str):
@@ -160,6 +175,7 @@ class _Writer:
         self._total, self._next, self._shift = 0.0, 0, np.nan
         self._unused = weakref.finalize(self, self._file.close)
         self._holes: list[tuple[int, int]] = []
+        self._resolution = np.inf
 
     @property
     def any(self) -> bool:
@@ -178,6 +194,8 @@ class _Writer:
         """Add consecutive samples from a place of the grid on, shape (n,); NaN where missing."""
         self._skip(first)
         empty = ~np.isfinite(values)
+        if self._next < _RESOLUTION_ROWS or not np.isfinite(self._resolution):
+            self._resolution = min(self._resolution, _resolution(values[~empty]))
         if not self.any and not empty.all():
             self._shift = float(np.median(values[~empty]))
         if empty.any():
@@ -206,7 +224,15 @@ class _Writer:
             start, stop = np.array(self._holes, dtype=np.int64).T
             joined = np.concatenate([[True], start[1:] > stop[:-1]])
             holes = Holes(start[joined], stop[np.concatenate([joined[1:], [True]])])
-        return RunningSum(self._file, size or self._next, interval, self._shift, holes)
+        resolution = self._resolution if np.isfinite(self._resolution) else 0.0
+        return RunningSum(self._file, size or self._next, interval, self._shift, holes, resolution)
+
+
+def _resolution(values: np.ndarray) -> float:
+    """Return the smallest step between different values; infinite where there is none."""
+    apart = np.diff(np.unique(values))
+    apart = apart[apart > _SAME * float(apart.sum())] if len(apart) else apart
+    return float(apart.min()) if len(apart) else np.inf
 
 
 def _chunk_lengths(count: int) -> list[int]:

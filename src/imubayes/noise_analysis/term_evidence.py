@@ -6,8 +6,8 @@ walk are hard to tell apart, neither is needed beside the other; whichever goes 
 the wrong one as often as chance has it.  Such terms stay undetermined, and are named as undecided where the record
 needs one of them.
 
-Gauss–Markov noise is a term only where the record asks for it.  It can follow each slow noise over two decades of
-frequency, so that few records exclude it: it is named as an alternative, not counted against a term.
+Gauss–Markov noise is a term only where the record asks for it.  It can follow flicker noise over two decades of
+frequency, so that few records exclude it: it is named as an alternative, not counted against flicker noise.
 """
 
 import math
@@ -27,9 +27,7 @@ _LEAST_EVIDENCE_JOINT = 7.29
 _LEAST_EVIDENCE_MARKOV = 18.4
 _SLOW = (NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK)
 _SCAN = 14
-_LONGEST_TIME = 1 / 5  # of a correlation time over the record; a longer one is a random walk
-# A process that is named beside a random walk has to level off well within the record.
-_LONGEST_ALTERNATIVE = 1 / 20
+_LONGEST_TIME = 1 / 5  # of a correlation time over the record at the start; a longer one is a random walk
 _POLISHED = 2  # of the maxima at fixed correlation times
 _FAINT = 8.0  # in log θ: where a term starts that another may replace
 
@@ -71,16 +69,10 @@ def term_evidence(likelihood: NoiseLikelihood) -> TermEvidence:
     return TermEvidence(full, evidence, tuple(determined), undecided, alternatives)
 
 
-def highest(likelihood: NoiseLikelihood, terms: tuple[NoiseTerm, ...], longest: float = _LONGEST_TIME) -> Maximum:
-    """Return the highest maximum of a model: from several starts, and correlation times all over the record.
-
-    Parameters
-    ----------
-    terms : of the model.
-    longest : correlation time of Gauss–Markov noise over the duration of the record.
-    """
+def highest(likelihood: NoiseLikelihood, terms: tuple[NoiseTerm, ...]) -> Maximum:
+    """Return the highest maximum of a model: from several starts, and correlation times all over the record."""
     if NoiseTerm.MARKOV in terms:
-        times = np.geomspace(2 * likelihood.interval, longest * likelihood.span, _SCAN)
+        times = np.geomspace(2 * likelihood.interval, _LONGEST_TIME * likelihood.span, _SCAN)
         scanned = [_at_time(likelihood, terms, float(time)) for time in times]
         scanned.sort(key=lambda maximum: maximum.log_likelihood, reverse=True)
         starts = [maximum.parameters for maximum in scanned[:_POLISHED]]
@@ -119,12 +111,12 @@ def _undecided(likelihood: NoiseLikelihood, full: Maximum, determined: list[Nois
 def _alternatives(
     likelihood: NoiseLikelihood, full: Maximum, determined: list[NoiseTerm]
 ) -> tuple[tuple[NoiseTerm, NoiseTerm], ...]:
-    """Return the slow terms that Gauss–Markov noise could replace."""
-    found = []
-    for term in _SLOW:
-        if term in determined:
-            terms = (*(other for other in BASIC if other is not term), NoiseTerm.MARKOV)
-            other = highest(likelihood, terms, _LONGEST_ALTERNATIVE)
-            if 2 * (full.log_likelihood - other.log_likelihood) < LEAST_EVIDENCE:
-                found.append((term, NoiseTerm.MARKOV))
-    return tuple(found)
+    """Return flicker noise with Gauss–Markov noise, where that could replace it.
+
+    A random walk is not asked: it is Gauss–Markov noise of a correlation time beyond the record.
+    """
+    if NoiseTerm.FLICKER not in determined:
+        return ()
+    terms = (*(other for other in BASIC if other is not NoiseTerm.FLICKER), NoiseTerm.MARKOV)
+    lost = 2 * (full.log_likelihood - highest(likelihood, terms).log_likelihood)
+    return ((NoiseTerm.FLICKER, NoiseTerm.MARKOV),) if lost < LEAST_EVIDENCE else ()
