@@ -20,13 +20,13 @@ import numpy as np
 from scipy.signal import lfilter
 
 sys.path.insert(0, str(Path(__file__).parent))
-from static_record_study import REPORT, generator, replaced  # noqa: E402
+from static_record_study import REPORT, generator, replaced
 
-from imubayes.noise_analysis.cosine_coefficients import cosine_statistics  # noqa: E402
-from imubayes.noise_analysis.likelihood import NoiseLikelihood  # noqa: E402
-from imubayes.noise_analysis.noise_spectra import NoiseTerm  # noqa: E402
-from imubayes.noise_analysis.running_sum import from_samples  # noqa: E402
-from imubayes.noise_analysis.term_selection import NoiseEstimate, estimate_terms  # noqa: E402
+from imubayes.noise_analysis.cosine_coefficients import cosine_statistics
+from imubayes.noise_analysis.likelihood import NoiseLikelihood
+from imubayes.noise_analysis.noise_spectra import NoiseTerm
+from imubayes.noise_analysis.running_sum import from_samples
+from imubayes.noise_analysis.term_selection import NoiseEstimate, estimate_terms
 
 HEADING = "## False terms"
 SEED, RECORDS, SAMPLES = 20270, 200, 4096
@@ -118,8 +118,8 @@ def report(rows: list[str], seconds: float) -> str:
         "Gauss–Markov noise too where that is determined. The last column counts records that need a slow term without "
         "telling which.",
         "",
-        f"Short records: {SAMPLES} samples at 1 Hz. White N = 1; random walk K = 0.1, faint 0.005; flicker B = 0.5, faint "
-        f"0.1; Gauss–Markov σ = 1, T = {CORRELATION_TIME:g} s; ramp R = 1e-3; quantisation Q = 1; with flicker noise "
+        f"Short records: {SAMPLES} samples at 1 Hz. White N = 1; random walk K = 0.1, faint 0.005; flicker B = 0.5, "
+        f"faint 0.1; Gauss–Markov σ = 1, T = {CORRELATION_TIME:g} s; ramp R = 1e-3; quantisation Q = 1; with flicker noise "
         "K = 0.05; all terms R = 5e-3. Long records: N = 0.05 °/√h with K = 2 °/h/√h or B = 0.5 °/h.",
         "",
         f"| true terms | records | {names} | undecided |",

@@ -12,14 +12,21 @@ from imubayes.display.table_layout import Cell, Sheet
 from imubayes.noise_analysis.noise_record import ChannelNoise, StaticNoise, TermRecord
 from imubayes.noise_analysis.noise_spectra import NoiseTerm
 
-NAMES = {
-    NoiseTerm.QUANTISATION: ("quantisation Q", "−1"),
-    NoiseTerm.WHITE: ("white noise N", "−½"),
-    NoiseTerm.FLICKER: ("flicker noise B", "0"),
-    NoiseTerm.RANDOM_WALK: ("random walk K", "+½"),
-    NoiseTerm.MARKOV: ("Gauss–Markov σ", ""),
-    NoiseTerm.RAMP: ("ramp R", "+1"),
+_NAMES = {
+    NoiseTerm.QUANTISATION: "quantisation Q",
+    NoiseTerm.FLICKER: "bias instability B",
+    NoiseTerm.MARKOV: "Gauss–Markov σ",
 }
+# The names of IEEE Std 952 and 1293: white noise of a rate is a random walk of the angle.
+_NAMES_BY_KIND = {
+    NoiseTerm.WHITE: ("angle random walk N", "velocity random walk N"),
+    NoiseTerm.RANDOM_WALK: ("rate random walk K", "accel. random walk K"),
+    NoiseTerm.RAMP: ("rate ramp R", "acceleration ramp R"),
+}
+_COARSE = 0.1  # part of rounding in the variance of samples from which it is told
+_NOT_RANDOM = 0.25  # from which noise is below half a step, too little for errors of rounding that are independent
+_NEAR_NYQUIST = 0.1  # of the sampling rate: a misfit from here on is that of a filter
+_REASONS = {"empty": "without a sample", "constant": "constant, dead or coarser than its noise"}
 NOISE_FILE, PRIORS_FILE = "noise.json", "noise-priors.toml"
 
 
@@ -27,51 +34,101 @@ def noise_report(noise: StaticNoise) -> Report:
     """Return the terms of every channel, and what to know about them."""
     percent = f"{100 * noise.probability:.0f} %"
     sheets = [_sheet(channel, percent) for channel in noise.channels]
-    lines = [sentence for channel in noise.channels for sentence in _warnings(channel)]
+    lines = [f"{each.channel} in {each.run} is {_REASONS[each.reason]}: left out." for each in noise.left_out]
+    lines += [
+        f"{channel.channel} in {channel.run}: {told}" for channel in noise.channels for told in _warnings(channel)
+    ]
     closing = (
-        f"Intervals and upper limits are of {percent}; a term is determined where chance reaches its evidence in less "
-        "than 1 % of records without it. B is the coefficient of IEEE Std 952: the floor of the Allan deviation is "
-        "0.664 B.",
+        f"Intervals are {percent} profile-likelihood intervals, upper limits one-sided {percent} limits. A term is "
+        "determined where the record needs it beside all other terms; about 1 % of the records without a term show as "
+        "much evidence for it. As in IEEE Std 952 and 1293, N is white noise of the output, B flicker noise (the floor "
+        "of its Allan deviation is 0.664 B) and K a random walk; Gauss–Markov noise of a correlation time beyond "
+        "the record looks the same.",
     )
     return Report(lines, sheets, closing)
+
+
+def _name(term: NoiseTerm, kind: str) -> str:
+    return _NAMES[term] if term in _NAMES else _NAMES_BY_KIND[term][kind != "gyro"]
 
 
 def _sheet(noise: ChannelNoise, percent: str) -> Sheet:
     missing = f", {noise.missing} missing" if noise.missing else ""
     hours = (noise.samples + noise.missing) * noise.interval_s / 3600
     title = f"{noise.channel} in {noise.run}: {noise.samples} samples over {hours:.3g} h{missing}"
-    head = ("noise term", "estimate", "sd", f"{percent} interval", "unit", "slope")
-    rows = [_row(term) for term in noise.terms]
+    head = ("noise term", "estimate", "sd", f"{percent} interval", "unit")
+    rows = [_row(term, noise.kind) for term in noise.terms]
     if noise.correlation_time_s is not None:
         value, sd = rounded((noise.correlation_time_s, noise.correlation_time_sd_s), noise.correlation_time_sd_s)
         place = next(k for k, term in enumerate(noise.terms) if term.term is NoiseTerm.MARKOV) + 1
-        rows.insert(place, tuple(map(Cell, ("Gauss–Markov T", value, sd, "", "s", ""))))
+        rows.insert(place, tuple(map(Cell, ("Gauss–Markov T", value, sd, "", "s"))))
     return Sheet(title, head, rows, (0, 4), "", "")
 
 
-def _row(term: TermRecord) -> tuple[Cell, ...]:
-    name, slope = NAMES[term.term]
+def _row(term: TermRecord, kind: str) -> tuple[Cell, ...]:
+    name = _name(term.term, kind)
     unit = pretty(term.unit).replace("sqrt(h)", "√h").replace("sqrt(Hz)", "√Hz")
     if not term.determined:
         limit = "not determined" if term.upper_limit is None else f"< {significant(term.upper_limit)}"
-        return tuple(Cell(text, "dim") for text in (name, "–", "–", limit, unit, slope))
+        return tuple(Cell(text, "dim") for text in (name, "–", "–", limit, unit))
     value, sd, low, high = rounded((term.value, term.sd, term.low, term.high), term.sd)
-    return tuple(map(Cell, (name, value, sd, f"{low} … {high}", unit, slope)))
+    return tuple(map(Cell, (name, value, sd, f"{low} … {high}", unit)))
 
 
 def _warnings(noise: ChannelNoise) -> list[str]:
-    found, where = [], f"{noise.channel} in {noise.run}"
-    if not noise.converged:
-        found.append(f"{where}: the estimate of the noise terms did not converge.")
-    if noise.misfit:
-        low, high = min(o.low_hz for o in noise.misfit), max(o.high_hz for o in noise.misfit)
-        found.append(
-            f"{where}: the noise terms do not describe the spectrum between {low:.3g} and {high:.3g} Hz; a filter or a "
-            "vibration may shape it. --shortest-tau leaves high frequencies out."
-        )
+    found = [] if noise.converged else ["the estimate of the noise terms did not converge."]
+    return [*found, *_of_change(noise), *_of_rounding(noise), *_of_misfit(noise), *_of_ambiguity(noise)]
+
+
+def _of_change(noise: ChannelNoise) -> list[str]:
+    change = noise.sudden_change
+    if change is None:
+        return []
+    size = f"{change.change_in_output_units:.3g} {pretty(noise.output_unit)}"
+    return [
+        f"at {change.time_s:.6g} s the output changes by {size} from one mean over {change.tau_s:.3g} s to the next, "
+        f"{change.ratio:.0f} times the scatter of such changes: an outlier, a step or a transient, not noise. The "
+        "terms below are wrong with it. Empty the cells of outliers, or give a settled part of the record."
+    ]
+
+
+def _of_rounding(noise: ChannelNoise) -> list[str]:
+    share = noise.rounding_share
+    if share < _COARSE or noise.of(NoiseTerm.QUANTISATION).determined:
+        return []
+    told = (
+        f"the log has steps of {noise.resolution_in_output_units:.3g} {pretty(noise.output_unit)}. Rounding to them "
+        f"makes {min(share, 1.0):.0%} of the variance of single samples, and is part of N."
+    )
+    if share > _NOT_RANDOM:
+        told += " The noise is below half a step and not rounded at random: the terms are not those of the sensor."
+    return [told]
+
+
+def _of_misfit(noise: ChannelNoise) -> list[str]:
+    if not noise.misfit:
+        return []
+    low, high = min(o.low_hz for o in noise.misfit), max(o.high_hz for o in noise.misfit)
+    told = f"the noise terms do not describe the spectrum between {low:.3g} and {high:.3g} Hz, so that "
+    if high * noise.interval_s > _NEAR_NYQUIST:
+        return [
+            told + "their intervals do not hold: a filter, a vibration or outliers may shape it. --shortest-tau leaves "
+            "high frequencies out."
+        ]
+    return [
+        told + "the intervals of B, K and R do not hold: a drift with temperature, a transient or a disturbance may "
+        "shape it. Give a settled part of the record."
+    ]
+
+
+def _of_ambiguity(noise: ChannelNoise) -> list[str]:
+    found = []
+    if noise.undecided:
+        names = " or ".join(_name(term, noise.kind) for term in noise.undecided)
+        found.append(f"the record needs {names}, but does not tell which. A longer record does.")
     for term, other in noise.alternatives:
-        names = NAMES[term][0], NAMES[other][0]
-        found.append(f"{where}: {names[1]} in place of {names[0]} would describe the record as well.")
+        names = _name(other, noise.kind), _name(term, noise.kind)
+        found.append(f"{names[0]} in place of {names[1]} would describe the record as well.")
     return found
 
 

@@ -288,15 +288,25 @@ def fitted_deviations(noise: ChannelNoise, tau: np.ndarray) -> tuple[dict[NoiseT
     ----------
     tau : averaging times, s; the deviations are in the unit of the record.
     """
+    parts = _deviations(noise, tau)
+    total = np.sqrt(np.sum([part**2 for part in parts.values()], axis=0))
+    return {term: part for term, part in parts.items() if noise.of(term).determined}, total
+
+
+def undetermined_deviations(noise: ChannelNoise, tau: np.ndarray) -> dict[NoiseTerm, np.ndarray]:
+    """Return the Allan deviation of every term that is not determined, at the maximum of the likelihood."""
+    return {term: part for term, part in _deviations(noise, tau).items() if not noise.of(term).determined}
+
+
+def _deviations(noise: ChannelNoise, tau: np.ndarray) -> dict[NoiseTerm, np.ndarray]:
     time = math.nan if noise.correlation_time_s is None else noise.correlation_time_s
-    parts = {
-        found.term: abs(found.maximum_in_output_units) * np.sqrt(allan_shape(found.term, tau, time))
+    return {
+        found.term: abs(found.maximum_in_output_units)
+        * np.sqrt(allan_shape(found.term, tau, time))
+        / noise.output_per_unit
         for found in noise.terms
         if found.maximum_in_output_units
     }
-    per = noise.output_per_unit
-    total = np.sqrt(np.sum([part**2 for part in parts.values()], axis=0))
-    return {term: part / per for term, part in parts.items() if noise.of(term).determined}, total / per
 
 
 def _change(record: RunningSum) -> ChangeRecord | None:

@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from imubayes.display.labels import pretty
 from imubayes.display.theme import (
@@ -21,23 +21,25 @@ from imubayes.display.theme import (
     picture,
     themed,
 )  # fmt: skip
-from imubayes.noise_analysis.noise_record import ChannelNoise, fitted_deviations
+from imubayes.noise_analysis.noise_record import ChannelNoise, fitted_deviations, undetermined_deviations
 from imubayes.noise_analysis.noise_spectra import NoiseTerm
 
 STYLES = {
-    NoiseTerm.QUANTISATION: ("quantisation, slope −1", PURPLE),
-    NoiseTerm.WHITE: ("white, slope −½", BLUE),
-    NoiseTerm.FLICKER: ("flicker, slope 0", GREEN),
-    NoiseTerm.RANDOM_WALK: ("random walk, slope +½", VERMILION),
+    NoiseTerm.QUANTISATION: ("Q, slope −1", PURPLE),
+    NoiseTerm.WHITE: ("N, slope −½", BLUE),
+    NoiseTerm.FLICKER: ("B, floor 0.664 B", GREEN),
+    NoiseTerm.RANDOM_WALK: ("K, slope +½", VERMILION),
     NoiseTerm.MARKOV: ("Gauss–Markov", SKY),
-    NoiseTerm.RAMP: ("ramp, slope +1", ORANGE),
+    NoiseTerm.RAMP: ("R, slope +1", ORANGE),
 }
 MOST_CHANNELS = 12
 _COLUMNS = 3
+_FEW_DECADES = 300.0  # ratio of the ends of the axis up to which 2 and 5 are labelled too
 _CAPTION = (
-    "Points: overlapping Allan deviation with 95 % chi-square intervals. Lines: the noise terms that the record "
-    "determines, and the likeliest sum of all terms (black). Points at long averaging times are correlated and rest "
-    "on few differences. In a good model the black line passes through about 95 % of the intervals."
+    "Points: overlapping Allan deviation with 95 % chi-square intervals; those at long averaging times are correlated "
+    "and rest on few differences. Lines: noise terms fitted to the record, not to the points; dashed where the record "
+    "does not determine the term, at its likeliest value. N: white noise; B: bias instability (flicker noise); K: random "
+    "walk; Q: quantisation; R: ramp."
 )
 
 
@@ -47,7 +49,7 @@ def allan_figure(channels: list[ChannelNoise]) -> Picture:
     shown = channels[:MOST_CHANNELS]
     columns = min(_COLUMNS, len(shown))
     rows = -(-len(shown) // columns)
-    title = f"Allan deviation: {shown[0].run}"
+    title = f"Allan deviation of {shown[0].run}"
     figure = picture(max(3.7 * columns, 6.6), 2.9 * rows + 0.35, title, _CAPTION)
     grid = panels(figure, rows, columns, (0.75, 0.5, 0.1, 0.65), (0.75, 0.75))
     for axes, noise in zip(grid.flat, shown, strict=False):
@@ -57,6 +59,7 @@ def allan_figure(channels: list[ChannelNoise]) -> Picture:
     seen = [term for term in STYLES if any(noise.of(term).determined for noise in shown)]
     handles = [Line2D([], [], color=STYLES[term][1], label=STYLES[term][0]) for term in seen]
     handles.append(Line2D([], [], color=INK, linewidth=1.6, label="all terms"))
+    handles.append(Line2D([], [], color=QUIET, linewidth=1.0, linestyle=(0, (4, 3)), label="not determined"))
     width, height = figure.get_size_inches()
     corner = (figure.inside[0] / width, (figure.inside[3] + 0.05) / height)
     figure.legend(handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=len(handles), fontsize=SMALL)
@@ -73,11 +76,17 @@ def _draw(axes: Axes, noise: ChannelNoise) -> None:
     parts, total = fitted_deviations(noise, fine)
     for term, deviation in parts.items():
         axes.plot(fine, deviation, color=STYLES[term][1], linewidth=1.0, zorder=2)
+    for term, deviation in undetermined_deviations(noise, fine).items():
+        axes.plot(fine, deviation, color=STYLES[term][1], linewidth=1.0, linestyle=(0, (4, 3)), zorder=2)
     axes.plot(fine, total, color=INK, linewidth=1.6, zorder=4)
     low, high = float(ends[0].min()), float(ends[1].max())
     axes.set(xlim=(0.7 * tau[0], 1.4 * tau[-1]), ylim=(0.4 * low, 1.6 * high))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(10, numticks=8))
         axis.set_minor_formatter(NullFormatter())
+    if high / low < _FEW_DECADES:
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_locator(LogLocator(10, subs=(2.0, 5.0)))
+        axes.yaxis.set_minor_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.set(xlabel="averaging time / s", ylabel=f"Allan deviation / {pretty(noise.deviation_unit)}")
     axes.set_title(noise.channel)
