@@ -119,8 +119,8 @@ def report(rows: list[str], seconds: float) -> str:
         "telling which.",
         "",
         f"Short records: {SAMPLES} samples at 1 Hz. White N = 1; random walk K = 0.1, faint 0.005; flicker B = 0.5, "
-        f"faint 0.1; Gauss–Markov σ = 1, T = {CORRELATION_TIME:g} s; ramp R = 1e-3; quantisation Q = 1; with flicker noise "
-        "K = 0.05; all terms R = 5e-3. Long records: N = 0.05 °/√h with K = 2 °/h/√h or B = 0.5 °/h.",
+        f"faint 0.1; Gauss–Markov σ = 1, T = {CORRELATION_TIME:g} s; ramp R = 1e-3; quantisation Q = 1; with flicker "
+        "noise K = 0.05; all terms R = 5e-3. Long records: N = 0.05 °/√h with K = 2 °/h/√h or B = 0.5 °/h.",
         "",
         f"| true terms | records | {names} | undecided |",
         f"| --- |{' --- |' * (len(NoiseTerm) + 2)}",

@@ -27,7 +27,7 @@ from imubayes.noise_analysis.term_selection import TermEstimate, estimate_terms 
 REPORT = ROOT / "benchmarks" / "results" / "static_record.md"
 HEADING = "## Coverage"
 HOURS, RATE = 6.0, 100.0
-SEEDS = range(9001, 9051)
+SEEDS = range(9101, 9151)
 TERMS = (NoiseTerm.WHITE, NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK)
 # Medians of the coefficients in °/√h, °/h and °/h/√h, and the spread of their logarithms.
 MEDIANS, SPREAD = {"white": 0.05, "flicker": 0.5, "random_walk": 2.0}, 0.3

@@ -21,8 +21,8 @@ from imubayes.noise_analysis.noise_spectra import NoiseTerm
 BASIC = (NoiseTerm.QUANTISATION, NoiseTerm.WHITE, NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK)
 # A coefficient on its bound of 0 has −2 Δ log L ~ ½χ²₀ + ½χ²₁ (Self and Liang 1987): chance 1 % beyond 5.41.
 LEAST_EVIDENCE = 5.41
-# Two coefficients on their bounds, ¼χ²₀ + ½χ²₁ + ¼χ²₂, if their estimates were uncorrelated: chance 1 % beyond 7.29.
-_LEAST_EVIDENCE_JOINT = 7.29
+# Of n coefficients on their bounds together, with binomial weights of χ²₀ … χ²_n: chance 1 %.
+_LEAST_EVIDENCE_JOINT = {1: LEAST_EVIDENCE, 2: 7.29, 3: 8.75, 4: 10.02}
 # Two coefficients (χ²₂, 13.8 at 0.1 %), of which the correlation time is chosen among some ten independent ones.
 _LEAST_EVIDENCE_MARKOV = 18.4
 _SLOW = (NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK)
@@ -102,7 +102,7 @@ def _lost(likelihood: NoiseLikelihood, full: Maximum, left_out: set[NoiseTerm]) 
 def _undecided(likelihood: NoiseLikelihood, full: Maximum, determined: list[NoiseTerm]) -> tuple[NoiseTerm, ...]:
     """Return the undetermined terms that would do by themselves, all of them if none would, where one is needed."""
     open_terms = {term for term in full.terms if term not in determined}
-    if not open_terms or _lost(likelihood, full, open_terms) <= _LEAST_EVIDENCE_JOINT:
+    if not open_terms or _lost(likelihood, full, open_terms) <= _LEAST_EVIDENCE_JOINT[len(open_terms)]:
         return ()
     enough = {term for term in open_terms if _lost(likelihood, full, open_terms - {term}) <= LEAST_EVIDENCE}
     return tuple(term for term in BASIC if term in (enough or open_terms))

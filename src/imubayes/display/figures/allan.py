@@ -38,8 +38,8 @@ _FEW_DECADES = 300.0  # ratio of the ends of the axis up to which 2 and 5 are la
 _CAPTION = (
     "Points: overlapping Allan deviation with 95 % chi-square intervals; those at long averaging times are correlated "
     "and rest on few differences. Lines: noise terms fitted to the record, not to the points; dashed where the record "
-    "does not determine the term, at its likeliest value. N: white noise; B: bias instability (flicker noise); K: random "
-    "walk; Q: quantisation; R: ramp."
+    "does not determine the term, at its likeliest value. N: white noise; B: bias instability (flicker noise); "
+    "K: random walk; Q: quantisation; R: ramp."
 )
 
 
