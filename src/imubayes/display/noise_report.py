@@ -40,8 +40,8 @@ def noise_report(noise: StaticNoise) -> Report:
     ]
     closing = (
         f"Intervals are {percent} profile-likelihood intervals, upper limits one-sided {percent} limits. A term is "
-        "determined where the record needs it beside all other terms; about 1 % of the records without a term show as "
-        "much evidence for it. As in IEEE Std 952 and 1293, N is white noise of the output, B flicker noise (the floor "
+        "determined where the record needs it beside all other terms; of records without a term, 1 to 2 % show as much "
+        "evidence for it. As in IEEE Std 952 and 1293, N is white noise of the output, B flicker noise (the floor "
         "of its Allan deviation is 0.664 B) and K a random walk; Gauss–Markov noise of a correlation time beyond "
         "the record looks the same.",
     )

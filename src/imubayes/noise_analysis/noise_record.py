@@ -22,6 +22,7 @@ from imubayes.step_counter import counted, silent
 PROCEDURE = "static_record"
 LEAST_SAMPLES = 256
 MISFIT = 0.01  # chance, over all octaves, at which the fit of one is called bad
+_LEAST_CONSECUTIVE = 2  # samples between gaps, on average; with half of the samples missing at random they are two
 _EXPONENTS = {NoiseTerm.QUANTISATION: 2, NoiseTerm.WHITE: 0, NoiseTerm.FLICKER: -1, NoiseTerm.RANDOM_WALK: -2}
 _HOUR = 3600.0
 _DEGREE = math.pi / 180
@@ -223,6 +224,11 @@ def _of_channel(
         raise input_error(
             f"{record.present} samples are too few for an analysis of noise", where,
             f"at least {LEAST_SAMPLES}", "give a longer record, or its raw samples",
+        )  # fmt: skip
+    if record.holes is not None and record.present < _LEAST_CONSECUTIVE * len(record.holes.start):
+        raise input_error(
+            "most samples stand alone between empty cells", where, "consecutive samples",
+            "give a channel of a lower rate in a run of its own, without the empty rows",
         )  # fmt: skip
     likelihood = NoiseLikelihood(cosine_statistics(record), shortest_tau)
     if len(likelihood.octaves()) < 4:

@@ -1,0 +1,217 @@
+"""`imubayes noise` on logs of many kinds: numbers that hold, a warning, or one error of four parts and status 2."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import polars
+import pytest
+
+from imubayes.campaign import load_campaign
+from imubayes.cli.main import run
+from imubayes.display.noise_priors_file import priors_text
+from imubayes.display.noise_report import noise_report
+from imubayes.display.report_layout import report_text
+from imubayes.noise_analysis.noise_record import ChannelNoise, StaticNoise, static_noise
+from imubayes.noise_analysis.noise_spectra import NoiseTerm
+
+WHITE = 0.05  # deg/√h
+IN_OUTPUT = WHITE / 60  # deg/s over √Hz
+SAMPLES, RATE = 6000, 10.0
+_HEAD = """format = 1
+name = "bench"
+
+[site]
+latitude_deg = 48.0
+height_m = 300.0
+
+[unit]
+serial = "B1"
+
+[[table]]
+name = "plate"
+azimuth_deg = 0.0
+elevation_deg = 90.0
+axis_uncertainty_arcsec = 20.0
+
+[[mounting]]
+name = "level"
+body_to_table = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+uncertainty_arcmin = 2.0
+
+[[run]]
+name = "night"
+procedure = "static_record"
+file = "night.{suffix}"
+table = "plate"
+mounting = "level"
+start = 2026-11-01T20:00:00Z
+temperature_degC = 25.0
+"""
+_CHANNEL = """
+[[channel]]
+name = "{name}"
+kind = "gyro"
+input_axis = [{first}]
+output_axis = [{second}]
+output_unit = "{unit}"
+scale = {scale}
+per = "deg/s"
+offset = 0.0
+noise = {noise}
+"""
+_AXES = ("1.0, 0.0, 0.0", "0.0, 1.0, 0.0", "0.0, 0.0, 1.0", "1.0, 0.0, 0.0")
+
+
+def campaign(
+    folder: Path,
+    columns: dict[str, Sequence[float | None] | np.ndarray],
+    suffix: str = "csv",
+    unit: str = "deg/s",
+    scale: float = 1.0,
+) -> Path:
+    """Write a campaign of one static record; all columns but `time_s` are gyros."""
+    names = [name for name in columns if name != "time_s"]
+    text = _HEAD.format(suffix=suffix)
+    for name, first, second in zip(names, _AXES, _AXES[1:], strict=False):
+        text += _CHANNEL.format(name=name, first=first, second=second, unit=unit, scale=scale, noise=0.01 * scale)
+    (folder / "campaign.toml").write_text(text)
+    table = polars.DataFrame(columns)
+    if suffix == "csv":
+        table.write_csv(folder / "night.csv")
+    else:
+        table.write_parquet(folder / "night.parquet")
+    return folder
+
+
+def white(samples: int = SAMPLES, rate: float = RATE, seed: int = 1) -> np.ndarray:
+    return 0.1 + IN_OUTPUT * np.sqrt(rate) * np.random.default_rng(seed).normal(size=samples)
+
+
+def time_of(samples: int = SAMPLES, rate: float = RATE) -> np.ndarray:
+    return np.arange(samples) / rate
+
+
+def cells(values: np.ndarray) -> list[float | None]:
+    """Return values with empty cells for NaN."""
+    return [None if np.isnan(value) else float(value) for value in values]
+
+
+def noise_of(folder: Path) -> tuple[StaticNoise, str]:
+    found = static_noise(load_campaign(folder))
+    return found, " ".join(report_text(noise_report(found)).split())
+
+
+def white_is_right(channel: ChannelNoise) -> bool:
+    term = channel.of(NoiseTerm.WHITE)
+    return term.value is not None and term.sd is not None and abs(term.value - WHITE) < 3.5 * term.sd
+
+
+@pytest.mark.parametrize(("rate", "samples"), [(1.0, 3000), (2000.0, 300_000)])
+def test_other_sampling_rates(tmp_path: Path, rate: float, samples: int):
+    columns = {"time_s": time_of(samples, rate), "g": white(samples, rate)}
+    found, text = noise_of(campaign(tmp_path, columns, "parquet"))
+    assert white_is_right(found.channels[0])
+    assert found.channels[0].interval_s == pytest.approx(1 / rate)
+    assert [term.term for term in found.channels[0].terms if term.determined] == [NoiseTerm.WHITE]
+    assert text.startswith("g in night: ")  # no warning before the table
+
+
+def test_gaps_empty_cells_and_jitter(tmp_path: Path):
+    random, x = np.random.default_rng(2), white()
+    x[random.uniform(size=SAMPLES) < 0.02] = np.nan
+    time = time_of() + random.uniform(-0.02, 0.02, SAMPLES)
+    kept = np.ones(SAMPLES, dtype=bool)
+    kept[2000:2500] = False
+    found, _ = noise_of(campaign(tmp_path, {"time_s": time[kept], "g": cells(x[kept]), "h": white(seed=3)[kept]}))
+    assert [white_is_right(channel) for channel in found.channels] == [True, True]
+    assert found.channels[0].missing == 500 + int(np.isnan(x[kept]).sum())
+    assert found.channels[1].missing == 500
+
+
+def test_integer_counts(tmp_path: Path):
+    scale = 36_000.0
+    columns = {"time_s": time_of(), "g": np.rint(scale * white()).astype(int)}
+    found, text = noise_of(campaign(tmp_path, columns, unit="count", scale=scale))
+    assert white_is_right(found.channels[0])
+    assert found.channels[0].resolution_in_output_units == 1.0
+    assert found.channels[0].rounding_share < 1e-3
+    assert "has steps of" not in text
+
+
+@pytest.mark.parametrize(("step", "said"), [(2.0, "and is part of N"), (5.0, "not those of the sensor")])
+def test_a_log_coarser_than_its_noise_is_told(tmp_path: Path, step: float, said: str):
+    step *= IN_OUTPUT * np.sqrt(RATE)
+    found, text = noise_of(campaign(tmp_path, {"time_s": time_of(), "g": np.rint(white() / step) * step}))
+    assert found.channels[0].resolution_in_output_units == pytest.approx(step)
+    assert "the log has steps of" in text
+    assert said in text
+
+
+def test_pulses_are_counted_angles_and_no_coarse_log(tmp_path: Path):
+    pulse = 2.0 / 3600
+    angle = np.concatenate([[0.0], np.cumsum(white() / RATE)])
+    columns = {"time_s": time_of(), "g": np.diff(np.floor(angle / pulse)).astype(int)}
+    found, text = noise_of(campaign(tmp_path, columns, unit="pulse", scale=1 / (RATE * pulse)))
+    term = found.channels[0].of(NoiseTerm.QUANTISATION)
+    assert term.value == pytest.approx(2.0 / np.sqrt(12), rel=0.1)
+    assert "the log has steps of" not in text
+
+
+@pytest.mark.parametrize("kind", ["spike", "step", "turn-on"])
+def test_what_is_no_noise_is_told_with_its_time(tmp_path: Path, kind: str):
+    x, time = white(), time_of()
+    x += {
+        "spike": np.where(np.arange(SAMPLES) == 3000, 1.0, 0.0),
+        "step": np.where(time > 300, 0.01, 0.0),
+        "turn-on": 0.1 * np.exp(-time / 50),
+    }[kind]
+    found, text = noise_of(campaign(tmp_path, {"time_s": time, "g": x}))
+    change = found.channels[0].sudden_change
+    assert change is not None
+    assert abs(change.time_s - (300 if kind != "turn-on" else 20)) < 30
+    assert text.startswith("g in night: at ")
+    assert "The terms below are wrong with it" in text
+    assert "# Caution: the output changes suddenly" in priors_text(found)
+
+
+def test_a_drift_with_temperature_is_told(tmp_path: Path):
+    time = time_of()
+    found, text = noise_of(campaign(tmp_path, {"time_s": time, "g": white() + 0.05 * np.sin(time / 150)}))
+    assert found.channels[0].misfit or found.channels[0].sudden_change
+    assert "Give a settled part of the record" in text or "give a settled part of the record" in text
+
+
+def test_a_dead_and_an_empty_channel_are_left_out(tmp_path: Path):
+    columns = {"time_s": time_of(), "g": white(), "dead": np.full(SAMPLES, 0.25), "empty": [None] * SAMPLES}
+    found, text = noise_of(campaign(tmp_path, columns))
+    assert [channel.channel for channel in found.channels] == ["g"]
+    assert white_is_right(found.channels[0])
+    assert [(left.channel, left.reason) for left in found.left_out] == [("dead", "constant"), ("empty", "empty")]
+    assert "dead in night is constant" in text
+    assert "empty in night is without a sample" in text
+
+
+def irregular() -> np.ndarray:
+    return np.sort(np.random.default_rng(4).uniform(0, SAMPLES / RATE, SAMPLES))
+
+
+@pytest.mark.parametrize(
+    ("columns", "what"),
+    [
+        ({"time_s": time_of(200), "g": white(200)}, "200 samples are too few"),
+        ({"time_s": irregular(), "g": white()}, "no constant sampling interval"),
+        ({"time_s": time_of(), "g": np.full(SAMPLES, 0.25)}, "no channel varies"),
+        ({"time_s": time_of(), "g": cells(np.where(np.arange(SAMPLES) % 5, np.nan, white()))}, "stand alone"),
+        ({"time_s": time_of()[::-1], "g": white()}, "the time decreases"),
+    ],
+)
+def test_what_cannot_be_analysed_is_refused(
+    tmp_path: Path, columns: dict, what: str, capsys: pytest.CaptureFixture[str]
+):
+    assert run(["noise", str(campaign(tmp_path, columns))]) == 2
+    told = capsys.readouterr().err
+    assert what in told
+    for part in ("error: ", "  where: ", "  allowed: ", "  do: "):
+        assert part in told
+    assert "internal error" not in told
