@@ -114,8 +114,8 @@ def report(rows: list[str], seconds: float) -> str:
         HEADING,
         "",
         f"Made by `python tests/study/false_terms_study.py`, seed {SEED}: number of records in which a term is "
-        "determined; true terms in bold, all others are false. Promised: each false term in 1 to 2 % of the records, but "
-        "beside Gauss–Markov noise only where that is determined. The last column counts records that need one of "
+        "determined; true terms in bold, all others are false. Promised: each false term in 1 to 2 % of the records, "
+        "but beside Gauss–Markov noise only where that is determined. The last column counts records that need one of "
         "several terms without telling which.",
         "",
         f"Short records: {SAMPLES} samples at 1 Hz. White N = 1; random walk K = 0.1, faint 0.005; flicker B = 0.5, "

@@ -7,7 +7,7 @@ the wrong one as often as chance has it.  Such terms stay undetermined, and are 
 needs one of them.
 
 Gauss–Markov noise is a term only where the record asks for it.  It can follow flicker noise over two decades of
-frequency, so that few records exclude it: it is named as an alternative, not counted against flicker noise.
+frequency, so that few records exclude it: it is named as an alternative, not counted against a term.
 """
 
 import math
@@ -24,11 +24,12 @@ BASIC = (NoiseTerm.QUANTISATION, NoiseTerm.WHITE, NoiseTerm.FLICKER, NoiseTerm.R
 LEAST_EVIDENCE = 5.41
 # Of n coefficients on their bounds together, with binomial weights of χ²₀ … χ²_n: chance 1 %.
 _LEAST_EVIDENCE_JOINT = {1: LEAST_EVIDENCE, 2: 7.29, 3: 8.75, 4: 10.02}
-# Two coefficients (χ²₂, 13.8 at 0.1 %), of which the correlation time is chosen among some ten independent ones.
-_LEAST_EVIDENCE_MARKOV = 18.4
+# Of two coefficients, χ²₂: chance 1 %; 0.2 % in 405 simulated records, as other terms follow most of the chance.
+_LEAST_EVIDENCE_MARKOV = 9.21
 _SLOW = (NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK)
 _SCAN = 14
 _LONGEST_TIME = 1 / 5  # of a correlation time over the record at the start; a longer one is a random walk
+_WELL_WITHIN = 1 / 20  # of a correlation time over the record: some twenty independent values
 _POLISHED = 2  # of the maxima at fixed correlation times
 _FAINT = 8.0  # in log θ: where a term starts that another may replace
 
@@ -112,12 +113,15 @@ def _undecided(likelihood: NoiseLikelihood, full: Maximum, determined: list[Nois
 def _alternatives(
     likelihood: NoiseLikelihood, full: Maximum, determined: list[NoiseTerm]
 ) -> tuple[tuple[NoiseTerm, NoiseTerm], ...]:
-    """Return flicker noise with Gauss–Markov noise, where that could replace it.
+    """Return the slow terms that Gauss–Markov noise could replace.
 
-    A random walk is not asked: it is Gauss–Markov noise of a correlation time beyond the record.
+    Beside a random walk it is named only where the record prefers a correlation time well within it: a longer one is
+    the random walk.
     """
-    if NoiseTerm.FLICKER not in determined:
-        return ()
-    terms = (*(other for other in BASIC if other is not NoiseTerm.FLICKER), NoiseTerm.MARKOV)
-    lost = 2 * (full.log_likelihood - highest(likelihood, terms).log_likelihood)
-    return ((NoiseTerm.FLICKER, NoiseTerm.MARKOV),) if lost < LEAST_EVIDENCE else ()
+    found = []
+    for term in (each for each in _SLOW if each in determined):
+        other = highest(likelihood, (*(kept for kept in BASIC if kept is not term), NoiseTerm.MARKOV))
+        within = term is NoiseTerm.FLICKER or other.correlation_time < _WELL_WITHIN * likelihood.span
+        if within and 2 * (full.log_likelihood - other.log_likelihood) < LEAST_EVIDENCE:
+            found.append((term, NoiseTerm.MARKOV))
+    return tuple(found)
