@@ -1,6 +1,6 @@
 """`imubayes noise` on logs of many kinds: numbers that hold, a warning, or one error of four parts and status 2."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +65,7 @@ _AXES = ("1.0, 0.0, 0.0", "0.0, 1.0, 0.0", "0.0, 0.0, 1.0", "1.0, 0.0, 0.0")
 
 def campaign(
     folder: Path,
-    columns: dict[str, Sequence[float | None] | np.ndarray],
+    columns: Mapping[str, Sequence[float | None] | np.ndarray],
     suffix: str = "csv",
     unit: str = "deg/s",
     scale: float = 1.0,

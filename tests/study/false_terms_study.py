@@ -71,7 +71,7 @@ def gauss_markov(samples: int, interval: float, random: np.random.Generator) -> 
     kept = math.exp(-interval / CORRELATION_TIME)
     drive = random.normal(size=samples) * math.sqrt(1 - kept**2)
     drive[0] = random.normal()
-    return lfilter([1.0], [1.0, -kept], drive)
+    return np.asarray(lfilter([1.0], [1.0, -kept], drive))
 
 
 def simulated(terms: Mapping[str, float], samples: int, interval: float, random: np.random.Generator) -> np.ndarray:
