@@ -96,7 +96,7 @@ class ChangeRecord(Record):
     ratio: float
 
 
-class LeftOut(Record):
+class SilentChannel(Record):
     """A channel without noise to estimate: without a sample (`empty`), or of a single value (`constant`)."""
 
     run: str
@@ -150,7 +150,7 @@ class StaticNoise(Record):
     campaign: str
     probability: float = PROBABILITY
     channels: list[ChannelNoise]
-    left_out: list[LeftOut] = []
+    left_out: list[SilentChannel] = []
 
 
 def coefficient_unit(channel: Channel, term: NoiseTerm, gravity: float) -> tuple[str, float]:
@@ -182,7 +182,7 @@ def static_noise(
         where there is no static record, one is too short, or no channel varies.
     """
     found: list[ChannelNoise] = []
-    left_out: list[LeftOut] = []
+    left_out: list[SilentChannel] = []
     tell = progress or silent
     for run in _chosen(campaign, runs):
         tell(f"reading {run.name}")
@@ -193,7 +193,7 @@ def static_noise(
             record = sums.pop(channel.name, None)
             if record is None or not record.resolution:
                 reason = "empty" if record is None else "constant"
-                left_out.append(LeftOut(run=run.name, channel=channel.name, reason=reason))
+                left_out.append(SilentChannel(run=run.name, channel=channel.name, reason=reason))
             else:
                 found.append(_of_channel(campaign, run, channel, record, shortest_tau))
     if not found:
