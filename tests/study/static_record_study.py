@@ -91,8 +91,8 @@ def report(found: list[Recovery], seconds: float) -> str:
         HEADING,
         "",
         f"Made by `python tests/study/static_record_study.py`: {len({each.seed for each in found})} replicates of "
-        f"{HOURS:g} h at {RATE:g} Hz, seeds {SEEDS[0]} … {SEEDS[-1]}, medians N = 0.05 °/√h, B = 0.5 °/h, K = 2 °/h/√h. Asked: coverage 0.90 … 0.98 of "
-        "95 % intervals.",
+        f"{HOURS:g} h at {RATE:g} Hz, seeds {SEEDS[0]} … {SEEDS[-1]}, medians N = 0.05 °/√h, B = 0.5 °/h, "
+        "K = 2 °/h/√h. Asked: coverage 0.90 … 0.98 of 95 % intervals.",
         "",
         "| term | determined | coverage | mean z | rms z | within 2 sd | largest abs(z) (seed) | median sd/value |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",

@@ -19,9 +19,8 @@ CLEAR = (
     "white + Gauss–Markov",
     "white + ramp",
     "white + quantisation",
-    "all but Gauss–Markov",
 )
-FAINT = ("white", "white + random walk, faint", "white + flicker, faint")
+FAINT = ("white", "all but Gauss–Markov", "white + random walk, faint", "white + flicker, faint")
 
 
 def of(name: str) -> Combination:
