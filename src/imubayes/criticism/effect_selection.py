@@ -28,8 +28,8 @@ class Selection:
     last, rest : the last screening at the noise of the fit, and at the noise that is left.
     rivals : other sets of effects that the data do not exclude, the likeliest first.
     paired : whether the first two groups were selected together.
-    unfinished : whether effects explain most of the variance of some channel, and more are significant than one search
-        selects: the model lacks a great deal.
+    unfinished : whether more effects are significant than one search selects, of which the first ones explain most of
+        the variance of some channel: the model lacks a great deal.  The groups are those first ones alone.
     """
 
     groups: tuple[EquivalenceGroup, ...]
@@ -68,16 +68,31 @@ def _forward(at: Screening, pair: Sequence[Candidate], corrected: LookElsewhere,
     groups.sort(key=lambda group: group.leader.log_p)
     for own in pair:
         at = deflate(at, span_over_shapes(at, _same(at, own)))
-    seen = _candidates_at_noise_left(at) if pair else at.candidates
+    seen, dominant = _candidates_at_noise_left(at) if pair else at.candidates, len(groups)
     while significant := [each for each in seen if corrected(each.p) < threshold]:
         if len(groups) == thresholds.MAX_EFFECTS:
             break
         leader, p = _same(at, significant[0]), corrected(min(candidate.p for candidate in seen))
         groups.append(equivalence_group(at.projection, leader, at.candidates, p))
-        at = deflate(at, span_over_shapes(at, leader))
+        before, at = at, deflate(at, span_over_shapes(at, leader))
+        if dominant == len(groups) - 1 and _halves_noise(before.projection, at.projection):
+            dominant += 1
         seen = _candidates_at_noise_left(at)
-    unfinished = bool(significant) and _root_of_less_noise(at.projection) is not None
-    return Selection(tuple(groups), at, at_noise_left(at) if groups else at, unfinished=unfinished)
+    unfinished = bool(significant) and dominant > 0
+    # Beside what is still missing, smaller effects are corrections of its shape as likely as causes of their own.
+    kept = groups[:dominant] if unfinished else groups
+    return Selection(tuple(kept), at, at_noise_left(at) if groups else at, unfinished=unfinished)
+
+
+def _halves_noise(before: Projection, after: Projection) -> bool:
+    """Tell whether a projection leaves less than half of the variance of some stratum."""
+    ratio = _noise(after) / _noise(before)
+    return bool(ratio.min() < thresholds.LESS_NOISE)
+
+
+def _noise(projection: Projection) -> np.ndarray:
+    """Return the variance of each stratum, the rows of the priors last, relative to the fit's."""
+    return noise_left(projection.strata.sums(projection.residual**2), projection.freedom)[0]
 
 
 def _beside(
@@ -91,9 +106,7 @@ def _beside(
 
 
 def _rivals(at: Screening, forward: Selection) -> list[RivalEffects]:
-    strata, rest = at.projection.strata, forward.last.projection
-    variance, _ = noise_left(strata.sums(rest.residual**2), rest.freedom)
-    return rival_pairs(at, [group.leader for group in forward.groups], variance)
+    return rival_pairs(at, [group.leader for group in forward.groups], _noise(forward.last.projection))
 
 
 def _same(at: Screening, candidate: Candidate) -> Candidate:
@@ -130,7 +143,7 @@ def _candidates_at_noise_left(at: Screening) -> Sequence[Candidate]:
 
 def _root_of_less_noise(projection: Projection) -> np.ndarray | None:
     """Return what rows, (R,), are to be multiplied by for the noise that is left; None where that is hardly less."""
-    variance, _ = noise_left(projection.strata.sums(projection.residual**2), projection.freedom)
+    variance = _noise(projection)
     return None if variance.min() > thresholds.LESS_NOISE else 1 / np.sqrt(projection.strata.at_rows(variance))
 
 

@@ -66,7 +66,8 @@ def _pair_sentence(found: Diagnosis) -> str:
     """Return which effects are to be added together with the first; empty where it is to be added alone."""
     if found.unfinished:
         others = list(dict.fromkeys(group.effects[0] for group in found.groups[1:]))
-        return f" {listed(others)} are missing beside it, and more: add them all and diagnose again."
+        said = f" {listed(others)} {'are' if others[1:] else 'is'} missing beside it." if others else ""
+        return f"{said} The model lacks more: add what is named and diagnose again."
     if not found.paired:
         return ""
     second = found.groups[1]
