@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from imubayes.inference.posterior_precision import inverse_of_precision
+from imubayes.inference.posterior_precision import inverse_of_precision, inverse_within
 
 DETERMINED = np.array([1e9, 1.0, 1e8, 3e2, 1e6])
 """Prior over posterior standard deviation: that of a servo table over a day reaches 1e8 and more."""
@@ -49,3 +49,25 @@ def test_rounding_beyond_positive_definite_gives_finite_variances():
     inverse = inverse_of_precision(alike)
     assert np.isfinite(inverse).all()
     assert (np.diag(inverse) > 0).all()
+
+
+def unequal() -> tuple[np.ndarray, np.ndarray]:
+    """A precision of which one direction is the prior's alone, and what completes that to an orthonormal basis."""
+    random = np.random.default_rng(6)
+    basis = np.linalg.qr(random.normal(size=(5, 5)))[0]
+    factors = random.normal(size=(12, 4)) * np.array([1e4, 1e5, 1e6, 3e7])
+    strong = basis[:, 1:]
+    return strong @ (factors.T @ factors) @ strong.T + np.eye(5), strong
+
+
+def test_the_strong_directions_next_to_one_of_the_prior_are_told_to_their_last_digits():
+    precision, strong = unequal()
+    within = strong.T @ precision @ strong
+    scale = np.sqrt(np.diag(exact_inverse(within)))
+    expected = exact_inverse(within) / np.outer(scale, scale)
+    found = strong.T @ inverse_within(precision, strong) @ strong
+    np.testing.assert_allclose(found / np.outer(scale, scale), expected, atol=1e-9)
+    # From the eigenvalues of the whole covariance, the planted fault, the smallest variance is off by a per cent.
+    variances, vectors = np.linalg.eigh(inverse_of_precision(precision))
+    planted = strong.T @ (vectors[:, :-1] * variances[:-1]) @ vectors[:, :-1].T @ strong
+    assert np.abs(planted / np.outer(scale, scale) - expected).max() > 1e-3

@@ -13,7 +13,7 @@ from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.convergence import LARGEST_WEIGHT, PARETO_K, diagnose
 from imubayes.inference.ensemble_sampling import Settings, sample
 from imubayes.inference.laplace_move import LaplaceProposal
-from imubayes.inference.proposal_weights import pareto_k, weigh
+from imubayes.inference.proposal_weights import WeighedProposal, pareto_k, weigh
 
 NAMES = ("v", "x")
 ENSEMBLES, WALKERS = 4, 64
@@ -103,3 +103,27 @@ def test_resampling_follows_the_weights():
 
 def test_an_impossible_proposal_has_no_weights():
     assert weigh(lambda points: np.full(len(points), -np.inf), Funnel(exact_precision), 2, 50, 0) is None
+
+
+def verdict_with_weights(largest: float):
+    """A chain of independent draws too short for its intervals, and weights of a heavy tail up to the largest."""
+    random = np.random.default_rng(4)
+    chain = random.normal(size=(ENSEMBLES, 20, WALKERS, 2))
+    weight = np.ones((ENSEMBLES, 1000))
+    weight[:, :50] = 1 + (largest - 1) * np.exp(-random.exponential(0.9, size=(ENSEMBLES, 50)))
+    weight[0, 0] = largest
+    points = random.normal(size=(ENSEMBLES, 1000, 2))
+    weighed = WeighedProposal(Funnel(exact_precision), points, weight / weight.mean(), 0.83)
+    return diagnose(chain, np.zeros(chain.shape[:-1]), NAMES, weighed)
+
+
+def test_a_heavy_tail_of_weights_that_are_all_alike_does_not_end_a_short_chain():
+    """More steps make the intervals exact: they are to be taken.  They change nothing where places are missed."""
+    alike, missed = verdict_with_weights(1.4), verdict_with_weights(60.0)
+    assert not alike.converged
+    assert "95 % interval" in alike.message
+    assert alike.longer > 1
+    assert not alike.settled
+    assert not missed.converged
+    assert "misses tails" in missed.message
+    assert missed.settled

@@ -97,8 +97,8 @@ def diagnose(
         longer, missed = errors.longer(), _missed_tails(weighed, steps)
         inexact = errors.inexact_ends(names)
         faults += [] if missed else against_weights(chain, errors.sd, names, weighed)
-    # Beyond the worst index no chain changes what the weights say of the proposal.
-    hopeless = weighed is not None and weighed.pareto_k > WORST_PARETO_K
+    # Beyond the worst index no chain changes what the weights say of a proposal that misses tails.
+    hopeless = weighed is not None and bool(missed) and weighed.pareto_k > WORST_PARETO_K
     long_enough = longer <= 1 or (not inexact and log_density.size >= MOST_DRAWS)
     settled = not faults and (hopeless or (long_enough and not missed))
     faults += inexact + missed

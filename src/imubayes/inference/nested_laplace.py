@@ -25,7 +25,7 @@ from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.inference.conditional_precision import ExactPrecision, PrecisionBlocks, conditional, precision_blocks
 from imubayes.inference.innovation_scale import InnovationScale, innovation_scale
 from imubayes.inference.posterior_mode import Mode
-from imubayes.inference.posterior_precision import inverse_of_precision, knowledge, log_marginal
+from imubayes.inference.posterior_precision import inverse_of_precision, inverse_within, knowledge, log_marginal
 from imubayes.inference.tabulated_density import TabulatedDensity, from_normal, log_density, tabulate
 from imubayes.inference.tabulated_density import to_normal as to_standard
 from imubayes.inference.tabulated_directions import TabulatedDirections, tabulated_directions
@@ -156,12 +156,12 @@ def curved_directions(problem: Problem, mode: Mode) -> tuple[Float[Array, "P K"]
     -------
     Orthonormal directions, the posterior standard deviation along each, (K,), and the acceleration along every pair.
     """
-    covariance = inverse_of_precision(np.asarray(posterior_precision(problem, mode)))
-    variances, vectors = np.linalg.eigh(covariance)
+    precision = np.asarray(posterior_precision(problem, mode))
+    variances, vectors = np.linalg.eigh(inverse_of_precision(precision))
     count = min(int(np.sum(variances > _WEAK_SD**2)), _MOST_WEAK)
     # The largest variance comes first, as the least precision.
     weak, strong = vectors[:, ::-1][:, :count], vectors[:, ::-1][:, count:]
-    inverse = jnp.asarray((strong * variances[::-1][None, count:]) @ strong.T)
+    inverse = jnp.asarray(inverse_within(precision, strong))
     reach, weak = variances[::-1][:count] ** 0.5, jnp.asarray(weak)
     none = jnp.zeros((0, 0, mode.z.shape[0]))
     return weak, reach, bends(problem, mode, weak, jnp.asarray(reach), inverse) if count else none
