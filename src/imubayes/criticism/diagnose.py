@@ -35,6 +35,7 @@ from imubayes.criticism.formula_search import Formula, coefficient_unit, find_fo
 from imubayes.criticism.free_form_dependence import Structure, dominant_channel
 from imubayes.criticism.large_effects import remainder_of_leader
 from imubayes.criticism.localised_structure import STEP
+from imubayes.criticism.neglected_uncertainty import neglected_uncertainties
 from imubayes.criticism.noise_against_prior import NoiseBeyondPrior, noise_beyond_prior
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, following_covariate, residual_evidence
@@ -111,6 +112,7 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         strongest=_strongest(found) if open_question else None,
         recorded_noise=found.record.comparisons,
         beyond_prior=beyond_prior,
+        neglected=neglected_uncertainties(found),
         wandering=found.wandering,
         scatter_remains=verdict in MISSING and scatter_remains(found),
         more_remains=verdict in MISSING and bool(found.remaining or found.groups[1 + found.paired :]),

@@ -152,6 +152,24 @@ class RivalExplanation(Record):
     log_odds: float
 
 
+class NeglectedUncertainty(Record):
+    """A standard uncertainty that the campaign states of its equipment and the model takes as exact.
+
+    Attributes
+    ----------
+    effect, parameter : what describes it, and its parameter as it would be named in the model.
+    value, unit : as stated.
+    shifts, in_sd : the parameter of the model that it would shift most, by so many of its standard deviations.
+    """
+
+    effect: str
+    parameter: str
+    value: float
+    unit: str
+    shifts: str
+    in_sd: float
+
+
 class NearestEffect(Record):
     """Effects that explain a part of structure which the catalogue does not explain in full."""
 
@@ -299,6 +317,7 @@ class Diagnosis(Presented, Record):
         the cause.
     recorded_noise : fitted against recorded noise of each channel, after the groups.
     beyond_prior : noise parameters that the fit puts far beyond their priors, the least probable first.
+    neglected : stated uncertainties of the equipment that no interval of the fit includes, those that matter.
     wandering : whether noise that wanders otherwise than the model's explains what is found as well, or instead of it.
     asked : the effect that was asked about, where one was.
     """
@@ -328,6 +347,7 @@ class Diagnosis(Presented, Record):
     scatter_remains: bool = False
     recorded_noise: tuple[NoiseComparison, ...] = ()
     beyond_prior: tuple[NoiseBeyondPrior, ...] = ()
+    neglected: tuple[NeglectedUncertainty, ...] = ()
     wandering: WanderingNoise = ""
     asked: AskedEffect | None = None
     _evidence: ResidualEvidence | None = PrivateAttr(None)

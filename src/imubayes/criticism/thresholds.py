@@ -132,6 +132,10 @@ MAX_FORMULAS = 3
 # effect explains.  Convention: smaller names covariates that are merely correlated with the right one.
 COVARIATE_SHARE = 0.9
 
+# A stated uncertainty that the model takes as exact is told where it shifts a parameter by so many of its posterior
+# standard deviations.  Derived: added in quadrature it widens an interval by 12 %, a digit of the standard uncertainty.
+NEGLECTED_SHIFT = 0.5
+
 # ---- Detectability ---------------------------------------------------------------------------------------------------
 # Power at which the smallest detectable size is given.  Convention (Cohen 1988).
 DETECTION_POWER = 0.8

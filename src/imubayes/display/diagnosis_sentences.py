@@ -34,7 +34,12 @@ def sentence(found: Diagnosis) -> str:
         hidden = len(found.undetectable)
         said += f" {hidden} effects of the catalogue are undetectable in these runs." if hidden else ""
     parts = [noise, said] if found.noise_outweighs else [said, noise]
-    return " ".join(part for part in parts if part) + _record_sentence(found) + _outlier_sentence(found)
+    return (
+        " ".join(part for part in parts if part)
+        + _record_sentence(found)
+        + _outlier_sentence(found)
+        + _neglected_sentence(found)
+    )
 
 
 def _adopted_sentence(found: Diagnosis) -> str:
@@ -174,6 +179,19 @@ def _both(each: NoiseComparison) -> str:
     """Return fitted and recorded noise of one sample."""
     unit = f" {pretty(each.unit)}" if each.unit else ""
     return f"{significant(each.fitted)} against {significant(each.recorded)}{unit} per sample"
+
+
+def _neglected_sentence(found: Diagnosis) -> str:
+    """Return which stated uncertainties no interval includes, the worst with what it would shift."""
+    if not found.neglected or found.unfinished:
+        return ""
+    worst = found.neglected[0]
+    effects = listed([each.effect for each in found.neglected])
+    return (
+        f" No interval includes {effects}, which the model takes as exact: the uncertainty that the campaign states of "
+        f"{worst.parameter}, {significant(worst.value)} {pretty(worst.unit)}, shifts {worst.shifts} by "
+        f"{significant(worst.in_sd)} of its sd."
+    )
 
 
 def _outlier_sentence(found: Diagnosis) -> str:

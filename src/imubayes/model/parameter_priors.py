@@ -139,17 +139,17 @@ def exact_by_equipment(
     spec: EffectSpec, effect_class: EffectClass, field: str, label: dict[str, str], campaign: Campaign
 ) -> bool:
     """Return whether the campaign states that a parameter is zero: an uncertainty of 0, and no prior in the model."""
-    stated = _stated(declared_parameters(effect_class)[field].equipment, label, campaign)
+    stated = stated_uncertainty(declared_parameters(effect_class)[field].equipment, label, campaign)
     return stated == 0 and field not in spec.prior
 
 
 def _from_equipment(fact: str, label: dict[str, str], campaign: Campaign, default: Prior) -> Prior:
     """Return the prior that the campaign's own statement about its equipment implies, else the default."""
-    stated = _stated(fact, label, campaign)
+    stated = stated_uncertainty(fact, label, campaign)
     return default if stated is None else Normal(0.0, stated)
 
 
-def _stated(fact: str, label: dict[str, str], campaign: Campaign) -> float | None:
+def stated_uncertainty(fact: str, label: dict[str, str], campaign: Campaign) -> float | None:
     """Return the uncertainty that the campaign states of its equipment, SI; None where it states none."""
     stated = None
     if fact == "seat" and "mounting" in label:

@@ -1,0 +1,54 @@
+"""Uncertainties of the equipment that a campaign states and a model takes as exact are told with what they would do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from null_data import ROOT, refitted
+
+from imubayes.campaign import load_campaign
+from imubayes.criticism.diagnose import judge
+from imubayes.display.diagnosis_sentences import sentence
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.nested_laplace import posterior_precision
+from imubayes.inference.posterior_mode import find_mode
+from imubayes.model.bind import bind
+from imubayes.model.model_file import read_model
+
+
+def fitted(ppm: float) -> Fit:
+    """Return the fit of a campaign whose table rate is known to so many ppm, by a model that takes it as exact."""
+    spec = read_model(ROOT / "models" / "hidden-effects.toml")
+    spec = replace(spec, effects=tuple(each for each in spec.effects if each.name != "table_rate_error"))
+    campaign = load_campaign(ROOT / "data" / "hidden-none")
+    tables = {name: replace(table, rate_uncertainty=ppm * 1e-6) for name, table in campaign.tables.items()}
+    declared = bind(spec, replace(campaign, tables=tables))
+    found = refitted(declared, *(np.zeros(size) for size in declared.problem.size))
+    assert found.converged
+    return found
+
+
+def sd(at: Fit, place: int) -> float:
+    """Return the posterior standard deviation of a parameter in z, by the inverse of the precision."""
+    mode = find_mode(at.model.problem, at.z, at.h)
+    return float(np.sqrt(np.linalg.inv(np.asarray(posterior_precision(at.model.problem, mode)))[place, place]))
+
+
+def test_a_table_rate_taken_as_exact_is_told():
+    at = fitted(20.0)
+    found = judge(at)
+    (neglected,) = found.neglected
+    assert (neglected.effect, neglected.unit) == ("table_rate_error", "ppm")
+    assert neglected.value == pytest.approx(20.0)
+    assert neglected.shifts.startswith("gyro_scale_factor.scale")
+    # A rate in error is a scale factor error of the same size: the shift is that over its standard deviation.
+    place = at.model.layout.names.index(neglected.shifts)
+    scale = at.model.layout.parameters[place].prior.sd() * 1e6
+    assert neglected.in_sd == pytest.approx(20.0 / (scale * sd(at, place)), rel=0.05)
+    assert "No interval includes table_rate_error" in sentence(found)
+
+
+def test_what_hardly_matters_is_not_told():
+    found = judge(fitted(1e-3))
+    assert not found.neglected
+    assert "No interval includes" not in sentence(found)
