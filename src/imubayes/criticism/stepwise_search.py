@@ -167,7 +167,8 @@ def _searched(given: SearchInput, tell: Tell) -> SearchResult:
         if not more.any():
             break
         outlying = (sizes != 0) | more
-    if consecutive(fitted.model, sizes):
+    # Where a great deal is missing with and without them, they are what is missing.
+    if consecutive(fitted.model, sizes) or (first.selection.unfinished and at.selection.unfinished):
         return _with_noise(given, first)
     found = _with_noise(current, at)
     return replace(found, noise=first.noise, adopted=(*noise, *found.adopted), outlier_sd=sizes)

@@ -117,7 +117,8 @@ REMAINDER_SHARE = 0.01
 # From this Δχ² a leader that leaves structure is refitted before it is doubted: the score is linear, and the curvature
 # of a large effect looks like structure.  Blind study: below, curvature was never seen.
 LARGE_EFFECT_CHI2 = 1000.0
-# So many effects on one channel only approximate one cause that the catalogue lacks.  Blind study, as above.
+# So many effects on one channel, of the same covariates, only approximate one cause that the catalogue lacks.  Blind
+# study, as above.
 CROWDED_EFFECTS = 3
 # A share that makes one thing the main part of another: of a leader's χ² for a second effect that mends its shape, of a
 # channel's structure for a step in one run.  Blind study, as above.

@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Sequence
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.equivalent_effects import unexplained_chi2
+from imubayes.criticism.effect_covariates import covariates_of
+from imubayes.criticism.equivalent_effects import EquivalenceGroup, unexplained_chi2
 from imubayes.criticism.free_form_dependence import Structure
 from imubayes.criticism.localised_structure import STEP
 from imubayes.criticism.score_test import Candidate
@@ -106,10 +107,28 @@ def _only_resembles(found: SearchResult, leader: Candidate, owner: str) -> bool:
     acting = _acting_on(found, owner)
     again = any(set(group.effects) & set(found.groups[0].effects) for group in acting[1:])
     rival = any(_rivals(found, group.leader, leader) for group in acting[1:])
-    return again or rival or len(acting) >= thresholds.CROWDED_EFFECTS
+    return again or rival or _crowded(found, leader, acting)
 
 
-def _acting_on(found: SearchResult, owner: str) -> list:
+def _crowded(found: SearchResult, leader: Candidate, acting: Sequence[EquivalenceGroup]) -> bool:
+    """Tell whether so many effects go with what the leader goes with that they only approximate one cause together.
+
+    One of other covariates alone is a cause of its own.
+    """
+    own = _goes_with(found, leader)
+    shared = [_goes_with(found, group.leader) for group in acting]
+    return sum(not each or not own or bool(own & each) for each in shared) >= thresholds.CROWDED_EFFECTS
+
+
+def _goes_with(found: SearchResult, candidate: Candidate) -> frozenset[str]:
+    """Return the covariates of an effect on channels; empty where they are not known."""
+    model = found.first.projection.fitted.model
+    kinds = {channel.kind for channel in model.campaign.channels if channel.name in candidate.owners}
+    member = model.registry.effects[candidate.effect]
+    return frozenset[str]().union(*(each for kind in kinds for each in covariates_of(member, kind)))
+
+
+def _acting_on(found: SearchResult, owner: str) -> list[EquivalenceGroup]:
     return [group for group in found.groups if owner in group.leader.owners]
 
 

@@ -107,7 +107,8 @@ def next_lines(found: Diagnosis, pictures: Sequence[Path] = ()) -> list[str]:
     """Return the pictures and the next command, one line each."""
     command = next_command(found)
     # The only command of the loop that takes minutes.
-    command += "  # minutes: would these runs have shown an effect?" if found.verdict == "adequate" and command else ""
+    if command.startswith("imubayes plant"):
+        command += "  # minutes: would these runs have shown an effect?"
     return [*(f"picture: {picture}" for picture in pictures), *([f"next: {command}"] if command else [])]
 
 
@@ -126,6 +127,9 @@ def next_command(found: Diagnosis) -> str:
         return written if printable else f"imubayes compare {result}"
     if found.verdict in ("noise_model", "not_converged") or found.wandering:
         return f"imubayes compare {result}"
+    if found.neglected:
+        effects = [each.effect for each in found.neglected]
+        return f"imubayes add {' '.join(effects)} --to {result} --out {result}-{effects[0]}"
     return f"imubayes plant --result {result}"
 
 

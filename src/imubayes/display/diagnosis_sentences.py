@@ -116,7 +116,9 @@ def _more_sentence(found: Diagnosis) -> str:
         return " Rows scatter beyond the recorded noise all the same: it may only resemble the cause."
     if not found.more_remains:
         return ""
-    return " More remains beside it, small against what it explains: add it and diagnose again."
+    first, *others = found.groups
+    small = all(other.delta_chi2 < first.delta_chi2 for other in others)
+    return f" More remains beside it{', small against what it explains' if small else ''}: add it and diagnose again."
 
 
 def _structure_sentence(found: Diagnosis) -> str:
