@@ -44,7 +44,8 @@ def select_effects(at: Screening, corrected: LookElsewhere, factor: float = 1.0)
     """Return the effects that a screening shows, below `factor` times the threshold."""
     threshold = factor * thresholds.FALSE_ALARM_EFFECT
     forward = _forward(at, (), corrected, threshold)
-    if not forward.groups:
+    # Beside much that is still missing no two explanations can be weighed.
+    if not forward.groups or forward.unfinished:
         return forward
     rivals = _rivals(at, forward)
     best = next((each for each in rivals if each.log_odds > 0), None)
@@ -66,9 +67,11 @@ def _forward(at: Screening, pair: Sequence[Candidate], corrected: LookElsewhere,
     """
     groups = [_beside(at, own, [each for each in pair if each is not own], corrected) for own in pair]
     groups.sort(key=lambda group: group.leader.log_p)
+    before = at
     for own in pair:
         at = deflate(at, span_over_shapes(at, _same(at, own)))
-    seen, dominant = _candidates_at_noise_left(at) if pair else at.candidates, len(groups)
+    seen = _candidates_at_noise_left(at) if pair else at.candidates
+    dominant = len(groups) if _halves_noise(before.projection, at.projection) else 0
     while significant := [each for each in seen if corrected(each.p) < threshold]:
         if len(groups) == thresholds.MAX_EFFECTS:
             break
