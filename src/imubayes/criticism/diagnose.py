@@ -89,6 +89,7 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
     unlisted = [] if unexplained else [unlisted_causes(found, group) for group in found.groups]
     beyond_prior = noise_beyond_prior(fit)
     verdict = _verdict(found, unexplained, unlisted, beyond_prior)
+    found = found if verdict in MISSING else replace(found, rivals=(), paired=False, unfinished=False)
     open_question = verdict == "unexplained_structure"
     evidence = [_evidence(found, group) for group in found.groups]
     named = found.groups if verdict in MISSING else ()
@@ -106,9 +107,9 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         looks=found.look_elsewhere.looks,
         outliers=_outliers(found),
         suggested=_suggested(found, verdict),
-        paired=found.paired and bool(named),
-        unfinished=found.unfinished and bool(named),
-        rivals=_rivals(found, verdict),
+        paired=found.paired,
+        unfinished=found.unfinished,
+        rivals=_rivals(found),
         strongest=_strongest(found) if open_question else None,
         recorded_noise=found.record.comparisons,
         beyond_prior=beyond_prior,
@@ -136,7 +137,7 @@ def _with_large_effect_fitted(found: SearchResult) -> tuple[SearchResult, Sequen
     if not left.small:
         return found, unexplained
     # What else the linear search found beside a large effect is its curvature, or waits until it is fitted.
-    return replace(found, groups=found.groups[:1], remaining=left.structures, record=left.record), []
+    return replace(found, groups=found.groups[:1], paired=False, remaining=left.structures, record=left.record), []
 
 
 def _refuse_unknown(effect: str, fit: Fit) -> None:
@@ -438,14 +439,13 @@ def _read(model: Model, covariate: str, place: int) -> float | None:
     return float(value) / COVARIATES[covariate].factor() if known else None
 
 
-def _rivals(found: SearchResult, verdict: Verdict) -> tuple[RivalExplanation, ...]:
-    rivals = found.rivals if verdict in MISSING else ()
+def _rivals(found: SearchResult) -> tuple[RivalExplanation, ...]:
     return tuple(
         RivalExplanation(
             effects=tuple(EffectChoice(effect=member.effect, channels=member.owners) for member in each.members),
             log_odds=each.log_odds,
         )
-        for each in rivals
+        for each in found.rivals
     )
 
 

@@ -47,17 +47,25 @@ def select_effects(at: Screening, corrected: LookElsewhere, factor: float = 1.0)
     # Beside much that is still missing no two explanations can be weighed.
     if not forward.groups or forward.unfinished:
         return forward
-    rivals = _rivals(at, forward)
-    best = next((each for each in rivals if each.log_odds > 0), None)
-    if best is None:
-        return replace(forward, rivals=tuple(rivals))
-    # From here on, odds are against the pair.
-    others = [each for each in rivals if each is not best]
-    leaders = tuple(group.leader for group in forward.groups)
-    before = RivalEffects(leaders, 0.0)
-    kept = [replace(each, log_odds=each.log_odds - best.log_odds) for each in (before, *others)]
-    likely = tuple(each for each in kept if each.log_odds > -2 * thresholds.DECISIVE_LOG_ODDS)
-    return replace(_forward(at, best.members, corrected, threshold), rivals=likely, paired=True)
+    rivals = rival_pairs(at, [group.leader for group in forward.groups], _noise(forward.last.projection))
+    if rivals and rivals[0].log_odds > 0:
+        exchanged = _forward(at, rivals[0].members, corrected, threshold)
+        # Members that would do in place of each other are one cause, whose shape each of them mends.
+        if not _replaceable(*exchanged.groups[:2]):
+            before = RivalEffects(tuple(group.leader for group in forward.groups), 0.0)
+            return replace(exchanged, rivals=_against(rivals[0], (before, *rivals[1:])), paired=True)
+    return replace(forward, rivals=tuple(rivals))
+
+
+def _replaceable(first: EquivalenceGroup, second: EquivalenceGroup) -> bool:
+    """Tell whether one of two leaders would do in place of the other, beside it."""
+    return first.leader.effect in second.effects or second.leader.effect in first.effects
+
+
+def _against(best: RivalEffects, others: Sequence[RivalEffects]) -> tuple[RivalEffects, ...]:
+    """Return other explanations with their odds against the best, as far as those do not exclude them."""
+    relative = [replace(each, log_odds=each.log_odds - best.log_odds) for each in others]
+    return tuple(each for each in relative if each.log_odds > -2 * thresholds.DECISIVE_LOG_ODDS)
 
 
 def _forward(at: Screening, pair: Sequence[Candidate], corrected: LookElsewhere, threshold: float) -> Selection:
@@ -65,26 +73,24 @@ def _forward(at: Screening, pair: Sequence[Candidate], corrected: LookElsewhere,
 
     A pair is selected first, each of its members beside the other.
     """
-    groups = [_beside(at, own, [each for each in pair if each is not own], corrected) for own in pair]
-    groups.sort(key=lambda group: group.leader.log_p)
-    before = at
+    groups, start = _beside_each_other(at, pair, corrected), at
     for own in pair:
         at = deflate(at, span_over_shapes(at, _same(at, own)))
-    seen = _candidates_at_noise_left(at) if pair else at.candidates
-    dominant = len(groups) if _halves_noise(before.projection, at.projection) else 0
+    halved = [_halves_noise(start.projection, at.projection)] * len(groups)
+    seen = _candidates_at_noise_left(at)
     while significant := [each for each in seen if corrected(each.p) < threshold]:
         if len(groups) == thresholds.MAX_EFFECTS:
             break
         leader, p = _same(at, significant[0]), corrected(min(candidate.p for candidate in seen))
         groups.append(equivalence_group(at.projection, leader, at.candidates, p))
         before, at = at, deflate(at, span_over_shapes(at, leader))
-        if dominant == len(groups) - 1 and _halves_noise(before.projection, at.projection):
-            dominant += 1
+        halved.append(_halves_noise(before.projection, at.projection))
         seen = _candidates_at_noise_left(at)
+    dominant = [*halved, False].index(False)
     unfinished = bool(significant) and dominant > 0
     # Beside what is still missing, smaller effects are corrections of its shape as likely as causes of their own.
     kept = groups[:dominant] if unfinished else groups
-    return Selection(tuple(kept), at, at_noise_left(at) if groups else at, unfinished=unfinished)
+    return Selection(tuple(kept), at, at_noise_left(at), unfinished=unfinished)
 
 
 def _halves_noise(before: Projection, after: Projection) -> bool:
@@ -98,18 +104,14 @@ def _noise(projection: Projection) -> np.ndarray:
     return noise_left(projection.strata.sums(projection.residual**2), projection.freedom)[0]
 
 
-def _beside(
-    at: Screening, candidate: Candidate, others: Sequence[Candidate], corrected: LookElsewhere
-) -> EquivalenceGroup:
-    """Return the group of a candidate where others are projected out."""
-    for other in others:
-        at = deflate(at, span_over_shapes(at, other))
-    leader = _same(at, candidate)
-    return equivalence_group(at.projection, leader, at.candidates, corrected(leader.p))
-
-
-def _rivals(at: Screening, forward: Selection) -> list[RivalEffects]:
-    return rival_pairs(at, [group.leader for group in forward.groups], _noise(forward.last.projection))
+def _beside_each_other(at: Screening, pair: Sequence[Candidate], corrected: LookElsewhere) -> list[EquivalenceGroup]:
+    """Return the group of each member of a pair where the other is projected out, the more significant one first."""
+    groups = []
+    for own, other in zip(pair, reversed(pair), strict=True):
+        beside = deflate(at, span_over_shapes(at, other))
+        leader = _same(beside, own)
+        groups.append(equivalence_group(beside.projection, leader, beside.candidates, corrected(leader.p)))
+    return sorted(groups, key=lambda group: group.leader.log_p)
 
 
 def _same(at: Screening, candidate: Candidate) -> Candidate:
