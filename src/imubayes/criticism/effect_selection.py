@@ -50,16 +50,20 @@ def select_effects(at: Screening, corrected: LookElsewhere, factor: float = 1.0)
     rivals = rival_pairs(at, [group.leader for group in forward.groups], _noise(forward.last.projection))
     if rivals and rivals[0].log_odds > 0:
         exchanged = _forward(at, rivals[0].members, corrected, threshold)
-        # Members that would do in place of each other are one cause, whose shape each of them mends.
-        if not _replaceable(*exchanged.groups[:2]):
+        if _explains_instead(exchanged, forward.groups[0].leader):
             before = RivalEffects(tuple(group.leader for group in forward.groups), 0.0)
             return replace(exchanged, rivals=_against(rivals[0], (before, *rivals[1:])), paired=True)
     return replace(forward, rivals=tuple(rivals))
 
 
-def _replaceable(first: EquivalenceGroup, second: EquivalenceGroup) -> bool:
-    """Tell whether one of two leaders would do in place of the other, beside it."""
-    return first.leader.effect in second.effects or second.leader.effect in first.effects
+def _explains_instead(exchanged: Selection, leader: Candidate) -> bool:
+    """Tell whether a pair explains what a leader did, as two causes.
+
+    Where one effect would do in place of either member, they are one cause, whose shape each of them mends; where the
+    leader is found again beside them, they are no explanation.
+    """
+    first, second, *further = (set(group.effects) for group in exchanged.groups)
+    return not first & second and not any(leader.effect in effects for effects in further)
 
 
 def _against(best: RivalEffects, others: Sequence[RivalEffects]) -> tuple[RivalEffects, ...]:

@@ -103,9 +103,10 @@ SCALE_CHANGE_MAX = 0.1
 # Odds of 20 to 1 do not decide between two candidates that explain half of the same.  Convention (95 %), blind study.
 DECISIVE_LOG_ODDS = math.log(20.0)
 
-# Prior widths of a coefficient in units of its largest typical size, equally likely.  Convention: units ten times worse
-# than usual are met; without the larger one two effects of such a size lose to a third that imitates them.
-RIVAL_WIDTHS = (1.0, 10.0)
+# Prior widths of the coefficients of an effect in units of their largest typical sizes, equally likely.  Convention:
+# units ten times better and worse than usual are met; without the larger one two effects of such a size lose to a third
+# that imitates them, without the smaller one an effect of many coefficients loses to any pair of fewer.
+RIVAL_WIDTHS = (0.1, 1.0, 10.0)
 
 # ---- Verdict (diagnosis, residual_evidence) --------------------------------------------------------------------------
 # Where effects explain more than half of the variance of some channel, what remains is screened at the noise that is
