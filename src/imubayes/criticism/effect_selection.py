@@ -50,20 +50,22 @@ def select_effects(at: Screening, corrected: LookElsewhere, factor: float = 1.0)
     rivals = rival_pairs(at, [group.leader for group in forward.groups], _noise(forward.last.projection))
     if rivals and rivals[0].log_odds > 0:
         exchanged = _forward(at, rivals[0].members, corrected, threshold)
-        if _explains_instead(exchanged, forward.groups[0].leader):
+        if _explains_instead(exchanged, forward):
             before = RivalEffects(tuple(group.leader for group in forward.groups), 0.0)
             return replace(exchanged, rivals=_against(rivals[0], (before, *rivals[1:])), paired=True)
     return replace(forward, rivals=tuple(rivals))
 
 
-def _explains_instead(exchanged: Selection, leader: Candidate) -> bool:
-    """Tell whether a pair explains what a leader did, as two causes.
+def _explains_instead(exchanged: Selection, forward: Selection) -> bool:
+    """Tell whether what a pair leads to explains what forward selection did: with fewer effects, or as two causes.
 
     Where one effect would do in place of either member, they are one cause, whose shape each of them mends; where the
     leader is found again beside them, they are no explanation.
     """
     first, second, *further = (set(group.effects) for group in exchanged.groups)
-    return not first & second and not any(leader.effect in effects for effects in further)
+    leader = forward.groups[0].leader.effect
+    two_causes = not first & second and not any(leader in effects for effects in further)
+    return two_causes or len(exchanged.groups) < len(forward.groups)
 
 
 def _against(best: RivalEffects, others: Sequence[RivalEffects]) -> tuple[RivalEffects, ...]:
