@@ -91,10 +91,6 @@ def text_in_parquet(folder: Path) -> None:
     pq.write_table(table.set_column(place, "converter_temperature_degC", texts), folder / "runs/ramp.parquet")
 
 
-def saturate(values: np.ndarray) -> np.ndarray:
-    return np.clip(values, -50000, 50000)
-
-
 RATES, POSITIONS, RAW = "runs/rates.csv", "runs/positions.csv", "runs/raw.csv"
 HEADER = 1
 
@@ -183,7 +179,6 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "gyro per hour": (toml('per = "deg/s"', 'per = "deg/h"'), "rate_unit", r"rates\.csv, column 'gx'", "per deg/h"),
     "accelerometer in m/s²": (column(POSITIONS, "ax", lambda a: a * 9.80665), "acceleration_unit", r"column 'ax'", "per g"),
     "stuck channel": (column(RATES, "gz", np.zeros_like), "stuck_channel", r"rates\.csv, column 'gz'", "vary"),
-    "saturated channel": (column(RATES, "gx", saturate), "saturated_channel", r"rates\.csv, column 'gx'", "range"),
     "means of a free tumble": (toml('procedure = "rate_table"', 'procedure = "free_tumble"'), "free tumble", r"rates\.csv", "raw log"),
     "free tumble at rest": (
         toml('procedure = "thermal_ramp"', 'procedure = "free_tumble"'), "static poses", r"ramp\.parquet", "4 or more",

@@ -1,5 +1,6 @@
 """What holds clipped samples is left out and reported; what only repeats a code of a coarse converter is kept."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,54 @@ def test_means_with_clipped_samples_are_left_out(small: Path) -> None:
     (finding,) = check_campaign(small)
     assert (finding.name, finding.severity) == ("saturated_channel", "warning")
     assert "clipped" in finding.what
+
+
+RATES = "runs/rates.csv"
+
+
+def spoil_rates(folder: Path, change: Callable[[dict[str, np.ndarray]], None]) -> None:
+    """Change the columns of the table of means."""
+    table = pacsv.read_csv(folder / RATES)
+    columns = {name: table.column(name).to_numpy().copy() for name in table.column_names}
+    change(columns)
+    write_csv(folder / RATES, columns)
+
+
+@pytest.mark.parametrize("limit", [50_000.0, 57_000.0])
+def test_clipped_means_of_a_table_are_left_out(small: Path, limit: float) -> None:
+    """At several inputs, or at one input in each direction, where the samples do not scatter."""
+    whole = load_campaign(small).runs[0]
+    gx = 0
+    beyond = np.abs(whole.observed[:, gx]) > limit
+    assert 0 < beyond.sum() < whole.rows
+
+    def clip(columns: dict[str, np.ndarray]) -> None:
+        columns["gx"] = np.clip(columns["gx"], -limit, limit)
+        columns["gx_sd"] = np.where(beyond, 0.0, columns["gx_sd"])
+
+    spoil_rates(small, clip)
+    run = load_campaign(small).runs[0]
+    np.testing.assert_array_equal(np.isnan(run.observed[:, gx]), beyond)
+    np.testing.assert_array_equal(run.observed[~beyond], whole.observed[~beyond])
+    np.testing.assert_array_equal(run.observed[:, 1:], whole.observed[:, 1:])
+    (finding,) = check_campaign(small)
+    assert (finding.name, finding.severity) == ("saturated_channel", "warning")
+    assert f"{beyond.sum()} of {whole.rows} means are left out" in finding.what
+    assert "rates.csv, column 'gx'" in finding.where
+
+
+def test_a_coarse_output_at_rest_is_not_clipped(small: Path) -> None:
+    """At rest, the end of the range here, a coarse converter repeats one code."""
+    whole = load_campaign(small).runs[0]
+    at_rest = np.abs(whole.covariates["table_rate"]) == np.abs(whole.covariates["table_rate"]).min()
+
+    def one_sided(columns: dict[str, np.ndarray]) -> None:
+        columns["gx_sd"] = np.where(at_rest, 0.0, columns["gx_sd"])
+        for name in ("gx", "gy", "gz", "table_rate_deg_s"):
+            columns[name] = np.abs(columns[name])
+
+    spoil_rates(small, one_sided)
+    assert np.isfinite(load_campaign(small).runs[0].observed).all()
 
 
 def seen(*parts: np.ndarray) -> _Repeat:

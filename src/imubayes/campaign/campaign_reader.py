@@ -26,6 +26,7 @@ from imubayes.campaign.equipment import (
 from imubayes.campaign.file_schemas import CampaignFile, ModelFile, RunEntry
 from imubayes.campaign.findings import LIKE_UNITS, SYMPTOMS, UNIT_FINDINGS, Finding
 from imubayes.campaign.load_run import Equipment, Loaded, load_run
+from imubayes.campaign.saturated_rows import without_saturated_rows
 from imubayes.campaign.servo_angle import with_angles
 from imubayes.campaign.setup_gate.remedies import Places
 from imubayes.campaign.setup_gate.setup_findings import SETUP_FINDINGS, setup_findings
@@ -97,6 +98,8 @@ def inspect_campaign(path: str | Path, *, judge_setup: bool = True) -> Inspectio
     _check_runs(draft, ledger)
     judge = None if ledger.issues else equipment
     loaded = [_load(file.parent / run.file, run, draft.names["channel"], judge) for run in draft.runs.values()]
+    if judge is not None:
+        without_saturated_rows(loaded, [str(file.parent / run.file) for run in draft.runs.values()], judge)
     findings = tuple(finding for result in loaded for finding in result.findings)
     issues = [*ledger.issues, *(issue for result in loaded for issue in result.issues)]
     if not judge_setup or not _await_the_gate(loaded, findings):

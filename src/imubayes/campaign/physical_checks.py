@@ -53,7 +53,6 @@ def check_rows(
             continue
         measured = _measured(run, index, channel)
         found += _stuck(run, channel, stimulus, run.observed[:, index], where)
-        found += _saturated(run, channel, stimulus, run.observed[:, index], where)
         slope = _ratio(stimulus, measured) if procedure.injected else _slope(channel, stimulus, measured)
         if procedure.injected and _is_factor(slope, 1000.0):
             found.append(_current_finding(run.name, channel, slope, where))
@@ -178,25 +177,6 @@ def _stuck(run: Run, channel: Channel, stimulus: np.ndarray, observed: np.ndarra
             "check the channel; leave unusable cells empty",
         )
     ]  # fmt: skip
-
-
-def _saturated(run: Run, channel: Channel, stimulus: np.ndarray, observed: np.ndarray, where: str) -> list[Finding]:
-    good = np.isfinite(observed) & np.isfinite(stimulus)
-    x, y = stimulus[good], observed[good]
-    if len(y) < 5 or np.ptp(y) == 0 or np.ptp(x) <= LEAST_SPREAD[channel.kind]:
-        return []
-    for extreme in (y.max(), y.min()):
-        level = np.abs(y - extreme) <= 1e-9 * np.ptp(y)
-        if level.sum() >= 2 and np.ptp(x[level]) > 0.02 * np.ptp(x):
-            return [
-                Finding(
-                    "saturated_channel", "error", run.name,
-                    f"channel '{channel.name}' reads {extreme:g} in {level.sum()} rows of different input",
-                    f"{where}, column '{channel.name}'", "outputs within the range of the converter",
-                    "leave the cells of the saturated rows empty",
-                )
-            ]  # fmt: skip
-    return []
 
 
 def _partial_turns(run: Run, where: str) -> list[Finding]:
