@@ -37,6 +37,8 @@ from imubayes.criticism.large_effects import remainder_of_leader
 from imubayes.criticism.localised_structure import STEP
 from imubayes.criticism.neglected_uncertainty import neglected_uncertainties
 from imubayes.criticism.noise_against_prior import NoiseBeyondPrior, noise_beyond_prior
+from imubayes.criticism.noise_assumptions import noise_violations
+from imubayes.criticism.noise_violation import NoiseViolation
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, following_covariate, residual_evidence
 from imubayes.criticism.score_test import Candidate
@@ -89,6 +91,8 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
     unlisted = [] if unexplained else [unlisted_causes(found, group) for group in found.groups]
     beyond_prior = noise_beyond_prior(fit)
     verdict = _verdict(found, unexplained, unlisted, beyond_prior)
+    violations = _violations(fit, found) if verdict in ("adequate", "noise_model") and not found.adopted else ()
+    verdict = "noise_model" if violations else verdict
     found = found if verdict in MISSING else replace(found, rivals=(), paired=False, unfinished=False)
     open_question = verdict == "unexplained_structure"
     evidence = [_evidence(found, group) for group in found.groups]
@@ -114,6 +118,7 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         recorded_noise=found.record.comparisons,
         beyond_prior=beyond_prior,
         neglected=neglected_uncertainties(found),
+        violations=violations,
         wandering=found.wandering,
         scatter_remains=verdict in MISSING and scatter_remains(found),
         more_remains=verdict in MISSING and bool(found.remaining or found.groups[1 + found.paired :]),
@@ -172,6 +177,12 @@ def _verdict(
         return "missing_effect" if alone else "equivalent_effects"
     noisy = found.adopted or found.record.excessive or beyond_prior or found.wandering
     return "noise_model" if noisy else "adequate"
+
+
+def _violations(fit: Fit, found: SearchResult) -> tuple[NoiseViolation, ...]:
+    """Return how the noise of a fit departs from its model where no candidate does; outliers are told by themselves."""
+    told = ("heavy_tails",) if found.outlier_sd.any() else ()
+    return tuple(each for each in noise_violations(fit) if each.kind not in told)
 
 
 def _asked(effect: str, found: SearchResult, result: str) -> Diagnosis:

@@ -13,6 +13,7 @@ from imubayes.criticism.detectability import Absorber, ParameterBias
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.localised_structure import Step
 from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
+from imubayes.criticism.noise_violation import NoiseViolation
 from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
 from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.criticism.slow_noise_records import WanderingNoise
@@ -318,6 +319,7 @@ class Diagnosis(Presented, Record):
     recorded_noise : fitted against recorded noise of each channel, after the groups.
     beyond_prior : noise parameters that the fit puts far beyond their priors, the least probable first.
     neglected : stated uncertainties of the equipment that no interval of the fit includes, those that matter.
+    violations : how the noise departs from its model where nothing in the catalogue explains that.
     wandering : whether noise that wanders otherwise than the model's explains what is found as well, or instead of it.
     asked : the effect that was asked about, where one was.
     """
@@ -348,6 +350,7 @@ class Diagnosis(Presented, Record):
     recorded_noise: tuple[NoiseComparison, ...] = ()
     beyond_prior: tuple[NoiseBeyondPrior, ...] = ()
     neglected: tuple[NeglectedUncertainty, ...] = ()
+    violations: tuple[NoiseViolation, ...] = ()
     wandering: WanderingNoise = ""
     asked: AskedEffect | None = None
     _evidence: ResidualEvidence | None = PrivateAttr(None)

@@ -7,6 +7,7 @@ from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, Undetect
 from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
 from imubayes.criticism.recorded_noise import NoiseComparison
 from imubayes.display.labels import listed, pretty
+from imubayes.display.noise_violation_text import violation_text
 from imubayes.display.rounding import percent, relation, significant, value_and_sd
 from imubayes.display.structure_words import step_text
 
@@ -141,6 +142,11 @@ def _noise_sentence(found: Diagnosis) -> str:
         return (
             "The noise wanders as flicker noise or a random walk does, and not as the model says; with it, no effect "
             "is missing. Write flicker_noise and random_walk_noise into the model in place of correlated_noise."
+        )
+    if not adopted and found.violations:
+        return (
+            f"The noise is not as the model says: {violation_text(found.violations)}. No effect or noise of the "
+            "catalogue is significant, but the intervals of this fit cannot be trusted."
         )
     if not adopted and found.beyond_prior:
         return _beyond_prior_sentence(found.beyond_prior)

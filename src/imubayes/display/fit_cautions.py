@@ -1,18 +1,11 @@
 """What has to be known before the numbers of a fit are used, in sentences."""
 
 from imubayes.display.labels import pretty
+from imubayes.display.noise_violation_text import violation_text
 from imubayes.display.rounding import percent, significant
 from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
-from imubayes.results.summary import NoiseViolation, PriorScatter, Summary
+from imubayes.results.summary import PriorScatter, Summary
 
-_WORDS = {
-    "autocorrelation": "the residuals are autocorrelated",
-    "low_frequency": "the residuals drift within runs",
-    "scatter_between_runs": "runs scatter more than the noise within them",
-    "grows_with_input": "the noise grows with the input",
-    "heavy_tails": "the noise has heavy tails or outliers",
-    "quantisation": "the output is quantised too coarsely for its noise",
-}
 _MOST_NAMED = 3
 
 
@@ -24,8 +17,7 @@ def alarm_of(summary: Summary) -> str:
         said = f"NOT CONVERGED. {summary.message.strip() or 'The numbers below must not be used.'}"
         return f"{said} {_SAMPLING_REMEDY}" if summary.sampled else said
     if summary.noise_violations:
-        kinds = dict.fromkeys(violation.kind for violation in summary.noise_violations)
-        causes = "; ".join(_violation(summary.noise_violations, kind) for kind in kinds)
+        causes = violation_text(summary.noise_violations)
         return f"DO NOT TRUST THE INTERVALS: {causes}. `imubayes diagnose` looks for the cause."
     return ""
 
@@ -76,16 +68,6 @@ def _undescribed(found: UnexplainedOutput) -> str:
         f"{significant(found.residual / found.noise, 2)} times their recorded noise, of {significant(found.output, 2)} "
         f"{unit} in all."
     )
-
-
-def _violation(violations: tuple[NoiseViolation, ...], kind: str) -> str:
-    own = [violation for violation in violations if violation.kind == kind]
-    channels = list(dict.fromkeys(channel for violation in own for channel in violation.channels))
-    named = ", ".join(channels[:_MOST_NAMED]) + (" …" if len(channels) > _MOST_NAMED else "")
-    if own[0].step is not None:
-        return f"{_WORDS[kind]} ({named}: a step is {significant(own[0].step)} times the noise)"
-    chance = min(violation.p for violation in own if violation.p is not None)
-    return f"{_WORDS[kind]} ({named}, p = {chance:.1g})"
 
 
 def notices(summary: Summary) -> tuple[str, ...]:
