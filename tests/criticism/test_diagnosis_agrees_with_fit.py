@@ -18,7 +18,7 @@ MODEL = ROOT / "models" / "accel-channel.toml"
 
 
 def rounded(folder: Path, steps: float) -> Path:
-    """Write the shipped campaign with outputs rounded to a number of standard deviations of a row, and the noise seen."""
+    """Write the shipped campaign with outputs rounded to so many standard deviations of a row, and the noise seen."""
     shutil.copytree(ROOT / "data" / "accel-channel", folder)
     tables = {file: pl.read_csv(file) for file in sorted(folder.glob("**/*.csv"))}
     noise = [float(np.median(np.abs(np.diff(each["ax"].to_numpy(), 2)))) for each in tables.values()]
