@@ -4,6 +4,7 @@ The generator under `data/generators` shares no code with the package.  An effec
 the candidates of the campaign's fit; one that does not must not, and is said to be beyond these runs.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import accel_channel
@@ -15,6 +16,10 @@ import pytest
 import rotation_modulation
 from detectability import look
 from hidden import CATALOGUE, Kind
+from procedure_plans import PLANS as PROCEDURES
+from serial_plans import SerialPlan, write_serial
+from simulate import write_simulated
+from tumble_plans import TumblePlan, write_tumble
 
 from imubayes.campaign import load_campaign
 from imubayes.criticism import thresholds
@@ -41,6 +46,7 @@ PLANS = {
     "hidden-gyro": (lambda seed: hidden_effects.plan("hidden-gyro", seed), "hidden-effects"),
     "hidden-thermal": (lambda seed: hidden_effects.plan("hidden-thermal", seed), "hidden-effects-thermal"),
 }
+RATE = "temperature_rate"
 AT_ONCE = ("geographic-tumble", "accel-channel")
 
 
@@ -72,20 +78,49 @@ def declared(name: str) -> Model:
     "name", [name if name in AT_ONCE else pytest.param(name, marks=pytest.mark.slow) for name in PLANS]
 )
 def test_an_effect_is_a_candidate_where_readings_feel_it(name):
-    model = declared(name)
-    responses = candidate_responses(
-        Fit(model, np.zeros(model.problem.size[0]), np.zeros(model.problem.size[1]), True, "")
-    )
-    candidates = {response.scan.effect for response in responses.candidates}
-    whole = {effect.name for effect in model.assembly.effects}
-    shifts = felt(PLANS[name][0](1))
+    model, shifts = declared(name), felt(PLANS[name][0](1))
+    candidates, unobservable = _candidates(model)
+    _assert_felt(model, shifts, candidates, thresholds.RESPONSE_MIN)
+    # The noise of a thermometer is a rate of the temperature, although that is steady.
+    rates = {effect for effect in shifts if RATE in model.registry.effects[effect].needs and _recorded(model, effect)}
+    silent = {effect for effect, shift in shifts.items() if shift == 0} - _whole(model) - rates
+    assert silent <= unobservable | _of_absent_channels(model), silent - unobservable
+    assert not silent & candidates, silent & candidates
+
+
+@pytest.mark.parametrize(
+    "procedure", [each if each == "centrifuge" else pytest.param(each, marks=pytest.mark.slow) for each in PROCEDURES]
+)
+def test_of_every_procedure_by_itself(tmp_path, procedure):
+    """The unit, its axes and the plan are drawn; what shifts all readings by less than one sd shows nothing."""
+    alone = PROCEDURES[procedure]
+    model_file = ROOT / "models" / f"{alone.model}.toml"
+    plan = replace(alone.draw(np.random.default_rng(3)), model=model_file)
+    write = {SerialPlan: write_serial, TumblePlan: write_tumble}.get(type(plan), write_simulated)
+    folder = tmp_path / "campaign"
+    folder.mkdir()
+    write(folder, plan, 1, values=plan.draw(1), hidden={})
+    model = bind(read_model(model_file), load_campaign(folder))
+    _assert_felt(model, felt(plan), _candidates(model)[0], 1.0)
+
+
+def _candidates(model: Model) -> tuple[set[str], set[str]]:
+    """Return the candidates of a fit at its priors, and what its runs cannot show."""
+    size = model.problem.size
+    responses = candidate_responses(Fit(model, np.zeros(size[0]), np.zeros(size[1]), True, ""))
+    return {response.scan.effect for response in responses.candidates}, set(responses.unobservable)
+
+
+def _whole(model: Model) -> set[str]:
+    return {effect.name for effect in model.assembly.effects}
+
+
+def _assert_felt(model: Model, shifts: dict[str, float], candidates: set[str], least: float) -> None:
+    """Assert that what shifts the whitened readings by more than the least length is a candidate."""
     recorded = {effect for effect in shifts if _recorded(model, effect)}
-    feels = {effect for effect in recorded if shifts[effect] > thresholds.RESPONSE_MIN} - whole
-    silent = {effect for effect, shift in shifts.items() if shift == 0} - whole
+    feels = {effect for effect in recorded if shifts[effect] > least} - _whole(model)
     assert feels
     assert feels <= candidates, feels - candidates
-    assert silent <= set(responses.unobservable) | _of_absent_channels(model), silent - set(responses.unobservable)
-    assert not silent & candidates, silent & candidates
 
 
 def _recorded(model: Model, effect: str) -> bool:
