@@ -27,7 +27,16 @@ def simulated(name, folder):
 def test_every_procedure_has_a_plan():
     assert all(procedure.plan is not None for procedure in PROCEDURES.values())
     shipped = {run.procedure for plan in PLANS.glob("*.toml") for run in read_plan(plan).file.run}
-    assert shipped | {"thermal_ramp", "current_injection"} == set(PROCEDURES)
+    assert shipped == set(PROCEDURES)
+
+
+@pytest.mark.parametrize(("run", "input_g"), [("ramp-1g", 1.0), ("ramp-pyramid", 3**-0.5), ("inject-12g", 12.0)])
+def test_ramps_of_an_accelerometer_channel(tmp_path, run, input_g):
+    """The output per degree is that of the offset and, in proportion to the input, of the gain."""
+    _, found, truth = simulated("accel-channel", tmp_path)
+    gain, offset = (truth[f"converter_{name}_drift.slope[ax]"] for name in ("gain", "offset"))
+    slope = found[f"slope[ax,{run}]"]
+    assert slope.value == pytest.approx(gain * 1e-6 * 20000 * input_g + offset, abs=4 * slope.sd)
 
 
 @pytest.mark.parametrize("name", ["polar-tumble", "geographic-tumble"])
