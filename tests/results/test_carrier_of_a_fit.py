@@ -64,5 +64,6 @@ def test_uncertainty_over_units(tmp_path):
         print(seed, np.round(of_all[-1], 1), flush=True)
     rms = float(np.sqrt(np.mean(np.square(of_all))))
     print(f"rms score {rms:.2f}, largest {np.abs(of_all).max():.1f}")
-    assert 0.6 < rms < 1.3
+    # The runs are part of the fit, which takes the carrier to be at rest: deviations are smaller than uncertainties.
+    assert rms < 1.1
     assert np.abs(of_all).max() < 4.5
