@@ -240,6 +240,14 @@ def test_noise_that_disagrees_with_its_record_is_told():
     assert "recorded noise" not in shown.sentence(agreeing)
 
 
+@pytest.mark.parametrize(("p", "told"), [(0.07, True), (0.4, False)])
+def test_a_candidate_that_is_nearly_significant_is_told(p, told):
+    ranked = (line("gyro_bias_drift", 15.3, p), line("gyro_warm_up", 2.0, 0.9))
+    said = shown.sentence(diagnosis("adequate").model_copy(update={"ranking": ranked}))
+    assert said.startswith("The model explains the data")
+    assert ("The nearest to significance is gyro_bias_drift on gx, p = 0.07." in said) == told
+
+
 def test_excess_scatter_without_a_name_is_a_verdict_on_the_noise():
     found = diagnosis("noise_model").model_copy(update={"recorded_noise": (comparison("ax", 2.14, 1e-40),)})
     assert "scatter from row to row" in shown.sentence(found)

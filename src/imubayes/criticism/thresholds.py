@@ -109,6 +109,9 @@ DECISIVE_LOG_ODDS = math.log(20.0)
 RIVAL_WIDTHS = (0.1, 1.0, 10.0)
 
 # ---- Verdict (diagnosis, residual_evidence) --------------------------------------------------------------------------
+# Where nothing is significant, the best candidate below this p-value is told with the verdict.  Convention: one in ten
+# diagnoses of a right model tells one.
+NEARLY_SIGNIFICANT_P = 0.1
 # Where effects explain more than half of the variance of some channel, what remains is screened at the noise that is
 # left.  Derived: priors weigh by what the noise is.  Numerical: above, a second screening is hardly different.
 LESS_NOISE = 0.5

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 
+from imubayes.criticism import thresholds
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, UndetectableEffect
 from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
 from imubayes.criticism.recorded_noise import NoiseComparison
@@ -34,6 +35,7 @@ def sentence(found: Diagnosis) -> str:
         said = "The model explains the data: no effect of the catalogue is missing as far as these runs can show."
         hidden = len(found.undetectable)
         said += f" {hidden} effects of the catalogue are undetectable in these runs." if hidden else ""
+        said += _nearest_sentence(found)
     parts = [noise, said] if found.noise_outweighs else [said, noise]
     return (
         " ".join(part for part in parts if part)
@@ -41,6 +43,14 @@ def sentence(found: Diagnosis) -> str:
         + _outlier_sentence(found)
         + _neglected_sentence(found)
     )
+
+
+def _nearest_sentence(found: Diagnosis) -> str:
+    """Return the candidate that is nearly significant; empty where none is."""
+    best = min(found.ranking, key=lambda line: line.p_global, default=None)
+    if best is None or best.p_global > thresholds.NEARLY_SIGNIFICANT_P:
+        return ""
+    return f" The nearest to significance is {best.effect} on {listed(best.channels)}, p = {best.p_global:.1g}."
 
 
 def _adopted_sentence(found: Diagnosis) -> str:
