@@ -133,7 +133,9 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
 def _with_large_effect_fitted(found: SearchResult) -> tuple[SearchResult, Sequence[Significant]]:
     """Return the outcome with the structure that no effect explains, after a refit where a large effect is doubted."""
     unexplained = unexplained_structure(found)
-    doubted = not found.unfinished and (unexplained or (found.groups and scatter_remains(found)))
+    # One effect is refitted: of several that explain together it would leave most.
+    alone = not (found.unfinished or found.paired)
+    doubted = alone and (unexplained or (found.groups and scatter_remains(found)))
     left = remainder_of_leader(found) if doubted else None
     if left is None:
         return found, unexplained
@@ -142,7 +144,7 @@ def _with_large_effect_fitted(found: SearchResult) -> tuple[SearchResult, Sequen
     if not left.small:
         return found, unexplained
     # What else the linear search found beside a large effect is its curvature, or waits until it is fitted.
-    return replace(found, groups=found.groups[:1], paired=False, remaining=left.structures, record=left.record), []
+    return replace(found, groups=found.groups[:1], remaining=left.structures, record=left.record), []
 
 
 def _refuse_unknown(effect: str, fit: Fit) -> None:

@@ -310,7 +310,8 @@ class Diagnosis(Presented, Record):
     suggested : the effects, or noise, to add next.
     paired : whether the first two groups were found together: neither explains without the other what both do.
     unfinished : whether more effects are missing than one search selects: the groups are the first of several.
-    rivals : other sets of effects that the data do not exclude in place of those found, the likeliest first.
+    rivals : other sets of effects that the data do not exclude in place of those found, the likeliest first; of a pair,
+        what was found before it leads.
     strongest : the structure that no effect explains.
     more_remains : whether structure or further effects remain beside the first group, small against what it explains:
         add it and diagnose again.

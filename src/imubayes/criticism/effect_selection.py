@@ -13,7 +13,7 @@ from imubayes.criticism import thresholds
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
 from imubayes.criticism.multiple_testing import LookElsewhere
 from imubayes.criticism.projection import Projection, orthonormal
-from imubayes.criticism.rival_explanations import RivalEffects, rival_pairs
+from imubayes.criticism.rival_explanations import RivalEffects, acts_with, rival_pairs
 from imubayes.criticism.score_test import Candidate, assess, noise_left, screen
 from imubayes.criticism.search_input import Screening, screened
 
@@ -26,10 +26,11 @@ class Selection:
     ----------
     groups : one per effect, in order of evidence.
     last, rest : the last screening at the noise of the fit, and at the noise that is left.
-    rivals : other sets of effects that the data do not exclude, the likeliest first.
+    rivals : other sets of effects that the data do not exclude, the likeliest first; after an exchange, what was found
+        before it leads.
     paired : whether the first two groups were selected together.
     unfinished : whether more effects are significant than one search selects, of which the first ones explain most of
-        the variance of some channel: the model lacks a great deal.  The groups are those first ones alone.
+        the variance of some stratum: the model lacks a great deal.  The groups are those first ones alone.
     """
 
     groups: tuple[EquivalenceGroup, ...]
@@ -47,11 +48,11 @@ def select_effects(at: Screening, corrected: LookElsewhere, factor: float = 1.0)
     # Beside much that is still missing no two explanations can be weighed.
     if not forward.groups or forward.unfinished:
         return forward
-    rivals = rival_pairs(at, [group.leader for group in forward.groups], _noise(forward.last.projection))
+    rivals = rival_pairs(at, [group.leader for group in forward.groups], _judged_noise(forward.last.projection))
     if rivals and rivals[0].log_odds > 0:
         exchanged = _forward(at, rivals[0].members, corrected, threshold)
-        if _explains_instead(exchanged, forward):
-            before = RivalEffects(tuple(group.leader for group in forward.groups), 0.0)
+        if not exchanged.unfinished and _explains_instead(exchanged, forward):
+            before = RivalEffects(_replaced(at, forward, exchanged), 0.0)
             return replace(exchanged, rivals=_against(rivals[0], (before, *rivals[1:])), paired=True)
     return replace(forward, rivals=tuple(rivals))
 
@@ -68,10 +69,17 @@ def _explains_instead(exchanged: Selection, forward: Selection) -> bool:
     return two_causes or len(exchanged.groups) < len(forward.groups)
 
 
+def _replaced(at: Screening, forward: Selection, exchanged: Selection) -> tuple[Candidate, ...]:
+    """Return the leaders that a pair was exchanged for: those that act with the first and are not found beside it."""
+    first, again = forward.groups[0].leader, {group.leader.effect for group in exchanged.groups}
+    leaders = [group.leader for group in forward.groups]
+    return tuple(each for each in leaders if each.effect not in again and acts_with(at, each, first))
+
+
 def _against(best: RivalEffects, others: Sequence[RivalEffects]) -> tuple[RivalEffects, ...]:
-    """Return other explanations with their odds against the best, as far as those do not exclude them."""
+    """Return other explanations with their odds against the best, what was found first before the pairs."""
     relative = [replace(each, log_odds=each.log_odds - best.log_odds) for each in others]
-    return tuple(each for each in relative if each.log_odds > -2 * thresholds.DECISIVE_LOG_ODDS)
+    return tuple(each for each in relative if each.members and each.log_odds > -2 * thresholds.DECISIVE_LOG_ODDS)
 
 
 def _forward(at: Screening, pair: Sequence[Candidate], corrected: LookElsewhere, threshold: float) -> Selection:
@@ -100,9 +108,14 @@ def _forward(at: Screening, pair: Sequence[Candidate], corrected: LookElsewhere,
 
 
 def _halves_noise(before: Projection, after: Projection) -> bool:
-    """Tell whether a projection leaves less than half of the variance of some stratum."""
+    """Tell whether a projection leaves less than half of the variance of some stratum with enough freedom to tell."""
     ratio = _noise(after) / _noise(before)
-    return bool(ratio.min() < thresholds.LESS_NOISE)
+    return bool(ratio[after.freedom >= thresholds.FREEDOM_TO_JUDGE].min(initial=1.0) < thresholds.LESS_NOISE)
+
+
+def _judged_noise(projection: Projection) -> np.ndarray:
+    """Return the variance of each stratum that has enough freedom, relative to the fit's; 1 of the others."""
+    return np.where(projection.freedom >= thresholds.FREEDOM_TO_JUDGE, _noise(projection), 1.0)
 
 
 def _noise(projection: Projection) -> np.ndarray:

@@ -72,13 +72,23 @@ class _Terms:
         return evidence - math.log(len(widths)) - (len(counts) - 1) * thresholds.DECISIVE_LOG_ODDS
 
     def _log_evidence(self, sets: np.ndarray, width: np.ndarray) -> np.ndarray:
-        """Return log B, (n,), of coefficients with a normal prior, (n, c) and (c,); −∞ where a sign is not allowed."""
-        score = width * self.score[sets]
-        precision = np.outer(width, width) * self.precision[sets[:, :, None], sets[:, None, :]] + np.eye(len(width))
-        value = np.linalg.solve(precision, score[..., None])[..., 0]
+        """Return log B, (n,), of coefficients with a normal prior, (n, c) and (c,); half-normal where they have a sign.
+
+        A coefficient that its sign holds at 0 explains nothing; of others the prior has twice the density.
+        """
+        sign, used = self.sign[sets], np.ones(sets.shape, dtype=bool)
+        whole = np.outer(width, width) * self.precision[sets[:, :, None], sets[:, None, :]]
+        while True:
+            score = np.where(used, width * self.score[sets], 0.0)
+            precision = np.where(used[:, :, None] & used[:, None, :], whole, 0.0) + np.eye(len(width))
+            value = np.linalg.solve(precision, score[..., None])[..., 0]
+            held = used & (sign * value < 0)
+            if not held.any():
+                break
+            used &= ~held
         _, log_determinant = np.linalg.slogdet(precision)
-        allowed = np.all(self.sign[sets] * value >= 0, axis=1)
-        return np.where(allowed, 0.5 * (np.sum(score * value, axis=1) - log_determinant), -np.inf)
+        signed = np.sum(used & (sign != 0), axis=1)
+        return 0.5 * (np.sum(score * value, axis=1) - log_determinant) + math.log(2) * signed
 
 
 def rival_pairs(at: Screening, leaders: Sequence[Candidate], variance: np.ndarray) -> list[RivalEffects]:
@@ -91,7 +101,7 @@ def rival_pairs(at: Screening, leaders: Sequence[Candidate], variance: np.ndarra
     variance : noise variance of each stratum beside them.
     """
     first = leaders[0]
-    concerned = [first, *(each for each in leaders[1:] if _acts_with(at, each, first))]
+    concerned = [first, *(each for each in leaders[1:] if acts_with(at, each, first) or _on_some(each, first))]
     rivals = [each for each in _best_shapes(at, first) if each.effect != first.effect]
     terms = _Terms.of(at, [*concerned, *rivals], variance)
     found = float(terms.log_odds([tuple(range(len(concerned)))])[0])
@@ -126,16 +136,21 @@ def _best_shapes(at: Screening, leader: Candidate) -> list[Candidate]:
     best: dict[tuple[str, tuple[str, ...]], Candidate] = {}
     for each in at.candidates:
         known = best.get((each.effect, each.owners))
-        if _acts_with(at, each, leader) and (known is None or each.delta_chi2 > known.delta_chi2):
+        if acts_with(at, each, leader) and (known is None or each.delta_chi2 > known.delta_chi2):
             best[each.effect, each.owners] = each
     return list(best.values())
 
 
-def _acts_with(at: Screening, candidate: Candidate, leader: Candidate) -> bool:
+def acts_with(at: Screening, candidate: Candidate, leader: Candidate) -> bool:
     """Tell whether a candidate acts on the leader's channels, or one of the two on what moves all channels."""
     channels = {channel.name for channel in at.projection.fitted.model.campaign.channels}
     shared = candidate.owners == leader.owners
     return shared or not channels & set(candidate.owners) or not channels & set(leader.owners)
+
+
+def _on_some(candidate: Candidate, leader: Candidate) -> bool:
+    """Tell whether a candidate acts on some of the leader's channels and on no others."""
+    return set(candidate.owners) < set(leader.owners)
 
 
 def _columns(at: Screening, candidate: Candidate) -> np.ndarray:

@@ -62,7 +62,7 @@ class SearchResult:
     groups : one per effect found, in order of evidence.
     rivals : other sets of effects that the data do not exclude, the likeliest first.
     paired : whether the first two groups were selected together.
-    unfinished : whether more effects are missing than the groups, which explain most of the variance of some channel.
+    unfinished : whether effects are missing beside the groups, which explain most of the variance of some stratum.
     structures : those significant in the first screening, with corrected p-values; then common courses of runs.
     remaining : those still significant after the groups were projected out.
     noise : noise candidates as first screened.

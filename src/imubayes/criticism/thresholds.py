@@ -115,6 +115,9 @@ NEARLY_SIGNIFICANT_P = 0.1
 # Where effects explain more than half of the variance of some channel, what remains is screened at the noise that is
 # left.  Derived: priors weigh by what the noise is.  Numerical: above, a second screening is hardly different.
 LESS_NOISE = 0.5
+# Degrees of freedom of a stratum below which its variance beside effects is not taken from what they leave: the search
+# fits so few by chance.  Convention.
+FREEDOM_TO_JUDGE = 3.0
 # Structure left by the candidates counts against the leader if it is worth more than this share of the leader's Δχ²: a
 # large effect reveals its smallest imperfection.  Blind study: smaller withholds right names, larger gives wrong ones.
 REMAINDER_SHARE = 0.01
