@@ -68,7 +68,7 @@ def test_clipped_means_of_a_table_are_left_out(small: Path, limit: float) -> Non
     np.testing.assert_array_equal(run.observed[:, 1:], whole.observed[:, 1:])
     (finding,) = check_campaign(small)
     assert (finding.name, finding.severity) == ("saturated_channel", "warning")
-    assert f"{beyond.sum()} of {whole.rows} means are left out" in finding.what
+    assert f"{beyond.sum()} of {whole.rows} means left out" in finding.what
     assert "rates.csv, column 'gx'" in finding.where
 
 

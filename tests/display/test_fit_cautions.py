@@ -50,7 +50,7 @@ def test_intervals_that_cannot_be_trusted_are_said_on_the_first_line(plain):
     assert text.startswith("DO NOT TRUST THE INTERVALS: the output is quantised too coarsely for its noise (ax: a step")
     assert text.count("DO NOT TRUST") == 1
     assert next_command(flawed, "data/unit", "results/unit") == "imubayes diagnose results/unit"
-    assert "the residuals are autocorrelated (gx, gy, p = 3e-07)" in text
+    assert "the residuals are autocorrelated (gx, gy, p = 3e-7)" in text
     assert summary_html(flawed).index("DO NOT TRUST") < summary_html(flawed).index("<table")
     document = json.loads(flawed.model_dump_json())
     assert document["intervals_valid"] is False

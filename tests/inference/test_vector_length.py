@@ -20,6 +20,11 @@ def test_far_from_zero_it_is_that_of_the_component_along_the_vector():
     assert length_deviation(np.array([0.0, 300.0]), TURNED) == pytest.approx(np.sqrt(2.0), rel=1e-3)
 
 
+@pytest.mark.parametrize("sd", [1e-2, 1e-3, 1e-6, 1e-9])
+def test_a_narrow_vector_keeps_its_deviation(sd):
+    assert length_deviation(np.array([0.6, 0.8]), sd**2 * np.eye(2)) == pytest.approx(sd, rel=1e-3)
+
+
 @pytest.mark.parametrize("mean", [[0.0, 0.0], [1.0, -0.5], [0.0, 4.0]])
 def test_against_draws(mean):
     draws = np.random.default_rng(0).multivariate_normal(mean, TURNED, 400_000)

@@ -25,7 +25,7 @@ from imubayes.campaign.equipment import (
 )
 from imubayes.campaign.file_schemas import CampaignFile, ModelFile, RunEntry
 from imubayes.campaign.findings import LIKE_UNITS, SYMPTOMS, UNIT_FINDINGS, Finding
-from imubayes.campaign.load_run import Equipment, Loaded, load_run
+from imubayes.campaign.load_run import Equipment, Loaded, judge_rows, load_run
 from imubayes.campaign.saturated_rows import without_saturated_rows
 from imubayes.campaign.servo_angle import with_angles
 from imubayes.campaign.setup_gate.remedies import Places
@@ -98,8 +98,7 @@ def inspect_campaign(path: str | Path, *, judge_setup: bool = True) -> Inspectio
     _check_runs(draft, ledger)
     judge = None if ledger.issues else equipment
     loaded = [_load(file.parent / run.file, run, draft.names["channel"], judge) for run in draft.runs.values()]
-    if judge is not None:
-        without_saturated_rows(loaded, [str(file.parent / run.file) for run in draft.runs.values()], judge)
+    _judge_rows(loaded, list(draft.runs.values()), file.parent, judge)
     findings = tuple(finding for result in loaded for finding in result.findings)
     issues = [*ledger.issues, *(issue for result in loaded for issue in result.issues)]
     if not judge_setup or not _await_the_gate(loaded, findings):
@@ -110,6 +109,18 @@ def inspect_campaign(path: str | Path, *, judge_setup: bool = True) -> Inspectio
     if not judge_setup:
         return Inspection(campaign, (), findings)
     return _with_setup(campaign, document.entry, findings, Places(document.entry, ledger))
+
+
+def _judge_rows(
+    loaded: Sequence[Loaded], entries: Sequence[RunEntry], folder: Path, equipment: Equipment | None
+) -> None:
+    """Leave out what is clipped, which all runs together tell, and check what each run then holds."""
+    if equipment is None:
+        return
+    files = [str(folder / entry.file) for entry in entries]
+    without_saturated_rows(loaded, files, equipment)
+    for each, entry, file in zip(loaded, entries, files, strict=True):
+        judge_rows(each, entry, equipment, file)
 
 
 def _problems(findings: Sequence[Finding]) -> tuple[Issue, ...]:

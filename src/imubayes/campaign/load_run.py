@@ -79,7 +79,7 @@ class _Survey:
 
 
 def load_run(file: Path, entry: RunEntry, channel_names: Sequence[str], equipment: Equipment | None) -> Loaded:
-    """Read one run table.
+    """Read one run table; `judge_rows` checks what it holds.
 
     Parameters
     ----------
@@ -109,18 +109,32 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
         loaded.findings.append(_empty(entry, where, "the table has a header and no rows"))
     if loaded.failed or equipment is None:
         return
-    procedure = PROCEDURES[entry.procedure]
     run, found = _rows_of(source, entry, equipment, survey)
     loaded.findings += found
     if run.rows == 0:
         loaded.findings.append(_empty(entry, where, "no interval of constant stimulus was found in the log"))
-    elif not procedure.driven and not np.isfinite(run.observed).any():
-        loaded.findings.append(_empty(entry, where, "no channel has a value in any row"))
     if loaded.failed:
         return
-    table, mounting = equipment.tables.get(entry.table or ""), equipment.mountings.get(entry.mounting or "")
-    loaded.findings += check_rows(run, equipment.channels, equipment.site, table, mounting, where)
-    loaded.findings += unused_columns(source.layout, procedure, entry.name, where)
+    loaded.findings += unused_columns(source.layout, PROCEDURES[entry.procedure], entry.name, where)
+    loaded.run = run
+
+
+def judge_rows(loaded: Loaded, entry: RunEntry, equipment: Equipment, where: str) -> None:
+    """Check the rows of a loaded run, without those that were left out; warnings become its notes.
+
+    Parameters
+    ----------
+    loaded : changed in place; its run becomes None where an error makes it unusable.
+    where : the table, for the findings.
+    """
+    run = loaded.run
+    if run is None:
+        return
+    if not PROCEDURES[entry.procedure].driven and not np.isfinite(run.observed).any():
+        loaded.findings.append(_empty(entry, where, "no channel has a value in any row"))
+    else:
+        table, mounting = equipment.tables.get(entry.table or ""), equipment.mountings.get(entry.mounting or "")
+        loaded.findings += check_rows(run, equipment.channels, equipment.site, table, mounting, where)
     warnings = tuple(f"{f.name}: {f.what}" for f in loaded.findings if f.severity == "warning")
     loaded.run = replace(run, notes=(*run.notes, *warnings)) if loaded.readable else None
 

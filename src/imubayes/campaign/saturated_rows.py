@@ -13,6 +13,7 @@ import numpy as np
 from imubayes.campaign.findings import Finding
 from imubayes.campaign.load_run import Equipment, Loaded
 from imubayes.campaign.physical_checks import LEAST_SPREAD
+from imubayes.campaign.reduction import clipping_note
 from imubayes.campaign_data import Channel, Run
 from imubayes.procedures import PROCEDURES
 
@@ -90,17 +91,12 @@ def _leave_out(loaded: Loaded, place: int, channel: Channel, limits: Sequence[fl
     clipped = np.any([np.abs(observed - limit) <= margin for limit in limits], axis=0)
     if not clipped.any():
         return
-    at = " and ".join(f"{limit:g}" for limit in limits)
-    what = f"channel '{channel.name}' is clipped at {at}: {clipped.sum()} of {run.rows} means are left out"
+    what = clipping_note(channel.name, limits, int(clipped.sum()), run.rows, "means")
     finding = Finding(
-        "saturated_channel", "warning", run.name, what, f"{file}, column '{channel.name}'",
+        "saturated_channel", "warning", run.name, f"channel {what}", f"{file}, column '{channel.name}'",
         "outputs within the range of the converter", "test within the range, or leave the cells empty",
     )  # fmt: skip
     empty = clipped[:, None] & (np.arange(run.observed.shape[1]) == place)
     loaded.findings.append(finding)
-    loaded.run = replace(
-        run,
-        observed=np.where(empty, np.nan, run.observed),
-        sample_sd=np.where(empty, np.nan, run.sample_sd),
-        notes=(*run.notes, f"{finding.name}: {what}"),
-    )
+    observed, sample_sd = (np.where(empty, np.nan, values) for values in (run.observed, run.sample_sd))
+    loaded.run = replace(run, observed=observed, sample_sd=sample_sd)

@@ -91,9 +91,9 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
     unlisted = [] if unexplained else [unlisted_causes(found, group) for group in found.groups]
     beyond_prior = noise_beyond_prior(fit)
     verdict = _verdict(found, unexplained, unlisted, beyond_prior)
-    violations = _violations(fit, found) if verdict in ("adequate", "noise_model") and not found.adopted else ()
+    violations = _violations(fit, found, verdict)
     verdict = "noise_model" if violations else verdict
-    found = found if verdict in MISSING else replace(found, rivals=(), paired=False, unfinished=False)
+    found = _as_named(found, verdict)
     open_question = verdict == "unexplained_structure"
     evidence = [_evidence(found, group) for group in found.groups]
     named = found.groups if verdict in MISSING else ()
@@ -181,8 +181,15 @@ def _verdict(
     return "noise_model" if noisy else "adequate"
 
 
-def _violations(fit: Fit, found: SearchResult) -> tuple[NoiseViolation, ...]:
-    """Return how the noise of a fit departs from its model where no candidate does; outliers are told by themselves."""
+def _as_named(found: SearchResult, verdict: Verdict) -> SearchResult:
+    """Return the outcome without what concerns effects that are named, where none is."""
+    return found if verdict in MISSING else replace(found, rivals=(), paired=False, unfinished=False)
+
+
+def _violations(fit: Fit, found: SearchResult, verdict: Verdict) -> tuple[NoiseViolation, ...]:
+    """Return how the noise departs from its model where no candidate explains that; outliers are told by themselves."""
+    if verdict not in ("adequate", "noise_model") or found.adopted:
+        return ()
     told = ("heavy_tails",) if found.outlier_sd.any() else ()
     return tuple(each for each in noise_violations(fit) if each.kind not in told)
 

@@ -126,7 +126,7 @@ def screen_noise(
             p = _skew_tail(z, float(np.clip(skew, 0.0, 4.0)))
             value = float(np.clip(values[0] - mean, -thresholds.STRONGEST_ANTICORRELATION, None))
             found.append(NoiseCandidate(effect, names, value, max(p, 1e-300), max(z, 0.0) ** 2))
-    # Tails far out are alike.
+    # p-values have a floor: where several are at it, the drop decides.
     return sorted(found, key=lambda candidate: (candidate.p, -candidate.drop))
 
 

@@ -34,7 +34,7 @@ from imubayes.step_counter import Tell, counted, silent
 _CONFOUNDED_NOISE = ("correlated_noise", "run_scatter")
 
 
-Significant = tuple[tuple[Structure, float], ...]
+SignificantStructures = tuple[tuple[Structure, float], ...]
 """Structures with their p-values, corrected for the number of looks."""
 
 
@@ -45,7 +45,7 @@ class Corrections:
     of_effect: LookElsewhere
     of_structure: LookElsewhere
 
-    def significant(self, structures: Sequence[Structure], factor: float = 1.0) -> Significant:
+    def significant(self, structures: Sequence[Structure], factor: float = 1.0) -> SignificantStructures:
         """Return the structures below `factor` times the threshold, with their corrected p-values."""
         corrected = [(structure, self.of_structure(structure.score.p)) for structure in structures]
         return tuple(pair for pair in corrected if pair[1] < factor * thresholds.FALSE_ALARM_STRUCTURE)
@@ -270,7 +270,7 @@ def _result(
     at: FirstPass,
     outcome: _Outcome,
     adopted: Sequence[NoiseCandidate] = (),
-    common: Significant = (),
+    common: SignificantStructures = (),
 ) -> SearchResult:
     structures = at.corrections.significant(outcome.first.structures, outcome.factor)
     remaining = at.corrections.significant(outcome.selection.rest.structures, outcome.factor)

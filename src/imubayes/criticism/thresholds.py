@@ -185,6 +185,7 @@ MARKOV_NEARLY = 1.0
 DIRECTION_HELD_MIN = 0.1
 
 # ---- Noise at the end of a fit (noise_assumptions) -------------------------------------------------------------------
+# Beyond the budget above: a diagnosis that finds nothing else takes these tests for a verdict on the noise.
 # Nominal probability that a fit with the noise of its model is said to have another, all tests together.  Design value:
 # a fifth of the 1 % that is asked for, since the tails of the tests are those of a Pearson III distribution (at 0.005
 # one of 60 fits to white noise was flagged).

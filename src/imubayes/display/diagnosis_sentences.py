@@ -154,10 +154,11 @@ def _noise_sentence(found: Diagnosis) -> str:
             "is missing. Write flicker_noise and random_walk_noise into the model in place of correlated_noise."
         )
     if not adopted and found.violations:
-        return (
+        said = (
             f"The noise is not as the model says: {violation_text(found.violations)}. No effect or noise of the "
             "catalogue is significant, but the intervals of this fit cannot be trusted."
         )
+        return f"{said} {_beyond_prior_sentence(found.beyond_prior)}" if found.beyond_prior else said
     if not adopted and found.beyond_prior:
         return _beyond_prior_sentence(found.beyond_prior)
     if not adopted:

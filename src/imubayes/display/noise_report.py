@@ -39,7 +39,8 @@ def noise_report(noise: StaticNoise) -> Report:
         f"{channel.channel} in {channel.run}: {told}" for channel in noise.channels for told in _warnings(channel)
     ]
     closing = (
-        f"Intervals are {percent} profile-likelihood intervals, upper limits one-sided {percent} limits. A term is "
+        f"Intervals are {percent} profile-likelihood intervals, of a ramp posterior intervals; upper limits are "
+        f"one-sided {percent} limits, of a ramp the farther end of its interval. A term is "
         "determined where the record needs it beside all other terms; of records without a term, 1 to 2 % show as much "
         "evidence for it. As in IEEE Std 952 and 1293, N is white noise of the output, B flicker noise (the floor "
         "of its Allan deviation is 0.664 B) and K a random walk; Gauss–Markov noise of a correlation time beyond "

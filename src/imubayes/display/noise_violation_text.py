@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from imubayes.criticism.noise_violation import NoiseViolation
-from imubayes.display.rounding import significant
+from imubayes.display.rounding import relation, significant
 
 _WORDS = {
     "autocorrelation": "the residuals are autocorrelated",
@@ -29,4 +29,4 @@ def _one_kind(violations: Sequence[NoiseViolation]) -> str:
     if first.step is not None:
         return f"{said} ({named}: a step is {significant(first.step)} times the noise)"
     chance = min(violation.p for violation in violations if violation.p is not None)
-    return f"{said} ({named}, p = {chance:.1g})"
+    return f"{said} ({named}, p {relation(chance)})"

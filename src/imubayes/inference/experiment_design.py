@@ -1,9 +1,9 @@
 """Experiment design: the candidate runs that the equipment allows, ranked by how much they would narrow a quantity.
 
 From the Jacobian alone, without simulation: a candidate adds JᵀΣ⁻¹J to the precision, and the variance of a quantity
-with gradient c is cᵀH⁻¹c.  An angle near zero is the length of two components, and what is
-expected of it follows from their covariance.  All candidates are bound together, as runs whose observations do not
-count, so that one Jacobian serves all.
+with gradient c is cᵀH⁻¹c.  An angle near zero is the length of two components, and what is expected of it follows from
+their covariance.  All candidates are bound together, as runs whose observations do not count, so that one Jacobian
+serves all.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -11,6 +11,9 @@ import numpy as np
 
 # Nodes in log s: the integrand falls like exp(−|v|) on both sides, so that the ends leave out 1e-11 of it.
 _LOGARITHM = np.linspace(-25.0, 25.0, 501)
+# Length in standard deviations from which the gradient serves: its error there is below 1e-6 of the variance, and the
+# difference of two large squares is lost to rounding.
+_FAR = 1e3
 # Nodes per dimension over the estimates that a further run may leave.
 _ESTIMATES = 16
 
@@ -46,4 +49,6 @@ def _variance(means: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     exponent = -(t * squares[:, None, :] / widened).sum(axis=2) - 0.5 * np.log(widened).sum(axis=2)
     integrand = -np.expm1(exponent) * np.exp(-_LOGARITHM)
     mean_length = root * np.trapezoid(integrand, _LOGARITHM, axis=1) / np.sqrt(np.pi)
-    return np.maximum(size - mean_length**2, 0.0)
+    square = squares.sum(axis=1)
+    along = squares @ spread / np.where(square > 0, square, 1.0)
+    return np.where(square > _FAR**2 * spread.sum(), along, np.maximum(size - mean_length**2, 0.0))

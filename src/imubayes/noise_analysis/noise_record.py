@@ -191,7 +191,7 @@ def static_noise(
         recorded = [channel for channel in campaign.channels if channel.name in source.layout.channels]
         for channel in counted(tell, f"noise of {run.name}, channel", recorded):
             record = sums.pop(channel.name, None)
-            if record is None or not record.resolution:
+            if record is None or not record.resolution or not allan_variance(record).variance[0] > 0:
                 reason = "empty" if record is None else "constant"
                 left_out.append(SilentChannel(run=run.name, channel=channel.name, reason=reason))
             else:

@@ -56,10 +56,12 @@ def allan_figure(channels: list[ChannelNoise]) -> Picture:
         _draw(axes, noise)
     for axes in grid.flat[len(shown) :]:
         axes.set_visible(False)
-    seen = [term for term in STYLES if any(noise.of(term).determined for noise in shown)]
+    dashed = {term for noise in shown for term in undetermined_deviations(noise, np.ones(1))}
+    seen = [term for term in STYLES if term in dashed or any(noise.of(term).determined for noise in shown)]
     handles = [Line2D([], [], color=STYLES[term][1], label=STYLES[term][0]) for term in seen]
     handles.append(Line2D([], [], color=INK, linewidth=1.6, label="all terms"))
-    handles.append(Line2D([], [], color=QUIET, linewidth=1.0, linestyle=(0, (4, 3)), label="not determined"))
+    if dashed:
+        handles.append(Line2D([], [], color=QUIET, linewidth=1.0, linestyle=(0, (4, 3)), label="not determined"))
     width, height = figure.get_size_inches()
     corner = (figure.inside[0] / width, (figure.inside[3] + 0.05) / height)
     figure.legend(handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=len(handles), fontsize=SMALL)
