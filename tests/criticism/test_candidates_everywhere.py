@@ -88,9 +88,8 @@ def test_an_effect_is_a_candidate_where_readings_feel_it(name):
     assert not silent & candidates, silent & candidates
 
 
-@pytest.mark.parametrize(
-    "procedure", [each if each == "centrifuge" else pytest.param(each, marks=pytest.mark.slow) for each in PROCEDURES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("procedure", PROCEDURES)
 def test_of_every_procedure_by_itself(tmp_path, procedure):
     """The unit, its axes and the plan are drawn; what shifts all readings by less than one sd shows nothing."""
     alone = PROCEDURES[procedure]

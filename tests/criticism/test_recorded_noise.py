@@ -10,7 +10,7 @@ from null_data import fitted_to, redrawn, refitted, with_values
 
 import imubayes.criticism.stepwise_search as stepwise
 from imubayes.campaign import load_campaign
-from imubayes.criticism import candidate_effects
+from imubayes.criticism import candidate_effects, diagnose
 from imubayes.criticism.common_course import common_courses, inflation, replicates
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.projection import Projection, project
@@ -60,9 +60,11 @@ def test_a_lag_outside_the_catalogue_is_never_adequate(tmp_path, monkeypatch, se
     # Each of the two rules alone is enough to doubt the model.
     monkeypatch.setattr(stepwise, "common_courses", lambda _: [])
     assert judge(fit).verdict != "adequate"
-    # Planted fault: with both rules and the noise's record left out it is called adequate.
+    # Planted fault: with both rules, the noise's record and its tests left out it is called adequate.
     monkeypatch.setattr(stepwise, "_not_passed_over", lambda _, outcome, modelled: (outcome, []))
     monkeypatch.setattr(RecordedNoise, "excessive", ())
+    assert judge(fit).verdict != "adequate"
+    monkeypatch.setattr(diagnose, "noise_violations", lambda _: ())
     assert judge(fit).verdict == "adequate"
 
 

@@ -46,6 +46,7 @@ def scores(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     return np.array(found), np.array(raw)
 
 
+@pytest.mark.slow
 def test_of_the_shipped_runs():
     found, raw = scores(ROOT / "data" / "rotation-modulation")
     assert np.abs(found).max() < 4

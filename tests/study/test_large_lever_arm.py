@@ -12,7 +12,7 @@ import pytest
 import imubayes.api
 from imubayes.results.result import Result
 
-FAST = (2,)
+FOLLOWED = (2,)
 SEEDS = range(1, 21)
 
 
@@ -23,7 +23,8 @@ def fitted(folder: Path, seed: int) -> Result:
     return imubayes.api.fit(folder, drawn.model, sample=False)
 
 
-@pytest.mark.parametrize("seed", FAST)
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", FOLLOWED)
 def test_it_is_named_and_nothing_remains_after_it(tmp_path, seed):
     result = fitted(tmp_path / "campaign", seed)
     found = imubayes.api.diagnose(result)

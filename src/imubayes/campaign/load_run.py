@@ -127,6 +127,14 @@ def judge_rows(loaded: Loaded, entry: RunEntry, equipment: Equipment, where: str
     loaded : changed in place; its run becomes None where an error makes it unusable.
     where : the table, for the findings.
     """
+    try:
+        _judge(loaded, entry, equipment, where)
+    except InputError as error:
+        loaded.issues += error.issues
+        loaded.run = None
+
+
+def _judge(loaded: Loaded, entry: RunEntry, equipment: Equipment, where: str) -> None:
     run = loaded.run
     if run is None:
         return

@@ -15,6 +15,7 @@ from imubayes.campaign.load_run import Equipment, Loaded
 from imubayes.campaign.physical_checks import LEAST_SPREAD
 from imubayes.campaign.reduction import clipping_note
 from imubayes.campaign_data import Channel, Run
+from imubayes.errors import InputError
 from imubayes.procedures import PROCEDURES
 
 LEAST_ROWS = 5  # of a channel, to tell a limit
@@ -73,7 +74,10 @@ def _beyond_line(stimulus: np.ndarray, observed: np.ndarray, others: np.ndarray)
 def _stimulus(run: Run, channel: Channel, equipment: Equipment) -> np.ndarray:
     """Return the nominal input of a channel in each row, (R,); NaN where the procedure states none."""
     table, mounting = equipment.tables.get(run.table or ""), equipment.mountings.get(run.mounting or "")
-    stimulus = PROCEDURES[run.procedure].nominal_input(run, channel, equipment.site, table, mounting)
+    try:
+        stimulus = PROCEDURES[run.procedure].nominal_input(run, channel, equipment.site, table, mounting)
+    except InputError:
+        stimulus = None  # what the equipment lacks is told where the rows are judged
     return np.full(run.rows, np.nan) if stimulus is None else stimulus
 
 

@@ -191,11 +191,12 @@ def static_noise(
         recorded = [channel for channel in campaign.channels if channel.name in source.layout.channels]
         for channel in counted(tell, f"noise of {run.name}, channel", recorded):
             record = sums.pop(channel.name, None)
-            if record is None or not record.resolution or not allan_variance(record).variance[0] > 0:
+            noise = _of_channel(campaign, run, channel, record, shortest_tau) if record and record.resolution else None
+            if noise is None:
                 reason = "empty" if record is None else "constant"
                 left_out.append(SilentChannel(run=run.name, channel=channel.name, reason=reason))
             else:
-                found.append(_of_channel(campaign, run, channel, record, shortest_tau))
+                found.append(noise)
     if not found:
         raise input_error(
             "no channel varies", f"campaign '{campaign.name}', {', '.join(sorted({each.run for each in left_out}))}",
@@ -218,7 +219,8 @@ def _chosen(campaign: Campaign, names: Sequence[str]) -> list[Run]:
 
 def _of_channel(
     campaign: Campaign, run: Run, channel: Channel, record: RunningSum, shortest_tau: float
-) -> ChannelNoise:
+) -> ChannelNoise | None:
+    """Return the noise of a channel; None where it is constant but for steps over gaps."""
     where = f"run '{run.name}', channel '{channel.name}'"
     if record.present < LEAST_SAMPLES:
         raise input_error(
@@ -235,6 +237,8 @@ def _of_channel(
         allowed = "an averaging time far below the length of the record"
         raise input_error("too few octaves of frequency are left", where, allowed, "choose a shorter --shortest-tau")
     variance = allan_variance(record)
+    if not variance.variance[0] > 0:
+        return None
     estimate = estimate_terms(likelihood)
     correlated = [str(term) for term in estimate.determined]
     return ChannelNoise(
