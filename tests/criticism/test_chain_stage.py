@@ -78,6 +78,7 @@ def test_a_converter_that_is_driven_alone_shows_its_own():
     assert moved.columns[~injected] == pytest.approx(own.columns[~injected], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_curve_about_another_zero_is_of_sensor_or_converter(monkeypatch):
     """A cube with a little square is a cube about another zero: that of the converter is not that of the sensor."""
     fitted = fitted_to("desk-imu", "desk-imu")

@@ -38,7 +38,7 @@ def test_an_output_too_coarse_for_its_noise_is_told_by_both(tmp_path, monkeypatc
     assert found.verdict == "noise_model"
     assert "quantised too coarsely" in sentence(found)
     # Planted fault: the diagnosis looks at candidates alone.
-    monkeypatch.setattr(diagnose, "noise_violations", lambda _: ())
+    monkeypatch.setattr(diagnose, "violations_in", lambda _: ())
     assert imubayes.api.diagnose(result).verdict == "adequate"
 
 

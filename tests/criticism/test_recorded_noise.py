@@ -64,7 +64,7 @@ def test_a_lag_outside_the_catalogue_is_never_adequate(tmp_path, monkeypatch, se
     monkeypatch.setattr(stepwise, "_not_passed_over", lambda _, outcome, modelled: (outcome, []))
     monkeypatch.setattr(RecordedNoise, "excessive", ())
     assert judge(fit).verdict != "adequate"
-    monkeypatch.setattr(diagnose, "noise_violations", lambda _: ())
+    monkeypatch.setattr(diagnose, "violations_in", lambda _: ())
     assert judge(fit).verdict == "adequate"
 
 

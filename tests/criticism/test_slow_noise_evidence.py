@@ -45,6 +45,7 @@ def alarms(count: int) -> int:
     return sum(each is not None and each.corrected < thresholds.SLOW_NOISE_EVIDENCE for each in found)
 
 
+@pytest.mark.slow
 def test_noise_that_wanders_is_no_drift(monkeypatch):
     """Of 40 records 0.6 alarms are expected."""
     assert alarms(40) <= 3

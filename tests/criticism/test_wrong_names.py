@@ -71,12 +71,9 @@ def cubic_drift(fitted: Fit) -> np.ndarray:
     return drift
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("seed", "instead"),
-    [
-        pytest.param(1, ("gyro_scale_asymmetry", "table_wobble"), marks=pytest.mark.slow),
-        (2, ("gyro_scale_asymmetry",)),
-    ],
+    ("seed", "instead"), [(1, ("gyro_scale_asymmetry", "table_wobble")), (2, ("gyro_scale_asymmetry",))]
 )
 def test_rows_that_still_scatter_leave_a_name_open(monkeypatch, seed, instead):
     """Without its cause another effect takes most of the drift; the rest has no plain form."""

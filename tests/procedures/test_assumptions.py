@@ -101,6 +101,7 @@ def test_positions_that_are_missing_are_said(tmp_path):
 # rotation
 
 
+@pytest.mark.slow
 def test_modulated_bias_over_replicates(tmp_path):
     scores = []
     for seed in range(8):

@@ -99,6 +99,7 @@ def quiet(tmp_path):
     return made
 
 
+@pytest.mark.slow
 def test_polar_tumble_over_replicates(quiet):
     scores = []
     for seed in range(20):

@@ -47,6 +47,7 @@ def test_one_polar_sweep_determines_its_mean_and_the_joint_fit_says_so():
     assert set(found) == {name for name in textbook if "+" in name or "-D_" in name}
 
 
+@pytest.mark.slow
 def test_one_mounting_on_a_rate_table_determines_slope_and_zero_of_every_gyro():
     """Neither k nor θ, neither D_F nor the g-sensitivities: k′ = k cos θ and F₀/k, the zero of the series."""
     folder, runs = ROOT / "data" / "trihedral-imu", [f"rate-pyramid-{t}" for t in ("minus10C", "25C", "55C")]

@@ -30,13 +30,17 @@ _NAMES: dict[str, NoiseKind] = {
 def noise_violations(fit: Fit) -> tuple[NoiseViolation, ...]:
     """Return how the noise of a fit departs from its model, the clearest first."""
     about = fit.mode.about if fit.mode is not None else linearise(fit.model.problem, jnp.asarray(fit.z))
-    projection = project(fit, np.asarray(about.misfit), np.asarray(about.jacobian))
+    return violations_in(project(fit, np.asarray(about.misfit), np.asarray(about.jacobian)))
+
+
+def violations_in(projection: Projection) -> tuple[NoiseViolation, ...]:
+    """Return how the noise departs from its model in a projected residual, the clearest first."""
     found = screen_noise(projection, kinds=(*KINDS, (SLOW, low_frequency)))
     bar = thresholds.FALSE_ALARM_INTERVALS / max(len(found), 1)
     violations = [
         NoiseViolation(kind=_NAMES[each.effect], channels=each.channels, p=each.p) for each in found if each.p < bar
     ]
-    return (*_quantised(fit, projection), *violations)
+    return (*_quantised(projection), *violations)
 
 
 def low_frequency(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -52,10 +56,11 @@ def low_frequency(projection: Projection, entries: np.ndarray, chosen: np.ndarra
     return (low / count) / (total / rows) - 1
 
 
-def _quantised(fit: Fit, projection: Projection) -> list[NoiseViolation]:
+def _quantised(projection: Projection) -> list[NoiseViolation]:
     """Return the channels whose outputs lie on a grid too coarse for their noise to smooth."""
-    entries, found = fit.model.entries, []
-    for place, channel in enumerate(fit.model.campaign.channels):
+    model, found = projection.fitted.model, list[NoiseViolation]()
+    entries = model.entries
+    for place, channel in enumerate(model.campaign.channels):
         here = (entries.channel == place) & ~entries.closing
         step = grid_step(np.asarray(entries.value)[here])
         if not step:
