@@ -15,15 +15,19 @@ from imubayes.campaign.stream_checks import _Repeat
 from imubayes.errors import InputError
 
 LIMIT = 80_000.0
+RATES = "runs/rates.csv"
+
+
+def change_columns(file: Path, changed: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]]) -> None:
+    """Write a table again with some of its columns changed."""
+    table = pacsv.read_csv(file)
+    columns = {name: table.column(name).to_numpy() for name in table.column_names}
+    write_csv(file, columns | changed(columns))
 
 
 def test_means_with_clipped_samples_are_left_out(small: Path) -> None:
     whole = load_campaign(small).runs[-1]
-    file = small / "runs/raw.csv"
-    table = pacsv.read_csv(file)
-    columns = {name: table.column(name).to_numpy().copy() for name in table.column_names}
-    columns["gz"] = np.minimum(columns["gz"], LIMIT)
-    write_csv(file, columns)
+    change_columns(small / "runs/raw.csv", lambda columns: {"gz": np.minimum(columns["gz"], LIMIT)})
     campaign = load_campaign(small)
     run, gz = campaign.runs[-1], [channel.name for channel in campaign.channels].index("gz")
     beyond = whole.observed[:, gz] > LIMIT
@@ -38,17 +42,6 @@ def test_means_with_clipped_samples_are_left_out(small: Path) -> None:
     assert "clipped" in finding.what
 
 
-RATES = "runs/rates.csv"
-
-
-def spoil_rates(folder: Path, change: Callable[[dict[str, np.ndarray]], None]) -> None:
-    """Change the columns of the table of means."""
-    table = pacsv.read_csv(folder / RATES)
-    columns = {name: table.column(name).to_numpy().copy() for name in table.column_names}
-    change(columns)
-    write_csv(folder / RATES, columns)
-
-
 @pytest.mark.parametrize("limit", [50_000.0, 100_000.0])
 def test_clipped_means_of_a_table_are_left_out(small: Path, limit: float) -> None:
     """At several inputs, or at one input in each direction, where the samples do not scatter."""
@@ -57,11 +50,10 @@ def test_clipped_means_of_a_table_are_left_out(small: Path, limit: float) -> Non
     beyond = np.abs(whole.observed[:, gx]) > limit
     assert 0 < beyond.sum() < whole.rows
 
-    def clip(columns: dict[str, np.ndarray]) -> None:
-        columns["gx"] = np.clip(columns["gx"], -limit, limit)
-        columns["gx_sd"] = np.where(beyond, 0.0, columns["gx_sd"])
+    def clipped(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {"gx": np.clip(columns["gx"], -limit, limit), "gx_sd": np.where(beyond, 0.0, columns["gx_sd"])}
 
-    spoil_rates(small, clip)
+    change_columns(small / RATES, clipped)
     run = load_campaign(small).runs[0]
     np.testing.assert_array_equal(np.isnan(run.observed[:, gx]), beyond)
     np.testing.assert_array_equal(run.observed[~beyond], whole.observed[~beyond])
@@ -70,6 +62,7 @@ def test_clipped_means_of_a_table_are_left_out(small: Path, limit: float) -> Non
     assert (finding.name, finding.severity) == ("saturated_channel", "warning")
     assert f"{beyond.sum()} of {whole.rows} means left out" in finding.what
     assert "rates.csv, column 'gx'" in finding.where
+    assert "range" in finding.allowed
 
 
 def test_a_coarse_output_at_rest_is_not_clipped(small: Path) -> None:
@@ -77,12 +70,11 @@ def test_a_coarse_output_at_rest_is_not_clipped(small: Path) -> None:
     whole = load_campaign(small).runs[0]
     at_rest = np.abs(whole.covariates["table_rate"]) == np.abs(whole.covariates["table_rate"]).min()
 
-    def one_sided(columns: dict[str, np.ndarray]) -> None:
-        columns["gx_sd"] = np.where(at_rest, 0.0, columns["gx_sd"])
-        for name in ("gx", "gy", "gz", "table_rate_deg_s"):
-            columns[name] = np.abs(columns[name])
+    def one_sided(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        positive = {name: np.abs(columns[name]) for name in ("gx", "gy", "gz", "table_rate_deg_s")}
+        return positive | {"gx_sd": np.where(at_rest, 0.0, columns["gx_sd"])}
 
-    spoil_rates(small, one_sided)
+    change_columns(small / RATES, one_sided)
     assert np.isfinite(load_campaign(small).runs[0].observed).all()
 
 

@@ -33,24 +33,26 @@ def without_saturated_rows(loaded: Sequence[Loaded], files: Sequence[str], equip
     loaded : the runs, changed in place; free tumbles and runs that could not be loaded are left as they are.
     files : the table of each.
     """
-    read = [(each, file) for each, file in zip(loaded, files, strict=True) if each.run is not None]
-    runs = [each.run for each, _ in read if each.run is not None and each.run.tumble is None]
+    runs = [each.run for each in loaded if each.run is not None and each.run.tumble is None]
+    if not runs:
+        return
     for place, channel in enumerate(equipment.channels):
         limits = tuple(_limits(runs, place, channel, equipment))
-        for each, file in read:
+        for each, file in zip(loaded, files, strict=True):
             if limits and each.run is not None and each.run.tumble is None:
-                _leave_out(each, place, channel, limits, file)
+                _leave_out(each, each.run, place, channel, limits, file)
 
 
 def _limits(runs: Sequence[Run], place: int, channel: Channel, equipment: Equipment) -> Iterator[float]:
     """Yield the limits that the means of a channel show."""
-    observed = np.concatenate([run.observed[:, place] for run in runs] or [np.zeros(0)])
-    good = np.isfinite(observed)
-    if good.sum() < LEAST_ROWS or np.ptp(observed[good]) == 0:
-        return
+    observed = np.concatenate([run.observed[:, place] for run in runs])
     stimulus = np.concatenate([_stimulus(run, channel, equipment) for run in runs])
-    known = good & np.isfinite(stimulus)
-    if known.sum() < LEAST_ROWS or np.ptp(stimulus[known]) <= LEAST_SPREAD[channel.kind]:
+    known = np.isfinite(observed) & np.isfinite(stimulus)
+    if (
+        known.sum() < LEAST_ROWS
+        or np.ptp(observed[known]) == 0
+        or np.ptp(stimulus[known]) <= LEAST_SPREAD[channel.kind]
+    ):
         return
     steady = np.concatenate([(run.sample_sd[:, place] == 0) & (run.samples > 1) for run in runs])
     steady = steady & (_scatter(runs, place) > 0)
@@ -87,9 +89,7 @@ def _scatter(runs: Sequence[Run], place: int) -> float:
     return float(np.median(recorded[np.isfinite(recorded)])) if np.isfinite(recorded).any() else 0.0
 
 
-def _leave_out(loaded: Loaded, place: int, channel: Channel, limits: Sequence[float], file: str) -> None:
-    run = loaded.run
-    assert run is not None
+def _leave_out(loaded: Loaded, run: Run, place: int, channel: Channel, limits: Sequence[float], file: str) -> None:
     observed = run.observed[:, place]
     margin = max(NEAR_LIMIT_SD * _scatter([run], place), EQUAL_OUTPUT * float(np.abs(limits).max()))
     clipped = np.any([np.abs(observed - limit) <= margin for limit in limits], axis=0)

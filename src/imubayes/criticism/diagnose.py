@@ -43,9 +43,8 @@ from imubayes.criticism.projection import project
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, following_covariate, residual_evidence
 from imubayes.criticism.score_test import Candidate
-from imubayes.criticism.stepwise_search import SearchResult, search
+from imubayes.criticism.stepwise_search import SearchResult, Significant, search
 from imubayes.criticism.unexplained_structure import (
-    Significant,
     channels_of,
     mostly_step,
     scatter_remains,
@@ -92,7 +91,7 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
     unlisted = [] if unexplained else [unlisted_causes(found, group) for group in found.groups]
     beyond_prior = noise_beyond_prior(fit)
     verdict = _verdict(found, unexplained, unlisted, beyond_prior)
-    violations = _violations(fit, found, verdict)
+    violations = _violations(found, verdict)
     verdict = "noise_model" if violations else verdict
     found = _as_named(found, verdict)
     open_question = verdict == "unexplained_structure"
@@ -187,12 +186,12 @@ def _as_named(found: SearchResult, verdict: Verdict) -> SearchResult:
     return found if verdict in MISSING else replace(found, rivals=(), paired=False, unfinished=False)
 
 
-def _violations(fit: Fit, found: SearchResult, verdict: Verdict) -> tuple[NoiseViolation, ...]:
+def _violations(found: SearchResult, verdict: Verdict) -> tuple[NoiseViolation, ...]:
     """Return how the noise departs from its model where no candidate explains that; outliers are told by themselves."""
     if verdict not in ("adequate", "noise_model") or found.adopted:
         return ()
     # As fitted: what the search ends with may be whitened by noise that it only suspects.
-    at = project(fit, found.responses.misfit, found.responses.jacobian)
+    at = project(found.first.projection.fitted, found.responses.misfit, found.responses.jacobian)
     told = ("heavy_tails",) if found.outlier_sd.any() else ()
     return tuple(each for each in violations_in(at) if each.kind not in told)
 

@@ -14,7 +14,7 @@ from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_
 from imubayes.criticism.multiple_testing import LookElsewhere
 from imubayes.criticism.projection import Projection, orthonormal
 from imubayes.criticism.rival_explanations import RivalEffects, acts_with, rival_pairs
-from imubayes.criticism.score_test import Candidate, assess, noise_left, screen
+from imubayes.criticism.score_test import Candidate, assess, noise_left, response_of, screen
 from imubayes.criticism.search_input import Screening, screened
 
 
@@ -135,10 +135,7 @@ def _beside_each_other(at: Screening, pair: Sequence[Candidate], corrected: Look
 
 def _same(at: Screening, candidate: Candidate) -> Candidate:
     """Return a candidate as another screening assesses it."""
-    prepared = next(each for each in at.prepared if each.response.scan == candidate.scan)
-    names = [coefficient.parameter.name for coefficient in prepared.response.coefficients]
-    chosen = [names.index(coefficient.parameter.name) for coefficient in candidate.coefficients]
-    return assess(at.projection, prepared, np.array(chosen))
+    return assess(at.projection, *response_of(at.prepared, candidate))
 
 
 def at_noise_left(at: Screening) -> Screening:

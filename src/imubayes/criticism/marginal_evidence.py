@@ -25,7 +25,7 @@ from scipy import special
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
 from imubayes.criticism.projection import Projection, project
-from imubayes.criticism.score_test import Candidate, ProjectedResponse
+from imubayes.criticism.score_test import Candidate, ProjectedResponse, response_of
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.noise_marginal import slope
 from imubayes.inference.posterior_precision import Linearised
@@ -136,7 +136,5 @@ def _scatter_places(fitted: Fit) -> np.ndarray:
 
 def columns_of(prepared: Sequence[ProjectedResponse], candidate: Candidate) -> np.ndarray:
     """Return the response to a candidate, (E, C), per largest typical size of its coefficients."""
-    response = next(each.response for each in prepared if each.response.scan == candidate.scan)
-    names = [coefficient.parameter.name for coefficient in response.coefficients]
-    chosen = [names.index(coefficient.parameter.name) for coefficient in candidate.coefficients]
-    return response.columns[:, chosen] * np.array([each.typical[1] for each in candidate.coefficients])
+    found, chosen = response_of(prepared, candidate)
+    return found.response.columns[:, chosen] * np.array([each.typical[1] for each in candidate.coefficients])

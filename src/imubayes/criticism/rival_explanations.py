@@ -19,7 +19,7 @@ import numpy as np
 from scipy import special
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.score_test import Candidate
+from imubayes.criticism.score_test import Candidate, response_of
 from imubayes.criticism.search_input import Screening
 
 
@@ -155,7 +155,5 @@ def _on_some(candidate: Candidate, leader: Candidate) -> bool:
 
 def _columns(at: Screening, candidate: Candidate) -> np.ndarray:
     """Return the projected responses to the largest typical size of each coefficient, (R, C)."""
-    prepared = next(each for each in at.prepared if each.response.scan == candidate.scan)
-    names = [coefficient.parameter.name for coefficient in prepared.response.coefficients]
-    chosen = [names.index(coefficient.parameter.name) for coefficient in candidate.coefficients]
-    return prepared.projected[:, chosen] * [coefficient.typical[1] for coefficient in candidate.coefficients]
+    found, chosen = response_of(at.prepared, candidate)
+    return found.projected[:, chosen] * [coefficient.typical[1] for coefficient in candidate.coefficients]

@@ -226,6 +226,13 @@ def _cone(columns: np.ndarray, length: np.ndarray, least: float, signs: np.ndarr
     return Cone.of(orthonormal(columns, length, least), np.where(left, oriented, 0.0), signs != 0)
 
 
+def response_of(prepared: Sequence[ProjectedResponse], candidate: Candidate) -> tuple[ProjectedResponse, np.ndarray]:
+    """Return the response that a candidate is of, and the places of its coefficients there."""
+    found = next(each for each in prepared if each.response.scan == candidate.scan)
+    names = [coefficient.parameter.name for coefficient in found.response.coefficients]
+    return found, np.array([names.index(coefficient.parameter.name) for coefficient in candidate.coefficients])
+
+
 def assess(projection: Projection, projected: ProjectedResponse, chosen: np.ndarray) -> Candidate:
     """Return a candidate with the chosen coefficients, by their places."""
     response, columns = projected.response, projected.projected[:, chosen]

@@ -34,8 +34,8 @@ from imubayes.step_counter import Tell, counted, silent
 _CONFOUNDED_NOISE = ("correlated_noise", "run_scatter")
 
 
-SignificantStructures = tuple[tuple[Structure, float], ...]
-"""Structures with their p-values, corrected for the number of looks."""
+Significant = tuple[Structure, float]
+"""A structure with its p-value, corrected for the number of looks."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Corrections:
     of_effect: LookElsewhere
     of_structure: LookElsewhere
 
-    def significant(self, structures: Sequence[Structure], factor: float = 1.0) -> SignificantStructures:
+    def significant(self, structures: Sequence[Structure], factor: float = 1.0) -> tuple[Significant, ...]:
         """Return the structures below `factor` times the threshold, with their corrected p-values."""
         corrected = [(structure, self.of_structure(structure.score.p)) for structure in structures]
         return tuple(pair for pair in corrected if pair[1] < factor * thresholds.FALSE_ALARM_STRUCTURE)
@@ -81,8 +81,8 @@ class SearchResult:
     rivals: tuple[RivalEffects, ...]
     paired: bool
     unfinished: bool
-    structures: tuple[tuple[Structure, float], ...]
-    remaining: tuple[tuple[Structure, float], ...]
+    structures: tuple[Significant, ...]
+    remaining: tuple[Significant, ...]
     noise: tuple[NoiseCandidate, ...]
     adopted: tuple[NoiseCandidate, ...]
     outlier_sd: np.ndarray
@@ -270,7 +270,7 @@ def _result(
     at: FirstPass,
     outcome: _Outcome,
     adopted: Sequence[NoiseCandidate] = (),
-    common: SignificantStructures = (),
+    common: tuple[Significant, ...] = (),
 ) -> SearchResult:
     structures = at.corrections.significant(outcome.first.structures, outcome.factor)
     remaining = at.corrections.significant(outcome.selection.rest.structures, outcome.factor)

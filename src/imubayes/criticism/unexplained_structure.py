@@ -5,14 +5,10 @@ from collections.abc import Iterable, Sequence
 from imubayes.criticism import thresholds
 from imubayes.criticism.effect_covariates import covariates_of
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, unexplained_chi2
-from imubayes.criticism.free_form_dependence import Structure
 from imubayes.criticism.localised_structure import STEP
 from imubayes.criticism.score_test import Candidate
-from imubayes.criticism.stepwise_search import SearchResult
+from imubayes.criticism.stepwise_search import SearchResult, Significant
 from imubayes.effects.base import Effect, Order
-
-Significant = tuple[Structure, float]
-"""A structure with its p-value, corrected for the number of looks."""
 
 
 def unexplained_structure(found: SearchResult) -> list[Significant]:
