@@ -145,8 +145,11 @@ def at_noise_left(at: Screening) -> Screening:
     further effects.
     """
     root = _root_of_less_noise(at.projection)
-    if root is None:
-        return at
+    return at if root is None else at_scales(at, root)
+
+
+def at_scales(at: Screening, root: np.ndarray) -> Screening:
+    """Return the screening of rows that were multiplied by `root`, (R,)."""
     reweighted = at.projection.reweighted(root)
     responses = [each.reweighted(reweighted, root) for each in at.prepared]
     forms = [each.reweighted(reweighted, root) for each in at.forms]

@@ -1,9 +1,10 @@
-"""Evidence for effects that act between few runs: the Bayes factor, which knows the prior of the scatter between runs.
+"""Evidence for effects that noise of the model took up: the Bayes factor, with the noise at its best on either side.
 
 An effect that acts from run to run alone is judged by the scatter between runs.  Where there are few, the F test has
 two or three degrees of freedom and hardly any power: the fit took the effect for scatter, and that this scatter is many
 times what its prior expects does not count.  In the marginal likelihood it counts, and so does a scatter that falls
-back once the effect is in the model:
+back once the effect is in the model.  Correlated noise takes up a drift in the same way: its correlation grows, and
+the score at the fitted noise is small.
 
     log B = max_h [log p(y, h) + ½ uᵀ(V + C⁻¹)⁻¹u − ½ log det(1 + V C)] − max_h log p(y, h)
 
@@ -26,6 +27,7 @@ from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
 from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.score_test import Candidate, ProjectedResponse, response_of
+from imubayes.criticism.slow_noise_records import with_slow_noise
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.noise_marginal import slope
 from imubayes.inference.posterior_precision import Linearised
@@ -52,26 +54,26 @@ class _AtScales:
 
 @dataclass(frozen=True)
 class _Marginal:
-    """The linearised fit as a function of the scales of the run offsets, at `places` of h."""
+    """The linearised fit as a function of some noise parameters, at `places` of h."""
 
     fitted: Fit
     responses: Responses
     places: np.ndarray
 
     @property
-    def scatter(self) -> np.ndarray:
-        """The scales of the fit, in z."""
+    def as_fitted(self) -> np.ndarray:
+        """The noise parameters of the fit, in z."""
         return np.asarray(self.fitted.h)[self.places]
 
-    def at(self, scatter: np.ndarray) -> _AtScales:
-        """Return the model with other scales of the run offsets."""
+    def at(self, noise: np.ndarray) -> _AtScales:
+        """Return the model with other noise parameters."""
         h = np.array(self.fitted.h)
-        h[self.places] = scatter
+        h[self.places] = noise
         there = project(replace(self.fitted, h=h), self.responses.misfit, self.responses.jacobian)
-        return _AtScales(self._value(h) - self._as_fitted, there)
+        return _AtScales(self._value(h) - self._value_as_fitted, there)
 
     @cached_property
-    def _as_fitted(self) -> float:
+    def _value_as_fitted(self) -> float:
         return self._value(np.array(self.fitted.h))
 
     def _value(self, h: np.ndarray) -> float:
@@ -81,18 +83,18 @@ class _Marginal:
 
     def grid(self) -> list[_AtScales]:
         """Return the model with scatter as fitted and, together and one by one, as its prior expects at most."""
-        now = self.scatter
+        now = self.as_fitted
         less = np.minimum(now, 0.0)
         each = [np.where(np.arange(len(now)) == place, less, now) for place in np.flatnonzero(now > 0)]
         return [self.at(scatter) for scatter in (now, (now + less) / 2, less, *(each if len(each) > 1 else ()))]
 
     def best(self, columns: np.ndarray) -> float:
-        """Return the largest log B over the scales."""
-        now = self.scatter
+        """Return the largest log B over the noise parameters."""
+        now = self.as_fitted
         bounds = [(-thresholds.SCATTER_REACH, max(thresholds.SCATTER_REACH, value)) for value in now.tolist()]
         found = [
             scipy.optimize.minimize(
-                lambda scatter: -self.at(scatter).log_bayes_factor(columns),
+                lambda noise: -self.at(noise).log_bayes_factor(columns),
                 start,
                 method="L-BFGS-B",
                 bounds=bounds,
@@ -115,15 +117,46 @@ def evident_between_runs(
     marginal = _Marginal(fitted, responses, _scatter_places(fitted))
     acting = [place for place, each in enumerate(candidates) if each.score.within_runs < 0.5]
     # A scatter that is no larger than its prior expects has taken nothing.
-    if not acting or not np.any(marginal.scatter > 0):
+    if not acting or not np.any(marginal.as_fitted > 0):
         return {}
-    enough = math.log(len(candidates) / thresholds.MARGINAL_EVIDENCE)
+    enough = _enough(candidates)
     grid, found = marginal.grid(), {}
     for place in acting:
         columns = columns_of(prepared, candidates[place])
         if max(at.log_bayes_factor(columns) for at in grid) > enough - thresholds.GRID_SLACK:
             found[place] = marginal.best(columns)
     return {place: value for place, value in found.items() if value > enough}
+
+
+def evident_in_correlated_noise(
+    fitted: Fit, responses: Responses, prepared: Sequence[ProjectedResponse], candidates: Sequence[Candidate]
+) -> dict[int, float]:
+    """Return log B of the candidates that correlated noise took up and that are evident, by their place; often none.
+
+    Parameters
+    ----------
+    prepared, candidates : as screened at the noise of the model, all of them, the most significant first.
+    """
+    channels = {fitted.model.campaign.channels[place].name for place in with_slow_noise(fitted)}
+    likely = [place for place, each in enumerate(candidates) if channels & set(each.owners)]
+    likely = [place for place in likely if candidates[place].p < thresholds.TAKEN_UP_P][: thresholds.TAKEN_UP_MOST]
+    found = {}
+    for place in likely:
+        own = _Marginal(fitted, responses, _noise_places(fitted, channels & set(candidates[place].owners)))
+        found[place] = own.best(columns_of(prepared, candidates[place]))
+    enough = _enough(candidates)
+    return {place: value for place, value in found.items() if value > enough}
+
+
+def _enough(candidates: Sequence[Candidate]) -> float:
+    """Return the log B from which any of so many candidates is evident."""
+    return math.log(len(candidates) / thresholds.MARGINAL_EVIDENCE)
+
+
+def _noise_places(fitted: Fit, channels: set[str]) -> np.ndarray:
+    """Return the places in h of the noise parameters of some channels."""
+    parameters = fitted.model.hyper_layout.parameters
+    return np.array([place for place, each in enumerate(parameters) if channels & set(each.label)], dtype=int)
 
 
 def _scatter_places(fitted: Fit) -> np.ndarray:

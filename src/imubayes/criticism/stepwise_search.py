@@ -1,7 +1,7 @@
 """Stepwise search: screen, project out the best explanation and screen again, until nothing significant remains."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
@@ -10,10 +10,17 @@ import numpy as np
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses, candidate_responses
 from imubayes.criticism.common_course import common_courses
-from imubayes.criticism.effect_selection import Selection, at_noise_left, deflate, select_effects, span_over_shapes
+from imubayes.criticism.effect_selection import (
+    Selection,
+    at_noise_left,
+    at_scales,
+    deflate,
+    select_effects,
+    span_over_shapes,
+)
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
 from imubayes.criticism.free_form_dependence import Structure
-from imubayes.criticism.marginal_evidence import columns_of, evident_between_runs
+from imubayes.criticism.marginal_evidence import columns_of, evident_between_runs, evident_in_correlated_noise
 from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
 from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, prewhitening, screen_noise
 from imubayes.criticism.outliers import clustered, consecutive, deletion_residuals, find_outliers
@@ -21,6 +28,7 @@ from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.recorded_noise import RecordedNoise, compare_with_record
 from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
 from imubayes.criticism.rival_explanations import RivalEffects
+from imubayes.criticism.scales_beside import evident_at_scales_beside
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.search_input import Screening, SearchInput
 from imubayes.criticism.slow_noise_evidence import slow_noise_evidence
@@ -260,7 +268,7 @@ def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
         outcome, suspected = _not_passed_over(at, outcome, modelled)
         if _silent(at, outcome):
             # Noise from row to row does not explain what acts between runs, and is adopted where nothing does.
-            outcome = _with_evidence_between_runs(given, at, outcome)
+            outcome = _at_scales_beside(at, outcome) or _with_marginal_evidence(given, at, outcome)
             adopted = suspected if _silent(at, outcome) else []
     return _result(given, at, outcome, adopted, common)
 
@@ -325,15 +333,26 @@ def _beside_slow_noise(given: SearchInput, at: FirstPass) -> _Outcome | None:
     evidence = slow_noise_evidence(given.records, columns)
     if evidence is None or evidence.corrected >= thresholds.SLOW_NOISE_EVIDENCE:
         return None
-    beside = given.screening_beside(columns[min(evidence.p, key=lambda place: evidence.p[place])])
-    known = {_identity(first.candidates[place]): p for place, p in evidence.p.items()}
+    return _judged_beside(given, first, evidence.p, evidence.corrected)
+
+
+def _judged_beside(given: SearchInput, first: Screening, p: Mapping[int, float], corrected: float) -> _Outcome:
+    """Return the outcome at the noise beside the effect of the smallest p-value.
+
+    Parameters
+    ----------
+    p : of candidates of the first screening alone, by their place.
+    corrected : of the smallest one.
+    """
+    beside = given.screening_beside(columns_of(first.prepared, first.candidates[min(p, key=lambda place: p[place])]))
+    known = {_identity(first.candidates[place]): value for place, value in p.items()}
     candidates = [
         replace(each, score=replace(each.score, p=max(each.score.p, known.get(_identity(each), 0.0))))
         for each in beside.candidates
     ]
     beside = replace(beside, candidates=tuple(candidates))
     leader = next(each for each in candidates if _identity(each) in known)
-    group = equivalence_group(beside.projection, leader, candidates, evidence.corrected)
+    group = equivalence_group(beside.projection, leader, candidates, corrected)
     return _Outcome(beside, _only(beside, group), thresholds.SLOW_NOISE_EVIDENCE / thresholds.FALSE_ALARM_EFFECT)
 
 
@@ -343,12 +362,26 @@ def _identity(candidate: Candidate) -> tuple[str, ...]:
     return candidate.effect, *shape, *(each.parameter.name for each in candidate.coefficients)
 
 
-def _with_evidence_between_runs(given: SearchInput, at: FirstPass, outcome: _Outcome) -> _Outcome:
-    """Return the outcome with what is evident although the F test of few runs does not show it."""
+def _at_scales_beside(at: FirstPass, outcome: _Outcome) -> _Outcome | None:
+    """Return the outcome at the scales beside an effect that acts within runs and between; None without one."""
+    first, corrected = at.first, at.corrections.of_effect
+    threshold = outcome.factor * thresholds.FALSE_ALARM_EFFECT
+    found = evident_at_scales_beside(first.projection, first.prepared, first.candidates, corrected, threshold)
+    if found is None:
+        return None
+    own, root = found
+    there = at_scales(first, root)
+    leader = next(each for each in there.candidates if _identity(each) == _identity(own))
+    group = equivalence_group(there.projection, leader, there.candidates, corrected(leader.p))
+    return _Outcome(there, _only(there, group), outcome.factor)
+
+
+def _with_marginal_evidence(given: SearchInput, at: FirstPass, outcome: _Outcome) -> _Outcome:
+    """Return the outcome with what is evident although the score does not show it at the noise of the fit."""
     first = at.first
     evident = evident_between_runs(given.fitted, given.responses, first.prepared, first.candidates)
     if not evident:
-        return outcome
+        return _with_what_correlated_noise_took_up(given, at) or outcome
     candidates = list(first.candidates)
     for place, log_factor in evident.items():
         score = candidates[place].score
@@ -358,6 +391,18 @@ def _with_evidence_between_runs(given: SearchInput, at: FirstPass, outcome: _Out
     first, leader = replace(first, candidates=tuple(candidates)), candidates[best]
     group = equivalence_group(first.projection, leader, candidates, at.corrections.of_effect(leader.score.p), near)
     return _Outcome(first, _only(first, group))
+
+
+def _with_what_correlated_noise_took_up(given: SearchInput, at: FirstPass) -> _Outcome | None:
+    """Return the outcome with what is evident at the noise of the model with its parameters refitted; often None."""
+    if not given.as_modelled:
+        return None
+    first = at.first
+    evident = evident_in_correlated_noise(given.fitted, given.responses, first.prepared, first.candidates)
+    if not evident:
+        return None
+    p = {place: math.exp(-log_factor) for place, log_factor in evident.items()}
+    return _judged_beside(given, first, p, at.corrections.of_effect(min(p.values())))
 
 
 def _only(at: Screening, group: EquivalenceGroup) -> Selection:

@@ -59,7 +59,7 @@ CONE_DRAWS, CONE_ROUNDS = 4000, 200
 # Convention: smaller makes more between-run strata, each with few degrees of freedom and little power.
 OFFSET_INFLATION = 1.2
 
-# ---- Evidence between few runs (marginal_evidence) -------------------------------------------------------------------
+# ---- Evidence for what the noise took up (marginal_evidence) ---------------------------------------------------------
 # Where nothing is significant, an effect between runs is claimed whose Bayes factor exceeds the number of candidates
 # over this.  Derived: it bounds the chance of a false alarm (Markov's inequality); a quarter of the budget for effects.
 # Larger makes alarms of a scatter that its prior did not expect.
@@ -70,6 +70,8 @@ SIZE_WIDTHS = (0.01, 0.1, 1.0, 10.0, 100.0)
 # A candidate whose log Bayes factor on a grid of scales is further below what is asked for is not evaluated between
 # them; bound of a scale in prior standard deviations, and most steps of its search.  Effort.
 GRID_SLACK, SCATTER_REACH, SCATTER_STEPS = 10.0, 6.0, 15
+# In records with correlated noise the candidates below this p-value are evaluated, so many at most.  Effort.
+TAKEN_UP_P, TAKEN_UP_MOST = 0.01, 8
 
 # ---- Records with correlated noise in the model (slow_noise_records, slow_noise_evidence) ----------------------------
 # Factor on the budgets for effects and structure there, whose noise is estimated from the same rows, and p-value of an
@@ -107,6 +109,16 @@ DECISIVE_LOG_ODDS = math.log(20.0)
 # units ten times better and worse than usual are met; without the larger one two effects of such a size lose to a third
 # that imitates them, without the smaller one an effect of many coefficients loses to any pair of fewer.
 RIVAL_WIDTHS = (0.1, 1.0, 10.0)
+
+# ---- Scales beside a candidate (scales_beside) -----------------------------------------------------------------------
+# Least share of the evidence that must lie within runs, and between them, and corrected p-value below which a candidate
+# is tested again.  Effort: within one stratum the scales do not matter.
+BOTH_STRATA_SHARE, SCALES_BESIDE_P = 0.02, 0.5
+# Times that the scales are estimated.  Numerical.
+SCALE_STEPS = 6
+# Share of the threshold that is asked for at these scales.  Simulation of 4 to 10 runs without an effect: p-values
+# below 0.01 occur up to 1.6 times as often as they should.
+SECOND_LOOK = 0.5
 
 # ---- Verdict (diagnosis, residual_evidence) --------------------------------------------------------------------------
 # Where nothing is significant, the best candidate below this p-value is told with the verdict.  Convention: one in ten
