@@ -88,8 +88,8 @@ class _Marginal:
         each = [np.where(np.arange(len(now)) == place, less, now) for place in np.flatnonzero(now > 0)]
         return [self.at(scatter) for scatter in (now, (now + less) / 2, less, *(each if len(each) > 1 else ()))]
 
-    def best(self, columns: np.ndarray) -> float:
-        """Return the largest log B over the noise parameters."""
+    def best(self, columns: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the largest log B over the noise parameters, and h there."""
         now = self.as_fitted
         bounds = [(-thresholds.SCATTER_REACH, max(thresholds.SCATTER_REACH, value)) for value in now.tolist()]
         found = [
@@ -99,10 +99,13 @@ class _Marginal:
                 method="L-BFGS-B",
                 bounds=bounds,
                 options={"maxiter": thresholds.SCATTER_STEPS, "eps": 1e-2, "ftol": 1e-6},
-            ).fun
+            )
             for start in (now, np.minimum(now, 0.0))
         ]
-        return -float(min(found))
+        likeliest = min(found, key=lambda each: float(each.fun))
+        h = np.array(self.fitted.h)
+        h[self.places] = likeliest.x
+        return -float(likeliest.fun), h
 
 
 def evident_between_runs(
@@ -124,28 +127,43 @@ def evident_between_runs(
     for place in acting:
         columns = columns_of(prepared, candidates[place])
         if max(at.log_bayes_factor(columns) for at in grid) > enough - thresholds.GRID_SLACK:
-            found[place] = marginal.best(columns)
+            found[place], _ = marginal.best(columns)
     return {place: value for place, value in found.items() if value > enough}
+
+
+@dataclass(frozen=True)
+class TakenUp:
+    """An effect that correlated noise took up: log B, and the noise parameters h, in z, beside it."""
+
+    log_factor: float
+    h: np.ndarray
 
 
 def evident_in_correlated_noise(
     fitted: Fit, responses: Responses, prepared: Sequence[ProjectedResponse], candidates: Sequence[Candidate]
-) -> dict[int, float]:
-    """Return log B of the candidates that correlated noise took up and that are evident, by their place; often none.
+) -> dict[int, TakenUp]:
+    """Return the candidates that correlated noise took up and that are evident, by their place; often none.
 
     Parameters
     ----------
     prepared, candidates : as screened at the noise of the model, all of them, the most significant first.
     """
-    channels = {fitted.model.campaign.channels[place].name for place in with_slow_noise(fitted)}
-    likely = [place for place, each in enumerate(candidates) if channels & set(each.owners)]
+    if len(responses.misfit) > thresholds.TAKEN_UP_ROWS:
+        return {}
+    slow = {fitted.model.campaign.channels[place].name for place in with_slow_noise(fitted)}
+    likely = [place for place, each in enumerate(candidates) if slow & set(each.owners)]
     likely = [place for place in likely if candidates[place].p < thresholds.TAKEN_UP_P][: thresholds.TAKEN_UP_MOST]
-    found = {}
+    enough, known, found = _enough(candidates), dict[tuple[str, ...], tuple[_Marginal, list[_AtScales]]](), {}
     for place in likely:
-        own = _Marginal(fitted, responses, _noise_places(fitted, channels & set(candidates[place].owners)))
-        found[place] = own.best(columns_of(prepared, candidates[place]))
-    enough = _enough(candidates)
-    return {place: value for place, value in found.items() if value > enough}
+        owners = candidates[place].owners
+        if owners not in known:
+            own = _Marginal(fitted, responses, _noise_places(fitted, slow & set(owners)))
+            known[owners] = own, own.grid() if np.any(own.as_fitted > 0) else []
+        marginal, grid = known[owners]
+        columns = columns_of(prepared, candidates[place])
+        if max((at.log_bayes_factor(columns) for at in grid), default=-math.inf) > enough - thresholds.GRID_SLACK:
+            found[place] = TakenUp(*marginal.best(columns))
+    return {place: each for place, each in found.items() if each.log_factor > enough}
 
 
 def _enough(candidates: Sequence[Candidate]) -> float:

@@ -333,18 +333,19 @@ def _beside_slow_noise(given: SearchInput, at: FirstPass) -> _Outcome | None:
     evidence = slow_noise_evidence(given.records, columns)
     if evidence is None or evidence.corrected >= thresholds.SLOW_NOISE_EVIDENCE:
         return None
-    return _judged_beside(given, first, evidence.p, evidence.corrected)
+    beside = given.screening_beside(columns[min(evidence.p, key=lambda place: evidence.p[place])])
+    return _judged_beside(beside, first, evidence.p, evidence.corrected)
 
 
-def _judged_beside(given: SearchInput, first: Screening, p: Mapping[int, float], corrected: float) -> _Outcome:
+def _judged_beside(beside: Screening, first: Screening, p: Mapping[int, float], corrected: float) -> _Outcome:
     """Return the outcome at the noise beside the effect of the smallest p-value.
 
     Parameters
     ----------
+    beside : the screening there.
     p : of candidates of the first screening alone, by their place.
     corrected : of the smallest one.
     """
-    beside = given.screening_beside(columns_of(first.prepared, first.candidates[min(p, key=lambda place: p[place])]))
     known = {_identity(first.candidates[place]): value for place, value in p.items()}
     candidates = [
         replace(each, score=replace(each.score, p=max(each.score.p, known.get(_identity(each), 0.0))))
@@ -394,15 +395,20 @@ def _with_marginal_evidence(given: SearchInput, at: FirstPass, outcome: _Outcome
 
 
 def _with_what_correlated_noise_took_up(given: SearchInput, at: FirstPass) -> _Outcome | None:
-    """Return the outcome with what is evident at the noise of the model with its parameters refitted; often None."""
-    if not given.as_modelled:
+    """Return the outcome with what is evident with the parameters of the model's noise refitted beside it; often None.
+
+    Of records that are judged at the likeliest noise, it is sought at that of the model afterwards.
+    """
+    if given.records and not given.as_modelled:
         return None
     first = at.first
     evident = evident_in_correlated_noise(given.fitted, given.responses, first.prepared, first.candidates)
     if not evident:
         return None
-    p = {place: math.exp(-log_factor) for place, log_factor in evident.items()}
-    return _judged_beside(given, first, p, at.corrections.of_effect(min(p.values())))
+    best = max(evident.values(), key=lambda each: each.log_factor)
+    beside = replace(given, fitted=replace(given.fitted, h=best.h), as_modelled=True).screening()
+    p = {place: math.exp(-each.log_factor) for place, each in evident.items()}
+    return _judged_beside(beside, first, p, at.corrections.of_effect(min(p.values())))
 
 
 def _only(at: Screening, group: EquivalenceGroup) -> Selection:

@@ -70,8 +70,9 @@ SIZE_WIDTHS = (0.01, 0.1, 1.0, 10.0, 100.0)
 # A candidate whose log Bayes factor on a grid of scales is further below what is asked for is not evaluated between
 # them; bound of a scale in prior standard deviations, and most steps of its search.  Effort.
 GRID_SLACK, SCATTER_REACH, SCATTER_STEPS = 10.0, 6.0, 15
-# In records with correlated noise the candidates below this p-value are evaluated, so many at most.  Effort.
-TAKEN_UP_P, TAKEN_UP_MOST = 0.01, 8
+# In correlated noise the candidates below this p-value are evaluated, so many at most, of so many samples at most.
+# Effort.
+TAKEN_UP_P, TAKEN_UP_MOST, TAKEN_UP_ROWS = 0.1, 8, 10_000
 
 # ---- Records with correlated noise in the model (slow_noise_records, slow_noise_evidence) ----------------------------
 # Factor on the budgets for effects and structure there, whose noise is estimated from the same rows, and p-value of an
