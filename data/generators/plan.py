@@ -361,7 +361,7 @@ class Moments:
         outputs = []
         for channel in self.plan.channels:
             if channel.kind == "gyro":
-                signal = gyro_signal(channel, values, site, body_rate, force, self.around)
+                signal = gyro_signal(channel, values, site, body_rate, force, self.around, body_rate - table_rate)
             else:
                 felt = force + lever_arm_force(channel, values, table_rate, rising)
                 signal = accelerometer_signal(channel, values, site, felt, self.around)

@@ -17,6 +17,7 @@ import numpy as np
 from kinematics import ARCSEC, Site
 
 REFERENCE_TEMPERATURE = 25.0
+NORTHWARD_GAUSS, UPWARD_GAUSS = 0.25, -0.4
 DEG_PER_HOUR = pi / 180 / 3600
 DEG_PER_SECOND = pi / 180
 PPM = 1e-6
@@ -156,8 +157,18 @@ def scale_over_temperature(kind: str, error: Callable[[str], float], around: Sur
     return (1 + PPM * error(f"{kind}_scale_factor.scale")) * (1 + PPM * change)
 
 
-def gyro_signal(channel: Channel, values: Values, site: Site, rate, force, around: Surroundings) -> np.ndarray:
-    """Input-referred signal in rad/s, for body rates and specific forces (K, 3)."""
+def magnetic_field(site: Site, earth: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Field in gauss, body axes (K, 3), of a unit at one place, from Earth rate and force there."""
+    latitude = radians(site.latitude_deg)
+    up = force / np.linalg.norm(force, axis=1, keepdims=True)
+    north = (earth / np.linalg.norm(site.earth_rate) - np.sin(latitude) * up) / np.cos(latitude)
+    return NORTHWARD_GAUSS * north + UPWARD_GAUSS * up
+
+
+def gyro_signal(
+    channel: Channel, values: Values, site: Site, rate, force, around: Surroundings, earth: np.ndarray | None = None
+) -> np.ndarray:
+    """Input-referred signal in rad/s, for body rates and specific forces (K, 3); `earth` is Earth rate in body axes."""
     error = errors_of(values, channel.name)
     signal = rate @ sensitive_axis(channel, values)
     in_g = force / site.gravity @ channel.axes.T
@@ -168,6 +179,9 @@ def gyro_signal(channel: Channel, values: Values, site: Site, rate, force, aroun
     }.items():  # fmt: skip
         if drift := error(f"gyro_g2_sensitivity.{name}"):
             signal = signal + DEG_PER_HOUR * drift * in_g[:, first] * in_g[:, second]
+    magnetic = np.array([error(f"gyro_magnetic_sensitivity.{name}") for name in ("m_i", "m_o", "m_s")])
+    if earth is not None and np.any(magnetic):
+        signal = signal + DEG_PER_HOUR * magnetic_field(site, earth, force) @ channel.axes.T @ magnetic
     along = rate @ channel.axes[0]
     if asymmetry := error("gyro_scale_asymmetry.asymmetry"):
         signal = signal + PPM * asymmetry * np.abs(along)

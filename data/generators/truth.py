@@ -27,6 +27,8 @@ UNITS = {
     "gyro_misalignment.toward_o": "arcsec", "gyro_misalignment.toward_s": "arcsec",
     "gyro_g_sensitivity.d_i": "deg/h/g", "gyro_g_sensitivity.d_o": "deg/h/g",
     "gyro_g_sensitivity.d_s": "deg/h/g",
+    "gyro_magnetic_sensitivity.m_i": "deg/h/gauss", "gyro_magnetic_sensitivity.m_o": "deg/h/gauss",
+    "gyro_magnetic_sensitivity.m_s": "deg/h/gauss",
     "accel_bias.bias": "ug", "accel_bias_temperature.slope": "ug/degC",
     "accel_scale_factor.scale": "ppm", "accel_scale_temperature.slope": "ppm/degC",
     "accel_misalignment.toward_o": "arcsec", "accel_misalignment.toward_p": "arcsec",
