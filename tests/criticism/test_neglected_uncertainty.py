@@ -8,6 +8,7 @@ from null_data import ROOT, refitted
 
 from imubayes.campaign import load_campaign
 from imubayes.criticism.diagnose import judge
+from imubayes.display.diagnosis_report import next_command
 from imubayes.display.diagnosis_sentences import sentence
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
@@ -46,9 +47,15 @@ def test_a_table_rate_taken_as_exact_is_told():
     scale = at.model.layout.parameters[place].prior.sd() * 1e6
     assert neglected.in_sd == pytest.approx(20.0 / (scale * sd(at, place)), rel=0.05)
     assert "No interval includes table_rate_error" in sentence(found)
+    assert found.verdict == "adequate"
+    assert found.suggested is None
+    assert found.proposed is not None
+    assert found.proposed.effects == ("table_rate_error",)
+    assert next_command(found).startswith("imubayes add table_rate_error --to")
 
 
 def test_what_hardly_matters_is_not_told():
     found = judge(fitted(1e-3))
     assert not found.neglected
+    assert found.proposed is None
     assert "No interval includes" not in sentence(found)

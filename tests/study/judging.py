@@ -57,6 +57,12 @@ def false_alarm(kind: str, document: Document) -> bool:
     return alarms(document) or (document["verdict"] != "adequate" and kind != "null-ar1")
 
 
+def contradicted(document: Document) -> bool:
+    """Tell whether a diagnosis calls a model adequate beside a candidate or a structure that it holds significant."""
+    known = [one["p_global"] for one in document["ranking"]] + [one["p"] for one in document["structure"]]
+    return document["verdict"] == "adequate" and min(known, default=1.0) < document["threshold"]
+
+
 def alarms_at_one_look(document: Document) -> bool:
     """Planted fault: tell what would be claimed if only one candidate had been looked at."""
     return any(one["p"] < document["threshold"] for one in document["ranking"])

@@ -116,6 +116,14 @@ def test_planted_faults_of_the_diagnosis_are_seen():
     assert list(judging.faults(lines).values()) == [(1, 1), (1, 1), (1, 1)]
 
 
+def test_adequate_beside_a_significant_finding_is_a_contradiction():
+    significant, other = {"p_global": 0.04}, {"p_global": 0.06}
+    assert judging.contradicted(EMPTY | {"ranking": [other, significant]})
+    assert judging.contradicted(EMPTY | {"structure": [{"p": 0.01, "covariate": "time_s"}]})
+    assert not judging.contradicted(EMPTY | {"ranking": [other]})
+    assert not judging.contradicted(explained(group("gyro_thermal_lag")) | {"ranking": [significant]})
+
+
 def test_additions_are_judged_beside_the_truth():
     good = {"taken": True, "predicted": 100.0, "found": 90.0, "noise": 1.03, "held_out": "helps",
             "coefficients": [{"value": 1.0, "sd": 0.1, "truth": 1.2}]}  # fmt: skip
@@ -174,6 +182,7 @@ def test_blind_study():
     blind.REPORT.parent.mkdir(parents=True, exist_ok=True)
     blind.REPORT.write_text(judging.report(lines))
     assert not [one for one in lines if "error" in one]
+    assert not [one for one in lines if judging.contradicted(one["document"])]
 
     def share(found):
         return found[0] / found[1]

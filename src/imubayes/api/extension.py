@@ -46,7 +46,7 @@ def add(
     ----------
     result : a result, or its folder.
     effects : names of effects or noise members, or Python files that define effects (``found_shape.py``); what the
-        diagnosis suggests where there are none.
+        diagnosis proposes where there are none.
     out : result folder to write; None for none.  It becomes the selected model where the refit is taken.
     channels : for the new effects; where None, those on which the diagnosis found them, or else all they can act on.
     diagnosis : of the result; its estimates are where the refit starts.  Where None, the one that the result folder
@@ -108,14 +108,14 @@ def _refuse_two_files_of_a_name(files: Sequence[str]) -> None:
 def _named(
     effects: Sequence[str], channels: Sequence[str] | None, diagnosis: Diagnosis | None
 ) -> tuple[Sequence[str], Sequence[str] | None]:
-    """Return effects and channels to add: as named, or as the diagnosis suggests.
+    """Return effects and channels to add: as named, or as the diagnosis proposes.
 
     Several effects share one list of channels, so that of the diagnosis is taken for a single effect.
     """
     if effects:
         found = diagnosis.channels_for(effects[0]) if diagnosis is not None and len(effects) == 1 else None
         return effects, channels if channels is not None else found
-    suggested = diagnosis.suggested if diagnosis is not None else None
+    suggested = diagnosis.proposed if diagnosis is not None else None
     if suggested is None:
         raise input_error("no effect is named", "add", "imubayes effects lists them", "name one")
     return suggested.effects, channels or suggested.channels

@@ -374,6 +374,13 @@ class Diagnosis(Presented, Record):
         return tuple(sorted(apart, key=lambda each: -each.ratio))
 
     @property
+    def proposed(self) -> Suggestion | None:
+        """What to add next: what is suggested or, where nothing is missing, stated uncertainties that are neglected."""
+        if self.suggested is not None or self.verdict != "adequate" or self.asked is not None or not self.neglected:
+            return self.suggested
+        return Suggestion(effects=tuple(each.effect for each in self.neglected), channels=None)
+
+    @property
     def noise_outweighs(self) -> bool:
         """Whether noise that the model lacks has stronger evidence than the effect or structure of the verdict."""
         adopted = [noise for noise in self.noise if noise.adopted]

@@ -47,7 +47,8 @@ class Extension:
     z, h : start of the fit, shapes (P,) and (H,).
     null : shape (P,), the mode before, with the new parameters at their null values.
     new : shape (P,), True for the parameters that the model before did not have.
-    delta_chi2 : predicted drop of χ² at the noise scales before; None where the gradient at the null values vanishes.
+    delta_chi2 : predicted drop of χ² at the noise scales before; None where the gradient at the null values vanishes,
+        and where the linear prediction is a rise.
     coefficients : predicted, with uncertainty; empty where the gradient vanishes.
     asked : shape (K,), estimates of the new parameters from the data alone, SI, where they contradict the prior; 0
         elsewhere.
@@ -306,7 +307,7 @@ def _first_step(
         # A scanned time constant lies near its true value and has a gradient once its coefficient is not zero.
         z, sd, drop, flat = _second_step(model, z, h, new, (sd, drop, flat), without)
     return Extension(
-        model, z, h, null, new, drop if tells else None,
+        model, z, h, null, new, drop if tells and drop > thresholds.REFIT_LOSS else None,
         _coefficients(model.layout, z, new, sd, flat) if tells else (),
         _contradicting(_chosen(model, new), null[new], squares, drive), left[:entries], (across @ step)[:entries],
     )  # fmt: skip

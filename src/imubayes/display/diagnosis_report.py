@@ -114,7 +114,7 @@ def next_lines(found: Diagnosis, pictures: Sequence[Path] = ()) -> list[str]:
 
 def next_command(found: Diagnosis) -> str:
     """Return the command to run next; empty for an answer about one effect."""
-    result, choice = found.result, found.suggested
+    result, choice = found.result, found.proposed
     if found.asked is not None:
         return ""
     if choice is not None:
@@ -127,9 +127,6 @@ def next_command(found: Diagnosis) -> str:
         return written if printable else f"imubayes compare {result}"
     if found.verdict in ("noise_model", "not_converged") or found.wandering:
         return f"imubayes compare {result}"
-    if found.neglected:
-        effects = [each.effect for each in found.neglected]
-        return f"imubayes add {' '.join(effects)} --to {result} --out {result}-{effects[0]}"
     return f"imubayes plant --result {result}"
 
 
