@@ -37,9 +37,9 @@ def evident_at_scales_beside(
         each
         for each in candidates
         if least < each.score.within_runs < most and corrected(each.p) < thresholds.SCALES_BESIDE_P
-    ]
+    ][: thresholds.SCALES_BESIDE_MOST]
     found = [at_scales_beside(projection, *response_of(prepared, each)) for each in likely]
-    best = min(found, key=lambda each: each[0].p, default=None)
+    best = min((each for each in found if each[0].plausible), key=lambda each: each[0].p, default=None)
     if best is None or corrected(best[0].p) >= thresholds.SECOND_LOOK * threshold:
         return None
     return best

@@ -241,11 +241,12 @@ def _refit_without(fitted: Fit, outlying: np.ndarray, rounds: int) -> tuple[Fit,
 
 @dataclass(frozen=True)
 class _Outcome:
-    """First screening, the effects that it shows, and the factor on the budget of false alarms."""
+    """First screening, the effects that it shows, the factor on the budget of false alarms, and noise as a rival."""
 
     first: Screening
     selection: Selection
     factor: float = 1.0
+    wandering: WanderingNoise = ""
 
     @property
     def groups(self) -> tuple[EquivalenceGroup, ...]:
@@ -298,6 +299,7 @@ def _result(
         look_elsewhere=at.corrections.of_effect,
         factor=outcome.factor,
         record=compare_with_record((at.selection.last if outcome.groups else at.first).projection),
+        wandering=outcome.wandering,
     )
 
 
@@ -337,8 +339,8 @@ def _beside_slow_noise(given: SearchInput, at: FirstPass) -> _Outcome | None:
     return _judged_beside(beside, first, evidence.p, evidence.corrected)
 
 
-def _judged_beside(beside: Screening, first: Screening, p: Mapping[int, float], corrected: float) -> _Outcome:
-    """Return the outcome at the noise beside the effect of the smallest p-value.
+def _judged_beside(beside: Screening, first: Screening, p: Mapping[int, float], corrected: float) -> _Outcome | None:
+    """Return the outcome at the noise beside the effect of the smallest p-value; None where none is possible there.
 
     Parameters
     ----------
@@ -352,7 +354,9 @@ def _judged_beside(beside: Screening, first: Screening, p: Mapping[int, float], 
         for each in beside.candidates
     ]
     beside = replace(beside, candidates=tuple(candidates))
-    leader = next(each for each in candidates if _identity(each) in known)
+    leader = next((each for each in candidates if _identity(each) in known), None)
+    if leader is None:
+        return None
     group = equivalence_group(beside.projection, leader, candidates, corrected)
     return _Outcome(beside, _only(beside, group), thresholds.SLOW_NOISE_EVIDENCE / thresholds.FALSE_ALARM_EFFECT)
 
@@ -372,8 +376,7 @@ def _at_scales_beside(at: FirstPass, outcome: _Outcome) -> _Outcome | None:
         return None
     own, root = found
     there = at_scales(first, root)
-    leader = next(each for each in there.candidates if _identity(each) == _identity(own))
-    group = equivalence_group(there.projection, leader, there.candidates, corrected(leader.p))
+    group = equivalence_group(there.projection, own, there.candidates, corrected(own.p))
     return _Outcome(there, _only(there, group), outcome.factor)
 
 
@@ -408,7 +411,9 @@ def _with_what_correlated_noise_took_up(given: SearchInput, at: FirstPass) -> _O
     best = max(evident.values(), key=lambda each: each.log_factor)
     beside = replace(given, fitted=replace(given.fitted, h=best.h), as_modelled=True).screening()
     p = {place: math.exp(-each.log_factor) for place, each in evident.items()}
-    return _judged_beside(beside, first, p, at.corrections.of_effect(min(p.values())))
+    outcome = _judged_beside(beside, first, p, at.corrections.of_effect(min(p.values())))
+    # Noise of another family than the model's may explain the same.
+    return outcome and replace(outcome, wandering="rival")
 
 
 def _only(at: Screening, group: EquivalenceGroup) -> Selection:

@@ -112,9 +112,9 @@ DECISIVE_LOG_ODDS = math.log(20.0)
 RIVAL_WIDTHS = (0.1, 1.0, 10.0)
 
 # ---- Scales beside a candidate (scales_beside) -----------------------------------------------------------------------
-# Least share of the evidence that must lie within runs, and between them, and corrected p-value below which a candidate
-# is tested again.  Effort: within one stratum the scales do not matter.
-BOTH_STRATA_SHARE, SCALES_BESIDE_P = 0.02, 0.5
+# Least share of the evidence that must lie within runs, and between them, corrected p-value below which a candidate is
+# tested again, and most candidates.  Effort: within one stratum the scales do not matter.
+BOTH_STRATA_SHARE, SCALES_BESIDE_P, SCALES_BESIDE_MOST = 0.02, 0.5, 8
 # Times that the scales are estimated.  Numerical.
 SCALE_STEPS = 6
 # Share of the threshold that is asked for at these scales.  Simulation of 4 to 10 runs without an effect: p-values

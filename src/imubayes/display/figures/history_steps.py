@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 from matplotlib.axes import Axes
 
 from imubayes.display.labels import pretty, readable
@@ -11,6 +12,8 @@ from imubayes.display.rounding import significant
 from imubayes.display.run_signs import HUES
 from imubayes.display.theme import FAINT, SMALL, Picture, panels, picture, themed
 
+_BAR = 0.16
+"""Half the length of a bar, in steps."""
 _NOTICEABLE = 0.03
 """Relative change of residual or noise from which on a channel has a hue."""
 
@@ -82,18 +85,41 @@ def _lines(axes: Axes, channels: Sequence[ChannelSteps], floors: Mapping[str, fl
         if each not in changed:
             continue
         places = np.arange(len(noise), dtype=float)
-        axes.hlines(noise, places - 0.16, places + 0.16, hue, linewidth=2.2, alpha=0.55, zorder=2.5)
+        axes.hlines(noise, places - _BAR, places + _BAR, hue, linewidth=2.2, alpha=0.55, zorder=2.5)
         if each.channel in floors:
             axes.axhline(floors[each.channel] * factor, color=hue, linewidth=0.8, linestyle=":")
-        for place in (0, len(rms) - 1):
-            if np.isfinite(rms[place]):
-                label = significant(float(rms[place])) + (f"  {each.channel}" if place else "")
-                side = {"xytext": (8, 0), "ha": "left"} if place else {"xytext": (-8, 0), "ha": "right"}
-                axes.annotate(
-                    label, (place, rms[place]), textcoords="offset points", size=SMALL, va="center", color=hue, **side
-                )
     most = max(float(np.nanmax([*each.rms, *each.noise])) for each in channels) * factor
     axes.set(xlim=(-0.55, len(channels[0].rms) - 0.3), ylim=(0, 1.12 * most))
+    for place in (0, len(channels[0].rms) - 1):
+        _named(axes, changed, place, factor)
+
+
+def _named(axes: Axes, changed: Sequence[ChannelSteps], place: int, factor: float) -> None:
+    """Write the residuals of one model beside its bars, with the channels' names beside the last model."""
+    known = [(each, float(each.rms[place]) * factor) for each in changed if np.isfinite(each.rms[place])]
+    points = axes.get_window_extent().height * 72 / axes.figure.dpi
+    heights = spread_apart([value for _, value in known], 1.2 * SMALL * axes.get_ylim()[1] / points)
+    for (each, value), at in zip(known, heights, strict=True):
+        label = significant(value) + (f"  {each.channel}" if place else "")
+        x, side = (place + 1.2 * _BAR, "left") if place else (place - 1.2 * _BAR, "right")
+        axes.text(x, at, label, size=SMALL, va="center", ha=side, color=HUES[changed.index(each)])
+
+
+def spread_apart(values: Sequence[float], least: float) -> list[float]:
+    """Return heights close to values, in their order and at least `least` apart, none below half of that."""
+    if not values:
+        return []
+    order = np.argsort(values, kind="stable")
+    places = np.arange(len(values)) * least
+    # Without the distances asked for the heights only have to rise: the least-squares fit is isotonic.
+    free = (
+        scipy.optimize.isotonic_regression(np.asarray(values, dtype=float)[order] - places).x
+        if len(values)
+        else np.zeros(0)
+    )
+    heights = np.empty(len(values))
+    heights[order] = np.maximum(free, 0.5 * least) + places
+    return heights.tolist()
 
 
 def _folded(name: str, room: int) -> str:
