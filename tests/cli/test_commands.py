@@ -224,6 +224,7 @@ def test_fit_writes_the_contract(tmp_path, capsys):
         assert abs(by_name[name]["mean"] - truth["parameters"][name]) < 4 * by_name[name]["sd"]
 
 
+@pytest.mark.slow
 def test_without_injected_current_gain_and_offset_are_not_separated(copy, tmp_path, capsys):
     campaign, model = copy
     text = (campaign / "campaign.toml").read_text()

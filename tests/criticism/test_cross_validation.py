@@ -69,6 +69,7 @@ def test_what_is_missing_helps_unseen_runs(second):
     assert unseen.delta == pytest.approx(sum(run.delta for run in unseen.each))
 
 
+@pytest.mark.slow
 def test_what_is_not_missing_is_marked_so(third):
     """The planted fault: an effect that is not in the data does not pass for one that helps."""
     assert third.taken

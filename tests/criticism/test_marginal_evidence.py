@@ -55,6 +55,7 @@ def test_an_effect_between_few_runs_is_not_passed_over(
     assert [group.effects[0] for group in found.groups] == ([BETWEEN] if verdict == "missing_effect" else [])
 
 
+@pytest.mark.slow
 def test_complete_models_are_not_evident_of_anything(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tenth of the bound would allow an alarm in half of these; no candidate comes near."""
     monkeypatch.setattr(thresholds, "MARGINAL_EVIDENCE", 1.0)

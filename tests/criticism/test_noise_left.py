@@ -14,6 +14,7 @@ from imubayes.criticism.score_test import project_responses
 from imubayes.criticism.stepwise_search import search
 
 
+@pytest.mark.slow
 def test_only_noise_that_acts_on_the_channels_is_a_candidate():
     found = {each.effect for each in search(fitted_to("accel-channel", "accel-channel")).noise}
     assert "correlated_noise" in found

@@ -50,7 +50,7 @@ def places(fitted: Fit, change: np.ndarray) -> set[tuple[str, str, int]]:
     }
 
 
-@pytest.mark.parametrize("count", [1, 12])
+@pytest.mark.parametrize("count", [1, pytest.param(12, marks=pytest.mark.slow)])
 def test_readings_that_are_far_off_are_named(whole, count):
     change = hits(whole, count, 12.0, seed=3)
     found = diagnosis_json(judge(redrawn(whole, 5, change=change)))

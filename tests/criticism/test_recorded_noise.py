@@ -51,7 +51,8 @@ def without_lags(monkeypatch) -> None:
     )
 
 
-@pytest.mark.parametrize("seed", [29, pytest.param(31, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [29, 31])
+@pytest.mark.slow
 def test_a_lag_outside_the_catalogue_is_never_adequate(tmp_path, monkeypatch, seed):
     """Draws whose evidence a mere suspicion of correlated noise once whitened away."""
     without_lags(monkeypatch)

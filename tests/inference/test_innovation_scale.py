@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from imubayes.campaign import load_campaign
 from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace, to_normal, to_point
@@ -43,6 +44,7 @@ def effective_share(proposal: NestedLaplace) -> float:
     return float(weight.sum() ** 2 / np.sum(weight**2) / DRAWS)
 
 
+@pytest.mark.slow
 def test_nearly_every_proposal_counts():
     assert effective_share(made()[2]) > 0.9
 

@@ -92,6 +92,7 @@ def test_without_run_offsets_the_density_agrees_with_scipy():
     np.testing.assert_allclose(law(model.problem, jnp.asarray(misfit), h).entry, expected, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_run_offsets_are_marginalised():
     """Against quadrature: for runs of 4 to 8 rows Laplace's method errs by 0.1 rms, 0.4 at most, in log density."""
     model, at = contaminated(WITH_OFFSETS), fitted()
