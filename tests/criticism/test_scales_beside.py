@@ -65,7 +65,10 @@ def mixed(seed: int, scatter: float, slope: float = 0.0, runs: int = 6) -> Mixed
     scale = np.append(np.sqrt(variance[of_row]), 1.0)
     basis = np.append(mean, [[0.0]], axis=0)
     residual = np.append(values, 0.0) / scale
-    projection = replace(template(), basis=basis, residual=residual, strata=strata, freedom=freedom, jacobian=basis)
+    share = np.array([1.0, variance[0] / variance[1], 1.0])
+    projection = replace(
+        template(), basis=basis, residual=residual, strata=strata, freedom=freedom, jacobian=basis, noise_share=share
+    )
     column = (np.append(direction, 0.0) / scale)[:, None]
     drift = Coefficient(Parameter("drift", "slope", ("a",), "1", 1.0, Normal(0.0, 1.0)), "a", (0.01, 100.0))
     response = Response(ShapeScan("drift", {}), (drift,), column)

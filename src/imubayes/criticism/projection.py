@@ -70,6 +70,8 @@ class Projection:
     jacobian, upper : shapes (R, P) and (P, P): the whitened Jacobian with the prior rows, and R of its QR.
     input : shape (E,), predicted output less the nominal offset, in nominal input units (SI).
     root : shape (E,), one over each entry's standard deviation, run offsets not counted.
+    noise_share : shape (strata + 1,), share of the variance of each stratum that the noise of single rows makes: 1 but
+        for run offsets.
     """
 
     fitted: Fit
@@ -82,12 +84,22 @@ class Projection:
     upper: np.ndarray
     input: np.ndarray
     root: np.ndarray
+    noise_share: np.ndarray
 
     @property
     def offset_rows(self) -> np.ndarray:
         """Which rows hold run offsets that are noise, (R,) bool."""
         measured = self.strata.of_row != PRIOR
         return measured & self.strata.between[np.where(measured, self.strata.of_row, 0)]
+
+    @property
+    def within(self) -> np.ndarray:
+        """The stratum within runs of each stratum's channel, (strata + 1,); its own place where it has none."""
+        place = np.arange(len(self.noise_share))
+        for own in np.flatnonzero(self.strata.between):
+            inside = np.flatnonzero((self.strata.channel == self.strata.channel[own]) & ~self.strata.between)
+            place[own] = inside[0] if inside.size else own
+        return place
 
     @cached_property
     def posterior_sd(self) -> np.ndarray:
@@ -218,6 +230,7 @@ def project(
         upper=upper,
         input=_input(fitted, misfit),
         root=np.asarray(whitener(problem, fitted.h).precision_root),
+        noise_share=_noise_share(fitted, members, strata),
     )
 
 
@@ -249,6 +262,7 @@ def with_run_offsets(projection: Projection) -> tuple[Projection, Whitening]:
         residual=turned(projection.residual),
         strata=strata,
         freedom=_freedom(problem, strata, basis),
+        noise_share=_noise_share(fitted, turn.members, strata),
     ), turned
 
 
@@ -272,20 +286,33 @@ def _reflectors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return which groups have an offset that is noise, (G,) bool, and their Householder vectors, (G, M)."""
     problem, count = fitted.model.problem, len(fitted.model.entries)
-    by = whitener(problem, fitted.h)
     # The whitened offset of a run is its direction in the group's rows.
     offset = np.asarray(_whiten(problem, fitted.h, np.ones((count, 1))))
     offset = np.concatenate([(extra(offset) if extra is not None else offset)[:, 0], [0.0]])[members]
     length = np.linalg.norm(offset, axis=1)
-    direction = np.concatenate([np.asarray(by.direction), [0.0]])[members]
-    # Variance of the run's mean with its offset against without: (1 − κ)⁻², κ = shrink · |u|².
-    kappa = np.asarray(by.shrink) * np.sum(direction**2, axis=1)
     several = np.sum(members < count, axis=1) > 1
-    separate = ((1 - kappa) ** -2 > thresholds.OFFSET_INFLATION) | (offsets & several)
+    separate = (1 / _noise_of_mean(fitted, members) > thresholds.OFFSET_INFLATION) | (offsets & several)
     first = offset / np.where(length > 0, length, 1.0)[:, None] - np.eye(1, members.shape[1])
     size = np.linalg.norm(first, axis=1)
     able = separate & (length > 0) & (size > 1e-12)
     return separate, np.where(able[:, None], first / np.where(able, size, 1.0)[:, None], 0.0)
+
+
+def _noise_of_mean(fitted: Fit, members: np.ndarray) -> np.ndarray:
+    """Return the variance of the mean of each group without its offset over that with it, (G,)."""
+    by = whitener(fitted.model.problem, fitted.h)
+    direction = np.concatenate([np.asarray(by.direction), [0.0]])[members]
+    # It is (1 − κ)², κ = shrink · |u|².
+    return (1 - np.asarray(by.shrink) * np.sum(direction**2, axis=1)) ** 2
+
+
+def _noise_share(fitted: Fit, members: np.ndarray, strata: Strata) -> np.ndarray:
+    """Return the share of each stratum's variance that the noise of single rows makes, the rows of the priors last."""
+    share = np.ones(len(strata.channel) + 1)
+    of_group, noise = strata.of_row[members[:, 0]], _noise_of_mean(fitted, members)
+    for place in np.flatnonzero(strata.between):
+        share[place] = np.mean(noise[of_group == place])
+    return share
 
 
 def _seen_first(observations: Observations) -> np.ndarray:

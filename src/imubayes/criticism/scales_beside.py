@@ -50,11 +50,13 @@ def at_scales_beside(
 ) -> tuple[Candidate, np.ndarray]:
     """Return a candidate with the chosen coefficients at the scales beside it, and the root of the weights, (R,)."""
     judged = projection.freedom >= thresholds.FREEDOM_TO_JUDGE
-    scale, root = np.ones(len(judged)), np.ones(len(projection.residual))
-    now = assess(projection, response, chosen)
+    within, scale = projection.within, np.ones(len(judged))
+    # A few run means may agree by chance to better than the noise of their rows allows.
+    share = np.where(within == np.arange(len(within)), 0.0, projection.noise_share)
+    root, now = np.ones(len(projection.residual)), assess(projection, response, chosen)
     for _ in range(thresholds.SCALE_STEPS):
         scale = np.where(judged, scale * now.score.variance, 1.0)
         root = 1 / np.sqrt(projection.strata.at_rows(scale))
         at = projection.reweighted(root)
-        now = assess(at, response.reweighted(at, root), chosen)
+        now = assess(at, response.reweighted(at, root), chosen, share * scale[within] / scale)
     return now, root

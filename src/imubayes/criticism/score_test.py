@@ -156,6 +156,7 @@ def score_test(
     length: np.ndarray,
     least: float = thresholds.RETAINED_MIN,
     signs: np.ndarray | None = None,
+    floor: np.ndarray | None = None,
 ) -> ScoreTest:
     """Return what projected columns explain of the residual.
 
@@ -165,6 +166,7 @@ def score_test(
     length : shape (C,), their lengths before projection.
     least : directions that keep less than this share of their squared length count as absorbed.
     signs : shape (C,), the only sign allowed for each coefficient, 0 for either; either for all where None.
+    floor : shape (strata + 1,), least variance of each stratum beside the columns, relative to the fit's.
     """
     cone = None if signs is None else _cone(columns, length, least, signs)
     used = _used(cone, projection.residual, len(length))
@@ -175,6 +177,7 @@ def score_test(
     left = strata.sums((projection.residual - fitted) ** 2)
     freedom = projection.freedom - strata.sums(np.sum(span**2, axis=1))
     variance, judged = noise_left(left, freedom)
+    variance = variance if floor is None else np.maximum(variance, floor)
     weighted = drop / variance
     total, count = float(weighted.sum()), span.shape[1]
     finite = np.where(judged, freedom, KNOWN_FREEDOM)
@@ -233,13 +236,15 @@ def response_of(prepared: Sequence[ProjectedResponse], candidate: Candidate) -> 
     return found, np.array([names.index(coefficient.parameter.name) for coefficient in candidate.coefficients])
 
 
-def assess(projection: Projection, projected: ProjectedResponse, chosen: np.ndarray) -> Candidate:
-    """Return a candidate with the chosen coefficients, by their places."""
+def assess(
+    projection: Projection, projected: ProjectedResponse, chosen: np.ndarray, floor: np.ndarray | None = None
+) -> Candidate:
+    """Return a candidate with the chosen coefficients, by their places; `floor` is that of `score_test`."""
     response, columns = projected.response, projected.projected[:, chosen]
     length = np.linalg.norm(projected.whitened[:, chosen], axis=0)
     coefficients = tuple(response.coefficients[place] for place in chosen)
     signs = np.array([coefficient.sign for coefficient in coefficients])
-    score = score_test(projection, columns, length, signs=signs)
+    score = score_test(projection, columns, length, signs=signs, floor=floor)
     value, sd = _estimates(projection, columns, score)
     return Candidate(
         scan=response.scan,
