@@ -180,7 +180,7 @@ def gyro_signal(
         if drift := error(f"gyro_g2_sensitivity.{name}"):
             signal = signal + DEG_PER_HOUR * drift * in_g[:, first] * in_g[:, second]
     magnetic = np.array([error(f"gyro_magnetic_sensitivity.{name}") for name in ("m_i", "m_o", "m_s")])
-    if earth is not None and np.any(magnetic):
+    if np.any(magnetic):
         signal = signal + DEG_PER_HOUR * magnetic_field(site, earth, force) @ channel.axes.T @ magnetic
     along = rate @ channel.axes[0]
     if asymmetry := error("gyro_scale_asymmetry.asymmetry"):

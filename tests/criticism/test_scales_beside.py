@@ -25,12 +25,13 @@ class Mixed:
 
     projection: Projection
     response: ProjectedResponse
+    floor: tuple[np.ndarray, np.ndarray]
 
     def as_fitted(self) -> Candidate:
         return assess(self.projection, self.response, np.array([0]))
 
     def beside(self) -> Candidate:
-        return at_scales_beside(self.projection, self.response, np.array([0]))[0]
+        return at_scales_beside(self.projection, self.response, np.array([0]), self.floor)[0]
 
 
 @cache
@@ -65,14 +66,12 @@ def mixed(seed: int, scatter: float, slope: float = 0.0, runs: int = 6) -> Mixed
     scale = np.append(np.sqrt(variance[of_row]), 1.0)
     basis = np.append(mean, [[0.0]], axis=0)
     residual = np.append(values, 0.0) / scale
-    share = np.array([1.0, variance[0] / variance[1], 1.0])
-    projection = replace(
-        template(), basis=basis, residual=residual, strata=strata, freedom=freedom, jacobian=basis, noise_share=share
-    )
+    projection = replace(template(), basis=basis, residual=residual, strata=strata, freedom=freedom, jacobian=basis)
     column = (np.append(direction, 0.0) / scale)[:, None]
     drift = Coefficient(Parameter("drift", "slope", ("a",), "1", 1.0, Normal(0.0, 1.0)), "a", (0.01, 100.0))
     response = Response(ShapeScan("drift", {}), (drift,), column)
-    return Mixed(projection, ProjectedResponse(response, column, projection.project(column)))
+    floor = np.array([0, 0, 2]), np.array([0.0, variance[0] / variance[1], 0.0])
+    return Mixed(projection, ProjectedResponse(response, column, projection.project(column)), floor)
 
 
 def p_values(scatter: float, runs: int = 6) -> np.ndarray:

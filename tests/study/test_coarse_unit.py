@@ -98,11 +98,7 @@ def refitted(model, z, h, truth) -> tuple[np.ndarray, tuple[PriorConflict, ...]]
     sd, at = np.sqrt(np.diag(np.linalg.inv(precision))), np.asarray(mode.z)
     new = [(place, one) for place, one in enumerate(model.layout.parameters) if one.name in truth]
     scores = np.array([(at[place] - one.z_at(truth[one.name])) / sd[place] for place, one in new])
-    named = tuple(
-        each
-        for each in prior_conflicts(model, at, precision)
-        if each.effect in {name.partition(".")[0] for name in truth}
-    )
+    named = tuple(each for each in prior_conflicts(model, at, precision) if each.name in truth)
     return scores, named
 
 

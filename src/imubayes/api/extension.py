@@ -115,10 +115,10 @@ def _named(
     if effects:
         found = diagnosis.channels_for(effects[0]) if diagnosis is not None and len(effects) == 1 else None
         return effects, channels if channels is not None else found
-    suggested = diagnosis.proposed if diagnosis is not None else None
-    if suggested is None:
+    proposed = diagnosis.proposed if diagnosis is not None else None
+    if proposed is None:
         raise input_error("no effect is named", "add", "imubayes effects lists them", "name one")
-    return suggested.effects, channels or suggested.channels
+    return proposed.effects, channels or proposed.channels
 
 
 def _sampled(refit: Refit, folder: Path | None, seed: int, tell: Callable[[str], None]) -> Refit:

@@ -81,15 +81,27 @@ class _Marginal:
         about = Linearised(*(jnp.asarray(each) for each in (self.fitted.z, given.misfit, given.jacobian)))
         return float(slope(self.fitted.model.problem, about, jnp.asarray(h)).value)
 
+    @cached_property
     def grid(self) -> list[_AtScales]:
-        """Return the model with scatter as fitted and, together and one by one, as its prior expects at most."""
+        """The model with noise as fitted and, together and one by one, as its prior expects at most.
+
+        Empty where no parameter is larger than its prior expects: then the noise has taken nothing up.
+        """
         now = self.as_fitted
+        if not np.any(now > 0):
+            return []
         less = np.minimum(now, 0.0)
         each = [np.where(np.arange(len(now)) == place, less, now) for place in np.flatnonzero(now > 0)]
         return [self.at(scatter) for scatter in (now, (now + less) / 2, less, *(each if len(each) > 1 else ()))]
 
-    def best(self, columns: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the largest log B over the noise parameters, and h there."""
+    def taken_up(self, columns: np.ndarray, enough: float) -> "TakenUp | None":
+        """Return the evidence for an effect of columns (E, C) that the noise took up; None where B is not `enough`."""
+        near = max((at.log_bayes_factor(columns) for at in self.grid), default=-math.inf)
+        found = self._best(columns) if near > enough - thresholds.GRID_SLACK else None
+        return found if found is not None and found.log_factor > enough else None
+
+    def _best(self, columns: np.ndarray) -> "TakenUp":
+        """Return the largest log B over the noise parameters."""
         now = self.as_fitted
         bounds = [(-thresholds.SCATTER_REACH, max(thresholds.SCATTER_REACH, value)) for value in now.tolist()]
         found = [
@@ -105,7 +117,15 @@ class _Marginal:
         likeliest = min(found, key=lambda each: float(each.fun))
         h = np.array(self.fitted.h)
         h[self.places] = likeliest.x
-        return -float(likeliest.fun), h
+        return TakenUp(-float(likeliest.fun), h)
+
+
+@dataclass(frozen=True)
+class TakenUp:
+    """An effect that noise took up: log B, and the noise parameters h, in z, beside it."""
+
+    log_factor: float
+    h: np.ndarray
 
 
 def evident_between_runs(
@@ -117,26 +137,10 @@ def evident_between_runs(
     ----------
     prepared, candidates : as screened, all of them.
     """
-    marginal = _Marginal(fitted, responses, _scatter_places(fitted))
+    marginal, enough = _Marginal(fitted, responses, _scatter_places(fitted)), _enough(candidates)
     acting = [place for place, each in enumerate(candidates) if each.score.within_runs < 0.5]
-    # A scatter that is no larger than its prior expects has taken nothing.
-    if not acting or not np.any(marginal.as_fitted > 0):
-        return {}
-    enough = _enough(candidates)
-    grid, found = marginal.grid(), {}
-    for place in acting:
-        columns = columns_of(prepared, candidates[place])
-        if max(at.log_bayes_factor(columns) for at in grid) > enough - thresholds.GRID_SLACK:
-            found[place], _ = marginal.best(columns)
-    return {place: value for place, value in found.items() if value > enough}
-
-
-@dataclass(frozen=True)
-class TakenUp:
-    """An effect that correlated noise took up: log B, and the noise parameters h, in z, beside it."""
-
-    log_factor: float
-    h: np.ndarray
+    found = {place: marginal.taken_up(columns_of(prepared, candidates[place]), enough) for place in acting}
+    return {place: each.log_factor for place, each in found.items() if each is not None}
 
 
 def evident_in_correlated_noise(
@@ -153,17 +157,15 @@ def evident_in_correlated_noise(
     slow = {fitted.model.campaign.channels[place].name for place in with_slow_noise(fitted)}
     likely = [place for place, each in enumerate(candidates) if slow & set(each.owners)]
     likely = [place for place in likely if candidates[place].p < thresholds.TAKEN_UP_P][: thresholds.TAKEN_UP_MOST]
-    enough, known, found = _enough(candidates), dict[tuple[str, ...], tuple[_Marginal, list[_AtScales]]](), {}
+    marginals = {
+        owners: _Marginal(fitted, responses, _noise_places(fitted, slow & set(owners)))
+        for owners in {candidates[place].owners for place in likely}
+    }
+    enough, found = _enough(candidates), {}
     for place in likely:
-        owners = candidates[place].owners
-        if owners not in known:
-            own = _Marginal(fitted, responses, _noise_places(fitted, slow & set(owners)))
-            known[owners] = own, own.grid() if np.any(own.as_fitted > 0) else []
-        marginal, grid = known[owners]
-        columns = columns_of(prepared, candidates[place])
-        if max((at.log_bayes_factor(columns) for at in grid), default=-math.inf) > enough - thresholds.GRID_SLACK:
-            found[place] = TakenUp(*marginal.best(columns))
-    return {place: each for place, each in found.items() if each.log_factor > enough}
+        own = candidates[place]
+        found[place] = marginals[own.owners].taken_up(columns_of(prepared, own), enough)
+    return {place: each for place, each in found.items() if each is not None}
 
 
 def _enough(candidates: Sequence[Candidate]) -> float:

@@ -70,8 +70,6 @@ class Projection:
     jacobian, upper : shapes (R, P) and (P, P): the whitened Jacobian with the prior rows, and R of its QR.
     input : shape (E,), predicted output less the nominal offset, in nominal input units (SI).
     root : shape (E,), one over each entry's standard deviation, run offsets not counted.
-    noise_share : shape (strata + 1,), share of the variance of each stratum that the noise of single rows makes: 1 but
-        for run offsets.
     """
 
     fitted: Fit
@@ -84,22 +82,12 @@ class Projection:
     upper: np.ndarray
     input: np.ndarray
     root: np.ndarray
-    noise_share: np.ndarray
 
     @property
     def offset_rows(self) -> np.ndarray:
         """Which rows hold run offsets that are noise, (R,) bool."""
         measured = self.strata.of_row != PRIOR
         return measured & self.strata.between[np.where(measured, self.strata.of_row, 0)]
-
-    @property
-    def within(self) -> np.ndarray:
-        """The stratum within runs of each stratum's channel, (strata + 1,); its own place where it has none."""
-        place = np.arange(len(self.noise_share))
-        for own in np.flatnonzero(self.strata.between):
-            inside = np.flatnonzero((self.strata.channel == self.strata.channel[own]) & ~self.strata.between)
-            place[own] = inside[0] if inside.size else own
-        return place
 
     @cached_property
     def posterior_sd(self) -> np.ndarray:
@@ -230,7 +218,6 @@ def project(
         upper=upper,
         input=_input(fitted, misfit),
         root=np.asarray(whitener(problem, fitted.h).precision_root),
-        noise_share=_noise_share(fitted, members, strata),
     )
 
 
@@ -262,7 +249,6 @@ def with_run_offsets(projection: Projection) -> tuple[Projection, Whitening]:
         residual=turned(projection.residual),
         strata=strata,
         freedom=_freedom(problem, strata, basis),
-        noise_share=_noise_share(fitted, turn.members, strata),
     ), turned
 
 
@@ -306,13 +292,19 @@ def _noise_of_mean(fitted: Fit, members: np.ndarray) -> np.ndarray:
     return (1 - np.asarray(by.shrink) * np.sum(direction**2, axis=1)) ** 2
 
 
-def _noise_share(fitted: Fit, members: np.ndarray, strata: Strata) -> np.ndarray:
-    """Return the share of each stratum's variance that the noise of single rows makes, the rows of the priors last."""
-    share = np.ones(len(strata.channel) + 1)
-    of_group, noise = strata.of_row[members[:, 0]], _noise_of_mean(fitted, members)
-    for place in np.flatnonzero(strata.between):
-        share[place] = np.mean(noise[of_group == place])
-    return share
+def noise_of_run_means(projection: Projection) -> tuple[np.ndarray, np.ndarray]:
+    """Return the stratum within runs beside each stratum, and the share of its variance that the noise there makes.
+
+    Shapes (strata + 1,), the rows of the priors last; the share is 0 for all but run offsets.
+    """
+    strata, members = projection.strata, projection.turn.members
+    of_group, noise = strata.of_row[members[:, 0]], _noise_of_mean(projection.fitted, members)
+    within, share = np.arange(len(strata.channel) + 1), np.zeros(len(strata.channel) + 1)
+    for place in np.flatnonzero(strata.between).tolist():
+        inside = np.flatnonzero((strata.channel == strata.channel[place]) & ~strata.between)
+        if inside.size:
+            within[place], share[place] = inside[0], np.mean(noise[of_group == place])
+    return within, share
 
 
 def _seen_first(observations: Observations) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.multiple_testing import LookElsewhere
-from imubayes.criticism.projection import Projection
+from imubayes.criticism.projection import Projection, noise_of_run_means
 from imubayes.criticism.score_test import Candidate, ProjectedResponse, assess, response_of
 
 
@@ -38,7 +38,10 @@ def evident_at_scales_beside(
         for each in candidates
         if least < each.score.within_runs < most and corrected(each.p) < thresholds.SCALES_BESIDE_P
     ][: thresholds.SCALES_BESIDE_MOST]
-    found = [at_scales_beside(projection, *response_of(prepared, each)) for each in likely]
+    if not likely:
+        return None
+    floor = noise_of_run_means(projection)
+    found = [at_scales_beside(projection, *response_of(prepared, each), floor) for each in likely]
     best = min((each for each in found if each[0].plausible), key=lambda each: each[0].p, default=None)
     if best is None or corrected(best[0].p) >= thresholds.SECOND_LOOK * threshold:
         return None
@@ -46,13 +49,17 @@ def evident_at_scales_beside(
 
 
 def at_scales_beside(
-    projection: Projection, response: ProjectedResponse, chosen: np.ndarray
+    projection: Projection, response: ProjectedResponse, chosen: np.ndarray, floor: tuple[np.ndarray, np.ndarray]
 ) -> tuple[Candidate, np.ndarray]:
-    """Return a candidate with the chosen coefficients at the scales beside it, and the root of the weights, (R,)."""
-    judged = projection.freedom >= thresholds.FREEDOM_TO_JUDGE
-    within, scale = projection.within, np.ones(len(judged))
+    """Return a candidate with the chosen coefficients at the scales beside it, and the root of the weights, (R,).
+
+    Parameters
+    ----------
+    floor : of the variance of each stratum: a share of that of another, see `noise_of_run_means`.
+    """
+    scale, judged = np.ones(len(projection.freedom)), projection.freedom >= thresholds.FREEDOM_TO_JUDGE
     # A few run means may agree by chance to better than the noise of their rows allows.
-    share = np.where(within == np.arange(len(within)), 0.0, projection.noise_share)
+    within, share = floor
     root, now = np.ones(len(projection.residual)), assess(projection, response, chosen)
     for _ in range(thresholds.SCALE_STEPS):
         scale = np.where(judged, scale * now.score.variance, 1.0)

@@ -269,7 +269,7 @@ def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
         outcome, suspected = _not_passed_over(at, outcome, modelled)
         if _silent(at, outcome):
             # Noise from row to row does not explain what acts between runs, and is adopted where nothing does.
-            outcome = _at_scales_beside(at, outcome) or _with_marginal_evidence(given, at, outcome)
+            outcome = _beside_noise(given, at, outcome)
             adopted = suspected if _silent(at, outcome) else []
     return _result(given, at, outcome, adopted, common)
 
@@ -367,6 +367,11 @@ def _identity(candidate: Candidate) -> tuple[str, ...]:
     return candidate.effect, *shape, *(each.parameter.name for each in candidate.coefficients)
 
 
+def _beside_noise(given: SearchInput, at: FirstPass, outcome: _Outcome) -> _Outcome:
+    """Return the outcome with what is evident although noise of the model has taken it up."""
+    return _at_scales_beside(at, outcome) or _between_few_runs(given, at) or _taken_up(given, at) or outcome
+
+
 def _at_scales_beside(at: FirstPass, outcome: _Outcome) -> _Outcome | None:
     """Return the outcome at the scales beside an effect that acts within runs and between; None without one."""
     first, corrected = at.first, at.corrections.of_effect
@@ -380,12 +385,12 @@ def _at_scales_beside(at: FirstPass, outcome: _Outcome) -> _Outcome | None:
     return _Outcome(there, _only(there, group), outcome.factor)
 
 
-def _with_marginal_evidence(given: SearchInput, at: FirstPass, outcome: _Outcome) -> _Outcome:
-    """Return the outcome with what is evident although the score does not show it at the noise of the fit."""
+def _between_few_runs(given: SearchInput, at: FirstPass) -> _Outcome | None:
+    """Return the outcome with what is evident although the F test of few runs does not show it; None without."""
     first = at.first
     evident = evident_between_runs(given.fitted, given.responses, first.prepared, first.candidates)
     if not evident:
-        return _with_what_correlated_noise_took_up(given, at) or outcome
+        return None
     candidates = list(first.candidates)
     for place, log_factor in evident.items():
         score = candidates[place].score
@@ -397,8 +402,8 @@ def _with_marginal_evidence(given: SearchInput, at: FirstPass, outcome: _Outcome
     return _Outcome(first, _only(first, group))
 
 
-def _with_what_correlated_noise_took_up(given: SearchInput, at: FirstPass) -> _Outcome | None:
-    """Return the outcome with what is evident with the parameters of the model's noise refitted beside it; often None.
+def _taken_up(given: SearchInput, at: FirstPass) -> _Outcome | None:
+    """Return the outcome with what the model's correlated noise took up and is evident beside it; often None.
 
     Of records that are judged at the likeliest noise, it is sought at that of the model afterwards.
     """

@@ -112,11 +112,7 @@ def spread_apart(values: Sequence[float], least: float) -> list[float]:
     order = np.argsort(values, kind="stable")
     places = np.arange(len(values)) * least
     # Without the distances asked for the heights only have to rise: the least-squares fit is isotonic.
-    free = (
-        scipy.optimize.isotonic_regression(np.asarray(values, dtype=float)[order] - places).x
-        if len(values)
-        else np.zeros(0)
-    )
+    free = scipy.optimize.isotonic_regression(np.asarray(values, dtype=float)[order] - places).x
     heights = np.empty(len(values))
     heights[order] = np.maximum(free, 0.5 * least) + places
     return heights.tolist()
