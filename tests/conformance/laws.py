@@ -168,8 +168,9 @@ def units_and_priors_are_known(member: type) -> None:
         prior = parse_prior(parameter.prior, parameter.unit, GRAVITY, f"{member.name}.{field}", OWN)
         low, high = parameter.typical
         assert 0 < low < high, f"{member.name}.{field}: typical range {parameter.typical}"
-        if dimension(parameter.unit)[5] == 0 and np.isfinite(prior.sd()):
-            width = prior.sd() / to_si(parameter.unit, GRAVITY, own=OWN)
+        if "noise" not in parameter.prior and np.isfinite(prior.sd()):
+            # Of what is in output units the typical sizes are in those of the nominal scale.
+            width = prior.sd() / to_si(parameter.unit, GRAVITY, own=OWN | {"output": OWN["scale"]})
             assert width > 0.1 * low, f"{member.name}.{field}: the prior leaves no room for what is typical"
 
 

@@ -166,21 +166,38 @@ def test_signs_and_sizes(name, value, run, channel, row, expected):
     assert found == pytest.approx(expected, rel=1e-6, abs=1e-13)
 
 
-def test_the_asymmetry_is_of_the_input_along_the_true_axis():
-    """Of the nominal axis |x| has a corner where a mounting error is 0, and fits of cross axes ended in it."""
+def change_beside(effect: str, value: float, run: str, channel: str, others: dict[str, float]) -> np.ndarray:
+    """Return what the coefficient of an effect changes in a channel, (rows,) in SI, beside others that are not zero."""
     one, z = whole_catalogue(), at_null().copy()
     names = [parameter.name for parameter in one.layout.parameters]
-    for name, value in (("toward_o", 600 * ARCSEC), ("toward_s", 600 * ARCSEC)):
-        place = names.index(f"gyro_misalignment.{name}[gx]")
-        z[place] = one.layout.parameters[place].prior.z(value)
+    for name, other in others.items():
+        z[names.index(name)] = one.layout.parameters[names.index(name)].prior.z(other)
     without = np.asarray(predict(one.problem, jnp.asarray(z)))
-    place = names.index("gyro_scale_asymmetry.asymmetry[gx]")
-    z[place] = one.layout.parameters[place].prior.z(1e-4)
+    z[names.index(effect)] = one.layout.parameters[names.index(effect)].prior.z(value)
     change = np.asarray(predict(one.problem, jnp.asarray(z))) - without
     runs, channels = [r.name for r in one.campaign.runs], [c.name for c in one.campaign.channels]
-    chosen = (one.entries.run == runs.index("rate-flat")) & (one.entries.channel == channels.index("gx"))
-    expected = 1e-4 * 600 * ARCSEC * (RATE - UP)
-    assert (change[chosen] / GYRO_SCALE)[2] == pytest.approx(expected, rel=2e-3)
+    chosen = (one.entries.run == runs.index(run)) & (one.entries.channel == channels.index(channel))
+    return change[chosen] / (GYRO_SCALE if channel[0] == "g" else ACCEL_SCALE)
+
+
+def test_the_asymmetry_is_of_the_input_along_the_true_axis():
+    """Of the nominal axis |x| has a corner where a mounting error is 0, and fits of cross axes ended in it."""
+    others = {f"gyro_misalignment.{name}[gx]": 600 * ARCSEC for name in ("toward_o", "toward_s")}
+    change = change_beside("gyro_scale_asymmetry.asymmetry[gx]", 1e-4, "rate-flat", "gx", others)
+    assert change[2] == pytest.approx(1e-4 * 600 * ARCSEC * (RATE - UP), rel=2e-3)
+
+
+def test_the_asymmetry_is_not_of_what_is_added_to_the_input():
+    """A drift by gravity that exceeds Earth rate: the scale factor is that of the input, as the standard has it."""
+    others = {
+        "gyro_g_sensitivity.d_i[gz]": -20 * HOUR / GRAVITY,
+        "gyro_g2_sensitivity.d_ii[gz]": -9 * HOUR / GRAVITY**2,
+    }
+    change = change_beside("gyro_scale_asymmetry.asymmetry[gz]", 1e-4, "rate-flat", "gz", others)
+    assert change[0] == pytest.approx(1e-4 * UP, rel=1e-6)
+    others = {"accel_cross_axis_quadratic.k_oo[ay]": -2 / GRAVITY, "accel_cross_axis_quadratic.k_pp[ay]": -2 / GRAVITY}
+    change = change_beside("accel_scale_asymmetry.asymmetry[ay]", 1e-4, "rate-flat", "ay", others)
+    np.testing.assert_allclose(change, 0.0, atol=1e-12)
 
 
 def test_a_temperature_rate_changes_the_bias():

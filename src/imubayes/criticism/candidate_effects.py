@@ -336,9 +336,8 @@ def _response(effect: BoundEffect, extended: _Extended, at: _Linearised, scan_pl
     linear = _linear(effect)
     places = [extended.places[parameter.name] for parameter in linear]
     coefficients = tuple(
-        Coefficient(parameter, ",".join(parameter.label), declared.typical, declared.null)
+        Coefficient(parameter, ",".join(parameter.label), parameter.typical, effect.declared[parameter.field].null)
         for parameter in linear
-        for declared in [effect.declared[parameter.field]]
     )
     factors = np.array([parameter.factor for parameter in linear])
     return Response(ShapeScan(effect.name, shape), coefficients, at.columns(places) * factors)

@@ -2,8 +2,8 @@
 
 Were the leader the truth, a refit with another candidate instead would leave |(I − P_b) w|² of χ² unexplained, w being
 the part of the residual that the leader explains and P_b the projection on the other's response: S sin²φ.  Two
-candidates are equivalent where this is below `thresholds.DISTINGUISHABLE_CHI2`, or where the other happens to explain
-the same almost as well.
+candidates are equivalent where this is below `thresholds.DISTINGUISHABLE_CHI2`, or where the other is as likely, in
+either case only where the other explains half of what the leader does.
 """
 
 from collections.abc import Sequence
@@ -58,8 +58,9 @@ def indistinguishable(projection: Projection, leader: Candidate, other: Candidat
 def _instead(projection: Projection, leader: Candidate, other: Candidate) -> tuple[float, bool]:
     """Return the χ² that another candidate instead of the leader would leave, and whether that is indistinguishable."""
     left, whole = unexplained_chi2(projection, leader, other)
-    near = other.log_p < leader.log_p + thresholds.DECISIVE_LOG_ODDS and left < whole / 2
-    return left, left < thresholds.DISTINGUISHABLE_CHI2 or near
+    near = left < thresholds.DISTINGUISHABLE_CHI2 or other.log_p < leader.log_p + thresholds.DECISIVE_LOG_ODDS
+    # Where the leader itself is worth little, what explains none of it leaves little as well.
+    return left, near and left < thresholds.EXPLAINED_ALIKE * whole
 
 
 def equivalence_group(

@@ -25,6 +25,7 @@ from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
+from imubayes.criticism.noise_against_prior import noise_beyond_prior
 from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.score_test import Candidate, ProjectedResponse, response_of
 from imubayes.criticism.slow_noise_records import with_slow_noise
@@ -90,17 +91,35 @@ class _Marginal:
         now = self.as_fitted
         if not np.any(now > 0):
             return []
-        less = np.minimum(now, 0.0)
+        less = self._as_expected
         each = [np.where(np.arange(len(now)) == place, less, now) for place in np.flatnonzero(now > 0)]
         return [self.at(scatter) for scatter in (now, (now + less) / 2, less, *(each if len(each) > 1 else ()))]
 
+    @property
+    def _as_expected(self) -> np.ndarray:
+        """The noise parameters of the fit, those that are larger than their priors expect at the median."""
+        return np.minimum(self.as_fitted, 0.0)
+
+    @cached_property
+    def line(self) -> list[_AtScales]:
+        """The model with noise between that of the fit and what its prior expects at most, all parameters together."""
+        now, less = self.as_fitted, self._as_expected
+        return [self.at(now + share * (less - now)) for share in np.linspace(0, 1, thresholds.SCATTER_STEPS)]
+
     def taken_up(self, columns: np.ndarray, enough: float) -> "TakenUp | None":
         """Return the evidence for an effect of columns (E, C) that the noise took up; None where B is not `enough`."""
-        near = max((at.log_bayes_factor(columns) for at in self.grid), default=-math.inf)
-        found = self._best(columns) if near > enough - thresholds.GRID_SLACK else None
+        found = self.best(columns) if self.near(columns) > enough - thresholds.GRID_SLACK else None
         return found if found is not None and found.log_factor > enough else None
 
-    def _best(self, columns: np.ndarray) -> "TakenUp":
+    def near(self, columns: np.ndarray) -> float:
+        """Return the largest log B on the grid; −∞ where there is none."""
+        return max((at.log_bayes_factor(columns) for at in self.grid), default=-math.inf)
+
+    def on_line(self, columns: np.ndarray) -> float:
+        """Return the largest log B on the line: hardly less than over all noise parameters, and never more."""
+        return max(at.log_bayes_factor(columns) for at in self.line)
+
+    def best(self, columns: np.ndarray) -> "TakenUp":
         """Return the largest log B over the noise parameters."""
         now = self.as_fitted
         bounds = [(-thresholds.SCATTER_REACH, max(thresholds.SCATTER_REACH, value)) for value in now.tolist()]
@@ -112,7 +131,7 @@ class _Marginal:
                 bounds=bounds,
                 options={"maxiter": thresholds.SCATTER_STEPS, "eps": 1e-2, "ftol": 1e-6},
             )
-            for start in (now, np.minimum(now, 0.0))
+            for start in (now, self._as_expected)
         ]
         likeliest = min(found, key=lambda each: float(each.fun))
         h = np.array(self.fitted.h)
@@ -131,16 +150,36 @@ class TakenUp:
 def evident_between_runs(
     fitted: Fit, responses: Responses, prepared: Sequence[ProjectedResponse], candidates: Sequence[Candidate]
 ) -> dict[int, float]:
-    """Return log B of the candidates that act mostly between runs and are evident, by their place; often none.
+    """Return log B of the candidates that act between runs and are evident, by their place; often none.
 
     Parameters
     ----------
     prepared, candidates : as screened, all of them.
     """
-    marginal, enough = _Marginal(fitted, responses, _scatter_places(fitted)), _enough(candidates)
-    acting = [place for place, each in enumerate(candidates) if each.score.within_runs < 0.5]
-    found = {place: marginal.taken_up(columns_of(prepared, candidates[place]), enough) for place in acting}
-    return {place: each.log_factor for place, each in found.items() if each is not None}
+    marginal, most = _Marginal(fitted, responses, _scatter_places(fitted)), 1 - thresholds.BOTH_STRATA_SHARE
+    # Scatter far beyond its prior is a finding by itself, and a name for it is no further alarm.
+    found_already = any(each.between_runs for each in noise_beyond_prior(fitted))
+    enough = _enough(candidates, thresholds.FALSE_ALARM if found_already else thresholds.MARGINAL_EVIDENCE)
+    acting = [place for place, each in enumerate(candidates) if each.score.within_runs < most]
+    near = {place: marginal.near(columns_of(prepared, candidates[place])) for place in acting}
+    likely = [place for place in acting if near[place] > enough - thresholds.GRID_SLACK]
+    marginals = {
+        owners: _Marginal(fitted, responses, _scatter_places(fitted, owners))
+        for owners in {candidates[place].owners for place in likely}
+    }
+    found = {}
+    for place in likely:
+        columns = columns_of(prepared, candidates[place])
+        found[place] = max(near[place], marginals[candidates[place].owners].on_line(columns))
+    return {place: log_factor for place, log_factor in found.items() if log_factor > enough}
+
+
+def evidence_with_scatter(
+    fitted: Fit, responses: Responses, prepared: Sequence[ProjectedResponse], candidate: Candidate
+) -> float:
+    """Return log B of a candidate, with the scatter between runs of its channels at its best on either side."""
+    marginal = _Marginal(fitted, responses, _scatter_places(fitted, candidate.owners))
+    return marginal.on_line(columns_of(prepared, candidate))
 
 
 def evident_in_correlated_noise(
@@ -161,16 +200,16 @@ def evident_in_correlated_noise(
         owners: _Marginal(fitted, responses, _noise_places(fitted, slow & set(owners)))
         for owners in {candidates[place].owners for place in likely}
     }
-    enough, found = _enough(candidates), {}
+    enough, found = _enough(candidates, thresholds.MARGINAL_EVIDENCE), {}
     for place in likely:
         own = candidates[place]
         found[place] = marginals[own.owners].taken_up(columns_of(prepared, own), enough)
     return {place: each for place, each in found.items() if each is not None}
 
 
-def _enough(candidates: Sequence[Candidate]) -> float:
-    """Return the log B from which any of so many candidates is evident."""
-    return math.log(len(candidates) / thresholds.MARGINAL_EVIDENCE)
+def _enough(candidates: Sequence[Candidate], chance: float) -> float:
+    """Return the log B that any of so many candidates reaches with this probability at most."""
+    return math.log(len(candidates) / chance)
 
 
 def _noise_places(fitted: Fit, channels: set[str]) -> np.ndarray:
@@ -179,12 +218,14 @@ def _noise_places(fitted: Fit, channels: set[str]) -> np.ndarray:
     return np.array([place for place, each in enumerate(parameters) if channels & set(each.label)], dtype=int)
 
 
-def _scatter_places(fitted: Fit) -> np.ndarray:
-    """Return the places in h of the scales of run offsets."""
+def _scatter_places(fitted: Fit, owners: Sequence[str] = ()) -> np.ndarray:
+    """Return the places in h of the scales of run offsets: of some channels, where any of the owners is one."""
     effects = fitted.model.assembly.effects
     shared = {each.name for each in effects if issubclass(each.effect_class, SharedNoise)}
     parameters = fitted.model.hyper_layout.parameters
-    return np.array([place for place, each in enumerate(parameters) if each.effect in shared], dtype=int)
+    places = [place for place, each in enumerate(parameters) if each.effect in shared]
+    own = [place for place in places if set(owners) & set(parameters[place].label)]
+    return np.array(own or places, dtype=int)
 
 
 def columns_of(prepared: Sequence[ProjectedResponse], candidate: Candidate) -> np.ndarray:

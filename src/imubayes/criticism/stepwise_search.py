@@ -20,8 +20,14 @@ from imubayes.criticism.effect_selection import (
 )
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
 from imubayes.criticism.free_form_dependence import Structure
-from imubayes.criticism.marginal_evidence import columns_of, evident_between_runs, evident_in_correlated_noise
+from imubayes.criticism.marginal_evidence import (
+    columns_of,
+    evidence_with_scatter,
+    evident_between_runs,
+    evident_in_correlated_noise,
+)
 from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
+from imubayes.criticism.noise_against_prior import noise_beyond_prior
 from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, prewhitening, screen_noise
 from imubayes.criticism.outliers import clustered, consecutive, deletion_residuals, find_outliers
 from imubayes.criticism.projection import Projection, project
@@ -271,6 +277,8 @@ def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
             # Noise from row to row does not explain what acts between runs, and is adopted where nothing does.
             outcome = _beside_noise(given, at, outcome)
             adopted = suspected if _silent(at, outcome) else []
+    elif not common:
+        outcome = _outweighed(given, at, outcome)
     return _result(given, at, outcome, adopted, common)
 
 
@@ -385,21 +393,41 @@ def _at_scales_beside(at: FirstPass, outcome: _Outcome) -> _Outcome | None:
     return _Outcome(there, _only(there, group), outcome.factor)
 
 
-def _between_few_runs(given: SearchInput, at: FirstPass) -> _Outcome | None:
-    """Return the outcome with what is evident although the F test of few runs does not show it; None without."""
+def _between_few_runs(given: SearchInput, at: FirstPass, log_factor: float = -math.inf) -> _Outcome | None:
+    """Return the outcome with what is evident although the F test of few runs does not show it; None without.
+
+    Parameters
+    ----------
+    log_factor : log Bayes factor of what it is to outweigh.
+    """
     first = at.first
     evident = evident_between_runs(given.fitted, given.responses, first.prepared, first.candidates)
-    if not evident:
+    if max(evident.values(), default=-math.inf) <= log_factor + thresholds.DECISIVE_LOG_ODDS:
         return None
     candidates = list(first.candidates)
-    for place, log_factor in evident.items():
+    for place, own in evident.items():
         score = candidates[place].score
-        candidates[place] = replace(candidates[place], score=replace(score, p=min(score.p, math.exp(-log_factor))))
+        candidates[place] = replace(candidates[place], score=replace(score, p=min(score.p, math.exp(-own))))
     best = max(evident, key=lambda place: evident[place])
     near = [candidates[k] for k, value in evident.items() if value > evident[best] - thresholds.DECISIVE_LOG_ODDS]
     first, leader = replace(first, candidates=tuple(candidates)), candidates[best]
     group = equivalence_group(first.projection, leader, candidates, at.corrections.of_effect(leader.score.p), near)
     return _Outcome(first, _only(first, group))
+
+
+def _outweighed(given: SearchInput, at: FirstPass, outcome: _Outcome) -> _Outcome:
+    """Return the outcome with what scatter between runs took up, where that outweighs what was selected.
+
+    Scatter far beyond its prior is a finding.  The F test of few runs does not show its cause, whose smaller part
+    within runs is then shared by effects that imitate it.
+    """
+    if not any(each.between_runs for each in noise_beyond_prior(given.fitted)):
+        return outcome
+    log_factor = -math.inf
+    if outcome.groups:
+        leader, prepared = outcome.groups[0].leader, at.first.prepared
+        log_factor = evidence_with_scatter(given.fitted, given.responses, prepared, leader)
+    return _between_few_runs(given, at, log_factor) or outcome
 
 
 def _taken_up(given: SearchInput, at: FirstPass) -> _Outcome | None:

@@ -62,13 +62,14 @@ OFFSET_INFLATION = 1.2
 # ---- Evidence for what the noise took up (marginal_evidence) ---------------------------------------------------------
 # Where nothing is significant, an effect between runs is claimed whose Bayes factor exceeds the number of candidates
 # over this.  Derived: it bounds the chance of a false alarm (Markov's inequality); a quarter of the budget for effects.
-# Larger makes alarms of a scatter that its prior did not expect.
+# Larger makes alarms of a scatter that its prior did not expect.  Where that is found already, a name for it may spend
+# the whole budget.
 MARGINAL_EVIDENCE = FALSE_ALARM_EFFECT / 4
 # Prior widths of a coefficient in units of its largest typical size, equally likely.  Convention: each more costs every
 # candidate the logarithm of their number; without one as large as the effect it seems less evident than it is.
 SIZE_WIDTHS = (0.01, 0.1, 1.0, 10.0, 100.0)
 # A candidate whose log Bayes factor on a grid of scales is further below what is asked for is not evaluated between
-# them; bound of a scale in prior standard deviations, and most steps of its search.  Effort.
+# them; bound of a scale in prior standard deviations, and most steps of its search, or points of a line.  Effort.
 GRID_SLACK, SCATTER_REACH, SCATTER_STEPS = 10.0, 6.0, 15
 # In correlated noise the candidates below this p-value are evaluated, so many at most, of so many samples at most.
 # Effort.
@@ -97,6 +98,9 @@ SLOW_RETAINED_MIN = 1e-6
 # standard deviations (9) raised to four for some fifty rivals that can lead by chance; confirmed by the blind study
 # (ef1da2f).  Smaller means wrong names, larger means longer groups.
 DISTINGUISHABLE_CHI2 = 16.0
+# Share of the leader's χ² that an equivalent candidate leaves at most.  Derived: half of the χ² of the weakest leader
+# that is claimed are odds of 20 to 1 already.  Larger lists effects that explain nothing of what was found.
+EXPLAINED_ALIKE = 0.5
 # A plain function is the response of an effect where it leaves less than this share of its square.  Numerical, with
 # room for the curvature of the model: smaller takes an effect for a rival of itself.
 SAME_RESPONSE = 1e-3

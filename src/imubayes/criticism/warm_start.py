@@ -399,7 +399,7 @@ def _away_from_null(model: Model, place: int, null: float, hints: Mapping[str, f
         return hint
     if _null(model, parameter) is None:
         return null
-    least = parameter.z_at(declared.typical[0])
+    least = parameter.z_at(parameter.typical[0])
     return null if least is None else least
 
 

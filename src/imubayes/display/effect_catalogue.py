@@ -63,7 +63,9 @@ def print_effect(effect: str) -> None:
     parameters = declared_parameters(member)
     for name, declared in parameters.items():
         low, high = declared.typical
-        grid.add_row(name, declared.unit, declared.prior, f"{low:g} … {high:g}", declared.meaning)
+        of_scale = declared.unit.replace("output", "scale")
+        sizes = f"{low:g} … {high:g}" + (f" {of_scale}" if of_scale != declared.unit else "")
+        grid.add_row(name, declared.unit, declared.prior, sizes, declared.meaning)
     console.print()
     console.print(grid)
     for name, declared in parameters.items():

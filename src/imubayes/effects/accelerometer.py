@@ -63,7 +63,7 @@ class AccelOddQuadratic(Accelerometer, SignalEffect):
     """Output quadratic with the sign of the input: signal + K_oq a_i|a_i|."""
 
     name = "accel_odd_quadratic"
-    order = Order.SENSITIVITY
+    order = Order.INPUT
     confused_with = "K1 and K3, in a 1 g field"
     reference = "IEEE Std 1293, K_oq"
     odd_quadratic: Scalar = parameter(

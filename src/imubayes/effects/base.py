@@ -49,12 +49,14 @@ class Order(IntEnum):
     """Places within the stages of table, sensor and converter.
 
     IEEE 1293 and 952 write the output as K1·(K0 + a_i + …): what is referred to the input is added first, the scale
-    factor multiplies the sum.  For the table, the instant is corrected first, then the angle, then rate and axis.
+    factor multiplies the sum.  What the input along the true axis causes by itself precedes what else is added, so
+    that it does not act on a drift.  For the table, the instant is corrected first, then the angle, then rate and axis.
     """
 
     TIME = -20
     ANGLE = -10
     AXIS = 10
+    INPUT = 15
     SENSITIVITY = 20
     BIAS = 30
     SCALE = 40

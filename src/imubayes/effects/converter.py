@@ -120,9 +120,9 @@ class ConverterNonlinearity(Converter, SignalEffect):
     order = Order.GAIN
     confused_with = "the sensor's own K2 and K3 or the gyro's nonlinearity: exactly, without injected current"
     reference = "transfer curve of ADC, I/F and V/F converters; IEEE Std 1241, integral nonlinearity"
-    quadratic: Scalar = parameter("ppm/output", "normal(0, 10 ppm/scale)", (1e-6, 1e3), "the gain change per output")
+    quadratic: Scalar = parameter("ppm/output", "normal(0, 10 ppm/scale)", (0.1, 100), "the gain change per output")
     cubic: Scalar = parameter(
-        "ppm/output^2", "normal(0, 1 ppm/scale^2)", (1e-9, 1e3), "the gain change per output squared"
+        "ppm/output^2", "normal(0, 1 ppm/scale^2)", (0.01, 10), "the gain change per output squared"
     )
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
@@ -137,7 +137,7 @@ class ConverterOffsetDrift(Converter, LinearThermalBias):
     needs = ("converter_temperature",)
     confused_with = "converter gain drift, with one input; the sensor's bias temperature coefficient"
     reference = "first-order thermal offset model of ADC, I/F and V/F converters"
-    slope: Scalar = parameter("output/degC", "normal(0, 1e-4 scale/degC)", (1e-6, 1e-2), "the offset per degree")
+    slope: Scalar = parameter("output/degC", "normal(0, 1e-4 scale/degC)", (1e-6, 1e-3), "the offset per degree")
 
 
 class ConverterOffsetDriftQuadratic(Converter, QuadraticThermalBias):
@@ -149,7 +149,7 @@ class ConverterOffsetDriftQuadratic(Converter, QuadraticThermalBias):
     confused_with = "converter_leakage; converter gain drift, with one input"
     reference = "second-order thermal offset model of ADC, I/F and V/F converters"
     curvature: Scalar = parameter(
-        "output/degC^2", "normal(0, 1e-5 scale/degC^2)", (1e-8, 1e-3), "the offset per degree squared"
+        "output/degC^2", "normal(0, 1e-5 scale/degC^2)", (1e-8, 1e-4), "the offset per degree squared"
     )
 
 
@@ -162,7 +162,7 @@ class ConverterOffsetTemperatureRate(Converter, ThermalRateBias):
     confused_with = "converter_offset_lag, where changes are slow against τ; bias_drift, in a single monotonic ramp"
     reference = "thermoelectric voltages across gradients; offset drift times time constant: 1e-4 scale/degC and 10 min"
     slope: Scalar = parameter(
-        "output/(degC/min)", "normal(0, 1e-3 scale/(degC/min))", (1e-6, 0.1), "the offset per temperature rate"
+        "output/(degC/min)", "normal(0, 1e-3 scale/(degC/min))", (1e-5, 1e-2), "the offset per temperature rate"
     )
 
 
@@ -179,7 +179,7 @@ class ConverterOffsetLag(Converter, ThermalLag):
     confused_with = "converter_offset_temperature_rate, where changes are slow against τ; converter_gain_lag, one input"
     reference = "first-order thermal network between temperature sensor and converter; size of the offset drift"
     coefficient: Scalar = parameter(
-        "output/degC", "normal(0, 1e-4 scale/degC)", (1e-6, 1e-2), "the offset per degree of lag"
+        "output/degC", "normal(0, 1e-4 scale/degC)", (1e-6, 1e-3), "the offset per degree of lag"
     )
     tau: Scalar = time_constant("the time constant of the lag")
 
@@ -195,7 +195,7 @@ class ConverterOffsetHysteresis(Converter, ThermalHysteresis):
     needs = ("converter_temperature", "converter_temperature_rate")
     confused_with = "converter_offset_lag, at one ramp rate; converter_offset_drift, where all ramps are monotonic"
     reference = "play operator, Visintin, Differential Models of Hysteresis, ch. III; offset drift over a few degrees"
-    half_width: Scalar = parameter("output", "normal(0, 1e-3 scale)", (1e-6, 0.1), "half the height of the loop")
+    half_width: Scalar = parameter("output", "normal(0, 1e-3 scale)", (1e-6, 1e-2), "half the height of the loop")
     play: Scalar = thermal_play()
 
 
@@ -210,7 +210,7 @@ class ConverterLeakage(Converter, SignalEffect):
     needs = ("converter_temperature",)
     confused_with = "converter_offset_drift and its quadratic, over a narrow range of temperature"
     reference = "reverse current of a p–n junction, doubling every 10 °C"
-    leakage: Scalar = parameter("output", "normal(0, 1e-4 scale)", (1e-6, 1e-2), "the leakage at T_ref")
+    leakage: Scalar = parameter("output", "normal(0, 1e-4 scale)", (1e-6, 1e-3), "the leakage at T_ref")
     doubling: Scalar = parameter(
         "degC",
         "lognormal(10 degC, 0.3)",
@@ -233,7 +233,7 @@ class ConverterWarmUp(Converter, WarmUp):
     order = Order.OFFSET
     confused_with = "the sensor's warm-up, without injected current; converter_offset_drift, with self-heating"
     reference = "turn-on transient of ADC, I/F and V/F converters"
-    amplitude: Scalar = parameter("output", "normal(0, 1e-3 scale)", (1e-6, 0.1), "the excess offset at power-on")
+    amplitude: Scalar = parameter("output", "normal(0, 1e-3 scale)", (1e-6, 1e-2), "the excess offset at power-on")
     tau: Scalar = time_constant("the time constant")
 
 
@@ -241,7 +241,7 @@ class ConverterDeadZone(Converter, DeadZone):
     name = "converter_dead_zone"
     confused_with = "the sensor's own dead zone, without injected current"
     reference = "dead zone of bipolar I/F and V/F converters about zero"
-    half_width: Scalar = parameter("output", "halfnormal(1e-4 scale)", (1e-6, 1e-2), "half the width of the zone")
+    half_width: Scalar = parameter("output", "halfnormal(1e-4 scale)", (1e-6, 1e-3), "half the width of the zone")
 
 
 class ConverterSaturation(Converter, SignalEffect):

@@ -330,7 +330,7 @@ class ScaleAsymmetry(Sensor, SignalEffect):
     the mode of its prior, and no gradient leads into a corner.
     """
 
-    order = Order.SENSITIVITY
+    order = Order.INPUT
     asymmetry: Parameter
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
@@ -340,7 +340,7 @@ class ScaleAsymmetry(Sensor, SignalEffect):
 class SecondOrderNonlinearity(Sensor, SignalEffect):
     """Second-order nonlinearity: signal + K2·x², x the input."""
 
-    order = Order.SENSITIVITY
+    order = Order.INPUT
     quadratic: Parameter
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:
@@ -350,7 +350,7 @@ class SecondOrderNonlinearity(Sensor, SignalEffect):
 class ThirdOrderNonlinearity(Sensor, SignalEffect):
     """Third-order nonlinearity: signal + K3·x³, x the input."""
 
-    order = Order.SENSITIVITY
+    order = Order.INPUT
     cubic: Parameter
 
     def apply(self, signal: Scalar, sample: Sample) -> Scalar:

@@ -35,7 +35,7 @@ from imubayes.model.nodes_and_entries import (
     reference_scales,
     servo_runs,
 )
-from imubayes.model.parameter_priors import unit_factors
+from imubayes.model.parameter_priors import largest_typical, unit_factors
 from imubayes.model.row_times import has_row_times
 from imubayes.model.signal_path import on_body, project
 from imubayes.noise.base import Entry, EntryNoise, Noise, SlowNoise
@@ -238,6 +238,7 @@ def probes(
 def _sizes(effect: type[Effect], campaign: Campaign, channel: str) -> tuple[dict[str, float], ...]:
     """Return the values at which the response to an effect is looked for, one set per coefficient and shape, in SI."""
     declared, factors = declared_parameters(effect), unit_factors(effect, campaign, channel)
+    largest = largest_typical(effect, campaign, channel)
     spreads = {each.spread for each in declared.values()}
     nulls = {field: each.null for field, each in declared.items()}
     shapes = {field: each.shape for field, each in declared.items() if each.shape}
@@ -247,11 +248,7 @@ def _sizes(effect: type[Effect], campaign: Campaign, channel: str) -> tuple[dict
         for place in range(count)
     ]
     coefficients = [field for field in declared if field not in shapes and field not in spreads]
-    return tuple(
-        {**nulls, **shape, field: declared[field].typical[1] * factors[field]}
-        for field in coefficients
-        for shape in grid
-    )
+    return tuple({**nulls, **shape, field: largest[field]} for field in coefficients for shape in grid)
 
 
 def responding_runs(probe: Probe, blocks: Sequence[NominalSamples]) -> set[int]:
@@ -378,5 +375,4 @@ def is_independent(noise: type[EntryNoise], campaign: Campaign) -> bool:
 
 
 def _largest(member: EffectClass, campaign: Campaign) -> dict[str, Array]:
-    factors = unit_factors(member, campaign)
-    return {field: jnp.asarray(each.typical[1] * factors[field]) for field, each in declared_parameters(member).items()}
+    return {field: jnp.asarray(size) for field, size in largest_typical(member, campaign).items()}

@@ -68,10 +68,13 @@ def parameter_of(
         prior = _from_equipment(declared.equipment, label, campaign, prior)
         if not units.noise_known and isinstance(prior, LogNormal) and "noise" in declared.prior:
             prior = LogNormal(prior.median, _UNKNOWN_NOISE_LOG_SD)
-    factor = to_si(declared.unit, gravity, where, units.si)
+    factor, of_scale = (to_si(declared.unit, gravity, where, own) for own in (units.si, units.output_as_scale))
     names = tuple(label.values()) or ("all",)
     output = _output_unit(effect_class, label, campaign)
-    return Parameter(effect_class.name, field, names, declared.unit, factor, prior, effect_class.nuisance, output)
+    low, high = (size * of_scale / factor for size in declared.typical)
+    return Parameter(
+        effect_class.name, field, names, declared.unit, factor, prior, effect_class.nuisance, output, (low, high)
+    )
 
 
 def unit_factors(effect_class: EffectClass, campaign: Campaign, channel: str = "") -> dict[str, float]:
@@ -79,6 +82,16 @@ def unit_factors(effect_class: EffectClass, campaign: Campaign, channel: str = "
     units = _channel_units(_representative_channel(effect_class, {"channel": channel}, campaign), campaign)
     return {
         field: to_si(declared.unit, campaign.site.gravity, effect_class.name, units.si)
+        for field, declared in declared_parameters(effect_class).items()
+    }
+
+
+def largest_typical(effect_class: EffectClass, campaign: Campaign, channel: str = "") -> dict[str, float]:
+    """Return the largest typical size of each parameter, SI, for a channel or the first that the class can act on."""
+    units = _channel_units(_representative_channel(effect_class, {"channel": channel}, campaign), campaign)
+    return {
+        field: declared.typical[1]
+        * to_si(declared.unit, campaign.site.gravity, effect_class.name, units.output_as_scale)
         for field, declared in declared_parameters(effect_class).items()
     }
 
@@ -120,6 +133,11 @@ class _ChannelUnits:
 
     si: dict[str, float]
     noise_known: bool = True
+
+    @property
+    def output_as_scale(self) -> dict[str, float]:
+        """The same, with the nominal scale for `output`: units of typical sizes."""
+        return self.si | {"output": self.si.get("scale", 1.0)}
 
 
 def _channel_units(channel: Channel | None, campaign: Campaign) -> _ChannelUnits:

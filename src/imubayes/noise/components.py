@@ -16,7 +16,7 @@ class WhiteNoise(EntryNoise):
     reference = "IEEE Std 952, angle random walk; GUM § 4.2.3"
 
     sigma: Scalar = parameter(
-        "output", "lognormal(1 noise, 0.5)", (1e-6, 1e3), "the standard deviation of one raw sample"
+        "output", "lognormal(1 noise, 0.5)", (1e-9, 0.1), "the standard deviation of one raw sample"
     )
 
     def variance(self, entry: Entry) -> Scalar:
@@ -77,7 +77,7 @@ class Quantisation(EntryNoise):
     confused_with = "white_noise, where all rows have equally many samples"
     reference = "IEEE Std 952, quantization noise; GUM § F.2.2.1"
 
-    q: Scalar = parameter("output", "lognormal(0.3 noise, 1.0)", (1e-6, 1e3), "the step of a row's value")
+    q: Scalar = parameter("output", "lognormal(0.3 noise, 1.0)", (1e-9, 0.1), "the step of a row's value")
 
     def variance(self, entry: Entry) -> Scalar:
         return self.q**2 / 12
@@ -133,7 +133,7 @@ class RunScatter(SharedNoise):
     reference = "IEEE Std 952 and 1293, run-to-run repeatability; Gelman, Bayesian Analysis 1 (2006), 515"
 
     tau: Scalar = parameter(
-        "output", "halfnormal(0.5 noise)", (1e-6, 1e3), "the standard deviation of the offset of a run"
+        "output", "halfnormal(0.5 noise)", (1e-9, 0.1), "the standard deviation of the offset of a run"
     )
 
     def shared_variance(self) -> Scalar:

@@ -34,7 +34,7 @@ class FlickerNoise(SlowNoise):
     reference = "IEEE Std 952, annex C, bias instability; Keshner, 1/f noise, Proc. IEEE 70 (1982), 212"
 
     b: Scalar = parameter(
-        "output", "lognormal(0.1 noise, 2.0)", (1e-6, 1e3), "the coefficient B; the Allan deviation is flat at 0.664 B"
+        "output", "lognormal(0.1 noise, 2.0)", (1e-9, 0.1), "the coefficient B; the Allan deviation is flat at 0.664 B"
     )
 
     def states(self, row: RowSpan) -> StateCovariance:
@@ -57,7 +57,7 @@ class RandomWalkNoise(SlowNoise):
     k: Scalar = parameter(
         "output",
         "lognormal(0.1 noise, 2.0)",
-        (1e-6, 1e3),
+        (1e-9, 0.1),
         "the standard deviation of a change over 1 h, K·√(1 h)",
     )
 
@@ -78,7 +78,7 @@ class GaussMarkovNoise(SlowNoise):
     confused_with = "flicker_noise and random_walk_noise, where T is not well within the length of a run"
     reference = "IEEE Std 952, annex C, exponentially correlated (Markov) noise"
 
-    sigma: Scalar = parameter("output", "lognormal(0.1 noise, 2.0)", (1e-6, 1e3), "the standard deviation σ")
+    sigma: Scalar = parameter("output", "lognormal(0.1 noise, 2.0)", (1e-9, 0.1), "the standard deviation σ")
     time: Scalar = parameter("s", "lognormal(600 s, 1.5)", (10, 1e4), "the correlation time T")
 
     def states(self, row: RowSpan) -> StateCovariance:
@@ -99,7 +99,7 @@ class PulseQuantisation(SlowNoise):
     reference = "IEEE Std 952, annex C, quantization noise"
 
     q: Scalar = parameter(
-        "output", "lognormal(0.01 noise, 2.0)", (1e-6, 1e3), "the coefficient Q, in output units times 1 s"
+        "output", "lognormal(0.01 noise, 2.0)", (1e-9, 0.1), "the coefficient Q, in output units times 1 s"
     )
 
     def states(self, row: RowSpan) -> StateCovariance:

@@ -43,7 +43,8 @@ class Declared:
     ----------
     unit : datasheet unit used in files, tables and reports.
     prior : default prior, as written in a model file.
-    typical : smallest and largest magnitude met in practice, in `unit`.
+    typical : smallest and largest magnitude met in practice, in `unit`; where that is of the output, in `scale`
+        instead of `output`, since channels differ in their output units.
     meaning : a phrase that completes "this is …".
     equipment : name of the equipment fact (see `imubayes.model.bind`) that replaces the default prior's
         width where the campaign states it, or empty.

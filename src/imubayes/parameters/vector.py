@@ -23,7 +23,8 @@ from imubayes.units import with_output_unit
 class Parameter:
     """One scalar parameter: `effect.parameter[label]` with unit, the unit's SI value, and prior in SI.
 
-    `output` is what the word `output` in its unit stands for; empty where that is not one unit.
+    `output` is what the word `output` in its unit stands for; empty where that is not one unit.  `typical` are the
+    smallest and the largest magnitude met in practice, in the unit.
     """
 
     effect: str
@@ -34,6 +35,7 @@ class Parameter:
     prior: Prior
     nuisance: bool = False
     output: str = ""
+    typical: tuple[float, float] = (0.0, np.inf)
 
     @property
     def shown_unit(self) -> str:
