@@ -23,7 +23,7 @@ def group_of_best() -> tuple[EquivalenceGroup, int]:
 
 
 def test_members_explain_half_of_what_a_weak_leader_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Below the bound of what is distinguishable, no effect at all leaves little: without the share, all are members."""
+    """Of a weak leader no effect at all leaves little: without the share that is asked for, all are members."""
     group, screened = group_of_best()
     assert max(group.unexplained) < group.leader.delta_chi2 / 2
     assert len(group.members) < screened / 2

@@ -10,7 +10,6 @@ import pytest
 from null_data import fitted_to, redrawn, refitted
 
 from imubayes.campaign import load_campaign
-
 from imubayes.criticism import stepwise_search, thresholds
 from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
@@ -77,7 +76,8 @@ def test_what_scatter_took_up_outweighs_its_smaller_part_within_runs(
     called unexplained structure.
     """
     drawn = hidden.random_campaign(tmp_path / "campaign", 240018, "hidden", "rotation_modulation")
-    assert drawn.planted[0].effect == "gyro_scale_asymmetry" and drawn.planted[0].within < 5
+    assert drawn.planted[0].effect == "gyro_scale_asymmetry"
+    assert drawn.planted[0].within < 5
     if not outweighs:
         monkeypatch.setattr(stepwise_search, "_outweighed", lambda given, at, outcome: outcome)
     model = bind(read_model(drawn.model), load_campaign(drawn.folder))
