@@ -115,10 +115,6 @@ class _Marginal:
         """Return the largest log B on the grid; −∞ where there is none."""
         return max((at.log_bayes_factor(columns) for at in self.grid), default=-math.inf)
 
-    def on_line(self, columns: np.ndarray) -> float:
-        """Return the largest log B on the line: hardly less than over all noise parameters, and never more."""
-        return max(at.log_bayes_factor(columns) for at in self.line)
-
     def best(self, columns: np.ndarray) -> "TakenUp":
         """Return the largest log B over the noise parameters."""
         now = self.as_fitted
@@ -156,30 +152,52 @@ def evident_between_runs(
     ----------
     prepared, candidates : as screened, all of them.
     """
-    marginal, most = _Marginal(fitted, responses, _scatter_places(fitted)), 1 - thresholds.BOTH_STRATA_SHARE
     # Scatter far beyond its prior is a finding by itself, and a name for it is no further alarm.
     found_already = any(each.between_runs for each in noise_beyond_prior(fitted))
     enough = _enough(candidates, thresholds.FALSE_ALARM if found_already else thresholds.MARGINAL_EVIDENCE)
+    most = 1 - thresholds.BOTH_STRATA_SHARE
     acting = [place for place, each in enumerate(candidates) if each.score.within_runs < most]
-    near = {place: marginal.near(columns_of(prepared, candidates[place])) for place in acting}
-    likely = [place for place in acting if near[place] > enough - thresholds.GRID_SLACK]
-    marginals = {
-        owners: _Marginal(fitted, responses, _scatter_places(fitted, owners))
-        for owners in {candidates[place].owners for place in likely}
+    scatter = _Scatter(fitted, responses)
+    found = {
+        place: scatter.log_factor(columns_of(prepared, candidates[place]), candidates[place].owners, enough)
+        for place in acting
     }
-    found = {}
-    for place in likely:
-        columns = columns_of(prepared, candidates[place])
-        found[place] = max(near[place], marginals[candidates[place].owners].on_line(columns))
     return {place: log_factor for place, log_factor in found.items() if log_factor > enough}
 
 
 def evidence_with_scatter(
     fitted: Fit, responses: Responses, prepared: Sequence[ProjectedResponse], candidate: Candidate
 ) -> float:
-    """Return log B of a candidate, with the scatter between runs of its channels at its best on either side."""
-    marginal = _Marginal(fitted, responses, _scatter_places(fitted, candidate.owners))
-    return marginal.on_line(columns_of(prepared, candidate))
+    """Return log B of a candidate, with the scatter between runs at its best on either side."""
+    return _Scatter(fitted, responses).log_factor(columns_of(prepared, candidate), candidate.owners)
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """The linearised fit as a function of the scatter between runs."""
+
+    fitted: Fit
+    responses: Responses
+
+    @cached_property
+    def _of_all(self) -> _Marginal:
+        return _Marginal(self.fitted, self.responses, _scatter_places(self.fitted))
+
+    @cached_property
+    def _of_owners(self) -> dict[tuple[str, ...], _Marginal]:
+        return {}
+
+    def log_factor(self, columns: np.ndarray, owners: tuple[str, ...], enough: float = -math.inf) -> float:
+        """Return log B of an effect of columns (E, C), only roughly where it is far from `enough`; −∞ without scatter.
+
+        It is the largest one on a grid and on a line, hardly less than that over all scales, and never more.
+        """
+        near = self._of_all.near(columns)
+        if near <= enough - thresholds.GRID_SLACK:
+            return near
+        if owners not in self._of_owners:
+            self._of_owners[owners] = _Marginal(self.fitted, self.responses, _scatter_places(self.fitted, owners))
+        return max(near, *(at.log_bayes_factor(columns) for at in self._of_owners[owners].line))
 
 
 def evident_in_correlated_noise(
