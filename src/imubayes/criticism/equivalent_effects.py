@@ -2,8 +2,8 @@
 
 Were the leader the truth, a refit with another candidate instead would leave |(I − P_b) w|² of χ² unexplained, w being
 the part of the residual that the leader explains and P_b the projection on the other's response: S sin²φ.  Two
-candidates are equivalent where this is below `thresholds.DISTINGUISHABLE_CHI2`, or where the other is as likely, in
-either case only where the other explains half of what the leader does.
+candidates are equivalent where this is below `thresholds.DISTINGUISHABLE_CHI2` and the other explains half of what the
+leader does, or where the other is as likely and explains a quarter.
 """
 
 from collections.abc import Sequence
@@ -58,9 +58,10 @@ def indistinguishable(projection: Projection, leader: Candidate, other: Candidat
 def _instead(projection: Projection, leader: Candidate, other: Candidate) -> tuple[float, bool]:
     """Return the χ² that another candidate instead of the leader would leave, and whether that is indistinguishable."""
     left, whole = unexplained_chi2(projection, leader, other)
-    near = left < thresholds.DISTINGUISHABLE_CHI2 or other.log_p < leader.log_p + thresholds.DECISIVE_LOG_ODDS
     # Where the leader itself is worth little, what explains none of it leaves little as well.
-    return left, near and left < thresholds.EXPLAINED_ALIKE * whole
+    same = left < min(thresholds.DISTINGUISHABLE_CHI2, thresholds.EXPLAINED_ALIKE * whole)
+    as_likely = other.log_p < leader.log_p + thresholds.DECISIVE_LOG_ODDS
+    return left, same or (as_likely and left < thresholds.EXPLAINED_AS_LIKELY * whole)
 
 
 def equivalence_group(

@@ -98,9 +98,10 @@ SLOW_RETAINED_MIN = 1e-6
 # standard deviations (9) raised to four for some fifty rivals that can lead by chance; confirmed by the blind study
 # (ef1da2f).  Smaller means wrong names, larger means longer groups.
 DISTINGUISHABLE_CHI2 = 16.0
-# Share of the leader's χ² that an equivalent candidate leaves at most.  Derived: half of the χ² of the weakest leader
-# that is claimed are odds of 20 to 1 already.  Larger lists effects that explain nothing of what was found.
-EXPLAINED_ALIKE = 0.5
+# Share of the leader's χ² that an equivalent candidate leaves at most, and one that is as likely.  Derived: half of the
+# χ² of the weakest leader that is claimed are odds of 20 to 1 already; what is as likely and has nothing in common with
+# the leader is a cause of its own.  Larger lists effects that explain nothing of what was found.
+EXPLAINED_ALIKE, EXPLAINED_AS_LIKELY = 0.5, 0.75
 # A plain function is the response of an effect where it leaves less than this share of its square.  Numerical, with
 # room for the curvature of the model: smaller takes an effect for a rival of itself.
 SAME_RESPONSE = 1e-3
