@@ -105,3 +105,12 @@ def test_a_random_walk_that_would_do_as_well_is_named_beside_the_drift(tmp_path,
         monkeypatch.setattr(thresholds, "TAKEN_UP_MOST", most)
     found = judge(mode_of(tmp_path / "record", drawn.model))
     assert (found.verdict, found.wandering) == (("equivalent_effects", "rival") if most is None else ("adequate", ""))
+
+
+@pytest.mark.slow
+def test_a_drift_that_wandering_noise_outdoes_is_told_beside_it(tmp_path):
+    drawn = random_campaign(tmp_path / "record", 260009, "hidden", "static_record")
+    assert drawn.planted[0].effect == "gyro_bias_drift"
+    found = judge(mode_of(tmp_path / "record", drawn.model))
+    assert (found.verdict, found.wandering) == ("noise_model", "instead")
+    assert [each.effect for rival in found.rivals for each in rival.effects] == ["gyro_bias_drift"]

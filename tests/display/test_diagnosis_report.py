@@ -21,6 +21,7 @@ from imubayes.criticism.diagnosis_record import (
     GroupMember,
     RankedEffect,
     ResidualStructure,
+    RivalExplanation,
     StrongestStructure,
     UndetectableEffect,
     UntypicalSize,
@@ -101,6 +102,15 @@ def test_the_answer_comes_first(capsys):
     assert lines[3] == "next: imubayes add gyro_scale_asymmetry --to R --out R-gyro_scale_asymmetry"
     assert "93 % run offsets" in out
     assert "lever_arm (turning)" in " ".join(out.split())
+
+
+def test_an_effect_that_would_do_in_place_of_wandering_noise_is_told():
+    effect = EffectChoice(effect="gyro_bias_drift", channels=("gx",))
+    rival = RivalExplanation(effects=(effect,), log_odds=1.0)
+    found = Diagnosis(verdict="noise_model", wandering="instead", rivals=(rival,))
+    [said] = shown.diagnosis_lines(found)
+    assert "gyro_bias_drift on gx may be missing instead: record the unit at rest again" in said
+    assert "missing instead" not in shown.diagnosis_lines(found.model_copy(update={"rivals": ()}))[0]
 
 
 def test_wandering_noise_is_named_beside_the_effect_that_it_rivals():

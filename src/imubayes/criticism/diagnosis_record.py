@@ -311,7 +311,7 @@ class Diagnosis(Presented, Record):
     paired : whether the first two groups were found together: neither explains without the other what both do.
     unfinished : whether more effects are missing than one search selects: the groups are the first of several.
     rivals : other sets of effects that the data do not exclude in place of those found, the likeliest first; of a pair,
-        what was found before it leads.
+        what was found before it leads; of wandering noise, the effect that would do in its place.
     strongest : the structure that no effect explains.
     more_remains : whether structure or further effects remain beside the first group, small against what it explains:
         add it and diagnose again.

@@ -146,9 +146,7 @@ def search(fitted: Fit, tell: Tell = silent) -> SearchResult:
 def _past_wandering_noise(given: SearchInput, found: SearchResult, as_modelled: SearchResult) -> SearchResult:
     """Return what is missing where nothing is at the likeliest noise: what is at that of the model, unless it is noise.
 
-    Parameters
-    ----------
-    found, as_modelled : outcome at the likeliest noise, and at the noise of the model.
+    Where it may be either, the effect is a rival of the noise.
     """
     if not (as_modelled.groups or as_modelled.structures):
         return as_modelled
@@ -156,9 +154,12 @@ def _past_wandering_noise(given: SearchInput, found: SearchResult, as_modelled: 
         leader = as_modelled.groups[0].leader
         columns = columns_of(as_modelled.first.prepared, leader)
         acting = [(own, own.directions(columns)) for own in given.records.values()]
+        log_odds = sum(own.log_odds(at) for own, at in acting)
         # Each of its coefficients has to be decisive: every channel has one that may follow the noise.
-        if sum(own.log_odds(at) - thresholds.DECISIVE_LOG_ODDS * at.shape[1] for own, at in acting) > 0:
+        if log_odds > thresholds.DECISIVE_LOG_ODDS * sum(at.shape[1] for _, at in acting):
             return replace(as_modelled, wandering="rival")
+        if log_odds > -thresholds.DECISIVE_LOG_ODDS:
+            found = replace(found, rivals=(RivalEffects((leader,), log_odds),))
     return replace(found, wandering="instead")
 
 

@@ -152,6 +152,7 @@ def _noise_sentence(found: Diagnosis) -> str:
         return (
             "The noise wanders as flicker noise or a random walk does, and not as the model says; with it, no effect "
             "is missing. Write flicker_noise and random_walk_noise into the model in place of correlated_noise."
+            f"{_rival_of_noise(found)}"
         )
     if not adopted and found.violations:
         said = (
@@ -167,6 +168,18 @@ def _noise_sentence(found: Diagnosis) -> str:
             "significant, but something acts there that the model lacks."
         )
     return f"The noise model is inadequate: {' and '.join(adopted)}. With it corrected, no effect is missing."
+
+
+def _rival_of_noise(found: Diagnosis) -> str:
+    """Return the effect that would do in place of wandering noise; empty where that is excluded."""
+    if not found.rivals:
+        return ""
+    [effect] = found.rivals[0].effects
+    channels = f" on {', '.join(effect.channels)}" if effect.channels else ""
+    return (
+        f" {effect.effect}{channels} may be missing instead: record the unit at rest again, since a systematic drift "
+        "repeats and wandering noise does not."
+    )
 
 
 def _beyond_prior_sentence(beyond: Sequence[NoiseBeyondPrior]) -> str:
