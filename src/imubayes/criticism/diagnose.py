@@ -183,8 +183,9 @@ def _verdict(
 
 def _as_named(found: SearchResult, verdict: Verdict) -> SearchResult:
     """Return the outcome without what concerns effects that are named, where none is."""
-    rivals = found.rivals if verdict in MISSING or found.wandering else ()
-    return found if verdict in MISSING else replace(found, rivals=rivals, paired=False, unfinished=False)
+    if verdict in MISSING:
+        return found
+    return replace(found, rivals=found.rivals if found.wandering else (), paired=False, unfinished=False)
 
 
 def _violations(found: SearchResult, verdict: Verdict) -> tuple[NoiseViolation, ...]:

@@ -42,6 +42,11 @@ class NoiseBeyondPrior:
     between_runs: bool
 
 
+def scatter_beyond_prior(fitted: Fit) -> bool:
+    """Tell whether the fit puts a scatter between runs far beyond its prior."""
+    return any(each.between_runs for each in noise_beyond_prior(fitted))
+
+
 def noise_beyond_prior(fitted: Fit) -> tuple[NoiseBeyondPrior, ...]:
     """Return the noise parameters beyond their priors, the least probable first."""
     model = fitted.model

@@ -27,7 +27,7 @@ from imubayes.criticism.marginal_evidence import (
     evident_in_correlated_noise,
 )
 from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
-from imubayes.criticism.noise_against_prior import noise_beyond_prior
+from imubayes.criticism.noise_against_prior import scatter_beyond_prior
 from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, prewhitening, screen_noise
 from imubayes.criticism.outliers import clustered, consecutive, deletion_residuals, find_outliers
 from imubayes.criticism.projection import Projection, project
@@ -422,7 +422,7 @@ def _outweighed(given: SearchInput, at: FirstPass, outcome: _Outcome) -> _Outcom
     Scatter far beyond its prior is a finding.  The F test of few runs does not show its cause, whose smaller part
     within runs is then shared by effects that imitate it.
     """
-    if not any(each.between_runs for each in noise_beyond_prior(given.fitted)):
+    if not scatter_beyond_prior(given.fitted):
         return outcome
     log_factor = -math.inf
     if outcome.groups:

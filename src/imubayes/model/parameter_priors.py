@@ -68,7 +68,8 @@ def parameter_of(
         prior = _from_equipment(declared.equipment, label, campaign, prior)
         if not units.noise_known and isinstance(prior, LogNormal) and "noise" in declared.prior:
             prior = LogNormal(prior.median, _UNKNOWN_NOISE_LOG_SD)
-    factor, of_scale = (to_si(declared.unit, gravity, where, own) for own in (units.si, units.output_as_scale))
+    as_scale = units.si | _output_as_scale(units.si.get("scale", 1.0))
+    factor, of_scale = (to_si(declared.unit, gravity, where, own) for own in (units.si, as_scale))
     names = tuple(label.values()) or ("all",)
     output = _output_unit(effect_class, label, campaign)
     low, high = (size * of_scale / factor for size in declared.typical)
@@ -88,12 +89,17 @@ def unit_factors(effect_class: EffectClass, campaign: Campaign, channel: str = "
 
 def largest_typical(effect_class: EffectClass, campaign: Campaign, channel: str = "") -> dict[str, float]:
     """Return the largest typical size of each parameter, SI, for a channel or the first that the class can act on."""
-    units = _channel_units(_representative_channel(effect_class, {"channel": channel}, campaign), campaign)
+    gravity, known = campaign.site.gravity, _representative_channel(effect_class, {"channel": channel}, campaign)
+    scale = 1.0 if known is None else _nominal_scale(known, gravity)
     return {
-        field: declared.typical[1]
-        * to_si(declared.unit, campaign.site.gravity, effect_class.name, units.output_as_scale)
+        field: declared.typical[1] * to_si(declared.unit, gravity, effect_class.name, _output_as_scale(scale))
         for field, declared in declared_parameters(effect_class).items()
     }
+
+
+def _output_as_scale(scale: float) -> dict[str, float]:
+    """Return the values of the units of typical sizes, which are in the nominal scale where they are of the output."""
+    return {"output": scale, "scale": scale}
 
 
 def _check_family(prior: Prior, field: str, declared: Declared, where: str, hyper: bool) -> None:
@@ -134,23 +140,22 @@ class _ChannelUnits:
     si: dict[str, float]
     noise_known: bool = True
 
-    @property
-    def output_as_scale(self) -> dict[str, float]:
-        """The same, with the nominal scale for `output`: units of typical sizes."""
-        return self.si | {"output": self.si.get("scale", 1.0)}
-
 
 def _channel_units(channel: Channel | None, campaign: Campaign) -> _ChannelUnits:
     if channel is None:
         return _ChannelUnits({})
-    per = "deg/s" if channel.kind == "gyro" else "g"
-    scale = abs(channel.scale_si) * to_si(per, campaign.site.gravity)
+    scale = _nominal_scale(channel, campaign.site.gravity)
     if channel.noise is not None:
         return _ChannelUnits({"noise": channel.noise, "scale": scale})
     column = [known.name for known in campaign.channels].index(channel.name)
     spread = max((np.nanstd(run.observed[:, column]) for run in campaign.runs if run.rows), default=0.0)
     spread = spread if np.isfinite(spread) and spread > 0 else scale
     return _ChannelUnits({"noise": _UNKNOWN_NOISE_SHARE * float(spread), "scale": scale}, noise_known=False)
+
+
+def _nominal_scale(channel: Channel, gravity: float) -> float:
+    """Return the nominal output of a channel for 1 deg/s or 1 g."""
+    return abs(channel.scale_si) * to_si("deg/s" if channel.kind == "gyro" else "g", gravity)
 
 
 def exact_by_equipment(
