@@ -11,6 +11,9 @@ degrees of freedom) and within them, the drop of −2 log likelihood
 
     seen = Σ ν log(1 + S_part / ν).
 
+That is quick and rough: what the priors of the parameters resist is counted as if it were seen at any noise.
+`divergence` has the exact figure.
+
 Everything comes from the simulator by finite differences: no line here is shared with what is to be tested.
 """
 
@@ -50,12 +53,14 @@ class Sight:
     ----------
     moments, values : the plan and the truth without the hidden effect.
     exact : noise-free readings (rows, channels).
+    slopes : derivatives of the readings by the baseline's parameters, per prior width, (rows, channels, parameters).
     basis : orthonormal columns of everything that the baseline absorbs: whitened readings, then prior rows.
     """
 
     moments: NoiseFree
     values: Values
     exact: np.ndarray
+    slopes: np.ndarray
     whiteners: tuple[tuple[np.ndarray, ...], ...]
     basis: np.ndarray
 
@@ -181,9 +186,19 @@ def look(plan: Plan, values: Values) -> Sight:
     """Set up S for a plan and the truth of its baseline."""
     moments, whiteners = plan.moments(), covariance_whiteners(plan, values)
     exact = moments.means(moments.outputs(values))
+    slopes = _slopes(moments, values, exact)
+    absorbing = np.moveaxis(slopes, -1, 0)
+    columns = np.array([whitened(moments, whiteners, each) for each in absorbing]).T
+    # In units of its prior width every parameter adds a prior row of one.
+    basis, _ = np.linalg.qr(np.concatenate([columns, np.eye(columns.shape[1])]))
+    return Sight(moments, values, exact, slopes, whiteners, basis)
+
+
+def _slopes(moments: NoiseFree, values: Values, exact: np.ndarray) -> np.ndarray:
+    """Derivatives of the readings by the baseline's parameters, per prior width, (rows, channels, parameters)."""
+    plan, slopes = moments.plan, []
     widths = baseline_widths(plan)
     column = {channel.name: index for index, channel in enumerate(plan.channels)}
-    columns, names = [], []
     for together in _together(list(widths), set(column)):
         moved = {name: values.get(name, 0.0) + STEP * widths[name] for name in together}
         change = (moments.means(moments.outputs({**values, **moved})) - exact) / STEP
@@ -193,9 +208,5 @@ def look(plan: Plan, values: Values) -> Sight:
             if label in column:
                 own = np.zeros_like(change)
                 own[:, column[label]] = change[:, column[label]]
-            columns.append(whitened(moments, whiteners, own))
-            names.append(name)
-    # In units of its prior width every parameter adds a prior row of one.
-    absorbed = np.concatenate([np.array(columns).T, np.eye(len(names))])
-    basis, _ = np.linalg.qr(absorbed)
-    return Sight(moments, values, exact, whiteners, basis)
+            slopes.append(own)
+    return np.stack(slopes, axis=-1)

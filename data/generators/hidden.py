@@ -14,6 +14,7 @@ from scipy import stats
 
 import truth
 from detectability import Sight, look
+from divergence import seen_past_noise
 from effect_kinds import ALL, CATALOGUE, EQUIPMENT, HEADS, OUTSIDE, Kind, between
 from plan import Plan
 from procedure_plans import PLANS
@@ -224,14 +225,15 @@ def row_sd(plan: Plan, values: Values, channel: str) -> float:
 
 def noise_of(kind: str, plan: Plan, values: Values, generator: np.random.Generator) -> dict[str, float]:
     """The noise that a kind of campaign asks for, in place of what was drawn from the priors."""
-    changed = {}
+    changed, stated = {}, truth.priors(plan.effects, plan.channels)
     for channel in plan.channels:
         sd = row_sd(plan, values, channel.name)
         tau, slow = f"run_scatter.tau[{channel.name}]", f"correlated_noise.sigma[{channel.name}]"
         if kind == "null-white":
             changed[tau] = 0.02 * sd
         if kind == "null-runs":
-            changed[tau] = generator.uniform(0.5, 3.0) * sd
+            # Scatter beyond its prior would be a finding, and no alarm.
+            changed[tau] = min(generator.uniform(0.5, 3.0) * sd, truth.at_score(stated[tau], 1.0))
         if kind == "null-ar1":
             changed[tau] = 0.02 * sd
             changed[slow] = generator.uniform(0.7, 1.5) * sd
@@ -246,7 +248,11 @@ def _one_catalogued(
     if not where:
         raise CannotShowError
     values, _ = sized(sight, unit_effect(sight.moments.plan, effect, where, generator), aim, largest=largest)
-    return (planted(sight, effect, where, values, None),)
+    one = planted(sight, effect, where, values, None)
+    exact = replace(one, seen=min(one.seen, seen_past_noise(sight, values)))
+    if exact.seen < SMALLEST:
+        raise CannotShowError
+    return (exact,)
 
 
 def _one_outside(sight: Sight, effect: str, generator: np.random.Generator, aim: float) -> tuple[Planted, ...]:

@@ -55,12 +55,13 @@ def look(plan: Plan, values: Values, hours: float, start: float) -> Sight:
     angle = Angle(plan, hours, start)
     exact, widths = angle.outputs(values), baseline_widths(plan) | {"start": START_ARCSEC}
     sigma = values["white_noise.sigma[table_angle]"] / np.sqrt(EVERY)
-    columns = [
-        (angle.outputs({**values, name: values.get(name, 0.0) + STEP * width}) - exact)[:, 0] / STEP / sigma
+    slopes = [
+        (angle.outputs({**values, name: values.get(name, 0.0) + STEP * width}) - exact) / STEP
         for name, width in widths.items()
     ]
-    basis, _ = np.linalg.qr(np.concatenate([np.array(columns).T, np.eye(len(columns))]))
-    return Sight(angle, values, exact, ((np.eye(len(exact)) / sigma,),), basis)
+    columns = np.array(slopes)[:, :, 0].T / sigma
+    basis, _ = np.linalg.qr(np.concatenate([columns, np.eye(columns.shape[1])]))
+    return Sight(angle, values, exact, np.stack(slopes, axis=-1), ((np.eye(len(exact)) / sigma,),), basis)
 
 
 def random_campaign(folder: str | Path, seed: int, kind: str = "hidden") -> hidden.Campaign:

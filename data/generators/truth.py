@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from scipy import stats
 
 from kinematics import Mounting, Table, rotation
 from sensor import ARCSEC, Channel, Values, sensitive_axis
@@ -230,6 +231,30 @@ def width(prior: str, unit: str) -> float:
         raise ValueError(f"the width of a {family} prior is not asked for")
     number, given = _NUMBER_AND_UNIT.fullmatch(inside.split(",")[1].strip()).groups()
     return float(number) * (_IN_BASE_UNIT[given] / _IN_BASE_UNIT[unit] if given else 1.0)
+
+
+def at_score(prior: str, score: float) -> float:
+    """The value of a noise scale whose quantile under its prior is that of a standard normal `score`."""
+    family, numbers = _of_a_scale(prior)
+    if family == "lognormal":
+        return numbers[0] * float(np.exp(numbers[1] * score))
+    return numbers[0] * float(stats.norm.isf(stats.norm.sf(score) / 2))
+
+
+def normal_score(prior: str, value: float) -> float:
+    """The standard normal score whose quantile is that of a noise scale under its prior."""
+    family, numbers = _of_a_scale(prior)
+    if family == "lognormal":
+        return float(np.log(value / numbers[0]) / numbers[1])
+    return float(stats.norm.isf(2 * stats.norm.sf(value / numbers[0])))
+
+
+def _of_a_scale(prior: str) -> tuple[str, list[float]]:
+    """Family and numbers of a prior in output units."""
+    family, inside = _PRIOR.fullmatch(prior.strip()).groups()
+    if family not in ("lognormal", "halfnormal"):
+        raise ValueError(f"no noise scale has a {family} prior")
+    return family, [float(_NUMBER_AND_UNIT.fullmatch(part.strip()).group(1)) for part in inside.split(",")]
 
 
 def true_seat(mounting: Mounting, values: Values) -> np.ndarray:
