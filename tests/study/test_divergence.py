@@ -58,9 +58,8 @@ def test_unknown_noise_hides_a_part(sight: detectability.Sight):
 
 def test_what_scatter_between_few_runs_frees_is_not_seen(tmp_path):
     """Seven runs; S 54 of a drift linear in g, 36 of it against priors that a larger scatter relieves."""
-    effect = {
-        f"gyro_g_sensitivity.{name}[g]": size for name, size in zip(("d_i", "d_o", "d_s"), (1, 1.2, -2.1), strict=True)
-    }
+    sizes = {"d_i": 1.0, "d_o": 1.2, "d_s": -2.1}
+    effect = {f"gyro_g_sensitivity.{name}[g]": size for name, size in sizes.items()}
     plan = replace(PLANS["centrifuge"].draw(np.random.default_rng(11)), model=tmp_path / "model.toml")
     plan.model.write_text(hidden.without("centrifuge", ("gyro_g_sensitivity",)), encoding="utf-8")
     sight = detectability.look(plan, plan.draw(11))
