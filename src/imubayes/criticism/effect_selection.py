@@ -45,6 +45,8 @@ def select_effects(at: Screening, corrected: LookElsewhere, factor: float = 1.0)
     """Return the effects that a screening shows, below `factor` times the threshold."""
     threshold = factor * thresholds.FALSE_ALARM_EFFECT
     forward = _forward(at, (), corrected, threshold)
+    if len(forward.groups) > 1 and not forward.unfinished:
+        forward = _by_another_name(at, forward, corrected, threshold)
     # Beside much that is still missing no two explanations can be weighed.
     if not forward.groups or forward.unfinished:
         return forward
@@ -55,6 +57,25 @@ def select_effects(at: Screening, corrected: LookElsewhere, factor: float = 1.0)
             before = RivalEffects(_replaced(at, forward, exchanged), 0.0)
             return replace(exchanged, rivals=_against(rivals[0], (before, *rivals[1:])), paired=True)
     return replace(forward, rivals=tuple(rivals))
+
+
+def _by_another_name(at: Screening, forward: Selection, corrected: LookElsewhere, threshold: float) -> Selection:
+    """Return the selection that begins with an equivalent of the leader which is selected again beside it.
+
+    An effect of one coefficient may be as significant as the cause, of which it is the larger part, at few degrees of
+    freedom.  What alone leaves less to select is the simpler explanation.
+    """
+    first, *further = forward.groups
+    again = set(first.effects) & {group.leader.effect for group in further} - {first.leader.effect}
+    owners = set(first.leader.owners)
+    likeliest = {
+        each.effect: each for each in reversed(at.candidates) if each.effect in again and set(each.owners) >= owners
+    }
+    for own in likeliest.values():
+        instead = _forward(at, (own,), corrected, threshold)
+        if not instead.unfinished and len(instead.groups) < len(forward.groups):
+            return instead
+    return forward
 
 
 def _explains_instead(exchanged: Selection, forward: Selection) -> bool:
@@ -82,13 +103,13 @@ def _against(best: RivalEffects, others: Sequence[RivalEffects]) -> tuple[RivalE
     return tuple(each for each in relative if each.members and each.log_odds > -2 * thresholds.DECISIVE_LOG_ODDS)
 
 
-def _forward(at: Screening, pair: Sequence[Candidate], corrected: LookElsewhere, threshold: float) -> Selection:
+def _forward(at: Screening, given: Sequence[Candidate], corrected: LookElsewhere, threshold: float) -> Selection:
     """Select the best candidate, project it out and screen again at the noise that is left, while one is significant.
 
-    A pair is selected first, each of its members beside the other.
+    Given candidates are selected first, each of them beside the others.
     """
-    groups, start = _beside_each_other(at, pair, corrected), at
-    for own in pair:
+    groups, start = _beside_each_other(at, given, corrected), at
+    for own in given:
         at = deflate(at, span_over_shapes(at, _same(at, own)))
     halved = [_halves_noise(start.projection, at.projection)] * len(groups)
     seen = _candidates_at_noise_left(at)
@@ -123,11 +144,13 @@ def _noise(projection: Projection) -> np.ndarray:
     return noise_left(projection.strata.sums(projection.residual**2), projection.freedom)[0]
 
 
-def _beside_each_other(at: Screening, pair: Sequence[Candidate], corrected: LookElsewhere) -> list[EquivalenceGroup]:
-    """Return the group of each member of a pair where the other is projected out, the more significant one first."""
+def _beside_each_other(at: Screening, given: Sequence[Candidate], corrected: LookElsewhere) -> list[EquivalenceGroup]:
+    """Return the group of each given candidate where the others are projected out, the most significant first."""
     groups = []
-    for own, other in zip(pair, reversed(pair), strict=True):
-        beside = deflate(at, span_over_shapes(at, other))
+    for own in given:
+        beside = at
+        for other in given:
+            beside = beside if other is own else deflate(beside, span_over_shapes(at, other))
         leader = _same(beside, own)
         groups.append(equivalence_group(beside.projection, leader, beside.candidates, corrected(leader.p)))
     return sorted(groups, key=lambda group: group.leader.log_p)
