@@ -10,6 +10,7 @@ import pytest
 
 import imubayes.api
 from imubayes.criticism import diagnose
+from imubayes.criticism.noise_assumptions import NoiseJudgement
 from imubayes.display.diagnosis_sentences import sentence
 from imubayes.display.fit_cautions import alarm_of
 
@@ -38,7 +39,7 @@ def test_an_output_too_coarse_for_its_noise_is_told_by_both(tmp_path, monkeypatc
     assert found.verdict == "noise_model"
     assert "quantised too coarsely" in sentence(found)
     # Planted fault: the diagnosis looks at candidates alone.
-    monkeypatch.setattr(diagnose, "violations_in", lambda _: ())
+    monkeypatch.setattr(diagnose, "judged_noise_in", lambda _: NoiseJudgement((), ()))
     assert imubayes.api.diagnose(result).verdict == "adequate"
 
 

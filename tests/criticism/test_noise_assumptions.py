@@ -5,7 +5,7 @@ import pytest
 from null_data import fitted_to, redrawn, with_values
 from scipy import stats
 
-from imubayes.criticism.noise_assumptions import grid_step, noise_violations
+from imubayes.criticism.noise_assumptions import grid_step, judged_noise
 from imubayes.criticism.noise_tests import _skew_tail
 from imubayes.inference.fitted_model import Fit
 
@@ -22,7 +22,7 @@ def noise_sd(fit: Fit) -> np.ndarray:
 
 
 def kinds(fit: Fit) -> set[str]:
-    return {violation.kind for violation in noise_violations(fit)}
+    return {violation.kind for violation in judged_noise(fit).violations}
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -36,12 +36,26 @@ def test_autocorrelation(whole, seed):
 
 
 def test_a_random_walk(whole):
-    group = np.asarray(whole.model.problem.observations.group)
-    steps = np.random.default_rng(4).normal(size=len(group))
+    assert kinds(_walking(whole, 1, 1.0)) & {"autocorrelation", "low_frequency"}
+
+
+def _walking(fit: Fit, seed: int, step: float) -> Fit:
+    """Return the fit of fresh data with a random walk in every run, so many standard deviations a row."""
+    group = np.asarray(fit.model.problem.observations.group)
+    steps = np.random.default_rng(1000 + seed).normal(size=len(group))
     walk = np.zeros(len(group))
     for each in np.unique(group):
         walk[group == each] = np.cumsum(steps[group == each])
-    assert kinds(redrawn(whole, 1, change=walk * noise_sd(whole))) & {"autocorrelation", "low_frequency"}
+    return redrawn(fit, seed, change=step * walk * noise_sd(fit))
+
+
+def test_what_is_not_beyond_chance_is_suspected(whole):
+    """A random walk of 0.3 a row, with which 95 % intervals hold the truth in 85 %, and white noise."""
+    wandering = [judged_noise(_walking(whole, seed, 0.3)) for seed in range(10)]
+    assert sum(bool(each.violations or each.suspected) for each in wandering) >= 6
+    assert any(each.suspected and not each.violations for each in wandering)
+    white = [judged_noise(redrawn(whole, seed)) for seed in range(10)]
+    assert sum(bool(each.violations or each.suspected) for each in white) <= 2
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -56,7 +70,7 @@ def test_a_coarse_output(whole):
     fresh = redrawn(whole, 3)
     step = 6 * float(noise_sd(whole)[0])
     coarse = with_values(fresh, np.round(fresh.model.entries.value / step) * step)
-    found = [violation for violation in noise_violations(coarse) if violation.kind == "quantisation"]
+    found = [violation for violation in judged_noise(coarse).violations if violation.kind == "quantisation"]
     assert found
     assert found[0].channels == ("ax",)
     # Rounded to far less than the noise an output is no worse.

@@ -13,6 +13,7 @@ from imubayes.campaign import load_campaign
 from imubayes.criticism import candidate_effects, diagnose
 from imubayes.criticism.common_course import common_courses, inflation, replicates
 from imubayes.criticism.diagnose import judge
+from imubayes.criticism.noise_assumptions import NoiseJudgement
 from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.recorded_noise import RecordedNoise, compare_with_record
 from imubayes.inference.fitted_model import Fit
@@ -65,7 +66,7 @@ def test_a_lag_outside_the_catalogue_is_never_adequate(tmp_path, monkeypatch, se
     monkeypatch.setattr(stepwise, "_not_passed_over", lambda _, outcome, modelled: (outcome, []))
     monkeypatch.setattr(RecordedNoise, "excessive", ())
     assert judge(fit).verdict != "adequate"
-    monkeypatch.setattr(diagnose, "violations_in", lambda _: ())
+    monkeypatch.setattr(diagnose, "judged_noise_in", lambda _: NoiseJudgement((), ()))
     assert judge(fit).verdict == "adequate"
 
 

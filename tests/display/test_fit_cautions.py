@@ -62,6 +62,17 @@ def test_intervals_that_cannot_be_trusted_are_said_on_the_first_line(plain):
     }
 
 
+def test_suspected_noise_is_a_notice_and_no_alarm(plain):
+    doubted = plain.model_copy(update={"noise_suspected": VIOLATIONS[1:]})
+    assert alarm_of(doubted) == ""
+    (notice,) = notices(doubted)
+    assert notice.startswith("It may be that the residuals are autocorrelated (gx, gy, p = 3e-7). This is not beyond")
+    assert notice in " ".join(report_text(summary_report(doubted), width=400).split())
+    assert "It may be that" in summary_html(doubted)
+    # Where there is an alarm it says enough.
+    assert notices(doubted.model_copy(update={"noise_violations": VIOLATIONS})) == ()
+
+
 def test_a_fit_that_failed_says_so_first(plain):
     scale = ImplausibleEstimate(
         reason="outside_domain", name="gyro_scale_factor.scale[gx]", unit="ppm", value=-2_000_088.0,

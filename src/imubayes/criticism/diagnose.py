@@ -37,7 +37,7 @@ from imubayes.criticism.large_effects import remainder_of_leader
 from imubayes.criticism.localised_structure import STEP
 from imubayes.criticism.neglected_uncertainty import neglected_uncertainties
 from imubayes.criticism.noise_against_prior import NoiseBeyondPrior, noise_beyond_prior
-from imubayes.criticism.noise_assumptions import violations_in
+from imubayes.criticism.noise_assumptions import judged_noise_in
 from imubayes.criticism.noise_violation import NoiseViolation
 from imubayes.criticism.projection import project
 from imubayes.criticism.residual_covariates import ResidualCovariate
@@ -195,7 +195,7 @@ def _violations(found: SearchResult, verdict: Verdict) -> tuple[NoiseViolation, 
     # As fitted: what the search ends with may be whitened by noise that it only suspects.
     at = project(found.first.projection.fitted, found.responses.misfit, found.responses.jacobian)
     told = ("heavy_tails",) if found.outlier_sd.any() else ()
-    return tuple(each for each in violations_in(at) if each.kind not in told)
+    return tuple(each for each in judged_noise_in(at).violations if each.kind not in told)
 
 
 def _asked(effect: str, found: SearchResult, result: str) -> Diagnosis:

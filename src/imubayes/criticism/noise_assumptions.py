@@ -6,6 +6,8 @@ be.  The statistics are those of the diagnosis (`imubayes.criticism.noise_tests`
 white noise, and two more: power at the lowest frequencies of each run, and the step between neighbouring outputs.
 """
 
+from dataclasses import dataclass
+
 import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its parts when they are first used
@@ -27,20 +29,37 @@ _NAMES: dict[str, NoiseKind] = {
 }
 
 
-def noise_violations(fit: Fit) -> tuple[NoiseViolation, ...]:
-    """Return how the noise of a fit departs from its model, the clearest first."""
+@dataclass(frozen=True)
+class NoiseJudgement:
+    """How the noise departs from its model, the clearest first.
+
+    Attributes
+    ----------
+    violations : beyond chance: intervals are not to be trusted.
+    suspected : not beyond chance, and too rare under the noise of the model to pass over.
+    """
+
+    violations: tuple[NoiseViolation, ...]
+    suspected: tuple[NoiseViolation, ...]
+
+
+def judged_noise(fit: Fit) -> NoiseJudgement:
+    """Return how the noise of a fit departs from its model."""
     about = fit.mode.about if fit.mode is not None else linearise(fit.model.problem, jnp.asarray(fit.z))
-    return violations_in(project(fit, np.asarray(about.misfit), np.asarray(about.jacobian)))
+    return judged_noise_in(project(fit, np.asarray(about.misfit), np.asarray(about.jacobian)))
 
 
-def violations_in(projection: Projection) -> tuple[NoiseViolation, ...]:
-    """Return how the noise departs from its model in a projected residual, the clearest first."""
+def judged_noise_in(projection: Projection) -> NoiseJudgement:
+    """Return how the noise departs from its model in a projected residual."""
     found = screen_noise(projection, kinds=(*KINDS, (SLOW, low_frequency)))
-    bar = thresholds.FALSE_ALARM_INTERVALS / max(len(found), 1)
-    violations = [
-        NoiseViolation(kind=_NAMES[each.effect], channels=each.channels, p=each.p) for each in found if each.p < bar
-    ]
-    return (*_quantised(projection), *violations)
+
+    def rarer_than(p: float) -> tuple[NoiseViolation, ...]:
+        rare = [each for each in found if each.p * len(found) < p]
+        return tuple(NoiseViolation(kind=_NAMES[each.effect], channels=each.channels, p=each.p) for each in rare)
+
+    beyond_chance = rarer_than(thresholds.FALSE_ALARM_INTERVALS)
+    suspected = rarer_than(thresholds.SUSPECTED_INTERVALS_P)[len(beyond_chance) :]
+    return NoiseJudgement((*_quantised(projection), *beyond_chance), suspected)
 
 
 def low_frequency(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:

@@ -72,7 +72,14 @@ def _undescribed(found: UnexplainedOutput) -> str:
 
 def notices(summary: Summary) -> tuple[str, ...]:
     """Return what the intervals rest on besides the data."""
-    return tuple(map(_rests_on_prior, summary.prior_scatter))
+    suspected = summary.noise_suspected and not alarm_of(summary)
+    noise = (_SUSPECTED.format(violation_text(summary.noise_suspected)),) if suspected else ()
+    return (*noise, *map(_rests_on_prior, summary.prior_scatter))
+
+
+_SUSPECTED = (
+    "It may be that {}. This is not beyond chance; if so, the intervals are too narrow. Longer runs would tell."
+)
 
 
 def _rests_on_prior(found: PriorScatter) -> str:

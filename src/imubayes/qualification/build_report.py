@@ -161,6 +161,7 @@ def adequacy_of(result: Result, diagnosis: Diagnosis | None, tree: tuple[Tree, s
         else (),
         intervals_valid=summary.intervals_valid,
         noise_violations=summary.noise_violations,
+        noise_suspected=summary.noise_suspected,
         chi2=summary.chi2,
         dof=summary.dof,
         diagnoses=diagnosed,

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.criticism.noise_assumptions import noise_violations
+from imubayes.criticism.noise_assumptions import NoiseJudgement, judged_noise
 from imubayes.inference.contribution_record import Contribution
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.experiment_design import next_runs
@@ -46,7 +46,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
     found = combinations(fit, precision)
     shares = {quantity.name: quantity.from_data for quantity in (*derived, *parameters)}
     chains = fit.posterior.chains if fit.posterior is not None else None
-    violations = noise_violations(fit) if usable else ()
+    noise = judged_noise(fit) if usable else NoiseJudgement((), ())
     return Summary(
         campaign=model.campaign.name,
         model=model.spec.name,
@@ -58,8 +58,9 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         interval="95 % equal-tailed",
         uncertainty="standard deviation of the joint posterior distribution (GUM, type A and B combined)",
         **_sampling(chains),
-        intervals_valid=fit.converged and not violations,
-        noise_violations=violations,
+        intervals_valid=fit.converged and not noise.violations,
+        noise_violations=noise.violations,
+        noise_suspected=noise.suspected,
         prior_scatter=prior_scatter(fit),
         parameters=parameters,
         derived=derived,

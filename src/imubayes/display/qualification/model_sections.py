@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from imubayes.criticism import thresholds
 from imubayes.display.labels import pretty
+from imubayes.display.noise_violation_text import violation_text
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
 from imubayes.display.qualification.words import VERDICTS, enumerated, hash_text
 from imubayes.display.rounding import NO_NUMBER, chance_text, percent, ratio_text, significant, value_and_sd
@@ -114,6 +115,8 @@ def adequacy_section(adequacy: Adequacy) -> list[Block]:
         found.append(
             Paragraph(f"Noise: {_NOISE[each.kind]} ({', '.join(each.channels)}{', p = ' + how if how else ''}).", "bad")
         )
+    if adequacy.noise_suspected:
+        found.append(Paragraph(f"Noise, suspected but not beyond chance: {violation_text(adequacy.noise_suspected)}."))
     if adequacy.undetectable:
         found.append(
             Paragraph(
