@@ -72,7 +72,7 @@ NOISES: dict[str, Noise] = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """One fit: whether its noise is said not to be as modelled, or suspected, and which 95 % intervals hold the truth."""
+    """One fit: whether its noise is said not to be as modelled, or suspected; which 95 % intervals hold the truth."""
 
     flagged: bool
     suspected: bool
@@ -133,9 +133,8 @@ def main() -> None:
     jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax-study"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     count, first = (int(sys.argv[k]) if len(sys.argv) > k else one for k, one in ((1, REPLICATES), (2, 1)))
-    print(
-        "| noise | fits | said to be not as modelled | suspected | coverage of all | of those without alarm | of those that say nothing |"
-    )
+    titles = ("said to be not as modelled", "suspected", "coverage of all", "without alarm", "of those that say nothing")
+    print(f"| noise | fits | {' | '.join(titles)} |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for name, noise in NOISES.items():
         found = [outcome(seed, noise) for seed in range(first, first + count)]
