@@ -133,7 +133,7 @@ def main() -> None:
     jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax-study"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     count, first = (int(sys.argv[k]) if len(sys.argv) > k else one for k, one in ((1, REPLICATES), (2, 1)))
-    titles = ("said to be not as modelled", "suspected", "coverage of all", "without alarm", "of those that say nothing")
+    titles = ("said to be not as modelled", "suspected", "coverage of all", "without alarm", "of the silent")
     print(f"| noise | fits | {' | '.join(titles)} |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for name, noise in NOISES.items():
