@@ -1,4 +1,4 @@
-"""A bias that drifts, or bends with temperature, is no mistake in the columns of temperatures; a reversed column is."""
+"""Effects that are missing are no mistakes of the set-up: drifts, curves over temperature, dead zones."""
 
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from imubayes.campaign import Inspection, inspect_campaign
 from imubayes.campaign.setup_gate.evidence import ErrorModel
 from imubayes.campaign.setup_gate.search import Search
 from imubayes.campaign.setup_gate.setup_findings import SETUP_FINDINGS
+from imubayes.campaign.setup_gate.site_mistakes import LatitudeValue
 
 COURSES = (("gyro_thermal_lag", 8006), ("accel_bias_temperature_rate", 8009), ("accel_thermal_lag", 8010))
 """Effects that follow the temperature late, each with the seed of a static record."""
@@ -59,3 +60,14 @@ def test_a_curve_of_the_converter_is_no_exchange_of_thermometers(
 
     monkeypatch.setattr(ErrorModel, "_design", straight)
     assert gate(inspect_campaign(tmp_path / "ramp")) == {"thermometers_exchanged"}
+
+
+def test_a_dead_zone_that_swallows_the_earth_rate_is_no_latitude(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = random_campaign(tmp_path / "zone", 310009, "large")
+    assert [each.effect for each in drawn.planted] == ["gyro_dead_zone"]
+    assert not gate(inspect_campaign(tmp_path / "zone"))
+    # The planted fault: a gate to which a latitude may lie beyond the poles.
+    monkeypatch.setattr(LatitudeValue, "possible", lambda self, size: True)
+    assert gate(inspect_campaign(tmp_path / "zone")) == {"latitude_value"}

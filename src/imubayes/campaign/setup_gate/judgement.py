@@ -44,10 +44,10 @@ def judge_setup(campaign: Campaign) -> Judgement:
     tumbled = feels_the_earth_alone(campaign, search.views)
     ordinary = search.ordinary or _turned_far(search)
     single = [] if ordinary or tumbled else search.several_mistakes(1)
-    if single and _more_than_noise(search, single):
-        return Judgement((_sized(campaign, single[0]),), search.misfit)
-    if hidden := hidden_mistakes(campaign):
-        return Judgement((_sized(campaign, equally_good(hidden, DECISIVE)),), search.misfit)
+    if single and _more_than_noise(search, single) and (possible := _sized(campaign, single[0])):
+        return Judgement((possible,), search.misfit)
+    if (hidden := hidden_mistakes(campaign)) and (possible := _sized(campaign, equally_good(hidden, DECISIVE))):
+        return Judgement((possible,), search.misfit)
     if ordinary:
         return Judgement((), search.misfit)
     if (found := search.several_mistakes(MOST_MISTAKES)) and _more_than_noise(search, found):
@@ -75,4 +75,6 @@ def _more_than_noise(search: Search, found: Sequence[tuple[Explanation, ...]]) -
 
 
 def _sized(campaign: Campaign, equal: tuple[Explanation, ...]) -> tuple[Explanation, ...]:
-    return tuple(sized(campaign, each) for each in equal)
+    """Return explanations with their sizes, without those of sizes that cannot be."""
+    found = [sized(campaign, each) for each in equal]
+    return tuple(each for each in found if each.mistake.possible(each.size))

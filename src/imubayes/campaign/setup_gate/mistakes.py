@@ -72,6 +72,10 @@ class Mistake(ABC):
         """Return the sizes that lead to what benches usually have."""
         return ()
 
+    def possible(self, size: float) -> bool:
+        """Return whether there can be a mistake of that size: what lies beyond is the work of something else."""
+        return True
+
     def like(self, other: "Mistake") -> bool:
         """Return whether another mistake, although of more evidence, is none that the outputs tell from this one.
 

@@ -62,5 +62,9 @@ class LatitudeValue(Mistake):
         low, high = (0.0, math.pi / 2) if self.north else (-math.pi / 2, 0.0)
         return replace(views[place], latitude=float(np.clip(size, low, high)))
 
+    def possible(self, size: float) -> bool:
+        """Return whether the latitude exists: outputs beyond the poles show more than the Earth rate."""
+        return abs(size) <= math.pi / 2
+
 
 LATITUDE_MISTAKES: tuple[type[Mistake], ...] = (LatitudeSign, LatitudeValue)
