@@ -49,7 +49,7 @@ def _walking(fit: Fit, seed: int, step: float) -> Fit:
     return redrawn(fit, seed, change=step * walk * noise_sd(fit))
 
 
-def test_what_is_not_beyond_chance_is_suspected(whole):
+def test_what_may_be_chance_is_suspected(whole):
     """A random walk of 0.3 a row, with which 95 % intervals hold the truth in 85 %, and white noise."""
     wandering = [judged_noise(_walking(whole, seed, 0.3)) for seed in range(10)]
     assert sum(bool(each.violations or each.suspected) for each in wandering) >= 6

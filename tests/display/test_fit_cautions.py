@@ -66,9 +66,9 @@ def test_suspected_noise_is_a_notice_and_no_alarm(plain):
     doubted = plain.model_copy(update={"noise_suspected": VIOLATIONS[1:]})
     assert alarm_of(doubted) == ""
     (notice,) = notices(doubted)
-    assert notice.startswith("It may be that the residuals are autocorrelated (gx, gy, p = 3e-7). This is not beyond")
+    assert notice.startswith("Suspected: the residuals are autocorrelated (gx, gy, p = 3e-7). This may be chance;")
     assert notice in " ".join(report_text(summary_report(doubted), width=400).split())
-    assert "It may be that" in summary_html(doubted)
+    assert "Suspected:" in summary_html(doubted)
     # Where there is an alarm it says enough.
     assert notices(doubted.model_copy(update={"noise_violations": VIOLATIONS})) == ()
 

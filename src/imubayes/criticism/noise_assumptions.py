@@ -35,8 +35,8 @@ class NoiseJudgement:
 
     Attributes
     ----------
-    violations : beyond chance: intervals are not to be trusted.
-    suspected : not beyond chance, and too rare under the noise of the model to pass over.
+    violations : significant: intervals are not to be trusted.
+    suspected : may be chance, but are too rare under the noise of the model to pass over.
     """
 
     violations: tuple[NoiseViolation, ...]
@@ -57,9 +57,9 @@ def judged_noise_in(projection: Projection) -> NoiseJudgement:
         rare = [each for each in found if each.p * len(found) < p]
         return tuple(NoiseViolation(kind=_NAMES[each.effect], channels=each.channels, p=each.p) for each in rare)
 
-    beyond_chance = rarer_than(thresholds.FALSE_ALARM_INTERVALS)
-    suspected = rarer_than(thresholds.SUSPECTED_INTERVALS_P)[len(beyond_chance) :]
-    return NoiseJudgement((*_quantised(projection), *beyond_chance), suspected)
+    significant = rarer_than(thresholds.FALSE_ALARM_INTERVALS)
+    suspected = rarer_than(thresholds.SUSPECTED_INTERVALS_P)[len(significant) :]
+    return NoiseJudgement((*_quantised(projection), *significant), suspected)
 
 
 def low_frequency(projection: Projection, entries: np.ndarray, chosen: np.ndarray) -> np.ndarray:

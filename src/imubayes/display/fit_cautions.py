@@ -77,9 +77,7 @@ def notices(summary: Summary) -> tuple[str, ...]:
     return (*noise, *map(_rests_on_prior, summary.prior_scatter))
 
 
-_SUSPECTED = (
-    "It may be that {}. This is not beyond chance; if so, the intervals are too narrow. Longer runs would tell."
-)
+_SUSPECTED = "Suspected: {}. This may be chance; if it is not, the intervals are too narrow. Longer runs would tell."
 
 
 def _rests_on_prior(found: PriorScatter) -> str:

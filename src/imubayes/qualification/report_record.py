@@ -296,7 +296,7 @@ class Adequacy(Record):
     missing : effects that the diagnosis names.
     undetectable : effects that these runs cannot show.
     noise_violations : how the noise departs from its model.
-    noise_suspected : how it may, though not beyond chance.
+    noise_suspected : how it may depart, although it may be chance.
     diagnoses : how often it was looked: diagnoses in the history of models, the last one included.
     history : models tried.
     runs : goodness of fit by run and channel.

@@ -141,7 +141,7 @@ class Summary(Record):
     implausible, unexplained : why a fit that reached a mode failed all the same; empty otherwise.
     intervals_valid : whether the fit converged and its noise is what the model assumes.
     noise_violations : how the noise is not, the clearest first.
-    noise_suspected : how the noise may not be, though not beyond chance; intervals count as valid.
+    noise_suspected : how the noise may not be, although it may be chance; intervals count as valid.
     prior_scatter : noise scales known from their priors alone, on which intervals rest.
     combinations : what is determined of the members of weak directions.
     pareto_k : tail index of the importance weights of the sampler's proposal; None without sampling.

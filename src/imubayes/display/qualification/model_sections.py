@@ -116,7 +116,9 @@ def adequacy_section(adequacy: Adequacy) -> list[Block]:
             Paragraph(f"Noise: {_NOISE[each.kind]} ({', '.join(each.channels)}{', p = ' + how if how else ''}).", "bad")
         )
     if adequacy.noise_suspected:
-        found.append(Paragraph(f"Noise, suspected but not beyond chance: {violation_text(adequacy.noise_suspected)}."))
+        found.append(
+            Paragraph(f"Noise, suspected, although it may be chance: {violation_text(adequacy.noise_suspected)}.")
+        )
     if adequacy.undetectable:
         found.append(
             Paragraph(
