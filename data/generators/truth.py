@@ -114,13 +114,8 @@ def stream(seed: int, name: str) -> np.random.Generator:
 
 def draw(prior: str, unit: str, generator: np.random.Generator) -> float:
     """One value of a prior such as ``normal(0, 500 ppm)``, in `unit`."""
-    family, inside = _PRIOR.fullmatch(prior.strip()).groups()
-    numbers, factor = [], 1.0
-    for part in inside.split(","):
-        number, given = _NUMBER_AND_UNIT.fullmatch(part.strip()).groups()
-        numbers.append(float(number))
-        if given:
-            factor = _IN_BASE_UNIT[given] / _IN_BASE_UNIT[unit]
+    family, numbers, given = _stated(prior)
+    factor = _IN_BASE_UNIT[given] / _IN_BASE_UNIT[unit] if given else 1.0
     match family:
         case "normal":
             return factor * generator.normal(*numbers)
@@ -131,6 +126,13 @@ def draw(prior: str, unit: str, generator: np.random.Generator) -> float:
         case "uniform":
             return factor * generator.uniform(*numbers)
     raise ValueError(f"unknown prior family '{family}'")
+
+
+def _stated(prior: str) -> tuple[str, list[float], str]:
+    """Family, numbers and unit of a prior; the unit is empty where none is given."""
+    family, inside = _PRIOR.fullmatch(prior.strip()).groups()
+    parts = [_NUMBER_AND_UNIT.fullmatch(part.strip()).groups() for part in inside.split(",")]
+    return family, [float(number) for number, _ in parts], next((unit for _, unit in reversed(parts) if unit), "")
 
 
 def _applies(effect: dict, channel: Channel) -> bool:
@@ -226,11 +228,10 @@ def from_spreads(spreads: dict[str, float], seed: int) -> dict[str, float]:
 
 def width(prior: str, unit: str) -> float:
     """One sigma of a normal prior, in `unit`."""
-    family, inside = _PRIOR.fullmatch(prior.strip()).groups()
+    family, numbers, given = _stated(prior)
     if family != "normal":
         raise ValueError(f"the width of a {family} prior is not asked for")
-    number, given = _NUMBER_AND_UNIT.fullmatch(inside.split(",")[1].strip()).groups()
-    return float(number) * (_IN_BASE_UNIT[given] / _IN_BASE_UNIT[unit] if given else 1.0)
+    return numbers[1] * (_IN_BASE_UNIT[given] / _IN_BASE_UNIT[unit] if given else 1.0)
 
 
 def at_score(prior: str, score: float) -> float:
@@ -251,10 +252,10 @@ def normal_score(prior: str, value: float) -> float:
 
 def _of_a_scale(prior: str) -> tuple[str, list[float]]:
     """Family and numbers of a prior in output units."""
-    family, inside = _PRIOR.fullmatch(prior.strip()).groups()
+    family, numbers, _ = _stated(prior)
     if family not in ("lognormal", "halfnormal"):
         raise ValueError(f"no noise scale has a {family} prior")
-    return family, [float(_NUMBER_AND_UNIT.fullmatch(part.strip()).group(1)) for part in inside.split(",")]
+    return family, numbers
 
 
 def true_seat(mounting: Mounting, values: Values) -> np.ndarray:

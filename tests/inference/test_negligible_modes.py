@@ -21,7 +21,8 @@ def tumble() -> Model:
 
 
 def others(model: Model) -> list[np.ndarray]:
-    return run_fit._best_start(model.problem, SEED, None, run_fit._DISPERSED, lambda text: None)[1]
+    mode, ends = run_fit._best_start(model.problem, SEED, None, run_fit._DISPERSED, lambda text: None)
+    return [end for end in ends if not run_fit._negligible(model.problem, end, mode)]
 
 
 def test_no_ensemble_begins_in_a_mode_without_mass(tumble: Model, monkeypatch: pytest.MonkeyPatch) -> None:

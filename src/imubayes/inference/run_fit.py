@@ -128,6 +128,7 @@ def _sampled(
     tell("sampling: weighing the proposal")
     count = max(_TRIAL, file.walkers * sampling.ensembles) // sampling.ensembles
     weighed = weigh(density, proposal, sampling.ensembles, count, sampling.seed)
+    others = [end for end in others if not _negligible(model.problem, end, mode)]
     starts = _starts(proposal, weighed, mode, others, file, sampling)
     return sample(density, starts, names, sampling, file, weighed, tell)
 
@@ -201,10 +202,10 @@ def _best_start(
         again = find_mode(problem, ends[best], mode.h)
         if bool(again.converged) or not bool(mode.converged):
             mode, here = again, float(heights(problem, [again.z], again.h)[0])
-    lower = [
+    others = [
         np.asarray(end) for end, height in zip(ends, densities, strict=True) if here - _HOPELESS < height < here - _SAME
     ]
-    return mode, [end for end in lower if not _negligible(problem, end, mode)]
+    return mode, others
 
 
 def _negligible(problem: Problem, end: np.ndarray, mode: Mode) -> bool:
