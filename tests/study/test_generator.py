@@ -261,7 +261,7 @@ ALONE = {
     "rate_table": "gyro_scale_cubic", "thermal_ramp": "converter_offset_lag", "polar_tumble": "gyro_g2_sensitivity",
     "geographic_tumble": "station_heading", "rotation_modulation": "table_wobble",
     "reference_gyro": "gyro_scale_asymmetry", "head": "accel_cubic", "static_record": "gyro_warm_up",
-    "free_tumble": "accel_cubic", "multi_axis_table": "middle_axis_squareness", "centrifuge": "arm_error",
+    "free_tumble": "gyro_scale_cubic", "multi_axis_table": "middle_axis_squareness", "centrifuge": "arm_error",
 }  # fmt: skip
 LONG = ("free_tumble", "multi_axis_table", "centrifuge")
 
