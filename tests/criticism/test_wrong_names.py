@@ -72,17 +72,18 @@ def cubic_drift(fitted: Fit) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("seed", "instead"), [(1, ("gyro_scale_asymmetry", "table_wobble")), (2, ("gyro_scale_asymmetry",))]
-)
-def test_rows_that_still_scatter_leave_a_name_open(monkeypatch, seed, instead):
-    """Without its cause another effect takes most of the drift; the rest has no plain form."""
+@pytest.mark.parametrize("seed", [1, 2])
+def test_rows_that_still_scatter_leave_a_name_open(monkeypatch, seed):
+    """Without its cause a wobble of the table takes most of the drift; the rest has no plain form.
+
+    The unit that turns back has next to no input rate: an asymmetry, which is of the input alone, explains none of it.
+    """
     fitted = fitted_to("centrifuge", "centrifuge")
     planted = redrawn(fitted, seed, change=cubic_drift(fitted))
     assert judge(planted).groups[0].effects == ("gyro_scale_g_dependence",)
     found = without(monkeypatch, planted, "gyro_scale_g_dependence")
     assert found.verdict == "equivalent_effects"
-    assert found.groups[0].effects == instead
+    assert found.groups[0].effects == ("table_wobble",)
     assert "it may only resemble the cause" in sentence(found)
     # Planted fault: neither the record of the noise nor pairs of effects are looked at.
     monkeypatch.setattr(NoiseComparison, "excess_chi2", 0.0)
