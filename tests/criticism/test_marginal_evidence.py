@@ -10,7 +10,7 @@ import pytest
 from null_data import fitted_to, redrawn, refitted
 
 from imubayes.campaign import load_campaign
-from imubayes.criticism import effect_selection, stepwise_search, thresholds
+from imubayes.criticism import effect_selection, effects_beside_noise, stepwise_search, thresholds
 from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.marginal_evidence import evident_between_runs
@@ -51,7 +51,7 @@ def test_an_effect_between_few_runs_is_not_passed_over(monkeypatch: pytest.Monke
     Without this evidence it passes for scatter between runs, far beyond the prior of that.
     """
     if verdict == "noise_model":
-        monkeypatch.setattr(stepwise_search, "evident_between_runs", lambda *_: {})
+        monkeypatch.setattr(effects_beside_noise, "evident_between_runs", lambda *_: {})
     found = judge(planted(0.2, 5))
     assert found.verdict == verdict
     assert [group.effects[0] for group in found.groups] == ([BETWEEN] if verdict == "missing_effect" else [])
@@ -80,7 +80,7 @@ def test_what_scatter_took_up_outweighs_its_smaller_part_within_runs(
     assert drawn.planted[0].within < 5
     if not outweighs:
         # An equivalent of the leader that is tried alone explains the rest as well: neither rule.
-        monkeypatch.setattr(stepwise_search, "_outweighed", lambda given, at, outcome: outcome)
+        monkeypatch.setattr(stepwise_search, "outweighed", lambda given, at, outcome: outcome)
         monkeypatch.setattr(effect_selection, "_by_another_name", lambda at, forward, *_: forward)
     model = bind(read_model(drawn.model), load_campaign(drawn.folder))
     found = judge(refitted(model, *(np.zeros(size) for size in model.problem.size)))

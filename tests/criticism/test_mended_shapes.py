@@ -8,7 +8,8 @@ import pytest
 from imubayes.criticism.equivalent_effects import equivalence_group
 from imubayes.criticism.projection import Projection, Strata
 from imubayes.criticism.score_test import Candidate, ScoreTest
-from imubayes.criticism.stepwise_search import Screening, SearchResult
+from imubayes.criticism.search_input import Screening
+from imubayes.criticism.stepwise_search import SearchResult
 from imubayes.criticism.unexplained_structure import _rivals
 
 RATE = np.linspace(-1.0, 1.0, 201)

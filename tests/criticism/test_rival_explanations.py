@@ -8,15 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import geographic_tumble
+import hidden
 import numpy as np
 import pytest
+from null_data import refitted
 from simulate import write_simulated
 
 import imubayes.api
-from imubayes.criticism import effect_selection
+from imubayes.campaign import load_campaign
+from imubayes.criticism import effect_selection, rival_explanations
+from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.display.diagnosis_report import next_command
 from imubayes.display.diagnosis_sentences import sentence
+from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 from imubayes.results.result import Result
 
@@ -106,3 +111,28 @@ def test_no_imitation_is_confirmed(tmp_path):
         print(seed, verdicts, f"{far:.1f}", flush=True)
     print(f"of 40: right {right}, level named alone {wrong}, wrong and confirmed {confirmed}")
     assert (wrong, confirmed) == (0, 0)
+
+
+@pytest.mark.parametrize("unequal", [True, False])
+def test_one_of_a_pair_may_act_on_one_channel_alone(tmp_path, monkeypatch, unequal):
+    """A bias drift of ax and a scale drift of all axes, of a generator that shares no code with the package.
+
+    Planted fault: where both of a pair have to act on all axes, the bias drift is named alone, on axes that have none.
+    """
+    drawn = hidden.random_campaign(tmp_path / "campaign", 310018, "two")
+    assert {(one.effect, one.channels) for one in drawn.planted} == {
+        ("accel_bias_temperature", ("ax",)),
+        ("accel_scale_temperature", ("ax", "ay", "az")),
+    }
+    if not unequal:
+        monkeypatch.setattr(rival_explanations, "_on_some", lambda *_: False)
+    model = bind(read_model(drawn.model), load_campaign(drawn.folder))
+    found = judge(refitted(model, *(np.zeros(size) for size in model.problem.size)))
+    assert (found.verdict == "equivalent_effects") == unequal
+    assert found.groups[0].effects == ("accel_bias_temperature",)
+    if unequal:
+        assert found.suggested is not None
+        assert set(found.suggested.effects) == {one.effect for one in drawn.planted}
+        assert "accel_bias_temperature (ax alone), accel_scale_temperature together would fit as well" in sentence(
+            found
+        )

@@ -39,6 +39,10 @@ def absent_down_to_four(sd):
     return EMPTY | {"ranking": [{"coefficients": [{"name": name, "value": 0.0, "sd": sd}]}]}
 
 
+def proposed(channels):
+    return {"suggested": {"effects": ["gyro_thermal_lag", "accel_quadratic", "accel_cubic"], "channels": channels}}
+
+
 SLOPE = LAG | {"effect": "gyro_bias_temperature", "parameters": {"gyro_bias_temperature.slope[gx]": -1.0}}
 WAVE = LAG | {"effect": "outside_temperature_wave"}
 
@@ -75,6 +79,9 @@ WAVE = LAG | {"effect": "outside_temperature_wave"}
         (False, line("two", explained(group("gyro_thermal_lag")), LAG, K2, added="gyro_thermal_lag", second=EMPTY)),
         (False, line("two", explained(group("gyro_thermal_lag")), LAG, K2, added="gyro_thermal_lag", second={})),
         (False, line("two", EMPTY, LAG, K2, added=None, second=None)),
+        (True, line("two", explained() | proposed(None), LAG, K2, added="gyro_thermal_lag", second=EMPTY)),
+        (True, line("two", explained() | proposed(["gx", "ay"]), LAG, K2, added="gyro_thermal_lag", second=EMPTY)),
+        (False, line("two", explained() | proposed(["gx"]), LAG, K2, added="gyro_thermal_lag", second=EMPTY)),
     ],
 )  # fmt: skip
 def test_judgement(fine, one):

@@ -3,52 +3,46 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from imubayes.campaign_data import Kind
-from imubayes.covariates import COVARIATES
 from imubayes.criticism import thresholds
 from imubayes.criticism.chain_stage import FoundStage, stages_of
 from imubayes.criticism.detectability import Detectability, detectability
 from imubayes.criticism.diagnosis_record import (
-    Amplitude,
     AskedEffect,
     ChainStage,
     CoefficientEstimate,
-    CovariateLabel,
     Diagnosis,
     EffectGroup,
     GroupMember,
     NearestEffect,
     NoiseFinding,
-    Outlier,
     RankedEffect,
-    ResidualStructure,
     RivalExplanation,
-    StrongestStructure,
     UndetectableEffect,
     UntypicalSize,
 )
 from imubayes.criticism.discriminating_run import discriminating_run
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
-from imubayes.criticism.formula_search import Formula, coefficient_unit, find_formula
-from imubayes.criticism.free_form_dependence import Structure, dominant_channel
+from imubayes.criticism.free_form_dependence import dominant_channel
 from imubayes.criticism.large_effects import remainder_of_leader
-from imubayes.criticism.localised_structure import STEP
 from imubayes.criticism.neglected_uncertainty import neglected_uncertainties
 from imubayes.criticism.noise_against_prior import NoiseBeyondPrior, noise_beyond_prior
 from imubayes.criticism.noise_assumptions import judged_noise_in
 from imubayes.criticism.noise_violation import NoiseViolation
 from imubayes.criticism.projection import project
-from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, following_covariate, residual_evidence
+from imubayes.criticism.residual_findings import (
+    covariate_label,
+    outlying_samples,
+    residual_structures,
+    strongest_structure,
+)
 from imubayes.criticism.score_test import Candidate
-from imubayes.criticism.stepwise_search import SearchResult, Significant, search
+from imubayes.criticism.search_outcome import Significant
+from imubayes.criticism.stepwise_search import SearchResult, search
 from imubayes.criticism.unexplained_structure import (
     channels_of,
-    mostly_step,
     scatter_remains,
-    simplest,
     unexplained_structure,
 )
 from imubayes.criticism.unlisted_causes import Causes, unlisted_causes
@@ -57,7 +51,6 @@ from imubayes.effects.base import Effect, Stage
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.json_record import finite
-from imubayes.model.bind import Model
 from imubayes.step_counter import Tell, silent
 
 
@@ -107,14 +100,14 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         noise=_noise(found),
         undetectable=_undetectable(found),
         nearest=_nearest(found) if open_question else (),
-        structure=_structures(found, unexplained),
+        structure=residual_structures(found, unexplained),
         looks=found.look_elsewhere.looks,
-        outliers=_outliers(found),
+        outliers=outlying_samples(found),
         suggested=_suggested(found, verdict),
         paired=found.paired,
         unfinished=found.unfinished,
         rivals=_rivals(found),
-        strongest=_strongest(found) if open_question else None,
+        strongest=strongest_structure(found) if open_question else None,
         recorded_noise=found.record.comparisons,
         beyond_prior=beyond_prior,
         neglected=neglected_uncertainties(found),
@@ -295,9 +288,9 @@ def _group(
             for member, unexplained in zip(group.members, group.unexplained, strict=True)
         ),
         residual=RmsChange(channel=evidence.channel, before=before, after=after, unit=unit),
-        covariate=_label(evidence.covariate) if evidence.covariate is not None else None,
+        covariate=covariate_label(evidence.covariate) if evidence.covariate is not None else None,
         discriminating_run=discriminating_run(fit, group),
-        unlisted=tuple(tuple(map(_label, each)) for each in unlisted),
+        unlisted=tuple(tuple(map(covariate_label, each)) for each in unlisted),
         stage=_chain_stage(fit, leader, stage) if stage is not None else None,
         beyond_typical=_beyond_typical(leader),
     )
@@ -320,10 +313,6 @@ def _chain_stage(fit: Fit, leader: Candidate, stage: FoundStage) -> ChainStage:
     sensor: Kind = next(channel.kind for channel in fit.model.campaign.channels if channel.name in leader.owners)
     named = "sensor" if stage.stage == Stage.SENSOR else "converter"
     return ChainStage(named=named, sensor=sensor, determined=stage.determined)
-
-
-def _label(covariate: ResidualCovariate) -> CovariateLabel:
-    return CovariateLabel(name=covariate.name, unit=covariate.unit, phrase=covariate.phrase)
 
 
 def _nearest(found: SearchResult) -> tuple[NearestEffect, ...]:
@@ -381,86 +370,6 @@ def _hidden(seen: Detectability) -> UndetectableEffect:
 
 def _not_supplied(effect: str, needs: tuple[str, ...]) -> UndetectableEffect:
     return UndetectableEffect(effect=effect, reason="not_supplied", needs=needs)
-
-
-def _structures(found: SearchResult, unexplained: Sequence[Significant]) -> tuple[ResidualStructure, ...]:
-    """Return the significant structures, with a formula for each channel where no effect explains them."""
-    channels = dict.fromkeys(structure.channel for structure, _ in unexplained)
-    # What happens once in one run has no formula in what runs share.
-    lasting = [name for name in channels if not mostly_step(name, unexplained)][: thresholds.MAX_FORMULAS]
-    formulas = {name: find_formula(found.first.projection, found.covariates, name) for name in lasting}
-    listed = simplest(unexplained or found.structures)
-    return tuple(_structure(found, structure, p, formulas.get(structure.channel)) for structure, p in listed)
-
-
-def _structure(found: SearchResult, structure: Structure, p: float, formula: Formula | None) -> ResidualStructure:
-    plain = ResidualStructure(
-        channel=structure.channel,
-        covariate=" × ".join(covariate.name for covariate in structure.covariates),
-        test=structure.test if structure.step else f"{structure.test} {structure.family}".strip(),
-        p=found.against_budget(float(p), thresholds.FALSE_ALARM_STRUCTURE),
-        step=structure.step,
-        coefficient=_height(found, structure),
-    )
-    if formula is None or structure.step:
-        return plain
-    first = formula.terms[0]
-    content = {
-        "shape": formula.text,
-        "coefficient": Amplitude(value=first.value, sd=first.sd, unit=first.unit),
-        "terms": formula.terms,
-        "inclusion": formula.inclusion,
-        "near": formula.near,
-        "kind": formula.kind,
-    }
-    return plain.model_copy(update=content)
-
-
-def _height(found: SearchResult, structure: Structure) -> Amplitude | None:
-    """Return the height of a step at the input."""
-    if structure.height is None:
-        return None
-    campaign = found.first.projection.fitted.model.campaign
-    channel = next(each for each in campaign.channels if each.name == structure.channel)
-    factor, unit = coefficient_unit(channel.kind, channel.scale_si, campaign.site.gravity)
-    height, sd = structure.height
-    return Amplitude(value=height / factor, sd=finite(sd / factor), unit=unit)
-
-
-def _strongest(found: SearchResult) -> StrongestStructure:
-    structures = found.remaining or found.structures
-    step = next((structure for structure, _ in structures if structure.test == STEP), None)
-    if step is not None and mostly_step(step.channel, structures):
-        return StrongestStructure(channel=step.channel, covariates=(), step=step.step)
-    first = structures[0][0]
-    return StrongestStructure(channel=first.channel, covariates=tuple(_label(each) for each in first.covariates))
-
-
-def _outliers(found: SearchResult) -> tuple[Outlier, ...]:
-    """Return the outlying samples, the farthest first."""
-    model, distance = found.first.projection.fitted.model, found.outlier_sd
-    runs, channels, entries = model.campaign.runs, model.campaign.channels, model.entries
-    return tuple(
-        Outlier(
-            run=runs[entries.run[place]].name,
-            channel=channels[entries.channel[place]].name,
-            row=int(entries.row[place]) + 1,
-            distance=float(distance[place]),
-            time_s=_read(model, "time", int(place)),
-            table_angle_deg=_read(model, "table_angle", int(place)),
-        )
-        for place in np.argsort(-np.abs(distance), kind="stable")[: np.count_nonzero(distance)]
-    )
-
-
-def _read(model: Model, covariate: str, place: int) -> float | None:
-    """Return what the row of an entry recorded of a covariate, in the unit of its column; None where nothing."""
-    run = model.campaign.runs[model.entries.run[place]]
-    if covariate not in run.covariates or model.entries.closing[place]:
-        return None
-    value = model.campaign.as_read(run, covariate)[model.entries.row[place]]
-    known = np.isfinite(value) and (run.table is not None or not covariate.startswith("table_"))
-    return float(value) / COVARIATES[covariate].factor() if known else None
 
 
 def _rivals(found: SearchResult) -> tuple[RivalExplanation, ...]:

@@ -8,6 +8,9 @@ error of its level.  Pairs are therefore compared with what the search found, by
 
 with u = Xᵀr and V = XᵀX of the responses X to sizes as large as they get in practice, past what the model absorbs, and
 the residual r, both at the noise that remains.  It weighs sizes beyond the typical range, and each further coefficient.
+
+One of a pair may act on some of the leader's channels alone: an effect on one channel beside another one on all of them
+may pass for the first on all.
 """
 
 import math
@@ -102,41 +105,49 @@ def rival_pairs(at: Screening, leaders: Sequence[Candidate], variance: np.ndarra
     """
     first = leaders[0]
     concerned = [first, *(each for each in leaders[1:] if acts_with(at, each, first) or _on_some(each, first))]
-    rivals = [each for each in _best_shapes(at, first) if each.effect != first.effect]
+    rivals = _best_shapes(at, first)
     terms = _Terms.of(at, [*concerned, *rivals], variance)
     found = float(terms.log_odds([tuple(range(len(concerned)))])[0])
     places = range(len(concerned), len(terms.candidates))
     alone = {place: float(terms.log_odds([(place,)])[0]) for place in places}
+    pairs = [pair for pair in combinations(places, 2) if _are_rivals(terms, first, pair)]
     least = found - 2 * thresholds.DECISIVE_LOG_ODDS
     likely = [
         RivalEffects((terms.candidates[a], terms.candidates[b]), value - found)
-        for (a, b), value in _pairs(terms, places)
+        for (a, b), value in _pairs(terms, pairs)
         # A second effect that adds nothing to the first one makes no explanation of its own.
         if value > max(least, alone[a], alone[b])
     ]
     return sorted(likely, key=lambda each: -each.log_odds)
 
 
-def _pairs(terms: _Terms, places: Sequence[int]) -> Iterator[tuple[tuple[int, int], float]]:
-    """Yield every pair of terms of two effects, with its log odds against none."""
-    different = [
-        pair for pair in combinations(places, 2) if len({terms.candidates[place].effect for place in pair}) == 2
-    ]
+def _are_rivals(terms: _Terms, first: Candidate, pair: tuple[int, int]) -> bool:
+    """Tell whether a pair is of two effects, of which one at least acts wherever the leader does."""
+    a, b = (terms.candidates[place] for place in pair)
+    return a.effect != b.effect and not (_on_some(a, first) and _on_some(b, first))
+
+
+def _pairs(terms: _Terms, pairs: Sequence[tuple[int, int]]) -> Iterator[tuple[tuple[int, int], float]]:
+    """Yield pairs of terms with their log odds against none."""
 
     def size(pair: tuple[int, int]) -> tuple[int, int]:
         return len(terms.places[pair[0]]), len(terms.places[pair[1]])
 
-    for _, alike in groupby(sorted(different, key=size), key=size):
-        pairs = list(alike)
-        yield from zip(pairs, terms.log_odds(pairs).tolist(), strict=True)
+    for _, alike in groupby(sorted(pairs, key=size), key=size):
+        together = list(alike)
+        yield from zip(together, terms.log_odds(together).tolist(), strict=True)
 
 
 def _best_shapes(at: Screening, leader: Candidate) -> list[Candidate]:
-    """Return each effect that acts where the leader does, at the shape that explains most."""
+    """Return each other effect that acts where the leader does, and each one on some of its channels.
+
+    Each at the shape that explains most.
+    """
     best: dict[tuple[str, tuple[str, ...]], Candidate] = {}
     for each in at.candidates:
         known = best.get((each.effect, each.owners))
-        if acts_with(at, each, leader) and (known is None or each.delta_chi2 > known.delta_chi2):
+        other = acts_with(at, each, leader) and each.effect != leader.effect
+        if (other or _on_some(each, leader)) and (known is None or each.delta_chi2 > known.delta_chi2):
             best[each.effect, each.owners] = each
     return list(best.values())
 

@@ -1,7 +1,6 @@
 """Stepwise search: screen, project out the best explanation and screen again, until nothing significant remains."""
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
@@ -10,34 +9,19 @@ import numpy as np
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses, candidate_responses
 from imubayes.criticism.common_course import common_courses
-from imubayes.criticism.effect_selection import (
-    Selection,
-    at_noise_left,
-    at_scales,
-    deflate,
-    select_effects,
-    span_over_shapes,
-)
-from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
-from imubayes.criticism.free_form_dependence import Structure
-from imubayes.criticism.marginal_evidence import (
-    columns_of,
-    evidence_with_scatter,
-    evident_between_runs,
-    evident_in_correlated_noise,
-)
+from imubayes.criticism.effect_selection import deflate, select_effects
+from imubayes.criticism.effects_beside_noise import beside_noise, beside_slow_noise, outweighed
+from imubayes.criticism.equivalent_effects import EquivalenceGroup
+from imubayes.criticism.marginal_evidence import columns_of
 from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
-from imubayes.criticism.noise_against_prior import scatter_beyond_prior
 from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, prewhitening, screen_noise
 from imubayes.criticism.outliers import clustered, consecutive, deletion_residuals, find_outliers
 from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.recorded_noise import RecordedNoise, compare_with_record
 from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
 from imubayes.criticism.rival_explanations import RivalEffects
-from imubayes.criticism.scales_beside import evident_at_scales_beside
-from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.search_input import Screening, SearchInput
-from imubayes.criticism.slow_noise_evidence import slow_noise_evidence
+from imubayes.criticism.search_outcome import Corrections, FirstPass, SearchOutcome, Significant
 from imubayes.criticism.slow_noise_records import WanderingNoise
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import find_mode
@@ -46,23 +30,6 @@ from imubayes.step_counter import Tell, counted, silent
 
 # Noise that passes for effects where the model lacks it.
 _CONFOUNDED_NOISE = ("correlated_noise", "run_scatter")
-
-
-Significant = tuple[Structure, float]
-"""A structure with its p-value, corrected for the number of looks."""
-
-
-@dataclass(frozen=True)
-class Corrections:
-    """Look-elsewhere corrections: for the effects screened, and for the structure screened."""
-
-    of_effect: LookElsewhere
-    of_structure: LookElsewhere
-
-    def significant(self, structures: Sequence[Structure], factor: float = 1.0) -> tuple[Significant, ...]:
-        """Return the structures below `factor` times the threshold, with their corrected p-values."""
-        corrected = [(structure, self.of_structure(structure.score.p)) for structure in structures]
-        return tuple(pair for pair in corrected if pair[1] < factor * thresholds.FALSE_ALARM_STRUCTURE)
 
 
 @dataclass(frozen=True)
@@ -111,26 +78,6 @@ class SearchResult:
         Below `thresholds.FALSE_ALARM` if and only if the search takes it for significant (weighted Bonferroni).
         """
         return min(1.0, p * thresholds.FALSE_ALARM / (share * self.factor))
-
-
-@dataclass(frozen=True)
-class FirstPass:
-    """What is significant with the noise of the model.
-
-    Attributes
-    ----------
-    first : the screening before anything was projected out.
-    selection : the effects that it shows.
-    alarm : whether an effect or structure is significant.
-    cleared : the projection without groups and without patterns that cannot be noise.
-    """
-
-    first: Screening
-    corrections: Corrections
-    noise: tuple[NoiseCandidate, ...]
-    selection: Selection
-    alarm: bool
-    cleared: Projection
 
 
 def search(fitted: Fit, tell: Tell = silent) -> SearchResult:
@@ -246,47 +193,32 @@ def _refit_without(fitted: Fit, outlying: np.ndarray, rounds: int) -> tuple[Fit,
     return rest, sizes
 
 
-@dataclass(frozen=True)
-class _Outcome:
-    """First screening, the effects that it shows, the factor on the budget of false alarms, and noise as a rival."""
-
-    first: Screening
-    selection: Selection
-    factor: float = 1.0
-    wandering: WanderingNoise = ""
-
-    @property
-    def groups(self) -> tuple[EquivalenceGroup, ...]:
-        """One per effect found, in order of evidence."""
-        return self.selection.groups
-
-
 def _with_noise(given: SearchInput, at: FirstPass) -> SearchResult:
     """Return the outcome with the noise that the residuals show, where what is missing allows to judge it."""
     if at.selection.unfinished:
-        return _result(given, at, _Outcome(at.first, at.selection, given.factor))
+        return _result(given, at, SearchOutcome(at.first, at.selection, given.factor))
     adopted, modelled = _noise_hypotheses(at)
-    outcome = _under_noise(given, at, modelled) if modelled else _Outcome(at.first, at.selection, given.factor)
+    outcome = _under_noise(given, at, modelled) if modelled else SearchOutcome(at.first, at.selection, given.factor)
     # What runs of one input have in common is no noise, however long that remembers.
     common = tuple(common_courses((at.selection.last if outcome.groups else at.first).projection))
     judged = not given.as_modelled and not outcome.groups and not common
-    if judged and (beside := _beside_slow_noise(given, at)) is not None:
+    if judged and (beside := beside_slow_noise(given, at)) is not None:
         outcome, adopted = beside, []
     if _silent(at, outcome) and not common and not adopted:
         outcome, suspected = _not_passed_over(at, outcome, modelled)
         if _silent(at, outcome):
             # Noise from row to row does not explain what acts between runs, and is adopted where nothing does.
-            outcome = _beside_noise(given, at, outcome)
+            outcome = beside_noise(given, at, outcome)
             adopted = suspected if _silent(at, outcome) else []
     elif not common:
-        outcome = _outweighed(given, at, outcome)
+        outcome = outweighed(given, at, outcome)
     return _result(given, at, outcome, adopted, common)
 
 
 def _result(
     given: SearchInput,
     at: FirstPass,
-    outcome: _Outcome,
+    outcome: SearchOutcome,
     adopted: Sequence[NoiseCandidate] = (),
     common: tuple[Significant, ...] = (),
 ) -> SearchResult:
@@ -325,146 +257,27 @@ def _noise_hypotheses(at: FirstPass) -> tuple[list[NoiseCandidate], list[NoiseCa
     return adopted, adopted + confounded
 
 
-def _under_noise(given: SearchInput, at: FirstPass, modelled: Sequence[NoiseCandidate]) -> _Outcome:
+def _under_noise(given: SearchInput, at: FirstPass, modelled: Sequence[NoiseCandidate]) -> SearchOutcome:
     """Return the outcome with further noise in the model."""
     effects = {each.effect for each in modelled}
     first = given.screening(prewhitening(at.cleared, modelled), "run_scatter" in effects)
     factor = thresholds.ESTIMATED_CORRELATION_FACTOR if "correlated_noise" in effects else given.factor
-    return _Outcome(first, select_effects(first, at.corrections.of_effect, factor), factor)
+    return SearchOutcome(first, select_effects(first, at.corrections.of_effect, factor), factor)
 
 
-def _silent(at: FirstPass, outcome: _Outcome) -> bool:
+def _silent(at: FirstPass, outcome: SearchOutcome) -> bool:
     return not (outcome.groups or at.corrections.significant(outcome.first.structures, outcome.factor))
 
 
-def _beside_slow_noise(given: SearchInput, at: FirstPass) -> _Outcome | None:
-    """Return the outcome at the noise beside an effect that correlated noise took up; None where none is evident."""
-    first = at.first
-    columns = [columns_of(first.prepared, each) for each in first.candidates]
-    evidence = slow_noise_evidence(given.records, columns)
-    if evidence is None or evidence.corrected >= thresholds.SLOW_NOISE_EVIDENCE:
-        return None
-    beside = given.screening_beside(columns[min(evidence.p, key=lambda place: evidence.p[place])])
-    return _judged_beside(beside, first, evidence.p, evidence.corrected)
-
-
-def _judged_beside(beside: Screening, first: Screening, p: Mapping[int, float], corrected: float) -> _Outcome | None:
-    """Return the outcome at the noise beside the effect of the smallest p-value; None where none is possible there.
-
-    Parameters
-    ----------
-    beside : the screening there.
-    p : of candidates of the first screening alone, by their place.
-    corrected : of the smallest one.
-    """
-    known = {_identity(first.candidates[place]): value for place, value in p.items()}
-    candidates = [
-        replace(each, score=replace(each.score, p=max(each.score.p, known.get(_identity(each), 0.0))))
-        for each in beside.candidates
-    ]
-    beside = replace(beside, candidates=tuple(candidates))
-    leader = next((each for each in candidates if _identity(each) in known), None)
-    if leader is None:
-        return None
-    group = equivalence_group(beside.projection, leader, candidates, corrected)
-    return _Outcome(beside, _only(beside, group), thresholds.SLOW_NOISE_EVIDENCE / thresholds.FALSE_ALARM_EFFECT)
-
-
-def _identity(candidate: Candidate) -> tuple[str, ...]:
-    """Return what tells a candidate from others: effect, shape and coefficients."""
-    shape = (f"{field}={value}" for field, value in candidate.scan.shape.items())
-    return candidate.effect, *shape, *(each.parameter.name for each in candidate.coefficients)
-
-
-def _beside_noise(given: SearchInput, at: FirstPass, outcome: _Outcome) -> _Outcome:
-    """Return the outcome with what is evident although noise of the model has taken it up."""
-    return _at_scales_beside(at, outcome) or _between_few_runs(given, at) or _taken_up(given, at) or outcome
-
-
-def _at_scales_beside(at: FirstPass, outcome: _Outcome) -> _Outcome | None:
-    """Return the outcome at the scales beside an effect that acts within runs and between; None without one."""
-    first, corrected = at.first, at.corrections.of_effect
-    threshold = outcome.factor * thresholds.FALSE_ALARM_EFFECT
-    found = evident_at_scales_beside(first.projection, first.prepared, first.candidates, corrected, threshold)
-    if found is None:
-        return None
-    own, root = found
-    there = at_scales(first, root)
-    group = equivalence_group(there.projection, own, there.candidates, corrected(own.p))
-    return _Outcome(there, _only(there, group), outcome.factor)
-
-
-def _between_few_runs(given: SearchInput, at: FirstPass, log_factor: float = -math.inf) -> _Outcome | None:
-    """Return the outcome with what is evident although the F test of few runs does not show it; None without.
-
-    Parameters
-    ----------
-    log_factor : log Bayes factor of what it is to outweigh.
-    """
-    first = at.first
-    evident = evident_between_runs(given.fitted, given.responses, first.prepared, first.candidates)
-    if max(evident.values(), default=-math.inf) <= log_factor + thresholds.DECISIVE_LOG_ODDS:
-        return None
-    candidates = list(first.candidates)
-    for place, own in evident.items():
-        score = candidates[place].score
-        candidates[place] = replace(candidates[place], score=replace(score, p=min(score.p, math.exp(-own))))
-    best = max(evident, key=lambda place: evident[place])
-    near = [candidates[k] for k, value in evident.items() if value > evident[best] - thresholds.DECISIVE_LOG_ODDS]
-    first, leader = replace(first, candidates=tuple(candidates)), candidates[best]
-    group = equivalence_group(first.projection, leader, candidates, at.corrections.of_effect(leader.score.p), near)
-    return _Outcome(first, _only(first, group))
-
-
-def _outweighed(given: SearchInput, at: FirstPass, outcome: _Outcome) -> _Outcome:
-    """Return the outcome with what scatter between runs took up, where that outweighs what was selected.
-
-    Scatter far beyond its prior is a finding.  The F test of few runs does not show its cause, whose smaller part
-    within runs is then shared by effects that imitate it.
-    """
-    if not scatter_beyond_prior(given.fitted):
-        return outcome
-    log_factor = -math.inf
-    if outcome.groups:
-        leader, prepared = outcome.groups[0].leader, at.first.prepared
-        log_factor = evidence_with_scatter(given.fitted, given.responses, prepared, leader)
-    return _between_few_runs(given, at, log_factor) or outcome
-
-
-def _taken_up(given: SearchInput, at: FirstPass) -> _Outcome | None:
-    """Return the outcome with what the model's correlated noise took up and is evident beside it; often None.
-
-    Of records that are judged at the likeliest noise, it is sought at that of the model afterwards.
-    """
-    if given.records and not given.as_modelled:
-        return None
-    first = at.first
-    evident = evident_in_correlated_noise(given.fitted, given.responses, first.prepared, first.candidates)
-    if not evident:
-        return None
-    best = max(evident.values(), key=lambda each: each.log_factor)
-    beside = replace(given, fitted=replace(given.fitted, h=best.h), as_modelled=True).screening()
-    p = {place: math.exp(-each.log_factor) for place, each in evident.items()}
-    outcome = _judged_beside(beside, first, p, at.corrections.of_effect(min(p.values())))
-    # Noise of another family than the model's may explain the same.
-    return outcome and replace(outcome, wandering="rival")
-
-
-def _only(at: Screening, group: EquivalenceGroup) -> Selection:
-    """Return the selection of one group."""
-    last = deflate(at, span_over_shapes(at, group.leader))
-    return Selection((group,), last, at_noise_left(last))
-
-
 def _not_passed_over(
-    at: FirstPass, outcome: _Outcome, modelled: list[NoiseCandidate]
-) -> tuple[_Outcome, list[NoiseCandidate]]:
+    at: FirstPass, outcome: SearchOutcome, modelled: list[NoiseCandidate]
+) -> tuple[SearchOutcome, list[NoiseCandidate]]:
     """Return the outcome and the noise to adopt where what the first look found has vanished into suspected noise.
 
     A pattern that cannot be noise stays what it is; otherwise the noise that would explain it is adopted.
     """
     if at.alarm and _first_p(at) < thresholds.PATTERN_NOT_NOISE_P:
-        return _Outcome(at.first, at.selection), []
+        return SearchOutcome(at.first, at.selection), []
     return outcome, modelled or _significant_noise(at.noise, thresholds.FALSE_ALARM_NOISE)
 
 

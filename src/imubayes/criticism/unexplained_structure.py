@@ -7,7 +7,8 @@ from imubayes.criticism.effect_covariates import covariates_of
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, unexplained_chi2
 from imubayes.criticism.localised_structure import STEP
 from imubayes.criticism.score_test import Candidate
-from imubayes.criticism.stepwise_search import SearchResult, Significant
+from imubayes.criticism.search_outcome import Significant
+from imubayes.criticism.stepwise_search import SearchResult
 from imubayes.effects.base import Effect, Order
 
 

@@ -27,7 +27,8 @@ from imubayes.criticism.projection import orthonormal
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.rival_functions import SERIES, rival_scans
 from imubayes.criticism.score_test import Candidate
-from imubayes.criticism.stepwise_search import Screening, SearchResult
+from imubayes.criticism.search_input import Screening
+from imubayes.criticism.stepwise_search import SearchResult
 from imubayes.criticism.temperature_memory import kind_of_memory, may_scale, other_memory
 
 Causes = tuple[tuple[ResidualCovariate, ...], ...]

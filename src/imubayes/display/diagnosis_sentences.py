@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup, UndetectableEffect
+from imubayes.criticism.diagnosis_record import Diagnosis, EffectChoice, EffectGroup, UndetectableEffect
 from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
 from imubayes.criticism.recorded_noise import NoiseComparison
 from imubayes.display.labels import listed, pretty
@@ -96,9 +96,15 @@ def _rival_sentence(found: Diagnosis) -> str:
     if not found.rivals:
         return ""
     best = found.rivals[0]
-    names = listed([each.effect for each in best.effects])
+    names = listed([_on_channels(each, found.groups[0]) for each in best.effects])
     together = " together" if len(best.effects) > 1 else ""
     return f" {names}{together} would fit as well: the posterior with all of them in the model holds both explanations."
+
+
+def _on_channels(choice: EffectChoice, group: EffectGroup) -> str:
+    """Return an effect by name, with its channels where they are some of the group's."""
+    own = choice.channels or ()
+    return f"{choice.effect} ({listed(own)} alone)" if own and set(own) < set(group.channels) else choice.effect
 
 
 def _size_sentence(group: EffectGroup) -> str:

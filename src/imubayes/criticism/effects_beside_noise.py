@@ -1,0 +1,139 @@
+"""Effects that noise of the model has taken up.
+
+They are not significant at the noise scales of the fit, but at those beside them or by their marginal likelihood.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+from imubayes.criticism import thresholds
+from imubayes.criticism.effect_selection import at_scales
+from imubayes.criticism.equivalent_effects import equivalence_group
+from imubayes.criticism.marginal_evidence import (
+    columns_of,
+    evidence_with_scatter,
+    evident_between_runs,
+    evident_in_correlated_noise,
+)
+from imubayes.criticism.noise_against_prior import scatter_beyond_prior
+from imubayes.criticism.scales_beside import evident_at_scales_beside
+from imubayes.criticism.score_test import Candidate
+from imubayes.criticism.search_input import Screening, SearchInput
+from imubayes.criticism.search_outcome import FirstPass, SearchOutcome, only
+from imubayes.criticism.slow_noise_evidence import slow_noise_evidence
+
+
+def beside_slow_noise(given: SearchInput, at: FirstPass) -> SearchOutcome | None:
+    """Return the outcome at the noise beside an effect that correlated noise took up; None where none is evident."""
+    first = at.first
+    columns = [columns_of(first.prepared, each) for each in first.candidates]
+    evidence = slow_noise_evidence(given.records, columns)
+    if evidence is None or evidence.corrected >= thresholds.SLOW_NOISE_EVIDENCE:
+        return None
+    beside = given.screening_beside(columns[min(evidence.p, key=lambda place: evidence.p[place])])
+    return _judged_beside(beside, first, evidence.p, evidence.corrected)
+
+
+def _judged_beside(
+    beside: Screening, first: Screening, p: Mapping[int, float], corrected: float
+) -> SearchOutcome | None:
+    """Return the outcome at the noise beside the effect of the smallest p-value; None where none is possible there.
+
+    Parameters
+    ----------
+    beside : the screening there.
+    p : of candidates of the first screening alone, by their place.
+    corrected : of the smallest one.
+    """
+    known = {_identity(first.candidates[place]): value for place, value in p.items()}
+    candidates = [
+        replace(each, score=replace(each.score, p=max(each.score.p, known.get(_identity(each), 0.0))))
+        for each in beside.candidates
+    ]
+    beside = replace(beside, candidates=tuple(candidates))
+    leader = next((each for each in candidates if _identity(each) in known), None)
+    if leader is None:
+        return None
+    group = equivalence_group(beside.projection, leader, candidates, corrected)
+    return SearchOutcome(beside, only(beside, group), thresholds.SLOW_NOISE_EVIDENCE / thresholds.FALSE_ALARM_EFFECT)
+
+
+def _identity(candidate: Candidate) -> tuple[str, ...]:
+    """Return what tells a candidate from others: effect, shape and coefficients."""
+    shape = (f"{field}={value}" for field, value in candidate.scan.shape.items())
+    return candidate.effect, *shape, *(each.parameter.name for each in candidate.coefficients)
+
+
+def beside_noise(given: SearchInput, at: FirstPass, outcome: SearchOutcome) -> SearchOutcome:
+    """Return the outcome with what is evident although noise of the model has taken it up."""
+    return _at_scales_beside(at, outcome) or _between_few_runs(given, at) or _taken_up(given, at) or outcome
+
+
+def _at_scales_beside(at: FirstPass, outcome: SearchOutcome) -> SearchOutcome | None:
+    """Return the outcome at the scales beside an effect that acts within runs and between; None without one."""
+    first, corrected = at.first, at.corrections.of_effect
+    threshold = outcome.factor * thresholds.FALSE_ALARM_EFFECT
+    found = evident_at_scales_beside(first.projection, first.prepared, first.candidates, corrected, threshold)
+    if found is None:
+        return None
+    own, root = found
+    there = at_scales(first, root)
+    group = equivalence_group(there.projection, own, there.candidates, corrected(own.p))
+    return SearchOutcome(there, only(there, group), outcome.factor)
+
+
+def _between_few_runs(given: SearchInput, at: FirstPass, log_factor: float = -math.inf) -> SearchOutcome | None:
+    """Return the outcome with what is evident although the F test of few runs does not show it; None without.
+
+    Parameters
+    ----------
+    log_factor : log Bayes factor of what it is to outweigh.
+    """
+    first = at.first
+    evident = evident_between_runs(given.fitted, given.responses, first.prepared, first.candidates)
+    if max(evident.values(), default=-math.inf) <= log_factor + thresholds.DECISIVE_LOG_ODDS:
+        return None
+    candidates = list(first.candidates)
+    for place, own in evident.items():
+        score = candidates[place].score
+        candidates[place] = replace(candidates[place], score=replace(score, p=min(score.p, math.exp(-own))))
+    best = max(evident, key=lambda place: evident[place])
+    near = [candidates[k] for k, value in evident.items() if value > evident[best] - thresholds.DECISIVE_LOG_ODDS]
+    first, leader = replace(first, candidates=tuple(candidates)), candidates[best]
+    group = equivalence_group(first.projection, leader, candidates, at.corrections.of_effect(leader.score.p), near)
+    return SearchOutcome(first, only(first, group))
+
+
+def outweighed(given: SearchInput, at: FirstPass, outcome: SearchOutcome) -> SearchOutcome:
+    """Return the outcome with what scatter between runs took up, where that outweighs what was selected.
+
+    Scatter far beyond its prior is a finding.  The F test of few runs does not show its cause, whose smaller part
+    within runs is then shared by effects that imitate it.
+    """
+    if not scatter_beyond_prior(given.fitted):
+        return outcome
+    log_factor = -math.inf
+    if outcome.groups:
+        leader, prepared = outcome.groups[0].leader, at.first.prepared
+        log_factor = evidence_with_scatter(given.fitted, given.responses, prepared, leader)
+    return _between_few_runs(given, at, log_factor) or outcome
+
+
+def _taken_up(given: SearchInput, at: FirstPass) -> SearchOutcome | None:
+    """Return the outcome with what the model's correlated noise took up and is evident beside it; often None.
+
+    Of records that are judged at the likeliest noise, it is sought at that of the model afterwards.
+    """
+    if given.records and not given.as_modelled:
+        return None
+    first = at.first
+    evident = evident_in_correlated_noise(given.fitted, given.responses, first.prepared, first.candidates)
+    if not evident:
+        return None
+    best = max(evident.values(), key=lambda each: each.log_factor)
+    beside = replace(given, fitted=replace(given.fitted, h=best.h), as_modelled=True).screening()
+    p = {place: math.exp(-each.log_factor) for place, each in evident.items()}
+    outcome = _judged_beside(beside, first, p, at.corrections.of_effect(min(p.values())))
+    # Noise of another family than the model's may explain the same.
+    return outcome and replace(outcome, wandering="rival")
