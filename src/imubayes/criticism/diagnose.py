@@ -287,7 +287,7 @@ def _group(
             )
             for member, unexplained in zip(group.members, group.unexplained, strict=True)
         ),
-        residual=RmsChange(channel=evidence.channel, before=before, after=after, unit=unit),
+        residual=RmsChange(channel=evidence.channel, before=before, after=after, unit=unit, within=evidence.within),
         covariate=covariate_label(evidence.covariate) if evidence.covariate is not None else None,
         discriminating_run=discriminating_run(fit, group),
         unlisted=tuple(tuple(map(covariate_label, each)) for each in unlisted),

@@ -21,12 +21,14 @@ class ChannelRms(Record):
 
     Attributes
     ----------
+    within : about the mean of each run; None where it is unknown.
     noise : standard deviation that the model assumes of the residual; None where it is unknown.
     """
 
     channel: str
     rms: float
     unit: str
+    within: float | None = None
     noise: float | None = None
 
 
@@ -153,7 +155,16 @@ class Tree(Presented):
 
 def rms_by_unit(channels: Iterable[ChannelRms]) -> dict[str, float]:
     """Return the root mean square over the channels of each unit."""
+    return _by_unit((channel.unit, channel.rms) for channel in channels)
+
+
+def within_by_unit(channels: Iterable[ChannelRms]) -> dict[str, float]:
+    """Return the root mean square about the means of runs over the channels of each unit, where it is known."""
+    return _by_unit((channel.unit, channel.within) for channel in channels if channel.within is not None)
+
+
+def _by_unit(known: Iterable[tuple[str, float]]) -> dict[str, float]:
     sizes: dict[str, list[float]] = {}
-    for channel in channels:
-        sizes.setdefault(channel.unit, []).append(channel.rms)
+    for unit, size in known:
+        sizes.setdefault(unit, []).append(size)
     return {unit: math.sqrt(sum(size**2 for size in each) / len(each)) for unit, each in sizes.items()}

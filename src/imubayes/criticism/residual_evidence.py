@@ -46,6 +46,8 @@ class ResidualEvidence:
     residual, explained : shape (n,), in `unit`.
     unit : nominal input unit, deg/s or g, of the angle of a driven table deg.
     over : where the response is the input times a function of a covariate.
+    within : whether `residual` is without the offset that each run has beside the explained part: where the model has
+        such offsets and the evidence lies within runs.
     """
 
     channel: str
@@ -57,13 +59,30 @@ class ResidualEvidence:
     explained: np.ndarray
     unit: str
     over: "InputTimes | None" = None
+    within: bool = False
 
     @property
     def rms(self) -> tuple[float, float, str]:
-        """The rms residual before and after the candidate is added, and its unit: deg/h, ug, or arcsec."""
+        """The rms residual before and after the candidate is added, and its unit: deg/h, ug, or arcsec.
+
+        About the mean of each run, where the residual is shown without its offset.
+        """
         factor, unit = {"deg/s": (3600.0, "deg/h"), "deg": (3600.0, "arcsec")}.get(self.unit, (1e6, "ug"))
-        before, after = (float(np.sqrt(np.mean(rest**2))) for rest in (self.residual, self.residual - self.explained))
-        return factor * before, factor * after, unit
+        both = (self.residual, self.residual - self.explained)
+        before, after = (rest - of_runs(rest, self.run) if self.within else rest for rest in both)
+        return factor * _rms(before), factor * _rms(after), unit
+
+
+def of_runs(values: np.ndarray, runs: np.ndarray) -> np.ndarray:
+    """Return the mean of the finite values of its run at each entry, (n,)."""
+    _, place = np.unique(runs, return_inverse=True)
+    good = np.isfinite(values)
+    count = np.bincount(place, good)
+    return (np.bincount(place, np.where(good, values, 0.0)) / np.maximum(count, 1))[place]
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def following_covariate(
@@ -119,17 +138,22 @@ def residual_evidence(
         response = (projected.response.columns @ value)[here]
         over = input_times(response, constants.kind, [replace(each, values=each.values[here]) for each in known])
         place_of = next((each for each in known if over is not None and each.name == over.covariate.name), None)
-    runs = np.array([run.name for run in model.campaign.runs])
+    runs = np.array([run.name for run in model.campaign.runs])[model.entries.run[here]]
+    residual, explained = factor * responses.misfit[here], factor * explained[here]
+    # What runs differ by is no residual of a model in which every run has an offset.
+    within = place in projection.strata.channel[projection.strata.between] and candidate.score.within_runs > 0.5
+    offsets = of_runs(residual - explained, runs) if within else np.zeros(len(here))
     return ResidualEvidence(
         channel=channel,
         effect=candidate.effect,
         covariate=covariate,
         at=as_read(projection.fitted, place_of)[here] if place_of is not None else np.arange(len(here), dtype=float),
-        run=runs[model.entries.run[here]],
-        residual=responses.misfit[here] * factor,
-        explained=explained[here] * factor,
+        run=runs,
+        residual=residual - offsets,
+        explained=explained,
         unit=unit,
         over=over,
+        within=within,
     )
 
 

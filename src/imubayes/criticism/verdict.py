@@ -34,9 +34,10 @@ class Suggestion(Record):
 
 
 class RmsChange(Record):
-    """Residual rms of one channel before and after an addition, in `unit`."""
+    """Residual rms of one channel before and after an addition, in `unit`; about the mean of each run if `within`."""
 
     channel: str
     before: float
     after: float
     unit: str
+    within: bool = False

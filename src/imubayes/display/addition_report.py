@@ -33,10 +33,10 @@ def addition_report(addition: Addition, verbose: bool = False) -> Report:
     command = f"next: {next_command(addition)}"
     if verbose or not addition.taken:
         sheets = [coefficient_sheet(addition), channel_sheet(addition), run_change_sheet(addition)]
-        return Report(addition_lines(addition), sheets if addition.taken else (), [command])
+        return Report(addition_lines(addition), sheets if addition.taken else (), [*_within_lines(addition), command])
     shown = addition.model_copy(update={"channels": _changed(addition.channels)})
     sheets = [_head(coefficient_sheet(addition)), channel_sheet(shown)]
-    return Report(addition_lines(addition), sheets, [*_run_lines(addition), command])
+    return Report(addition_lines(addition), sheets, [*_within_lines(addition), *_run_lines(addition), command])
 
 
 def _changed[Change: (RmsChange, RunRmsChange)](changes: Sequence[Change]) -> tuple[Change, ...]:
@@ -47,6 +47,19 @@ def _changed[Change: (RmsChange, RunRmsChange)](changes: Sequence[Change]) -> tu
 
 def _ratio(change: RmsChange | RunRmsChange) -> float | None:
     return change.after / change.before if change.before and change.after else None
+
+
+def _within_lines(addition: Addition) -> list[str]:
+    """Return the channels whose residual rises as a whole, and falls within runs."""
+    within = {change.channel: change for change in addition.within_runs}
+    risen = [
+        within[change.channel] for change in _changed(addition.channels) if change.channel in within and _rose(change)
+    ]
+    fallen = [change for change in risen if (_ratio(change) or 1.0) < 1]
+    if not fallen:
+        return []
+    each = "; ".join(f"{change.channel} {_from_to(change)} ({_share(change)})" for change in fallen)
+    return [f"Within runs the residual rms fell: {each}. What rose are the means of runs."]
 
 
 def _run_lines(addition: Addition) -> list[str]:
@@ -159,12 +172,27 @@ def run_change_sheet(addition: Addition) -> Sheet:
 
 
 def _change_cells(change: RmsChange | RunRmsChange) -> Sequence[Cell]:
-    before, after = change.before, change.after
-    factor, unit = readable(change.unit, max((size for size in (before, after) if size is not None), default=0.0))
-    texts = [significant(None if size is None else size * factor) for size in (before, after)]
+    before, after, unit = _sizes(change)
+    return (*map(Cell, (before, after, unit)), Cell(_share(change), "bad" if _rose(change) else ""))
+
+
+def _sizes(change: RmsChange | RunRmsChange) -> tuple[str, str, str]:
+    """Return before and after in a unit of plain numbers, and the unit."""
+    both = (change.before, change.after)
+    factor, unit = readable(change.unit, max((size for size in both if size is not None), default=0.0))
+    before, after = (significant(None if size is None else size * factor) for size in both)
+    return before, after, pretty(unit)
+
+
+def _rose(change: RmsChange | RunRmsChange) -> bool:
+    """Tell whether a residual rms rose by what is worth a line."""
     ratio = _ratio(change)
-    worse = ratio is not None and ratio > 1 + _PERCENT / 100
-    return (*map(Cell, texts), Cell(pretty(unit)), Cell(_share(change), "bad" if worse else ""))
+    return ratio is not None and ratio > 1 + _PERCENT / 100
+
+
+def _from_to(change: RmsChange) -> str:
+    before, after, unit = _sizes(change)
+    return f"{before} → {after} {unit}"
 
 
 def _share(change: RmsChange | RunRmsChange) -> str:

@@ -157,7 +157,8 @@ def _prediction(found: Diagnosis) -> str:
     return (
         f"Predicted for adding it: Δχ² {significant(best.delta_chi2)} at the noise that remains"
         f"{'' if at_fit is None else f', {significant(at_fit)} at the noise as fitted'}; "
-        f"residual of {rms.channel} {significant(rms.before)} → {significant(rms.after)} {pretty(rms.unit)} rms; "
+        f"residual of {rms.channel}{' within runs' if rms.within else ''} "
+        f"{significant(rms.before)} → {significant(rms.after)} {pretty(rms.unit)} rms; "
         f"p {relation(best.p_global)} corrected for {found.looks:.0f} looks."
     )
 

@@ -3,12 +3,18 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from imubayes.criticism.model_history import Node, Tree, rms_by_unit
+from imubayes.criticism.model_history import Node, Tree, rms_by_unit, within_by_unit
 from imubayes.display.labels import pretty, readable
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import ratio_text, significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.results.history_tree import shown_place
+
+Scales = Mapping[str, tuple[float, str]]
+"""Unit → factor to a unit of plain numbers, and that unit."""
+
+_MUCH_LESS = 0.9
+"""Share of the residual rms below which that within runs has a column of its own."""
 
 
 def history_report(tree: Tree) -> Report:
@@ -33,17 +39,21 @@ def history_sheet(tree: Tree) -> Sheet:
     errors = [rms_by_unit(node.rms) for node in tree.nodes.values()]
     units = dict.fromkeys(unit for error in errors for unit in error)
     scales = {unit: readable(unit, max(error.get(unit, 0.0) for error in errors)) for unit in units}
+    apart = {unit: scales[unit] for unit in units if any(_much_less_within(node, unit) for node in tree.nodes.values())}
     ordered = tree.in_order()
-    rows = [_row(tree.nodes[place], depth, place, scales) for depth, place in ordered]
+    rows = [_row(tree.nodes[place], depth, place, scales, apart) for depth, place in ordered]
     columns = tuple(f"residual / {pretty(unit)}" for _, unit in scales.values())
+    columns += tuple(f"within runs / {pretty(unit)}" for _, unit in apart.values())
     head = ("model", "χ²/dof", "Δχ²", *columns, "Δ elpd", "folder")
     note = (
         "● selected, the model that is exported; ✕ not taken. Residual: rms over the channels of one unit. Δχ²: drop "
         "at the noise scales of the model before; Δ elpd: rise of the log predictive density in cross-validation."
+        + (" Within runs: about the mean of each run, which an offset of the run explains." if apart else "")
     )
     dividers = frozenset(index for index, (depth, _) in enumerate(ordered) if index and depth == 0)
     slim = [_slim_row(row, tree.nodes[place]) for row, (_, place) in zip(rows, ordered, strict=True)]
     short = tuple(f"rms {pretty(unit)}" for _, unit in scales.values())
+    short += tuple(f"within {pretty(unit)}" for _, unit in apart.values())
     narrow = Sheet("Models tried", ("model", "Δχ²", *short, "Δ elpd"), slim, (0,), "", note, dividers)
     return Sheet("Models tried", head, rows, (0, len(head) - 1), "", note, dividers, narrow)
 
@@ -58,10 +68,15 @@ def _slim_row(row: Sequence[Cell], node: Node) -> tuple[Cell, ...]:
     return (row[0], row[2], *row[3:-2], Cell(gain, row[-2].mood))
 
 
-def _row(node: Node, depth: int, place: str, scales: Mapping[str, tuple[float, str]]) -> tuple[Cell, ...]:
-    """Return title, goodness of fit, residual rms by unit, cross-validation and folder of a node."""
-    error = rms_by_unit(node.rms)
-    sizes = [significant(error[unit] * factor) if unit in error else "–" for unit, (factor, _) in scales.items()]
+def _much_less_within(node: Node, unit: str) -> bool:
+    """Tell whether the means of runs are a part of the residual rms that counts."""
+    whole, within = rms_by_unit(node.rms).get(unit), within_by_unit(node.rms).get(unit)
+    return whole is not None and within is not None and within < _MUCH_LESS * whole
+
+
+def _row(node: Node, depth: int, place: str, scales: Scales, apart: Scales) -> tuple[Cell, ...]:
+    """Return title, goodness of fit, residual rms by unit and within runs, cross-validation and folder of a node."""
+    sizes = _sizes(rms_by_unit(node.rms), scales) + _sizes(within_by_unit(node.rms), apart)
     mark = "●" if node.selected else ("○" if node.taken else "✕")
     title = f"{'  ' * (depth - 1)}└ {node.title}" if depth else node.title
     useless = node.held_out is not None and node.held_out.verdict == "not"
@@ -73,6 +88,10 @@ def _row(node: Node, depth: int, place: str, scales: Mapping[str, tuple[float, s
         Cell(gain_text(node), "bad" if useless else ""),
         Cell(shown_place(place)),
     )
+
+
+def _sizes(error: Mapping[str, float], scales: Scales) -> list[str]:
+    return [significant(error[unit] * factor) if unit in error else "–" for unit, (factor, _) in scales.items()]
 
 
 def gain_text(node: Node) -> str:

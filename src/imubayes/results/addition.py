@@ -68,6 +68,7 @@ class Addition(Presented, Record):
     prior_conflicts : new parameters whose prior disagrees with the data.
     held_out : cross-validation; None where there was none.
     runs, channels : residual rms in input units; empty where the refit is not taken.
+    within_runs : of each channel about its mean in each run; empty where it is unknown as well.
     parent, folder : result folders before and after; None where there are none.
     """
 
@@ -84,6 +85,7 @@ class Addition(Presented, Record):
     held_out: CrossValidation | None
     runs: tuple[RunRmsChange, ...]
     channels: tuple[RmsChange, ...]
+    within_runs: tuple[RmsChange, ...] = ()
     chi2: BeforeAfter
     dof: BeforeAfter
     log_evidence: BeforeAfter
@@ -130,6 +132,7 @@ def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
         held_out=refit.held_out,
         runs=_by_run(before, after) if taken else (),
         channels=_by_channel(before, after) if taken else (),
+        within_runs=_within_runs(before, after) if taken else (),
         chi2=BeforeAfter(before=before.chi2, after=after.chi2 if taken else None),
         dof=BeforeAfter(before=before.dof, after=after.dof if taken else None),
         log_evidence=BeforeAfter(before=before.log_evidence, after=after.log_evidence),
@@ -171,15 +174,25 @@ def _by_channel(before: Summary, after: Summary) -> tuple[RmsChange, ...]:
     )
 
 
+def _within_runs(before: Summary, after: Summary) -> tuple[RmsChange, ...]:
+    was = {channel.channel: channel.within for channel in channel_rms(before)}
+    return tuple(
+        RmsChange(channel=now.channel, before=then, after=now.within, unit=now.unit, within=True)
+        for now in channel_rms(after)
+        if (then := was.get(now.channel)) is not None and now.within is not None
+    )
+
+
 def channel_rms(summary: Summary) -> tuple[ChannelRms, ...]:
-    """Return residual rms and assumed noise of each channel over all runs."""
+    """Return residual rms, as a whole and within runs, and assumed noise of each channel over all runs."""
     found = []
     for channel in dict.fromkeys(run.channel for run in summary.runs):
         runs = [run for run in summary.runs if run.channel == channel and run.n]
         rms = _pooled([(run.n, run.rms) for run in runs])
         if rms is not None:
             noise = _pooled([(run.n, run.noise) for run in runs])
-            found.append(ChannelRms(channel=channel, rms=rms, unit=runs[0].unit, noise=noise))
+            within = _pooled([(run.n, run.within) for run in runs])
+            found.append(ChannelRms(channel=channel, rms=rms, unit=runs[0].unit, within=within, noise=noise))
     return tuple(found)
 
 

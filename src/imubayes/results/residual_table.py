@@ -51,11 +51,15 @@ class Residuals:
         return float((self.table["whitened"] ** 2).sum())
 
     def by_run_and_channel(self) -> tuple[RunSummary, ...]:
-        """Return n, χ², rms and noise in input units for each run and channel; None where they are not finite."""
+        """Return n, χ², rms, rms within the run and noise for each run and channel, in input units.
+
+        What is not finite is None.
+        """
         grouped = self.table.group_by("run", "channel", maintain_order=True).agg(
             pl.len().alias("n"),
             (pl.col("whitened") ** 2).sum().alias("chi2"),
             (pl.col("input_residual") ** 2).mean().sqrt().alias("rms"),
+            pl.col("input_residual").std(ddof=0).alias("within"),
             (pl.col("input_sd") ** 2).mean().sqrt().alias("noise"),
             pl.col("input_unit").first().alias("unit"),
         )
@@ -66,6 +70,7 @@ class Residuals:
                 n=line["n"],
                 chi2=finite(line["chi2"]),
                 rms=finite(line["rms"]),
+                within=finite(line["within"]),
                 noise=finite(line["noise"]),
                 unit=line["unit"],
             )

@@ -95,7 +95,8 @@ class RunSummary(Record):
     Attributes
     ----------
     rms : of the residual in input units, deg/s or g.
-    noise : standard deviation that the model assumes of it, run offset included; None in results of earlier versions.
+    within : rms about its mean in the run, in the same unit; None in results of earlier versions, as `noise`.
+    noise : standard deviation that the model assumes of it, run offset included.
     """
 
     name: str
@@ -103,6 +104,7 @@ class RunSummary(Record):
     n: int
     chi2: float | None
     rms: float | None
+    within: float | None = None
     noise: float | None = None
     unit: str
 

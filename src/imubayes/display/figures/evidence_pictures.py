@@ -10,7 +10,7 @@ from imubayes.covariates import Covariate, shown
 from imubayes.criticism.diagnosis_record import EffectGroup
 from imubayes.criticism.recorded_noise import RecordedNoise
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.residual_evidence import ResidualEvidence
+from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs
 from imubayes.display.figures.recorded_noise import recorded_noise_figure
 from imubayes.display.figures.residual_evidence import (
     FollowedCovariate,
@@ -72,7 +72,8 @@ def before_after(
     before, after : `residuals.parquet` of two fits of one campaign.
     added : the effect.
     floors : channel → noise of one row, input units.
-    group : of the diagnosis before, whose channel and covariate are shown; without it those that changed most.
+    group : of the diagnosis before, whose channel and covariate are shown; without it those that changed most.  Where
+        its residual is about the mean of each run, so are both.
     """
     keys = ["run", "row", "channel"]
     joined = before.join(after.select([*keys, pl.col("input_residual").alias("after")]), on=keys, how="inner")
@@ -86,10 +87,13 @@ def before_after(
     named = group.covariate.name if group is not None and group.covariate is not None else None
     own = joined.filter(pl.col("channel") == channel)
     before_own, after_own = own["input_residual"].to_numpy(), own["after"].to_numpy()
+    runs, within = own["run"].to_numpy(), group is not None and group.residual.within
+    if within:
+        before_own, after_own = (each - of_runs(each, runs) for each in (before_own, after_own))
     followed = followed_covariate(own, before_own - after_own, named)
     return before_after_figure(
-        followed, before_own, after_own, own["run"].to_list(), channel, own["input_unit"][0], added,
-        (floors or {}).get(channel), run_signs(before),
+        followed, before_own, after_own, runs.tolist(), channel, own["input_unit"][0], added,
+        (floors or {}).get(channel), run_signs(before), within,
     )  # fmt: skip
 
 

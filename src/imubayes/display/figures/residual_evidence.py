@@ -48,9 +48,10 @@ def evidence_figure(evidence: ResidualEvidence, against: str, signs: RunSigns | 
     residual, explained = evidence.residual * factor, evidence.explained * factor
     over = evidence.over
     divided = "" if over is None else " over its input, where that is a third of the largest or more"
+    without = " without the offset of each run" if evidence.within else ""
     caption = (
-        f"Left: residual of {channel}{divided}; black: the part that {effect} explains and the present model cannot "
-        "absorb. "
+        f"Left: residual of {channel}{without}{divided}; black: the part that {effect} explains and the "
+        "present model cannot absorb. "
         "Right: residual against that part; if the candidate is the cause, every run follows the line "
         "of slope 1 within its noise. A good model shows no pattern on the left and an uncorrelated cloud about zero "
         "on the right."
@@ -87,6 +88,7 @@ def before_after_figure(
     added: str,
     floor: float | None = None,
     signs: RunSigns | None = None,
+    within: bool = False,
 ) -> Picture:
     """Return the residual of a channel against a covariate, before and after an addition, on one scale.
 
@@ -99,6 +101,7 @@ def before_after_figure(
     added : the effect.
     floor : noise of one row in `unit`, drawn as a band; None for none.
     signs : of the runs; without them each run has its own hue.
+    within : whether the residuals are about the mean of each run.
     """
     factor, shown = readable(unit, float(np.median(np.abs(before))))
     names, at, over = np.array(list(runs)), followed.at, followed.over
@@ -110,7 +113,8 @@ def before_after_figure(
         divided, quantity = "over its input, where that is a third of the largest or more,", "residual / input / ppm"
     before, after = before * factor, after * factor
     caption = (
-        f"Residual of {channel} {divided} before and after adding {added}, on one scale; black: "
+        f"Residual of {channel} {divided}{' about the mean of each run,' if within else ''} before and after adding "
+        f"{added}, on one scale; black: "
         "means of neighbouring points with ±2 standard errors. A good model leaves a band without pattern about zero"
         + (", as wide as the grey band, the noise of one row (±1 sd)." if floor is not None else ".")
     )
