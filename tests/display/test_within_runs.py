@@ -1,7 +1,6 @@
 """Where runs have offsets the error that an effect explains is that within runs; the rms as a whole may even rise."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -12,7 +11,7 @@ from display.test_first_screen import addition, screen
 from imubayes.criticism.model_history import Tree
 from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs
 from imubayes.display.addition_report import addition_report
-from imubayes.display.diagnosis_report import diagnosis_report
+from imubayes.display.diagnosis_report import diagnosis_lines
 from imubayes.display.figures.evidence_pictures import before_after
 from imubayes.display.figures.residual_evidence import evidence_figure
 from imubayes.display.history_table import history_sheet
@@ -60,24 +59,23 @@ def test_a_prediction_says_that_it_is_within_runs():
     found = diagnosis()
     group = found.groups[0]
     within = group.model_copy(update={"residual": group.residual.model_copy(update={"within": True})})
-    said = [
-        " ".join(" ".join(screen(diagnosis_report(found.model_copy(update={"groups": (each,)})))).split())
-        for each in (group, within)
-    ]
+    said = [" ".join(diagnosis_lines(found.model_copy(update={"groups": (each,)}))) for each in (group, within)]
     assert ["within runs" in each for each in said] == [False, True]
 
 
-def test_an_addition_says_that_the_rms_fell_within_runs(addition: Addition):
+def test_an_addition_tells_the_rms_within_runs_where_their_means_count(addition: Addition):
+    """The rms as a whole may rise, and that within runs fall."""
     first, *others = addition.channels
     risen = first.model_copy(update={"after": 1.2 * first.before})
-    fallen = first.model_copy(update={"after": 0.6 * first.before, "within": True})
+    fallen = first.model_copy(update={"before": 0.7 * first.before, "after": 0.4 * first.before, "within": True})
     told = addition.model_copy(update={"channels": (risen, *others), "within_runs": (fallen,)})
     said = " ".join(" ".join(screen(addition_report(told))).split())
-    assert "Within runs the residual rms fell: gx 0.720 → 0.432 deg/h (−40 %). What rose are the means of runs." in said
-    # Nothing is said where the rms fell as a whole, or rose within runs too.
-    for channels, within in (((first, *others), fallen), ((risen, *others), risen)):
-        quiet = addition.model_copy(update={"channels": channels, "within_runs": (within,)})
-        assert "Within runs" not in " ".join(screen(addition_report(quiet)))
+    assert "gx 0.720 0.864 deg/h +20 % 0.504 → 0.288 deg/h (−43 %)" in said
+    # A channel is shown although it changed within runs alone; without means that count there is no column.
+    same = told.model_copy(update={"channels": (first.model_copy(update={"after": first.before}), *others)})
+    assert "0.504 → 0.288 deg/h" in " ".join(" ".join(screen(addition_report(same))).split())
+    whole = addition.model_copy(update={"within_runs": addition.channels})
+    assert "within runs" not in " ".join(screen(addition_report(whole)))
 
 
 def test_the_history_has_a_column_where_the_means_of_runs_count():
@@ -94,7 +92,7 @@ def test_the_history_has_a_column_where_the_means_of_runs_count():
     assert [row[sheet.head.index("within runs / deg/h")].text for row in sheet.rows][:2] == ["0.900", "0.360"]
 
 
-def test_before_and_after_are_about_the_means_of_runs_where_the_diagnosis_was(tmp_path: Path):
+def test_before_and_after_are_about_the_means_of_runs_where_the_diagnosis_was():
     group = diagnosis().groups[0]
     within = group.model_copy(update={"residual": group.residual.model_copy(update={"channel": "gx", "within": True})})
     offsets = pl.Series(OFFSETS)
@@ -106,4 +104,9 @@ def test_before_and_after_are_about_the_means_of_runs_where_the_diagnosis_was(tm
     assert drawn is not None
     rms = [float(axes.get_title(loc="left").split("rms ")[1].split()[0]) for axes in drawn.axes]
     assert rms[1] < 0.9 * rms[0]
-    drawn.save(tmp_path / "within.png")
+    # What follows the input is drawn against the input where the table of residuals has it.
+    known = before.with_columns(input_observed=pl.lit(1.0) * pl.int_range(60))
+    against = before_after(known, after, "gyro_scale_asymmetry", group=within)
+    assert against is not None
+    labels = [each.axes[0].get_xlabel() for each in (drawn, against)]
+    assert ["rate along the input axis" in label for label in labels] == [False, True]

@@ -11,6 +11,7 @@ from imubayes.display.prior_conflicts import conflict_line
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
+from imubayes.display.within_runs import WITHIN_RUNS, much_less
 from imubayes.results.addition import Addition, RunRmsChange
 
 _PERCENT, _MOST_ROWS, _MOST_CHANGES = 5, 6, 3
@@ -33,33 +34,26 @@ def addition_report(addition: Addition, verbose: bool = False) -> Report:
     command = f"next: {next_command(addition)}"
     if verbose or not addition.taken:
         sheets = [coefficient_sheet(addition), channel_sheet(addition), run_change_sheet(addition)]
-        return Report(addition_lines(addition), sheets if addition.taken else (), [*_within_lines(addition), command])
-    shown = addition.model_copy(update={"channels": _changed(addition.channels)})
+        return Report(addition_lines(addition), sheets if addition.taken else (), [command])
+    named = {change.channel for change in _changed((*addition.channels, *addition.within_runs))}
+    changed = tuple(sorted((each for each in addition.channels if each.channel in named), key=_size, reverse=True))
+    shown = addition.model_copy(update={"channels": changed})
     sheets = [_head(coefficient_sheet(addition)), channel_sheet(shown)]
-    return Report(addition_lines(addition), sheets, [*_within_lines(addition), *_run_lines(addition), command])
+    return Report(addition_lines(addition), sheets, [*_run_lines(addition), command])
 
 
 def _changed[Change: (RmsChange, RunRmsChange)](changes: Sequence[Change]) -> tuple[Change, ...]:
     """Return the changes that are worth a line, the largest first."""
-    known = [(abs(math.log(ratio)), each) for each in changes if (ratio := _ratio(each)) is not None]
-    return tuple(each for size, each in sorted(known, key=lambda pair: -pair[0]) if size >= _LEAST_CHANGE)
+    return tuple(each for each in sorted(changes, key=_size, reverse=True) if _size(each) >= _LEAST_CHANGE)
+
+
+def _size(change: RmsChange | RunRmsChange) -> float:
+    ratio = _ratio(change)
+    return 0.0 if ratio is None else abs(math.log(ratio))
 
 
 def _ratio(change: RmsChange | RunRmsChange) -> float | None:
     return change.after / change.before if change.before and change.after else None
-
-
-def _within_lines(addition: Addition) -> list[str]:
-    """Return the channels whose residual rises as a whole, and falls within runs."""
-    within = {change.channel: change for change in addition.within_runs}
-    risen = [
-        within[change.channel] for change in _changed(addition.channels) if change.channel in within and _rose(change)
-    ]
-    fallen = [change for change in risen if (_ratio(change) or 1.0) < 1]
-    if not fallen:
-        return []
-    each = "; ".join(f"{change.channel} {_from_to(change)} ({_share(change)})" for change in fallen)
-    return [f"Within runs the residual rms fell: {each}. What rose are the means of runs."]
 
 
 def _run_lines(addition: Addition) -> list[str]:
@@ -152,10 +146,29 @@ def coefficient_sheet(addition: Addition) -> Sheet:
 
 
 def channel_sheet(addition: Addition) -> Sheet:
-    """Return the table of the residual rms before and after, per channel."""
-    rows = [(Cell(change.channel), *_change_cells(change)) for change in addition.channels]
-    head = ("channel", "before", "after", "unit", "change")
-    return Sheet("Residual rms before and after, per channel", head, rows, (0, 1, 3))
+    """Return the table of the residual rms before and after, per channel; within runs where their means count."""
+    within = {change.channel: change for change in addition.within_runs}
+    apart = any(_much_less(within.get(change.channel), change) for change in addition.channels)
+    rows = [
+        (Cell(change.channel), *_change_cells(change), *([_within_cell(within.get(change.channel))] if apart else []))
+        for change in addition.channels
+    ]
+    head = ("channel", "before", "after", "unit", "change", *(["within runs"] if apart else []))
+    note = WITHIN_RUNS if apart else ""
+    return Sheet("Residual rms before and after, per channel", head, rows, (0, 1, 3), note=note)
+
+
+def _much_less(within: RmsChange | None, whole: RmsChange) -> bool:
+    return within is not None and any(
+        much_less(one, other) for one, other in ((within.before, whole.before), (within.after, whole.after))
+    )
+
+
+def _within_cell(change: RmsChange | None) -> Cell:
+    if change is None:
+        return Cell("–")
+    before, after, unit = _sizes(change)
+    return Cell(f"{before} → {after} {unit} ({_share(change)})", "bad" if _rose(change) else "")
 
 
 def run_change_sheet(addition: Addition) -> Sheet:
@@ -188,11 +201,6 @@ def _rose(change: RmsChange | RunRmsChange) -> bool:
     """Tell whether a residual rms rose by what is worth a line."""
     ratio = _ratio(change)
     return ratio is not None and ratio > 1 + _PERCENT / 100
-
-
-def _from_to(change: RmsChange) -> str:
-    before, after, unit = _sizes(change)
-    return f"{before} → {after} {unit}"
 
 
 def _share(change: RmsChange | RunRmsChange) -> str:

@@ -8,13 +8,11 @@ from imubayes.display.labels import pretty, readable
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import ratio_text, significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
+from imubayes.display.within_runs import WITHIN_RUNS, much_less
 from imubayes.results.history_tree import shown_place
 
 Scales = Mapping[str, tuple[float, str]]
 """Unit → factor to a unit of plain numbers, and that unit."""
-
-_MUCH_LESS = 0.9
-"""Share of the residual rms below which that within runs has a column of its own."""
 
 
 def history_report(tree: Tree) -> Report:
@@ -48,7 +46,7 @@ def history_sheet(tree: Tree) -> Sheet:
     note = (
         "● selected, the model that is exported; ✕ not taken. Residual: rms over the channels of one unit. Δχ²: drop "
         "at the noise scales of the model before; Δ elpd: rise of the log predictive density in cross-validation."
-        + (" Within runs: about the mean of each run, which an offset of the run explains." if apart else "")
+        + (f" {WITHIN_RUNS}" if apart else "")
     )
     dividers = frozenset(index for index, (depth, _) in enumerate(ordered) if index and depth == 0)
     slim = [_slim_row(row, tree.nodes[place]) for row, (_, place) in zip(rows, ordered, strict=True)]
@@ -70,8 +68,7 @@ def _slim_row(row: Sequence[Cell], node: Node) -> tuple[Cell, ...]:
 
 def _much_less_within(node: Node, unit: str) -> bool:
     """Tell whether the means of runs are a part of the residual rms that counts."""
-    whole, within = rms_by_unit(node.rms).get(unit), within_by_unit(node.rms).get(unit)
-    return whole is not None and within is not None and within < _MUCH_LESS * whole
+    return much_less(within_by_unit(node.rms).get(unit), rms_by_unit(node.rms).get(unit))
 
 
 def _row(node: Node, depth: int, place: str, scales: Scales, apart: Scales) -> tuple[Cell, ...]:

@@ -7,7 +7,8 @@ import numpy as np
 import polars as pl
 
 from imubayes.covariates import Covariate, shown
-from imubayes.criticism.diagnosis_record import EffectGroup
+from imubayes.criticism.diagnosis_record import CovariateLabel, EffectGroup
+from imubayes.criticism.effect_covariates import INPUTS
 from imubayes.criticism.recorded_noise import RecordedNoise
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs
@@ -37,7 +38,7 @@ def save_evidence(folder: Path, evidence: ResidualEvidence) -> Path:
     return _saved(folder, evidence_figure(evidence, against, _signs_of(folder)), "diagnosis.png")
 
 
-def _label(covariate: Covariate | ResidualCovariate) -> str:
+def _label(covariate: Covariate | ResidualCovariate | CovariateLabel) -> str:
     return covariate.phrase + (f" / {pretty(covariate.unit)}" if covariate.unit else "")
 
 
@@ -84,13 +85,16 @@ def before_after(
     channel = joined.group_by("channel").agg(change.sum().alias("worth")).sort("worth")["channel"][-1]
     if group is not None and group.residual.channel in joined["channel"].unique().to_list():
         channel = group.residual.channel
-    named = group.covariate.name if group is not None and group.covariate is not None else None
+    named = group.covariate if group is not None else None
     own = joined.filter(pl.col("channel") == channel)
     before_own, after_own = own["input_residual"].to_numpy(), own["after"].to_numpy()
     runs, within = own["run"].to_numpy(), group is not None and group.residual.within
     if within:
         before_own, after_own = (each - of_runs(each, runs) for each in (before_own, after_own))
-    followed = followed_covariate(own, before_own - after_own, named)
+    if named is not None and named.name in INPUTS.values() and "input_observed" in own.columns:
+        followed = FollowedCovariate(numbers(own, "input_observed"), _label(named))
+    else:
+        followed = followed_covariate(own, before_own - after_own, named.name if named is not None else None)
     return before_after_figure(
         followed, before_own, after_own, runs.tolist(), channel, own["input_unit"][0], added,
         (floors or {}).get(channel), run_signs(before), within,
