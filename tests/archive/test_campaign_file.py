@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imubayes.archive import campaign_file
 from imubayes.archive.campaign_file import content_checksum, read_campaign, read_head, write_campaign
 from imubayes.campaign import load_campaign
 from imubayes.errors import InputError
@@ -89,3 +90,15 @@ def test_a_truncated_file_is_noticed(small, tmp_path):
     damaged.write_bytes(small.read_bytes()[:-100])
     with pytest.raises(InputError, match="damaged"):
         read_head(damaged)
+
+
+def test_the_files_of_earlier_versions_are_read(monkeypatch):
+    """The shipped archive was packed before tables had a zero angle and two uncertainties of their axis."""
+    files = sorted((DATA / "unit-archive").rglob("*.parquet"))
+    assert files
+    for file in files:
+        assert all(table.zero_angle == 0 for table in read_campaign(file).tables.values())
+    # Planted fault: the checksum is that of all fields that records have today.
+    monkeypatch.setattr(campaign_file, "_stored_fields", lambda _: {})
+    with pytest.raises(InputError, match="checksum"):
+        read_campaign(files[0])

@@ -3,7 +3,8 @@
 A row of the table is a row of a run.  The columns are the run, the covariates in SI, `samples`, and for each channel
 `observed_<channel>` and `sd_<channel>` in output units.  A covariate that a run lacks is null there; a missing value is
 NaN.  Other arrays of a run, such as the transitions of a free tumble, stand as lists in its first row.  The checksum is
-that of the campaign's content, not of the file: it is computed anew from what was read.
+that of the campaign's content, not of the file: it is computed anew from what was read.  Fields that records were given
+after a file was written have their defaults in it, and no part in its checksum.
 """
 
 import dataclasses
@@ -12,6 +13,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,7 +25,11 @@ from imubayes.errors import InputError, input_error
 
 SCHEMA_VERSION = 1
 _KEY = b"imubayes"
+_TUMBLE = "tumble_"
 _OF_ROWS = ("covariates", "observed", "samples", "sample_sd")
+
+StoredFields = Mapping[type, frozenset[str]]
+"""The fields of each class of records that a file holds; of a class that it does not name, all."""
 
 
 @dataclass(frozen=True)
@@ -63,34 +69,39 @@ def date_of(campaign: Campaign) -> str:
     return min((run.start[:10] for run in campaign.runs if run.start), default="")
 
 
-def content_checksum(campaign: Campaign) -> str:
-    """Return the SHA-256 of everything that a campaign record holds."""
+def content_checksum(campaign: Campaign, stored: StoredFields = MappingProxyType({})) -> str:
+    """Return the SHA-256 of everything that a campaign record holds, or of the fields that a file holds of it."""
     digest = hashlib.sha256()
-    for part in _parts(campaign):
+    for part in _parts(campaign, stored):
         digest.update(part)
     return digest.hexdigest()
 
 
-def _parts(value: Any) -> Iterator[bytes]:
+def _parts(value: Any, stored: StoredFields) -> Iterator[bytes]:
     if isinstance(value, np.ndarray):
         yield f"{value.dtype.str}{value.shape}".encode()
         # All values that are not a number are one.
         plain = np.where(np.isnan(value), np.nan, value) if value.dtype.kind == "f" else value
         yield np.ascontiguousarray(plain).tobytes()
     elif dataclasses.is_dataclass(value):
-        for each in dataclasses.fields(value):
-            yield each.name.encode()
-            yield from _parts(getattr(value, each.name))
+        for name in _held_fields(value, stored):
+            yield name.encode()
+            yield from _parts(getattr(value, name), stored)
     elif isinstance(value, Mapping):
         for key, part in value.items():
             yield str(key).encode()
-            yield from _parts(part)
+            yield from _parts(part, stored)
     elif isinstance(value, tuple | list):
         yield str(len(value)).encode()
         for part in value:
-            yield from _parts(part)
+            yield from _parts(part, stored)
     else:
         yield repr(value).encode()
+
+
+def _held_fields(record: Any, stored: StoredFields) -> list[str]:
+    names = [each.name for each in dataclasses.fields(record)]
+    return [name for name in names if name in stored.get(type(record), names)]
 
 
 def write_campaign(campaign: Campaign, file: Path) -> None:
@@ -103,13 +114,29 @@ def write_campaign(campaign: Campaign, file: Path) -> None:
     )  # fmt: skip
 
 
-def _stated(campaign: Campaign) -> dict[str, Any]:
+def _stated(campaign: Campaign, stored: StoredFields = MappingProxyType({})) -> dict[str, Any]:
     return {
         "unit": unit_of(campaign),
         "date": date_of(campaign),
         "rows": sum(run.rows for run in campaign.runs),
-        "checksum": content_checksum(campaign),
+        "checksum": content_checksum(campaign, stored),
     }
+
+
+def _stored_fields(campaign: Mapping[str, Any]) -> StoredFields:
+    """Return the fields that a campaign holds as it is encoded; those of later versions are not among them."""
+    runs = [(Run, {**run, **dict.fromkeys(_OF_ROWS)}) for run in campaign["runs"]]
+    tables, mountings = ([(kind, each) for each in campaign[name].values()] for kind, name in (
+        (Table, "tables"), (Mounting, "mountings")))  # fmt: skip
+    channels = [(Channel, each) for each in campaign["channels"]]
+    tumbles = [(Tumble, each) for run in campaign["runs"] if (each := _of_tumble(run["arrays"]))]
+    records = [(Campaign, campaign), (Site, campaign["site"]), *channels, *tables, *mountings, *runs, *tumbles]
+    return {kind: frozenset(each) for kind, each in records}
+
+
+def _of_tumble(arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arrays of a tumble by the names of its fields."""
+    return {name.removeprefix(_TUMBLE): array for name, array in arrays.items() if name.startswith(_TUMBLE)}
 
 
 def read_head(file: Path) -> ArchivedCampaign:
@@ -131,7 +158,7 @@ def read_campaign(file: Path) -> Campaign:
     Raises
     ------
     InputError
-        where the file is damaged: it cannot be read, or its content has not the checksum it was written with.
+        where the file is damaged: it cannot be read, or its content does not have the checksum it was written with.
     """
     found: list[pa.Table] = []
 
@@ -142,7 +169,8 @@ def read_campaign(file: Path) -> Campaign:
     head = _head(file, read, lambda table: table.schema.metadata)
     try:
         campaign = _campaign(head["campaign"], found[0])
-        damaged = any(head[key] != value for key, value in _stated(campaign).items())
+        stated = _stated(campaign, _stored_fields(head["campaign"]))
+        damaged = any(head[key] != value for key, value in stated.items())
     except (KeyError, ValueError, TypeError, pa.ArrowException):
         campaign, damaged = None, True
     if damaged or campaign is None:
@@ -213,7 +241,7 @@ def _arrays(run: Run) -> Iterator[tuple[str, np.ndarray]]:
         yield "attitude", run.attitude
     if run.tumble is not None:
         for each in dataclasses.fields(run.tumble):
-            yield f"tumble_{each.name}", getattr(run.tumble, each.name)
+            yield f"{_TUMBLE}{each.name}", getattr(run.tumble, each.name)
 
 
 def _encoded(value: Any) -> Any:
@@ -274,7 +302,7 @@ def _run(entry: dict[str, Any], columns: dict[str, np.ndarray], names: list[str]
         name: np.array(table.column(f"array_{name}")[rows.start].as_py(), dtype=np.dtype(kind)).reshape(shape)
         for name, (kind, shape) in shapes.items()
     }
-    tumble = {name.removeprefix("tumble_"): array for name, array in arrays.items() if name.startswith("tumble_")}
+    tumble = _of_tumble(arrays)
     covariates = {name: columns[name][rows] for name in entry.pop("covariates")}
     entry |= {"attitude": arrays.get("attitude"), "tumble": Tumble(**tumble) if tumble else None}
     return Run(
