@@ -34,14 +34,12 @@ def history_json(tree: Tree) -> dict[str, Any]:
 
 def history_sheet(tree: Tree) -> Sheet:
     """Return a line for each model tried."""
-    errors = [rms_by_unit(node.rms) for node in tree.nodes.values()]
-    units = dict.fromkeys(unit for error in errors for unit in error)
-    scales = {unit: readable(unit, max(error.get(unit, 0.0) for error in errors)) for unit in units}
-    apart = {unit: scales[unit] for unit in units if any(_much_less_within(node, unit) for node in tree.nodes.values())}
+    nodes = list(tree.nodes.values())
+    scales = _scales([rms_by_unit(node.rms) for node in nodes])
+    apart = {unit: scale for unit, scale in scales.items() if any(_much_less_within(node, unit) for node in nodes)}
     ordered = tree.in_order()
     rows = [_row(tree.nodes[place], depth, place, scales, apart) for depth, place in ordered]
-    columns = tuple(f"residual / {pretty(unit)}" for _, unit in scales.values())
-    columns += tuple(f"within runs / {pretty(unit)}" for _, unit in apart.values())
+    columns = (*_heads("residual / ", scales), *_heads("within runs / ", apart))
     head = ("model", "χ²/dof", "Δχ²", *columns, "Δ elpd", "folder")
     note = (
         "● selected, the model that is exported; ✕ not taken. Residual: rms over the channels of one unit. Δχ²: drop "
@@ -50,10 +48,18 @@ def history_sheet(tree: Tree) -> Sheet:
     )
     dividers = frozenset(index for index, (depth, _) in enumerate(ordered) if index and depth == 0)
     slim = [_slim_row(row, tree.nodes[place]) for row, (_, place) in zip(rows, ordered, strict=True)]
-    short = tuple(f"rms {pretty(unit)}" for _, unit in scales.values())
-    short += tuple(f"within {pretty(unit)}" for _, unit in apart.values())
+    short = (*_heads("rms ", scales), *_heads("within ", apart))
     narrow = Sheet("Models tried", ("model", "Δχ²", *short, "Δ elpd"), slim, (0,), "", note, dividers)
     return Sheet("Models tried", head, rows, (0, len(head) - 1), "", note, dividers, narrow)
+
+
+def _scales(errors: Sequence[Mapping[str, float]]) -> Scales:
+    units = dict.fromkeys(unit for error in errors for unit in error)
+    return {unit: readable(unit, max(error.get(unit, 0.0) for error in errors)) for unit in units}
+
+
+def _heads(before: str, scales: Scales) -> list[str]:
+    return [before + pretty(unit) for _, unit in scales.values()]
 
 
 def _slim_row(row: Sequence[Cell], node: Node) -> tuple[Cell, ...]:

@@ -112,11 +112,8 @@ def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
     before, after = result.summary, refitted.summary
     parent, folder = (str(each.folder) if each.folder is not None else None for each in (result, refitted))
     taken = not refit.objection
-    model, new = refit.extension.model, refit.extension.new.tolist()
-    known = {parameter.name for parameter in before.parameters}
-    fresh = {name for name, is_new in zip(model.layout.names, new, strict=True) if is_new}
-    fresh |= {name for name in model.hyper_layout.names if name not in known}
-    added = model.spec.effects[len(refit.before.model.spec.effects) :]
+    fresh = _new_parameters(refit, before)
+    added = refit.extension.model.spec.effects[len(refit.before.model.spec.effects) :]
     addition = Addition(
         added=tuple(EffectChoice(effect=spec.name, channels=spec.channels) for spec in added),
         widened=dict(refit.extension.widened),
@@ -140,6 +137,14 @@ def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
         folder=folder,
     )
     return addition.with_result(refitted)
+
+
+def _new_parameters(refit: Refit, before: Summary) -> set[str]:
+    """Return the names of the parameters, those of the noise among them, that the model before lacks."""
+    model, new = refit.extension.model, refit.extension.new.tolist()
+    known = {parameter.name for parameter in before.parameters}
+    fresh = {name for name, is_new in zip(model.layout.names, new, strict=True) if is_new}
+    return fresh | {name for name in model.hyper_layout.names if name not in known}
 
 
 def _estimates(summary: Summary, names: set[str]) -> tuple[CoefficientEstimate, ...]:
