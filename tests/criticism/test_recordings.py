@@ -83,7 +83,7 @@ def test_a_hand_turned_unit_shows_its_g_sensitivity(tmp_path):
     assert [rate.after for rate in held_out.rates] == pytest.approx([0.020, 0.017, 0.016], rel=0.12)
 
 
-def test_a_temperature_cycle_shows_lag_and_drift(tmp_path):
+def test_a_temperature_cycle_shows_lag_hysteresis_and_drift(tmp_path):
     campaign = convert(
         "six-column", [RECORDINGS / "thermal" / "imu_raw_data.csv"], tmp_path / "thermal", sample_rate_hz=10,
         procedure="thermal_ramp", delimiter="tab", columns={**THERMAL, "temperature_degC": "imu.temperature"},
@@ -94,14 +94,16 @@ def test_a_temperature_cycle_shows_lag_and_drift(tmp_path):
     document = diagnosis_json(diagnose(tmp_path / "first"))
     of = {kind: [one for one in document["ranking"] if one["effect"].startswith(kind)] for kind in ("accel", "gyro")}
     assert of["accel"][0]["effect"] == "accel_thermal_lag"
-    assert of["gyro"][0]["effect"] == "gyro_bias_drift"
-    named = [name for one in document["nearest"] or document["groups"] for name in one["effects"]]
-    assert {"accel_thermal_lag", "gyro_bias_drift"} <= set(named)
+    assert of["gyro"][0]["effect"] == "gyro_thermal_hysteresis"
+    named = [name for one in document["groups"] for name in one["effects"]]
+    assert {"accel_thermal_lag", "gyro_thermal_hysteresis", "gyro_bias_drift"} <= set(named)
     addition = add(tmp_path / "first", ["accel_thermal_lag"], tmp_path / "second")
     gravity = 9.81
     assert errors(first)["az"] * gravity == pytest.approx(0.047, abs=0.004)
     assert errors(addition.result)["az"] * gravity < 0.0135
     assert addition.held_out is not None
     assert addition.held_out.by == "block"
-    drift = add(tmp_path / "second", ["gyro_bias_drift"], tmp_path / "third")
-    assert errors(drift.result)["gz"] < 0.5 * errors(first)["gz"]
+    gyros = add(tmp_path / "second", ["gyro_thermal_hysteresis", "gyro_bias_drift"], tmp_path / "third")
+    assert gyros.taken
+    for name, share in (("gx", 0.3), ("gy", 0.7), ("gz", 0.35)):
+        assert errors(gyros.result)[name] < share * errors(first)[name]
