@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import detectability
 import hidden
+import hidden_servo
 import numpy as np
 import pytest
 import truth
@@ -75,3 +76,11 @@ def test_a_score_is_that_of_the_quantile(prior: str):
         value = truth.at_score(prior, score)
         assert of.sf(value) == pytest.approx(stats.norm.sf(score), rel=1e-6)
         assert truth.normal_score(prior, value) == pytest.approx(score, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_what_a_refit_of_a_servo_table_absorbs_is_not_seen(tmp_path):
+    """A drift of 1 deg/h per g turns the table by tens of degrees; terms quadratic in g absorb it, z below 2.1 each."""
+    drawn = hidden_servo.random_campaign(tmp_path / "campaign", 320001)
+    assert drawn.passed_over == ("gyro_g_sensitivity",)
+    assert drawn.planted[0].effect == "gyro_bias_drift"
