@@ -129,7 +129,7 @@ def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
         held_out=refit.held_out,
         runs=_by_run(before, after) if taken else (),
         channels=_by_channel(before, after) if taken else (),
-        within_runs=_within_runs(before, after) if taken else (),
+        within_runs=_by_channel(before, after, within=True) if taken else (),
         chi2=BeforeAfter(before=before.chi2, after=after.chi2 if taken else None),
         dof=BeforeAfter(before=before.dof, after=after.dof if taken else None),
         log_evidence=BeforeAfter(before=before.log_evidence, after=after.log_evidence),
@@ -170,21 +170,17 @@ def _by_run(before: Summary, after: Summary) -> tuple[RunRmsChange, ...]:
     )
 
 
-def _by_channel(before: Summary, after: Summary) -> tuple[RmsChange, ...]:
-    was = {channel.channel: channel.rms for channel in channel_rms(before)}
+def _by_channel(before: Summary, after: Summary, within: bool = False) -> tuple[RmsChange, ...]:
+    """Return the residual rms of each channel, as a whole or about the mean of each run, where both are known."""
+
+    def size(channel: ChannelRms) -> float | None:
+        return channel.within if within else channel.rms
+
+    was = {channel.channel: size(channel) for channel in channel_rms(before)}
     return tuple(
-        RmsChange(channel=channel.channel, before=was[channel.channel], after=channel.rms, unit=channel.unit)
+        RmsChange(channel=channel.channel, before=then, after=now, unit=channel.unit, within=within)
         for channel in channel_rms(after)
-        if channel.channel in was
-    )
-
-
-def _within_runs(before: Summary, after: Summary) -> tuple[RmsChange, ...]:
-    was = {channel.channel: channel.within for channel in channel_rms(before)}
-    return tuple(
-        RmsChange(channel=now.channel, before=then, after=now.within, unit=now.unit, within=True)
-        for now in channel_rms(after)
-        if (then := was.get(now.channel)) is not None and now.within is not None
+        if (then := was.get(channel.channel)) is not None and (now := size(channel)) is not None
     )
 
 
