@@ -19,6 +19,7 @@ FLOORS = (
         "program_identity",
         "rotations",
         "earth",
+        "group_means",
         "json_record",
         "representation",
         "atomic_files",

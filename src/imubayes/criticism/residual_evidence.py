@@ -13,6 +13,7 @@ from imubayes.criticism.free_form_dependence import Structure
 from imubayes.criticism.projection import PRIOR, Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate, as_read
 from imubayes.criticism.score_test import Candidate, ProjectedResponse
+from imubayes.group_means import group_means
 from imubayes.units import to_si
 
 # Degree of the polynomial that stands for any function of a covariate: it follows what a term of the catalogue may be.
@@ -75,10 +76,7 @@ class ResidualEvidence:
 
 def of_runs(values: np.ndarray, runs: np.ndarray) -> np.ndarray:
     """Return the mean of the finite values of its run at each entry, (n,)."""
-    _, place = np.unique(runs, return_inverse=True)
-    good = np.isfinite(values)
-    count = np.bincount(place, good)
-    return (np.bincount(place, np.where(good, values, 0.0)) / np.maximum(count, 1))[place]
+    return group_means(values, np.unique(runs, return_inverse=True)[1])
 
 
 def _rms(values: np.ndarray) -> float:

@@ -21,6 +21,7 @@ from imubayes.campaign.reduction.stimulus_levels import (
     level_labels,
     running_median,
 )
+from imubayes.group_means import group_means
 
 REST_RATE = 1e-6  # deg/s; rates below it are rest
 RATE_TOLERANCE = 1e-3  # relative; rates closer than this are equal
@@ -177,7 +178,7 @@ def _levels(blocks: BlockSurvey, bench: BenchSettings) -> tuple[np.ndarray, np.n
     absolute = REST_RATE + (NOISE_FACTOR * noise if bench.rate_tolerance is None else bench.rate_tolerance)
     label = level_labels(np.nan_to_num(smooth), RATE_TOLERANCE, absolute)
     change = np.diff(label) != 0
-    level = _level_means(smooth, label)
+    level = group_means(smooth, label)
     turning = np.abs(level) > np.maximum(REST_RATE, noise if bench.rate_tolerance is None else bench.rate_tolerance)
     single = 2 * NOISE_FACTOR * noise * np.sqrt(np.median(blocks.count))
     loose = within > RATE_TOLERANCE * np.abs(level) + np.maximum(absolute, single)
@@ -220,12 +221,6 @@ def _smoothed(values: np.ndarray, blocks: BlockSurvey) -> np.ndarray:
     if blocks.interval is None or WIDTH * blocks.interval * np.median(blocks.count) > 1.2 * SMOOTHED_SECONDS:
         return values
     return running_median(values)
-
-
-def _level_means(values: np.ndarray, label: np.ndarray) -> np.ndarray:
-    good = np.isfinite(values)
-    total = np.bincount(label, np.where(good, values, 0.0))
-    return (total / np.maximum(np.bincount(label, good), 1))[label]
 
 
 def _angle_noise(angle: np.ndarray, turning: np.ndarray) -> float:
