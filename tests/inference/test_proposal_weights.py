@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from imubayes.inference.checkpoint import Checkpoint
-from imubayes.inference.convergence import LARGEST_WEIGHT, PARETO_K, diagnose
+from imubayes.inference.convergence import diagnose
 from imubayes.inference.ensemble_sampling import Settings, sample
 from imubayes.inference.laplace_move import LaplaceProposal
-from imubayes.inference.proposal_weights import WeighedProposal, pareto_k, weigh
+from imubayes.inference.proposal_weights import LARGEST_WEIGHT, PARETO_K, WeighedProposal, pareto_k, weigh, weigh_tail
 
 NAMES = ("v", "x")
 ENSEMBLES, WALKERS = 4, 64
@@ -99,6 +99,27 @@ def test_resampling_follows_the_weights():
     before = weighed.points[0][:, 1].std()
     after = weighed.resampled(0, 4000, np.random.RandomState(0))[:, 1].std()
     assert after > 1.2 * before
+
+
+def test_a_heavy_tail_is_weighed_with_more_draws():
+    """The index of one trial is rough: by that of more draws a posterior is refused, or is not."""
+    thin, enough = (
+        weigh_tail(log_density, Funnel(precision), ENSEMBLES, 1000, 5)
+        for precision in (first_order_precision, exact_precision)
+    )
+    assert thin is not None
+    assert enough is not None
+    assert thin.weight.shape == (ENSEMBLES, 8000)
+    assert enough.weight.shape == (ENSEMBLES, 1000)
+
+
+def test_the_acceptance_is_that_of_all_pairs():
+    weighed = weigh(log_density, Funnel(first_order_precision), 1, 300, 3)
+    assert weighed is not None
+    weight = weighed.weight[0]
+    pairs = [min(one, other) for one in weight for other in weight]
+    assert weighed.acceptance == pytest.approx(sum(pairs) / len(weight) / weight.sum(), rel=1e-12)
+    assert weighed.acceptance < 0.95
 
 
 def test_an_impossible_proposal_has_no_weights():

@@ -21,7 +21,7 @@ import lazy_loader
 import numpy as np
 
 from imubayes.inference.monte_carlo_error import INTERVAL, monte_carlo_errors
-from imubayes.inference.proposal_weights import WeighedProposal
+from imubayes.inference.proposal_weights import PARETO_K, WeighedProposal
 
 if TYPE_CHECKING:
     import arviz_stats.sampling_diagnostics
@@ -31,15 +31,11 @@ else:
 NESTED_R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
 # A standard deviation that asks for more draws than this is of a parameter of which the interval tells more.
 MOST_DRAWS = 100_000
-# Above the first index of the weights' tail their variance is infinite, and a chain has to leave the place of the
-# largest weight several times to be believed; above the second no practical length is enough (Vehtari et al. 2024).  A
-# scatter that a proposal follows to first order alone gives 0.5 to 0.9.
-PARETO_K, WORST_PARETO_K = 0.5, 0.7
+# Where the weights have a heavy tail a chain has to leave the place of the largest weight several times to be believed;
+# above this index of the tail no practical length is enough (Vehtari et al. 2024).
+WORST_PARETO_K = 0.7
 # A walker stays for as many steps as the weight of its place; a chain takes so many times the largest weight.
 STAYS = 3
-# Where the largest weight of 4000 draws is below this, the rarest place drawn holds a quarter of a per cent of the
-# posterior, and how the weights are distributed below it does not matter.
-LARGEST_WEIGHT = 10.0
 # Standard deviations of chain and of weighted draws disagree where they differ by this share and by so many errors.
 _SD_SHARE, _SD_ERRORS = 0.05, 4.5
 
@@ -137,7 +133,7 @@ def _too_few(r_hat: np.ndarray, bulk: np.ndarray, tail: np.ndarray, names: Seque
 def _missed_tails(weighed: WeighedProposal, steps: int) -> list[str]:
     """Return what the weights of the proposal say against chains of so many steps."""
     long_enough = weighed.pareto_k <= WORST_PARETO_K and steps >= STAYS * weighed.largest
-    if weighed.pareto_k <= PARETO_K or weighed.largest <= LARGEST_WEIGHT or long_enough:
+    if not weighed.heavy_tailed or long_enough:
         return []
     words = f"Pareto k {weighed.pareto_k:.2f} > {PARETO_K}, largest weight {weighed.largest:.0f}, {steps} steps"
     return [f"the proposal misses tails of the posterior ({words})"]

@@ -21,8 +21,17 @@ if TYPE_CHECKING:
 else:
     arviz_stats = lazy_loader.load("arviz_stats")  # takes long to import, and only sampling needs it
 
+# Above this index of the weights' tail their variance is infinite.  A scatter that a proposal follows to first order
+# alone gives 0.5 to 0.9.
+PARETO_K = 0.5
+# Where the largest weight of 4000 draws is below this, the rarest place drawn holds a quarter of a per cent of the
+# posterior, and how the weights are distributed below it does not matter.
+LARGEST_WEIGHT = 10.0
 # Weights that differ by less are those of the posterior itself, and have no tail.
 _ALIKE = 1e-6
+# How many times the draws where the tail of the weights matters.  The index of 4000 weights, from the 190 of its tail,
+# has a standard error of (1 + k)/√190 = 0.12: of one proposal of index 0.54 three trials gave 0.42, 0.53 and 0.72.
+_MORE = 8
 
 # Points (n, D) → log densities (n,).
 BatchedDensity = Callable[[np.ndarray], np.ndarray]
@@ -51,10 +60,17 @@ class WeighedProposal:
         return float(self.weight.max())
 
     @property
+    def heavy_tailed(self) -> bool:
+        """Whether weights beyond those drawn may matter."""
+        return self.pareto_k > PARETO_K and self.largest > LARGEST_WEIGHT
+
+    @property
     def acceptance(self) -> float:
         """Share of independent proposals that are taken: E[min(1, w′/w)], current points w-weighted."""
-        weight = self.weight[0]
-        return float(np.minimum(weight[:, None], weight[None, :]).mean() / weight.mean()) if weight.any() else 0.0
+        weight = np.sort(self.weight[0])
+        count = len(weight)
+        # In ascending order a weight is the smaller one of its pairs with all that follow, in either order, and itself.
+        return float(weight @ (2 * np.arange(count, 0, -1) - 1) / (count * weight.sum())) if weight.any() else 0.0
 
     def resampled(self, pool: int, count: int, random: np.random.RandomState) -> np.ndarray:
         """Return draws of a pool by importance resampling, (count, D): nearly draws of the posterior."""
@@ -72,6 +88,16 @@ class WeighedProposal:
         variance = weight @ square
         error = np.sqrt(weight**2 @ (square - variance) ** 2)
         return mean, np.sqrt(variance), 0.5 * error / variance
+
+
+def weigh_tail(
+    log_density: BatchedDensity, proposal: LaplaceProposal, pools: int, count: int, seed: int
+) -> WeighedProposal | None:
+    """Return weighted draws as `weigh` does, more of them where their weights have a heavy tail."""
+    weighed = weigh(log_density, proposal, pools, count, seed)
+    if weighed is None or not weighed.heavy_tailed:
+        return weighed
+    return weigh(log_density, proposal, pools, _MORE * count, seed)
 
 
 def weigh(

@@ -19,7 +19,7 @@ from imubayes.inference.laplace_move import LaplaceProposal, LogDensity
 from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
 from imubayes.inference.plausible_estimates import implausible_estimates, unexplained_outputs
 from imubayes.inference.posterior_mode import Mode, find_mode, fit_at, heights, log_evidence, message
-from imubayes.inference.proposal_weights import WeighedProposal, weigh
+from imubayes.inference.proposal_weights import WeighedProposal, weigh_tail
 from imubayes.model.bind import Model
 from imubayes.model.derived_quantities import evaluate_derived
 from imubayes.model.problem import Problem
@@ -127,7 +127,7 @@ def _sampled(
     density = LogDensity(model.problem, file.walkers // 2)
     tell("sampling: weighing the proposal")
     count = max(_TRIAL, file.walkers * sampling.ensembles) // sampling.ensembles
-    weighed = weigh(density, proposal, sampling.ensembles, count, sampling.seed)
+    weighed = weigh_tail(density, proposal, sampling.ensembles, count, sampling.seed)
     others = [end for end in others if not _negligible(model.problem, end, mode)]
     starts = _starts(proposal, weighed, mode, others, file, sampling)
     return sample(density, starts, names, sampling, file, weighed, tell)
