@@ -98,6 +98,27 @@ def test_a_unit_that_kills_its_workers_is_found_and_the_others_are_fitted(campai
     assert [Path(file).name for file in died["file"]] == ["unit-003"]
 
 
+def deadly_beside_slow_chunk(task: ChunkTask) -> FittedChunk:
+    """Die with the unit of folder unit-000 while that of another is being fitted."""
+    if any(source.path.endswith("unit-000") for source in task.sources):
+        time.sleep(0.3)
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(1.0)
+    return toy_chunk(task)
+
+
+@pytest.mark.slow
+def test_a_unit_whose_worker_is_killed_by_another_unit_is_fitted(tmp_path, importable):
+    """Dask counts a death for every task of the worker, and the two threads of this one always have both units."""
+    make_units(tmp_path / "campaigns", 2)
+    with LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=":0") as cluster, Client(cluster) as client:
+        run_batch(tmp_path / "campaigns", MODEL, tmp_path, on_client(client, deadly_beside_slow_chunk), chunk=1)
+    units = read_units(tmp_path)
+    died = units.filter(pl.col("reason").str.starts_with("the worker died"))
+    assert [Path(file).name for file in died["file"]] == ["unit-000"]
+    assert units.height == 2
+
+
 def started_by_hand(*command: str) -> subprocess.Popen:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])}
     return subprocess.Popen(

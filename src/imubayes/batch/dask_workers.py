@@ -2,7 +2,9 @@
 
 Workers compute, and the process that started the batch writes: a worker that was given up and goes on cannot write a
 unit twice.  A few chunks for each worker are under way at a time.  Dask gives the chunk of a lost worker to another.
-A chunk whose workers die again and again is divided, until the unit that kills them is alone; that unit failed.
+A chunk whose workers die again and again is divided, until the unit that kills them is alone.  Dask counts a death for
+every task that the worker held, whichever killed it: such a unit is tried again when nothing else is under way, and has
+failed where its workers die then.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -69,25 +71,32 @@ def cluster_workers(address: str, fit: Callable[[ChunkTask], FittedChunk], timeo
 def on_client(client: Client, fit: Callable[[ChunkTask], FittedChunk]) -> Executor:
     """Return an executor on a Dask client."""
 
+    def submitted(task: ChunkTask) -> Future:
+        return client.submit(fit, task, pure=False, retries=_RETRIES)
+
     def execute(tasks: Iterable[ChunkTask]) -> Iterator[FittedChunk]:
-        waiting, tasks_of = iter(tasks), {}
+        waiting, tasks_of, suspects = iter(tasks), {}, []
         results = as_completed()
 
         def submit(chosen: Iterable[ChunkTask]) -> None:
             for task in chosen:
-                future = client.submit(fit, task, pure=False, retries=_RETRIES)
+                future = submitted(task)
                 tasks_of[future] = task
                 results.add(future)
 
         submit(islice(waiting, _wanted(client)))
         for future in results:
             task = tasks_of.pop(future)
-            found = _fitted(future, task)
-            divided = isinstance(found, list)
-            submit(found if divided else [])
+            found = _fitted(future)
+            if isinstance(found, KilledWorker):
+                submit(_halves(task))
+                suspects += [task] if len(task.sources) == 1 else []
             submit(islice(waiting, max(0, _wanted(client) - len(tasks_of))))
-            if not divided:
+            if not isinstance(found, KilledWorker):
                 yield found
+        for task in suspects:
+            found = _fitted(submitted(task))
+            yield _died(task, found) if isinstance(found, KilledWorker) else found
 
     return execute
 
@@ -97,19 +106,28 @@ def _wanted(client: Client) -> int:
     return _AHEAD * max(1, sum(workers.values()))
 
 
-def _fitted(future: Future, task: ChunkTask) -> FittedChunk | list[ChunkTask]:
-    """Return the result of a chunk, or its halves where it has killed its workers."""
+def _fitted(future: Future) -> FittedChunk | KilledWorker:
+    """Return the result of a chunk, or what Dask says where its workers have died."""
     try:
         return future.result()
     except KilledWorker as error:
-        if len(task.sources) > 1:
-            half = len(task.sources) // 2
-            return [replace(task, sources=part) for part in (task.sources[:half], task.sources[half:])]
-        source = next(iter(task.sources))
-        outcome = Outcome("failed", f"the worker died: {error}", source.path, source.fingerprint())
-        return (UnitPosterior(unread(source), outcome),)
+        return error
     except (CommClosedError, CancelledError, OSError) as error:
         raise scheduler_lost(str(error)) from error
+
+
+def _halves(task: ChunkTask) -> list[ChunkTask]:
+    """Return the halves of a chunk; none of a single unit."""
+    half = len(task.sources) // 2
+    parts = (task.sources[:half], task.sources[half:]) if half else ()
+    return [replace(task, sources=part) for part in parts]
+
+
+def _died(task: ChunkTask, error: KilledWorker) -> FittedChunk:
+    """Return the single unit of a chunk as failed."""
+    (source,) = task.sources
+    outcome = Outcome("failed", f"the worker died: {error}", source.path, source.fingerprint())
+    return (UnitPosterior(unread(source), outcome),)
 
 
 def scheduler_lost(what: str) -> InputError:
