@@ -159,11 +159,12 @@ def diagnose(
     with progress() as tell:
         issues = complete_scores(results, model_hash, lambda done, all_: tell(f"scores of {done} of {all_} campaigns"))
         tell("adding up the evidence")
-        found = pooled_discovery(read_unit_scores(results, model_hash), read_units(results, model_hash))
+        units = read_units(results, model_hash)
+        found = pooled_discovery(read_unit_scores(results, model_hash), units)
     if picture is not None:
         from imubayes.display.figures.batch_pictures import evidence_picture
 
-        evidence_picture(found).save(picture)
+        evidence_picture(found, units).save(picture)
     _show(found, discovery_report(found, issues), as_json)
     return 0
 

@@ -47,11 +47,23 @@ def batch_report(state: BatchProgress, units: pl.DataFrame, out: Path) -> Report
         [Cell(str(row[name])) for name in ("unit", "status", "reason", "file")]
         for row in failed.head(_SHOWN).iter_rows(named=True)
     ]
-    sheet = Sheet("Units without estimates", ("unit", "status", "reason", "file"), rows, left=(0, 1, 2, 3))
+    # A reason and a path beside each other leave neither enough room on 80 columns.
+    title, slim = (
+        "Units without estimates",
+        [[unit, _below(status, reason, file)] for unit, status, reason, file in rows],
+    )
+    apart = frozenset(range(1, len(slim)))
+    narrow = Sheet(title, ("unit", "status, reason, file"), slim, left=(0, 1), dividers=apart)
+    sheet = Sheet(title, ("unit", "status", "reason", "file"), rows, left=(0, 1, 2, 3), narrow=narrow)
     closing = [f"result in {out}: {units.height - failed.height} fitted, {failed.height} without estimates"]
     if failed.height > _SHOWN:
         closing.insert(0, f"{failed.height - _SHOWN} more are in units.parquet")
     return Report([said], [sheet], closing)
+
+
+def _below(*cells: Cell) -> Cell:
+    """Return cells as one, a line each."""
+    return Cell("\n".join(cell.text for cell in cells))
 
 
 def batch_json(state: BatchProgress, units: pl.DataFrame, model: str) -> dict[str, Any]:

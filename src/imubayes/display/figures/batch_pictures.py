@@ -1,4 +1,4 @@
-"""Pictures of a batch: population, trend over dates, pooled evidence by unit, and before against after."""
+"""Pictures of a batch: population, trend over dates, pooled evidence by campaign, and before against after."""
 
 from collections.abc import Sequence
 
@@ -34,8 +34,8 @@ _VAGUE = 5.0
 _POPULATION = (
     "A point is one unit with its own estimate, the prior of its model divided out, in spreads from the "
     "population mean; faint points carry little information. Bands: one and two spreads. Units in vermilion are "
-    "outlying at a false discovery rate of 5 %. In a sound population two thirds of the points lie in the inner "
-    "band."
+    "outlying at a false discovery rate of 5 %. In a sound population two thirds of the points that are not faint "
+    "lie in the inner band."
 )
 _TREND = (
     "Each point is one calibration: the estimate with its standard uncertainty, the prior of the model divided "
@@ -43,9 +43,9 @@ _TREND = (
     "drift the points scatter about a level line."
 )
 _EVIDENCE = (
-    "Drop of χ² by unit: above zero a unit speaks for the effect, below against it. Where the effect has one size"
-    " in all units the bars are of that common coefficient; otherwise they are of each unit's own, less its "
-    "degrees of freedom."
+    "Drop of χ² by campaign: above zero a unit speaks for the effect, below against it; a unit with several "
+    "calibrations has a bar for each, with its date. Where the effect has one size in all units the bars are of that "
+    "common coefficient; otherwise they are of each campaign's own, less its degrees of freedom."
 )
 _CHANGE = (
     "Old against new estimate of each campaign in standard deviations of the change that the new model allows; "
@@ -141,21 +141,37 @@ def _limit(axes: Axes, value: np.ndarray, sd: np.ndarray) -> None:
 
 
 @themed
-def evidence_picture(found: PooledDiscovery) -> Picture:
-    """Return the evidence of every unit for each effect found; of nothing where none was."""
+def evidence_picture(found: PooledDiscovery, units: pl.DataFrame) -> Picture:
+    """Return the evidence of every campaign for each effect found; of nothing where none was.
+
+    Parameters
+    ----------
+    units : as `imubayes.batch.posterior_table.read_units` returns them.
+    """
     rows = max(1, len(found.findings))
-    figure = picture(11.0, 2.2 * rows + 0.3, "Pooled evidence by unit", _EVIDENCE)
-    grid = panels(figure, rows, 1, (0.7, 0.6, 0.1, 0.3), (0.8, 0.85))
+    figure = picture(11.0, 2.4 * rows + 0.3, "Pooled evidence by campaign", _EVIDENCE)
+    grid = panels(figure, rows, 1, (0.7, 0.8, 0.1, 0.3), (0.8, 1.05))
     if not found.findings:
         grid[0, 0].text(0.5, 0.5, "no effect is missing that these units show together", ha="center", color=QUIET)
         grid[0, 0].set_axis_off()
+    names = campaign_names(units)
     for axes, each in zip(grid[:, 0], found.findings, strict=False):
-        _evidence_bars(axes, each)
+        _evidence_bars(axes, each, names)
     return figure
 
 
-def _evidence_bars(axes: Axes, each: PooledFinding) -> None:
-    """Draw one bar a unit, the strongest first; the middle ones are left out where there are many."""
+def campaign_names(units: pl.DataFrame) -> dict[str, str]:
+    """Return the unit of each campaign by digest, with the date where the unit has several campaigns."""
+    several = units.filter(pl.col("unit").is_duplicated() & pl.col("date").is_not_null())
+    dates = dict(several.select("digest", "date").iter_rows())
+    return {
+        digest: f"{unit} {dates[digest]:%Y-%m}" if digest in dates else unit
+        for digest, unit in units.select("digest", "unit").iter_rows()
+    }
+
+
+def _evidence_bars(axes: Axes, each: PooledFinding, names: dict[str, str]) -> None:
+    """Draw one bar a campaign, the strongest first; the middle ones are left out where there are many."""
     common = each.evidence.law == "common"
 
     def strength(unit: UnitEvidence) -> float:
@@ -169,7 +185,7 @@ def _evidence_bars(axes: Axes, each: PooledFinding) -> None:
     colours = np.where(named, VERMILION, np.where(heights > 0, BLUE, QUIET))
     axes.bar(np.arange(len(ordered)), heights, color=colours, width=0.8, zorder=3)
     axes.axhline(0, color=INK, linewidth=0.8, zorder=4)
-    axes.set_xticks(np.arange(len(ordered)), [unit.unit for unit in ordered], rotation=90, fontsize=6)
+    axes.set_xticks(np.arange(len(ordered)), [names[unit.digest] for unit in ordered], rotation=90, fontsize=6)
     axes.set(ylabel="Δχ²", xlim=(-1, len(ordered)))
     left = len(each.every_unit) - len(ordered)
     note = f"; {left} in the middle are left out" if left else ""
