@@ -170,7 +170,8 @@ def serial_campaign() -> Campaign:
     )
     tables = {
         "gimbals": Table(
-            "gimbals", 0.2, np.pi / 2, 20 * ARCSEC, 5e-6, None, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0,
+            # About a vertical outer axis only the Earth rate shows its zero.
+            "gimbals", 0.2, 0.4, 20 * ARCSEC, 5e-6, None, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0,
             30 * ARCSEC, 30 * ARCSEC, 3e-4,
         ),
         "arm": Table(

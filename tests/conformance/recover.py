@@ -55,8 +55,6 @@ def declared_alone(member: type, registry: Registry | None = None) -> Model:
 
 def shown_by(member: type) -> Campaign:
     """Return the small campaign whose runs supply what a member needs."""
-    if member.name == "outer_axis_zero":
-        return level_outer_axis()
     special = {"reference": referenced_campaign, "driven": driven_campaign, "directions": directed_campaign}
     special |= {"outer_angle": serial_campaign, "middle_angle": serial_campaign}
     for need, among in special.items():
@@ -68,12 +66,6 @@ def shown_by(member: type) -> Campaign:
     recorded = any(set(member.needs) <= names for names in join_nodes(campaign()).supplies)
     plain = member.name != "time_skew" and recorded and not _missing(member.name)
     return campaign() if plain else wide_campaign()
-
-
-def level_outer_axis() -> Campaign:
-    """Return the serial campaign with a level outer axis: about a vertical one only the Earth rate shows its zero."""
-    found = serial_campaign()
-    return replace(found, tables={**found.tables, "gimbals": replace(found.tables["gimbals"], elevation=0.0)})
 
 
 def _missing(name: str) -> bool:
