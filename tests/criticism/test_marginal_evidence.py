@@ -37,11 +37,14 @@ def evident(fitted: Fit) -> dict[str, float]:
     return {candidates[place].effect: value for place, value in found.items()}
 
 
-def planted(size: float, seed: int) -> Fit:
-    """Return the fit of readings with an effect that acts from run to run alone."""
-    [truth] = [each for each in candidate_responses(polar()).candidates if each.scan.effect == BETWEEN]
-    sizes = np.array([coefficient.typical[1] for coefficient in truth.coefficients])
-    return redrawn(polar(), seed, change=truth.columns @ (size * sizes * np.array([0.8, -0.6, 0.3])))
+def planted(seed: int, **sizes: float) -> Fit:
+    """Return the fit of readings with effects of so many times their typical size."""
+    change = 0.0
+    for name, size in sizes.items():
+        truth = next(each for each in candidate_responses(polar()).candidates if each.scan.effect == name)
+        typical = np.array([coefficient.typical[1] for coefficient in truth.coefficients])
+        change += truth.columns @ (size * typical * np.resize((0.8, -0.6, 0.3), len(typical)))
+    return redrawn(polar(), seed, change=np.asarray(change))
 
 
 @pytest.mark.parametrize("verdict", ["missing_effect", "noise_model"])
@@ -52,9 +55,21 @@ def test_an_effect_between_few_runs_is_not_passed_over(monkeypatch: pytest.Monke
     """
     if verdict == "noise_model":
         monkeypatch.setattr(effects_beside_noise, "evident_between_runs", lambda *_: {})
-    found = judge(planted(0.2, 5))
+    found = judge(planted(5, **{BETWEEN: 0.2}))
     assert found.verdict == verdict
     assert [group.effects[0] for group in found.groups] == ([BETWEEN] if verdict == "missing_effect" else [])
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_what_acts_within_runs_beside_it_is_selected_as_well(monkeypatch: pytest.MonkeyPatch, beside: bool) -> None:
+    """Alone the effect between runs would leave a structure that an effect of the catalogue explains."""
+    if not beside:
+        alone = lambda at, group, *_: effects_beside_noise.only(at, group)  # noqa: E731
+        monkeypatch.setattr(effects_beside_noise, "select_beside", alone)
+    found = judge(planted(5, **{BETWEEN: 0.3, "table_wobble": 10.0}))
+    names = [set(group.effects) for group in found.groups]
+    assert (found.verdict == "missing_effect") == beside
+    assert (names[:1] == [{BETWEEN}] and any("table_wobble" in each for each in names[1:])) == beside
 
 
 @pytest.mark.slow

@@ -59,6 +59,12 @@ def select_effects(at: Screening, corrected: LookElsewhere, factor: float = 1.0)
     return replace(forward, rivals=tuple(rivals))
 
 
+def select_beside(at: Screening, group: EquivalenceGroup, corrected: LookElsewhere, factor: float) -> Selection:
+    """Return a group that evidence of another kind names, and the effects that a screening shows beside it."""
+    found = _forward(at, (group.leader,), corrected, factor * thresholds.FALSE_ALARM_EFFECT)
+    return replace(found, groups=(group, *found.groups[1:]))
+
+
 def _by_another_name(at: Screening, forward: Selection, corrected: LookElsewhere, threshold: float) -> Selection:
     """Return the selection that begins with an equivalent of the leader which is selected again beside it.
 

@@ -5,11 +5,11 @@ They are not significant at the noise scales of the fit, but at those beside the
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.effect_selection import at_scales
-from imubayes.criticism.equivalent_effects import equivalence_group
+from imubayes.criticism.effect_selection import at_scales, select_beside
+from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
 from imubayes.criticism.marginal_evidence import (
     columns_of,
     evidence_with_scatter,
@@ -67,7 +67,11 @@ def _identity(candidate: Candidate) -> tuple[str, ...]:
 
 def beside_noise(given: SearchInput, at: FirstPass, outcome: SearchOutcome) -> SearchOutcome:
     """Return the outcome with what is evident although noise of the model has taken it up."""
-    return _at_scales_beside(at, outcome) or _between_few_runs(given, at) or _taken_up(given, at) or outcome
+    if (found := _at_scales_beside(at, outcome)) is not None:
+        return found
+    if (between := _between_few_runs(given, at)) is not None:
+        return SearchOutcome(between.first, only(between.first, between.group))
+    return _taken_up(given, at) or outcome
 
 
 def _at_scales_beside(at: FirstPass, outcome: SearchOutcome) -> SearchOutcome | None:
@@ -83,8 +87,16 @@ def _at_scales_beside(at: FirstPass, outcome: SearchOutcome) -> SearchOutcome | 
     return SearchOutcome(there, only(there, group), outcome.factor)
 
 
-def _between_few_runs(given: SearchInput, at: FirstPass, log_factor: float = -math.inf) -> SearchOutcome | None:
-    """Return the outcome with what is evident although the F test of few runs does not show it; None without.
+@dataclass(frozen=True)
+class _BetweenRuns:
+    """The screening with the p-values of what acts between few runs, and the group of the most evident effect."""
+
+    first: Screening
+    group: EquivalenceGroup
+
+
+def _between_few_runs(given: SearchInput, at: FirstPass, log_factor: float = -math.inf) -> _BetweenRuns | None:
+    """Return what is evident although the F test of few runs does not show it; None without.
 
     Parameters
     ----------
@@ -101,15 +113,16 @@ def _between_few_runs(given: SearchInput, at: FirstPass, log_factor: float = -ma
     best = max(evident, key=lambda place: evident[place])
     near = [candidates[k] for k, value in evident.items() if value > evident[best] - thresholds.DECISIVE_LOG_ODDS]
     first, leader = replace(first, candidates=tuple(candidates)), candidates[best]
-    group = equivalence_group(first.projection, leader, candidates, at.corrections.of_effect(leader.score.p), near)
-    return SearchOutcome(first, only(first, group))
+    corrected = at.corrections.of_effect(leader.score.p)
+    return _BetweenRuns(first, equivalence_group(first.projection, leader, candidates, corrected, near))
 
 
 def outweighed(given: SearchInput, at: FirstPass, outcome: SearchOutcome) -> SearchOutcome:
     """Return the outcome with what scatter between runs took up, where that outweighs what was selected.
 
     Scatter far beyond its prior is a finding.  The F test of few runs does not show its cause, whose smaller part
-    within runs is then shared by effects that imitate it.
+    within runs is then shared by effects that imitate it.  Beside the cause these explain nothing, but what is missing
+    as well is selected.
     """
     if not scatter_beyond_prior(given.fitted):
         return outcome
@@ -117,7 +130,11 @@ def outweighed(given: SearchInput, at: FirstPass, outcome: SearchOutcome) -> Sea
     if outcome.groups:
         leader, prepared = outcome.groups[0].leader, at.first.prepared
         log_factor = evidence_with_scatter(given.fitted, given.responses, prepared, leader)
-    return _between_few_runs(given, at, log_factor) or outcome
+    between = _between_few_runs(given, at, log_factor)
+    if between is None:
+        return outcome
+    selection = select_beside(between.first, between.group, at.corrections.of_effect, outcome.factor)
+    return SearchOutcome(between.first, selection, outcome.factor)
 
 
 def _taken_up(given: SearchInput, at: FirstPass) -> SearchOutcome | None:
