@@ -20,7 +20,7 @@ def names(model: str) -> set[str]:
     return {effect.name for effect in read_model(ROOT / "models" / f"{model}.toml").effects}
 
 
-@pytest.mark.parametrize("campaign", ["trihedral-imu", "polar-tumble", "geographic-tumble", "reference-gyro"])
+@pytest.mark.parametrize("campaign", ["trihedral-imu", "polar-tumble", "geographic-tumble", "reference-gyro", "redundant-imu"])
 def test_the_loop_finds_the_model(campaign):
     """Effects that the data can hardly show may be left out; what is named is in the unit."""
     truth = tomllib.loads((ROOT / "data" / campaign / "truth.toml").read_text(encoding="utf-8"))["parameters"]
