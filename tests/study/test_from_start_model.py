@@ -12,6 +12,7 @@ from imubayes.model.model_file import read_model
 ROOT = Path(__file__).parents[2]
 START = ROOT / "models" / "start.toml"
 MOST_STEPS = 8
+CAMPAIGNS = ("trihedral-imu", "polar-tumble", "geographic-tumble", "reference-gyro", "redundant-imu")
 
 pytestmark = pytest.mark.slow
 
@@ -20,7 +21,7 @@ def names(model: str) -> set[str]:
     return {effect.name for effect in read_model(ROOT / "models" / f"{model}.toml").effects}
 
 
-@pytest.mark.parametrize("campaign", ["trihedral-imu", "polar-tumble", "geographic-tumble", "reference-gyro", "redundant-imu"])
+@pytest.mark.parametrize("campaign", CAMPAIGNS)
 def test_the_loop_finds_the_model(campaign):
     """Effects that the data can hardly show may be left out; what is named is in the unit."""
     truth = tomllib.loads((ROOT / "data" / campaign / "truth.toml").read_text(encoding="utf-8"))["parameters"]
