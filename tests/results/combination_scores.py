@@ -18,7 +18,10 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True)
 class Scored:
-    """A combination with (mean − truth)/sd, and its sd over the least of what its undetermined members contribute."""
+    """A combination with (mean − truth)/sd, and its sd over what its leading member contributes.
+
+    Of k cos θ both members lead: the sd is over the smaller of their contributions.
+    """
 
     combination: CombinationSummary
     score: float
@@ -49,9 +52,7 @@ def scored(result: Result, folder: Path) -> list[Scored]:
             parts = [sd[scale] * np.cos(tilt), mean[scale] * np.sin(tilt) * np.radians(sd[angle])]
         else:
             true = each.constant + sum(w * truth[name] for w, name in zip(each.weights, each.quantities, strict=True))
-            # A total may hold members that are known by themselves, such as the drift over time in D.
-            parts = [abs(w) * sd[name] for w, name in zip(each.weights, each.quantities, strict=True)]
-            parts = sorted(parts)[-max(2, sum(part > each.sd for part in parts)) :]
+            parts = [max(abs(w) * sd[name] for w, name in zip(each.weights, each.quantities, strict=True))]
         inside = each.q025 <= true <= each.q975
         found.append(Scored(each, (each.mean - true) / each.sd, inside, each.sd / min(parts)))
     return found
