@@ -49,10 +49,10 @@ def scored(result: Result, folder: Path) -> list[Scored]:
             scale, angle = each.quantities
             true = truth[scale] * np.cos(np.radians(truth[angle]))
             tilt = np.radians(mean[angle])
-            parts = [sd[scale] * np.cos(tilt), mean[scale] * np.sin(tilt) * np.radians(sd[angle])]
+            leading = min(sd[scale] * np.cos(tilt), mean[scale] * np.sin(tilt) * np.radians(sd[angle]))
         else:
             true = each.constant + sum(w * truth[name] for w, name in zip(each.weights, each.quantities, strict=True))
-            parts = [max(abs(w) * sd[name] for w, name in zip(each.weights, each.quantities, strict=True))]
+            leading = max(abs(w) * sd[name] for w, name in zip(each.weights, each.quantities, strict=True))
         inside = each.q025 <= true <= each.q975
-        found.append(Scored(each, (each.mean - true) / each.sd, inside, each.sd / min(parts)))
+        found.append(Scored(each, (each.mean - true) / each.sd, inside, each.sd / leading))
     return found

@@ -88,11 +88,13 @@ def on_client(client: Client, fit: Callable[[ChunkTask], FittedChunk]) -> Execut
         for future in results:
             task = tasks_of.pop(future)
             found = _fitted(future)
-            if isinstance(found, KilledWorker):
+            killed = isinstance(found, KilledWorker)
+            if killed and len(task.sources) == 1:
+                suspects.append(task)
+            elif killed:
                 submit(_halves(task))
-                suspects += [task] if len(task.sources) == 1 else []
             submit(islice(waiting, max(0, _wanted(client) - len(tasks_of))))
-            if not isinstance(found, KilledWorker):
+            if not killed:
                 yield found
         for task in suspects:
             found = _fitted(submitted(task))
@@ -117,10 +119,9 @@ def _fitted(future: Future) -> FittedChunk | KilledWorker:
 
 
 def _halves(task: ChunkTask) -> list[ChunkTask]:
-    """Return the halves of a chunk; none of a single unit."""
+    """Return the halves of a chunk of several units."""
     half = len(task.sources) // 2
-    parts = (task.sources[:half], task.sources[half:]) if half else ()
-    return [replace(task, sources=part) for part in parts]
+    return [replace(task, sources=part) for part in (task.sources[:half], task.sources[half:])]
 
 
 def _died(task: ChunkTask, error: KilledWorker) -> FittedChunk:

@@ -14,14 +14,13 @@ from scipy.stats import skew
 from imubayes.array_shapes import Float
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.laplace_move import LaplaceProposal, LogDensity
-from imubayes.inference.proposal_weights import weigh
+from imubayes.inference.proposal_weights import PARETO_K, weigh
 
 # Draws weighed, and those of a block.  Effort: weighted moments are known to 0.03 standard deviations.
 _DRAWS, _BATCH = 1000, 64
-# Above this index weights have no variance, and neither weighted moments nor their errors mean anything.  Where the
-# largest weight of 1000 draws is below the second, the rarest place drawn holds a quarter of a per cent of the
+# Where the largest weight of 1000 draws is below this, the rarest place drawn holds a quarter of a per cent of the
 # posterior, and the shape of weights that hardly differ does not matter.
-_PARETO_K, _LARGEST = 0.5, 2.5
+_LARGEST = 2.5
 # A proposal whose standard deviation is a fifth too small gives 5.4, one that is off by one standard deviation 4.4.
 # Of 200 units like `data/polar-tumble`, noise up to a hundred times, none is off by `_OFF`: at most 0.13 in the mean
 # of the noise and 6 % in a standard deviation; 3 of them are flagged (benchmarks/results/doubtful_posteriors.md).
@@ -48,7 +47,7 @@ class WeightShape:
     @property
     def flagged(self) -> bool:
         """Whether the approximation is in doubt."""
-        is_light = self.pareto_k <= _PARETO_K and self.skewness <= _SKEWNESS
+        is_light = self.pareto_k <= PARETO_K and self.skewness <= _SKEWNESS
         return not ((is_light or self.largest <= _LARGEST) and self.off <= _OFF)
 
 

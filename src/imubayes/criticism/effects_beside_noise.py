@@ -5,7 +5,7 @@ They are not significant at the noise scales of the fit, but at those beside the
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.effect_selection import at_scales, select_beside
@@ -70,7 +70,8 @@ def beside_noise(given: SearchInput, at: FirstPass, outcome: SearchOutcome) -> S
     if (found := _at_scales_beside(at, outcome)) is not None:
         return found
     if (between := _between_few_runs(given, at)) is not None:
-        return SearchOutcome(between.first, only(between.first, between.group))
+        first, group = between
+        return SearchOutcome(first, only(first, group))
     return _taken_up(given, at) or outcome
 
 
@@ -87,20 +88,18 @@ def _at_scales_beside(at: FirstPass, outcome: SearchOutcome) -> SearchOutcome | 
     return SearchOutcome(there, only(there, group), outcome.factor)
 
 
-@dataclass(frozen=True)
-class _BetweenRuns:
-    """The screening with the p-values of what acts between few runs, and the group of the most evident effect."""
-
-    first: Screening
-    group: EquivalenceGroup
-
-
-def _between_few_runs(given: SearchInput, at: FirstPass, log_factor: float = -math.inf) -> _BetweenRuns | None:
+def _between_few_runs(
+    given: SearchInput, at: FirstPass, log_factor: float = -math.inf
+) -> tuple[Screening, EquivalenceGroup] | None:
     """Return what is evident although the F test of few runs does not show it; None without.
 
     Parameters
     ----------
     log_factor : log Bayes factor of what it is to outweigh.
+
+    Returns
+    -------
+    The screening with the p-values of that evidence, and the group of the most evident effect.
     """
     first = at.first
     evident = evident_between_runs(given.fitted, given.responses, first.prepared, first.candidates)
@@ -114,7 +113,7 @@ def _between_few_runs(given: SearchInput, at: FirstPass, log_factor: float = -ma
     near = [candidates[k] for k, value in evident.items() if value > evident[best] - thresholds.DECISIVE_LOG_ODDS]
     first, leader = replace(first, candidates=tuple(candidates)), candidates[best]
     corrected = at.corrections.of_effect(leader.score.p)
-    return _BetweenRuns(first, equivalence_group(first.projection, leader, candidates, corrected, near))
+    return first, equivalence_group(first.projection, leader, candidates, corrected, near)
 
 
 def outweighed(given: SearchInput, at: FirstPass, outcome: SearchOutcome) -> SearchOutcome:
@@ -133,8 +132,9 @@ def outweighed(given: SearchInput, at: FirstPass, outcome: SearchOutcome) -> Sea
     between = _between_few_runs(given, at, log_factor)
     if between is None:
         return outcome
-    selection = select_beside(between.first, between.group, at.corrections.of_effect, outcome.factor)
-    return SearchOutcome(between.first, selection, outcome.factor)
+    first, group = between
+    selection = select_beside(first, group, at.corrections.of_effect, outcome.factor)
+    return SearchOutcome(first, selection, outcome.factor)
 
 
 def _taken_up(given: SearchInput, at: FirstPass) -> SearchOutcome | None:

@@ -48,10 +48,8 @@ def batch_report(state: BatchProgress, units: pl.DataFrame, out: Path) -> Report
         for row in failed.head(_SHOWN).iter_rows(named=True)
     ]
     # A reason and a path beside each other leave neither enough room on 80 columns.
-    title, slim = (
-        "Units without estimates",
-        [[unit, _below(status, reason, file)] for unit, status, reason, file in rows],
-    )
+    title = "Units without estimates"
+    slim = [[unit, _below(*further)] for unit, *further in rows]
     apart = frozenset(range(1, len(slim)))
     narrow = Sheet(title, ("unit", "status, reason, file"), slim, left=(0, 1), dividers=apart)
     sheet = Sheet(title, ("unit", "status", "reason", "file"), rows, left=(0, 1, 2, 3), narrow=narrow)

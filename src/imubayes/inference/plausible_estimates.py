@@ -12,6 +12,7 @@ import numpy as np
 
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import INPUT_UNIT, Channel
+from imubayes.group_means import group_means
 from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
 from imubayes.json_record import finite
 from imubayes.kept_programs import kept
@@ -111,7 +112,7 @@ def _described(model: Model, channel: Channel, misfit: np.ndarray, here: np.ndar
     unit = INPUT_UNIT[channel.kind]
     per_input = abs(channel.scale_si) * to_si(unit, model.campaign.site.gravity)
     _, run = np.unique(model.entries.run[here], return_inverse=True)
-    centred = misfit - (np.bincount(run, misfit) / np.bincount(run))[run]
+    centred = misfit - group_means(misfit, run)
     outputs = model.entries.value[here] - channel.offset
     variance = (channel.noise or 0.0) ** 2 / model.entries.samples[here]
     squares = (misfit**2, centred**2, outputs**2, variance)

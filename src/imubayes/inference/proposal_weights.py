@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 else:
     arviz_stats = lazy_loader.load("arviz_stats")  # takes long to import, and only sampling needs it
 
-# Above this index of the weights' tail their variance is infinite.  A scatter that a proposal follows to first order
-# alone gives 0.5 to 0.9.
+# Above this index of the weights' tail their variance is infinite, and neither weighted moments nor their errors mean
+# anything.  A scatter that a proposal follows to first order alone gives 0.5 to 0.9.
 PARETO_K = 0.5
 # Where the largest weight of 4000 draws is below this, the rarest place drawn holds a quarter of a per cent of the
 # posterior, and how the weights are distributed below it does not matter.
