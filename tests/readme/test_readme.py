@@ -70,7 +70,7 @@ def test_commands_run_as_written(heading, like_the_repository, capsys):
             assert out.is_file() if out.suffix else any(out.glob(WRITTEN.get(verb, "summary.json")))
     if heading == "Procedures":  # its diagnosis is of another result than the one that is shown
         return
-    for verb in {"diagnose", "batch diagnose"} & set(told):
+    for verb in {"diagnose", "add", "batch diagnose"} & set(told):
         # What the README shows is what the command prints.
         shown = re.search(rf"<!-- output of {verb} -->\n```text\n(.*?)```", TEXT, re.DOTALL)
         assert shown is not None
