@@ -9,7 +9,7 @@ import pytest
 from matplotlib.collections import LineCollection
 from rich.console import Console
 
-from imubayes.criticism.detectability import Absorber
+from imubayes.criticism.detectability import Absorber, ParameterBias
 from imubayes.criticism.diagnosis_record import (
     Amplitude,
     AskedEffect,
@@ -256,6 +256,19 @@ def test_a_candidate_that_is_nearly_significant_is_told(p, told):
     said = shown.sentence(diagnosis("adequate").model_copy(update={"ranking": ranked}))
     assert said.startswith("The model explains the data")
     assert ("The nearest to significance is gyro_bias_drift on gx, p = 0.07." in said) == told
+
+
+@pytest.mark.parametrize(("in_sd", "told"), [(-663.0, True), (0.2, False)])
+def test_what_an_undetectable_effect_would_do_is_told(in_sd, told):
+    bias = ParameterBias("accel_bias.bias[ax]", "ug", 300.0, in_sd, "gravity_anomaly.anomaly[all]", 300.0, "ug")
+    hidden = UndetectableEffect(effect="gravity_anomaly", reason="absorbed", bias=bias)
+    said = shown.sentence(diagnosis("adequate").model_copy(update={"undetectable": (hidden,)}))
+    sentence = (
+        "No interval includes it: gravity_anomaly.anomaly[all] of 300 µg, the largest typical size, would bias "
+        "accel_bias.bias[ax] by 663 of its sd."
+    )
+    assert (sentence in said) == told
+    assert "1 effect of the catalogue is undetectable in these runs." in said
 
 
 def test_excess_scatter_without_a_name_is_a_verdict_on_the_noise():

@@ -100,7 +100,7 @@ def refit_with(
     delta_chi2 = observed_delta_chi2(before, extension, fit) if fit.converged else float("nan")
     against = objection(fit, delta_chi2)
     unseen = None if against else cross_validate(before, fit, progress)
-    known = screened[0] if len(effects) == 1 and screened else None
+    known = screened[0] if screened and _one_finding(effects, diagnosis) else None
     remaining = None if against else delta_chi2_at_remaining_noise(before, extension, fit)
     return Refit(before, extension, fit, delta_chi2, remaining, against, unseen, _prediction(extension, known))
 
@@ -109,6 +109,12 @@ def _screened(effects: Sequence[str], diagnosis: Diagnosis | None) -> list[Scree
     """Return what a diagnosis says of effects."""
     lines = [diagnosis.estimate(effect) for effect in effects] if diagnosis is not None else []
     return [line for line in lines if isinstance(line, ScreenedEffect)]
+
+
+def _one_finding(effects: Sequence[str], diagnosis: Diagnosis | None) -> bool:
+    """Tell whether effects stand for one finding: a single one, or several that the data do not distinguish."""
+    groups = diagnosis.groups if diagnosis is not None else ()
+    return len(effects) == 1 or any(set(effects) <= set(group.effects) for group in groups)
 
 
 def _extended(

@@ -1,11 +1,13 @@
 """Detectability: what absorbs an effect that the model lacks, and how small an effect these runs could still show."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
 from imubayes.criticism import thresholds
+from imubayes.criticism.candidate_effects import Coefficient
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.score_test import KNOWN_FREEDOM, LEAST_FREEDOM, ProjectedResponse
 
@@ -29,12 +31,17 @@ class ParameterBias:
     ----------
     parameter, unit : name and unit.
     value, in_sd : the bias, in that unit and in posterior standard deviations.
+    coefficient, size, size_unit : of the coefficients of the effect the one that biases most, with its largest typical
+        size; empty in records of earlier versions.
     """
 
     parameter: str
     unit: str
     value: float
     in_sd: float
+    coefficient: str = ""
+    size: float = 0.0
+    size_unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -81,9 +88,8 @@ def detectability(projection: Projection, response: ProjectedResponse, threshold
     needed = noncentrality_needed(threshold / max(looks, 1.0) / sides, freedom_of(projection, response.projected))
     with np.errstate(divide="ignore"):
         smallest = needed * np.where(length**2 > thresholds.RETAINED_MIN * raw, 1 / length, np.inf)
-    best = int(np.argmin(smallest / np.array([coefficient.typical[1] for coefficient in coefficients])))
-    coefficient, whitened = coefficients[best], response.whitened[:, best]
-    shift = projection.absorb(whitened)
+    best = int(np.argmin(smallest / [each.typical[1] for each in coefficients]))
+    coefficient, shift = coefficients[best], projection.absorb(response.whitened)
     return Detectability(
         effect=response.response.scan.effect,
         name=coefficient.parameter.name,
@@ -91,8 +97,8 @@ def detectability(projection: Projection, response: ProjectedResponse, threshold
         retained=float(length[best] ** 2 / raw[best]) if raw[best] > 0 else 0.0,
         smallest_detectable=float(smallest[best]),
         typical=coefficient.typical,
-        absorbed_by=_absorbers(projection, whitened, shift, float(raw[best])),
-        bias=_bias(projection, shift * coefficient.typical[1]),
+        absorbed_by=_absorbers(projection, response.whitened[:, best], shift[:, best], float(raw[best])),
+        bias=_bias(projection, coefficients, shift),
     )
 
 
@@ -132,15 +138,20 @@ def noncentrality_needed(p: np.ndarray, freedom: np.ndarray) -> np.ndarray:
     return high
 
 
-def _bias(projection: Projection, shift: np.ndarray) -> ParameterBias | None:
-    """Return the bias of the parameter that a shift of all parameters in z, (P,), moves most in posterior sd."""
+def _bias(projection: Projection, coefficients: Sequence[Coefficient], shift: np.ndarray) -> ParameterBias | None:
+    """Return the worst bias by one of C coefficients that shift the parameters by so much in z per unit, (P, C)."""
     if not len(shift):
         return None
-    in_sd = shift / projection.posterior_sd
-    most = int(np.argmax(np.abs(in_sd)))
+    shifts = shift * [each.typical[1] for each in coefficients]
+    in_sd = shifts / projection.posterior_sd[:, None]
+    most, worst = divmod(int(np.argmax(np.abs(in_sd))), len(coefficients))
     parameter = projection.fitted.model.layout.parameters[most]
-    value = float(shift[most] * projection.slopes[most] / parameter.factor)
-    return ParameterBias(parameter.name, parameter.shown_unit, value, float(in_sd[most]))
+    value = float(shifts[most, worst] * projection.slopes[most] / parameter.factor)
+    cause = coefficients[worst]
+    return ParameterBias(
+        parameter.name, parameter.shown_unit, value, float(in_sd[most, worst]),
+        cause.parameter.name, cause.typical[1], cause.parameter.shown_unit,
+    )  # fmt: skip
 
 
 def _absorbers(projection: Projection, whitened: np.ndarray, shift: np.ndarray, raw: float) -> tuple[Absorber, ...]:

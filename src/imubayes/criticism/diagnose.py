@@ -385,24 +385,28 @@ def _rivals(found: SearchResult) -> tuple[RivalExplanation, ...]:
 def _suggested(found: SearchResult, verdict: Verdict) -> Suggestion | None:
     """Return what to add next; the channels where they are not all on which its first effect was screened.
 
-    Where other effects explain the same together, all of them: the posterior then holds every explanation.
+    Where the data do not distinguish several effects, all of them: the posterior then holds every explanation.  A refit
+    with one of them alone would confirm it, and what another one would shift would be far off.
     """
     if verdict == "noise_model":
         return Suggestion(effects=(found.adopted[0].effect,), channels=None) if found.adopted else None
     # What noise explains as well is not worth an addition before another record has told them apart.
     if verdict not in MISSING or found.wandering:
         return None
-    leader = found.groups[0].leader
-    channels = channels_of(found, leader)
-    same = [candidate for candidate in found.first.candidates if candidate.effect == leader.effect]
+    groups = found.groups if found.unfinished else found.groups[: 1 + found.paired]
+    rivals = () if found.unfinished else found.rivals[:1]
+    leaders = [group.leader for group in groups]
+    others = [member for group in groups for member in group.members[1:]]
+    together = [*leaders, *others, *(member for each in rivals for member in each.members)]
+    effects = tuple(dict.fromkeys(member.effect for member in together))
+    return Suggestion(effects=effects, channels=None if found.unfinished else _shared_channels(found, together))
+
+
+def _shared_channels(found: SearchResult, together: Sequence[Candidate]) -> tuple[str, ...] | None:
+    """Return the channels of the first candidate; None where it acts on no others, or another one on none of them."""
+    first, *others = together
+    channels = channels_of(found, first)
+    same = [candidate for candidate in found.first.candidates if candidate.effect == first.effect]
     everywhere = {name for candidate in same for name in channels_of(found, candidate)}
-    together = [member.effect for each in found.rivals[:1] for member in each.members]
-    if found.unfinished:
-        return Suggestion(effects=tuple(dict.fromkeys(group.leader.effect for group in found.groups)), channels=None)
-    effects = tuple(dict.fromkeys((leader.effect, *_paired(found), *together)))
-    return Suggestion(effects=effects, channels=channels if set(channels) != everywhere else None)
-
-
-def _paired(found: SearchResult) -> list[str]:
-    """Return the effects of a pair that was selected together, without its first."""
-    return [group.leader.effect for group in found.groups[1:2]] if found.paired else []
+    apart = any(set(own).isdisjoint(channels) for each in others if (own := channels_of(found, each)))
+    return None if apart or set(channels) == everywhere else channels

@@ -307,7 +307,7 @@ class Diagnosis(Presented, Record):
     ranking : every candidate, the most significant first.
     nearest : effects that explain a part of unexplained structure.
     looks : effective number of independent candidates.
-    suggested : the effects, or noise, to add next.
+    suggested : the effects, or noise, to add next; all that the runs do not distinguish.
     paired : whether the first two groups were found together: neither explains without the other what both do.
     unfinished : whether more effects are missing than one search selects: the groups are the first of several.
     rivals : other sets of effects that the data do not exclude in place of those found, the likeliest first; of a pair,
@@ -372,6 +372,13 @@ class Diagnosis(Presented, Record):
         """The channels whose fitted and recorded noise do not agree, the largest ratio first."""
         apart = [each for each in self.recorded_noise if not each.agrees]
         return tuple(sorted(apart, key=lambda each: -each.ratio))
+
+    @property
+    def most_biasing(self) -> ParameterBias | None:
+        """The worst bias by an effect that the runs cannot show; None where none would matter beside a posterior."""
+        known = [each.bias for each in self.undetectable if each.bias is not None]
+        worst = max(known, key=lambda bias: abs(bias.in_sd), default=None)
+        return worst if worst is not None and abs(worst.in_sd) >= thresholds.NEGLECTED_SHIFT else None
 
     @property
     def proposed(self) -> Suggestion | None:

@@ -93,7 +93,7 @@ def diagnosis_lines(found: Diagnosis) -> list[str]:
     lines = [sentence(found)]
     if found.groups:
         lines.append(_prediction(found))
-        lines += _discriminating_run(found.groups[0])
+        lines += _indistinguishable(found)
         if found.wandering == "rival":
             lines.append("Record the unit at rest again: a systematic drift repeats, wandering noise does not.")
     elif found.verdict == "not_converged":
@@ -163,11 +163,15 @@ def _prediction(found: Diagnosis) -> str:
     )
 
 
-def _discriminating_run(group: EffectGroup) -> list[str]:
+def _indistinguishable(found: Diagnosis) -> list[str]:
+    """Return which effects the runs do not distinguish, and the run that would."""
+    group = found.groups[0]
     if len(group.effects) < 2:
         return []
+    suggested = found.suggested.effects if found.suggested is not None else ()
+    together = " The posterior with all of them in the model holds each explanation." if suggested else ""
     run = f" Discriminating run: {_run_text(group)}." if group.discriminating_run is not None else ""
-    return [f"Indistinguishable in these runs: {', '.join(group.effects)}.{run}"]
+    return [f"Indistinguishable in these runs: {', '.join(group.effects)}.{together}{run}"]
 
 
 def _run_text(group: EffectGroup) -> str:

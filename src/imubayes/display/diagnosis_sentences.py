@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 from imubayes.criticism import thresholds
+from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectChoice, EffectGroup, UndetectableEffect
 from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
 from imubayes.criticism.recorded_noise import NoiseComparison
@@ -33,8 +34,7 @@ def sentence(found: Diagnosis) -> str:
         said = _noise_sentence(found)
     else:
         said = "The model explains the data: no effect of the catalogue is missing as far as these runs can show."
-        hidden = len(found.undetectable)
-        said += f" {hidden} effects of the catalogue are undetectable in these runs." if hidden else ""
+        said += _undetectable_sentence(found)
         said += _nearest_sentence(found)
     parts = [noise, said] if found.noise_outweighs else [said, noise]
     return (
@@ -229,6 +229,26 @@ def _neglected_sentence(found: Diagnosis) -> str:
         f" No interval includes {effects}, which the model takes as exact: the uncertainty that the campaign states of "
         f"{worst.parameter}, {significant(worst.value)} {pretty(worst.unit)}, shifts {worst.shifts} by "
         f"{significant(worst.in_sd)} of its sd."
+    )
+
+
+def _undetectable_sentence(found: Diagnosis) -> str:
+    """Return how many effects these runs cannot show, and what that may mean for the estimates; empty where none."""
+    hidden = len(found.undetectable)
+    if not hidden:
+        return ""
+    effects, them = ("effect of the catalogue is", "it") if hidden == 1 else ("effects of the catalogue are", "them")
+    said = f" {hidden} {effects} undetectable in these runs."
+    worst = found.most_biasing
+    return said if worst is None else f"{said} No interval includes {them}: {bias_clause(worst)}."
+
+
+def bias_clause(bias: ParameterBias) -> str:
+    """Return what an effect that the runs cannot show would do to the parameter that it biases most."""
+    size = f"{significant(bias.size)} {pretty(bias.size_unit)}"
+    return (
+        f"{bias.coefficient} of {size}, the largest typical size, would bias {bias.parameter} by "
+        f"{significant(abs(bias.in_sd))} of its sd"
     )
 
 

@@ -156,6 +156,7 @@ def adequacy_of(result: Result, diagnosis: Diagnosis | None, tree: tuple[Tree, s
         undetectable=tuple(dict.fromkeys(each.effect for each in diagnosis.undetectable))
         if diagnosis is not None
         else (),
+        most_biasing=diagnosis.most_biasing if diagnosis is not None else None,
         structure=tuple(StructureFound(channel=s.channel, covariate=s.covariate, p=s.p) for s in diagnosis.structure)
         if diagnosis is not None
         else (),

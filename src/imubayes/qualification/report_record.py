@@ -7,6 +7,7 @@ None.
 
 from typing import Literal
 
+from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.model_history import ChannelRms
 from imubayes.criticism.verdict import Verdict
 from imubayes.inference.identifiability import WeakDirection
@@ -295,6 +296,7 @@ class Adequacy(Record):
     candidates : effects and channels that were screened.
     missing : effects that the diagnosis names.
     undetectable : effects that these runs cannot show.
+    most_biasing : what the worst of them would do to the estimates; None where that would not matter.
     noise_violations : how the noise departs from its model.
     noise_suspected : how it may depart, although it may be chance.
     diagnoses : how often it was looked: diagnoses in the history of models, the last one included.
@@ -314,6 +316,7 @@ class Adequacy(Record):
     intervals_valid: bool
     noise_violations: tuple[NoiseViolation, ...]
     noise_suspected: tuple[NoiseViolation, ...] = ()
+    most_biasing: ParameterBias | None = None
     chi2: float | None
     dof: float
     diagnoses: int

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from imubayes.criticism import thresholds
+from imubayes.display.diagnosis_sentences import bias_clause
 from imubayes.display.labels import pretty
 from imubayes.display.noise_violation_text import violation_text
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
@@ -126,6 +127,8 @@ def adequacy_section(adequacy: Adequacy) -> list[Block]:
                 f"the same as absent: {enumerated(adequacy.undetectable, 40)}."
             )
         )
+    if adequacy.most_biasing is not None:
+        found.append(Paragraph(f"No interval includes them: {bias_clause(adequacy.most_biasing)}."))
     if adequacy.chi2 is not None:
         ratio = ratio_text(adequacy.chi2 / adequacy.dof) if adequacy.dof else NO_NUMBER
         found.append(

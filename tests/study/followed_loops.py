@@ -1,0 +1,153 @@
+"""What the loop ends with: hidden effects are diagnosed and added until nothing is suggested, and estimates compared.
+
+    python tests/study/followed_loops.py --first 350001 --count 4     every procedure, a line per campaign, resumed
+
+Campaigns are those of the blind study.  Where the data do not distinguish several effects, all of them are added, as
+`imubayes diagnose` suggests; beside it the loop is followed with the leader of each group alone, which is the planted
+fault: a refit confirms it, and what another member shifts is far off.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+import blind
+
+ROOT = Path(__file__).parents[2]
+LINES = ROOT / ".cache" / "followed_loops.jsonl"
+MOST_STEPS = 6
+FAR = 5.0
+"""Scores beyond this are far off: of some fifty parameters none is by chance."""
+
+Line = dict[str, Any]
+
+
+def follow(seed: int, procedure: str) -> Line:
+    """Return how the loops on one campaign ended."""
+    import hidden  # pyright: ignore[reportMissingImports]
+    import hidden_servo  # pyright: ignore[reportMissingImports]
+
+    import imubayes.api
+
+    with tempfile.TemporaryDirectory() as temporary:
+        place = Path(temporary) / "campaign"
+        if procedure == "servo_table":
+            drawn = hidden_servo.random_campaign(place, seed, "hidden")
+        else:
+            drawn = hidden.random_campaign(place, seed, "hidden", {"dividing_head": "head"}.get(procedure, procedure))
+        truth = tomllib.loads((place / "truth.toml").read_text(encoding="utf-8"))["parameters"]
+        start = imubayes.api.fit(place, drawn.model, sample=False)
+        line: Line = {"seed": seed, "procedure": procedure, "planted": drawn.planted[0].effect}
+        line["suggested"] = loop(start, truth, alone=False)
+        if line["suggested"]["equivalent"]:
+            line["alone"] = loop(start, truth, alone=True)
+    return line
+
+
+def loop(result: Any, truth: dict[str, float], alone: bool) -> Line:
+    """Return the verdicts, what was added, and the scores where the loop ends."""
+    import imubayes.api
+
+    verdicts: list[str] = []
+    added: list[list[str]] = []
+    equivalent = refused = False
+    for _ in range(MOST_STEPS):
+        found = imubayes.api.diagnose(result)
+        verdicts.append(found.verdict)
+        if found.suggested is None:
+            break
+        equivalent |= any(len(group.effects) > 1 for group in found.groups)
+        leader = found.suggested.effects[:1] if alone and found.groups else ()
+        addition = imubayes.api.add(result, leader, diagnosis=found)
+        added.append([one.effect for one in addition.added])
+        if not addition.taken:
+            refused = True
+            break
+        result = addition.result
+    own = [one for one in result.summary.parameters if one.name in truth and one.sd]
+    scores = {one.name: float((one.mean - truth[one.name]) / one.sd) for one in own}
+    worst = max(scores, key=lambda name: abs(scores[name]))
+    return {
+        "verdicts": verdicts,
+        "added": added,
+        "equivalent": equivalent,
+        "refused": refused,
+        "rms": float(np.sqrt(np.mean(np.square([*scores.values()])))),
+        "worst": worst,
+        "largest": abs(scores[worst]),
+    }
+
+
+def attempt(seed: int, procedure: str, until: float) -> Line | None:
+    """Follow the loops on one campaign, None where the time is up; what breaks is a line too."""
+    if time.time() > until:
+        return None
+    try:
+        return follow(seed, procedure)
+    except Exception as error:
+        return {"seed": seed, "procedure": procedure, "error": f"{type(error).__name__}: {error}"[:500]}
+
+
+def table(lines: Sequence[Line]) -> list[str]:
+    """Return the outcome in Markdown."""
+    rows = [
+        "| loop | campaigns | ends adequate | an estimate more than 5 sd off | adequate and more than 5 sd off |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    done = [line for line in lines if "error" not in line]
+    for name, kind in (("as suggested", "suggested"), ("leader alone, where there are equivalents", "alone")):
+        ended = [line[kind] for line in done if kind in line]
+        adequate = [each["verdicts"][-1] == "adequate" for each in ended]
+        far = [each["largest"] > FAR for each in ended]
+        both = sum(map(all, zip(adequate, far, strict=True)))
+        rows.append(f"| {name} | {len(ended)} | {sum(adequate)} | {sum(far)} | {both} |")
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--first", type=int, default=350001, help="first seed")
+    parser.add_argument("--count", type=int, default=4, help="seeds of every procedure")
+    parser.add_argument("--procedures", nargs="+", default=blind.PROCEDURES, choices=blind.PROCEDURES)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument(
+        "--seconds", type=float, default=float("inf"), help="no campaign is begun after so many seconds"
+    )
+    parser.add_argument("--lines", type=Path, default=LINES, help="the file with one line per campaign")
+    chosen = parser.parse_args()
+    until = time.time() + chosen.seconds
+    known = [json.loads(text) for text in chosen.lines.read_text().splitlines()] if chosen.lines.exists() else []
+    done = {(line["seed"], line["procedure"]) for line in known if "error" not in line}
+    wanted = [(chosen.first + k, procedure) for k in range(chosen.count) for procedure in chosen.procedures]
+    chosen.lines.parent.mkdir(parents=True, exist_ok=True)
+    # Each worker has one processor to itself; after JAX has started a process must not fork.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    context = multiprocessing.get_context("spawn")
+    with (
+        ProcessPoolExecutor(chosen.workers, mp_context=context, initializer=blind.start_worker) as pool,
+        chosen.lines.open("a") as file,
+    ):
+        futures = [pool.submit(attempt, *task, until) for task in wanted if task not in done]
+        for future in as_completed(futures):
+            line = future.result()
+            if line is not None:
+                known.append(line)
+                file.write(json.dumps(line) + "\n")
+                file.flush()
+    print("\n".join(table(known)))
+
+
+if __name__ == "__main__":
+    main()
