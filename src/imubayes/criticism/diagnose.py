@@ -1,6 +1,6 @@
 """From a converged fit to its diagnosis: the search, the verdict, and everything that supports it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from imubayes.campaign_data import Kind
@@ -383,7 +383,7 @@ def _rivals(found: SearchResult) -> tuple[RivalExplanation, ...]:
 
 
 def _suggested(found: SearchResult, verdict: Verdict) -> Suggestion | None:
-    """Return what to add next; the channels where they are not all on which its first effect was screened.
+    """Return what to add next; the channels where they are not all on which its effects were screened.
 
     Where the data do not distinguish several effects, all of them: the posterior then holds every explanation.  A refit
     with one of them alone would confirm it, and what another one would shift would be far off.
@@ -399,14 +399,16 @@ def _suggested(found: SearchResult, verdict: Verdict) -> Suggestion | None:
     others = [member for group in groups for member in group.members[1:]]
     together = [*leaders, *others, *(member for each in rivals for member in each.members)]
     effects = tuple(dict.fromkeys(member.effect for member in together))
-    return Suggestion(effects=effects, channels=None if found.unfinished else _shared_channels(found, together))
+    return Suggestion(effects=effects, channels=_channels_of_all(found, together))
 
 
-def _shared_channels(found: SearchResult, together: Sequence[Candidate]) -> tuple[str, ...] | None:
-    """Return the channels of the first candidate; None where it acts on no others, or another one on none of them."""
-    first, *others = together
-    channels = channels_of(found, first)
-    same = [candidate for candidate in found.first.candidates if candidate.effect == first.effect]
-    everywhere = {name for candidate in same for name in channels_of(found, candidate)}
-    apart = any(set(own).isdisjoint(channels) for each in others if (own := channels_of(found, each)))
-    return None if apart or set(channels) == everywhere else channels
+def _channels_of_all(found: SearchResult, together: Sequence[Candidate]) -> tuple[str, ...] | None:
+    """Return the channels on which candidates were found; None where their effects were screened on no others."""
+
+    def channels(candidates: Iterable[Candidate]) -> set[str]:
+        return {name for candidate in candidates for name in channels_of(found, candidate)}
+
+    here, effects = channels(together), {candidate.effect for candidate in together}
+    screened = channels(candidate for candidate in found.first.candidates if candidate.effect in effects)
+    every = found.first.projection.fitted.model.campaign.channels
+    return None if here == screened else tuple(channel.name for channel in every if channel.name in here)
