@@ -39,8 +39,6 @@ def follow(seed: int, procedure: str) -> Line:
     import hidden  # pyright: ignore[reportMissingImports]
     import hidden_servo  # pyright: ignore[reportMissingImports]
 
-    import imubayes.api
-
     with tempfile.TemporaryDirectory() as temporary:
         place = Path(temporary) / "campaign"
         if procedure == "servo_table":
@@ -48,7 +46,7 @@ def follow(seed: int, procedure: str) -> Line:
         else:
             drawn = hidden.random_campaign(place, seed, "hidden", {"dividing_head": "head"}.get(procedure, procedure))
         truth = tomllib.loads((place / "truth.toml").read_text(encoding="utf-8"))["parameters"]
-        start = imubayes.api.fit(place, drawn.model, sample=False)
+        start = blind.mode_of(place, drawn.model)
         line: Line = {"seed": seed, "procedure": procedure, "planted": drawn.planted[0].effect}
         line["suggested"] = loop(start, truth, alone=False)
         if line["suggested"]["equivalent"]:
@@ -56,38 +54,59 @@ def follow(seed: int, procedure: str) -> Line:
     return line
 
 
-def loop(result: Any, truth: dict[str, float], alone: bool) -> Line:
+def loop(fitted: Any, truth: dict[str, float], alone: bool) -> Line:
     """Return the verdicts, what was added, and the scores where the loop ends."""
-    import imubayes.api
+    from imubayes.criticism.diagnose import judge
 
     verdicts: list[str] = []
-    added: list[list[str]] = []
-    equivalent = refused = False
+    added: list[tuple[str, ...]] = []
+    equivalent = False
     for _ in range(MOST_STEPS):
-        found = imubayes.api.diagnose(result)
+        found = judge(fitted)
         verdicts.append(found.verdict)
-        if found.suggested is None:
+        choice = found.suggested
+        if choice is None:
             break
         equivalent |= any(len(group.effects) > 1 for group in found.groups)
-        leader = found.suggested.effects[:1] if alone and found.groups else ()
-        addition = imubayes.api.add(result, leader, diagnosis=found)
-        added.append([one.effect for one in addition.added])
-        if not addition.taken:
-            refused = True
-            break
-        result = addition.result
-    own = [one for one in result.summary.parameters if one.name in truth and one.sd]
-    scores = {one.name: float((one.mean - truth[one.name]) / one.sd) for one in own}
+        effects = choice.effects[:1] if alone and found.groups else choice.effects
+        channels = found.channels_for(effects[0]) if len(effects) == 1 else choice.channels
+        fitted = with_effects(fitted, effects, channels, found)
+        added.append(effects)
+    scores = scores_of(fitted, truth)
     worst = max(scores, key=lambda name: abs(scores[name]))
     return {
         "verdicts": verdicts,
         "added": added,
         "equivalent": equivalent,
-        "refused": refused,
         "rms": float(np.sqrt(np.mean(np.square([*scores.values()])))),
         "worst": worst,
         "largest": abs(scores[worst]),
     }
+
+
+def with_effects(fitted: Any, effects: Sequence[str], channels: Sequence[str] | None, found: Any) -> Any:
+    """Return the mode with effects added, from where `imubayes add` begins it."""
+    from imubayes.criticism.addition import start_of_refit
+
+    extension = start_of_refit(fitted, effects, channels, found)
+    return blind.mode_from(extension.model, extension.z, extension.h)
+
+
+def scores_of(fitted: Any, truth: dict[str, float]) -> dict[str, float]:
+    """Return (mode − truth)/sd, both in z, of every parameter whose truth is known, by the Laplace approximation."""
+    from imubayes.inference.nested_laplace import posterior_precision
+    from imubayes.inference.posterior_mode import find_mode
+
+    problem = fitted.model.problem
+    sd = np.sqrt(
+        np.diag(np.linalg.inv(np.asarray(posterior_precision(problem, find_mode(problem, fitted.z, fitted.h)))))
+    )
+    scores = {}
+    for place, parameter in enumerate(fitted.model.layout.parameters):
+        true = parameter.z_at(truth[parameter.name]) if parameter.name in truth else None
+        if true is not None:
+            scores[parameter.name] = float((fitted.z[place] - true) / sd[place])
+    return scores
 
 
 def attempt(seed: int, procedure: str, until: float) -> Line | None:

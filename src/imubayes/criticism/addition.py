@@ -93,13 +93,13 @@ def refit_with(
                 "mend what kept the fit from converging, fit again, then add",
             )
         )
-    screened = _screened(effects, diagnosis)
-    extension = _extended(before, effects, channels, screened, files)
+    extension = start_of_refit(before, effects, channels, diagnosis, files)
     progress("fitting")
     fit = joint_fit(extension.model, None, start=(extension.z, extension.h), progress=progress)
     delta_chi2 = observed_delta_chi2(before, extension, fit) if fit.converged else float("nan")
     against = objection(fit, delta_chi2)
     unseen = None if against else cross_validate(before, fit, progress)
+    screened = _screened(effects, diagnosis)
     known = screened[0] if screened and _one_finding(effects, diagnosis) else None
     remaining = None if against else delta_chi2_at_remaining_noise(before, extension, fit)
     return Refit(before, extension, fit, delta_chi2, remaining, against, unseen, _prediction(extension, known))
@@ -117,13 +117,15 @@ def _one_finding(effects: Sequence[str], diagnosis: Diagnosis | None) -> bool:
     return len(effects) == 1 or any(set(effects) <= set(group.effects) for group in groups)
 
 
-def _extended(
+def start_of_refit(
     before: Fit,
     effects: Sequence[str],
     channels: Sequence[str] | None,
-    screened: Sequence[ScreenedEffect],
-    files: Sequence[str],
+    diagnosis: Diagnosis | None,
+    files: Sequence[str] = (),
 ) -> Extension:
+    """Return the model with effects added and the start of its refit (see `refit_with`)."""
+    screened = _screened(effects, diagnosis)
     shape, hints = {}, {}
     for line in screened:
         shape |= {name if "." in name else f"{line.effect}.{name}": value for name, value in line.shape.items()}

@@ -67,10 +67,11 @@ def _next(found: PooledDiscovery) -> list[str]:
     """Return what to do with the first finding."""
     if not found.findings:
         return []
-    effect = found.findings[0].effects[0]
+    # All that the units do not distinguish: the posterior then holds each explanation.
+    entries = " and ".join(f'[[effect]] name = "{effect}"' for effect in found.findings[0].effects)
     return [
-        f'next: write [[effect]] name = "{effect}" in a copy of the model, run imubayes batch with it and --out of '
-        "another folder, then imubayes batch compare OLD NEW"
+        f"next: write {entries} in a copy of the model, run imubayes batch with it and --out of another folder, then "
+        "imubayes batch compare OLD NEW"
     ]
 
 
