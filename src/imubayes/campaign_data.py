@@ -22,11 +22,15 @@ INPUT_UNIT: dict[str, str] = {"gyro": "deg/s", "accelerometer": "g", "angle": "d
 
 @dataclass(frozen=True)
 class Site:
-    """Where the test was made: latitude in rad, height in m, gravity in m/s²."""
+    """Where the test was made: latitude in rad, height in m, gravity and its standard uncertainty in m/s².
+
+    The uncertainty is 0 where gravity is exact, and None where it is not stated.
+    """
 
     latitude: float
     height: float
     gravity: float
+    gravity_uncertainty: float | None = None
 
 
 @dataclass(frozen=True)

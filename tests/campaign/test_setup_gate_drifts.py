@@ -42,7 +42,11 @@ def test_a_reversed_column_is_named_where_a_ramp_goes_up_and_down(tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("seed", "effect"), [(160040, "converter_offset_drift_quadratic"), (150005, "converter_leakage")]
+    ("seed", "effect"),
+    [
+        (160040, "converter_offset_drift_quadratic"),
+        pytest.param(150005, "converter_leakage", marks=pytest.mark.slow),
+    ],
 )
 def test_a_curve_of_the_converter_is_no_exchange_of_thermometers(
     tmp_path: Path, seed: int, effect: str, monkeypatch: pytest.MonkeyPatch
@@ -62,6 +66,7 @@ def test_a_curve_of_the_converter_is_no_exchange_of_thermometers(
     assert gate(inspect_campaign(tmp_path / "ramp")) == {"thermometers_exchanged"}
 
 
+@pytest.mark.slow
 def test_a_dead_zone_that_swallows_the_earth_rate_is_no_latitude(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,13 +17,18 @@ from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 
 
-def fitted(ppm: float) -> Fit:
-    """Return the fit of a campaign whose table rate is known to so many ppm, by a model that takes it as exact."""
+def fitted(ppm: float, gravity: float | None = None) -> Fit:
+    """Return the fit of a campaign whose table rate is known to so many ppm, by a model that takes it as exact.
+
+    Gravity is known to so many µg; None where that is not stated.
+    """
     spec = read_model(ROOT / "models" / "hidden-effects.toml")
     spec = replace(spec, effects=tuple(each for each in spec.effects if each.name != "table_rate_error"))
     campaign = load_campaign(ROOT / "data" / "hidden-none")
     tables = {name: replace(table, rate_uncertainty=ppm * 1e-6) for name, table in campaign.tables.items()}
-    declared = bind(spec, replace(campaign, tables=tables))
+    stated = None if gravity is None else gravity * 1e-6 * campaign.site.gravity
+    site = replace(campaign.site, gravity_uncertainty=stated)
+    declared = bind(spec, replace(campaign, tables=tables, site=site))
     found = refitted(declared, *(np.zeros(size) for size in declared.problem.size))
     assert found.converged
     return found
@@ -55,7 +60,27 @@ def test_a_table_rate_taken_as_exact_is_told():
 
 
 def test_what_hardly_matters_is_not_told():
-    found = judge(fitted(1e-3))
+    at = fitted(1e-3)
+    found = judge(at)
     assert not found.neglected
     assert found.proposed is None
-    assert "No interval includes" not in sentence(found)
+    assert "No interval includes table_rate_error" not in sentence(found)
+    # Nothing is stated of gravity: what its largest typical error would do is told.
+    worst = found.most_biasing
+    assert worst is not None
+    assert (worst.coefficient, worst.size, worst.size_unit) == ("gravity_anomaly.anomaly[all]", 300.0, "ug")
+    # Gravity in error by 300 µg is a scale factor error of 300 ppm.
+    place = at.model.layout.names.index(worst.parameter)
+    assert worst.parameter.startswith("accel_scale_factor.scale")
+    scale = at.model.layout.parameters[place].prior.sd() * 1e6
+    assert abs(worst.in_sd) == pytest.approx(300.0 / (scale * sd(at, place)), rel=0.05)
+    assert "gravity_anomaly.anomaly[all] of 300 µg, the largest typical size, would bias accel_scale" in sentence(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("gravity", "told"), [(20.0, True), (0.0, False)])
+def test_gravity_that_the_campaign_states_is_told_by_its_uncertainty(gravity, told):
+    found = judge(fitted(1e-3, gravity))
+    assert ([each.effect for each in found.neglected] == ["gravity_anomaly"]) == told
+    assert ("No interval includes gravity_anomaly" in sentence(found)) == told
+    assert found.most_biasing is None or "gravity" not in found.most_biasing.coefficient

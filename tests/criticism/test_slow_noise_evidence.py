@@ -70,7 +70,8 @@ def test_a_ramp_in_noise_that_wanders_little_is_evident():
     assert found.corrected < thresholds.SLOW_NOISE_EVIDENCE
 
 
-@pytest.mark.parametrize("seed", [NAMED_DRIFTS[0], pytest.param(NAMED_DRIFTS[1], marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", NAMED_DRIFTS)
 def test_a_drift_that_correlated_noise_took_up_is_named(tmp_path, seed):
     drawn = random_campaign(tmp_path / "record", seed, "hidden", "static_record", "gyro_bias_drift")
     named(judge(mode_of(tmp_path / "record", drawn.model)))

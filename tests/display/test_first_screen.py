@@ -12,7 +12,7 @@ from imubayes.criticism.addition import Prediction
 from imubayes.criticism.diagnosis_record import CoefficientEstimate, NoiseFinding
 from imubayes.criticism.held_out_record import CrossValidation
 from imubayes.criticism.verdict import EffectChoice, RmsChange
-from imubayes.display.addition_report import addition_report
+from imubayes.display.addition_report import addition_lines, addition_report, next_command
 from imubayes.display.check_report import check_report
 from imubayes.display.diagnosis_report import diagnosis_report
 from imubayes.display.diagnosis_sentences import sentence
@@ -115,6 +115,18 @@ def addition() -> Addition:
         runs=tuple(runs), channels=tuple(channels), chi2=known, dof=known, log_evidence=known, parent="results/hidden",
         folder="results/second",
     )  # fmt: skip
+
+
+def test_several_effects_that_were_not_taken_are_followed_by_the_first_alone(addition):
+    both = (EffectChoice(effect="gyro_dead_zone", channels=("gx",)), EffectChoice(effect="encoder_zero", channels=None))
+    refused = addition.model_copy(update={"added": both, "taken": False, "message": "The refit did not converge."})
+    lines = addition_lines(refused)
+    assert "The posterior with the first of them alone leaves out what the others may explain." in lines
+    assert next_command(refused) == (
+        "imubayes add gyro_dead_zone --to results/hidden --out results/second-alone --channels gx"
+    )
+    single = refused.model_copy(update={"added": both[:1]})
+    assert next_command(single) == "imubayes diagnose results/hidden"
 
 
 def test_add_shows_what_changed(addition):

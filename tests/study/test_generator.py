@@ -235,7 +235,10 @@ def test_run_offsets_hide_what_is_constant_in_a_run():
     assert detectability.look(plan, values).detectability({"gyro_bias_drift.slope[gx]": 3.6}) < 1e-3
 
 
-@pytest.mark.parametrize("kind", hidden.KINDS)
+# A large effect is sized by refits, a minute and more.
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.slow) if kind == "large" else kind for kind in hidden.KINDS]
+)
 def test_a_random_campaign_is_what_it_says(kind, tmp_path):
     drawn = hidden.random_campaign(tmp_path / "one", 3, kind)
     again = hidden.random_campaign(tmp_path / "two", 3, kind)
@@ -263,7 +266,7 @@ ALONE = {
     "reference_gyro": "gyro_scale_asymmetry", "head": "accel_cubic", "static_record": "gyro_warm_up",
     "free_tumble": "gyro_scale_cubic", "multi_axis_table": "middle_axis_squareness", "centrifuge": "arm_error",
 }  # fmt: skip
-LONG = ("free_tumble", "multi_axis_table", "centrifuge")
+LONG = ("free_tumble", "multi_axis_table", "centrifuge", "rotation_modulation", "thermal_ramp")
 
 
 @pytest.mark.parametrize(

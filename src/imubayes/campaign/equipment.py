@@ -44,9 +44,12 @@ class RunReferences(Protocol):
 
 def build_site(entry: SiteEntry) -> Site:
     """Return the site in SI; without measured gravity, normal gravity by WGS 84."""
-    latitude = entry.latitude_deg * DEGREE
-    gravity = entry.gravity_m_s2
-    return Site(latitude, entry.height_m, normal_gravity(latitude, entry.height_m) if gravity is None else gravity)
+    latitude, measured = entry.latitude_deg * DEGREE, entry.gravity_m_s2
+    gravity = normal_gravity(latitude, entry.height_m) if measured is None else measured
+    stated = entry.gravity_uncertainty_ug
+    if stated is None:
+        return Site(latitude, entry.height_m, gravity, None if measured is None else 0.0)
+    return Site(latitude, entry.height_m, gravity, stated * to_si("ug", gravity))
 
 
 def build_channels(entries: Mapping[int, ChannelEntry], gravity: float, ledger: Ledger) -> tuple[Channel, ...]:

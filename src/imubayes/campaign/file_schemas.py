@@ -33,6 +33,9 @@ class SiteEntry(_Entry):
     latitude_deg: float = Field(ge=-90, le=90, description="geodetic, positive to the North")
     height_m: float = Field(default=0.0, ge=-1000, le=20000, description="above the ellipsoid")
     gravity_m_s2: float | None = Field(default=None, ge=9.5, le=10.1, description="as measured; by default WGS 84")
+    gravity_uncertainty_ug: NotNegative | None = Field(
+        default=None, description="standard uncertainty; by default 0 for measured gravity, unknown for WGS 84"
+    )
 
 
 class UnitEntry(_Entry):

@@ -18,6 +18,7 @@ from imubayes.gather import on_device
 from imubayes.inference.fitted_model import Fit
 from imubayes.kept_programs import kept
 from imubayes.model.assembly import assemble
+from imubayes.model.bind import Model
 from imubayes.model.bound_effects import (
     BoundEffect,
     ExactEquipmentError,
@@ -29,6 +30,7 @@ from imubayes.model.bound_effects import (
 from imubayes.model.build_problem import build_problem
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.model_spec import EffectSpec
+from imubayes.model.parameter_priors import stated_uncertainty
 from imubayes.model.problem import Problem, predict_from
 from imubayes.parameters.parameter_declarations import declared_parameters
 from imubayes.parameters.vector import Parameter
@@ -113,6 +115,16 @@ class _Extended:
     effects: tuple[BoundEffect, ...]
     parameters: tuple[Parameter, ...]
     places: dict[str, int]
+
+
+def stated_size(model: Model, effect: str, coefficient: Coefficient) -> float | None:
+    """Return the standard uncertainty that the campaign states of a coefficient, in its unit; None without one."""
+    campaign, parameter = model.campaign, coefficient.parameter
+    equipment = {"table": campaign.tables, "mounting": campaign.mountings}
+    labels = {axis: coefficient.owner for axis, known in equipment.items() if coefficient.owner in known}
+    declared = declared_parameters(model.registry.effects[effect])[parameter.field]
+    stated = stated_uncertainty(declared.equipment, labels, campaign)
+    return None if stated is None else stated / parameter.factor
 
 
 def candidate_responses(fitted: Fit, only: Sequence[str] = ()) -> Responses:

@@ -1,13 +1,12 @@
 """Detectability: what absorbs an effect that the model lacks, and how small an effect these runs could still show."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.candidate_effects import Coefficient
+from imubayes.criticism.candidate_effects import Response, stated_size
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.score_test import KNOWN_FREEDOM, LEAST_FREEDOM, ProjectedResponse
 
@@ -26,6 +25,8 @@ class Absorber:
 @dataclass(frozen=True)
 class ParameterBias:
     """The parameter that an effect of the largest typical size biases most while undetected.
+
+    None of that size is assumed where the campaign states the uncertainty of the equipment.
 
     Attributes
     ----------
@@ -98,7 +99,7 @@ def detectability(projection: Projection, response: ProjectedResponse, threshold
         smallest_detectable=float(smallest[best]),
         typical=coefficient.typical,
         absorbed_by=_absorbers(projection, response.whitened[:, best], shift[:, best], float(raw[best])),
-        bias=_bias(projection, coefficients, shift),
+        bias=_bias(projection, response.response, shift),
     )
 
 
@@ -138,20 +139,28 @@ def noncentrality_needed(p: np.ndarray, freedom: np.ndarray) -> np.ndarray:
     return high
 
 
-def _bias(projection: Projection, coefficients: Sequence[Coefficient], shift: np.ndarray) -> ParameterBias | None:
-    """Return the worst bias by one of C coefficients that shift the parameters by so much in z per unit, (P, C)."""
+def _bias(projection: Projection, response: Response, shift: np.ndarray) -> ParameterBias | None:
+    """Return the worst bias by one of C coefficients that shift the parameters by so much in z per unit, (P, C).
+
+    Uncertainties that the campaign states of the equipment are told by themselves (`neglected_uncertainty`).
+    """
+    fitted, coefficients = projection.fitted, response.coefficients
+    stated = [stated_size(fitted.model, response.scan.effect, each) for each in coefficients]
+    sizes = [each.typical[1] if own is None else 0.0 for each, own in zip(coefficients, stated, strict=True)]
     if not len(shift):
         return None
-    shifts = shift * [each.typical[1] for each in coefficients]
-    in_sd = shifts / projection.posterior_sd[:, None]
+    in_sd = shift * sizes / projection.posterior_sd[:, None]
     most, worst = divmod(int(np.argmax(np.abs(in_sd))), len(coefficients))
-    parameter = projection.fitted.model.layout.parameters[most]
-    value = float(shifts[most, worst] * projection.slopes[most] / parameter.factor)
-    cause = coefficients[worst]
+    parameter, cause = fitted.model.layout.parameters[most], coefficients[worst].parameter
     return ParameterBias(
-        parameter.name, parameter.shown_unit, value, float(in_sd[most, worst]),
-        cause.parameter.name, cause.typical[1], cause.parameter.shown_unit,
-    )  # fmt: skip
+        parameter=parameter.name,
+        unit=parameter.shown_unit,
+        value=float(shift[most, worst] * sizes[worst] * projection.slopes[most] / parameter.factor),
+        in_sd=float(in_sd[most, worst]),
+        coefficient=cause.name,
+        size=sizes[worst],
+        size_unit=cause.shown_unit,
+    )
 
 
 def _absorbers(projection: Projection, whitened: np.ndarray, shift: np.ndarray, raw: float) -> tuple[Absorber, ...]:

@@ -10,10 +10,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from imubayes.criticism import thresholds
+from imubayes.criticism.candidate_effects import stated_size
 from imubayes.criticism.diagnosis_record import NeglectedUncertainty
 from imubayes.criticism.stepwise_search import SearchResult
-from imubayes.model.parameter_priors import stated_uncertainty
-from imubayes.parameters.parameter_declarations import declared_parameters
 
 
 def neglected_uncertainties(found: SearchResult) -> tuple[NeglectedUncertainty, ...]:
@@ -30,24 +29,19 @@ def _shifts(found: SearchResult) -> Iterator[NeglectedUncertainty]:
     """Yield each stated uncertainty of a candidate with the shift of the parameter that it moves most."""
     at = found.first.projection
     model = at.fitted.model
-    equipment = {"table": model.campaign.tables, "mounting": model.campaign.mountings}
     for prepared in found.first.prepared:
-        member = model.registry.effects[prepared.response.scan.effect]
-        declared = declared_parameters(member)
+        effect = prepared.response.scan.effect
         for place, coefficient in enumerate(prepared.response.coefficients):
-            parameter = coefficient.parameter
-            owner = coefficient.owner
-            labels = {axis: owner for axis, known in equipment.items() if owner in known}
-            stated = stated_uncertainty(declared[parameter.field].equipment, labels, model.campaign)
+            stated = stated_size(model, effect, coefficient)
             if not stated:
                 continue
-            shift = at.absorb(prepared.whitened[:, place]) * stated / parameter.factor / at.posterior_sd
+            shift = at.absorb(prepared.whitened[:, place]) * stated / at.posterior_sd
             most = int(np.argmax(np.abs(shift)))
             yield NeglectedUncertainty(
-                effect=member.name,
-                parameter=parameter.name,
-                value=stated / parameter.factor,
-                unit=parameter.shown_unit,
+                effect=effect,
+                parameter=coefficient.parameter.name,
+                value=stated,
+                unit=coefficient.parameter.shown_unit,
                 shifts=model.layout.names[most],
                 in_sd=float(abs(shift[most])),
             )

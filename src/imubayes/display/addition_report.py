@@ -17,6 +17,8 @@ from imubayes.results.addition import Addition, RunRmsChange
 _PERCENT, _MOST_ROWS, _MOST_CHANGES = 5, 6, 3
 _LEAST_CHANGE = math.log(1 + _PERCENT / 100)
 
+_ONE_OF_SEVERAL = "The posterior with the first of them alone leaves out what the others may explain."
+
 _VERDICTS = {
     "helps": "the addition improves the prediction of {by}s that were left out",
     "unclear": "whether the addition improves the prediction of {by}s that were left out is unclear",
@@ -78,8 +80,12 @@ def _head(sheet: Sheet) -> Sheet:
 
 
 def next_command(addition: Addition) -> str:
-    """Return the command to run next."""
-    return f"imubayes diagnose {(addition.folder if addition.taken else addition.parent) or 'RESULT'}"
+    """Return the command to run next; where several effects were not taken, the first of them alone."""
+    if addition.taken or len(addition.added) == 1:
+        return f"imubayes diagnose {(addition.folder if addition.taken else addition.parent) or 'RESULT'}"
+    first, parent = addition.added[0], addition.parent or "RESULT"
+    channels = f" --channels {' '.join(first.channels)}" if first.channels else ""
+    return f"imubayes add {first.effect} --to {parent} --out {addition.folder or parent}-alone{channels}"
 
 
 def addition_lines(addition: Addition) -> list[str]:
@@ -95,6 +101,7 @@ def addition_lines(addition: Addition) -> list[str]:
         ),
         *(conflict_line(conflict) for conflict in addition.prior_conflicts),
         *([addition.message] if addition.message else []),
+        *([_ONE_OF_SEVERAL] if not addition.taken and addition.added[1:] else []),
         *_chi2_lines(addition),
         *held_out_lines(addition.held_out),
     ]

@@ -42,7 +42,7 @@ class GravityAnomaly(MotionEffect):
     confused_with = "a scale factor common to all accelerometers: exactly, where gravity is the only input"
     reference = "Hofmann-Wellenhof and Moritz, Physical Geodesy, gravity anomalies; 1 … 300 µg"
     anomaly: Scalar = parameter(
-        "ug", "normal(0, 50 ug)", (1, 300), "the excess of true over stated gravity", domain=GRAVITY_ERROR
+        "ug", "normal(0, 50 ug)", (1, 300), "the excess of true over stated gravity", "gravity", domain=GRAVITY_ERROR
     )
 
     def apply(self, motion: Motion, ambient: Ambient) -> Motion:

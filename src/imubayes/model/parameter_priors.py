@@ -175,7 +175,9 @@ def _from_equipment(fact: str, label: dict[str, str], campaign: Campaign, defaul
 def stated_uncertainty(fact: str, label: dict[str, str], campaign: Campaign) -> float | None:
     """Return the uncertainty that the campaign states of its equipment, SI; None where it states none."""
     stated = None
-    if fact == "seat" and "mounting" in label:
+    if fact == "gravity":
+        stated = campaign.site.gravity_uncertainty
+    elif fact == "seat" and "mounting" in label:
         stated = campaign.mountings[label["mounting"]].uncertainty
     elif fact in _OF_TABLES and "table" in label:
         stated = _OF_TABLES[fact](campaign.tables[label["table"]])
