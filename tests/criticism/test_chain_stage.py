@@ -16,6 +16,7 @@ from imubayes.criticism import chain_stage, stepwise_search
 from imubayes.criticism.candidate_effects import candidate_responses, moved_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.diagnosis_record import ChainStage, Diagnosis
+from imubayes.display.diagnosis_report import diagnosis_lines, next_command
 from imubayes.display.diagnosis_sentences import sentence
 from imubayes.effects.base import Stage
 from imubayes.inference.fitted_model import Fit
@@ -49,6 +50,20 @@ def test_a_dead_zone_is_of_gyro_or_converter(monkeypatch):
     assert found.groups[0].effects == ("converter_dead_zone",)
     assert found.groups[0].stage == ChainStage(named="converter", sensor="gyro", determined=False)
     assert "Whether it acts in the gyro or in its converter is not determined" in sentence(found)
+
+
+def test_what_the_runs_do_not_distinguish_is_suggested_together():
+    fitted = fitted_to("geographic-tumble", "geographic-tumble")
+    through = signal(fitted)
+    width = 0.1 * np.abs(through).max()
+    found = judge(redrawn(fitted, 3, change=-np.clip(through, -width, width)))
+    both = {"converter_dead_zone", "gyro_dead_zone"}
+    assert both <= set(found.groups[0].effects)
+    assert found.suggested is not None
+    assert both <= set(found.suggested.effects)
+    assert next_command(found).startswith(f"imubayes add {' '.join(found.suggested.effects)} --to RESULT")
+    [told] = [line for line in diagnosis_lines(found) if line.startswith("Indistinguishable in these runs: ")]
+    assert "The posterior with all of them in the model holds each explanation." in told
 
 
 def test_what_acts_across_the_input_axis_is_of_the_sensor():

@@ -28,8 +28,6 @@ import blind
 ROOT = Path(__file__).parents[2]
 LINES = ROOT / ".cache" / "followed_loops.jsonl"
 MOST_STEPS = 6
-FAR = 5.0
-"""Scores beyond this are far off: of some fifty parameters none is by chance."""
 
 Line = dict[str, Any]
 
@@ -122,16 +120,20 @@ def attempt(seed: int, procedure: str, until: float) -> Line | None:
 def table(lines: Sequence[Line]) -> list[str]:
     """Return the outcome in Markdown."""
     rows = [
-        "| loop | campaigns | ends adequate | an estimate more than 5 sd off | adequate and more than 5 sd off |",
+        "| loop | campaigns | planted effect in the model | ends adequate | adequate without the planted effect |",
         "| --- | --- | --- | --- | --- |",
     ]
     done = [line for line in lines if "error" not in line]
-    for name, kind in (("as suggested", "suggested"), ("leader alone, where there are equivalents", "alone")):
-        ended = [line[kind] for line in done if kind in line]
-        adequate = [each["verdicts"][-1] == "adequate" for each in ended]
-        far = [each["largest"] > FAR for each in ended]
-        both = sum(map(all, zip(adequate, far, strict=True)))
-        rows.append(f"| {name} | {len(ended)} | {sum(adequate)} | {sum(far)} | {both} |")
+    several = [line for line in done if "alone" in line]
+    for name, kind, own in (
+        ("as suggested", "suggested", done),
+        ("as suggested, where there are equivalents", "suggested", several),
+        ("the leader alone, in the same campaigns", "alone", several),
+    ):
+        adequate = [line[kind]["verdicts"][-1] == "adequate" for line in own]
+        has = [any(line["planted"] in effects for effects in line[kind]["added"]) for line in own]
+        wrong = sum(fine and not planted for fine, planted in zip(adequate, has, strict=True))
+        rows.append(f"| {name} | {len(own)} | {sum(has)} | {sum(adequate)} | {wrong} |")
     return rows
 
 
