@@ -22,6 +22,7 @@ def offset(fitted: Fit, seed: int, size: float) -> Fit:
     return redrawn(fitted, seed, change=np.where(entries.channel == 0, offsets[entries.run], 0.0))
 
 
+@pytest.mark.slow
 def test_an_effect_between_runs_is_never_adequate(monkeypatch):
     """The prior of the scatter has the median 0.1 in these units; the offsets are thousands of times as large."""
     fit = offset(fitted_to("hidden-none"), 1, 300.0)

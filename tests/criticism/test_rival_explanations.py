@@ -113,6 +113,7 @@ def test_no_imitation_is_confirmed(tmp_path):
     assert (wrong, confirmed) == (0, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unequal", [True, False])
 def test_one_of_a_pair_may_act_on_one_channel_alone(tmp_path, monkeypatch, unequal):
     """A bias drift of ax and a scale drift of all axes, of a generator that shares no code with the package.

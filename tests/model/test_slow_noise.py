@@ -117,6 +117,7 @@ def fitted(*noise: str):
     return values, float(bias)
 
 
+@pytest.mark.slow
 def test_a_record_of_independent_code():
     """Flicker and random walk of the generator, which shares no code, come back from block means."""
     values, bias = fitted("white_noise", "flicker_noise", "random_walk_noise")
