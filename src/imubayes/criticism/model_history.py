@@ -15,6 +15,9 @@ from imubayes.criticism.verdict import EffectChoice, Verdict
 from imubayes.json_record import Record
 from imubayes.representation import Presented
 
+# Effects of one step that its title names.
+_MOST_NAMED = 3
+
 
 class ChannelRms(Record):
     """An rms of one channel: its residual, or its noise floor.
@@ -82,8 +85,10 @@ class Node(Record):
 
     @property
     def title(self) -> str:
-        """What distinguishes it from its parent: the effects added, or the name of the first model."""
-        return " ".join(f"+ {choice.effect}" for choice in self.added) or self.model
+        """What distinguishes it from its parent: the first of the effects added, or the name of the first model."""
+        more = len(self.added) - _MOST_NAMED
+        named = [f"+ {choice.effect}" for choice in self.added[:_MOST_NAMED]]
+        return " ".join([*named, *([f"+ {more} more"] if more > 0 else [])]) or self.model
 
     @property
     def chi2_per_dof(self) -> float | None:

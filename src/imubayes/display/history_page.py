@@ -17,6 +17,7 @@ from imubayes.display.diagnosis_sentences import sentence
 from imubayes.display.figures.evidence_pictures import added_variable, before_after
 from imubayes.display.figures.history_steps import ChannelSteps, error_per_step_figure
 from imubayes.display.history_table import history_sheet
+from imubayes.display.labels import listed
 from imubayes.display.provenance_line import provenance_line
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
 from imubayes.display.table_layout import Sheet
@@ -112,7 +113,8 @@ def _section(step: HistoryStep) -> StepSection:
     verdict = (node.verdict or "").replace("_", " ")
     if addition is None:
         return StepSection(node.title, verdict, ["The facts of this step are no longer in its folder."])
-    names = ", ".join(choice.effect for choice in node.added)
+    # All of them are in the text; titles of pictures have room for two.
+    names = listed([choice.effect for choice in node.added], 2)
     pictures = []
     if step.before is not None and step.after is not None:
         floors = {channel.channel: channel.rms for channel in node.floor}
