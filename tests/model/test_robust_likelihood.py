@@ -124,6 +124,7 @@ def test_pseudo_values_have_the_gradient_of_the_log_density(noise):
     np.testing.assert_allclose(found.gradient - z, slope, rtol=1e-6, atol=1e-6 * float(jnp.abs(slope).max()))
 
 
+@pytest.mark.slow
 def test_the_gradient_of_the_noise_marginal():
     model, at = contaminated(WITH_OFFSETS), fitted()
     h, step = at.h + 0.1, 1e-4

@@ -51,7 +51,9 @@ def test_the_signal_path_agrees_with_attitude_and_place_differentiated(name):
     assert half.max() > 100
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "centrifuge" else name for name in MODULES]
+)
 def test_the_truth_is_within_its_uncertainty(name):
     model, _, true = shipped(name)
     mode = find_mode(model.problem, *(jnp.zeros(size) for size in model.problem.size))
