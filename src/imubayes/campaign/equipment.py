@@ -46,10 +46,7 @@ def build_site(entry: SiteEntry) -> Site:
     """Return the site in SI; without measured gravity, normal gravity by WGS 84."""
     latitude, measured = entry.latitude_deg * DEGREE, entry.gravity_m_s2
     gravity = normal_gravity(latitude, entry.height_m) if measured is None else measured
-    stated = entry.gravity_uncertainty_ug
-    if stated is None:
-        return Site(latitude, entry.height_m, gravity, None if measured is None else 0.0)
-    return Site(latitude, entry.height_m, gravity, stated * to_si("ug", gravity))
+    return Site(latitude, entry.height_m, gravity, _times(entry.gravity_uncertainty_ug, to_si("ug", gravity)))
 
 
 def build_channels(entries: Mapping[int, ChannelEntry], gravity: float, ledger: Ledger) -> tuple[Channel, ...]:

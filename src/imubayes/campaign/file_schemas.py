@@ -34,7 +34,7 @@ class SiteEntry(_Entry):
     height_m: float = Field(default=0.0, ge=-1000, le=20000, description="above the ellipsoid")
     gravity_m_s2: float | None = Field(default=None, ge=9.5, le=10.1, description="as measured; by default WGS 84")
     gravity_uncertainty_ug: NotNegative | None = Field(
-        default=None, description="standard uncertainty; by default 0 for measured gravity, unknown for WGS 84"
+        default=None, description="standard uncertainty of gravity; 0 means exact, by default unknown"
     )
 
 
