@@ -53,19 +53,22 @@ ADDED = 10
 # one campaign
 
 
-def draw_and_judge(kind: str, seed: int, folder: Path | None = None, procedure: str = "") -> Line:
-    """Draw, fit and diagnose one campaign, of one procedure alone where it is named."""
+def draw(place: Path, seed: int, kind: str, procedure: str) -> Any:
+    """Draw one campaign into a folder, of one procedure alone where it is named."""
     import hidden  # pyright: ignore[reportMissingImports]
     import hidden_servo  # pyright: ignore[reportMissingImports]
 
+    if procedure == "servo_table":
+        return hidden_servo.random_campaign(place, seed, kind)
+    return hidden.random_campaign(place, seed, kind, {"dividing_head": "head"}.get(procedure, procedure) or None)
+
+
+def draw_and_judge(kind: str, seed: int, folder: Path | None = None, procedure: str = "") -> Line:
+    """Draw, fit and diagnose one campaign, of one procedure alone where it is named."""
     with tempfile.TemporaryDirectory() as temporary:
         place = folder or Path(temporary) / "campaign"
         clock = [time.perf_counter()]
-        template = {"dividing_head": "head"}.get(procedure, procedure) or None
-        if procedure == "servo_table":
-            drawn = hidden_servo.random_campaign(place, seed, kind)
-        else:
-            drawn = hidden.random_campaign(place, seed, kind, template)
+        drawn = draw(place, seed, kind, procedure)
         clock.append(time.perf_counter())
         fitted = mode_of(place, drawn.model)
         clock.append(time.perf_counter())

@@ -34,15 +34,9 @@ Line = dict[str, Any]
 
 def follow(seed: int, procedure: str) -> Line:
     """Return how the loops on one campaign ended."""
-    import hidden  # pyright: ignore[reportMissingImports]
-    import hidden_servo  # pyright: ignore[reportMissingImports]
-
     with tempfile.TemporaryDirectory() as temporary:
         place = Path(temporary) / "campaign"
-        if procedure == "servo_table":
-            drawn = hidden_servo.random_campaign(place, seed, "hidden")
-        else:
-            drawn = hidden.random_campaign(place, seed, "hidden", {"dividing_head": "head"}.get(procedure, procedure))
+        drawn = blind.draw(place, seed, "hidden", procedure)
         truth = tomllib.loads((place / "truth.toml").read_text(encoding="utf-8"))["parameters"]
         start = blind.mode_of(place, drawn.model)
         line: Line = {"seed": seed, "procedure": procedure, "planted": drawn.planted[0].effect}

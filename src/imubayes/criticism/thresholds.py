@@ -159,7 +159,8 @@ MAX_FORMULAS = 3
 COVARIATE_SHARE = 0.9
 
 # A stated uncertainty that the model takes as exact is told where it shifts a parameter by so many of its posterior
-# standard deviations.  Derived: added in quadrature it widens an interval by 12 %, a digit of the standard uncertainty.
+# standard deviations, and so is the worst bias by an undetectable effect.  Derived: added in quadrature it widens an
+# interval by 12 %, a digit of the standard uncertainty.
 NEGLECTED_SHIFT = 0.5
 
 # ---- Detectability ---------------------------------------------------------------------------------------------------

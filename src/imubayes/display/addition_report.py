@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from imubayes.criticism.held_out_record import CrossValidation
 from imubayes.criticism.verdict import RmsChange
+from imubayes.display.diagnosis_report import add_command
 from imubayes.display.labels import pretty, readable
 from imubayes.display.prior_conflicts import conflict_line
 from imubayes.display.report_layout import Report
@@ -81,11 +82,11 @@ def _head(sheet: Sheet) -> Sheet:
 
 def next_command(addition: Addition) -> str:
     """Return the command to run next; where several effects were not taken, the first of them alone."""
-    if addition.taken or len(addition.added) == 1:
-        return f"imubayes diagnose {(addition.folder if addition.taken else addition.parent) or 'RESULT'}"
-    first, parent = addition.added[0], addition.parent or "RESULT"
-    channels = f" --channels {' '.join(first.channels)}" if first.channels else ""
-    return f"imubayes add {first.effect} --to {parent} --out {addition.folder or parent}-alone{channels}"
+    result = (addition.folder if addition.taken else addition.parent) or "RESULT"
+    first, *others = addition.added
+    if addition.taken or not others:
+        return f"imubayes diagnose {result}"
+    return add_command([first.effect], first.channels, result, f"{addition.folder or result}-alone")
 
 
 def addition_lines(addition: Addition) -> list[str]:

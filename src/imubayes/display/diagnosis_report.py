@@ -118,8 +118,7 @@ def next_command(found: Diagnosis) -> str:
     if found.asked is not None:
         return ""
     if choice is not None:
-        channels = f" --channels {' '.join(choice.channels)}" if choice.channels else ""
-        return f"imubayes add {' '.join(choice.effects)} --to {result} --out {result}-{choice.effects[0]}{channels}"
+        return add_command(choice.effects, choice.channels, result, f"{result}-{choice.effects[0]}")
     if found.verdict == "unexplained_structure":
         printable = any(structure.terms for structure in found.structure)
         adding = f"imubayes add found_shape.py --to {result} --out {result}-found_shape"
@@ -128,6 +127,12 @@ def next_command(found: Diagnosis) -> str:
     if found.verdict in ("noise_model", "not_converged") or found.wandering:
         return f"imubayes compare {result}"
     return f"imubayes plant --result {result}"
+
+
+def add_command(effects: Sequence[str], channels: Sequence[str] | None, result: str, out: str) -> str:
+    """Return the command that adds effects to the model of a result, on channels where they are named."""
+    on = f" --channels {' '.join(channels)}" if channels else ""
+    return f"imubayes add {' '.join(effects)} --to {result} --out {out}{on}"
 
 
 def effect_source(found: Diagnosis) -> str:
@@ -168,7 +173,7 @@ def _indistinguishable(found: Diagnosis) -> list[str]:
     group = found.groups[0]
     if len(group.effects) < 2:
         return []
-    suggested = found.suggested.effects if found.suggested is not None else ()
+    suggested = found.suggested is not None
     together = " The posterior with all of them in the model holds each explanation." if suggested else ""
     run = f" Discriminating run: {_run_text(group)}." if group.discriminating_run is not None else ""
     return [f"Indistinguishable in these runs: {', '.join(group.effects)}.{together}{run}"]
