@@ -7,8 +7,11 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from imubayes.campaign.campaign_reader import CAMPAIGN_FILE
 from imubayes.campaign.convert import ConvertOptions
 from imubayes.campaign.convert import convert as convert_recording
+from imubayes.campaign.file_schemas import CampaignFile
+from imubayes.campaign.toml_documents import read_document
 from imubayes.errors import input_error
 
 
@@ -41,16 +44,20 @@ def convert(
     Parameters
     ----------
     kind
-        imu-tk (two text files, accelerometers and gyros, each time x y z) or six-column (ax ay az gx gy gz).
+        imu-tk (two text files, accelerometers and gyros, each time x y z) or six-column (columns named ax ay az gx gy
+        gz, or these six without names).
     files
         The recording.
     out
         Campaign folder to write.
     column
-        COLUMN=SOURCE, once for each column to read; SOURCE is a name or a number from 1.
+        COLUMN=SOURCE, once for each column whose name is another; SOURCE is a name or a number from 1.
     """
     chosen = replace(options, columns=dict(_column_source(word) for word in column or []))
     folder = convert_recording(kind, files, out, **vars(chosen))
+    entry = read_document(folder / CAMPAIGN_FILE, CampaignFile).entry
+    for note in entry.notes if entry else ():
+        print(f"note: {note}")
     print(f"campaign in {folder}; next: imubayes check {folder}")
     return 0
 

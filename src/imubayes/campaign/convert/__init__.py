@@ -13,7 +13,7 @@ from typing import Any
 
 from imubayes.campaign.convert.campaign_writer import refuse_occupied, write_campaign
 from imubayes.campaign.convert.count_scaling import nominal_of_counts
-from imubayes.campaign.convert.recording_formats import GYROS, KINDS, SIX, Columns
+from imubayes.campaign.convert.recording_formats import GYROS, KINDS, SIX, Columns, ReadRecording
 from imubayes.campaign.convert.recording_options import ACCEL_UNITS, GYRO_UNITS, ConvertOptions, read_options
 from imubayes.earth import normal_gravity
 from imubayes.errors import closest_first, input_error
@@ -49,8 +49,8 @@ def convert(kind: str, files: Sequence[str | Path], out: str | Path, **options: 
     chosen = read_options(options)
     folder = Path(out)
     refuse_occupied(folder)
-    columns = KINDS[kind]([Path(file) for file in files], chosen)
-    table, document = _campaign(columns, chosen, folder, kind, ", ".join(Path(file).name for file in files))
+    read = KINDS[kind]([Path(file) for file in files], chosen)
+    table, document = _campaign(read, chosen, folder, kind, ", ".join(Path(file).name for file in files))
     recording = " and ".join(str(file) for file in files)
     write_campaign(folder, document, {RECORDING: table}, came_from=lambda where: _came_from(where, recording))
     return folder
@@ -67,9 +67,9 @@ def _came_from(where: str, recording: str) -> str:
 
 
 def _campaign(
-    columns: Columns, options: ConvertOptions, folder: Path, kind: str, source: str
+    read: ReadRecording, options: ConvertOptions, folder: Path, kind: str, source: str
 ) -> tuple[Columns, dict[str, Any]]:
-    notes = [f"converted from {source} ({kind})"]
+    columns, notes = read.columns, [f"converted from {source} ({kind})", *read.notes]
     site = _site(options, notes)
     gravity = site.get("gravity_m_s2") or normal_gravity(math.radians(site["latitude_deg"]), options.height_m)
     run: dict[str, Any] = {"name": "recording", "procedure": options.procedure, "file": RECORDING}

@@ -1,0 +1,132 @@
+"""Which column of a foreign text table is which channel: by its name, or refused."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tumble_files import NAMES, tumble_log
+
+from imubayes.campaign import load_campaign
+from imubayes.campaign.convert import KINDS
+from imubayes.campaign.convert.recording_options import ConvertOptions
+from imubayes.cli.main import run
+from imubayes.errors import InputError
+
+SIGNS = ("", "# ", "#", "% ", "%%", "// ", "; ", "\ufeff", "\ufeff# ")
+DELIMITERS = (",", ";", "\t", " ", ", ")
+VALUES = np.random.default_rng(3).normal(size=(5, 9))
+HOURLY = ConvertOptions(sample_rate_hz=10.0)
+
+
+def table(file: Path, heading: str, values: np.ndarray, delimiter: str = " ") -> Path:
+    rows = [delimiter.join(f"{value:.6f}" for value in row) for row in values]
+    file.write_text("\n".join([*([heading] if heading else []), *rows, ""]))
+    return file
+
+
+def read(file: Path, **options) -> tuple[dict[str, np.ndarray], str]:
+    found = KINDS["six-column"]([file], ConvertOptions(**({"sample_rate_hz": 10.0} | options)))
+    return found.columns, "\n".join(found.notes)
+
+
+@pytest.mark.parametrize(("sign", "delimiter", "quote"), list(itertools.product(SIGNS, DELIMITERS, ("", '"', "'"))))
+def test_each_channel_has_the_column_of_its_name(tmp_path: Path, sign: str, delimiter: str, quote: str) -> None:
+    names = list(np.random.default_rng(len(sign)).permutation([*NAMES, "temperature_degC", "mag", "n"]))
+    file = table(tmp_path / "log", sign + delimiter.join(f"{quote}{name}{quote}" for name in names), VALUES, delimiter)
+    columns, note = read(file)
+    for name in (*NAMES, "temperature_degC"):
+        np.testing.assert_allclose(columns[name], VALUES[:, names.index(name)], atol=1e-6)
+        assert f"{name} ← column {names.index(name) + 1} '{name}' ({columns[name][0]:.6g} …)" in note
+    assert "not read" in note
+
+
+@pytest.mark.parametrize(("sign", "delimiter"), list(itertools.product(SIGNS, DELIMITERS)))
+@pytest.mark.parametrize("lost", ["name", "field", "channel"])
+def test_names_that_do_not_fit_the_fields_are_refused(tmp_path: Path, sign: str, delimiter: str, lost: str) -> None:
+    names = [*NAMES, "temp"]
+    heading = sign + delimiter.join(names[: 6 if lost == "name" else 7])
+    if lost == "channel":
+        heading = heading.replace("az", "acc_z")
+    file = table(tmp_path / "log", heading, VALUES[:, : 6 if lost == "field" else 7], delimiter)
+    with pytest.raises(InputError) as refused:
+        read(file)
+    [issue] = refused.value.issues
+    assert all((issue.what, issue.where, issue.allowed, issue.remedy))
+    assert ("there is no az" if lost == "channel" else "names stand above") in issue.what
+    columns, _ = read(file, columns={name: place for place, name in enumerate(NAMES, 1)})
+    np.testing.assert_allclose(columns["gz"], VALUES[:, 5], atol=1e-6)
+
+
+def test_names_among_other_lines_and_with_another_delimiter(tmp_path: Path) -> None:
+    heading = "# recorded by hand\n#\n# ax,ay,az,gx,gy,gz"
+    np.testing.assert_allclose(read(table(tmp_path / "a", heading, VALUES[:, :6]))[0]["gz"], VALUES[:, 5], atol=1e-6)
+    # The index of a table that pandas wrote has no name, or is called #.
+    for first in ("", "#"):
+        file = table(tmp_path / "b", ",".join((first, *NAMES)), VALUES[:, :7], ",")
+        np.testing.assert_allclose(read(file)[0]["ax"], VALUES[:, 1], atol=1e-6)
+    # A delimiter at the end of each line, and a first line of text and numbers.
+    file = table(tmp_path / "c", ",".join(NAMES), VALUES[:, :6], ",")
+    file.write_text("\n".join(f"{line}," if n else line for n, line in enumerate(file.read_text().splitlines())))
+    np.testing.assert_allclose(read(file)[0]["gz"], VALUES[:, 5], atol=1e-6)
+    stated = {name: f"{place}" for place, name in enumerate(NAMES, 2)}
+    file = table(tmp_path / "d", "time,1,2,3,4,5,6", VALUES[:, :7], ",")
+    assert len(read(file, columns=stated | {"time_s": "time"}, sample_rate_hz=None)[0]["ax"]) == len(VALUES)
+
+
+@pytest.mark.parametrize("width", [3, 5, 7, 9])
+def test_a_table_of_another_width_without_names_is_refused(tmp_path: Path, width: int) -> None:
+    file = table(tmp_path / "log", "", VALUES[:, :width])
+    for columns in ({}, {"time_s": 1}):
+        with pytest.raises(InputError, match=f"{width} columns and no names"):
+            read(file, columns=columns)
+    if width > 6:
+        columns, note = read(file, columns={name: place for place, name in enumerate(NAMES, 2)})
+        np.testing.assert_allclose(columns["ax"], VALUES[:, 1], atol=1e-6)
+        assert "no names, numbers from line 1" in note
+    assert "ax ← column 1" in read(table(tmp_path / "six", "", VALUES[:, :6]))[1]
+
+
+def test_a_stated_time_hides_no_named_channel(tmp_path: Path) -> None:
+    file = table(tmp_path / "log", " ".join(("ustime", *NAMES)), np.c_[np.arange(5.0), VALUES[:, :6]])
+    columns, _ = read(file, columns={"time_s": "ustime"}, time_unit="us", sample_rate_hz=None)
+    assert set(columns) == {"time_s", *NAMES}
+    np.testing.assert_allclose(columns["time_s"], 1e-6 * np.arange(5))
+    renamed = table(tmp_path / "other", " ".join(("acc", *NAMES[1:])), VALUES[:, :6])
+    assert set(read(renamed, columns={"ax": "acc"})[0]) == {"time_s", *NAMES}
+    # Channels that are stated and no others: a unit with fewer.
+    alone = table(tmp_path / "alone", "rate temp", VALUES[:, :2])
+    assert set(read(alone, columns={"gx": "rate"})[0]) == {"time_s", "gx"}
+
+
+def test_two_columns_of_one_name_are_refused(tmp_path: Path) -> None:
+    file = table(tmp_path / "log", " ".join((*NAMES, "ax")), VALUES[:, :7])
+    with pytest.raises(InputError, match="2 columns are named 'ax'"):
+        read(file)
+
+
+def test_imu_tk_columns_are_named_or_four(tmp_path: Path) -> None:
+    values = VALUES[:, [0, 1, 2, 3]]
+    gyro = table(tmp_path / "gyro", "", values)
+    found = KINDS["imu-tk"]([table(tmp_path / "acc", "# x y z time", values[:, [1, 2, 3, 0]]), gyro], HOURLY)
+    np.testing.assert_allclose(found.columns["ax"], values[:, 1], atol=1e-6)
+    assert len(found.notes) == 2
+    for heading, width in (("# a b c d", 4), ("# time x y", 4), ("", 5)):
+        with pytest.raises(InputError):
+            KINDS["imu-tk"]([table(tmp_path / "bad", heading, VALUES[:, :width]), gyro], HOURLY)
+
+
+@pytest.mark.parametrize("delimiter", [" ", ","])
+def test_savetxt_is_converted_and_told(tmp_path: Path, capsys: pytest.CaptureFixture, delimiter: str) -> None:
+    columns, _ = tumble_log(poses=6)
+    values = np.stack([*(columns[name] for name in NAMES), 0 * columns["ax"] + 30], axis=1)
+    np.savetxt(tmp_path / "log", values, fmt="%.7g", delimiter=delimiter, header=delimiter.join((*NAMES, "temp")))
+    command = ["convert", "six-column", tmp_path / "log", "--sample-rate-hz", 100, "--gravity-m-s2", 9.8]
+    assert run([*map(str, command), "--latitude-deg", "48", "--out", str(tmp_path / "c")]) == 0
+    assert "gz ← column 6 'gz'" in capsys.readouterr().out
+    read_back = load_campaign(tmp_path / "c").runs[0]
+    assert read_back.observed[0, 2] == pytest.approx(columns["az"][:1000].mean(), abs=0.01)
+    values = values[:, [6, 0, 1, 2, 3, 4, 5]]
+    np.savetxt(tmp_path / "log", values, header=" ".join(NAMES))
+    assert run([*map(str, command), "--out", str(tmp_path / "d")]) == 2
+    assert not (tmp_path / "d").exists()
