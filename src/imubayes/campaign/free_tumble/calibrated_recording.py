@@ -7,11 +7,19 @@ from pathlib import Path
 import numpy as np
 
 from imubayes.campaign.free_tumble.pose_transitions import coning, rotation_over, step_means
-from imubayes.campaign.free_tumble.static_detection import Pose, Rest, initial_rest
+from imubayes.campaign.free_tumble.static_detection import (
+    LEAST_POSE_SECONDS,
+    Pose,
+    Rest,
+    divide_rests,
+    initial_rest,
+    turning,
+)
 from imubayes.campaign_data import Channel
 from imubayes.errors import input_error
 
 LEAST_ROWS = 100
+BLOCKS = 8
 
 
 @dataclass(frozen=True)
@@ -60,12 +68,31 @@ def record(
     force, rate = body_vectors(readings, channels, file)
     interval = float(np.median(np.diff(time)))
     initial = initial_rest(force, interval, initial_seconds)
+    if initial_seconds is None:
+        # The accelerometers do not see a first turn about the vertical.
+        first = rate[initial.start : initial.start + round(LEAST_POSE_SECONDS / interval)].mean(0)
+        initial = next(iter(divide_rests([initial], turning(rate - first, interval), interval)), initial)
     return Recording(time, readings, force, rate - initial_mean(rate, initial), initial, interval)
 
 
 def pose_means(values: np.ndarray, poses: Sequence[Pose]) -> np.ndarray:
     """Return the mean over each pose, shape (poses, …)."""
     return np.array([values[pose.indices()].mean(0) for pose in poses]).reshape(len(poses), *values.shape[1:])
+
+
+def magnitude_scatter(force: np.ndarray, poses: Sequence[Pose]) -> np.ndarray:
+    """Return the standard deviation of the mean |force| of each pose by the scatter within all of them, (poses,).
+
+    It is that of the means of blocks, which slow noise does not average out of, and of the typical pose.
+    """
+    counts = np.array([len(pose.indices()) for pose in poses])
+    norms = [np.linalg.norm(force[pose.indices()], axis=1) for pose in poses]
+    parts = [np.array_split(norm, min(BLOCKS, len(norm))) for norm in norms if len(norm) > 1]
+    single = [
+        np.std([part.mean() for part in blocks], ddof=1) * np.sqrt(sum(map(len, blocks)) / len(blocks))
+        for blocks in parts
+    ]
+    return (np.median(single) if single else 0.0) / np.sqrt(counts)
 
 
 def initial_mean(rate: np.ndarray, initial: Rest) -> np.ndarray:

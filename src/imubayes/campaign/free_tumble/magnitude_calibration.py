@@ -3,15 +3,26 @@
 In every static pose the calibrated force has magnitude g, whatever the attitude.  Nine parameters (a triangular matrix
 and an offset) are estimated by Gauss–Newton iteration with Huber weights, which bound the influence of a disturbed
 pose.  With fewer than 12 poses the matrix is diagonal, with fewer than 8 nothing is fitted.
+
+A pose is disturbed where its |f| differs from that which the calibration of the others predicts, by Student's t with
+their degrees of freedom; the scatter is theirs, or that within the poses where this is larger.  The diagonal matrix
+leaves out misalignments, which are no scatter: fewer than 12 poses are not judged.
 """
 
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
+import scipy  # loads its parts when they are first used
 
 STEPS = 30
 HUBER = 1.5  # robust standard deviations
-OUTLIER = 5.0
+# Probability that any pose of a recording that was still is taken as disturbed.
+FALSE_ALARM = 1e-3
+MOST_DISTURBED = 1 / 3
+ALL = 9
+LEAST_FREEDOM = 2  # of the others, to judge one
+LEAST_TO_JUDGE = ALL + LEAST_FREEDOM + 1
 
 
 @dataclass(frozen=True)
@@ -24,6 +35,7 @@ class MagnitudeFit:
     residual : |calibrated force| − g per pose, m/s².
     spread : robust standard deviation of the residual.
     parameters : number of fitted parameters.
+    outliers : poses whose force is not of magnitude g, shape (poses,).
     """
 
     matrix: np.ndarray
@@ -31,19 +43,27 @@ class MagnitudeFit:
     residual: np.ndarray
     spread: float
     parameters: int
+    outliers: np.ndarray
 
     def apply(self, force: np.ndarray) -> np.ndarray:
         """Return the calibrated force, shape (…, 3)."""
         return (force - self.offset) @ self.matrix.T
 
     @property
-    def outliers(self) -> np.ndarray:
-        """Mask of the poses whose force is not of magnitude g, shape (poses,)."""
-        return np.abs(self.residual) > OUTLIER * self.spread
+    def judges(self) -> bool:
+        """Whether there are enough poses to tell a disturbed one by |f| = g."""
+        return len(self.residual) >= LEAST_TO_JUDGE
 
 
-def fit_magnitude(force: np.ndarray, gravity: float) -> MagnitudeFit:
-    """Fit the pose means of the force, shape (poses, 3), m/s² by the nominal scale."""
+def fit_magnitude(force: np.ndarray, gravity: float, scatter: np.ndarray | float = 0.0) -> MagnitudeFit:
+    """Fit the pose means of the force.
+
+    Parameters
+    ----------
+    force : shape (poses, 3), m/s² by the nominal scale.
+    gravity : m/s².
+    scatter : standard deviation of |force| as known from within the poses, shape (poses,), m/s².
+    """
     free = _free_parameters(len(force))
     values = np.zeros(9)
     spread = _spread(_residual(values, force, gravity), 0)
@@ -58,14 +78,69 @@ def fit_magnitude(force: np.ndarray, gravity: float) -> MagnitudeFit:
             break
     residual = _residual(values, force, gravity)
     matrix, offset = _unpack(values)
-    return MagnitudeFit(matrix, offset, residual, _spread(residual, int(free.sum())), int(free.sum()))
+    count, spread = int(free.sum()), _spread(residual, int(free.sum()))
+    if not free.all():
+        # Few residuals may vanish by the fit alone.
+        return MagnitudeFit(
+            matrix,
+            offset,
+            residual,
+            max(spread, float(np.max(scatter, initial=0.0))),
+            count,
+            np.zeros(len(force), bool),
+        )
+    return MagnitudeFit(matrix, offset, residual, spread, count, _outliers(values, force, gravity, scatter))
+
+
+def _outliers(values: np.ndarray, force: np.ndarray, gravity: float, scatter: np.ndarray | float) -> np.ndarray:
+    """Return the largest set of poses each of which the calibration of the others excludes, shape (poses,).
+
+    Sets are sought from the largest down, beginning with what the robust fit leaves over, which several disturbed poses
+    do not mask, and from none upwards, which the leverage of a single one does not mask.
+    """
+    most = min(int(MOST_DISTURBED * len(force)), len(force) - ALL - LEAST_FREEDOM)
+    found = np.zeros(len(force), dtype=bool)
+    for sizes in (range(most, 0, -1), range(most + 1)):
+        contradiction = np.abs(_residual(values, force, gravity))
+        for size in sizes:
+            left = np.argsort(np.argsort(-contradiction)) < size
+            contradiction, excluded = _judged(values, force, gravity, scatter, left)
+            found = left if excluded and size > found.sum() else found
+    return found
+
+
+def _judged(
+    values: np.ndarray, force: np.ndarray, gravity: float, scatter: np.ndarray | float, left: np.ndarray
+) -> tuple[np.ndarray, bool]:
+    """Return how far each pose is from the calibration without some poses, and whether it excludes all of these.
+
+    The level is shared by all sets of the size, since the set was chosen by its deviations.
+    """
+    values, covariance, spread = _least_squares(values, force[~left], gravity)
+    jacobian = _jacobian(values, force)
+    leverage = np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian)
+    deviation = np.abs(_residual(values, force, gravity))
+    count, size = len(force), int(left.sum())
+    limit = scipy.stats.t.isf(FALSE_ALARM / 2 / comb(count, size), count - size - ALL)
+    allowed = limit * np.maximum(spread, scatter) * np.sqrt(1 + leverage)
+    own = np.maximum(np.where(left, 1 + leverage, 1 - leverage), 1e-9)
+    return deviation / np.sqrt(own), bool((deviation > allowed)[left].all())
+
+
+def _least_squares(values: np.ndarray, force: np.ndarray, gravity: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the nine parameters, their covariance for unit variance, and the standard deviation of the residual."""
+    for _ in range(3):  # nearly linear
+        jacobian, residual = _jacobian(values, force), _residual(values, force, gravity)
+        values = values - np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+    jacobian, residual = _jacobian(values, force), _residual(values, force, gravity)
+    return values, np.linalg.pinv(jacobian.T @ jacobian), float(np.sqrt(residual @ residual / (len(force) - ALL)))
 
 
 def _free_parameters(poses: int) -> np.ndarray:
     free = np.zeros(9, dtype=bool)
     if poses >= 8:
         free[[0, 1, 2, 6, 7, 8]] = True
-    if poses >= 12:
+    if poses >= LEAST_TO_JUDGE:
         free[:] = True
     return free
 

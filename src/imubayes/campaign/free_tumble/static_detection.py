@@ -2,9 +2,9 @@
 
 In a sliding window of about a second the variance of each accelerometer is compared with its variance during the
 initial rest.  The largest ratio over the channels is near 1 at rest and orders of magnitude larger in motion.  The
-threshold is chosen later, by how well |f| = g holds in the poses found (Tedaldi, Pretto, Menegatti, ICRA 2014).  Noisy
-accelerometers see the slow beginning of a turn late, so the gyros trim both ends of every interval; a slow rotation
-within it is revealed afterwards.
+threshold is chosen later, by how well |f| = g holds in the poses found (Tedaldi, Pretto, Menegatti, ICRA 2014).  The
+accelerometers do not see a turn about the vertical, and see the slow beginning of any other late: the gyros divide the
+interval at the one, and trim both ends for the other.
 """
 
 from dataclasses import dataclass
@@ -18,6 +18,8 @@ INITIAL_RATIO = 20.0  # variance ratio to the quietest windows at which the init
 TURNING_SECONDS = 0.1  # window in which the gyros tell turning from noise, of at least
 TURNING_SAMPLES = 10
 TURNING_RATIO = 3.0  # mean square of the rate, in medians over the rest, at which the unit turns
+MOST_ROTATION = np.deg2rad(2.0)  # by the gyros, within a window: the unit was not still
+TURN = np.deg2rad(30.0)  # a rotation beyond is meant: what is before and after it are two poses
 SAME_POSE = np.deg2rad(0.5)
 SAME_POSE_GAP_SECONDS = 5.0
 
@@ -87,10 +89,48 @@ def find_rests(quiet: np.ndarray, interval: float) -> list[Rest]:
 
     The sliding window keeps every rest half a window away from motion.
     """
-    padded = np.concatenate([[False], quiet, [False]]).astype(np.int8)
-    starts, stops = np.flatnonzero(np.diff(padded) == 1), np.flatnonzero(np.diff(padded) == -1)
     least = round(LEAST_POSE_SECONDS / interval)
-    return [Rest(int(a), int(b)) for a, b in zip(starts, stops, strict=True) if b - a >= least]
+    return [Rest(a, b) for a, b in _intervals(quiet) if b - a >= least]
+
+
+def _intervals(mask: np.ndarray) -> list[tuple[int, int]]:
+    """Return start and stop (exclusive) of the intervals in which a mask holds."""
+    change = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
+    return list(zip(np.flatnonzero(change == 1).tolist(), np.flatnonzero(change == -1).tolist(), strict=True))
+
+
+def turning(rate: np.ndarray, interval: float) -> np.ndarray:
+    """Return where the unit turns on purpose, by more than `TURN`, about any axis, shape (N,).
+
+    Parameters
+    ----------
+    rate : in body axes, bias removed, shape (N, 3), rad/s.
+    interval : sampling interval, s.
+    """
+    half = window_half(interval)
+    total = np.cumsum(np.pad(rate * interval, ((half + 1, half), (0, 0)), mode="edge"), axis=0)
+    moving = np.linalg.norm(total[2 * half + 1 :] - total[: -2 * half - 1], axis=1) > MOST_ROTATION
+    turns = np.zeros(len(rate), dtype=bool)
+    for start, stop in _intervals(moving):
+        turns[start:stop] = np.linalg.norm(np.cumsum(rate[start:stop], axis=0), axis=1).max() * interval > TURN
+    return turns
+
+
+def divide_rests(rests: list[Rest], turns: np.ndarray, interval: float) -> list[Rest]:
+    """Return the rests without turns that the accelerometers do not see, and without half a window beside these.
+
+    A turn at the ends of a rest, within half a window, is left to `trim_rests`.
+    """
+    half = window_half(interval)
+    beside = np.convolve(turns, np.ones(2 * half + 1), mode="same") > 0.5
+    divided = []
+    for rest in rests:
+        if turns[rest.start + half : rest.stop - half].any():
+            parts = find_rests(~beside[rest.start : rest.stop], interval)
+            divided += [Rest(rest.start + part.start, rest.start + part.stop) for part in parts]
+        else:
+            divided.append(rest)
+    return divided
 
 
 def trim_rests(rests: list[Rest], rate: np.ndarray, interval: float) -> list[Rest]:
@@ -128,11 +168,12 @@ def trim_rests(rests: list[Rest], rate: np.ndarray, interval: float) -> list[Res
     return trimmed
 
 
-def join_rests(rests: list[Rest], force: np.ndarray, interval: float) -> list[Pose]:
-    """Return the poses; consecutive rests in the same attitude, separated by a short interval, are one pose."""
+def join_rests(rests: list[Rest], force: np.ndarray, interval: float, turns: np.ndarray) -> list[Pose]:
+    """Return the poses; consecutive rests in the same attitude, a short interval without a turn between, are one."""
     poses: list[Pose] = []
     for rest in rests:
-        if poses and _same_attitude(poses[-1].rests[-1], rest, force, interval):
+        between = slice(poses[-1].stop, rest.start) if poses else slice(0)
+        if poses and not turns[between].any() and _same_attitude(poses[-1].rests[-1], rest, force, interval):
             poses[-1] = Pose((*poses[-1].rests, rest))
         else:
             poses.append(Pose((rest,)))

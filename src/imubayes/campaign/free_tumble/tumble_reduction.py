@@ -13,20 +13,30 @@ from imubayes.campaign.free_tumble.axis_signs import check_axes
 from imubayes.campaign.free_tumble.calibrated_recording import (
     Recording,
     angle_between,
+    magnitude_scatter,
     pose_means,
     record,
     rotation_between,
 )
-from imubayes.campaign.free_tumble.magnitude_calibration import MagnitudeFit, fit_magnitude
+from imubayes.campaign.free_tumble.magnitude_calibration import LEAST_TO_JUDGE, MagnitudeFit, fit_magnitude
 from imubayes.campaign.free_tumble.pose_transitions import padded, step_edges, step_means
-from imubayes.campaign.free_tumble.static_detection import Pose, find_rests, join_rests, trim_rests, variance_ratio
+from imubayes.campaign.free_tumble.static_detection import (
+    MOST_ROTATION,
+    Pose,
+    divide_rests,
+    find_rests,
+    join_rests,
+    trim_rests,
+    turning,
+    variance_ratio,
+)
 from imubayes.campaign.reduction import Limits, clipping_note
 from imubayes.campaign_data import Channel, Tumble
 from imubayes.covariates import recorded_columns
 from imubayes.errors import input_error
 
 MULTIPLES = (2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0)  # candidate thresholds, in variances at rest
-MOST_ROTATION = np.deg2rad(2.0)  # a static pose with a larger rotation by the gyros was disturbed
+ROTATION_SECONDS = 5.0  # for longer, the drift of a bias may be a rotation
 LEAST_POSES = 4
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -128,7 +138,7 @@ def _without_clipped(
     gyros = [index for index, channel in enumerate(channels) if channel.kind == "gyro"]
     spoilt = np.array([clipped[span].any(axis=0) for span in spans]).reshape(len(spans), len(channels))
     kept = ~spoilt[:, gyros].any(axis=1)
-    if not kept.any():
+    if len(kept) and not kept.any():
         names = ", ".join(f"'{channels[index].name}'" for index in gyros if spoilt[:, index].any())
         raise input_error(
             f"{names}: clipped in every transition between the poses",
@@ -148,23 +158,27 @@ def _without_clipped(
 def detect_poses(recording: Recording, gravity: float) -> Detection:
     """Return the detection, over all candidate thresholds, whose poses satisfy |f| = g best."""
     ratio = variance_ratio(recording.force, recording.interval, recording.initial)
+    turns = turning(recording.rate, recording.interval)
     candidates = []
     for multiple in MULTIPLES:
-        rests = trim_rests(find_rests(ratio < multiple, recording.interval), recording.rate, recording.interval)
-        poses = tuple(join_rests(rests, recording.force, recording.interval))
-        fit = fit_magnitude(pose_means(recording.force, poses), gravity)
+        rests = divide_rests(find_rests(ratio < multiple, recording.interval), turns, recording.interval)
+        rests = trim_rests(rests, recording.rate, recording.interval)
+        poses = tuple(join_rests(rests, recording.force, recording.interval, turns))
+        scatter = magnitude_scatter(recording.force, poses)
+        fit = fit_magnitude(pose_means(recording.force, poses), gravity, scatter)
         candidates.append(Detection(poses, multiple, fit))
     # Enough poses for the full fit come first, then the smallest scatter of |f|.
     return max(candidates, key=lambda detection: (detection.fit.parameters, -detection.fit.spread))
 
 
 def rotation_within(recording: Recording, pose: Pose) -> float:
-    """Return the largest rotation by the gyros during a pose, rad, their median rate removed."""
-    worst = 0.0
+    """Return the largest rotation by the gyros in `ROTATION_SECONDS` of a pose, rad, their median rate removed."""
+    worst, span = 0.0, round(ROTATION_SECONDS / recording.interval)
     for rest in pose.rests:
         rate = recording.rate[rest.start : rest.stop]
         angle = np.cumsum(rate - np.median(rate, axis=0), axis=0) * recording.interval
-        worst = max(worst, float(np.max(np.abs(angle))))
+        before = np.concatenate([np.zeros((min(span, len(angle)), 3)), angle[:-span]])
+        worst = max(worst, float(np.max(np.abs(angle - before))))
     return worst
 
 
@@ -215,7 +229,9 @@ def _notes(
     notes = [
         f"{len(flagged)} static poses found (threshold {detection.multiple:g} times the accelerometer variance of the "
         f"first {seconds:.3g} s), {len(tumble.start)} transitions between the {int((~flagged).sum())} undisturbed ones",
-        f"calibration of {fit.parameters} parameters by |f| = g: scatter {fit.spread:.2g} m/s²",
+        f"calibration of {fit.parameters} parameters by |f| = g: scatter {fit.spread:.2g} m/s²"
+        if fit.judges
+        else f"{len(flagged)} poses are too few to tell a disturbed one by |f| = g, {LEAST_TO_JUDGE} are needed",
     ]
     for pose in np.flatnonzero(flagged):
         begin = recording.time[detection.poses[pose].start]
