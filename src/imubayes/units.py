@@ -14,6 +14,11 @@ from collections.abc import Mapping
 
 from imubayes.errors import closest_first, input_error
 
+# Of every bias that is shown or exported; the README has it as well.
+BIAS_CONVENTION = (
+    "A bias is referred to the input: output = nominal scale · (1 + scale factor error) · (input + bias + …) + offset. "
+    "The b of an export is referred to the output: b = (1 + scale factor error) · bias, subtracted first."
+)
 STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901; used only where the site is unknown
 
 # name → (factor to SI, power of the site's gravity, dimension as exponents of (rad, s, m, K, A, output, T))

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from imubayes.cli.main import run
+from imubayes.units import BIAS_CONVENTION
 
 ROOT = Path(__file__).parents[2]
 PARTS = ("error: ", "  where:   ", "  do:      ")
@@ -180,6 +181,9 @@ def test_effects_explains(capsys):
     assert "deg/h/g" in out
     assert "IEEE Std 517" in out
     assert "accel_quadratic" in said(capsys, "effects")[1]
+    for bias in ("gyro_bias", "accel_bias"):
+        assert BIAS_CONVENTION in " ".join(said(capsys, "effects", bias)[1].split())
+    assert BIAS_CONVENTION not in " ".join(said(capsys, "effects", "gyro_scale_factor")[1].split())
 
 
 def test_effects_says_what_a_campaign_could_show(capsys):

@@ -15,6 +15,7 @@ from imubayes.display.summary_html import summary_html
 from imubayes.qualification.report_record import MonteCarloError, ResultLine
 from imubayes.results.output_units import in_output_units
 from imubayes.results.summary import Summary
+from imubayes.units import BIAS_CONVENTION
 
 CHANNELS = (*made.GYROS, *made.ACCELEROMETERS)
 
@@ -105,7 +106,7 @@ def test_output_units_are_those_of_the_channel(summary):
     shown = summary.model_copy(update={"parameters": tuple(of_output)})
     for verbose in (False, True):
         text = lines(summary_report(shown, verbose), 80)
-        assert not [line for line in text if "output" in line]
+        assert not [line for line in text if line.rstrip().endswith(" output")]
         assert any(line.startswith("white_noise.sigma") and line.rstrip().endswith("pulse/s") for line in text)
     assert ">output<" not in summary_html(shown)
 
@@ -170,3 +171,13 @@ def test_a_fit_without_estimates_shows_none(summary):
     text = "\n".join(lines(summary_report(failed), 80))
     assert text.startswith("NOT CONVERGED")
     assert "None" not in text
+
+
+def test_what_a_bias_is_referred_to_stands_below_the_last_sheet(summary):
+    notes = [block.note for sheet in calibration_sheets(summary) for block in sheet.blocks(60)]
+    assert notes[-1] == BIAS_CONVENTION
+    assert not any(notes[:-1])
+    without = [entry for entry in summary.parameters if "_bias." not in entry.name]
+    assert not any(
+        sheet.note for sheet in calibration_sheets(summary.model_copy(update={"parameters": tuple(without)}))
+    )

@@ -144,11 +144,16 @@ EFFECTS = (
 
 @pytest.fixture(scope="module")
 def nonlinear() -> tuple[SensorPosterior, dict[str, float]]:
-    """A unit with nonlinear terms, nothing fitted: its parameters are drawn from their priors, small campaign."""
+    """A unit with nonlinear terms, nothing fitted: its parameters are drawn from their priors, small campaign.
+
+    Scale factor errors are of a few per cent: what a bias is referred to is seen.
+    """
     model = bind(spec(*EFFECTS), campaign())
     derived = Fit(model, np.zeros(len(model.layout)), np.zeros(0), True).derived
     rng = np.random.default_rng(3)
     truth = np.array([p.prior_sd * rng.normal() * p.factor for p in model.layout.parameters])
+    of_scale = ["_scale_factor.scale[" in name for name in model.layout.names]
+    truth[of_scale] = rng.uniform(0.02, 0.05, sum(of_scale)) * rng.choice([-1, 1], sum(of_scale))
     values = np.concatenate([truth, np.asarray(model.problem.nulls)])
     places = np.arange(len(truth))
     scatter = truth + 1e-6 * np.abs(truth) * rng.normal(size=(200, len(truth)))

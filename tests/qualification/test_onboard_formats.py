@@ -7,6 +7,8 @@ What they make of outputs must be what was put in: the outputs are made in the t
 import itertools
 import shutil
 import subprocess
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -17,6 +19,8 @@ from imubayes.display.onboard.export_files import ExportOptions, write_constants
 from imubayes.display.onboard.kalibr_yaml import kalibr_yaml
 from imubayes.errors import InputError
 from imubayes.qualification.noise_densities import NoiseDensity
+from imubayes.qualification.onboard_constants import body_inputs
+from imubayes.qualification.onboard_conventions import CONVENTIONS
 from imubayes.qualification.onboard_losses import losses
 from imubayes.qualification.onboard_record import (
     Constant,
@@ -27,6 +31,7 @@ from imubayes.qualification.onboard_record import (
     UnexpressedEffect,
     WorkedSample,
 )
+from imubayes.units import BIAS_CONVENTION
 
 SKEW = np.array([[0.99, 0.012, -0.02], [0.004, 1.013, 0.009], [-0.003, 0.006, 0.985]])
 STRAIGHT = np.diag([0.99, 1.013, 0.985])
@@ -118,18 +123,11 @@ def samples(count: int = 20):
         yield 10 * rng.normal(size=3), 2 * rng.normal(size=3), rng.uniform(-20, 60), rng.uniform(-10, 70)
 
 
-@pytest.mark.parametrize(("constants", "real", "close"), [(WHOLE, "double", 1e-9), (WHOLE, "float", 1e-4)])
-def test_the_c_header_compiled_gives_the_truth(tmp_path, constants, real, close):
-    assert not write_constants(constants, "c", tmp_path / "constants.h", ExportOptions())
-    lines, truth = [], []
-    for force, rate, warm, converter in samples():
-        outputs = []
-        for one, vector in zip(constants.triads, (force, rate), strict=True):
-            r = readings(one, vector, force, warm, converter)
-            outputs += (r * np.array(one.nominal_scale) + np.array(one.nominal_offset)).tolist()
-        lines.append(" ".join(f"{value:.17g}" for value in (*outputs, warm, converter)))
-        truth.append([*force, *rate])
-    (tmp_path / "main.c").write_text(
+def by_c(folder: Path, constants: OnboardConstants, outputs: Sequence[Sequence[float]], real: str) -> np.ndarray:
+    """Return force and rate, shape (R, 6), by the header compiled; rows are outputs and the two temperatures."""
+    assert not write_constants(constants, "c", folder / "constants.h", ExportOptions())
+    lines = [" ".join(f"{value:.17g}" for value in row) for row in outputs]
+    (folder / "main.c").write_text(
         f"""#define IMU_REAL {real}
 #include <stdio.h>
 #include "constants.h"
@@ -149,12 +147,24 @@ int main(void) {{
     )
     gcc = shutil.which("gcc")
     assert gcc is not None
-    program = str(tmp_path / "apply")
+    program = str(folder / "apply")
     strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-Wno-float-conversion"]
-    subprocess.run([gcc, *strict, str(tmp_path / "main.c"), "-o", program], check=True)
+    subprocess.run([gcc, *strict, str(folder / "main.c"), "-o", program], check=True)
     said = subprocess.run([program], input="\n".join(lines), capture_output=True, text=True, check=True).stdout
-    found = np.array([line.split() for line in said.splitlines()], dtype=float)
-    np.testing.assert_allclose(found, truth, rtol=0, atol=close * 10)
+    return np.array([line.split() for line in said.splitlines()], dtype=float)
+
+
+@pytest.mark.parametrize(("constants", "real", "close"), [(WHOLE, "double", 1e-9), (WHOLE, "float", 1e-4)])
+def test_the_c_header_compiled_gives_the_truth(tmp_path, constants, real, close):
+    outputs, truth = [], []
+    for force, rate, warm, converter in samples():
+        row = []
+        for one, vector in zip(constants.triads, (force, rate), strict=True):
+            r = readings(one, vector, force, warm, converter)
+            row += (r * np.array(one.nominal_scale) + np.array(one.nominal_offset)).tolist()
+        outputs.append([*row, warm, converter])
+        truth.append([*force, *rate])
+    np.testing.assert_allclose(by_c(tmp_path, constants, outputs, real), truth, rtol=0, atol=close * 10)
 
 
 def qgc(text: str) -> dict[str, float]:
@@ -293,3 +303,68 @@ def test_the_record_is_read_back_as_it_was(tmp_path):
     write_constants(WHOLE, "json", tmp_path / "constants.json", ExportOptions())
     assert OnboardConstants.model_validate_json((tmp_path / "constants.json").read_text()) == WHOLE
     assert list(itertools.chain.from_iterable(WHOLE.covariance)).count(1e-7**2) == len(WHOLE.constants)
+
+
+# A MEMS unit: scale factor errors of a few per cent, and biases, referred to the input.
+SCALE, BIAS = {"accelerometer": (0.03, -0.04, 0.025), "gyro": (-0.02, 0.035, 0.05)}, {
+    "accelerometer": (0.4, -0.3, 0.2), "gyro": (0.02, -0.05, 0.03),
+}  # fmt: skip
+
+
+def by_the_model(kind: str, axes: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """r of a unit that experiences `true`: (1 + scale factor error) (input + bias)."""
+    return (1 + np.array(SCALE[kind])) * (axes @ true + np.array(BIAS[kind]))
+
+
+def mems(axes: np.ndarray, gyro_scale: bool = True, output_referred: bool = True) -> OnboardConstants:
+    """Its constants: M undoes scale factors and axes, b is the bias referred to the output."""
+    triads = []
+    for kind in ("accelerometer", "gyro"):
+        gain = 1 + np.array(SCALE[kind]) * (gyro_scale or kind != "gyro")
+        b = np.array(BIAS[kind]) * (gain if output_referred else 1.0)
+        constant = ThermalPolynomial(terms=(ThermalPowers(sensor=0, converter=0),), coefficients=tuple((x,) for x in b))
+        triads.append(triad(kind, np.linalg.inv(np.diag(gain) @ axes), constant, NONE))
+    return unit(*triads)
+
+
+AXES = np.eye(3) + np.array([[0, 0.004, -0.003], [0.005, 0, 0.002], [-0.006, 0.001, 0]])
+
+
+@pytest.mark.parametrize("output_referred", [True, False])
+def test_a_bias_is_referred_to_the_input_by_the_model_and_to_the_output_by_every_export(tmp_path, output_referred):
+    """Corrected output is true input with scale factor errors of a few per cent; b = bias would be 30 mg off."""
+    skewed, straight = mems(AXES, output_referred=output_referred), mems(np.eye(3), False, output_referred)
+    noise = {"gyro": NoiseDensity(1e-4, 1e-6), "accelerometer": NoiseDensity(1e-3, 1e-5)}
+    write_constants(skewed, "kalibr", tmp_path / "kalibr", ExportOptions(200.0, "/imu0", noise))
+    for target in ("px4", "ardupilot"):
+        write_constants(straight, target, tmp_path / target, ExportOptions(accept_loss=True))
+    rows = [line.split(",") for line in (tmp_path / "ardupilot").read_text().splitlines() if not line.startswith("#")]
+    ardupilot, px4 = {name: float(value) for name, value in rows}, qgc((tmp_path / "px4").read_text())
+    kalibr = yaml.safe_load((tmp_path / "kalibr").read_text())
+    inside = np.array(kalibr["accelerometers"]["M"]) @ np.array(kalibr["C_i_body"])
+    offset = np.array(skewed.triads[0].bias.coefficients)[:, 0]
+    outputs, truth, errors = [], [], []
+    for force, rate, *_ in samples():
+        r = {k: by_the_model(k, AXES, u) for k, u in (("accelerometer", force), ("gyro", rate))}
+        raw = [r[one.kind] * one.nominal_scale + one.nominal_offset for one in skewed.triads]
+        named = {n: v[None] for one, each in zip(skewed.triads, raw, strict=True)
+                 for n, v in zip(one.channels, each, strict=True)}  # fmt: skip
+        found = body_inputs({one.kind: one for one in skewed.triads}, named, np.full((1, 2), 25.0), 25.0)
+        errors += [found["accelerometer"][0] - force, found["gyro"][0] - rate]
+        errors.append(np.linalg.solve(inside, r["accelerometer"] - offset) - force)
+        along = by_the_model("accelerometer", np.eye(3), force)
+        errors.append(px4_corrected(px4, "accelerometer", along, 25.0) - force)
+        errors.append(ardupilot_corrected(ardupilot, "accelerometer", along, 25.0) - force)
+        outputs.append([*raw[0], *raw[1], 25.0, 25.0])
+        truth.append([*force, *rate])
+    errors += list((by_c(tmp_path, skewed, outputs, "double") - truth).reshape(-1, 3))
+    wrong = np.abs(errors).max(axis=1) > 1e-6
+    assert not wrong.any() if output_referred else wrong.all()
+
+
+@pytest.mark.parametrize("target", ["c", "kalibr", "px4", "ardupilot", "ros"])
+def test_every_export_states_what_a_bias_is_referred_to(tmp_path, target):
+    noise = {"gyro": NoiseDensity(1e-4, 1e-6), "accelerometer": NoiseDensity(1e-3, 1e-5)}
+    write_constants(PLAIN, target, tmp_path / "file", ExportOptions(200.0, "/imu0", noise))
+    assert BIAS_CONVENTION in (tmp_path / "file").read_text()
+    assert any(BIAS_CONVENTION[:-1] in each.meaning for each in CONVENTIONS if each.symbol == "b(T)")

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from imubayes.cli.main import run
+from imubayes.units import BIAS_CONVENTION
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "README.md").read_text()
@@ -32,6 +33,10 @@ def sections(text: str) -> dict[str, list[str]]:
 
 
 COMMANDS = sections(TEXT) | sections(GUIDE)
+
+
+def test_what_a_bias_is_referred_to_stands_as_everywhere():
+    assert BIAS_CONVENTION in " ".join(TEXT.split())
 
 
 def test_there_are_commands():

@@ -6,7 +6,7 @@ GUM 7.2.2, 13.26(26), keeps them side by side.  What needs more room goes on in 
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from imubayes.display.labels import pretty
 from imubayes.display.quantity_tables import is_undetermined
@@ -15,6 +15,7 @@ from imubayes.display.table_layout import Cell, Sheet
 from imubayes.parameters.input_axis_names import channel_of_component
 from imubayes.results.output_units import channel_units, in_output_units
 from imubayes.results.summary import Quantity, Summary
+from imubayes.units import BIAS_CONVENTION
 
 MARK = "*"
 """Beside an estimate that is that of the prior."""
@@ -33,11 +34,13 @@ class CalibrationSheet:
     title : of the first block.
     channels : the columns.
     rows : name and unit of each row, and its quantity by channel.
+    note : below the last block.
     """
 
     title: str
     channels: Sequence[str]
     rows: Sequence[tuple[str, str, dict[str, Quantity]]]
+    note: str = ""
 
     def blocks(self, width: int | None = None) -> list[Sheet]:
         """Return the table in the fewest blocks that fit into a width, with `±` where that takes no more of them."""
@@ -51,6 +54,7 @@ class CalibrationSheet:
             size = -(-count // -(-count // most))
             parts = [self.channels[start : start + size] for start in range(0, count, size)]
             sheets = [self._block(part, is_short, first=not place) for place, part in enumerate(parts)]
+            sheets[-1] = replace(sheets[-1], note=self.note)
             if width is None or most == 1 or all(_width(sheet) <= width for sheet in sheets):
                 return sheets
         return []
@@ -89,7 +93,10 @@ def calibration_sheets(summary: Summary) -> list[CalibrationSheet]:
         kind = "Gyros" if unit.partition("/")[0] in _ANGLES else "Accelerometers"
         kinds.setdefault(kind, []).append(channel)
     sheets = [CalibrationSheet(kind, kinds[kind], _rows(summary, kinds[kind])) for kind in sorted(kinds, reverse=True)]
-    return [sheet for sheet in sheets if sheet.rows]
+    sheets = [sheet for sheet in sheets if sheet.rows]
+    if any("_bias." in name for sheet in sheets for name, *_ in sheet.rows):
+        sheets[-1] = replace(sheets[-1], note=BIAS_CONVENTION)
+    return sheets
 
 
 def _rows(summary: Summary, channels: Sequence[str]) -> list[tuple[str, str, dict[str, Quantity]]]:

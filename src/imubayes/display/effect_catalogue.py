@@ -8,10 +8,12 @@ from rich.table import Table as Grid
 
 from imubayes.campaign_data import Campaign
 from imubayes.covariates import remedy
-from imubayes.effects.base import Effect, MotionEffect
+from imubayes.effects.base import Effect, MotionEffect, Order
+from imubayes.effects.shared_formulas import Sensor
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.observability import observability
 from imubayes.parameters.parameter_declarations import declared_options, declared_parameters
+from imubayes.units import BIAS_CONVENTION
 
 
 def print_catalogue() -> None:
@@ -59,6 +61,8 @@ def print_effect(effect: str) -> None:
     console = Console()
     console.print(f"[bold]{member.name}[/bold]  ({_acts_on(member)})\n")
     console.print(inspect.getdoc(member) or "", highlight=False, markup=False)
+    if issubclass(member, Sensor) and member.order == Order.BIAS:
+        console.print(f"\n{BIAS_CONVENTION}", highlight=False, markup=False)
     grid = Grid("parameter", "unit", "default prior", "typical", "meaning", box=None)
     parameters = declared_parameters(member)
     for name, declared in parameters.items():

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from imubayes.qualification.onboard_record import Convention, OnboardConstants, ThermalPolynomial, TriadConstants
+from imubayes.units import BIAS_CONVENTION
 
 CONVENTIONS = (
     Convention(
@@ -20,8 +21,7 @@ CONVENTIONS = (
     ),
     Convention(
         symbol="b(T)",
-        meaning="bias: r at zero input. It is subtracted first: r − b(T). Of the sign of the output, and on the "
-        "nominal scale, not referred to the input",
+        meaning=f"r at zero input, of the sign of the output. {BIAS_CONVENTION[:-1]}: r − b(T)",
         unit="rad/s; m/s^2",
     ),
     Convention(

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from imubayes.errors import InputError, Issue
 from imubayes.qualification.onboard_losses import Loss
 from imubayes.qualification.onboard_record import OnboardConstants
+from imubayes.units import BIAS_CONVENTION
 
 PROGRAMS = {"c": "the C header", "kalibr": "kalibr", "px4": "PX4", "ardupilot": "ArduPilot"}
 _WORDS = {
@@ -46,6 +47,7 @@ def heading(constants: OnboardConstants, found: Sequence[Loss]) -> list[str]:
         f"Constants of {of}, model {constants.model}; imubayes {constants.version}.",
         f"Data {constants.data_sha256[:16]}, model {constants.model_sha256[:16]}.",
         "Uncertainties: one standard deviation of the joint posterior.",
+        BIAS_CONVENTION,
     ]
     if not constants.intervals_valid:
         lines.append("CAUTION: the noise is not what the model assumes; the uncertainties are not valid.")
