@@ -24,12 +24,12 @@ from imubayes.criticism.diagnosis_record import (
 from imubayes.criticism.discriminating_run import discriminating_run
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.free_form_dependence import dominant_channel
+from imubayes.criticism.known_noise import compare_with_known
 from imubayes.criticism.large_effects import remainder_of_leader
 from imubayes.criticism.neglected_uncertainty import neglected_uncertainties
-from imubayes.criticism.noise_against_prior import NoiseBeyondPrior, noise_beyond_prior
 from imubayes.criticism.noise_assumptions import judged_noise_in
-from imubayes.criticism.noise_violation import NoiseViolation
-from imubayes.criticism.projection import project
+from imubayes.criticism.noise_violation import NoiseComparison, NoiseViolation
+from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.residual_evidence import ResidualEvidence, following_covariate, residual_evidence
 from imubayes.criticism.residual_findings import (
     covariate_label,
@@ -82,9 +82,11 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
 def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
     found, unexplained = _with_large_effect_fitted(found)
     unlisted = [] if unexplained else [unlisted_causes(found, group) for group in found.groups]
-    beyond_prior = noise_beyond_prior(fit)
-    verdict = _verdict(found, unexplained, unlisted, beyond_prior)
-    violations = _violations(found, verdict)
+    as_fitted = project(found.first.projection.fitted, found.responses.misfit, found.responses.jacobian)
+    # As fitted: what the search ends with may be whitened by noise that it only suspects.
+    contradicted = compare_with_known(as_fitted).contradicted
+    verdict = _verdict(found, unexplained, unlisted, contradicted)
+    violations = _violations(found, verdict, as_fitted)
     verdict = "noise_model" if violations else verdict
     found = _as_named(found, verdict)
     open_question = verdict == "unexplained_structure"
@@ -108,8 +110,8 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         unfinished=found.unfinished,
         rivals=_rivals(found),
         strongest=strongest_structure(found) if open_question else None,
-        recorded_noise=found.record.comparisons,
-        beyond_prior=beyond_prior,
+        recorded_noise=found.record.of_rows,
+        contradicted=contradicted,
         neglected=neglected_uncertainties(found),
         violations=violations,
         wandering=found.wandering,
@@ -162,7 +164,7 @@ def _verdict(
     found: SearchResult,
     unexplained: Sequence[Significant],
     unlisted: Sequence[Causes],
-    beyond_prior: Sequence[NoiseBeyondPrior],
+    contradicted: Sequence[NoiseComparison],
 ) -> Verdict:
     if unexplained:
         return "unexplained_structure"
@@ -170,7 +172,7 @@ def _verdict(
         doubtful = bool(unlisted[0] or found.wandering or found.rivals or found.unfinished) or scatter_remains(found)
         alone = len(found.groups[0].members) == 1 and not doubtful
         return "missing_effect" if alone else "equivalent_effects"
-    noisy = found.adopted or found.record.excessive or beyond_prior or found.wandering
+    noisy = found.adopted or found.record.contradicted or contradicted or found.wandering
     return "noise_model" if noisy else "adequate"
 
 
@@ -181,14 +183,12 @@ def _as_named(found: SearchResult, verdict: Verdict) -> SearchResult:
     return replace(found, rivals=found.rivals if found.wandering else (), paired=False, unfinished=False)
 
 
-def _violations(found: SearchResult, verdict: Verdict) -> tuple[NoiseViolation, ...]:
+def _violations(found: SearchResult, verdict: Verdict, as_fitted: Projection) -> tuple[NoiseViolation, ...]:
     """Return how the noise departs from its model where no candidate explains that; outliers are told by themselves."""
     if verdict not in ("adequate", "noise_model") or found.adopted:
         return ()
-    # As fitted: what the search ends with may be whitened by noise that it only suspects.
-    at = project(found.first.projection.fitted, found.responses.misfit, found.responses.jacobian)
     told = ("heavy_tails",) if found.outlier_sd.any() else ()
-    return tuple(each for each in judged_noise_in(at).violations if each.kind not in told)
+    return tuple(each for each in judged_noise_in(as_fitted).violations if each.kind not in told)
 
 
 def _asked(effect: str, found: SearchResult, result: str) -> Diagnosis:

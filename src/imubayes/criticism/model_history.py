@@ -35,6 +35,26 @@ class ChannelRms(Record):
     noise: float | None = None
 
 
+class KnownNoiseFit(Record):
+    """Goodness of fit at the noise known beforehand.
+
+    Attributes
+    ----------
+    chi2 : least sum of squares of outputs and priors.
+    dof : number of outputs.
+    channels : residual rms of each channel, offsets of runs included, with the noise that was known.
+    """
+
+    chi2: float
+    dof: float
+    channels: tuple[ChannelRms, ...]
+
+    @property
+    def chi2_per_dof(self) -> float:
+        """χ² per degree of freedom."""
+        return self.chi2 / self.dof
+
+
 class ChiSquareDrop(Record):
     """Δχ² of an addition at the noise scales of its parent; None where unknown."""
 

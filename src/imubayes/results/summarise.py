@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.criticism.noise_assumptions import NoiseJudgement, judged_noise
+from imubayes.criticism.known_noise import compare_with_known
+from imubayes.criticism.known_noise_fit import fit_at_known_noise
+from imubayes.criticism.noise_assumptions import NoiseJudgement, judged_noise_in, projected
 from imubayes.inference.contribution_record import Contribution
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.experiment_design import next_runs
@@ -46,7 +48,9 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
     found = combinations(fit, precision)
     shares = {quantity.name: quantity.from_data for quantity in (*derived, *parameters)}
     chains = fit.posterior.chains if fit.posterior is not None else None
-    noise = judged_noise(fit) if usable else NoiseJudgement((), ())
+    at = projected(fit) if usable else None
+    noise = judged_noise_in(at) if at is not None else NoiseJudgement((), ())
+    contradicted = compare_with_known(at).contradicted if at is not None else ()
     return Summary(
         campaign=model.campaign.name,
         model=model.spec.name,
@@ -58,9 +62,11 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         interval="95 % equal-tailed",
         uncertainty="standard deviation of the joint posterior distribution (GUM, type A and B combined)",
         **_sampling(chains),
-        intervals_valid=fit.converged and not noise.violations,
+        intervals_valid=fit.converged and not noise.violations and not contradicted,
         noise_violations=noise.violations,
         noise_suspected=noise.suspected,
+        noise_contradicted=contradicted,
+        known_noise=fit_at_known_noise(fit) if usable else None,
         prior_scatter=prior_scatter(fit),
         parameters=parameters,
         derived=derived,

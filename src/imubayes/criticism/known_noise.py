@@ -1,0 +1,331 @@
+"""Noise known beforehand, and noise as fitted: a scale that contradicts what is known stands in for something else.
+
+Whatever acts from row to row, or from run to run, and is missing in the model ends in a scale of its noise, and then no
+residual is left to tell.  What is known of a scale before the fit tells.
+
+- Raw samples: rows carry the standard deviation s of their n samples (`samples` and `<channel>_sd`).  The fit estimates
+  the same σ from the scatter *between* rows, and (σ/s)² follows F with the degrees of freedom of both.  Correlated
+  samples scatter the rows more than s/√n says: the excess is real, and what it means is not told.
+- The prior, which by default holds the noise that the campaign states of the channel: the probability of a larger
+  scale.  The mode is drawn towards the median of the prior, so that a true scale exceeds it more rarely than that.
+- The sister channels, those with the same kind of sensor and of scale: with independent estimates the ratio of two
+  variances follows F, times the lognormal law by which equal sensors differ.  Scales are compared as multiples of what
+  the prior states, and only a scale that exceeds that is doubted.
+
+Of a scale that raw samples tell nothing else counts.  Correlations, slow noise and tails are left to the tests of the
+residuals: their parameters are no sizes of independent noise.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import special
+
+from imubayes.criticism import thresholds
+from imubayes.criticism.candidate_effects import Responses
+from imubayes.criticism.noise_tests import to_entries
+from imubayes.criticism.noise_violation import NoiseComparison
+from imubayes.criticism.projection import Projection, project
+from imubayes.inference.fitted_model import Fit
+from imubayes.model.bind import Model
+from imubayes.model.effect_registry import EffectClass
+from imubayes.model.noise_covariance import group_sum, noise_distribution, whitener
+from imubayes.model.problem import Problem
+from imubayes.noise.base import EntryNoise, Noise, SeriesNoise, SharedNoise, SlowNoise
+from imubayes.noise.components import WhiteNoise
+from imubayes.parameters.priors import HalfNormal
+from imubayes.parameters.vector import Parameter
+
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(61)
+# Smallest p-value that is told apart from 0, and z of a correlation of 0 under a uniform prior.
+_LEAST_P, _NO_CORRELATION = 1e-300, -8.0
+
+
+@dataclass(frozen=True)
+class KnownNoise:
+    """Every noise scale against what is known of it.
+
+    Attributes
+    ----------
+    comparisons : in the order of the parameters.
+    channel, run : shape (n,), names, of each row of the channels whose white noise is known.
+    scatter : shape (n,), whitened residual in standard deviations of the row's mean as known.
+    """
+
+    comparisons: tuple[NoiseComparison, ...]
+    channel: np.ndarray
+    run: np.ndarray
+    scatter: np.ndarray
+
+    @property
+    def contradicted(self) -> tuple[NoiseComparison, ...]:
+        """All comparisons of the scales that contradict what is known, the least probable first."""
+        least: dict[str, float] = {}
+        for each in sorted(self.comparisons, key=lambda each: each.p):
+            if each.excessive:
+                least.setdefault(each.parameter, each.p)
+        told = [each for each in self.comparisons if each.parameter in least]
+        return tuple(sorted(told, key=lambda each: (least[each.parameter], each.parameter, each.p)))
+
+    @property
+    def of_rows(self) -> tuple[NoiseComparison, ...]:
+        """The comparisons of the white noise of rows."""
+        return tuple(each for each in self.comparisons if each.of_rows)
+
+
+@dataclass(frozen=True)
+class SampleNoise:
+    """Standard deviation of one raw sample within rows, with its degrees of freedom.
+
+    `bound`: the stimulus varies within every row that tells, and adds to it.
+    """
+
+    sd: float
+    freedom: float
+    bound: bool
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """What the rows of a channel say of a scale.
+
+    Attributes
+    ----------
+    variance, freedom : of one raw sample, or of the mean of a run about the model.
+    floor : the part of the variance that is another scale's.
+    """
+
+    variance: float
+    freedom: float
+    floor: float = 0.0
+
+
+def compare_with_known(projection: Projection) -> KnownNoise:
+    """Return every noise scale of a fit against what is known of it beforehand.
+
+    Parameters
+    ----------
+    projection : without a further whitening, so that its rows are in units of the model's own noise.
+    """
+    model, h = projection.fitted.model, projection.fitted.h
+    entries, channels = model.entries, model.campaign.channels
+    used = (np.asarray(model.problem.observations.weight) > 0) & ~entries.closing
+    sigma, correlated = _white_noise(model.problem, h)
+    white = to_entries(projection, projection.residual[:, None])[:, 0]
+    records, between = sample_noise(model), _between_runs(projection)
+    found, of_scale, scatter = list[NoiseComparison](), dict[int, _Scatter](), np.full(len(entries), np.nan)
+    for k, (parameter, member, place) in enumerate(_scales(model)):
+        if not issubclass(member, EntryNoise | SharedNoise):
+            continue
+        here = used & (entries.channel == place) & (sigma > 0)
+        base = NoiseComparison(
+            channel=channels[place].name if place is not None else ",".join(parameter.label),
+            fitted=_value(parameter, float(h[k])), recorded=0.0, source="prior", ratio=1.0, ratio_sd=0.0, p=1.0,
+            correlated=bool(correlated[here].any()), unit=parameter.shown_unit, parameter=parameter.name,
+            between_runs=issubclass(member, SharedNoise),
+        )  # fmt: skip
+        if base.between_runs and place in between:
+            of_scale[k] = between[place]
+        if not issubclass(member, WhiteNoise) or place is None:
+            found.append(_against_prior(base, parameter))
+            continue
+        chi2, freedom = _within(projection, place)
+        record = records.get(place)
+        if not here.any() or freedom < thresholds.NOISE_FREEDOM_MIN:
+            continue
+        own = float(np.median(sigma[here]))
+        rows = _Scatter(own**2 * chi2 / freedom, freedom)
+        base = replace(base, fitted=math.sqrt(rows.variance) / parameter.factor, freedom=freedom)
+        if record is None:
+            of_scale[k] = rows
+        found.append(
+            _against_prior(base, parameter) if record is None else _against_record(base, record, parameter.factor)
+        )
+        scatter[here] = white[here] * own / (found[-1].recorded * parameter.factor)
+    found += _against_sisters({each.parameter: each for each in found}, model, of_scale)
+    adjusted = _holm(np.array([each.p for each in found])).tolist()
+    counted = tuple(replace(each, p=p) for each, p in zip(found, adjusted, strict=True))
+    shown, runs = np.isfinite(scatter), np.array([run.name for run in model.campaign.runs])
+    names = np.array([channel.name for channel in channels])
+    return KnownNoise(counted, names[entries.channel[shown]], runs[entries.run[shown]], scatter[shown])
+
+
+def contradicted_between_runs(fitted: Fit, responses: Responses) -> bool:
+    """Tell whether the fit has a scatter between runs that contradicts what is known of it."""
+    at = project(fitted, responses.misfit, responses.jacobian)
+    return any(each.between_runs for each in compare_with_known(at).contradicted)
+
+
+def known_scales(fitted: Fit) -> np.ndarray:
+    """Return the noise scales that were known beforehand, in z, shape (H,).
+
+    White noise as the raw samples tell; where they do not, and of every other scale of a channel, what the prior
+    states; rows without correlation.  Of what is no noise of a channel nothing is known, and the fit stands.
+    """
+    records, h = sample_noise(fitted.model), np.array(fitted.h, dtype=float)
+    for k, (parameter, member, place) in enumerate(_scales(fitted.model)):
+        if member.nuisance or not issubclass(member, Noise):
+            continue
+        size = 0.0 if issubclass(member, SeriesNoise) else stated(parameter)
+        record = records.get(place) if issubclass(member, WhiteNoise) and place is not None else None
+        if record is not None:
+            size = min(record.sd / parameter.factor, size) if record.bound else record.sd / parameter.factor
+        z = parameter.z_at(size)
+        h[k] = z if z is not None else (_NO_CORRELATION if issubclass(member, SeriesNoise) else 0.0)
+    return h
+
+
+def stated(parameter: Parameter) -> float:
+    """Return the size that a prior states, in the parameter's unit: its scale where it reaches down to zero."""
+    prior = parameter.prior
+    return float(prior.scale) / parameter.factor if isinstance(prior, HalfNormal) else _value(parameter, 0.0)
+
+
+def _value(parameter: Parameter, z: float) -> float:
+    return float(parameter.prior.value(jnp.asarray(z))) / parameter.factor
+
+
+def _scales(model: Model) -> list[tuple[Parameter, EffectClass, int | None]]:
+    """Return each noise scale with its class and the place of its channel; None where it has no channel."""
+    places = {channel.name: place for place, channel in enumerate(model.campaign.channels)}
+    members = {each.name: each.effect_class for each in model.assembly.effects}
+    return [
+        (each, members[each.effect], places.get(each.label[0]) if each.label else None)
+        for each in model.hyper_layout.parameters
+    ]
+
+
+def _against_record(base: NoiseComparison, record: SampleNoise, factor: float) -> NoiseComparison:
+    known = record.sd / factor
+    ratio = base.fitted / known
+    chance = special.fdtrc(base.freedom, record.freedom, (ratio / thresholds.NOISE_AGREES) ** 2)
+    sd = ratio * math.sqrt(0.5 / base.freedom + 0.5 / record.freedom)
+    return replace(base, recorded=known, source="samples", ratio=ratio, ratio_sd=sd, p=max(float(chance), _LEAST_P))
+
+
+def _against_prior(base: NoiseComparison, parameter: Parameter) -> NoiseComparison:
+    known, z = stated(parameter), parameter.z_at(base.fitted)
+    ratio = base.fitted / known
+    spread = 0.5 * math.log(_value(parameter, 1.0) / _value(parameter, -1.0))
+    sd = ratio * math.hypot(spread, math.sqrt(0.5 / base.freedom) if base.freedom else 0.0)
+    # A size that the prior excludes is beyond every one that it allows.
+    p = max(float(special.ndtr(-z)), _LEAST_P) if z is not None else (_LEAST_P if ratio > 1 else 1.0)
+    return replace(base, recorded=known, source="prior", ratio=ratio, ratio_sd=sd, p=p)
+
+
+def _against_sisters(
+    found: Mapping[str, NoiseComparison], model: Model, of_scale: Mapping[int, _Scatter]
+) -> list[NoiseComparison]:
+    """Return the comparison of every scale with that of the same kind of sensor, as multiples of what is stated."""
+    scales, channels = _scales(model), model.campaign.channels
+    kinds = {k: (scales[k][0].effect, channels[place].kind) for k in of_scale if (place := scales[k][2]) is not None}
+    compared = []
+    for k, own in of_scale.items():
+        sisters = [each for each in kinds if each != k and kinds[each] == kinds[k]]
+        freedom = sum(of_scale[each].freedom for each in sisters)
+        if not sisters or freedom <= 0:
+            continue
+        unit = (stated(scales[k][0]) * scales[k][0].factor) ** 2
+        squares = {each: (stated(scales[each][0]) * scales[each][0].factor) ** 2 for each in sisters}
+        pooled = sum(of_scale[j].freedom * of_scale[j].variance / squares[j] for j in sisters) / freedom * unit
+        spread = thresholds.SISTERS_LOG_SD * math.sqrt(1 + 1 / len(sisters))
+        expected = pooled * np.exp(2 * spread * _NODES) + own.floor
+        p = float(_WEIGHTS @ special.fdtrc(own.freedom, freedom, own.variance / expected)) / float(_WEIGHTS.sum())
+        ratio, base = math.sqrt(own.variance / pooled), found[scales[k][0].name]
+        compared.append(
+            replace(
+                base,
+                source="sisters",
+                recorded=base.fitted / ratio,
+                ratio=ratio,
+                ratio_sd=ratio * math.hypot(spread, math.sqrt(0.5 / own.freedom + 0.5 / freedom)),
+                # A scale within what its own prior states contradicts nothing that is known of its size.
+                p=max(p, _LEAST_P) if base.fitted > stated(scales[k][0]) else 1.0,
+                freedom=own.freedom,
+                sisters=tuple(channels[place].name for j in sisters if (place := scales[j][2]) is not None),
+            )
+        )
+    return compared
+
+
+def _holm(p: np.ndarray) -> np.ndarray:
+    """Return p-values adjusted for their number (Holm)."""
+    order = np.argsort(p, kind="stable")
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1)), 1.0)
+    return adjusted
+
+
+def _within(projection: Projection, channel: int) -> tuple[float, float]:
+    """Return χ² and degrees of freedom of a channel within its runs."""
+    strata = projection.strata
+    own = np.flatnonzero((strata.channel == channel) & ~strata.between)
+    squares = strata.sums(projection.residual**2)
+    return float(squares[own].sum()), float(projection.freedom[own].sum())
+
+
+def _between_runs(projection: Projection) -> dict[int, _Scatter]:
+    """Return the scatter of the means of the runs of each channel about the model."""
+    apart, _ = projection.offsets_apart
+    fitted, strata = projection.fitted, apart.strata
+    problem, h = fitted.model.problem, jnp.asarray(fitted.h)
+    precision = np.asarray(group_sum(whitener(problem, h).direction ** 2, problem.observations))
+    shared = np.asarray(noise_distribution(problem, h).shared_variance)
+    channel = fitted.model.entries.channel[projection.turn.members[:, 0]]
+    squares, found = strata.sums(apart.residual**2), {}
+    for place in np.flatnonzero(strata.between).tolist():
+        groups, freedom = (channel == strata.channel[place]) & (precision > 0), float(apart.freedom[place])
+        if freedom >= thresholds.SISTERS_FREEDOM_MIN:
+            floor = float(np.mean(1 / precision[groups]))
+            whole = floor + float(np.mean(shared[groups]))
+            found[int(strata.channel[place])] = _Scatter(whole * float(squares[place]) / freedom, freedom, floor)
+    return found
+
+
+def _white_noise(problem: Problem, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the white noise of one raw sample at each entry, 0 without, and whether its noise is autocorrelated."""
+    observations = problem.observations
+    values = problem.hyper_priors.values(jnp.asarray(h))
+    variance = np.zeros(len(observations.value))
+    correlated = np.zeros(len(observations.value), dtype=bool)
+    for layer in problem.noise:
+        if issubclass(layer.noise, WhiteNoise):
+            variance += np.asarray(layer.entry_variances(values, observations.entry))
+        elif issubclass(layer.noise, SeriesNoise):
+            correlated |= (np.asarray(layer.acts) > 0)[np.asarray(observations.group)]
+        elif issubclass(layer.noise, SlowNoise):
+            correlated |= np.asarray(layer.acts) > 0
+    return np.sqrt(variance * np.asarray(observations.entry.samples)), correlated
+
+
+def sample_noise(model: Model) -> dict[int, SampleNoise]:
+    """Return what the raw samples within rows tell of the noise of each channel, by its place."""
+    found, single = dict[int, SampleNoise](), _single_nodes(model)
+    first = np.cumsum([0, *(run.rows for run in model.campaign.runs)])
+    for channel in range(len(model.campaign.channels)):
+        steady, varying = [], []
+        for run, start in zip(model.campaign.runs, first.tolist(), strict=False):
+            sd, samples = run.sample_sd[:, channel], run.samples
+            known, here = np.isfinite(sd) & (samples > 1), single[start : start + run.rows]
+            steady.append(np.stack([sd, samples])[:, known & here])
+            varying.append(np.stack([sd, samples])[:, known & ~here])
+        # A stimulus that varies within a row adds to the scatter of its samples: rows at a constant one go first.
+        for bound, parts in ((False, steady), (True, varying)):
+            sd, samples = np.concatenate(parts, axis=1)
+            freedom = float(np.sum(samples - 1))
+            pooled = math.sqrt(float(np.sum((samples - 1) * sd**2)) / freedom) if freedom > 0 else 0.0
+            if pooled > 0:
+                found[channel] = SampleNoise(pooled, freedom, bound)
+                break
+    return found
+
+
+def _single_nodes(model: Model) -> np.ndarray:
+    """Return which rows, counted over all runs, have one constant stimulus, bool."""
+    sizes = np.concatenate([np.full(count, size) for count, size in model.nodes.turns])
+    single = np.zeros(len(sizes), dtype=bool)
+    single[model.nodes.row_of] = sizes == 1
+    return single
