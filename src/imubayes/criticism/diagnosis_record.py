@@ -110,10 +110,11 @@ class EffectGroup(Record):
     Attributes
     ----------
     channels, delta_chi2, dof : of the first.
-    delta_chi2_at_fit : Δχ² of the first at the noise scales of the fit; None of diagnoses of earlier versions.
+    delta_chi2_known : Δχ² of the first at the noise known beforehand; None of diagnoses of earlier versions.
     p_global : p-value of the first, corrected for the number of looks and families of tests.
     candidates : one per effect.
-    residual : rms of the channel that shows it best, before and after adding the first.
+    residual : rms of the channel that shows it best, before and after adding the first, at the noise known beforehand.
+    within : whether pictures show that residual about the mean of each run.
     covariate : what that residual depends on; None where no single covariate explains it.
     discriminating_run : the feasible run that distinguishes them best; None where there is none.
     unlisted : covariates, one to three, of each plain function that fits as well and is none of the effects: it may be
@@ -126,11 +127,12 @@ class EffectGroup(Record):
     effects: tuple[str, ...]
     channels: tuple[str, ...]
     delta_chi2: float
-    delta_chi2_at_fit: float | None = None
+    delta_chi2_known: float | None = None
     dof: int
     p_global: float
     candidates: tuple[GroupMember, ...]
     residual: RmsChange
+    within: bool = False
     covariate: CovariateLabel | None
     discriminating_run: RunDesign | None = None
     unlisted: tuple[tuple[CovariateLabel, ...], ...] = ()

@@ -88,7 +88,7 @@ def before_after(
     named = group.covariate if group is not None else None
     own = joined.filter(pl.col("channel") == channel)
     before_own, after_own = own["input_residual"].to_numpy(), own["after"].to_numpy()
-    runs, within = own["run"].to_numpy(), group is not None and group.residual.within
+    runs, within = own["run"].to_numpy(), group is not None and group.within
     if within:
         before_own, after_own = (each - of_runs(each, runs) for each in (before_own, after_own))
     if named is not None and named.name in INPUTS.values() and "input_observed" in own.columns:
