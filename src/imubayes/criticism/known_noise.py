@@ -102,6 +102,11 @@ class _Scatter:
     freedom: float
     floor: float = 0.0
 
+    def in_units_of(self, parameter: Parameter) -> "_Scatter":
+        """Return the same over the square of what the prior of a scale states."""
+        unit = (stated(parameter) * parameter.factor) ** 2
+        return replace(self, variance=self.variance / unit, floor=self.floor / unit)
+
 
 def compare_with_known(projection: Projection) -> KnownNoise:
     """Return every noise scale of a fit against what is known of it beforehand.
@@ -128,7 +133,7 @@ def compare_with_known(projection: Projection) -> KnownNoise:
             between_runs=issubclass(member, SharedNoise),
         )  # fmt: skip
         if base.between_runs and place in between:
-            of_scale[k] = between[place]
+            of_scale[k] = between[place].in_units_of(parameter)
         if not issubclass(member, WhiteNoise) or place is None:
             found.append(_against_prior(base, parameter))
             continue
@@ -140,7 +145,7 @@ def compare_with_known(projection: Projection) -> KnownNoise:
         rows = _Scatter(own**2 * chi2 / freedom, freedom)
         base = replace(base, fitted=math.sqrt(rows.variance) / parameter.factor, freedom=freedom)
         if record is None:
-            of_scale[k] = rows
+            of_scale[k] = rows.in_units_of(parameter)
         found.append(
             _against_prior(base, parameter) if record is None else _against_record(base, record, parameter.factor)
         )
@@ -228,12 +233,9 @@ def _against_sisters(
         freedom = sum(of_scale[each].freedom for each in sisters)
         if not sisters or freedom <= 0:
             continue
-        unit = (stated(scales[k][0]) * scales[k][0].factor) ** 2
-        squares = {each: (stated(scales[each][0]) * scales[each][0].factor) ** 2 for each in sisters}
-        pooled = sum(of_scale[j].freedom * of_scale[j].variance / squares[j] for j in sisters) / freedom * unit
-        spread = thresholds.SISTERS_LOG_SD * math.sqrt(1 + 1 / len(sisters))
-        expected = pooled * np.exp(2 * spread * _NODES) + own.floor
-        p = float(_WEIGHTS @ special.fdtrc(own.freedom, freedom, own.variance / expected)) / float(_WEIGHTS.sum())
+        pooled = sum(of_scale[each].freedom * of_scale[each].variance for each in sisters) / freedom
+        p = chance_among_sisters(own.variance, own.freedom, pooled, freedom, len(sisters), own.floor)
+        spread = _spread_among(len(sisters))
         ratio, base = math.sqrt(own.variance / pooled), found[scales[k][0].name]
         compared.append(
             replace(
@@ -243,12 +245,32 @@ def _against_sisters(
                 ratio=ratio,
                 ratio_sd=ratio * math.hypot(spread, math.sqrt(0.5 / own.freedom + 0.5 / freedom)),
                 # A scale within what its own prior states contradicts nothing that is known of its size.
-                p=max(p, _LEAST_P) if base.fitted > stated(scales[k][0]) else 1.0,
+                p=p if base.fitted > stated(scales[k][0]) else 1.0,
                 freedom=own.freedom,
                 sisters=tuple(channels[place].name for j in sisters if (place := scales[j][2]) is not None),
             )
         )
     return compared
+
+
+def chance_among_sisters(
+    variance: float, freedom: float, pooled: float, of_pooled: float, sisters: int, floor: float = 0.0
+) -> float:
+    """Return the chance of a larger variance of a sensor, beside that of its sisters.
+
+    Parameters
+    ----------
+    variance, freedom : of the sensor, estimated with so many degrees of freedom.
+    pooled, of_pooled, sisters : variance of so many sisters, with its degrees of freedom.
+    floor : the part of the variance that another scale makes.
+    """
+    expected = pooled * np.exp(2 * _spread_among(sisters) * _NODES) + floor
+    return max(float(_WEIGHTS @ special.fdtrc(freedom, of_pooled, variance / expected) / _WEIGHTS.sum()), _LEAST_P)
+
+
+def _spread_among(sisters: int) -> float:
+    """Return the standard deviation of the logarithm of a scale about the mean of so many others of its kind."""
+    return thresholds.SISTERS_LOG_SD * math.sqrt(1 + 1 / sisters)
 
 
 def _holm(p: np.ndarray) -> np.ndarray:

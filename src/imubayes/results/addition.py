@@ -128,7 +128,7 @@ def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
         held_out=refit.held_out,
         runs=_by_run(before, after) if taken else (),
         channels=_by_channel(before, after) if taken else (),
-        offsets_moved=_offsets_moved(before, after) if taken else (),
+        offsets_moved=offsets_moved(before, after) if taken else (),
         chi2=BeforeAfter(before=before.chi2, after=after.chi2 if taken else None),
         dof=BeforeAfter(before=before.dof, after=after.dof if taken else None),
         log_evidence=BeforeAfter(before=before.log_evidence, after=after.log_evidence),
@@ -177,7 +177,8 @@ def _by_channel(before: Summary, after: Summary) -> tuple[RmsChange, ...]:
     )
 
 
-def _offsets_moved(before: Summary, after: Summary) -> tuple[str, ...]:
+def offsets_moved(before: Summary, after: Summary) -> tuple[str, ...]:
+    """Return the channels whose residual rms rose though not within runs, at the noise known beforehand."""
     return tuple(
         now.channel
         for was, now in _both(before, after)
