@@ -80,12 +80,12 @@ class KnownNoise:
 class SampleNoise:
     """Standard deviation of one raw sample within rows, with its degrees of freedom.
 
-    `bound`: the stimulus varies within every row that tells, and adds to it.
+    `varying`: the stimulus varies within every row that tells, and adds to it.
     """
 
     sd: float
     freedom: float
-    bound: bool
+    varying: bool
 
 
 @dataclass(frozen=True)
@@ -174,12 +174,17 @@ def known_scales(fitted: Fit) -> np.ndarray:
     for k, (parameter, member, place) in enumerate(_scales(fitted.model)):
         if member.nuisance or not issubclass(member, Noise):
             continue
-        size = 0.0 if issubclass(member, SeriesNoise) else stated(parameter)
+        if issubclass(member, SeriesNoise):
+            z = parameter.z_at(0.0)
+            h[k] = _NO_CORRELATION if z is None else z
+            continue
+        z = parameter.z_at(stated(parameter))
         record = records.get(place) if issubclass(member, WhiteNoise) and place is not None else None
-        if record is not None:
-            size = min(record.sd / parameter.factor, size) if record.bound else record.sd / parameter.factor
-        z = parameter.z_at(size)
-        h[k] = z if z is not None else (_NO_CORRELATION if issubclass(member, SeriesNoise) else 0.0)
+        told = parameter.z_at(record.sd / parameter.factor) if record is not None else None
+        # Far beyond the prior it is the stimulus that varies within rows.
+        if record is not None and told is not None and not (record.varying and told > thresholds.NOISE_TOLD_SD):
+            z = told
+        h[k] = 0.0 if z is None else z
     return h
 
 
@@ -335,12 +340,12 @@ def sample_noise(model: Model) -> dict[int, SampleNoise]:
             steady.append(np.stack([sd, samples])[:, known & here])
             varying.append(np.stack([sd, samples])[:, known & ~here])
         # A stimulus that varies within a row adds to the scatter of its samples: rows at a constant one go first.
-        for bound, parts in ((False, steady), (True, varying)):
+        for varies, parts in ((False, steady), (True, varying)):
             sd, samples = np.concatenate(parts, axis=1)
             freedom = float(np.sum(samples - 1))
             pooled = math.sqrt(float(np.sum((samples - 1) * sd**2)) / freedom) if freedom > 0 else 0.0
             if pooled > 0:
-                found[channel] = SampleNoise(pooled, freedom, bound)
+                found[channel] = SampleNoise(pooled, freedom, varies)
                 break
     return found
 
