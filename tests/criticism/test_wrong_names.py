@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from imubayes.criticism.recorded_noise import NoiseComparison
+from imubayes.criticism.noise_violation import NoiseComparison
 from null_data import fitted_to, redrawn
 from test_chain_stage import signal, without
 
