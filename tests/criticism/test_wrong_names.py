@@ -8,12 +8,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from imubayes.criticism.noise_violation import NoiseComparison
 from null_data import fitted_to, redrawn
 from test_chain_stage import signal, without
 
 from imubayes.criticism import effect_selection
 from imubayes.criticism.diagnose import judge
+from imubayes.criticism.noise_violation import NoiseComparison
 from imubayes.criticism.stepwise_search import SearchResult, search
 from imubayes.criticism.unexplained_structure import unexplained_structure
 from imubayes.display.diagnosis_sentences import sentence

@@ -17,7 +17,7 @@ residuals: their parameters are no sizes of independent noise.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
@@ -89,7 +89,7 @@ class SampleNoise:
 
 
 @dataclass(frozen=True)
-class _Scatter:
+class _ScaleEstimate:
     """What the rows of a channel say of a scale.
 
     Attributes
@@ -102,7 +102,7 @@ class _Scatter:
     freedom: float
     floor: float = 0.0
 
-    def in_units_of(self, parameter: Parameter) -> "_Scatter":
+    def in_units_of(self, parameter: Parameter) -> "_ScaleEstimate":
         """Return the same over the square of what the prior of a scale states."""
         unit = (stated(parameter) * parameter.factor) ** 2
         return replace(self, variance=self.variance / unit, floor=self.floor / unit)
@@ -115,47 +115,86 @@ def compare_with_known(projection: Projection) -> KnownNoise:
     ----------
     projection : without a further whitening, so that its rows are in units of the model's own noise.
     """
-    model, h = projection.fitted.model, projection.fitted.h
-    entries, channels = model.entries, model.campaign.channels
-    used = (np.asarray(model.problem.observations.weight) > 0) & ~entries.closing
-    sigma, correlated = _white_noise(model.problem, h)
-    white = to_entries(projection, projection.residual[:, None])[:, 0]
+    model, rows = projection.fitted.model, _rows_of(projection)
     records, between = sample_noise(model), _between_runs(projection)
-    found, of_scale, scatter = list[NoiseComparison](), dict[int, _Scatter](), np.full(len(entries), np.nan)
+    found, estimates = list[NoiseComparison](), dict[int, _ScaleEstimate]()
     for k, (parameter, member, place) in enumerate(_scales(model)):
         if not issubclass(member, EntryNoise | SharedNoise):
             continue
-        here = used & (entries.channel == place) & (sigma > 0)
-        base = NoiseComparison(
-            channel=channels[place].name if place is not None else ",".join(parameter.label),
-            fitted=_value(parameter, float(h[k])), recorded=0.0, source="prior", ratio=1.0, ratio_sd=0.0, p=1.0,
-            correlated=bool(correlated[here].any()), unit=parameter.shown_unit, parameter=parameter.name,
-            between_runs=issubclass(member, SharedNoise),
-        )  # fmt: skip
-        if base.between_runs and place in between:
-            of_scale[k] = between[place].in_units_of(parameter)
-        if not issubclass(member, WhiteNoise) or place is None:
-            found.append(_against_prior(base, parameter))
-            continue
-        chi2, freedom = _within(projection, place)
-        record = records.get(place)
-        if not here.any() or freedom < thresholds.NOISE_FREEDOM_MIN:
-            continue
-        own = float(np.median(sigma[here]))
-        rows = _Scatter(own**2 * chi2 / freedom, freedom)
-        base = replace(base, fitted=math.sqrt(rows.variance) / parameter.factor, freedom=freedom)
-        if record is None:
-            of_scale[k] = rows.in_units_of(parameter)
-        found.append(
-            _against_prior(base, parameter) if record is None else _against_record(base, record, parameter.factor)
-        )
-        scatter[here] = white[here] * own / (found[-1].recorded * parameter.factor)
-    found += _against_sisters({each.parameter: each for each in found}, model, of_scale)
+        base, estimate, record = rows.as_fitted(parameter, member, place, float(projection.fitted.h[k])), None, None
+        if base.between_runs and place is not None:
+            estimate = between.get(place)
+        elif issubclass(member, WhiteNoise) and place is not None:
+            estimate, record = rows.estimate(place), records.get(place)
+            if estimate is None:
+                continue
+            base = replace(base, fitted=math.sqrt(estimate.variance) / parameter.factor, freedom=estimate.freedom)
+        if estimate is not None and record is None:
+            estimates[k] = estimate.in_units_of(parameter)
+        found.append(_against_record(base, record, parameter.factor) if record else _against_prior(base, parameter))
+    found += _against_sisters({each.parameter: each for each in found}, model, estimates)
     adjusted = _holm(np.array([each.p for each in found])).tolist()
     counted = tuple(replace(each, p=p) for each, p in zip(found, adjusted, strict=True))
-    shown, runs = np.isfinite(scatter), np.array([run.name for run in model.campaign.runs])
-    names = np.array([channel.name for channel in channels])
-    return KnownNoise(counted, names[entries.channel[shown]], runs[entries.run[shown]], scatter[shown])
+    return KnownNoise(counted, *rows.over_known(counted))
+
+
+@dataclass(frozen=True)
+class _FittedRows:
+    """The rows of a projection, and the white noise of one raw sample that the fit gives them, all of shape (E,).
+
+    Attributes
+    ----------
+    used : which count.
+    sigma : white noise of one raw sample, 0 without.
+    correlated : whether the model has autocorrelated noise there.
+    """
+
+    projection: Projection
+    used: np.ndarray
+    sigma: np.ndarray
+    correlated: np.ndarray
+
+    def of(self, channel: int | None) -> np.ndarray:
+        """Return which rows of a channel have white noise, (E,) bool."""
+        return self.used & (self.projection.fitted.model.entries.channel == channel) & (self.sigma > 0)
+
+    def as_fitted(self, parameter: Parameter, member: EffectClass, channel: int | None, z: float) -> NoiseComparison:
+        """Return a scale as fitted, compared with nothing yet."""
+        channels = self.projection.fitted.model.campaign.channels
+        return NoiseComparison(
+            channel=channels[channel].name if channel is not None else ",".join(parameter.label),
+            fitted=_value(parameter, z), recorded=0.0, source="prior", ratio=1.0, ratio_sd=0.0, p=1.0,
+            correlated=bool(self.correlated[self.of(channel)].any()), unit=parameter.shown_unit,
+            parameter=parameter.name, between_runs=issubclass(member, SharedNoise),
+        )  # fmt: skip
+
+    def estimate(self, channel: int) -> _ScaleEstimate | None:
+        """Return what the scatter of rows says of one raw sample; None where they are too few to tell."""
+        here, (chi2, freedom) = self.of(channel), _within(self.projection, channel)
+        if not here.any() or freedom < thresholds.NOISE_FREEDOM_MIN:
+            return None
+        return _ScaleEstimate(float(np.median(self.sigma[here])) ** 2 * chi2 / freedom, freedom)
+
+    def over_known(self, comparisons: Sequence[NoiseComparison]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return channel, run and whitened residual of the rows whose white noise is known, in units of that."""
+        model = self.projection.fitted.model
+        names = np.array([channel.name for channel in model.campaign.channels])
+        runs = np.array([run.name for run in model.campaign.runs])
+        white = to_entries(self.projection, self.projection.residual[:, None])[:, 0]
+        known = {each.channel: each.fitted / each.ratio for each in comparisons if each.of_rows}
+        scatter, entries = np.full(len(white), np.nan), model.entries
+        for place, channel in enumerate(names.tolist()):
+            here = self.of(place)
+            if channel in known and here.any():
+                scatter[here] = white[here] * float(np.median(self.sigma[here])) / known[channel]
+        shown = np.isfinite(scatter)
+        return names[entries.channel[shown]], runs[entries.run[shown]], scatter[shown]
+
+
+def _rows_of(projection: Projection) -> _FittedRows:
+    model = projection.fitted.model
+    used = (np.asarray(model.problem.observations.weight) > 0) & ~model.entries.closing
+    return _FittedRows(projection, used, *_white_noise(model.problem, projection.fitted.h))
 
 
 def contradicted_between_runs(fitted: Fit, responses: Responses) -> bool:
@@ -174,18 +213,23 @@ def known_scales(fitted: Fit) -> np.ndarray:
     for k, (parameter, member, place) in enumerate(_scales(fitted.model)):
         if member.nuisance or not issubclass(member, Noise):
             continue
+        record = records.get(place) if issubclass(member, WhiteNoise) and place is not None else None
         if issubclass(member, SeriesNoise):
             z = parameter.z_at(0.0)
             h[k] = _NO_CORRELATION if z is None else z
-            continue
-        z = parameter.z_at(stated(parameter))
-        record = records.get(place) if issubclass(member, WhiteNoise) and place is not None else None
-        told = parameter.z_at(record.sd / parameter.factor) if record is not None else None
-        # Far beyond the prior it is the stimulus that varies within rows.
-        if record is not None and told is not None and not (record.varying and told > thresholds.NOISE_TOLD_SD):
-            z = told
-        h[k] = 0.0 if z is None else z
+        else:
+            h[k] = _known_size(parameter, record)
     return h
+
+
+def _known_size(parameter: Parameter, record: SampleNoise | None) -> float:
+    """Return z of what is known of a size: of its raw samples, else what the prior states."""
+    told = parameter.z_at(record.sd / parameter.factor) if record is not None else None
+    # Far beyond the prior it is the stimulus that varies within rows.
+    if record is not None and told is not None and not (record.varying and told > thresholds.NOISE_TOLD_SD):
+        return told
+    z = parameter.z_at(stated(parameter))
+    return 0.0 if z is None else z
 
 
 def stated(parameter: Parameter) -> float:
@@ -227,7 +271,7 @@ def _against_prior(base: NoiseComparison, parameter: Parameter) -> NoiseComparis
 
 
 def _against_sisters(
-    found: Mapping[str, NoiseComparison], model: Model, of_scale: Mapping[int, _Scatter]
+    found: Mapping[str, NoiseComparison], model: Model, of_scale: Mapping[int, _ScaleEstimate]
 ) -> list[NoiseComparison]:
     """Return the comparison of every scale with that of the same kind of sensor, as multiples of what is stated."""
     scales, channels = _scales(model), model.campaign.channels
@@ -294,7 +338,7 @@ def _within(projection: Projection, channel: int) -> tuple[float, float]:
     return float(squares[own].sum()), float(projection.freedom[own].sum())
 
 
-def _between_runs(projection: Projection) -> dict[int, _Scatter]:
+def _between_runs(projection: Projection) -> dict[int, _ScaleEstimate]:
     """Return the scatter of the means of the runs of each channel about the model."""
     apart, _ = projection.offsets_apart
     fitted, strata = projection.fitted, apart.strata
@@ -308,7 +352,7 @@ def _between_runs(projection: Projection) -> dict[int, _Scatter]:
         if freedom >= thresholds.SISTERS_FREEDOM_MIN:
             floor = float(np.mean(1 / precision[groups]))
             whole = floor + float(np.mean(shared[groups]))
-            found[int(strata.channel[place])] = _Scatter(whole * float(squares[place]) / freedom, freedom, floor)
+            found[int(strata.channel[place])] = _ScaleEstimate(whole * float(squares[place]) / freedom, freedom, floor)
     return found
 
 

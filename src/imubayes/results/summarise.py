@@ -7,7 +7,9 @@ import numpy as np
 
 from imubayes.criticism.known_noise import compare_with_known
 from imubayes.criticism.known_noise_fit import fit_at_known_noise
+from imubayes.criticism.model_history import KnownNoiseFit
 from imubayes.criticism.noise_assumptions import NoiseJudgement, judged_noise_in, projected
+from imubayes.criticism.noise_violation import NoiseComparison
 from imubayes.inference.contribution_record import Contribution
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.experiment_design import next_runs
@@ -48,9 +50,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
     found = combinations(fit, precision)
     shares = {quantity.name: quantity.from_data for quantity in (*derived, *parameters)}
     chains = fit.posterior.chains if fit.posterior is not None else None
-    at = projected(fit) if usable else None
-    noise = judged_noise_in(at) if at is not None else NoiseJudgement((), ())
-    contradicted = compare_with_known(at).contradicted if at is not None else ()
+    noise, contradicted, known = _noise(fit)
     return Summary(
         campaign=model.campaign.name,
         model=model.spec.name,
@@ -66,7 +66,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         noise_violations=noise.violations,
         noise_suspected=noise.suspected,
         noise_contradicted=contradicted,
-        known_noise=fit_at_known_noise(fit) if usable else None,
+        known_noise=known,
         prior_scatter=prior_scatter(fit),
         parameters=parameters,
         derived=derived,
@@ -82,6 +82,14 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         notes=(*model.campaign.notes, *(f"{run.name}: {note}" for run in model.campaign.runs for note in run.notes)),
         seconds=Seconds(load=load_seconds, **fit.seconds),
     )
+
+
+def _noise(fit: Fit) -> tuple[NoiseJudgement, tuple[NoiseComparison, ...], KnownNoiseFit | None]:
+    """Return how the noise departs from its model, what contradicts the noise known beforehand, and the fit at it."""
+    if fit.posterior is None:
+        return NoiseJudgement((), ()), (), None
+    at = projected(fit)
+    return judged_noise_in(at), compare_with_known(at).contradicted, fit_at_known_noise(fit)
 
 
 def _sampling(chains: Chains | None) -> dict[str, Any]:
