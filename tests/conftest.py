@@ -66,7 +66,7 @@ GROUPS = {
         f"{README}the_users_effect",
         "criticism/test_outliers.py",
         "criticism/test_shipped.py",
-        "criticism/test_noise_against_prior.py",
+        "criticism/test_known_noise.py",
         "criticism/test_wrong_names.py",
         "criticism/test_much_is_missing.py",
         "criticism/test_dead_zone.py",

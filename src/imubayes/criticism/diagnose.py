@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
+import jax.numpy as jnp
+
 from imubayes.campaign_data import Kind
 from imubayes.criticism import thresholds
 from imubayes.criticism.chain_stage import FoundStage, stages_of
@@ -24,12 +26,14 @@ from imubayes.criticism.diagnosis_record import (
 from imubayes.criticism.discriminating_run import discriminating_run
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.free_form_dependence import dominant_channel
+from imubayes.criticism.known_noise import compare_with_known, known_scales
+from imubayes.criticism.known_noise_fit import known_noise_point
 from imubayes.criticism.large_effects import remainder_of_leader
+from imubayes.criticism.marginal_evidence import columns_of
 from imubayes.criticism.neglected_uncertainty import neglected_uncertainties
-from imubayes.criticism.noise_against_prior import NoiseBeyondPrior, noise_beyond_prior
 from imubayes.criticism.noise_assumptions import judged_noise_in
-from imubayes.criticism.noise_violation import NoiseViolation
-from imubayes.criticism.projection import project
+from imubayes.criticism.noise_violation import NoiseComparison, NoiseViolation
+from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.residual_evidence import ResidualEvidence, following_covariate, residual_evidence
 from imubayes.criticism.residual_findings import (
     covariate_label,
@@ -50,6 +54,7 @@ from imubayes.criticism.verdict import MISSING, EffectChoice, RmsChange, Suggest
 from imubayes.effects.base import Effect, Stage
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
+from imubayes.inference.posterior_precision import Linearised
 from imubayes.json_record import finite
 from imubayes.step_counter import Tell, silent
 
@@ -82,9 +87,11 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
 def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
     found, unexplained = _with_large_effect_fitted(found)
     unlisted = [] if unexplained else [unlisted_causes(found, group) for group in found.groups]
-    beyond_prior = noise_beyond_prior(fit)
-    verdict = _verdict(found, unexplained, unlisted, beyond_prior)
-    violations = _violations(found, verdict)
+    as_fitted = project(found.first.projection.fitted, found.responses.misfit, found.responses.jacobian)
+    # As fitted: what the search ends with may be whitened by noise that it only suspects.
+    contradicted = compare_with_known(as_fitted).contradicted
+    verdict = _verdict(found, unexplained, unlisted, contradicted)
+    violations = _violations(found, verdict, as_fitted)
     verdict = "noise_model" if violations else verdict
     found = _as_named(found, verdict)
     open_question = verdict == "unexplained_structure"
@@ -108,8 +115,8 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         unfinished=found.unfinished,
         rivals=_rivals(found),
         strongest=strongest_structure(found) if open_question else None,
-        recorded_noise=found.record.comparisons,
-        beyond_prior=beyond_prior,
+        recorded_noise=found.record.of_rows,
+        contradicted=contradicted,
         neglected=neglected_uncertainties(found),
         violations=violations,
         wandering=found.wandering,
@@ -162,7 +169,7 @@ def _verdict(
     found: SearchResult,
     unexplained: Sequence[Significant],
     unlisted: Sequence[Causes],
-    beyond_prior: Sequence[NoiseBeyondPrior],
+    contradicted: Sequence[NoiseComparison],
 ) -> Verdict:
     if unexplained:
         return "unexplained_structure"
@@ -170,7 +177,7 @@ def _verdict(
         doubtful = bool(unlisted[0] or found.wandering or found.rivals or found.unfinished) or scatter_remains(found)
         alone = len(found.groups[0].members) == 1 and not doubtful
         return "missing_effect" if alone else "equivalent_effects"
-    noisy = found.adopted or found.record.excessive or beyond_prior or found.wandering
+    noisy = found.adopted or found.record.contradicted or contradicted or found.wandering
     return "noise_model" if noisy else "adequate"
 
 
@@ -181,14 +188,12 @@ def _as_named(found: SearchResult, verdict: Verdict) -> SearchResult:
     return replace(found, rivals=found.rivals if found.wandering else (), paired=False, unfinished=False)
 
 
-def _violations(found: SearchResult, verdict: Verdict) -> tuple[NoiseViolation, ...]:
+def _violations(found: SearchResult, verdict: Verdict, as_fitted: Projection) -> tuple[NoiseViolation, ...]:
     """Return how the noise departs from its model where no candidate explains that; outliers are told by themselves."""
     if verdict not in ("adequate", "noise_model") or found.adopted:
         return ()
-    # As fitted: what the search ends with may be whitened by noise that it only suspects.
-    at = project(found.first.projection.fitted, found.responses.misfit, found.responses.jacobian)
     told = ("heavy_tails",) if found.outlier_sd.any() else ()
-    return tuple(each for each in judged_noise_in(at).violations if each.kind not in told)
+    return tuple(each for each in judged_noise_in(as_fitted).violations if each.kind not in told)
 
 
 def _asked(effect: str, found: SearchResult, result: str) -> Diagnosis:
@@ -268,12 +273,12 @@ def _group(
     stage: FoundStage | None,
 ) -> EffectGroup:
     leader = group.leader
-    before, after, unit = evidence.rms
+    drop, residual = _at_known_noise(fit, found, leader, evidence.channel)
     return EffectGroup(
         effects=group.effects,
         channels=leader.owners,
         delta_chi2=leader.delta_chi2,
-        delta_chi2_at_fit=leader.score.delta_chi2_at_fit,
+        delta_chi2_known=drop,
         dof=leader.dof,
         p_global=found.against_budget(group.p),
         candidates=tuple(
@@ -287,13 +292,26 @@ def _group(
             )
             for member, unexplained in zip(group.members, group.unexplained, strict=True)
         ),
-        residual=RmsChange(channel=evidence.channel, before=before, after=after, unit=unit, within=evidence.within),
+        residual=residual,
+        within=evidence.within,
         covariate=covariate_label(evidence.covariate) if evidence.covariate is not None else None,
         discriminating_run=discriminating_run(fit, group),
         unlisted=tuple(tuple(map(covariate_label, each)) for each in unlisted),
         stage=_chain_stage(fit, leader, stage) if stage is not None else None,
         beyond_typical=_beyond_typical(leader),
     )
+
+
+def _at_known_noise(fit: Fit, found: SearchResult, leader: Candidate, channel: str) -> tuple[float, RmsChange]:
+    """Return the Δχ² of a candidate at the noise known beforehand, and what it does to the residual of a channel."""
+    about = Linearised(jnp.asarray(fit.z), jnp.asarray(found.responses.misfit), jnp.asarray(found.responses.jacobian))
+    before = known_noise_point(fit.model, about, known_scales(fit))
+    after = before.with_columns(columns_of(found.first.prepared, leader))
+    then, now = before.record(), after.record()
+    one, other = (next(each for each in both.channels if each.channel == channel) for both in (then, now))
+    factor, unit = {"deg/s": (3600.0, "deg/h"), "deg": (3600.0, "arcsec")}.get(one.unit, (1e6, "ug"))
+    change = RmsChange(channel=channel, before=factor * one.rms, after=factor * other.rms, unit=unit)
+    return then.chi2 - now.chi2, change
 
 
 def _beyond_typical(leader: Candidate) -> tuple[UntypicalSize, ...]:

@@ -10,13 +10,13 @@ from dataclasses import replace
 from imubayes.criticism import thresholds
 from imubayes.criticism.effect_selection import at_scales, select_beside
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
+from imubayes.criticism.known_noise import contradicted_between_runs
 from imubayes.criticism.marginal_evidence import (
     columns_of,
     evidence_with_scatter,
     evident_between_runs,
     evident_in_correlated_noise,
 )
-from imubayes.criticism.noise_against_prior import scatter_beyond_prior
 from imubayes.criticism.scales_beside import evident_at_scales_beside
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.search_input import Screening, SearchInput
@@ -119,11 +119,11 @@ def _between_few_runs(
 def outweighed(given: SearchInput, at: FirstPass, outcome: SearchOutcome) -> SearchOutcome:
     """Return the outcome with what scatter between runs took up, where that outweighs what was selected.
 
-    Scatter far beyond its prior is a finding.  The F test of few runs does not show its cause, whose smaller part
-    within runs is then shared by effects that imitate it.  Beside the cause these explain nothing, but what is missing
-    as well is selected.
+    Scatter that contradicts what is known is a finding.  The F test of few runs does not show its cause, whose smaller
+    part within runs is then shared by effects that imitate it.  Beside the cause these explain nothing, but what is
+    missing as well is selected.
     """
-    if not scatter_beyond_prior(given.fitted):
+    if not contradicted_between_runs(given.fitted, given.responses):
         return outcome
     log_factor = -math.inf
     if outcome.groups:

@@ -62,25 +62,10 @@ class ResidualEvidence:
     over: "InputTimes | None" = None
     within: bool = False
 
-    @property
-    def rms(self) -> tuple[float, float, str]:
-        """The rms residual before and after the candidate is added, and its unit: deg/h, ug, or arcsec.
-
-        About the mean of each run, where the residual is shown without its offset.
-        """
-        factor, unit = {"deg/s": (3600.0, "deg/h"), "deg": (3600.0, "arcsec")}.get(self.unit, (1e6, "ug"))
-        both = (self.residual, self.residual - self.explained)
-        before, after = (rest - of_runs(rest, self.run) if self.within else rest for rest in both)
-        return factor * _rms(before), factor * _rms(after), unit
-
 
 def of_runs(values: np.ndarray, runs: np.ndarray) -> np.ndarray:
     """Return the mean of the finite values of its run at each entry, (n,)."""
     return group_means(values, np.unique(runs, return_inverse=True)[1])
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def following_covariate(

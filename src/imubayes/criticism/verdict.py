@@ -34,10 +34,9 @@ class Suggestion(Record):
 
 
 class RmsChange(Record):
-    """Residual rms of one channel before and after an addition, in `unit`; about the mean of each run if `within`."""
+    """Residual rms of one channel before and after an addition, in `unit`."""
 
     channel: str
     before: float
     after: float
     unit: str
-    within: bool = False

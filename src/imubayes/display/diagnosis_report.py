@@ -158,11 +158,10 @@ def effect_source(found: Diagnosis) -> str:
 
 def _prediction(found: Diagnosis) -> str:
     best = found.groups[0]
-    rms, at_fit = best.residual, best.delta_chi2_at_fit
+    rms, known = best.residual, best.delta_chi2_known
+    drop, noise = (best.delta_chi2, "that remains") if known is None else (known, "known beforehand")
     return (
-        f"Predicted for adding it: Δχ² {significant(best.delta_chi2)} at the noise that remains"
-        f"{'' if at_fit is None else f', {significant(at_fit)} at the noise as fitted'}; "
-        f"residual of {rms.channel}{' within runs' if rms.within else ''} "
+        f"Predicted for adding it: Δχ² {significant(drop)} at the noise {noise}; residual of {rms.channel} "
         f"{significant(rms.before)} → {significant(rms.after)} {pretty(rms.unit)} rms; "
         f"p {relation(best.p_global)} corrected for {found.looks:.0f} looks."
     )

@@ -1,16 +1,14 @@
 """The verdict of a diagnosis in words: a few sentences, the finding of the strongest evidence first."""
 
 import math
-from collections.abc import Sequence
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectChoice, EffectGroup, UndetectableEffect
-from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
-from imubayes.criticism.recorded_noise import NoiseComparison
+from imubayes.criticism.noise_violation import NoiseComparison
 from imubayes.display.labels import listed, pretty
-from imubayes.display.noise_violation_text import violation_text
-from imubayes.display.rounding import percent, relation, significant, value_and_sd
+from imubayes.display.noise_violation_text import contradiction_text, noise_ratio, violation_text
+from imubayes.display.rounding import percent, significant
 from imubayes.display.structure_words import step_text
 
 _MOST_NAMED = 3
@@ -37,8 +35,9 @@ def sentence(found: Diagnosis) -> str:
         said += _undetectable_sentence(found)
         said += _nearest_sentence(found)
     parts = [noise, said] if found.noise_outweighs else [said, noise]
+    told = [f"{contradiction_text(found.contradicted)}."] if found.contradicted else []
     return (
-        " ".join(part for part in parts if part)
+        " ".join(part for part in (*told, *parts) if part)
         + _record_sentence(found)
         + _outlier_sentence(found)
         + _neglected_sentence(found)
@@ -161,13 +160,12 @@ def _noise_sentence(found: Diagnosis) -> str:
             f"{_rival_of_noise(found)}"
         )
     if not adopted and found.violations:
-        said = (
+        return (
             f"The noise is not as the model says: {violation_text(found.violations)}. No effect or noise of the "
             "catalogue is significant, but the intervals of this fit cannot be trusted."
         )
-        return f"{said} {_beyond_prior_sentence(found.beyond_prior)}" if found.beyond_prior else said
-    if not adopted and found.beyond_prior:
-        return _beyond_prior_sentence(found.beyond_prior)
+    if not adopted and found.contradicted:
+        return "No single effect and no noise of the catalogue is significant, but the model is not adequate."
     if not adopted:
         return (
             "The model does not explain the scatter from row to row: no single effect and no noise of the catalogue is "
@@ -188,29 +186,16 @@ def _rival_of_noise(found: Diagnosis) -> str:
     )
 
 
-def _beyond_prior_sentence(beyond: Sequence[NoiseBeyondPrior]) -> str:
-    """Return which noise is larger than its prior allows, and what that may mean."""
-    worst, rest = beyond[0], len(beyond) - 1
-    said = (
-        f"{worst.parameter} is {significant(worst.value)} {pretty(worst.unit)}, far beyond its prior (above "
-        f"{significant(worst.expected)} with 2.5 % probability; p {relation(worst.p)})"
-    )
-    said += f", and so {'is one more parameter' if rest == 1 else f'are {rest} more parameters'}." if rest else "."
-    where = "between runs" if worst.between_runs else "from row to row"
-    return f"{said} Either something acts {where} that the model lacks, or the prior is too narrow for this unit."
-
-
 def _record_sentence(found: Diagnosis) -> str:
     """Return by how much the fitted noise differs from the recorded one; empty where they agree."""
-    apart = found.disagreeing_noise
+    told = () if found.groups else {each.parameter for each in found.contradicted}
+    apart = [each for each in found.disagreeing_noise if each.parameter not in told]
     if not apart:
         return ""
     worst = max(apart, key=lambda each: abs(math.log(each.ratio)))
     rest = len(apart) - 1
     more = f" {rest} more {'channel disagrees' if rest == 1 else 'channels disagree'}." if rest else ""
-    return (
-        f" The fitted noise of {worst.channel} is {noise_ratio(worst)} times the recorded noise ({_both(worst)}).{more}"
-    )
+    return f" The fitted noise of {worst.channel} is {noise_ratio(worst)} times the known noise ({_both(worst)}).{more}"
 
 
 def _both(each: NoiseComparison) -> str:
@@ -272,12 +257,6 @@ def _asked_sentence(found: Diagnosis) -> str:
     absorbed = ", ".join(f"{percent(each.share)} in {each.parameter}" for each in hidden.absorbed_by[:3])
     why = f"absorbed by the model, {absorbed}" if absorbed else why_undetectable(hidden)
     return f"These runs cannot show {asked.effect}: {why}."
-
-
-def noise_ratio(each: NoiseComparison) -> str:
-    """Return fitted over recorded noise with its standard uncertainty."""
-    value, sd = value_and_sd(each.ratio, each.ratio_sd)
-    return f"{value} ± {sd}"
 
 
 def why_undetectable(hidden: UndetectableEffect) -> str:

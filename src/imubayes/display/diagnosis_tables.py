@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, RankedEffect
-from imubayes.display.diagnosis_sentences import noise_ratio, why_undetectable
+from imubayes.display.diagnosis_sentences import why_undetectable
 from imubayes.display.labels import listed, pretty
+from imubayes.display.noise_violation_text import noise_ratio
 from imubayes.display.rounding import chance_text, percent, significant, value_and_sd
 from imubayes.display.structure_words import structure_shape
 from imubayes.display.table_layout import Cell, Sheet
@@ -125,7 +126,7 @@ def noise_sheet(found: Diagnosis) -> Sheet:
 
 def recorded_noise_sheet(found: Diagnosis) -> Sheet:
     """Return fitted against recorded noise of the channels where they do not agree."""
-    sources = {"samples": "samples within rows", "channel": "'noise' of the channel"}
+    sources = {"samples": "samples within rows", "prior": "the prior", "channel": "'noise' of the channel"}
     rows = [
         (
             Cell(each.channel),

@@ -1,7 +1,7 @@
 """What has to be known before the numbers of a fit are used, in sentences."""
 
 from imubayes.display.labels import pretty
-from imubayes.display.noise_violation_text import violation_text
+from imubayes.display.noise_violation_text import contradiction_text, violation_text
 from imubayes.display.rounding import percent, significant
 from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
 from imubayes.results.summary import PriorScatter, Summary
@@ -16,17 +16,16 @@ def alarm_of(summary: Summary) -> str:
     if not summary.converged:
         said = f"NOT CONVERGED. {summary.message.strip() or 'The numbers below must not be used.'}"
         return f"{said} {_SAMPLING_REMEDY}" if summary.sampled else said
-    if summary.noise_violations:
-        causes = violation_text(summary.noise_violations)
-        return f"DO NOT TRUST THE INTERVALS: {causes}. `imubayes diagnose` looks for the cause."
-    return ""
+    contradicted = [contradiction_text(summary.noise_contradicted)] if summary.noise_contradicted else []
+    causes = "; ".join([*contradicted, *([violation_text(summary.noise_violations)] * bool(summary.noise_violations))])
+    return f"DO NOT TRUST THE INTERVALS: {causes}. `imubayes diagnose` looks for the cause." if causes else ""
 
 
 def next_command(summary: Summary, campaign: str, folder: str) -> str:
     """Return the command to run after a fit: what looks for the cause of its warning, or the look at the residuals."""
     if summary.implausible or summary.unexplained or not (summary.converged or summary.sampled):
         return f"imubayes check {campaign}"
-    doubted = summary.noise_violations or not summary.converged
+    doubted = summary.noise_violations or summary.noise_contradicted or not summary.converged
     return f"imubayes {'diagnose' if doubted else 'compare'} {folder}"
 
 

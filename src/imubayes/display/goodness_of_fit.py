@@ -1,4 +1,4 @@
-"""p-values of χ² per run and channel.
+"""χ² in words, and its p-values per run and channel.
 
 Parameters take up their share of the degrees of freedom: of its n values a run and channel has n·dof/N in proportion.
 """
@@ -17,6 +17,15 @@ def share_of_freedom(summary: Summary) -> float:
     """Return the degrees of freedom per residual, between 0.1 and 1; 1 where there are no residuals."""
     count = sum(run.n for run in summary.runs)
     return min(max(summary.dof / count, 0.1), 1.0) if count and summary.dof else 1.0
+
+
+def chi2_text(summary: Summary) -> str:
+    """Return χ² at the noise as fitted, and beside it at the noise known beforehand where that was found."""
+    fitted = "–" if summary.chi2 is None else f"{summary.chi2:.1f}"
+    said, known = f"chi2 {fitted} for {summary.dof:.0f} degrees of freedom", summary.known_noise
+    if known is None:
+        return said
+    return f"{said} at the noise as fitted, {known.chi2:.1f} for {known.dof:.0f} at the noise known beforehand"
 
 
 def tail(chi2: float, freedom: float) -> float:
