@@ -10,6 +10,7 @@ from pydantic import PrivateAttr
 from imubayes.campaign_data import Kind
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import Absorber, ParameterBias
+from imubayes.criticism.disagreement_record import Disagreement
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.localised_structure import Step
 from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
@@ -319,6 +320,7 @@ class Diagnosis(Presented, Record):
         the cause.
     recorded_noise : fitted against recorded noise of each channel, after the groups.
     beyond_prior : noise parameters that the fit puts far beyond their priors, the least probable first.
+    disagreeing : runs and rows that do not agree with the others at the noise known before the fit.
     neglected : stated uncertainties of the equipment that no interval of the fit includes, those that matter.
     violations : how the noise departs from its model where nothing in the catalogue explains that.
     wandering : whether noise that wanders otherwise than the model's explains what is found as well, or instead of it.
@@ -350,6 +352,7 @@ class Diagnosis(Presented, Record):
     scatter_remains: bool = False
     recorded_noise: tuple[NoiseComparison, ...] = ()
     beyond_prior: tuple[NoiseBeyondPrior, ...] = ()
+    disagreeing: tuple[Disagreement, ...] = ()
     neglected: tuple[NeglectedUncertainty, ...] = ()
     violations: tuple[NoiseViolation, ...] = ()
     wandering: WanderingNoise = ""
@@ -392,7 +395,7 @@ class Diagnosis(Presented, Record):
         """Whether noise that the model lacks has stronger evidence than the effect or structure of the verdict."""
         adopted = [noise for noise in self.noise if noise.adopted]
         others = [group.p_global for group in self.groups] or [each.p for each in self.structure]
-        if not adopted or not others or self.verdict == "noise_model":
+        if not adopted or not others or self.verdict in ("noise_model", "run_disagrees"):
             return False
         return min(noise.p for noise in adopted) < min(others)
 

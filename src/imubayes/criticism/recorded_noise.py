@@ -17,6 +17,7 @@ from scipy import special
 from imubayes.criticism import thresholds
 from imubayes.criticism.noise_tests import to_entries
 from imubayes.criticism.projection import Projection
+from imubayes.model.bind import Model
 from imubayes.model.problem import Problem
 from imubayes.noise.base import SeriesNoise, SlowNoise
 from imubayes.noise.components import WhiteNoise
@@ -92,7 +93,7 @@ class RecordedNoise:
 
 
 @dataclass(frozen=True)
-class _Record:
+class SampleNoise:
     """Recorded standard deviation of one sample, the variance of its logarithm, and its degrees of freedom."""
 
     sd: float
@@ -112,7 +113,7 @@ def compare_with_record(projection: Projection) -> RecordedNoise:
     used = (np.asarray(model.problem.observations.weight) > 0) & ~entries.closing
     sigma, correlated = _white_noise(model.problem, projection.fitted.h)
     white = to_entries(projection, projection.residual[:, None])[:, 0]
-    records = {place: record for place in range(len(channels)) if (record := _record(projection, place)) is not None}
+    records = {place: record for place in range(len(channels)) if (record := recorded_noise(model, place)) is not None}
     comparisons, scatter = [], np.full(len(entries), np.nan)
     for place, record in records.items():
         here = used & (entries.channel == place) & (sigma > 0)
@@ -137,7 +138,7 @@ def compare_with_record(projection: Projection) -> RecordedNoise:
     return RecordedNoise(counted, names[entries.channel[shown]], runs[entries.run[shown]], scatter[shown])
 
 
-def _judged(ratio: float, freedom: float, record: _Record) -> tuple[float, float]:
+def _judged(ratio: float, freedom: float, record: SampleNoise) -> tuple[float, float]:
     """Return the relative standard uncertainty of a ratio, and the p-value of its excess."""
     excess = ratio / thresholds.NOISE_AGREES
     if record.source == "samples":
@@ -171,12 +172,11 @@ def _white_noise(problem: Problem, h: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.sqrt(variance * np.asarray(observations.entry.samples)), correlated
 
 
-def _record(projection: Projection, channel: int) -> _Record | None:
+def recorded_noise(model: Model, channel: int) -> SampleNoise | None:
     """Return what the campaign records of the noise of a channel; None where it records nothing."""
-    model = projection.fitted.model
     steady, varying = [], []
     first = 0
-    single = _single_nodes(projection)
+    single = _single_nodes(model)
     for run in model.campaign.runs:
         sd, samples = run.sample_sd[:, channel], run.samples
         known = np.isfinite(sd) & (samples > 1)
@@ -189,14 +189,14 @@ def _record(projection: Projection, channel: int) -> _Record | None:
         sd, samples = np.concatenate(parts, axis=1)
         freedom = float(np.sum(samples - 1))
         if freedom > 0:
-            return _Record(float(np.sqrt(np.sum((samples - 1) * sd**2) / freedom)), freedom, "samples")
+            return SampleNoise(float(np.sqrt(np.sum((samples - 1) * sd**2) / freedom)), freedom, "samples")
     stated = model.campaign.channels[channel].noise
-    return _Record(float(stated), np.inf, "channel") if stated else None
+    return SampleNoise(float(stated), np.inf, "channel") if stated else None
 
 
-def _single_nodes(projection: Projection) -> np.ndarray:
+def _single_nodes(model: Model) -> np.ndarray:
     """Return which rows, counted over all runs, have one constant stimulus, bool."""
-    nodes = projection.fitted.model.nodes
+    nodes = model.nodes
     sizes = np.concatenate([np.full(count, size) for count, size in nodes.turns])
     single = np.zeros(len(sizes), dtype=bool)
     single[nodes.row_of] = sizes == 1

@@ -8,6 +8,7 @@ from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectChoice, EffectGroup, UndetectableEffect
 from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
 from imubayes.criticism.recorded_noise import NoiseComparison
+from imubayes.display.disagreement_text import disagreement_text
 from imubayes.display.labels import listed, pretty
 from imubayes.display.noise_violation_text import violation_text
 from imubayes.display.rounding import percent, relation, significant, value_and_sd
@@ -23,6 +24,8 @@ def sentence(found: Diagnosis) -> str:
     if found.verdict == "not_converged":
         return found.message
     noise = ""
+    if found.verdict == "run_disagrees":
+        return disagreement_text(found.disagreeing) + _record_sentence(found) + _outlier_sentence(found)
     if found.groups:
         said = _missing_sentence(found.groups[0], found.wandering == "rival") + _pair_sentence(found)
         said += _rival_sentence(found) + _more_sentence(found)
@@ -39,6 +42,7 @@ def sentence(found: Diagnosis) -> str:
     parts = [noise, said] if found.noise_outweighs else [said, noise]
     return (
         " ".join(part for part in parts if part)
+        + "".join(f" {disagreement_text([each])}" for each in found.disagreeing)
         + _record_sentence(found)
         + _outlier_sentence(found)
         + _neglected_sentence(found)
@@ -253,9 +257,11 @@ def bias_clause(bias: ParameterBias) -> str:
 
 
 def _outlier_sentence(found: Diagnosis) -> str:
-    if not found.outliers:
+    told = {(each.run, each.row) for each in found.disagreeing}
+    outliers = [each for each in found.outliers if (each.run, each.row) not in told]
+    if not outliers:
         return ""
-    worst, count = found.outliers[0], len(found.outliers)
+    worst, count = outliers[0], len(outliers)
     where = f"{worst.channel} in row {worst.row} of run {worst.run}, {abs(worst.distance):.0f} standard deviations"
     return f" {count} outliers, the largest {where}." if count > 1 else f" One outlier: {where}."
 
