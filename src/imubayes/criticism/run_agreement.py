@@ -7,6 +7,7 @@ still scatter, something is missing in the model and no run is to blame.  A quan
 effect of the catalogue, goes before where it explains as much with as few parameters.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from scipy import special
 
 from imubayes.campaign_data import Campaign
 from imubayes.criticism import thresholds
+from imubayes.criticism.disagreement_record import DoubtedRun
 from imubayes.criticism.known_noise import LinearFit, Score, divide, linear_fit, noise_known_before
 from imubayes.criticism.recorded_noise import recorded_noise
 from imubayes.criticism.tail_probabilities import chi2_log_survival
@@ -147,6 +149,18 @@ def agreement_of_runs(fitted: Fit) -> Agreement:
     ratios = at.linear.noise_ratios(np.ones(len(at.linear.misfit), dtype=bool))
     cost = sum(each.best.cost for each in found)
     return Agreement(tuple(found), first.linear, h, at.linear.chi2, cost, float(ratios.max(initial=1.0)))
+
+
+def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
+    """Return the runs that the others do not predict although they agree with one another, the least probable first."""
+    linear = linear_fit(fitted.model, fitted.model.problem, fitted.z, known_before(fitted))
+    names, found = [run.name for run in fitted.model.campaign.runs], []
+    for run, log_p in disagreeing_runs(linear).items():
+        others = linear.weighted_by(np.where(linear.at.run != run, linear.weight, 0.0))
+        agree = others.noise_ratios(others.weight > 0).max() < thresholds.RUNS_AGREE**2
+        if agree and log_p < math.log(thresholds.RUN_TOLD_P):
+            found.append(DoubtedRun(run=names[run], p=math.exp(log_p)))
+    return tuple(sorted(found, key=lambda each: each.p))
 
 
 def disagreeing_runs(linear: LinearFit) -> dict[int, float]:

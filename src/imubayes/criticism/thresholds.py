@@ -325,8 +325,11 @@ SIZING_STEPS, SIZING_TOLERANCE = 6, 0.02
 # quite as recorded makes as much of the tail as of the rest, and a wrong input that matters is far beyond.
 DISAGREEMENT_P = 1e-5
 # Chance, for a run and all that is tried at a glance, below which each wrong input of it is worked out.  Convention:
-# one sound run in ten costs some predictions more.
-DOUBTED_RUN_P = 0.1
+# one sound run in a hundred costs some predictions more.
+DOUBTED_RUN_P = 0.01
+# Chance of what a run adds to the others, all runs together, below which a fit says that it does not agree.
+# Convention: the line asks for a diagnosis, which decides.
+RUN_TOLD_P = 0.005
 # Explanations whose evidence, twice its logarithm, is within this of the best are not distinguished: odds of 150 to 1.
 DISAGREEMENT_EQUAL = 10.0
 # Rows that are told at most.  Convention: more are a matter of the model.

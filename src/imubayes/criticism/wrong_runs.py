@@ -34,18 +34,22 @@ def disagreements(fitted: Fit, responses: Responses, named: Sequence[str]) -> tu
     named : the effects that the search found missing together.
     """
     agreement = agreement_of_runs(fitted)
-    told = [each for each in agreement.found if not _is_outlier(each)]
+    told = [each for each in agreement.found if not _is_noise(each)]
     if not told or agreement.ratio > thresholds.RUNS_AGREE**2:
         return ()
     rivals = _rivals(fitted, agreement, responses, named)
     return tuple(_record(fitted.model.campaign, each, rivals) for each in told)
 
 
-def _is_outlier(found: Disagreeing) -> bool:
-    """Whether a row is off in one channel alone, as no input would make it: an outlier, told as such."""
+def _is_noise(found: Disagreeing) -> bool:
+    """Whether no input makes the outputs so, but noise: an offset of a run, or a row off in one channel alone.
+
+    These are told as scatter between runs beyond its prior, and as an outlier.
+    """
     best = found.best
-    of_row = best.wrong.row is not None and best.wrong.form == "output_offset"
-    return of_row and int(np.sum(np.abs(best.size) > thresholds.OUTLIER_SD * best.sd)) < 2
+    if best.wrong.form != "output_offset":
+        return False
+    return best.wrong.row is None or int(np.sum(np.abs(best.size) > thresholds.OUTLIER_SD * best.sd)) < 2
 
 
 def _rivals(fitted: Fit, agreement: Agreement, responses: Responses, named: Sequence[str]) -> tuple[RivalOfInput, ...]:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from imubayes.criticism.noise_assumptions import NoiseJudgement, judged_noise
+from imubayes.criticism.run_agreement import doubted_runs
 from imubayes.inference.contribution_record import Contribution
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.experiment_design import next_runs
@@ -62,6 +63,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         noise_violations=noise.violations,
         noise_suspected=noise.suspected,
         prior_scatter=prior_scatter(fit),
+        doubted_runs=doubted_runs(fit) if usable else (),
         parameters=parameters,
         derived=derived,
         runs=residuals.by_run_and_channel(),

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import field_validator
 
+from imubayes.criticism.disagreement_record import DoubtedRun
 from imubayes.criticism.noise_violation import NoiseViolation
 from imubayes.inference.contribution_record import Contribution
 from imubayes.inference.identifiability import WeakDirection
@@ -145,6 +146,7 @@ class Summary(Record):
     noise_violations : how the noise is not, the clearest first.
     noise_suspected : how the noise may not be, although it may be chance; intervals count as valid.
     prior_scatter : noise scales known from their priors alone, on which intervals rest.
+    doubted_runs : runs that the others do not predict at the noise known before the fit.
     combinations : what is determined of the members of weak directions.
     pareto_k : tail index of the importance weights of the sampler's proposal; None without sampling.
     """
@@ -166,6 +168,7 @@ class Summary(Record):
     noise_violations: tuple[NoiseViolation, ...] = ()
     noise_suspected: tuple[NoiseViolation, ...] = ()
     prior_scatter: tuple[PriorScatter, ...] = ()
+    doubted_runs: tuple[DoubtedRun, ...] = ()
     parameters: tuple[ParameterSummary, ...]
     derived: tuple[DerivedSummary, ...]
     runs: tuple[RunSummary, ...]
