@@ -1,4 +1,4 @@
-"""Runs and rows left out, and further responses, against least squares done by brute force with the whole covariance."""
+"""Runs and rows left out, and further responses, against least squares by brute force with the whole covariance."""
 
 from dataclasses import replace
 

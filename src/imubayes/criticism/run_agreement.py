@@ -255,7 +255,7 @@ def _doubted(at: _At, judged: LinearFit, run: int, columns: Mapping[str, np.ndar
     stacked = np.concatenate(responses, axis=1)
     divided = divide(at.fitted.model.problem, at.h, stacked)
     drops = [judged.score(stacked[:, [k]], divided[:, [k]]).drop for k in range(stacked.shape[1])]
-    return special.chdtrc(1, max(drops)) * len(drops) < thresholds.DOUBTED_RUN_P
+    return bool(special.chdtrc(1, max(drops)) * len(drops) < thresholds.DOUBTED_RUN_P)
 
 
 def _screened_rows(

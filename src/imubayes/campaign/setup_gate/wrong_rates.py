@@ -17,7 +17,7 @@ class RateFactor(Mistake):
 
     kind: ClassVar[str] = "table_rate"
     rarity: ClassVar[float] = 8.0
-    sizes: ClassVar[tuple[float, ...]] = tuple(np.linspace(-0.2, 0.2, 9))
+    sizes: ClassVar[tuple[float, ...]] = tuple(np.linspace(-0.2, 0.2, 9).tolist())
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
