@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from imubayes.criticism.known_noise import Entries, LinearFit
+from imubayes.criticism.known_noise import EntryPlaces, LinearFit
 from imubayes.criticism.run_agreement import disagreeing_runs
 
 RUNS, ROWS, CHANNELS, PARAMETERS = 5, 8, 2, 4
 SCATTER = 0.7
 
 
-def places() -> Entries:
+def places() -> EntryPlaces:
     run, row, channel = np.meshgrid(np.arange(RUNS), np.arange(ROWS), np.arange(CHANNELS), indexing="ij")
-    return Entries(run.ravel(), row.ravel(), channel.ravel())
+    return EntryPlaces(run.ravel(), row.ravel(), channel.ravel())
 
 
-def covariance(at: Entries) -> np.ndarray:
+def covariance(at: EntryPlaces) -> np.ndarray:
     """White noise and an offset of each run and channel, which all rows of it share."""
     group = at.run * CHANNELS + at.channel
     return np.diag(np.where(at.channel == 0, 1.0, 2.0)) + SCATTER**2 * (group[:, None] == group[None, :])

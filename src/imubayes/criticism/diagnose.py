@@ -91,9 +91,7 @@ def _diagnosis(fit: Fit, found: SearchResult, disagreeing: tuple[Disagreement, .
     beyond_prior = noise_beyond_prior(fit)
     verdict = _verdict(found, unexplained, unlisted, beyond_prior)
     violations = _violations(found, verdict)
-    verdict = "noise_model" if violations else verdict
-    # What is wrong in the record of one run passes for effects and noise, which are judged once it is corrected.
-    verdict = "run_disagrees" if any(each.leads for each in disagreeing) else verdict
+    verdict = _overruled("noise_model" if violations else verdict, disagreeing)
     found = _as_named(found, verdict)
     open_question = verdict == "unexplained_structure"
     evidence = [_evidence(found, group) for group in found.groups]
@@ -181,6 +179,11 @@ def _verdict(
         return "missing_effect" if alone else "equivalent_effects"
     noisy = found.adopted or found.record.excessive or beyond_prior or found.wandering
     return "noise_model" if noisy else "adequate"
+
+
+def _overruled(verdict: Verdict, disagreeing: Sequence[Disagreement]) -> Verdict:
+    """Return the verdict beside a wrong record of a run, which passes for effects and noise: these are judged after."""
+    return "run_disagrees" if any(each.leads for each in disagreeing) else verdict
 
 
 def _as_named(found: SearchResult, verdict: Verdict) -> SearchResult:

@@ -39,7 +39,7 @@ _LEAST_RETAINED = 1e-6
 
 
 @dataclass(frozen=True)
-class Entries:
+class EntryPlaces:
     """Run, row and channel of each entry, (E,)."""
 
     run: np.ndarray
@@ -78,7 +78,7 @@ class LinearFit:
     diagonal: np.ndarray
     precision: np.ndarray
     centre: np.ndarray
-    at: Entries
+    at: EntryPlaces
     weight: np.ndarray
 
     @cached_property
@@ -206,7 +206,7 @@ def linear_fit(model: Model, problem: Problem, z: np.ndarray, h: np.ndarray) -> 
         jacobian=jacobian, misfit=misfit, weighted=divided[:, 1:], pulled=divided[:, 0],
         diagonal=np.asarray(diagonal)[0],
         precision=np.asarray(prior_widths(problem, jnp.asarray(h))) ** -2.0, centre=-np.asarray(z),
-        at=Entries(entries.run, np.where(entries.closing, -1, entries.row), entries.channel),
+        at=EntryPlaces(entries.run, np.where(entries.closing, -1, entries.row), entries.channel),
         weight=np.asarray(problem.observations.weight),
     )  # fmt: skip
 

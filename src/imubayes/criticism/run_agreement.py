@@ -29,7 +29,7 @@ _STEPS = 3
 
 
 @dataclass(frozen=True)
-class Explanation:
+class InputExplanation:
     """A wrong input with its size and what it explains.
 
     Attributes
@@ -65,9 +65,9 @@ class Disagreeing:
 
     chi2: float
     dof: int
-    best: Explanation
-    equal: tuple[Explanation, ...]
-    others: tuple[Explanation, ...]
+    best: InputExplanation
+    equal: tuple[InputExplanation, ...]
+    others: tuple[InputExplanation, ...]
 
 
 @dataclass(frozen=True)
@@ -153,6 +153,8 @@ def agreement_of_runs(fitted: Fit) -> Agreement:
 
 def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
     """Return the runs that the others do not predict although they agree with one another, the least probable first."""
+    if not fitted.optimised:
+        return ()
     linear = linear_fit(fitted.model, fitted.model.problem, fitted.z, known_before(fitted))
     names, found = [run.name for run in fitted.model.campaign.runs], []
     for run, log_p in disagreeing_runs(linear).items():
@@ -297,7 +299,7 @@ def _from_the_others(at: _At, run: int) -> _At | None:
     return at.moved(at.campaign, at.linear.without_run(run).shift)
 
 
-def _refined(at: _At, wrong: WrongInput, weight: np.ndarray, log_looks: float) -> Explanation | None:
+def _refined(at: _At, wrong: WrongInput, weight: np.ndarray, log_looks: float) -> InputExplanation | None:
     """Return a wrong input at its best size, the model and its response linearised anew there."""
     start = _from_the_others(at, wrong.run) if wrong.row is None else at
     if start is None:
@@ -321,10 +323,10 @@ def _refined(at: _At, wrong: WrongInput, weight: np.ndarray, log_looks: float) -
     own = (at.linear.at.run == wrong.run) & (at.linear.at.row >= 0)
     log_p = float(chi2_log_survival(max(drop, 1e-9), score.freedom)) + log_looks
     sd = np.sqrt(np.diag(score.covariance))
-    return Explanation(wrong, size, sd, drop, log_p, _cost(score.freedom, own, log_looks))
+    return InputExplanation(wrong, size, sd, drop, log_p, _cost(score.freedom, own, log_looks))
 
 
-def _corrected(at: _At, found: Explanation) -> _At | None:
+def _corrected(at: _At, found: InputExplanation) -> _At | None:
     """Return the model for the record without a wrong input."""
     campaign = found.wrong.corrected(at.campaign, found.size)
     moved = at.moved(campaign, np.zeros(len(at.z)))

@@ -16,7 +16,7 @@ from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Response, Responses
 from imubayes.criticism.disagreement_record import AgreeingInput, Disagreement, RivalOfInput
 from imubayes.criticism.known_noise import divide
-from imubayes.criticism.run_agreement import Agreement, Disagreeing, Explanation, agreement_of_runs
+from imubayes.criticism.run_agreement import Agreement, Disagreeing, InputExplanation, agreement_of_runs
 from imubayes.inference.fitted_model import Fit
 from imubayes.units import to_si
 
@@ -91,12 +91,12 @@ def _record(campaign: Campaign, found: Disagreeing, rivals: tuple[RivalOfInput, 
     )
 
 
-def _place(campaign: Campaign, each: Explanation) -> str:
+def _place(campaign: Campaign, each: InputExplanation) -> str:
     name = campaign.runs[each.wrong.run].name
     return name if each.wrong.row is None else f"row {each.wrong.row + 1} of run {name}"
 
 
-def _cause(campaign: Campaign, found: Explanation) -> AgreeingInput:
+def _cause(campaign: Campaign, found: InputExplanation) -> AgreeingInput:
     """Return an explanation in the unit of the record."""
     wrong, run = found.wrong, campaign.runs[found.wrong.run]
     recorded: float | None = None
