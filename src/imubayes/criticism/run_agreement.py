@@ -213,11 +213,16 @@ def _disagreeing(at: _At) -> Disagreeing | None:
     equal = [each for each in refined if each.gain > best.gain - thresholds.DISAGREEMENT_EQUAL]
     same = [each for each in equal if (each.wrong.run, each.wrong.row) == (best.wrong.run, best.wrong.row)]
     others = [each for each in equal if each not in same]
+    return Disagreeing(*_left_out(at.linear, best), best, tuple(same), tuple(others))
+
+
+def _left_out(linear: LinearFit, best: InputExplanation) -> tuple[float, int]:
+    """Return what the run or row of an explanation adds to the χ² of all others, and its number of outputs."""
     if best.wrong.row is None:
-        chi2, dof, _ = _deletion(at.linear, best.wrong.run)
-    else:
-        chi2, dof = best.drop, len(same)
-    return Disagreeing(chi2, dof, best, tuple(same), tuple(others))
+        return _deletion(linear, best.wrong.run)[:2]
+    own = (linear.at.run == best.wrong.run) & (linear.at.row == best.wrong.row)
+    chi2, sizes = linear.row_deletions(own.astype(int))
+    return float(chi2[1]), int(sizes[1])
 
 
 def _screened(at: _At) -> list[tuple[float, WrongInput, np.ndarray, float]]:
