@@ -70,6 +70,7 @@ GROUPS = {
         "criticism/test_wrong_names.py",
         "criticism/test_much_is_missing.py",
         "criticism/test_dead_zone.py",
+        "criticism/test_run_agreement.py",
     ),
     "polar-tumble": (
         "batch/test_run_batch.py",

@@ -45,6 +45,8 @@ FINDINGS: dict[str, str] = {
     "axes_exchanged": "channels are exchanged",
     "channel_unit": "a channel has another sign or unit",
     "angle_unit": "the angle column is in another unit",
+    "table_rate": "the rates of the table in a run are wrong by a factor",
+    "row_disagrees": "angle or rate of the table in one row contradicts its outputs",
     "time_shift": "outputs and table are shifted in time",
     "setup_disagrees": "the outputs contradict the set-up, and no single mistake explains it",
     "not_settled": "an output does not become steady at a level of the stimulus",

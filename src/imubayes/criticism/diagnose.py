@@ -23,6 +23,7 @@ from imubayes.criticism.diagnosis_record import (
     UndetectableEffect,
     UntypicalSize,
 )
+from imubayes.criticism.disagreement_record import Disagreement
 from imubayes.criticism.discriminating_run import discriminating_run
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.free_form_dependence import dominant_channel
@@ -51,6 +52,7 @@ from imubayes.criticism.unexplained_structure import (
 )
 from imubayes.criticism.unlisted_causes import Causes, unlisted_causes
 from imubayes.criticism.verdict import MISSING, EffectChoice, RmsChange, Suggestion, Verdict
+from imubayes.criticism.wrong_runs import disagreements
 from imubayes.effects.base import Effect, Stage
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
@@ -80,11 +82,15 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
         message = fit.message or "The fit did not converge."
         return Diagnosis(verdict="not_converged", message=message, result=result)
     found = search(fit, progress)
+    if effect:
+        return _asked(effect, found, result)
+    progress("predicting each run from the others")
+    disagreeing = disagreements(fit, found.responses, [group.leader.effect for group in found.groups])
     progress("interpreting what was found")
-    return _asked(effect, found, result) if effect else _diagnosis(fit, found, result)
+    return _diagnosis(fit, found, disagreeing, result)
 
 
-def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
+def _diagnosis(fit: Fit, found: SearchResult, disagreeing: tuple[Disagreement, ...], result: str) -> Diagnosis:
     found, unexplained = _with_large_effect_fitted(found)
     unlisted = [] if unexplained else [unlisted_causes(found, group) for group in found.groups]
     as_fitted = project(found.first.projection.fitted, found.responses.misfit, found.responses.jacobian)
@@ -92,12 +98,12 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
     contradicted = compare_with_known(as_fitted).contradicted
     verdict = _verdict(found, unexplained, unlisted, contradicted)
     violations = _violations(found, verdict, as_fitted)
-    verdict = "noise_model" if violations else verdict
+    verdict = _overruled("noise_model" if violations else verdict, disagreeing)
     found = _as_named(found, verdict)
     open_question = verdict == "unexplained_structure"
     evidence = [_evidence(found, group) for group in found.groups]
     named = found.groups if verdict in MISSING else ()
-    grouped = zip(named, evidence[: len(named)], unlisted, stages_of(found, named), strict=True)
+    grouped = zip(named, evidence[: len(named)], unlisted[: len(named)], stages_of(found, named), strict=True)
     diagnosis = Diagnosis(
         verdict=verdict,
         result=result,
@@ -117,6 +123,7 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         strongest=strongest_structure(found) if open_question else None,
         recorded_noise=found.record.of_rows,
         contradicted=contradicted,
+        disagreeing=disagreeing,
         neglected=neglected_uncertainties(found),
         violations=violations,
         wandering=found.wandering,
@@ -179,6 +186,11 @@ def _verdict(
         return "missing_effect" if alone else "equivalent_effects"
     noisy = found.adopted or found.record.contradicted or contradicted or found.wandering
     return "noise_model" if noisy else "adequate"
+
+
+def _overruled(verdict: Verdict, disagreeing: Sequence[Disagreement]) -> Verdict:
+    """Return the verdict beside a wrong record of a run, which passes for effects and noise: these are judged after."""
+    return "run_disagrees" if any(each.leads for each in disagreeing) else verdict
 
 
 def _as_named(found: SearchResult, verdict: Verdict) -> SearchResult:

@@ -10,6 +10,7 @@ from pydantic import PrivateAttr
 from imubayes.campaign_data import Kind
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import Absorber, ParameterBias
+from imubayes.criticism.disagreement_record import Disagreement
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.known_noise import KnownNoise
 from imubayes.criticism.localised_structure import Step
@@ -320,6 +321,7 @@ class Diagnosis(Presented, Record):
         the cause.
     recorded_noise : white noise of each channel, as fitted and as known beforehand, after the groups.
     contradicted : noise scales of the fit that contradict what is known of them, the least probable first.
+    disagreeing : runs and rows that do not agree with the others at the noise known before the fit.
     neglected : stated uncertainties of the equipment that no interval of the fit includes, those that matter.
     violations : how the noise departs from its model where nothing in the catalogue explains that.
     wandering : whether noise that wanders otherwise than the model's explains what is found as well, or instead of it.
@@ -351,6 +353,7 @@ class Diagnosis(Presented, Record):
     scatter_remains: bool = False
     recorded_noise: tuple[NoiseComparison, ...] = ()
     contradicted: tuple[NoiseComparison, ...] = ()
+    disagreeing: tuple[Disagreement, ...] = ()
     neglected: tuple[NeglectedUncertainty, ...] = ()
     violations: tuple[NoiseViolation, ...] = ()
     wandering: WanderingNoise = ""
@@ -393,7 +396,7 @@ class Diagnosis(Presented, Record):
         """Whether noise that the model lacks has stronger evidence than the effect or structure of the verdict."""
         adopted = [noise for noise in self.noise if noise.adopted]
         others = [group.p_global for group in self.groups] or [each.p for each in self.structure]
-        if not adopted or not others or self.verdict == "noise_model":
+        if not adopted or not others or self.verdict in ("noise_model", "run_disagrees"):
             return False
         return min(noise.p for noise in adopted) < min(others)
 

@@ -203,11 +203,15 @@ def contradicted_between_runs(fitted: Fit, responses: Responses) -> bool:
     return any(each.between_runs for each in compare_with_known(at).contradicted)
 
 
-def known_scales(fitted: Fit) -> np.ndarray:
+def known_scales(fitted: Fit, *, correlated: bool = False) -> np.ndarray:
     """Return the noise scales that were known beforehand, in z, shape (H,).
 
     White noise as the raw samples tell; where they do not, and of every other scale of a channel, what the prior
-    states; rows without correlation.  Of what is no noise of a channel nothing is known, and the fit stands.
+    states.  Of what is no noise of a channel nothing is known, and the fit stands.
+
+    Parameters
+    ----------
+    correlated : whether rows keep the correlation of the fit; they have none otherwise.
     """
     records, h = sample_noise(fitted.model), np.array(fitted.h, dtype=float)
     for k, (parameter, member, place) in enumerate(_scales(fitted.model)):
@@ -216,7 +220,7 @@ def known_scales(fitted: Fit) -> np.ndarray:
         record = records.get(place) if issubclass(member, WhiteNoise) and place is not None else None
         if issubclass(member, SeriesNoise):
             z = parameter.z_at(0.0)
-            h[k] = _NO_CORRELATION if z is None else z
+            h[k] = h[k] if correlated else _NO_CORRELATION if z is None else z
         else:
             h[k] = _known_size(parameter, record)
     return h

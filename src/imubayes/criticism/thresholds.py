@@ -317,3 +317,20 @@ MAX_BLOCKS, BLOCK_ROWS = 8, 4
 # ---- Injection and recovery ------------------------------------------------------------------------------------------
 # Steps to find the injected size, and relative tolerance of its Δχ².  Numerical.
 SIZING_STEPS, SIZING_TOLERANCE = 6, 0.02
+
+# ---- Runs that do not agree with the others (run_agreement) ----------------------------------------------------------
+# Chance, for all that is tried, below which a run or row does not agree with the others.  Convention: noise that is not
+# quite as recorded makes as much of the tail as of the rest, and a wrong input that matters is far beyond.
+DISAGREEMENT_P = 1e-5
+# Chance, for a run and all that is tried at a glance, below which each wrong input of it is worked out.  Convention:
+# one sound run in a hundred costs some predictions more.
+DOUBTED_RUN_P = 0.01
+# Chance of what a run adds to the others, all runs together, below which a fit says that it does not agree.
+# Convention: the line asks for a diagnosis, which decides.
+RUN_TOLD_P = 0.005
+# Explanations whose evidence, twice its logarithm, is within this of the best are not distinguished: odds of 150 to 1.
+DISAGREEMENT_EQUAL = 10.0
+# Rows that are told at most.  Convention: more are a matter of the model.
+MOST_WRONG_ROWS = 3
+# Scatter of the corrected runs over the noise known before, up to which they agree with one another.  Convention.
+RUNS_AGREE = 1.5

@@ -10,6 +10,7 @@ Verdict = Literal[
     "equivalent_effects",
     "unexplained_structure",
     "noise_model",
+    "run_disagrees",
     "undetectable",
     "not_converged",
 ]

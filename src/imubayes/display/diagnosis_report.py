@@ -124,7 +124,7 @@ def next_command(found: Diagnosis) -> str:
         adding = f"imubayes add found_shape.py --to {result} --out {result}-found_shape"
         written = f"imubayes diagnose {result} --python > found_shape.py && {adding}"
         return written if printable else f"imubayes compare {result}"
-    if found.verdict in ("noise_model", "not_converged") or found.wandering:
+    if found.verdict in ("noise_model", "run_disagrees", "not_converged") or found.wandering:
         return f"imubayes compare {result}"
     return f"imubayes plant --result {result}"
 

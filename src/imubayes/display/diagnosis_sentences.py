@@ -6,6 +6,7 @@ from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectChoice, EffectGroup, UndetectableEffect
 from imubayes.criticism.noise_violation import NoiseComparison
+from imubayes.display.disagreement_text import disagreement_text
 from imubayes.display.labels import listed, pretty
 from imubayes.display.noise_violation_text import contradiction_text, noise_ratio, violation_text
 from imubayes.display.rounding import percent, significant
@@ -21,6 +22,8 @@ def sentence(found: Diagnosis) -> str:
     if found.verdict == "not_converged":
         return found.message
     noise = ""
+    if found.verdict == "run_disagrees":
+        return disagreement_text(found.disagreeing) + _record_sentence(found) + _outlier_sentence(found)
     if found.groups:
         said = _missing_sentence(found.groups[0], found.wandering == "rival") + _pair_sentence(found)
         said += _rival_sentence(found) + _more_sentence(found)
@@ -38,6 +41,7 @@ def sentence(found: Diagnosis) -> str:
     told = [f"{contradiction_text(found.contradicted)}."] if found.contradicted else []
     return (
         " ".join(part for part in (*told, *parts) if part)
+        + "".join(f" {disagreement_text([each])}" for each in found.disagreeing)
         + _record_sentence(found)
         + _outlier_sentence(found)
         + _neglected_sentence(found)
@@ -238,9 +242,11 @@ def bias_clause(bias: ParameterBias) -> str:
 
 
 def _outlier_sentence(found: Diagnosis) -> str:
-    if not found.outliers:
+    told = {(each.run, each.row) for each in found.disagreeing}
+    outliers = [each for each in found.outliers if (each.run, each.row) not in told]
+    if not outliers:
         return ""
-    worst, count = found.outliers[0], len(found.outliers)
+    worst, count = outliers[0], len(outliers)
     where = f"{worst.channel} in row {worst.row} of run {worst.run}, {abs(worst.distance):.0f} standard deviations"
     return f" {count} outliers, the largest {where}." if count > 1 else f" One outlier: {where}."
 

@@ -1,8 +1,8 @@
 """What has to be known before the numbers of a fit are used, in sentences."""
 
-from imubayes.display.labels import pretty
+from imubayes.display.labels import listed, pretty
 from imubayes.display.noise_violation_text import contradiction_text, violation_text
-from imubayes.display.rounding import percent, significant
+from imubayes.display.rounding import percent, relation, significant
 from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
 from imubayes.results.summary import PriorScatter, Summary
 
@@ -74,6 +74,19 @@ def notices(summary: Summary) -> tuple[str, ...]:
     suspected = summary.noise_suspected and not alarm_of(summary)
     noise = (_SUSPECTED.format(violation_text(summary.noise_suspected)),) if suspected else ()
     return (*noise, *map(_rests_on_prior, summary.prior_scatter))
+
+
+def disagreement_lines(summary: Summary, result: str = "RESULT") -> tuple[str, ...]:
+    """Return the line that says which runs do not agree with the others; none where all do."""
+    doubted = summary.doubted_runs
+    if not doubted:
+        return ()
+    names = listed([f"run {each.run}" for each in doubted], _MOST_NAMED)
+    verb = "does" if len(doubted) == 1 else "do"
+    return (
+        f"{names[0].upper()}{names[1:]} {verb} not agree with the other runs at the noise known before the fit "
+        f"(p {relation(doubted[0].p)}): `imubayes diagnose {result}` says what in the record would make it agree.",
+    )
 
 
 _SUSPECTED = "Suspected: {}. This may be chance; if it is not, the intervals are too narrow. Longer runs would tell."

@@ -8,7 +8,7 @@ from imubayes.display.classical_comparison import (
     undetermined_sheet,
 )
 from imubayes.display.combination_tables import combination_sheet, weak_sheet, weak_text
-from imubayes.display.fit_cautions import alarm_of, notices
+from imubayes.display.fit_cautions import alarm_of, disagreement_lines, notices
 from imubayes.display.fit_quality_tables import (
     NOT_DETERMINED,
     contribution_sheet,
@@ -55,10 +55,11 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     )
     # A warning stands on the first line, above the first table; nothing comes before it.
     said, alarm = notices(summary), alarm_of(summary)
+    closings = (*weak, *disagreement_lines(summary), closing)
     if not alarm:
-        return Report(said, sheets, (*weak, closing))
+        return Report(said, sheets, closings)
     quiet = [without_alarm(sheet) if isinstance(sheet, Sheet) else sheet for sheet in sheets]
-    return Report((), quiet, (*said, *weak, closing), alarm)
+    return Report((), quiet, (*said, *closings), alarm)
 
 
 def every_table(summary: Summary, nuisance: bool) -> list[Sheet]:

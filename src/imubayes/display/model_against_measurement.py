@@ -21,6 +21,7 @@ from imubayes.display.classical_of_prediction import of_prediction
 from imubayes.display.combination_tables import combination_sheet, weak_sheet
 from imubayes.display.comparison_page import FIRST, comparison_page
 from imubayes.display.figure_selection import corner_choice, most_telling_first, plan, runs_shown
+from imubayes.display.fit_cautions import disagreement_lines
 from imubayes.display.fit_quality_tables import fit_sheet, run_sheet
 from imubayes.display.notebook_progress import progress_of
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
@@ -291,6 +292,8 @@ def print_comparison(comparison: Comparison) -> None:
         console.print(terminal(sheet))
     for note in comparison.notes:
         console.print(note, highlight=False)
+    for line in disagreement_lines(comparison.summary, str(comparison.folder)):
+        console.print(line, highlight=False, soft_wrap=True)
     count = len(comparison.pictures)
     console.print(f"{count} figures in {comparison.folder / 'figures'}", highlight=False, soft_wrap=True)
     console.print(f"look at these first: {comparison.page}", highlight=False, soft_wrap=True)

@@ -10,6 +10,7 @@ from imubayes.criticism.known_noise_fit import fit_at_known_noise
 from imubayes.criticism.model_history import KnownNoiseFit
 from imubayes.criticism.noise_assumptions import NoiseJudgement, judged_noise_in, projected
 from imubayes.criticism.noise_violation import NoiseComparison
+from imubayes.criticism.run_agreement import doubted_runs
 from imubayes.inference.contribution_record import Contribution
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.experiment_design import next_runs
@@ -68,6 +69,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         noise_contradicted=contradicted,
         known_noise=known,
         prior_scatter=prior_scatter(fit),
+        doubted_runs=doubted_runs(fit),
         parameters=parameters,
         derived=derived,
         runs=residuals.by_run_and_channel(),

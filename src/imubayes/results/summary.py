@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import field_validator
 
+from imubayes.criticism.disagreement_record import DoubtedRun
 from imubayes.criticism.model_history import KnownNoiseFit
 from imubayes.criticism.noise_violation import NoiseComparison, NoiseViolation
 from imubayes.inference.contribution_record import Contribution
@@ -149,6 +150,7 @@ class Summary(Record):
     known_noise : goodness of fit at the noise known beforehand, what the fit let its noise take up included; None where
         the fit has no mode, and in results of earlier versions.
     prior_scatter : noise scales known from their priors alone, on which intervals rest.
+    doubted_runs : runs that the others do not predict at the noise known before the fit.
     combinations : what is determined of the members of weak directions.
     pareto_k : tail index of the importance weights of the sampler's proposal; None without sampling.
     """
@@ -172,6 +174,7 @@ class Summary(Record):
     noise_contradicted: tuple[NoiseComparison, ...] = ()
     known_noise: KnownNoiseFit | None = None
     prior_scatter: tuple[PriorScatter, ...] = ()
+    doubted_runs: tuple[DoubtedRun, ...] = ()
     parameters: tuple[ParameterSummary, ...]
     derived: tuple[DerivedSummary, ...]
     runs: tuple[RunSummary, ...]

@@ -411,6 +411,10 @@ class TimeShift(Mistake):
         for k in varying:
             yield cls(Scope("run", views[k].name, (k,)), _is_static(views[k]))
 
+    def possible(self, size: float) -> bool:
+        """Return whether there is a shift at all: it is told to half a row, and to a row between static rows."""
+        return abs(size) >= (0.5 if self.whole else 0.25)
+
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the stimulus of earlier rows; rows that have none are left out."""
         view = views[place]

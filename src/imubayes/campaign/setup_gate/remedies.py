@@ -341,6 +341,19 @@ def _time(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
+def _rate_factor(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    run = found.mistake.scope.name
+    large, digits = 1 / (1 + found.size), max(2, min(5, 1 - math.floor(math.log10(found.uncertainty or 1e-3))))
+    sd = f" ± {found.uncertainty:.1g}" if found.uncertainty else ""
+    return Words(
+        f"'table_rate_deg_s' of run '{run}' is {large:.{digits}f}{sd} times what the outputs say, "
+        "relative to the other runs",
+        places.column(found.mistake, "table_rate_deg_s"),
+        "the rate that the table had in the run",
+        f"divide 'table_rate_deg_s' by {large:.{digits}f} in {places.file(run)}, or state the rate as it was measured",
+    )
+
+
 def _fahrenheit(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake = found.mistake
     assert isinstance(mistake, TemperatureUnit)
@@ -391,6 +404,7 @@ REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Words]] = {
     "axes_exchanged": _channels,
     "channel_unit": _gain,
     "rate_unit": _rate,
+    "table_rate": _rate_factor,
     "angle_unit": _angle,
     "time_shift": _time,
     "mounting_wrong": _matrix,

@@ -33,6 +33,7 @@ VERDICTS: dict[Verdict, str] = {
     "equivalent_effects": "inadequate: one of several effects, which these runs cannot distinguish, is missing",
     "unexplained_structure": "inadequate: residuals show structure that no effect of the catalogue explains",
     "noise_model": "inadequate: the noise is not what the model assumes",
+    "run_disagrees": "inadequate: one run does not agree with the others, and its record is to be checked",
     "undetectable": "undetectable: the runs cannot show the effect that was asked about",
     "not_converged": "none: the fit did not converge",
 }
