@@ -19,7 +19,7 @@ from imubayes.parameters.parameter_declarations import Declared, declared_option
 from imubayes.parameters.vector import Parameter
 from imubayes.procedures.ambient import unknown_covariates
 
-# An effect that needs one of these, or a covariate, must be switched off in the runs without it.
+# An effect that needs one of these, or a covariate that is absent there, must be switched off in the runs without it.
 _GATES = ("injection", "reference", "driven", "directions")
 _SHARING = {"channel": ("channel",), "all": (), "run": ("channel", "run"), "mounting": ("channel", "mounting")}
 _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
