@@ -22,8 +22,8 @@ SLOW_STEP, SLOW_SAMPLE, SLOWEST_STEP = 1800.0, 5.0, 3 * 3600.0
 SLOW_STATIC_SAMPLE = 60.0  # s, of a record at rest
 SOAK = 0.5  # °C from row to row, by which a unit that soaks changes
 FAST_SAMPLE = 5e-5  # s
-FAST_POSITION, FAST_TURN = 2.0, 5.0
-"""Least time of a position of a table, and longest of a row for which a mean of less than a turn tells the unit, s."""
+FAST_ROW = 2.0
+"""Least time of a position of a table, and of a row in which it turns slowly, s."""
 USUAL_STEP = 60.0  # s
 LEAST_SAMPLES, LEAST_ROWS = 10, 4
 OVERLAP, WRONG_OVERLAP = 60.0, 0.5
@@ -71,10 +71,10 @@ class Timed:
             return ""
         angle, rate = self.run.covariates["table_angle"], np.abs(self.run.covariates["table_rate"])
         blind = np.isnan(angle) & (rate > 0)
-        if step < FAST_TURN and blind.any() and np.mean(rate[blind] * step < 2 * math.pi) > 0.5:
+        if step < FAST_ROW and blind.any() and np.mean(rate[blind] * step < 2 * math.pi) > 0.5:
             return "a whole turn of the table"
         moved = np.abs(np.diff(angle[rate == 0]))
-        return "a position of the table" if step < FAST_POSITION and np.sum(moved > 0) >= LEAST_ROWS - 1 else ""
+        return "a position of the table" if step < FAST_ROW and np.sum(moved > 0) >= LEAST_ROWS - 1 else ""
 
     def odd(self, unit: float = 1.0) -> bool:
         """Whether the times, in a unit, are none of a laboratory."""
