@@ -14,6 +14,7 @@ import numpy as np
 
 from imubayes.campaign.findings import Finding, Severity
 from imubayes.campaign_data import Run
+from imubayes.procedures import PROCEDURES, Reduction
 
 UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, "minutes": 60.0, "hours": 3600.0}
 """Units of time in seconds."""
@@ -53,10 +54,15 @@ class Timed:
         """Median number of samples of a row."""
         return float(np.median(self.run.samples))
 
+    @property
+    def stands(self) -> bool:
+        """Whether nothing moves in the run, so that its rows may take any time."""
+        return PROCEDURES[self.run.procedure].reduction is Reduction.BLOCKS
+
     def slow(self, unit: float = 1.0) -> bool:
         """Whether rows of the run, its times in a unit, take longer than in a laboratory."""
         step, sample = self.step * unit, self.step * unit / self.samples
-        if self.run.procedure == "static_record":
+        if self.stands:
             return sample > SLOW_STATIC_SAMPLE
         warm = self.run.covariates.get("temperature", np.zeros(1))
         soaks = len(warm) > 1 and float(np.median(np.abs(np.diff(warm)))) > SOAK
@@ -67,7 +73,7 @@ class Timed:
         step = self.step * unit
         if self.samples >= LEAST_SAMPLES and step / self.samples < FAST_SAMPLE:
             return f"{self.samples:g} samples"
-        if self.run.procedure == "static_record" or self.run.tumble is not None or self.samples < LEAST_SAMPLES:
+        if self.stands or self.run.tumble is not None or self.samples < LEAST_SAMPLES:
             return ""
         angle, rate = self.run.covariates["table_angle"], np.abs(self.run.covariates["table_rate"])
         blind = np.isnan(angle) & (rate > 0)
@@ -79,6 +85,11 @@ class Timed:
     def odd(self, unit: float = 1.0) -> bool:
         """Whether the times, in a unit, are none of a laboratory."""
         return self.slow(unit) or bool(self.too_fast(unit))
+
+    @property
+    def late(self) -> bool:
+        """Whether the times count from an epoch."""
+        return self.time[0] > EPOCH and not self.slow()
 
     def span(self, unit: float = 1.0) -> tuple[datetime, datetime] | None:
         """Return the first and last instant of a dated run; None of one without the time of day."""
@@ -93,21 +104,30 @@ class Timed:
 
 def check_times(runs: Sequence[Run], files: Sequence[str]) -> list[Finding]:
     """Return the findings about the times of the runs of a campaign."""
-    timed = [
-        Timed(run, file, run.covariates["time"], _step(run.covariates["time"]))
-        for run, file in zip(runs, files, strict=True)
-        if "time" in run.covariates and run.rows and np.isfinite(run.covariates["time"]).all()
-    ]
-    found = [_origin(each) for each in timed if each.time[0] > EPOCH and not each.slow()]
-    plain = [each for each in timed if each.time[0] <= EPOCH or each.slow()]
+    timed = _timed(runs, files)
+    found = [_origin(each) for each in timed if each.late]
+    plain = [each for each in timed if not each.late]
     units = {each.run.name: unit for each in plain if (unit := _unit_of(each, plain))}
     found += [
         _unit_finding([each for each in plain if units.get(each.run.name) == unit], unit)
         for unit in dict.fromkeys(units.values())
     ]
     rest = [each for each in plain if each.run.name not in units]
-    pairs = [(a, b) for a, b in combinations(rest, 2) if _overlap(a.span(), b.span()) and _share_channel(a.run, b.run)]
-    return found + [_overlapping(a, b) for a, b in pairs]
+    return found + [_overlapping(a, b) for a, b in combinations(rest, 2) if _meet(a, b)]
+
+
+def _timed(runs: Sequence[Run], files: Sequence[str]) -> list[Timed]:
+    """Return the runs with times."""
+    known = [(run, file, run.covariates.get("time")) for run, file in zip(runs, files, strict=True)]
+    return [
+        Timed(run, file, time, _step(time))
+        for run, file, time in known
+        if time is not None and len(time) and np.isfinite(time).all()
+    ]
+
+
+def _meet(first: Timed, second: Timed) -> bool:
+    return _overlap(first.span(), second.span()) and _share_channel(first.run, second.run)
 
 
 def _step(time: np.ndarray) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign
+from imubayes.campaign_data import Campaign, Run
 from imubayes.covariates import COVARIATES, ambient_names, remedy
 from imubayes.effects.base import MotionEffect, Stage
 from imubayes.errors import InputError, Issue, closest_first
@@ -192,23 +192,23 @@ def _recorded_runs(
 
 def _refuse_unknown(spec: EffectSpec, effect_class: EffectClass, channels: tuple[str, ...], grouping: Grouping) -> None:
     """Raise an error where the effect changes what was measured in runs that lack a covariate it needs."""
-    nodes, runs = grouping.nodes, grouping.campaign.runs
-    unknown = {
-        place: names
-        for place, run in enumerate(runs)
-        if (names := unknown_covariates(run, effect_class.needs, nodes.supplies[place]))
-    }
-    if not unknown:
+    runs, supplies = grouping.campaign.runs, grouping.nodes.supplies
+    unknown = [unknown_covariates(run, effect_class.needs, each) for run, each in zip(runs, supplies, strict=True)]
+    if not any(unknown):
         return
-    missing = tuple(need for need in effect_class.needs if any(need in names for names in unknown.values()))
     tried = probes(effect_class, dict(spec.options), channels, grouping.campaign)
+    blocks = [at.elsewhere(*set().union(*unknown)) for at in grouping.samples]
+    changed = set().union(*(responding_runs(probe, blocks) for probe in tried))
     places = [place for place, channel in enumerate(grouping.campaign.channels) if channel.name in channels]
-    measured = {run for run in unknown if not places or np.isfinite(runs[run].observed[:, places]).any()}
-    blocks = [at.elsewhere(*missing) for at in grouping.samples]
-    changed = measured & set().union(*(responding_runs(probe, blocks) for probe in tried))
-    if changed:
-        missing = tuple(need for need in missing if any(need in unknown[run] for run in changed))
-        raise UnknownCovariateError(spec.name, tuple(runs[run].name for run in sorted(changed)), missing, spec.where)
+    lacking = {runs[k].name: unknown[k] for k in sorted(changed) if unknown[k] and _measures(runs[k], places)}
+    if lacking:
+        missing = tuple(need for need in effect_class.needs if need in set().union(*lacking.values()))
+        raise UnknownCovariateError(spec.name, tuple(lacking), missing, spec.where)
+
+
+def _measures(run: Run, places: list[int]) -> bool:
+    """Whether a run has outputs of some channels; of any where none are named."""
+    return not places or bool(np.isfinite(run.observed[:, places]).any())
 
 
 def _showing_runs(
