@@ -250,8 +250,9 @@ def seat_turned(files: Files, draw: np.random.Generator) -> Planted | None:
     entries = files.document["mounting"]
     mounting = entries[draw.integers(len(entries))]
     turn = about(int(draw.integers(3)), float(draw.choice([np.pi / 2, -np.pi / 2, np.pi])))
-    if not files.channels("accelerometer") and abs(turn[2, 2]) > 0.5:
-        return None  # about the one axis there is
+    angled = any(run["mounting"] == mounting["name"] for run in files.of(*ANGLED))
+    if not angled and turn[2, 2] > 0.5:
+        return None  # about the axis of the table, of which means over whole turns tell nothing
     mounting["body_to_table"] = np.round(turn @ np.array(mounting["body_to_table"], dtype=float), 6).tolist()
     files.save()
     runs = [run for run in files.runs if run["mounting"] == mounting["name"]]
