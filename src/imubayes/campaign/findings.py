@@ -12,6 +12,10 @@ Severity = Literal["error", "warning"]
 
 FINDINGS: dict[str, str] = {
     "time_not_increasing": "the time column does not increase",
+    "time_unit": "the time column is in another unit",
+    "time_origin": "the time column does not count from the start of the run",
+    "runs_overlap": "runs of the unit overlap in time",
+    "same_data": "two runs hold the same data",
     "gap": "samples are missing: a time step is much longer than the sampling interval",
     "duplicate_row": "a row is identical to the one before, time included",
     "stuck_channel": "a channel keeps one value while its input varies",

@@ -268,5 +268,7 @@ def _asked_sentence(found: Diagnosis) -> str:
 def why_undetectable(hidden: UndetectableEffect) -> str:
     """Return why an effect that no parameter absorbs is undetectable."""
     if hidden.reason == "not_supplied":
-        return f"no run supplies {', '.join(hidden.needs)}" if hidden.needs else "their response to it is zero"
+        return (
+            f"the runs do not all supply {', '.join(hidden.needs)}" if hidden.needs else "their response to it is zero"
+        )
     return {"absorbed": "the model absorbs it", "noise": "its largest typical size is below the noise"}[hidden.reason]

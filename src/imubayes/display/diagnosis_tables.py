@@ -88,7 +88,7 @@ def undetectable_sheet(found: Diagnosis) -> Sheet:
             "Undetectable is not absent: no statement is made about these effects. The last column is the bias of the "
             "most affected parameter where an effect is present at its largest typical size."
         )
-    note += f" No run supplies what these need: {', '.join(without)}." if without else ""
+    note += f" The runs do not all supply what these need: {', '.join(without)}." if without else ""
     head = ("effect", "absorbed by", "smallest detectable", "would bias")
     return Sheet("Undetectable in these runs", head, rows, (0, 1, 3), "", note.strip())
 

@@ -17,7 +17,14 @@ from imubayes.errors import InputError, Issue, closest_first, input_error
 from imubayes.gather import on_device
 from imubayes.jax_settings import prepare_jax
 from imubayes.model.assembly import Assembly, assemble
-from imubayes.model.bound_effects import BoundEffect, ExactEquipmentError, NotObservableError, bind_effect
+from imubayes.model.bound_effects import (
+    BoundEffect,
+    ExactEquipmentError,
+    NotObservableError,
+    UnknownCovariateError,
+    bind_effect,
+    unknown_covariates_issue,
+)
 from imubayes.model.build_problem import build_problem
 from imubayes.model.compile_cache_limit import clear_if_crowded
 from imubayes.model.dry_run import dry_run
@@ -132,15 +139,23 @@ def _bind_effects(spec: ModelSpec, grouping: Grouping, registry: Registry) -> tu
     """Return all effects bound to the campaign; raises InputError with everything that does not fit."""
     effects: list[BoundEffect] = []
     issues: list[Issue] = []
+    unknown: dict[tuple, list[UnknownCovariateError]] = {}
     for entry in spec.effects:
         try:
             effects.append(bind_effect(entry, grouping, registry))
+        except UnknownCovariateError as error:
+            # An optional one too: other runs show it, and to drop it would put its part of their outputs elsewhere.
+            unknown.setdefault((error.runs, error.missing), []).append(error)
         except ExactEquipmentError:
             continue  # the effect is known to be absent
         except NotObservableError as error:
             issues.extend(() if entry.optional else error.issues)
         except InputError as error:
             issues.extend(error.issues)
+    issues.extend(
+        unknown_covariates_issue([each.effect for each in errors], runs, missing, errors[0].where)
+        for (runs, missing), errors in unknown.items()
+    )
     issues.extend(_conflicts(effects))
     if not any(_is_independent_noise(effect.effect_class, grouping.campaign) for effect in effects):
         issues.append(

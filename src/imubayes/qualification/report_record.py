@@ -119,7 +119,7 @@ class NotEstimated(Record):
     ----------
     effects : that the model would need.
     reason : the model lacks the effects; the runs cannot show them; or the runs lack what the definition needs.
-    needs : covariates or conditions that no run supplies.
+    needs : covariates or conditions that the runs do not all supply.
     screened : what the diagnosis estimated of them without adding them, the most significant first.
     """
 

@@ -145,7 +145,8 @@ def _sense(campaign: Campaign, found: Explanation, places: Places) -> Words:
         f"the table turns against the stated sense {_subject(found.mistake)}",
         places.column(found.mistake, "table_angle_deg"),
         "rates and angles right-handed about the axis of the table",
-        f"reverse the sign of 'table_rate_deg_s' and 'table_angle_deg' {_subject(found.mistake)}",
+        f"reverse the sign of 'table_rate_deg_s' and 'table_angle_deg' {_subject(found.mistake)}"
+        + (f" and of zero_angle_deg of the table '{found.mistake.scope.name}'" if found.mistake.variant else ""),
     )
 
 

@@ -39,6 +39,7 @@ class RunView:
     observed : shape (R, C), output units.
     samples : shape (R,).
     outer : the axes that carry that of the table; None where there are none.
+    zero : reading of the angle of the table at its zero, from which `angle` is counted.
     """
 
     name: str
@@ -60,6 +61,7 @@ class RunView:
     observed: np.ndarray
     samples: np.ndarray
     outer: CarryingAxes | None = None
+    zero: float = 0.0
 
     @property
     def rows(self) -> int:
@@ -153,6 +155,7 @@ def _view(campaign: Campaign, run: Run) -> RunView:
         observed=run.observed,
         samples=run.samples,
         outer=serial,
+        zero=table.zero_angle if table and serial is None else 0.0,
     )
 
 

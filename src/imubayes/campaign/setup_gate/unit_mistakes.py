@@ -161,14 +161,14 @@ class AngleUnit(Mistake):
         tables = [scope for scope in tables_of(views) if set(scope.runs) & set(several)]
         runs = [scope for scope in single_runs(views) if scope.runs[0] in several]
         for scope, unit in itertools.product(wide_first(tables, runs), ANGLE_UNITS):
-            largest = max(float(np.nanmax(np.abs(views[k].angle), initial=0.0)) for k in scope.runs)
+            largest = max(float(np.nanmax(np.abs(views[k].angle + views[k].zero), initial=0.0)) for k in scope.runs)
             if largest * ANGLE_UNITS[unit] < _MOST_TURNS * 2 * math.pi:
                 yield cls(scope, unit)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the angles converted."""
-        factor = ANGLE_UNITS[self.unit]
-        return replace(views[place], angle=views[place].angle * factor, span=views[place].span * factor)
+        factor, view = ANGLE_UNITS[self.unit], views[place]
+        return replace(view, angle=(view.angle + view.zero) * factor - view.zero, span=view.span * factor)
 
 
 UNIT_MISTAKES: tuple[type[Mistake], ...] = (ChannelGain, RateUnit, AngleUnit)
