@@ -221,6 +221,7 @@ def _outcome(found: ConformityOfQuantity, gravity: float) -> LimitOutcome:
         rule_probability=rule.probability,
         guard_band=found.decision.guard_band,
         outcome=found.decision.outcome,
+        withheld=found.decision.withheld,
         consumer_risk=found.consumer,
         producer_risk=found.producer,
         global_consumer_risk=_optional(consumer),

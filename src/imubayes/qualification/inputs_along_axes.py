@@ -94,7 +94,7 @@ def inputs_along_axes(
     }
     mean, spread = _inverted(fit, _draws(result), outputs, felt)
     samples = _numbers(readings, "samples", 1.0)
-    left_in = _left_in(result, channels, ranges, nothing_across)
+    left_in = effects_left_in(result, channels, nothing_across)
     noise = reading_noise(result, channels)
     sigmas = {parameter.name: parameter.mean or 0.0 for parameter in result.summary.parameters}
     columns: list[pl.Series] = []
@@ -107,9 +107,7 @@ def inputs_along_axes(
     return CalibratedInputs(readings.with_columns(columns), beyond, ranges, left_in)
 
 
-def _left_in(
-    result: Result, channels: Sequence[Channel], ranges: dict[str, tuple[float, float]], nothing_across: bool
-) -> tuple[UnexpressedEffect, ...]:
+def effects_left_in(result: Result, channels: Sequence[Channel], nothing_across: bool) -> tuple[UnexpressedEffect, ...]:
     """Return the effects on channels that their own inputs do not tell."""
     posterior = sensor_posterior(result)
 
@@ -125,7 +123,8 @@ def _left_in(
         return found
 
     names = {channel.name for channel in channels}
-    found = uncorrected_effects(result, posterior, known, input_ranges(posterior.campaign), ranges)
+    campaign = posterior.campaign
+    found = uncorrected_effects(result, posterior, known, input_ranges(campaign), temperature_ranges(campaign))
     return tuple(each for each in found if names & set(each.channels))
 
 

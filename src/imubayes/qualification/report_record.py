@@ -17,7 +17,7 @@ from imubayes.qualification.assess import Obstacle
 from imubayes.qualification.budget_record import UncertaintyBudgets
 from imubayes.qualification.conformance import Withheld
 from imubayes.qualification.d_si import DigitalUnit
-from imubayes.qualification.decision_rules import Outcome, RuleName
+from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName
 from imubayes.qualification.digits import Statistic
 from imubayes.qualification.report_pictures import PictureData
 from imubayes.qualification.report_subject import Provenance, Subject
@@ -219,6 +219,7 @@ class LimitOutcome(Record):
     guard_band : width w; None for rules on probabilities.
     consumer_risk, producer_risk : specific risks.
     global_consumer_risk, global_producer_risk : where the production is known.
+    withheld : why there is no decision; None where there is one.
     """
 
     name: str
@@ -239,6 +240,7 @@ class LimitOutcome(Record):
     rule_probability: float | None
     guard_band: float | None
     outcome: Outcome
+    withheld: NoDecision | None = None
     consumer_risk: float | None
     producer_risk: float | None
     global_consumer_risk: Probability | None

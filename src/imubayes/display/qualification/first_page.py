@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from imubayes.display.labels import pretty
 from imubayes.display.qualification.document import Banner, ReportTable, Text
 from imubayes.display.qualification.words import (
+    NO_DECISION,
     OBSTACLES,
     OUTCOMES,
     VERDICTS,
@@ -43,8 +44,10 @@ def _sentence(found: Conformity) -> str:
         return f"The limits of the specification “{found.specification}” could not be judged: the fit did not converge."
     if found.outcome == "withheld" and found.obstacles:
         return f"{limits} The unit cannot pass, for the reasons below."
-    if found.outcome == "withheld":
-        return f"{limits} A probability that the rule needs is withheld."
+    undecided = [limit for limit in found.limits if limit.withheld is not None]
+    for reason in dict.fromkeys(limit.withheld for limit in undecided if limit.withheld is not None):
+        names = enumerated([limit.name for limit in undecided if limit.withheld == reason], 4)
+        limits += f" There is no decision on {names}: {NO_DECISION[reason]}."
     conditional = sum(limit.outcome.startswith("conditional") for limit in found.limits)
     return limits + (f" {conditional} results are conditional: within U of the limit." if conditional else "")
 
@@ -109,7 +112,7 @@ def limits_table(limits: Sequence[LimitOutcome]) -> ReportTable:
                 Text(_where(limit)),
                 Text(f"{estimate} ± {u}"),
                 probability_text(limit.conformance),
-                Text(word, mood),
+                Text(word if limit.withheld is None else f"{word}: {NO_DECISION[limit.withheld]}", mood),
             )
         )
     return ReportTable(

@@ -8,7 +8,7 @@ from imubayes.display.qualification.document import Mood, Text
 from imubayes.display.rounding import NO_NUMBER, rounded, significant
 from imubayes.qualification.assess import Obstacle
 from imubayes.qualification.conformance import Withheld
-from imubayes.qualification.decision_rules import Outcome, RuleName
+from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName
 from imubayes.qualification.report_record import LimitOutcome, Probability, ReportedEstimate
 
 OUTCOMES: dict[Outcome, tuple[str, Mood]] = {
@@ -35,6 +35,10 @@ VERDICTS: dict[Verdict, str] = {
     "noise_model": "inadequate: the noise is not what the model assumes",
     "undetectable": "undetectable: the runs cannot show the effect that was asked about",
     "not_converged": "none: the fit did not converge",
+}
+NO_DECISION: dict[NoDecision, str] = {
+    "probability": "a probability that the rule needs is withheld",
+    "not_determined": "less than half of the information came from the data",
 }
 WITHHELD: dict[Withheld, str] = {
     "disagreement": "withheld: the two methods disagree",
