@@ -69,7 +69,7 @@ class ConformityOfQuantity:
     Attributes
     ----------
     limit : in the unit of the quantity.
-    estimate : at the worst temperature of the range.
+    estimate, marginal : at the worst temperature of the range.
     temperature : that temperature, °C; None without a range or without dependence on it.
     conformance : p_c over the whole range.
     decision : outcome with the guard band.
@@ -80,6 +80,7 @@ class ConformityOfQuantity:
 
     limit: ResolvedLimit
     estimate: MeasuredValue
+    marginal: Marginal
     temperature: float | None
     conformance: ProbabilityByTwoMethods
     decision: Decision
@@ -203,7 +204,8 @@ def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
     values = values[np.isfinite(values).all(axis=1)]
     effective = quantities.effective[name]
     over = _conformance_over(values, limit.tolerance, effective)
-    estimates = [_estimate(Marginal(column, effective), over) for column in values.T]
+    marginals = [Marginal(column, effective) for column in values.T]
+    estimates = [_estimate(marginal, over) for marginal in marginals]
     rule, production = limit.rule, limit.production
     decisions = [_decision(rule, estimate, limit.tolerance, production) for estimate in estimates]
     if not _determined(limit.quantity, quantities.draws[name]):
@@ -215,6 +217,7 @@ def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
     return ConformityOfQuantity(
         limit=limit,
         estimate=estimate,
+        marginal=marginals[worst],
         temperature=_temperature(limit, worst, len(estimates)),
         conformance=over,
         decision=decision,

@@ -27,6 +27,10 @@ from imubayes.results.summary import NoiseViolation, RunSummary
 IntervalKind = Literal["95 % equal-tailed credible interval"]
 
 
+NumberWithheld = Literal["not_converged", "no_draws", "monte_carlo_error"]
+"""Why a number is not stated: there is no posterior; it has no draws; or these leave no digit of its uncertainty."""
+
+
 class MonteCarloError(Record):
     """Monte Carlo standard errors of estimate, standard uncertainty, and both ends of the coverage interval.
 
@@ -36,6 +40,7 @@ class MonteCarloError(Record):
     digits : significant digits of the standard uncertainty that these errors leave (JCGM 101, 7.9); 0: withheld.
     tolerance : numerical tolerance δ of so many digits; of one digit where the number is withheld.
     worst : what has the largest error.
+    draws_needed : how many times the draws would leave one digit, about.
     """
 
     estimate: float
@@ -46,6 +51,7 @@ class MonteCarloError(Record):
     digits: Literal[0, 1, 2]
     tolerance: float
     worst: Statistic
+    draws_needed: float
 
 
 class ReportedEstimate(Record):
@@ -59,6 +65,7 @@ class ReportedEstimate(Record):
     prior_sd : prior standard deviation, None where it is infinite or unknown.
     from_data : 1 − posterior variance / prior variance; None where it is unknown.
     exact : whether nothing in the model changes it.
+    withheld : why the number is not stated; None where it is.
     """
 
     name: str
@@ -72,6 +79,7 @@ class ReportedEstimate(Record):
     prior_sd: float | None = None
     from_data: float | None = None
     exact: bool = False
+    withheld: NumberWithheld | None = None
 
 
 class ResultLine(ReportedEstimate):
@@ -220,6 +228,7 @@ class LimitOutcome(Record):
     consumer_risk, producer_risk : specific risks.
     global_consumer_risk, global_producer_risk : where the production is known.
     withheld : why there is no decision; None where there is one.
+    monte_carlo : errors of the estimate; None where it is exact.
     """
 
     name: str
@@ -241,6 +250,7 @@ class LimitOutcome(Record):
     guard_band: float | None
     outcome: Outcome
     withheld: NoDecision | None = None
+    monte_carlo: MonteCarloError | None = None
     consumer_risk: float | None
     producer_risk: float | None
     global_consumer_risk: Probability | None

@@ -9,13 +9,15 @@ from imubayes.display.qualification.words import (
     OBSTACLES,
     OUTCOMES,
     VERDICTS,
+    beside,
     enumerated,
     limits_text,
     probability_text,
     risk_text,
     rule_text,
+    with_digits,
 )
-from imubayes.display.rounding import rounded, significant
+from imubayes.display.rounding import significant
 from imubayes.qualification.report_record import (
     Conformity,
     LimitOutcome,
@@ -104,13 +106,14 @@ def limits_table(limits: Sequence[LimitOutcome]) -> ReportTable:
     rows = []
     for limit in limits:
         word, mood = OUTCOMES[limit.outcome]
-        estimate, u = rounded((limit.estimate, limit.standard_uncertainty), limit.standard_uncertainty)
+        values = limit.estimate, limit.standard_uncertainty
+        estimate, u = with_digits(values, limit.standard_uncertainty, limit.monte_carlo)
         rows.append(
             (
                 Text(limit.name),
                 Text(f"{limits_text(limit)} {pretty(limit.unit)}"),
                 Text(_where(limit)),
-                Text(f"{estimate} ± {u}"),
+                Text(beside(estimate, u)),
                 probability_text(limit.conformance),
                 Text(word if limit.withheld is None else f"{word}: {NO_DECISION[limit.withheld]}", mood),
             )
