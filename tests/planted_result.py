@@ -48,6 +48,11 @@ def planted(
         ParameterSummary(name=name, unit=p.unit, mean=float(column.mean()), sd=float(column.std()))
         for name, p, column in zip(layout.names, layout.parameters, draws.T, strict=True)
     ]
+    scales = np.asarray(model.problem.hyper_priors.values(fit.h)) / model.hyper_layout.factors()
+    own += [
+        ParameterSummary(name=p.name, unit=p.unit, mean=float(value), sd=0.0)
+        for p, value in zip(model.hyper_layout.parameters, scales, strict=True)
+    ]
     summary = Summary.model_construct(parameters=tuple(own), derived=(), converged=True)
     result = Result(summary, Residuals.__new__(Residuals), None, fit)
     result.__dict__["draws"] = dict(zip(layout.names, draws.T, strict=True))
