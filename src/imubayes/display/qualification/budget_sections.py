@@ -190,17 +190,7 @@ def _budget_table(budget: QuantityBudget, first: bool, withheld: bool) -> Report
         count = sum(line.inputs for line in rest)
         rows.append(_cells(f"{count} smaller", contribution=contribution, share=share))
     rows.append(_cells("remainder", share=budget.remainder))
-    u, unit = significant(budget.standard_uncertainty, 2), pretty(budget.unit)
-    degrees = "= ∞" if budget.degrees_of_freedom is None else _degrees(budget.degrees_of_freedom)
-    degrees = degrees if degrees.startswith((">", "=")) else f"= {degrees}"
-    caption = (
-        f"{budget.name}: u, k and U withheld, as the draws leave no digit ({MORE_DRAWS})"
-        if withheld
-        else (
-            f"{budget.name}: u = {u} {unit}, ν {degrees}, k = {budget.coverage_factor:.2f}, "
-            f"U = {significant(budget.expanded_uncertainty, 2)} {unit}"
-        )
-    )
+    caption = _caption(budget, withheld)
     head = ("contribution", "type", "source", "distribution", "u(x)", "unit", "c", "|c| u(x)", "share", "ν")
     note = (
         "Near zero inputs contribute through the components of the direction, and shares are of these."
@@ -209,6 +199,19 @@ def _budget_table(budget: QuantityBudget, first: bool, withheld: bool) -> Report
     )
     return _without_empty_columns(
         ReportTable(caption, head, rows, (0, 1, 2, 3, 5), " ".join([_TABLE_NOTE if first else "", note]).strip())
+    )
+
+
+def _caption(budget: QuantityBudget, withheld: bool) -> str:
+    """Return what a budget is of, with u, k and U where they are stated."""
+    if withheld:
+        return f"{budget.name}: u, k and U withheld, as the draws leave no digit ({MORE_DRAWS})"
+    u, unit = significant(budget.standard_uncertainty, 2), pretty(budget.unit)
+    degrees = "= ∞" if budget.degrees_of_freedom is None else _degrees(budget.degrees_of_freedom)
+    degrees = degrees if degrees.startswith((">", "=")) else f"= {degrees}"
+    return (
+        f"{budget.name}: u = {u} {unit}, ν {degrees}, k = {budget.coverage_factor:.2f}, "
+        f"U = {significant(budget.expanded_uncertainty, 2)} {unit}"
     )
 
 
