@@ -52,6 +52,7 @@ COMPILED = (
     "qualification/test_uncertainty_budget.py",
     "batch",
     "qualification/test_correct_recording.py",
+    "qualification/test_inputs_along_axes.py",
     "qualification/test_until_digits.py",
     "reference",
     "study",
