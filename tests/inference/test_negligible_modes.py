@@ -28,9 +28,9 @@ def others(model: Model) -> list[np.ndarray]:
 def test_no_ensemble_begins_in_a_mode_without_mass(tumble: Model, monkeypatch: pytest.MonkeyPatch) -> None:
     assert others(tumble) == []
     # Planted fault: every lower mode is a start, and the ensemble that begins there does not leave it.
-    monkeypatch.setattr(run_fit, "_NEGLIGIBLE", np.inf)
+    monkeypatch.setattr(run_fit, "NEGLIGIBLE", np.inf)
     (second,) = others(tumble)
-    monkeypatch.setattr(run_fit, "_NEGLIGIBLE", 20.0)
+    monkeypatch.setattr(run_fit, "NEGLIGIBLE", 20.0)
     assert len(others(tumble)) == 1
     heading = tumble.layout.names.index("tumble_heading.heading[tumble]")
     assert abs(second[heading]) > 1

@@ -17,6 +17,7 @@ from imubayes.inference.ensemble_sampling import Chains, Settings, sample, thinn
 from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.laplace_move import LaplaceProposal, LogDensity
 from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
+from imubayes.inference.noise_scale_modes import NEGLIGIBLE, modes_of_scales, posterior_points
 from imubayes.inference.plausible_estimates import implausible_estimates, unexplained_outputs
 from imubayes.inference.posterior_mode import Mode, find_mode, fit_at, heights, log_evidence, message
 from imubayes.inference.proposal_weights import WeighedProposal, weigh_tail
@@ -28,9 +29,6 @@ from imubayes.step_counter import counted
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
 # they are out of the running whatever their width.
 _SAME, _HOPELESS = 0.5, 30.0
-# A mode of less than a thousandth of the mass moves the ends of 95 % intervals by 0.02 standard deviations at most. An
-# ensemble that begins there does not leave it, and says what is no matter: that the ensembles disagree.
-_NEGLIGIBLE = float(np.log(1e3))
 _DISPERSED = 3
 # Draws whose importance weights judge the proposal, of all ensembles together.
 _TRIAL = 4000
@@ -83,10 +81,12 @@ def joint_fit(
         if not fit.converged:
             return replace(fit, seconds={"fit": time.perf_counter() - clock})
         tell("fitting: noise scales")
-        mode, approximation = _highest(problem, mode, nested_laplace(problem, mode), others)
+        found = modes_of_scales(problem, mode)
+        mode, others = found.highest, [*others, *(np.asarray(lower.z) for lower in found.lower)]
         fit = judged_fit(model, mode)
         if not fit.converged:
             return replace(fit, seconds={"fit": time.perf_counter() - clock})
+        approximation = nested_laplace(problem, mode, found.marginal)
         proposal = LaplaceProposal(approximation, problem)
         seconds = {"fit": time.perf_counter() - clock}
         clock = time.perf_counter()
@@ -97,7 +97,10 @@ def joint_fit(
             points = chains.points.reshape(-1, chains.points.shape[-1])
             fit = replace(fit, sampled=chains.diagnosis.converged, message=chains.diagnosis.message)
         else:
-            chains, points = None, _laplace_points(proposal, laplace_draws)
+            draws = laplace_draws
+            if not isinstance(draws, np.ndarray):
+                draws = np.random.RandomState(0).normal(size=(draws, proposal.dimensions))
+            chains, points = None, posterior_points(problem, found, approximation, draws)
         seconds["sample"] = time.perf_counter() - clock
     tell("deriving quantities")
     return replace(fit, posterior=posterior_of_draws(fit, points, approximation, chains), seconds=seconds)
@@ -131,12 +134,6 @@ def _sampled(
     others = [end for end in others if not _negligible(model.problem, end, mode)]
     starts = _starts(proposal, weighed, mode, others, file, sampling)
     return sample(density, starts, names, sampling, file, weighed, tell)
-
-
-def _laplace_points(proposal: LaplaceProposal, draws: int | np.ndarray) -> np.ndarray:
-    if isinstance(draws, np.ndarray):
-        return proposal.to_point(draws)[0]
-    return proposal.draw(np.random.RandomState(0), draws)
 
 
 def _require_double_precision() -> None:
@@ -209,27 +206,12 @@ def _best_start(
 
 
 def _negligible(problem: Problem, end: np.ndarray, mode: Mode) -> bool:
-    """Tell whether a fit ended in a mode that holds next to nothing of the posterior, by the Laplace evidence."""
-    there = find_mode(problem, jnp.asarray(end), mode.h)
-    return bool(there.converged) and log_evidence(there) < log_evidence(mode) - _NEGLIGIBLE
+    """Tell whether a fit ended in a mode that holds next to nothing of the posterior, by the Laplace evidence.
 
-
-def _highest(
-    problem: Problem, mode: Mode, approximation: NestedLaplace, others: list[np.ndarray]
-) -> tuple[Mode, NestedLaplace]:
-    """Return the mode of most evidence among those that the marginal of the noise scales shows, and the proposal there.
-
-    Where runs are few the scatter between them may as well be small, with their offsets taken for parameters, as large.
-    The proposal holds both; θ of those passed over is added to `others`.
+    An ensemble that begins there does not leave it, and says what is no matter: that the ensembles disagree.
     """
-    for h in approximation.other_modes(problem):
-        again = find_mode(problem, mode.z, jnp.asarray(h))
-        if bool(again.converged) and log_evidence(again) > log_evidence(mode):
-            others.append(np.asarray(mode.z))
-            mode, approximation = again, nested_laplace(problem, again)
-        elif bool(again.converged):
-            others.append(np.asarray(again.z))
-    return mode, approximation
+    there = find_mode(problem, jnp.asarray(end), mode.h)
+    return bool(there.converged) and log_evidence(there) < log_evidence(mode) - NEGLIGIBLE
 
 
 def _starts(

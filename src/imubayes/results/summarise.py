@@ -62,6 +62,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         noise_violations=noise.violations,
         noise_suspected=noise.suspected,
         prior_scatter=prior_scatter(fit),
+        left_out=model.left_out,
         parameters=parameters,
         derived=derived,
         runs=residuals.by_run_and_channel(),

@@ -14,6 +14,7 @@ from imubayes.inference.implausible_record import ImplausibleEstimate, Unexplain
 from imubayes.inference.next_run import NextRun
 from imubayes.inference.prior_conflict import PriorConflict
 from imubayes.json_record import Record
+from imubayes.model.model_spec import LeftOut
 from imubayes.parameters.input_axis_names import channel_of_component
 from imubayes.results.provenance_record import FitProvenance
 
@@ -145,6 +146,7 @@ class Summary(Record):
     noise_violations : how the noise is not, the clearest first.
     noise_suspected : how the noise may not be, although it may be chance; intervals count as valid.
     prior_scatter : noise scales known from their priors alone, on which intervals rest.
+    left_out : effects between runs that one run of a channel cannot tell: not in the model, nor in the intervals.
     combinations : what is determined of the members of weak directions.
     pareto_k : tail index of the importance weights of the sampler's proposal; None without sampling.
     """
@@ -166,6 +168,7 @@ class Summary(Record):
     noise_violations: tuple[NoiseViolation, ...] = ()
     noise_suspected: tuple[NoiseViolation, ...] = ()
     prior_scatter: tuple[PriorScatter, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
     parameters: tuple[ParameterSummary, ...]
     derived: tuple[DerivedSummary, ...]
     runs: tuple[RunSummary, ...]
