@@ -7,7 +7,7 @@ import pytest
 
 from imubayes.display.fit_cautions import left_out_lines
 from imubayes.model.bind import Model, bind
-from imubayes.model.model_spec import EffectSpec, LeftOut, ModelSpec
+from imubayes.model.model_spec import EffectSpec, ModelSpec, SingleRunEffect
 from small_campaign import campaign
 
 GYROS, ACCELS = ("gx", "gy", "gz"), ("ax", "ay", "az")
@@ -37,7 +37,7 @@ ONE, TWO = slice(3, 4), slice(3, 5)
 def test_one_run_tells_nothing_of_what_differs_between_runs(name, channels, optional):
     model = bound(ONE, EffectSpec(name, optional=optional))
     assert not [each for each in model.parameter_names if each.startswith(name)]
-    assert model.left_out == (LeftOut(effect=name, channels=channels),)
+    assert model.left_out == (SingleRunEffect(effect=name, channels=channels),)
     twice = bound(TWO, EffectSpec(name, optional=optional))
     assert [each for each in twice.parameter_names if each.startswith(name)]
     assert twice.left_out == ()
@@ -46,7 +46,7 @@ def test_one_run_tells_nothing_of_what_differs_between_runs(name, channels, opti
 @pytest.mark.parametrize("name", ["run_scatter", "accel_run_bias"])
 def test_runs_are_counted_for_each_channel(name):
     model = bound(TWO, EffectSpec(name), without="ay")
-    assert model.left_out == (LeftOut(effect=name, channels=("ay",)),)
+    assert model.left_out == (SingleRunEffect(effect=name, channels=("ay",)),)
     labelled = {each.partition("[")[2].rstrip("]").split(",")[0] for each in model.parameter_names if name in each}
     assert labelled == ({*GYROS, *ACCELS} if name == "run_scatter" else {*ACCELS}) - {"ay"}
     # Where a run is added in thought, what was left out does not come in.

@@ -15,7 +15,7 @@ from imubayes.display.report_layout import Report
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.errors import InputError
 from imubayes.json_record import Record
-from imubayes.model.model_spec import LeftOut
+from imubayes.model.model_spec import SingleRunEffect
 from imubayes.parameters.unit_grades import Grade
 
 _MOST_RUNS = 8
@@ -54,7 +54,7 @@ class CheckedModel(Record):
     parameters: int
     noise_parameters: int
     measured_values: int
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[SingleRunEffect, ...] = ()
 
 
 class Check(Record):

@@ -6,7 +6,7 @@ from imubayes.display.labels import listed, pretty
 from imubayes.display.noise_violation_text import violation_text
 from imubayes.display.rounding import percent, significant
 from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
-from imubayes.model.model_spec import LeftOut
+from imubayes.model.model_spec import SingleRunEffect
 from imubayes.results.summary import PriorScatter, Summary
 
 _MOST_NAMED = 3
@@ -80,7 +80,7 @@ def notices(summary: Summary) -> tuple[str, ...]:
     return (*left_out_lines(summary.left_out), *noise, *map(_rests_on_prior, summary.prior_scatter))
 
 
-def left_out_lines(found: Sequence[LeftOut]) -> tuple[str, ...]:
+def left_out_lines(found: Sequence[SingleRunEffect]) -> tuple[str, ...]:
     """Return what a campaign of one run cannot tell of its channels, a line for each effect."""
     return tuple(
         f"{each.effect} is left out, with one run of {listed(each.channels, 4)}: uncertainties hold within that run "

@@ -29,7 +29,7 @@ else:
 _MOST_IN_BLOCK = 16
 
 
-def in_blocks(function: Callable[[Array], Any], rows: Float[Array, "n PH"]):
+def in_blocks(function: Callable[[Array], Any], rows: Float[Array, "n PH"]) -> Any:
     """Apply a function of one row to all; the last block is padded, since a shorter one would be compiled as well.
 
     Vectorised as a whole, the precisions of 4000 draws take hundreds of megabytes, and five times as long.

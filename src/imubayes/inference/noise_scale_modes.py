@@ -99,7 +99,7 @@ def _among(known: Sequence[Mode], h: Float[Array, " H"]) -> bool:
 
 
 def posterior_points(
-    problem: Problem, modes: ScaleModes, approximation: NestedLaplace, normal: np.ndarray
+    problem: Problem, modes: ScaleModes, approximation: NestedLaplace, draws: int | np.ndarray
 ) -> np.ndarray:
     """Return draws (n, P + H) of the posterior of the models that are linear about each mode.
 
@@ -108,9 +108,12 @@ def posterior_points(
     Parameters
     ----------
     approximation : the proposal about the highest mode.
-    normal : shape (n, P + H), standard normal vectors.
+    draws : number n of them, or standard normal vectors (n, P + H) to make them of.
     """
     size = problem.size[0]
+    normal = (
+        draws if isinstance(draws, np.ndarray) else np.random.RandomState(0).normal(size=(draws, sum(problem.size)))
+    )
     all_modes = (modes.highest, *modes.with_mass)
     proposals = [approximation, *(nested_laplace(problem, mode) for mode in modes.with_mass)]
     evidence = np.array([log_evidence(mode) for mode in all_modes])

@@ -97,10 +97,7 @@ def joint_fit(
             points = chains.points.reshape(-1, chains.points.shape[-1])
             fit = replace(fit, sampled=chains.diagnosis.converged, message=chains.diagnosis.message)
         else:
-            draws = laplace_draws
-            if not isinstance(draws, np.ndarray):
-                draws = np.random.RandomState(0).normal(size=(draws, proposal.dimensions))
-            chains, points = None, posterior_points(problem, found, approximation, draws)
+            chains, points = None, posterior_points(problem, found, approximation, laplace_draws)
         seconds["sample"] = time.perf_counter() - clock
     tell("deriving quantities")
     return replace(fit, posterior=posterior_of_draws(fit, points, approximation, chains), seconds=seconds)

@@ -31,7 +31,7 @@ from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.grouping import Grouping
 from imubayes.model.hyper_prior import hyper_correlation
 from imubayes.model.likelihood import log_density
-from imubayes.model.model_spec import EffectSpec, LeftOut, ModelSpec
+from imubayes.model.model_spec import EffectSpec, ModelSpec, SingleRunEffect
 from imubayes.model.nodes_and_entries import Entries, NodeTable, join_entries, join_nodes, servo_runs
 from imubayes.model.noise_priors import with_noise_priors
 from imubayes.model.nominal_response import is_independent
@@ -71,7 +71,7 @@ class Model:
     nodes: NodeTable
     entries: Entries
     assembly: Assembly
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[SingleRunEffect, ...] = ()
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -152,20 +152,20 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None, 
 
 def _bind_effects(
     spec: ModelSpec, grouping: Grouping, registry: Registry, single_runs: bool
-) -> tuple[tuple[BoundEffect, ...], tuple[LeftOut, ...]]:
+) -> tuple[tuple[BoundEffect, ...], tuple[SingleRunEffect, ...]]:
     """Return all effects bound to the campaign, and those left out; raises InputError with all that does not fit."""
     effects: list[BoundEffect] = []
-    left_out: list[LeftOut] = []
+    left_out: list[SingleRunEffect] = []
     issues: list[Issue] = []
     for entry in spec.effects:
         try:
             bound = bind_effect(entry, grouping, registry, single_runs=single_runs)
             effects.append(bound)
-            left_out += [LeftOut(effect=entry.name, channels=bound.left_out)] if bound.left_out else []
+            left_out += [SingleRunEffect(effect=entry.name, channels=bound.left_out)] if bound.left_out else []
         except ExactEquipmentError:
             continue  # the effect is known to be absent
         except SingleRunError as error:
-            left_out.append(LeftOut(effect=entry.name, channels=error.channels))
+            left_out.append(SingleRunEffect(effect=entry.name, channels=error.channels))
         except NotObservableError as error:
             issues.extend(() if entry.optional else error.issues)
         except InputError as error:

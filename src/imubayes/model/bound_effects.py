@@ -126,8 +126,7 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry, *, sin
     sharing, channels = settings.sharing(), settings.channels()
     settings.check_names()
     settings.raise_issues()
-    left_out = () if single_runs else _of_one_run(spec, effect_class, sharing, channels, grouping)
-    channels = tuple(name for name in channels if name not in left_out)
+    channels, left_out = _without_single_runs(spec, effect_class, sharing, channels, grouping, single_runs)
     runs, gated = _recorded_runs(spec, effect_class, grouping.nodes.supplies)
     declared = declared_parameters(effect_class)
     labelled = channels or tuple(channel.name for channel in grouping.campaign.channels)
@@ -157,14 +156,15 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry, *, sin
     )
 
 
-def _of_one_run(
+def _without_single_runs(
     spec: EffectSpec,
     effect_class: EffectClass,
     sharing: tuple[str, ...],
     channels: tuple[str, ...],
     grouping: Grouping,
-) -> tuple[str, ...]:
-    """Return the channels of one run, for an effect that is what differs from run to run: nothing tells its size.
+    single_runs: bool,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the channels that can show an effect, and those of one run, which for what differs between runs cannot.
 
     The default prior, which then decides alone how wide the bias of the run is, says nothing of this unit.  A prior
     that the model states does: the effect stays.
@@ -175,8 +175,8 @@ def _of_one_run(
         where no other channel is left.
     """
     learnt = "run" in sharing and hyper_fields(effect_class)
-    if spec.prior or not (issubclass(effect_class, SharedNoise) or learnt):
-        return ()
+    if single_runs or spec.prior or not (issubclass(effect_class, SharedNoise) or learnt):
+        return channels, ()
     found = tuple(name for name in channels if grouping.run_count(name) == 1)
     if found and found == channels:
         raise SingleRunError(
@@ -188,7 +188,7 @@ def _of_one_run(
             ),
             found,
         )
-    return found
+    return tuple(name for name in channels if name not in found), found
 
 
 def _refuse_exact(spec: EffectSpec, made: Mapping[str, list[Parameter]]) -> None:

@@ -30,7 +30,7 @@ class EffectSpec:
     where: str = "model"
 
 
-class LeftOut(Record):
+class SingleRunEffect(Record):
     """An effect that is what differs from run to run, on channels of one run each: it is not in the bound model."""
 
     effect: str

@@ -14,7 +14,7 @@ from imubayes.inference.implausible_record import ImplausibleEstimate, Unexplain
 from imubayes.inference.next_run import NextRun
 from imubayes.inference.prior_conflict import PriorConflict
 from imubayes.json_record import Record
-from imubayes.model.model_spec import LeftOut
+from imubayes.model.model_spec import SingleRunEffect
 from imubayes.parameters.input_axis_names import channel_of_component
 from imubayes.results.provenance_record import FitProvenance
 
@@ -168,7 +168,7 @@ class Summary(Record):
     noise_violations: tuple[NoiseViolation, ...] = ()
     noise_suspected: tuple[NoiseViolation, ...] = ()
     prior_scatter: tuple[PriorScatter, ...] = ()
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[SingleRunEffect, ...] = ()
     parameters: tuple[ParameterSummary, ...]
     derived: tuple[DerivedSummary, ...]
     runs: tuple[RunSummary, ...]
