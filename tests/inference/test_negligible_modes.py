@@ -7,6 +7,7 @@ import pytest
 
 from imubayes.campaign import load_campaign
 from imubayes.inference import run_fit
+from imubayes.inference.ensemble_sampling import Settings
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 
@@ -21,7 +22,7 @@ def tumble() -> Model:
 
 
 def others(model: Model) -> list[np.ndarray]:
-    mode, ends = run_fit._best_start(model.problem, SEED, None, run_fit._DISPERSED, lambda text: None)
+    mode, ends = run_fit._best_start(model.problem, Settings(seed=SEED), None, lambda text: None)
     return [end for end in ends if not run_fit._negligible(model.problem, end, mode)]
 
 

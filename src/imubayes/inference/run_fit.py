@@ -75,8 +75,7 @@ def joint_fit(
         if file is not None and resume:
             file.check()
         tell("fitting: mode")
-        dispersed = _DISPERSED if sampling is not None or start is None else 0
-        mode, others = _best_start(problem, sampling.seed if sampling else 0, start, dispersed, tell)
+        mode, others = _best_start(problem, sampling, start, tell)
         fit = judged_fit(model, mode)
         if not fit.converged:
             return replace(fit, seconds={"fit": time.perf_counter() - clock})
@@ -88,8 +87,7 @@ def joint_fit(
             return replace(fit, seconds={"fit": time.perf_counter() - clock})
         approximation = nested_laplace(problem, mode, found.marginal)
         proposal = LaplaceProposal(approximation, problem)
-        seconds = {"fit": time.perf_counter() - clock}
-        clock = time.perf_counter()
+        seconds, clock = {"fit": time.perf_counter() - clock}, time.perf_counter()
         if sampling is not None and file is not None:
             if not resume:
                 file.create()
@@ -178,16 +176,16 @@ def model_hash(model: Model) -> str:
 
 def _best_start(
     problem: Problem,
-    seed: int,
+    sampling: Settings | None,
     start: tuple[np.ndarray, np.ndarray] | None,
-    dispersed: int,
     tell: Progress,
 ) -> tuple[Mode, list[np.ndarray]]:
     """Fit from the start and from draws of the prior; return the best, and other ends worth a look."""
     size, hyper_size = problem.size
     z, h = start if start is not None else (np.zeros(size), np.zeros(hyper_size))
     mode = find_mode(problem, jnp.asarray(z), jnp.asarray(h))
-    random = np.random.default_rng([seed, 1])
+    dispersed = _DISPERSED if sampling is not None or start is None else 0
+    random = np.random.default_rng([sampling.seed if sampling else 0, 1])
     draws = [jnp.asarray(random.normal(size=size)) for _ in range(dispersed)]
     ends = [fit_at(problem, draw, mode.h) for draw in counted(tell, "fitting: dispersed start", draws)]
     here, *densities = heights(problem, [mode.z, *ends], mode.h).tolist()
