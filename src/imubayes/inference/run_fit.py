@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float
 from imubayes.errors import InputError, Issue
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.ensemble_sampling import Chains, Settings, sample, thinned, walkers_for
@@ -184,9 +185,7 @@ def _best_start(
     size, hyper_size = problem.size
     z, h = start if start is not None else (np.zeros(size), np.zeros(hyper_size))
     mode = find_mode(problem, jnp.asarray(z), jnp.asarray(h))
-    dispersed = _DISPERSED if sampling is not None or start is None else 0
-    random = np.random.default_rng([sampling.seed if sampling else 0, 1])
-    draws = [jnp.asarray(random.normal(size=size)) for _ in range(dispersed)]
+    draws = _dispersed(size, sampling) if sampling is not None or start is None else []
     ends = [fit_at(problem, draw, mode.h) for draw in counted(tell, "fitting: dispersed start", draws)]
     here, *densities = heights(problem, [mode.z, *ends], mode.h).tolist()
     best = int(np.argmax(densities)) if densities else -1
@@ -198,6 +197,12 @@ def _best_start(
         np.asarray(end) for end, height in zip(ends, densities, strict=True) if here - _HOPELESS < height < here - _SAME
     ]
     return mode, others
+
+
+def _dispersed(size: int, sampling: Settings | None) -> list[Float[Array, " P"]]:
+    """Return draws of the prior to begin fits at."""
+    random = np.random.default_rng([sampling.seed if sampling else 0, 1])
+    return [jnp.asarray(random.normal(size=size)) for _ in range(_DISPERSED)]
 
 
 def _negligible(problem: Problem, end: np.ndarray, mode: Mode) -> bool:
