@@ -206,6 +206,7 @@ CONDITIONS: dict[str, str] = {
     "acceleration": "table_acceleration_deg_s2 that is not 0",
     "larger input": "a larger input",
     "response": "a run that responds to it",
+    "second run": "a second run of the channel",
     "reference": "a reference gyro that rides along",
     "injection": "a run of procedure current_injection",
     "driven": "a table that the gyro drives",

@@ -132,13 +132,14 @@ def posteriors(structure: LaneStructure, varying: Stacked, mode: LaneMode, model
     values = structure.run(marginals, varying, mode.model, jnp.asarray(np.stack([each.points for each in chosen])))
     relative = np.asarray(values) - np.asarray(at.value)[:, None]
     tables = [each.tabulated(row) for each, row in zip(chosen, relative, strict=True)]
+    single = [not each.other_maxima(row) for each, row in zip(chosen, relative, strict=True)]
     along = jax.tree.map(lambda *leaves: jnp.stack(leaves), *tables)
     axes = jnp.asarray(np.stack([each.axes for each in chosen]))
     vectors = tuple(jnp.broadcast_to(each, (LANES, *each.shape)) for each in normal_vectors(*structure.problem.size))
     found = structure.run(draws, varying, mode.model, mode.h, axes, along, vectors)
     return [
         None
-        if probes[lane] is None
+        if probes[lane] is None or not single[lane]
         else _fit(model, of_lane(mode, lane), of_lane(at, lane), axes[lane], tables[lane], of_lane(found, lane))
         for lane, model in enumerate(models)
     ]
@@ -151,13 +152,8 @@ def _probes(mode: LaneMode, at: Curvature, lane: int) -> HyperProbes | None:
     return hyper_probes(np.asarray(mode.h)[lane], information)
 
 
-def _fit(
-    model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: LaneDraws
-) -> Fit | None:
-    """Return the fit of one unit, without posterior where its estimates cannot be those of a working unit.
-
-    None where the marginal of the noise scales has another maximum.
-    """
+def _fit(model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: LaneDraws) -> Fit:
+    """Return the fit of one unit, without posterior where its estimates cannot be those of a working unit."""
     problem, z = model.problem, found.model.z
     about = linearise(problem, z)
     true = jnp.asarray(True)
@@ -167,8 +163,6 @@ def _fit(
         return fit
     weak, _, bend = curved_directions(problem, mode)
     approximation = NestedLaplace(z, found.h, axes, along, ExactPrecision(about), weak, bend)
-    if approximation.other_modes(problem):
-        return None
     delta = np.asarray(drawn.delta).reshape(-1, len(z))
     bent = delta + _bent(delta, np.asarray(weak), np.asarray(bend))
     points = np.concatenate([np.asarray(z) + bent, np.repeat(np.asarray(drawn.h), _EACH, axis=0)], axis=1)

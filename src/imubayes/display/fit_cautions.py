@@ -1,9 +1,12 @@
 """What has to be known before the numbers of a fit are used, in sentences."""
 
+from collections.abc import Sequence
+
 from imubayes.display.labels import listed, pretty
 from imubayes.display.noise_violation_text import contradiction_text, violation_text
 from imubayes.display.rounding import percent, relation, significant
 from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
+from imubayes.model.model_spec import SingleRunEffect
 from imubayes.results.summary import PriorScatter, Summary
 
 _MOST_NAMED = 3
@@ -73,7 +76,16 @@ def notices(summary: Summary) -> tuple[str, ...]:
     """Return what the intervals rest on besides the data."""
     suspected = summary.noise_suspected and not alarm_of(summary)
     noise = (_SUSPECTED.format(violation_text(summary.noise_suspected)),) if suspected else ()
-    return (*noise, *map(_rests_on_prior, summary.prior_scatter))
+    return (*left_out_lines(summary.left_out), *noise, *map(_rests_on_prior, summary.prior_scatter))
+
+
+def left_out_lines(found: Sequence[SingleRunEffect]) -> tuple[str, ...]:
+    """Return what a campaign of one run cannot tell of its channels, a line for each effect."""
+    return tuple(
+        f"{each.effect} is left out, with one run of {listed(each.channels, 4)}: uncertainties hold within that run "
+        "and do not include repeatability from run to run, which more runs, or a prior of it in the model, would tell."
+        for each in found
+    )
 
 
 def disagreement_lines(summary: Summary, result: str = "RESULT") -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from imubayes.model.grouping import Grouping
 from imubayes.model.model_spec import EffectSpec
 from imubayes.model.nominal_response import missing_stimulus, noisy_runs, probes, responding_runs
 from imubayes.model.parameter_priors import exact_by_equipment, hyper_fields, parameter_of
-from imubayes.noise.base import Noise, SlowNoise
+from imubayes.noise.base import Noise, SharedNoise, SlowNoise
 from imubayes.parameters.parameter_declarations import Declared, declared_options, declared_parameters
 from imubayes.parameters.vector import Parameter
 from imubayes.procedures.ambient import unknown_covariates
@@ -74,6 +74,19 @@ class NoChannelError(NotObservableError):
     """The unit has no channel that the effect acts on."""
 
 
+class SingleRunError(NotObservableError):
+    """The effect is what differs from run to run, and each of its channels has one run.
+
+    Attributes
+    ----------
+    channels : names of the channels.
+    """
+
+    def __init__(self, issue: Issue, channels: tuple[str, ...]):
+        super().__init__(issue, ("second run",))
+        self.channels = channels
+
+
 @dataclass(frozen=True)
 class Move:
     """An effect moved to another stage of the signal path: see `imubayes.model.signal_path.MovedLayer`."""
@@ -96,6 +109,7 @@ class BoundEffect:
     shown_in : indices of those among them whose nominal signals it changes.
     gated : indices of the runs in which it is switched off because they do not supply what it needs.
     parameters, hyperparameters : its scalars, in order.
+    left_out : names of the channels on which it cannot be known, each having one run.
     moved : where it acts in place of its own stage of the signal path; None at its own.
     """
 
@@ -110,6 +124,7 @@ class BoundEffect:
     gated: set[int]
     parameters: tuple[Parameter, ...]
     hyperparameters: tuple[Parameter, ...]
+    left_out: tuple[str, ...] = ()
     moved: Move | None = None
 
     @property
@@ -123,8 +138,12 @@ class BoundEffect:
         return self.sharing if own is None else own
 
 
-def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry) -> BoundEffect:
+def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry, *, single_runs: bool = False) -> BoundEffect:
     """Return an effect of a model bound to a campaign.
+
+    Parameters
+    ----------
+    single_runs : keep what differs from run to run on channels of one run as well, for data that are to be simulated.
 
     Raises
     ------
@@ -136,6 +155,7 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry) -> Bou
     sharing, channels = settings.sharing(), settings.channels()
     settings.check_names()
     settings.raise_issues()
+    channels, left_out = _without_single_runs(spec, effect_class, sharing, channels, grouping, single_runs)
     runs, gated = _recorded_runs(spec, effect_class, grouping.nodes.supplies)
     declared = declared_parameters(effect_class)
     labelled = channels or tuple(channel.name for channel in grouping.campaign.channels)
@@ -162,7 +182,43 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry) -> Bou
         gated=gated,
         parameters=tuple(p for name, parameters in made.items() if name not in hyper for p in parameters),
         hyperparameters=tuple(p for name, parameters in made.items() if name in hyper for p in parameters),
+        left_out=left_out,
     )
+
+
+def _without_single_runs(
+    spec: EffectSpec,
+    effect_class: EffectClass,
+    sharing: tuple[str, ...],
+    channels: tuple[str, ...],
+    grouping: Grouping,
+    single_runs: bool,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the channels that can show an effect, and those of one run, which for what differs between runs cannot.
+
+    The default prior, which then decides alone how wide the bias of the run is, says nothing of this unit.  A prior
+    that the model states does: the effect stays.
+
+    Raises
+    ------
+    SingleRunError
+        where no other channel is left.
+    """
+    learnt = "run" in sharing and hyper_fields(effect_class)
+    if single_runs or spec.prior or not (issubclass(effect_class, SharedNoise) or learnt):
+        return channels, ()
+    found = tuple(name for name in channels if grouping.run_count(name) == 1)
+    if found and found == channels:
+        raise SingleRunError(
+            Issue(
+                f"'{spec.name}' is what differs from run to run, and {' and '.join(found)} had one run",
+                spec.where,
+                "channels of two runs and more, or a prior from experience",
+                "leave the effect out, add a run, or state its prior",
+            ),
+            found,
+        )
+    return tuple(name for name in channels if name not in found), found
 
 
 def _refuse_exact(spec: EffectSpec, made: Mapping[str, list[Parameter]]) -> None:

@@ -70,6 +70,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         known_noise=known,
         prior_scatter=prior_scatter(fit),
         doubted_runs=doubted_runs(fit),
+        left_out=model.left_out,
         parameters=parameters,
         derived=derived,
         runs=residuals.by_run_and_channel(),

@@ -16,6 +16,7 @@ from imubayes.inference.implausible_record import ImplausibleEstimate, Unexplain
 from imubayes.inference.next_run import NextRun
 from imubayes.inference.prior_conflict import PriorConflict
 from imubayes.json_record import Record
+from imubayes.model.model_spec import SingleRunEffect
 from imubayes.parameters.input_axis_names import channel_of_component
 from imubayes.results.provenance_record import FitProvenance
 
@@ -151,6 +152,7 @@ class Summary(Record):
         the fit has no mode, and in results of earlier versions.
     prior_scatter : noise scales known from their priors alone, on which intervals rest.
     doubted_runs : runs that the others do not predict at the noise known before the fit.
+    left_out : effects between runs that one run of a channel cannot tell: not in the model, nor in the intervals.
     combinations : what is determined of the members of weak directions.
     pareto_k : tail index of the importance weights of the sampler's proposal; None without sampling.
     """
@@ -175,6 +177,7 @@ class Summary(Record):
     known_noise: KnownNoiseFit | None = None
     prior_scatter: tuple[PriorScatter, ...] = ()
     doubted_runs: tuple[DoubtedRun, ...] = ()
+    left_out: tuple[SingleRunEffect, ...] = ()
     parameters: tuple[ParameterSummary, ...]
     derived: tuple[DerivedSummary, ...]
     runs: tuple[RunSummary, ...]
