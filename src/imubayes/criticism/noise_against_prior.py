@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.inference.fitted_model import Fit
 from imubayes.noise.base import EntryNoise, SharedNoise
 from imubayes.noise.components import WhiteNoise
+from imubayes.tail_probabilities import normal_survival
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def noise_beyond_prior(fitted: Fit) -> tuple[NoiseBeyondPrior, ...]:
     compared = [place for place, parameter in enumerate(parameters) if parameter.effect in sizes]
     found = []
     for place in compared:
-        p = min(1.0, float(special.ndtr(-z[place])) * len(compared))
+        p = min(1.0, float(normal_survival(z[place])) * len(compared))
         if p >= thresholds.NOISE_BEYOND_PRIOR_P:
             continue
         parameter = parameters[place]
@@ -67,7 +67,5 @@ def noise_beyond_prior(fitted: Fit) -> tuple[NoiseBeyondPrior, ...]:
             for at in (z[place], thresholds.EXPECTED_NOISE_Z)
         )
         between_runs = parameter.effect in shared
-        found.append(
-            NoiseBeyondPrior(parameter.name, parameter.shown_unit, value, expected, max(p, 1e-300), between_runs)
-        )
+        found.append(NoiseBeyondPrior(parameter.name, parameter.shown_unit, value, expected, p, between_runs))
     return tuple(sorted(found, key=lambda each: each.p))

@@ -12,7 +12,6 @@ from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.noise_tests import to_entries
@@ -20,6 +19,7 @@ from imubayes.criticism.projection import Projection
 from imubayes.model.problem import Problem
 from imubayes.noise.base import SeriesNoise, SlowNoise
 from imubayes.noise.components import WhiteNoise
+from imubayes.tail_probabilities import f_survival, normal_survival
 
 NoiseSource = Literal["samples", "channel"]
 
@@ -142,9 +142,9 @@ def _judged(ratio: float, freedom: float, record: _Record) -> tuple[float, float
     excess = ratio / thresholds.NOISE_AGREES
     if record.source == "samples":
         sd = np.sqrt(0.5 / freedom + 0.5 / record.freedom)
-        return float(sd), max(float(special.fdtrc(freedom, record.freedom, excess**2)), 1e-300)
+        return float(sd), float(f_survival(excess**2, freedom, record.freedom))
     sd = np.hypot(thresholds.STATED_NOISE_LOG_SD, np.sqrt(0.5 / freedom))
-    return float(sd), max(float(special.ndtr(-np.log(excess) / sd)), 1e-300)
+    return float(sd), float(normal_survival(np.log(excess) / sd))
 
 
 def _within(projection: Projection, channel: int) -> tuple[float, float]:

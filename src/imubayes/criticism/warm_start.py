@@ -12,7 +12,6 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
 from scipy.linalg import solve_triangular
 
 from imubayes.array_shapes import Array, Float
@@ -35,6 +34,7 @@ from imubayes.model.robust_likelihood import pseudo_values
 from imubayes.parameters.parameter_declarations import Declared
 from imubayes.parameters.priors import HalfNormal, Normal, Prior, rounded_width
 from imubayes.parameters.vector import Layout, Parameter
+from imubayes.tail_probabilities import chi2_survival, normal_survival
 
 
 @dataclass(frozen=True)
@@ -342,7 +342,7 @@ def _contradicting(
     beyond = thresholds.PRIOR_CONFLICT_SD
     alone = np.abs(estimate) > beyond * np.sqrt(width**2 + slope**2 * variance)
     score = float(np.sum((along + axes[:, told].T @ null) ** 2 / (1 + 1 / values[told])))
-    together = special.chdtrc(int(told.sum()), score) < 2 * special.ndtr(-beyond)
+    together = chi2_survival(score, int(told.sum())) < 2 * normal_survival(beyond)
     return np.where(alone | (together & (np.abs(estimate) > beyond * width)), estimate, 0.0)
 
 
