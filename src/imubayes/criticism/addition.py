@@ -25,7 +25,9 @@ class Prediction(Record):
 
     Attributes
     ----------
-    delta_chi2, coefficients : by the linear model; by the screening where that has no gradient.
+    delta_chi2 : by the linear model; by the screening where that has no gradient.
+    coefficients : those of the diagnosis, where it estimated the same; by the linear model elsewhere, several effects
+        together.
     screened : Δχ² of the screening, in units of the noise that then remains; None without one.
     """
 
@@ -102,7 +104,9 @@ def refit_with(
     screened = _screened(effects, diagnosis)
     known = screened[0] if screened and _one_finding(effects, diagnosis) else None
     remaining = None if against else delta_chi2_at_remaining_noise(before, extension, fit)
-    return Refit(before, extension, fit, delta_chi2, remaining, against, unseen, _prediction(extension, known))
+    return Refit(
+        before, extension, fit, delta_chi2, remaining, against, unseen, _prediction(extension, known, len(effects) == 1)
+    )
 
 
 def _screened(effects: Sequence[str], diagnosis: Diagnosis | None) -> list[ScreenedEffect]:
@@ -134,10 +138,11 @@ def start_of_refit(
     return extend(before, effects, channels, shape, hints, estimates, files)
 
 
-def _prediction(extension: Extension, screened: ScreenedEffect | None) -> Prediction:
+def _prediction(extension: Extension, screened: ScreenedEffect | None, alone: bool) -> Prediction:
     drop, coefficients = extension.delta_chi2, extension.coefficients
-    if drop is None and screened is not None:
-        drop, coefficients = screened.delta_chi2, screened.coefficients
+    if screened is not None:
+        coefficients = screened.coefficients if alone or drop is None else coefficients
+        drop = screened.delta_chi2 if drop is None else drop
     return Prediction(
         delta_chi2=None if drop is None else finite(drop),
         coefficients=tuple(coefficients),

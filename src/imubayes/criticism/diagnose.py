@@ -42,6 +42,7 @@ from imubayes.criticism.search_outcome import Significant
 from imubayes.criticism.stepwise_search import SearchResult, search
 from imubayes.criticism.unexplained_structure import (
     channels_of,
+    goes_with,
     scatter_remains,
     unexplained_structure,
 )
@@ -52,6 +53,7 @@ from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.json_record import finite
 from imubayes.step_counter import Tell, silent
+from imubayes.tail_probabilities import chi2_at
 
 
 def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = silent) -> Diagnosis:
@@ -227,6 +229,7 @@ def _ranking(found: SearchResult) -> tuple[RankedEffect, ...]:
             effect=candidate.effect,
             channels=candidate.owners,
             delta_chi2=candidate.delta_chi2,
+            evidence=chi2_at(candidate.score.log_p, max(candidate.dof, 1)),
             dof=candidate.dof,
             p=candidate.p,
             p_global=found.against_budget(found.look_elsewhere(candidate.p)),
@@ -234,7 +237,7 @@ def _ranking(found: SearchResult) -> tuple[RankedEffect, ...]:
             shape=dict(candidate.scan.shape),
             coefficients=_coefficients(candidate),
         )
-        for candidate in found.first.candidates
+        for candidate in sorted(found.first.candidates, key=lambda each: each.score.log_p)
     )
 
 
@@ -255,7 +258,7 @@ def _evidence(found: SearchResult, group: EquivalenceGroup) -> ResidualEvidence:
     response = next(each for each in found.first.prepared if each.response.scan == leader.scan)
     names = [channel.name for channel in projection.fitted.model.campaign.channels]
     channel = dominant_channel(projection, names, leader.score)
-    covariate = following_covariate(projection, found.first.structures, leader, channel)
+    covariate = following_covariate(projection, found.first.structures, leader, channel, goes_with(found, leader))
     return residual_evidence(projection, found.responses, response, leader, channel, covariate, found.covariates)
 
 

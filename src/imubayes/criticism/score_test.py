@@ -66,7 +66,9 @@ class Candidate:
         """
         typical = np.array([coefficient.typical[1] for coefficient in self.coefficients])
         size = np.abs(self.value)
-        if np.any(size - 3 * self.sd > thresholds.IMPOSSIBLE_SIZE * typical):
+        largest = thresholds.IMPOSSIBLE_SIZE * typical
+        # What no run excites but by rounding has an uncertainty beyond any possible size: it is not observable.
+        if np.any(size - 3 * self.sd > largest) or np.all(self.sd > largest):
             return False
         return self.score.prior_share < 0.5 or bool(np.any(size <= thresholds.IMPLAUSIBLE_SIZE * typical))
 
