@@ -166,7 +166,7 @@ def _extension(
 ) -> Extension:
     old, model = before.model, bind(spec, before.model.campaign, registry)
     dry_run(model.problem, model.assembly.effects, spec.files)
-    null, new = model.layout.carried(old.layout, before.z, _nulls(model)), _new(old.layout, model.layout)
+    null, new = model.layout.carried(old.layout, before.z, null_point(model)), _new(old.layout, model.layout)
     h = model.hyper_layout.carried(old.hyper_layout, before.h)
     for place in np.flatnonzero(new).tolist():
         value = _given(model.layout.parameters[place], shape)
@@ -239,7 +239,7 @@ def _given(parameter: Parameter, values: Mapping[str, float]) -> float | None:
     return None if value is None else parameter.z_at(value)
 
 
-def _nulls(model: Model) -> np.ndarray:
+def null_point(model: Model) -> np.ndarray:
     """Return z of the null value of each parameter; 0 where its prior excludes that."""
     found = [_null(model, parameter) for parameter in model.layout.parameters]
     return np.array([0.0 if z is None else z for z in found])
