@@ -53,7 +53,9 @@ from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.json_record import finite
 from imubayes.step_counter import Tell, silent
-from imubayes.tail_probabilities import chi2_at
+
+# p-values below this are not told apart.
+_BEYOND_DOUBT = 1e-30
 
 
 def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = silent) -> Diagnosis:
@@ -224,12 +226,13 @@ def _best(found: SearchResult) -> float:
 
 
 def _ranking(found: SearchResult) -> tuple[RankedEffect, ...]:
+    """Return every candidate by its p-value, those beyond doubt by their likelihood ratio."""
     return tuple(
         RankedEffect(
             effect=candidate.effect,
             channels=candidate.owners,
             delta_chi2=candidate.delta_chi2,
-            evidence=chi2_at(candidate.score.log_p, max(candidate.dof, 1)),
+            evidence=2 * candidate.score.log_likelihood_gain,
             dof=candidate.dof,
             p=candidate.p,
             p_global=found.against_budget(found.look_elsewhere(candidate.p)),
@@ -237,7 +240,7 @@ def _ranking(found: SearchResult) -> tuple[RankedEffect, ...]:
             shape=dict(candidate.scan.shape),
             coefficients=_coefficients(candidate),
         )
-        for candidate in sorted(found.first.candidates, key=lambda each: each.score.log_p)
+        for candidate in sorted(found.first.candidates, key=lambda each: (max(each.p, _BEYOND_DOUBT), each.log_p))
     )
 
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from imubayes.covariates import REFERENCE_TEMPERATURE
 from imubayes.display.classical_of_prediction import OfPrediction
 from imubayes.display.labels import listed, pretty
@@ -18,7 +20,7 @@ from imubayes.results.summary import Conformance, DerivedSummary, Quantity, Summ
 # A difference beyond so many combined standard deviations is one that the classical uncertainty does not cover.
 _BEYOND = 3.0
 _MOST_BESIDE = 8
-# An effect is named with at least this share of what the leading effect adds to a difference.
+# An effect is named where it adds at least this share of a difference.
 _LEAST_SHARE, _MOST_CAUSES = 0.25, 3
 
 
@@ -108,9 +110,7 @@ class ClassicalComparison:
 
 def _causes(difference: float, added: Sequence[tuple[str, float]]) -> tuple[tuple[str, float], ...]:
     """Return the effects that add most to a difference, in its direction."""
-    along = [(name, size) for name, size in added if size * difference > 0]
-    largest = max((abs(size) for _, size in along), default=0.0)
-    named = [pair for pair in along if abs(pair[1]) >= _LEAST_SHARE * largest]
+    named = [(name, size) for name, size in added if size * np.sign(difference) >= _LEAST_SHARE * abs(difference)]
     return tuple(sorted(named, key=lambda pair: -abs(pair[1]))[:_MOST_CAUSES])
 
 

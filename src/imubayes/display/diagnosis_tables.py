@@ -41,13 +41,13 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
         rows.append((name, on, size, drop, Cell(str(line.dof)), p, mark))
         slim.append((name, Cell(_coefficient(line, short=True)), drop, p, mark))
     note = _more(len(found.ranking) - len(rows)) + (
-        "χ²: the evidence, as χ² on dof degrees of freedom, the uncertainty of the noise scales counted; p: "
+        "2 ln Λ: likelihood ratio on dof degrees of freedom, with the noise scales estimated anew; p: "
         "probability that the best of all candidates does so well where nothing is missing. These runs cannot "
         "distinguish the candidates of one group."
     )
-    head = ("effect", "on", "coefficient", "χ²", "dof", "p", "group")
+    head = ("effect", "on", "coefficient", "2 ln Λ", "dof", "p", "group")
     title = "Candidates in order of evidence"
-    narrow = Sheet(title, ("effect", "coefficient", "χ²", "p", "group"), slim, (0, 1), "", note)
+    narrow = Sheet(title, ("effect", "coefficient", "2 ln Λ", "p", "group"), slim, (0, 1), "", note)
     return Sheet(title, head, rows, (0, 1, 2), "", note, narrow=narrow)
 
 
