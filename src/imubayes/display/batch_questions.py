@@ -10,7 +10,7 @@ from imubayes.batch.parameter_population import ParameterPopulation, Populations
 from imubayes.batch.trends import Drift, Trend, Trends
 from imubayes.display.archive_report import counted
 from imubayes.display.report_layout import Report
-from imubayes.display.rounding import concise, significant
+from imubayes.display.rounding import chance_text, concise, significant
 from imubayes.display.table_layout import Cell, Sheet, of_columns
 
 _MOST_OUTLYING = 15
