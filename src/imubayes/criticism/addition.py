@@ -29,7 +29,8 @@ class Prediction(Record):
     Attributes
     ----------
     delta_chi2 : at the noise known beforehand; None where noise itself is added.
-    coefficients : by the linear model; by the screening where that has no gradient.
+    coefficients : those of the diagnosis, where it estimated the same; by the linear model elsewhere, several effects
+        together.
     """
 
     delta_chi2: float | None
@@ -101,7 +102,8 @@ def refit_with(
     unseen = None if against else cross_validate(before, fit, progress)
     screened = _screened(effects, diagnosis)
     known = screened[0] if screened and _one_finding(effects, diagnosis) else None
-    return Refit(before, extension, fit, delta_chi2, against, unseen, _prediction(before, extension, known))
+    prediction = _prediction(before, extension, known, len(effects) == 1)
+    return Refit(before, extension, fit, delta_chi2, against, unseen, prediction)
 
 
 def _screened(effects: Sequence[str], diagnosis: Diagnosis | None) -> list[ScreenedEffect]:
@@ -133,9 +135,9 @@ def start_of_refit(
     return extend(before, effects, channels, shape, hints, estimates, files)
 
 
-def _prediction(before: Fit, extension: Extension, screened: ScreenedEffect | None) -> Prediction:
+def _prediction(before: Fit, extension: Extension, screened: ScreenedEffect | None, alone: bool) -> Prediction:
     coefficients = extension.coefficients
-    if extension.delta_chi2 is None and screened is not None:
+    if screened is not None and (alone or extension.delta_chi2 is None):
         coefficients = screened.coefficients
     return Prediction(delta_chi2=_predicted_drop(before, extension), coefficients=tuple(coefficients))
 

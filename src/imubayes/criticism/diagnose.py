@@ -47,6 +47,7 @@ from imubayes.criticism.search_outcome import Significant
 from imubayes.criticism.stepwise_search import SearchResult, search
 from imubayes.criticism.unexplained_structure import (
     channels_of,
+    goes_with,
     scatter_remains,
     unexplained_structure,
 )
@@ -59,6 +60,9 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import Linearised
 from imubayes.json_record import finite
 from imubayes.step_counter import Tell, silent
+
+# p-values below this are not told apart.
+_BEYOND_DOUBT = 1e-30
 
 
 def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = silent) -> Diagnosis:
@@ -239,11 +243,13 @@ def _best(found: SearchResult) -> float:
 
 
 def _ranking(found: SearchResult) -> tuple[RankedEffect, ...]:
+    """Return every candidate by its p-value, those beyond doubt by their likelihood ratio."""
     return tuple(
         RankedEffect(
             effect=candidate.effect,
             channels=candidate.owners,
             delta_chi2=candidate.delta_chi2,
+            evidence=2 * candidate.score.log_likelihood_gain,
             dof=candidate.dof,
             p=candidate.p,
             p_global=found.against_budget(found.look_elsewhere(candidate.p)),
@@ -251,7 +257,7 @@ def _ranking(found: SearchResult) -> tuple[RankedEffect, ...]:
             shape=dict(candidate.scan.shape),
             coefficients=_coefficients(candidate),
         )
-        for candidate in found.first.candidates
+        for candidate in sorted(found.first.candidates, key=lambda each: (max(each.p, _BEYOND_DOUBT), each.log_p))
     )
 
 
@@ -272,7 +278,7 @@ def _evidence(found: SearchResult, group: EquivalenceGroup) -> ResidualEvidence:
     response = next(each for each in found.first.prepared if each.response.scan == leader.scan)
     names = [channel.name for channel in projection.fitted.model.campaign.channels]
     channel = dominant_channel(projection, names, leader.score)
-    covariate = following_covariate(projection, found.first.structures, leader, channel)
+    covariate = following_covariate(projection, found.first.structures, leader, channel, goes_with(found, leader))
     return residual_evidence(projection, found.responses, response, leader, channel, covariate, found.covariates)
 
 

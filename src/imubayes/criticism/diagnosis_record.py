@@ -55,11 +55,13 @@ class RankedEffect(ScreenedEffect):
 
     Attributes
     ----------
+    evidence : twice the log-likelihood ratio: a drop of χ² against a noise scale of few degrees of freedom counts less.
     dof : directions that could be resolved.
     p, p_global : p-value of this candidate alone, and corrected for the number of looks and families of tests.
     within_runs : drop of χ² from the variation within runs alone.
     """
 
+    evidence: float = 0.0
     dof: int
     p: float
     p_global: float

@@ -46,9 +46,9 @@ def _judged_beside(
     p : of candidates of the first screening alone, by their place.
     corrected : of the smallest one.
     """
-    known = {_identity(first.candidates[place]): value for place, value in p.items()}
+    known = {_identity(first.candidates[place]): math.log(value) for place, value in p.items()}
     candidates = [
-        replace(each, score=replace(each.score, p=max(each.score.p, known.get(_identity(each), 0.0))))
+        replace(each, score=replace(each.score, log_p=max(each.score.log_p, known.get(_identity(each), -math.inf))))
         for each in beside.candidates
     ]
     beside = replace(beside, candidates=tuple(candidates))
@@ -108,7 +108,7 @@ def _between_few_runs(
     candidates = list(first.candidates)
     for place, own in evident.items():
         score = candidates[place].score
-        candidates[place] = replace(candidates[place], score=replace(score, p=min(score.p, math.exp(-own))))
+        candidates[place] = replace(candidates[place], score=replace(score, log_p=min(score.log_p, -own)))
     best = max(evident, key=lambda place: evident[place])
     near = [candidates[k] for k, value in evident.items() if value > evident[best] - thresholds.DECISIVE_LOG_ODDS]
     first, leader = replace(first, candidates=tuple(candidates)), candidates[best]

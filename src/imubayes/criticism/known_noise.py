@@ -22,7 +22,6 @@ from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
@@ -38,10 +37,11 @@ from imubayes.noise.base import EntryNoise, Noise, SeriesNoise, SharedNoise, Slo
 from imubayes.noise.components import WhiteNoise
 from imubayes.parameters.priors import HalfNormal
 from imubayes.parameters.vector import Parameter
+from imubayes.tail_probabilities import LEAST_P, f_survival, normal_survival
 
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(61)
-# Smallest p-value that is told apart from 0, and z of a correlation of 0 under a uniform prior.
-_LEAST_P, _NO_CORRELATION = 1e-300, -8.0
+# z of a correlation of 0 under a uniform prior.
+_NO_CORRELATION = -8.0
 
 
 @dataclass(frozen=True)
@@ -259,9 +259,9 @@ def _scales(model: Model) -> list[tuple[Parameter, EffectClass, int | None]]:
 def _against_record(base: NoiseComparison, record: SampleNoise, factor: float) -> NoiseComparison:
     known = record.sd / factor
     ratio = base.fitted / known
-    chance = special.fdtrc(base.freedom, record.freedom, (ratio / thresholds.NOISE_AGREES) ** 2)
+    p = float(f_survival((ratio / thresholds.NOISE_AGREES) ** 2, base.freedom, record.freedom))
     sd = ratio * math.sqrt(0.5 / base.freedom + 0.5 / record.freedom)
-    return replace(base, recorded=known, source="samples", ratio=ratio, ratio_sd=sd, p=max(float(chance), _LEAST_P))
+    return replace(base, recorded=known, source="samples", ratio=ratio, ratio_sd=sd, p=p)
 
 
 def _against_prior(base: NoiseComparison, parameter: Parameter) -> NoiseComparison:
@@ -270,7 +270,7 @@ def _against_prior(base: NoiseComparison, parameter: Parameter) -> NoiseComparis
     spread = 0.5 * math.log(_value(parameter, 1.0) / _value(parameter, -1.0))
     sd = ratio * math.hypot(spread, math.sqrt(0.5 / base.freedom) if base.freedom else 0.0)
     # A size that the prior excludes is beyond every one that it allows.
-    p = max(float(special.ndtr(-z)), _LEAST_P) if z is not None else (_LEAST_P if ratio > 1 else 1.0)
+    p = float(normal_survival(z)) if z is not None else (LEAST_P if ratio > 1 else 1.0)
     return replace(base, recorded=known, source="prior", ratio=ratio, ratio_sd=sd, p=p)
 
 
@@ -318,7 +318,7 @@ def chance_among_sisters(
     floor : the part of the variance that another scale makes.
     """
     expected = pooled * np.exp(2 * _spread_among(sisters) * _NODES) + floor
-    return max(float(_WEIGHTS @ special.fdtrc(freedom, of_pooled, variance / expected) / _WEIGHTS.sum()), _LEAST_P)
+    return float(_WEIGHTS @ f_survival(variance / expected, freedom, of_pooled) / _WEIGHTS.sum())
 
 
 def _spread_among(sisters: int) -> float:

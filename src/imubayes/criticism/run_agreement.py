@@ -12,16 +12,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from imubayes.campaign_data import Campaign
 from imubayes.criticism import thresholds
 from imubayes.criticism.deletion_diagnostics import LinearFit, Score, divide, linear_fit
 from imubayes.criticism.disagreement_record import DoubtedRun
 from imubayes.criticism.known_noise import known_scales
-from imubayes.criticism.tail_probabilities import chi2_log_survival
 from imubayes.criticism.wrong_inputs import Predictions, WrongInput, problem_of, suspected
 from imubayes.inference.fitted_model import Fit
+from imubayes.tail_probabilities import chi2_log_survival, chi2_survival, f_log_survival, f_survival
 
 # How many wrong inputs are linearised anew, and from which share of the gain of the best.
 _REFINED, _PROMISING = 6, 0.3
@@ -168,7 +167,7 @@ def disagreeing_runs(linear: LinearFit) -> dict[int, float]:
         chi2, dof, freedom = _deletion(linear, run)
         f = chi2 / max(dof, 1)
         # Where the others scatter more than was known their noise is an estimate.
-        log_p = float(np.log(max(special.fdtrc(dof, freedom, f), 1e-300))) if freedom else 0.0
+        log_p = float(f_log_survival(f, dof, freedom)) if freedom else 0.0
         found[run] = log_p + np.log(len(runs))
     return found
 
@@ -248,7 +247,7 @@ def _doubted(at: _At, judged: LinearFit, run: int, columns: Mapping[str, np.ndar
     That is judged about the fit, where a wrong run has shifted the parameters, but costs no further prediction.
     """
     chi2, dof, freedom = _deletion(at.linear, run)
-    if special.fdtrc(dof, freedom, chi2 / max(dof, 1)) < thresholds.DOUBTED_RUN_P:
+    if f_survival(chi2 / max(dof, 1), dof, freedom) < thresholds.DOUBTED_RUN_P:
         return True
     responses = [np.where(own, column, 0.0)[:, None] for column in columns.values()]
     responses += [
@@ -257,7 +256,7 @@ def _doubted(at: _At, judged: LinearFit, run: int, columns: Mapping[str, np.ndar
     stacked = np.concatenate(responses, axis=1)
     divided = divide(at.fitted.model.problem, at.h, stacked)
     drops = [judged.score(stacked[:, [k]], divided[:, [k]]).drop for k in range(stacked.shape[1])]
-    return bool(special.chdtrc(1, max(drops)) * len(drops) < thresholds.DOUBTED_RUN_P)
+    return bool(chi2_survival(max(drops), 1) * len(drops) < thresholds.DOUBTED_RUN_P)
 
 
 def _screened_rows(

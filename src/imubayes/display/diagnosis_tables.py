@@ -35,20 +35,20 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
     }
     rows, slim = [], []
     for line in ranking:
-        name, drop = Cell(line.effect), Cell(significant(line.delta_chi2))
+        name, drop = Cell(line.effect), Cell(significant(line.evidence))
         p = Cell(chance_text(line.p_global), "bad" if line.p_global < found.threshold else "dim")
         mark = Cell(group.get((line.effect, line.channels), ""))
         on, size = Cell(listed(line.channels, 3)), Cell(_coefficient(line))
         rows.append((name, on, size, drop, Cell(str(line.dof)), p, mark))
         slim.append((name, Cell(_coefficient(line, short=True)), drop, p, mark))
     note = _more(len(found.ranking) - len(rows)) + (
-        "Δχ²: predicted drop of χ² if the effect were added, at the noise that remains; p: probability that the best "
-        "of all candidates does so well where nothing is missing. These runs cannot distinguish the candidates of one "
-        "group."
+        "2 ln Λ: likelihood ratio on dof degrees of freedom, with the noise scales estimated anew; p: "
+        "probability that the best of all candidates does so well where nothing is missing. These runs cannot "
+        "distinguish the candidates of one group."
     )
-    head = ("effect", "on", "coefficient", "Δχ²", "dof", "p", "group")
+    head = ("effect", "on", "coefficient", "2 ln Λ", "dof", "p", "group")
     title = "Candidates in order of evidence"
-    narrow = Sheet(title, ("effect", "coefficient", "Δχ²", "p", "group"), slim, (0, 1), "", note)
+    narrow = Sheet(title, ("effect", "coefficient", "2 ln Λ", "p", "group"), slim, (0, 1), "", note)
     return Sheet(title, head, rows, (0, 1, 2), "", note, narrow=narrow)
 
 

@@ -6,9 +6,8 @@ Parameters take up their share of the degrees of freedom: of its n values a run 
 import math
 from collections.abc import Sequence
 
-from scipy.special import gammainc, gammaincc
-
 from imubayes.results.summary import RunSummary, Summary
+from imubayes.tail_probabilities import chi2_cdf, chi2_survival
 
 SIGNIFICANT = 0.001
 
@@ -32,8 +31,8 @@ def tail(chi2: float, freedom: float) -> float:
     """Return the p-value of a χ²: of its upper tail, or minus that of the lower tail where this is smaller."""
     if not (math.isfinite(chi2) and freedom > 0):
         return math.nan
-    above = float(gammaincc(freedom / 2, chi2 / 2))
-    below = float(gammainc(freedom / 2, chi2 / 2))
+    above = float(chi2_survival(chi2, freedom))
+    below = float(chi2_cdf(chi2, freedom))
     return above if above <= below else -below
 
 
