@@ -44,7 +44,9 @@ def check_repeats(runs: Sequence[Run], files: Sequence[str], channels: Sequence[
 
 def _rows_alike(first: Run, second: Run, channels: Sequence[Channel], both: np.ndarray) -> int:
     """Return the number of rows of the second run that are in the first, 0 where that may be by chance."""
-    varying = [k for k in np.flatnonzero(both) if np.nanmax(first.observed[:, k]) > np.nanmin(first.observed[:, k])]
+    varying = [
+        k for k in np.flatnonzero(both).tolist() if np.nanmax(first.observed[:, k]) > np.nanmin(first.observed[:, k])
+    ]
     if not varying:
         return 0
     own, other = (np.nan_to_num(run.observed[:, varying], nan=math.inf) for run in (first, second))

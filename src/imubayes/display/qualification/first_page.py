@@ -46,10 +46,9 @@ def _sentence(found: Conformity) -> str:
         return f"The limits of the specification “{found.specification}” could not be judged: the fit did not converge."
     if found.outcome == "withheld" and found.obstacles:
         return f"{limits} The unit cannot pass, for the reasons below."
-    undecided = [limit for limit in found.limits if limit.withheld is not None]
-    for reason in dict.fromkeys(limit.withheld for limit in undecided if limit.withheld is not None):
-        names = enumerated([limit.name for limit in undecided if limit.withheld == reason], 4)
-        limits += f" There is no decision on {names}: {NO_DECISION[reason]}."
+    for reason, why in NO_DECISION.items():
+        if undecided := [limit.name for limit in found.limits if limit.withheld == reason]:
+            limits += f" There is no decision on {enumerated(undecided, 4)}: {why}."
     conditional = sum(limit.outcome.startswith("conditional") for limit in found.limits)
     return limits + (f" {conditional} results are conditional: within U of the limit." if conditional else "")
 
