@@ -245,7 +245,8 @@ def _starts(
 
 def redrawn(fit: Fit, count: int) -> Fit:
     """Return a fit with so many draws of its Laplace approximation."""
-    assert fit.posterior is not None and fit.mode is not None
+    assert fit.posterior is not None
+    assert fit.mode is not None
     approximation = fit.posterior.approximation
     problem = fit.model.problem
     points = posterior_points(problem, modes_of_scales(problem, fit.mode), approximation, count)

@@ -250,7 +250,7 @@ def _refuse_unknown(spec: EffectSpec, effect_class: EffectClass, channels: tuple
     """Raise an error where the effect changes what was measured in runs that lack a covariate it needs."""
     runs, supplies = grouping.campaign.runs, grouping.nodes.supplies
     unknown = [unknown_covariates(run, effect_class.needs, each) for run, each in zip(runs, supplies, strict=True)]
-    if not any(unknown):
+    if issubclass(effect_class, Noise) or not any(unknown):
         return
     tried = probes(effect_class, dict(spec.options), channels, grouping.campaign)
     blocks = [at.elsewhere(*set().union(*unknown)) for at in grouping.samples]
