@@ -89,7 +89,7 @@ class Timed:
     @property
     def late(self) -> bool:
         """Whether the times count from an epoch."""
-        return self.time[0] > EPOCH and not self.slow()
+        return bool(self.time[0] > EPOCH) and not self.slow()
 
     def span(self, unit: float = 1.0) -> tuple[datetime, datetime] | None:
         """Return the first and last instant of a dated run; None of one without the time of day."""

@@ -41,7 +41,7 @@ def sentence(found: Diagnosis) -> str:
     told = [f"{contradiction_text(found.contradicted)}."] if found.contradicted else []
     return (
         " ".join(part for part in (*told, *parts) if part)
-        + "".join(f" {disagreement_text([each])}" for each in found.disagreeing)
+        + "".join(f" {disagreement_text([each])}" for each in found.disagreeing if each.leads)
         + _record_sentence(found)
         + _outlier_sentence(found)
         + _neglected_sentence(found)
