@@ -46,6 +46,7 @@ def _explained(
         remedy += " (or: " + "; or: ".join(each.remedy for each in others) + ")"
     # Weaker evidence is said and stops nothing.
     sure = first.support > first.stopping and not first.rivalled and not {kind for kind, _ in found} & {*accepted}
+    sure = sure and all(each.mistake.stops(each.size) for each in equal)
     severity: Severity = "error" if sure else "warning"
     if sure:
         remedy += f'; accepted = ["{first.mistake.kind}"] in campaign.toml lets the campaign pass as it is'
