@@ -121,7 +121,7 @@ def test_a_larger_scale_is_rivalled_by_an_axis_that_is_stated_raised() -> None:
 
 @pytest.mark.parametrize("factor", [0.3, 0.5, 2.0, 10.0])
 def test_a_triad_in_three_mountings_tells_its_scale_from_the_axis(factor: float) -> None:
-    scales = dict.fromkeys(("ax", "ay", "az"), factor)
+    scales: dict[str, float] = dict.fromkeys(("ax", "ay", "az"), factor)
     found = told(_campaign(THREE, SEATS, scale=scales))
     assert set(found) == {"channel_unit"}
     np.testing.assert_allclose(np.exp(found["channel_unit"]), factor, rtol=0.02)
