@@ -30,14 +30,20 @@ def suggestions(found: SearchResult, verdict: Verdict) -> list[Suggestion]:
         return []
     groups = found.groups if found.unfinished else found.groups[: 1 + found.paired]
     leaders = [group.leader for group in groups]
-    equals = [member for group in groups for member in group.members[1:]]
-    best = None if found.unfinished or not found.rivals else found.rivals[0]
-    rival = list(best.members) if best is not None else []
-    decided = best is not None and best.log_odds > thresholds.DECISIVE_LOG_ODDS
-    sets = [[] if decided else [*leaders, *equals, *rival], rival, [*leaders, *equals], leaders]
-    sets = sets if best is not None and best.log_odds > 0 else [*sets[:1], *sets[2:]]
-    made = [_suggestion(found, each) for each in sets if each]
-    return list({each.effects: each for each in reversed(made)}.values())[::-1]
+    selected = [*leaders, *(member for group in groups for member in group.members[1:])]
+    rival, log_odds = _best_rival(found)
+    sets = [[*selected, *rival], selected, leaders]
+    if log_odds > 0:
+        sets.insert(1, rival)
+    made = [_suggestion(found, each) for each in sets[log_odds > thresholds.DECISIVE_LOG_ODDS :]]
+    return list({each.effects: each for each in made}.values())
+
+
+def _best_rival(found: SearchResult) -> tuple[list[Candidate], float]:
+    """Return the likeliest set in place of what was selected, with its log odds; none beside much that is missing."""
+    if found.unfinished or not found.rivals:
+        return [], 0.0
+    return list(found.rivals[0].members), found.rivals[0].log_odds
 
 
 def that_converges(found: SearchResult, diagnosis: Diagnosis, tried: Sequence[Suggestion]) -> Suggestion | None:

@@ -276,14 +276,19 @@ def _channels(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
+def _unit_and_factor(found: Explanation) -> tuple[str, float]:
+    """Return the mistaken unit in words, empty for a reversed sign, and by how much the outputs are too large."""
+    if isinstance(found.mistake, ChannelGain):
+        return found.mistake.units, found.mistake.factor
+    assert isinstance(found.mistake, NominalScale)
+    factor = float(f"{math.exp(found.size):.4g}")
+    return found.mistake.units(found.size) or f"{factor:g} times its nominal scale", factor
+
+
 def _gain(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake = found.mistake
     assert isinstance(mistake, (ChannelGain, NominalScale))
-    if isinstance(mistake, ChannelGain):
-        units, factor = mistake.units, mistake.factor
-    else:
-        factor = float(f"{math.exp(found.size):.4g}")
-        units = mistake.units(found.size) or f"{factor:g} times its nominal scale"
+    units, factor = _unit_and_factor(found)
     subject, names = _subject(mistake), ", ".join(f"'{name}'" for name in mistake.channels)
     noun, verb = ("channel", "is") if len(mistake.channels) == 1 else ("channels", "are")
     run = mistake.scope.section == "run"
