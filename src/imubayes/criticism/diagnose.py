@@ -1,6 +1,6 @@
 """From a converged fit to its diagnosis: the search, the verdict, and everything that supports it."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -45,14 +45,14 @@ from imubayes.criticism.residual_findings import (
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.search_outcome import Significant
 from imubayes.criticism.stepwise_search import SearchResult, search
+from imubayes.criticism.suggestions import suggestions, that_converges
 from imubayes.criticism.unexplained_structure import (
-    channels_of,
     goes_with,
     scatter_remains,
     unexplained_structure,
 )
 from imubayes.criticism.unlisted_causes import Causes, unlisted_causes
-from imubayes.criticism.verdict import MISSING, EffectChoice, RmsChange, Suggestion, Verdict
+from imubayes.criticism.verdict import MISSING, EffectChoice, RmsChange, Verdict
 from imubayes.criticism.wrong_runs import disagreements
 from imubayes.effects.base import Effect, Stage
 from imubayes.errors import InputError, Issue
@@ -120,7 +120,6 @@ def _diagnosis(fit: Fit, found: SearchResult, disagreeing: tuple[Disagreement, .
         structure=residual_structures(found, unexplained),
         looks=found.look_elsewhere.looks,
         outliers=outlying_samples(found),
-        suggested=_suggested(found, verdict),
         paired=found.paired,
         unfinished=found.unfinished,
         rivals=_rivals(found),
@@ -135,9 +134,8 @@ def _diagnosis(fit: Fit, found: SearchResult, disagreeing: tuple[Disagreement, .
         more_remains=verdict in MISSING and bool(found.remaining or found.groups[1 + found.paired :]),
         message=fit.message if not fit.sampled else "",
     )
-    if diagnosis.noise_outweighs:
-        noise = Suggestion(effects=(found.adopted[0].effect,), channels=None)
-        diagnosis = diagnosis.model_copy(update={"suggested": noise})
+    tried = suggestions(found, "noise_model" if diagnosis.noise_outweighs else verdict)
+    diagnosis = diagnosis.model_copy(update={"suggested": that_converges(found, diagnosis, tried)})
     return diagnosis.with_evidence(evidence[0] if evidence else None, found.record)
 
 
@@ -416,35 +414,3 @@ def _rivals(found: SearchResult) -> tuple[RivalExplanation, ...]:
         )
         for each in found.rivals
     )
-
-
-def _suggested(found: SearchResult, verdict: Verdict) -> Suggestion | None:
-    """Return what to add next; the channels where they are not all on which its effects were screened.
-
-    Where the data do not distinguish several effects, all of them: the posterior then holds every explanation.  A refit
-    with one of them alone would confirm it, and what another one would shift would be far off.
-    """
-    if verdict == "noise_model":
-        return Suggestion(effects=(found.adopted[0].effect,), channels=None) if found.adopted else None
-    # What noise explains as well is not worth an addition before another record has told them apart.
-    if verdict not in MISSING or found.wandering:
-        return None
-    groups = found.groups if found.unfinished else found.groups[: 1 + found.paired]
-    rivals = () if found.unfinished else found.rivals[:1]
-    leaders = [group.leader for group in groups]
-    others = [member for group in groups for member in group.members[1:]]
-    together = [*leaders, *others, *(member for each in rivals for member in each.members)]
-    effects = tuple(dict.fromkeys(member.effect for member in together))
-    return Suggestion(effects=effects, channels=_channels_of_all(found, together))
-
-
-def _channels_of_all(found: SearchResult, together: Sequence[Candidate]) -> tuple[str, ...] | None:
-    """Return the channels on which candidates were found; None where their effects were screened on no others."""
-
-    def channels(candidates: Iterable[Candidate]) -> set[str]:
-        return {name for candidate in candidates for name in channels_of(found, candidate)}
-
-    here, effects = channels(together), {candidate.effect for candidate in together}
-    screened = channels(candidate for candidate in found.first.candidates if candidate.effect in effects)
-    every = found.first.projection.fitted.model.campaign.channels
-    return None if here == screened else tuple(channel.name for channel in every if channel.name in here)

@@ -28,10 +28,14 @@ class EffectChoice(Record):
 
 
 class Suggestion(Record):
-    """Effects, or noise, to add next, on the channels that those which act on channels share; None for all."""
+    """Effects, or noise, to add next, on the channels that those which act on channels share; None for all.
+
+    Those `left_out` explain the same, but the refit with them does not converge.
+    """
 
     effects: tuple[str, ...]
     channels: tuple[str, ...] | None
+    left_out: tuple[str, ...] = ()
 
 
 class RmsChange(Record):

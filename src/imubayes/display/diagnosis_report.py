@@ -172,7 +172,7 @@ def _indistinguishable(found: Diagnosis) -> list[str]:
     group = found.groups[0]
     if len(group.effects) < 2:
         return []
-    suggested = found.suggested is not None
+    suggested = found.suggested is not None and set(group.effects) <= set(found.suggested.effects)
     together = " The posterior with all of them in the model holds each explanation." if suggested else ""
     run = f" Discriminating run: {_run_text(group)}." if group.discriminating_run is not None else ""
     return [f"Indistinguishable in these runs: {', '.join(group.effects)}.{together}{run}"]

@@ -101,7 +101,20 @@ def _rival_sentence(found: Diagnosis) -> str:
     best = found.rivals[0]
     names = listed([_on_channels(each, found.groups[0]) for each in best.effects])
     together = " together" if len(best.effects) > 1 else ""
-    return f" {names}{together} would fit as well: the posterior with all of them in the model holds both explanations."
+    if best.log_odds > thresholds.DECISIVE_LOG_ODDS:
+        verb = "explain" if together else "explains"
+        return f" {names}{together} {verb} it better (log odds {significant(best.log_odds)})" + (left_out(found) or ".")
+    said = f" {names}{together} would fit as well"
+    return said + (left_out(found) or ": the posterior with all of them in the model holds both explanations.")
+
+
+def left_out(found: Diagnosis) -> str:
+    """Return which effects the next command leaves out since a refit with them fails; empty where none."""
+    names = found.suggested.left_out if found.suggested is not None else ()
+    verb = "are" if names[1:] else "is"
+    return (
+        f"; {listed(names)} {verb} left out of the next command: the refit does not converge with all." if names else ""
+    )
 
 
 def _on_channels(choice: EffectChoice, group: EffectGroup) -> str:

@@ -76,6 +76,10 @@ class Mistake(ABC):
         """Return whether there can be a mistake of that size: what lies beyond is the work of something else."""
         return True
 
+    def stops(self, size: float) -> bool:
+        """Return whether a mistake of that size is beyond a poor unit; else it is a warning."""
+        return True
+
     def like(self, other: "Mistake") -> bool:
         """Return whether another mistake, although of more evidence, is none that the outputs tell from this one.
 

@@ -67,13 +67,20 @@ def _explained(
         what = f"the data cannot tell whether {what}"
         remedy += " (or: " + "; or: ".join(each.remedy for each in others) + ")"
     # Weaker evidence is said and stops nothing.
-    sure = first.support > first.stopping and not first.rivalled and not {kind for kind, _ in found} & {*accepted}
+    sure = _stops(equal) and not {kind for kind, _ in found} & {*accepted}
     severity: Severity = "error" if sure else "warning"
     if sure:
         remedy += f'; accepted = ["{first.mistake.kind}"] in campaign.toml lets the campaign pass as it is'
     return Finding(
         first.mistake.kind, severity, run, f"{what}: {evidence}", words.where, words.allowed, remedy
     )  # fmt: skip
+
+
+def _stops(equal: tuple[Explanation, ...]) -> bool:
+    """Whether a mistake is supported well enough to stop a fit, and no explanation is one of a poor unit."""
+    first = equal[0]
+    sure = first.support > first.stopping and not first.rivalled
+    return sure and all(each.mistake.stops(each.size) for each in equal)
 
 
 def _rival(found: Explanation) -> str:
