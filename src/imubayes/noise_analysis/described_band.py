@@ -213,7 +213,7 @@ class _Search:
     def smaller(self, trial: _Trial) -> _Trial:
         """Return the best of what is left with fewer octaves."""
         bad, used = trial.bad, trial.used
-        if 0 < bad[0] and bad[-1] < len(used) - 1 and bad[-1] - bad[0] < _WIDEST_GAP:
+        if bad[0] > 0 and bad[-1] < len(used) - 1 and bad[-1] - bad[0] < _WIDEST_GAP:
             without = self.trial([*used[: bad[0]], *used[bad[-1] + 1 :]])
             if not without.bad:
                 return without
