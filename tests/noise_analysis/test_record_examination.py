@@ -83,7 +83,7 @@ def test_lines_are_found_with_frequency_and_amplitude():
 
 
 def test_noise_has_no_lines():
-    """One false line in a thousand records is promised; three in sixty are as many as chance makes in 1e-5."""
+    """One false line in a thousand records is promised; three in sixty have a chance of 4e-5."""
     random = np.random.default_rng(93)
     found = 0
     for number in range(60):
@@ -132,7 +132,7 @@ def test_white_noise_has_no_filter():
 
 
 def test_a_slow_filter_is_no_gauss_markov_process():
-    """A first-order low-pass filter of 20 samples, in steps whose rounding is the only white noise at high frequency."""
+    """A first-order low-pass filter of 20 samples, in steps whose rounding is the white noise above."""
     x = rounded(np.asarray(lfilter([0.05], [1, -0.95], white(7))), 0.1)
     _, _, withheld = white_of(x)
     assert withheld[NoiseTerm.WHITE] is Cause.AMBIGUOUS

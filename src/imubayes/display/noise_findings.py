@@ -38,10 +38,10 @@ _REASONS = {
     Cause.CONVERGENCE: "the estimate did not converge. Give a part of the record without disturbances.",
     Cause.UNDESCRIBED: "the noise terms do not describe the spectrum. Give a part of the record without disturbances.",
     Cause.FILTER: "a filter shapes the frequencies that would tell. Give a log without it, or a longer record.",
-    Cause.DRIFT: "low frequencies are not those of noise. Give a settled part of the record, or record temperature_degC.",
+    Cause.DRIFT: "low frequencies are not those of noise. Give a settled part of the record, or a temperature_degC.",
     Cause.CHANGE: "low frequencies hold the change. Give a settled part of the record.",
     Cause.DISTURBANCE: "the tails of the disturbance reach over the spectrum. Give a part of the record without it.",
-    Cause.REPETITION: "the log is too coarse to tell repeated values from equal ones. Give the log of the sensor itself.",
+    Cause.REPETITION: "the log is too coarse to tell repeated values from equal ones. Give the sensor's own log.",
     Cause.ROUNDING: (
         "the noise is below half a step of the log and not rounded at random, so that its spectrum is not that of the "
         "sensor. Give a log of finer steps."
@@ -133,8 +133,8 @@ def _of_levels(noise: ChannelNoise) -> list[str]:
     if noise.unequal_levels <= 1:
         return []
     return [
-        f"the level of noise scatters {noise.unequal_levels:.2g} times as much over the record as Gaussian noise of one "
-        "level does: it changes, or has heavy tails. The interval of N is as much wider."
+        f"the level of noise scatters {noise.unequal_levels:.2g} times as much over the record as Gaussian noise of "
+        "one level does: it changes, or has heavy tails. The interval of N is as much wider."
     ]
 
 
@@ -144,6 +144,6 @@ def _of_rounding(noise: ChannelNoise) -> list[str]:
         return []
     part = "is taken out of N" if noise.rounding_removed else "is part of N"
     return [
-        f"the log has steps of {noise.resolution_in_output_units:.3g} {pretty(noise.output_unit)}. Rounding to them makes "
-        f"{min(share, 1.0):.0%} of the variance of single samples, and {part}."
+        f"the log has steps of {noise.resolution_in_output_units:.3g} {pretty(noise.output_unit)}. Rounding to them "
+        f"makes {min(share, 1.0):.0%} of the variance of single samples, and {part}."
     ]

@@ -2,8 +2,8 @@
 
 The fit of the terms is tested octave by octave.  Where it fails, the band gives up octaves until the rest is described:
 from above where a filter shapes the spectrum, from below where a drift or a transient does, in the middle where a
-disturbance is too broad for a spectral line.  What the octaves that are left out would have told is withheld: no interval
-and no limit of a term rests on a spectrum that the terms do not describe.
+disturbance is too broad for a spectral line.  What the octaves that are left out would have told is withheld: no
+interval and no limit of a term rests on a spectrum that the terms do not describe.
 """
 
 import math
@@ -196,14 +196,14 @@ class _Search:
         self._given = (statistics, shortest_tau, tuple(lines))
         everything = NoiseLikelihood(statistics, shortest_tau, lines)
         self.filtered = False  # known of a band that reaches higher
-        self.all = tuple(int(math.floor(math.log2(everything.frequency[at[0]]))) for at in everything.octaves())
+        self.all = tuple(math.floor(math.log2(everything.frequency[at[0]])) for at in everything.octaves())
 
     def trial(self, used: Sequence[int]) -> _Trial:
         statistics, shortest_tau, lines = self._given
         gaps = [(2.0**octave, 2.0 ** (octave + 1)) for octave in self.all if octave not in used]
         likelihood = NoiseLikelihood(statistics, shortest_tau, [*lines, *gaps])
         # A bin that reaches over the end of its octave may go with its neighbour.
-        present = tuple(int(math.floor(math.log2(likelihood.frequency[at[0]]))) for at in likelihood.octaves())
+        present = tuple(math.floor(math.log2(likelihood.frequency[at[0]])) for at in likelihood.octaves())
         plain, _ = _tried(present, likelihood, BASIC, self.filtered)
         if not plain.bad:
             return plain
@@ -294,7 +294,7 @@ def _may_be_filter(
 ) -> bool:
     """Whether Gauss–Markov noise may be white noise behind a low-pass filter.
 
-    Its white noise is then at the frequencies below the correlation time, and that above is of rounding or of the readout.
+    Its white noise is then at low frequencies, and that at high ones is of rounding or of the readout.
     """
     if NoiseTerm.MARKOV not in determined:
         return False

@@ -86,8 +86,8 @@ class NoiseLikelihood:
     def rolled_off(self, attenuation: float) -> "NoiseLikelihood":
         """Return the likelihood of a record behind a low-pass filter.
 
-        The logarithm of the power response is −`attenuation` at the highest frequency in use and goes as sin²(πfτ₀): any
-        short filter has this form below its corner.
+        The logarithm of the power response is −`attenuation` at the highest frequency in use and goes as sin²(πfτ₀):
+        any short filter has this form below its corner.
         """
         found = copy.copy(self)
         found._stack = (((), 0.0), np.zeros((0, 0)))
@@ -100,9 +100,9 @@ class NoiseLikelihood:
         return square / square.max()
 
     def attenuation_step(self, maximum: Maximum) -> tuple[float, float, float]:
-        """Return the change of the attenuation towards its maximum of the likelihood, its sd, and that of log N² beside it.
+        """Return the change of the attenuation towards its maximum of the likelihood, its sd, and a growth.
 
-        The last is a factor: by how much the uncertainty of the white noise grows where the attenuation is not known.
+        The last is the factor of the uncertainty of white noise where the attenuation is not known.
         """
         derivative = self._derivatives(maximum.terms, maximum.parameters)
         variance = self.variance(maximum)

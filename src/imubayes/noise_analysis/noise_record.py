@@ -106,8 +106,8 @@ class ChannelNoise(Record):
     `undecided` are terms that are not determined, of which the record needs at least one; `alternatives` pairs of a
     determined term and one that describes the record as well in its place.  `rounding_share` is the part that rounding
     to the steps of the log, `resolution_in_output_units`, has in the variance of single samples, and `rounding_removed`
-    whether it is taken out of white noise.  `unequal_levels` is the factor by which the level of noise scatters more over
-    the record than it should, and by which the interval of white noise is widened.
+    whether it is taken out of white noise.  `unequal_levels` is the factor by which the level of noise scatters more
+    over the record than it should, and by which the interval of white noise is widened.
     """
 
     run: str

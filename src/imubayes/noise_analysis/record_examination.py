@@ -1,8 +1,8 @@
-"""What a record holds beside noise: found by a test of its own each, taken out or left out, in the order of this module.
+"""What a record holds beside noise: found by a test of its own each, and taken out or left out.
 
-Repeated values, outliers, drift with temperature and spectral lines are taken out of the record; octaves of frequency that
-the noise terms do not describe are left out of the fit.  A sudden change stays, and with it the slow terms are not
-claimed.
+Repeated values, outliers, drift with temperature and spectral lines are taken out of the record; octaves of frequency
+that the noise terms do not describe are left out of the fit.  A sudden change stays, and with it the slow terms are
+not claimed.
 """
 
 from dataclasses import dataclass, replace
@@ -68,7 +68,8 @@ class Examination:
         found = withheld_terms(band, estimate.full, determined, rounding)
         if self.change is not None:
             found = dict.fromkeys(SLOW, Cause.CHANGE) | found
-        if band.gaps and any(line.broad for line in self.lines):
+        cut = band.cut(Cause.FILTER) or band.cut(Cause.DISTURBANCE)
+        if cut and any(line.broad for line in self.lines):
             found = dict.fromkeys(NoiseTerm, Cause.DISTURBANCE) | found
         return found
 
@@ -125,7 +126,7 @@ def widened(found: TermEstimate, growth: float) -> TermEstimate:
 def without_rounding(found: TermEstimate, estimate: NoiseEstimate, record: RunningSum) -> tuple[TermEstimate, bool]:
     """Return white noise less that of rounding to the steps of the log, and whether it is taken out.
 
-    Steps of a counted angle make quantisation noise and none of this.  Where that is not excluded, the interval holds both.
+    Steps of a counted angle make quantisation noise instead.  Where that is not excluded, the interval holds both.
     """
     rounding = record.resolution**2 / 12 * record.interval
     pulses = estimate.of(NoiseTerm.QUANTISATION)

@@ -2,8 +2,8 @@
 
 Held values are told from rounding by what follows a jump.  The increments of noise that is rounded to steps have a
 unimodal distribution, whether or not they are correlated: after a jump of two steps or more no change at all is rarer
-than a change by one step up or down.  Held values stay.  Noise within one step makes no such jumps; there only a hold of
-a constant number of samples shows, by changes that all fall on the same place of its cycle.
+than a change by one step up or down.  Held values stay.  Noise within one step makes no such jumps; there only a hold
+of a constant number of samples shows, by changes that all fall on the same place of its cycle.
 """
 
 from collections.abc import Iterable, Iterator

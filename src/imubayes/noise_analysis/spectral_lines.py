@@ -2,7 +2,7 @@
 
 The averaged periodogram (Welch, IEEE Trans. Audio Electroacoust. 15 (1967), 70) of Hann-windowed segments is χ² about
 the local level of the spectrum, which is the running median: a line does not raise it.  Means over 1, 4, 16 … bins are
-tested, as a line that wanders in frequency is a peak of some width, at one chance of a false line in all bins and widths.
+tested, as a line that wanders in frequency is a peak of some width, at one chance of a false line in all.
 A line is taken out in windowed, overlapping segments, and with it the noise in its band: the fit has no bins there.
 """
 
@@ -26,7 +26,7 @@ _MOST = 0.3  # of the bins in lines: more are no lines
 _PASSES = 3  # a strong line hides weaker ones beside it
 _NEIGHBOURS = 1.94  # a mean over bins of a Hann window has fewer degrees of freedom: 1 + 2 (4/9 + 1/36)
 _NULL = 0.1  # of the level on both sides
-_BROAD = 0.5  # width over frequency; the tails of such a peak reach over octaves
+_BROAD = 0.1  # width over frequency; the tails of such a peak reach over octaves
 _ENBW = 1.5  # equivalent noise bandwidth of the Hann window, bins
 
 
@@ -81,7 +81,8 @@ def _merged(lines: list[SpectralLine]) -> list[SpectralLine]:
         strong = max(line, other, key=lambda each: each.amplitude)
         joined.append(
             SpectralLine(
-                strong.frequency_hz, other.low_hz, max(line.high_hz, other.high_hz), float(np.hypot(line.amplitude, other.amplitude)),
+                strong.frequency_hz, other.low_hz, max(line.high_hz, other.high_hz),
+                float(np.hypot(line.amplitude, other.amplitude)),
                 float(np.hypot(line.amplitude_sd, other.amplitude_sd)),
             )
         )  # fmt: skip

@@ -1,7 +1,7 @@
 """Drift that follows the recorded temperature, found and taken out before flicker noise and random walk are claimed.
 
-The slope is that of generalised least squares on the lowest cosine coefficients, under the noise terms fitted to what is
-left, in turns to the maximum of the likelihood.  Drift that is not needed beside random walk and flicker noise is no
+The slope is that of generalised least squares on the lowest cosine coefficients, under the noise terms fitted to what
+is left, in turns to the maximum of the likelihood.  Drift that is not needed beside random walk and flicker noise is no
 drift with temperature: two slow records resemble each other by chance.
 """
 
