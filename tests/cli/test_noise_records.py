@@ -72,8 +72,9 @@ def campaign(
     scale: float = 1.0,
 ) -> Path:
     """Write a campaign of one static record; all columns but `time_s` are gyros."""
-    names = [name for name in columns if name != "time_s"]
-    text = _HEAD.format(suffix=suffix)
+    names = [name for name in columns if name not in ("time_s", "temperature_degC")]
+    head = _HEAD.replace("temperature_degC = 25.0\n", "") if "temperature_degC" in columns else _HEAD
+    text = head.format(suffix=suffix)
     for name, first, second in zip(names, _AXES, _AXES[1:], strict=False):
         text += _CHANNEL.format(name=name, first=first, second=second, unit=unit, scale=scale, noise=0.01 * scale)
     (folder / "campaign.toml").write_text(text)

@@ -88,7 +88,12 @@ def test_noise_has_no_lines():
     found = 0
     for number in range(60):
         x = random.normal(size=20_000)
-        x = [x, np.convolve(x, [1, 1, 1, 1], "same"), x + 0.05 * np.cumsum(x[::-1]), rounded(x, 2.0)][number % 4]
+        x = [
+            x,
+            np.convolve(x, [1, 1, 1, 1], "same"),
+            x + 0.05 * np.cumsum(random.normal(size=len(x))),
+            rounded(x, 2.0),
+        ][number % 4]
         found += bool(without_lines(from_samples(x, STEP))[1])
     assert found <= 2
 
@@ -111,7 +116,6 @@ FILTERS = {
     "two taps": lambda x: np.convolve(x, [1, 0.163], "same") / 1.163,
     "mean of four": lambda x: np.convolve(x, np.ones(4) / 4, "same"),
     "Butterworth": lambda x: lfilter(*butter(2, 0.2), x),
-    "Butterworth in steps": lambda x: rounded(np.asarray(lfilter(*butter(2, 0.2), x)), 0.2),
 }
 
 
