@@ -235,7 +235,8 @@ def described_band(
     whole = trial = search.trial(search.all)
     while trial.bad and len(trial.used) > LEAST_OCTAVES:
         trial = search.smaller(trial)
-    if trial.bad:  # the slope of a filter may look like a random walk over more octaves than are flat below it
+    # The slope of a filter may look like a random walk over more octaves than are flat below it.
+    if trial.bad or len(trial.used) < LEAST_OCTAVES:
         trial = whole
         while trial.bad and len(trial.used) > LEAST_OCTAVES:
             trial = search.trial(trial.used[:-1])
