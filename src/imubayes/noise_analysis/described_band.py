@@ -16,7 +16,7 @@ import scipy  # loads its parts when they are first used
 
 from imubayes.noise_analysis.cosine_coefficients import CosineStatistics
 from imubayes.noise_analysis.likelihood import Maximum, NoiseLikelihood
-from imubayes.noise_analysis.noise_spectra import NoiseTerm
+from imubayes.noise_analysis.noise_spectra import NoiseTerm, removed_shares
 from imubayes.noise_analysis.term_evidence import BASIC, highest, within_record
 
 MISFIT = 0.003  # chance, over all octaves, at which the fit of one is called bad
@@ -194,14 +194,15 @@ class _Search:
 
     def __init__(self, statistics: CosineStatistics, shortest_tau: float, lines: Sequence[tuple[float, float]]):
         self._given = (statistics, shortest_tau, tuple(lines))
-        everything = NoiseLikelihood(statistics, shortest_tau, lines)
+        self._removed = removed_shares(statistics, lines)
+        everything = NoiseLikelihood(statistics, shortest_tau, lines, self._removed)
         self.filtered = False  # known of a band that reaches higher
         self.all = tuple(math.floor(math.log2(everything.frequency[at[0]])) for at in everything.octaves())
 
     def trial(self, used: Sequence[int]) -> _Trial:
         statistics, shortest_tau, lines = self._given
         gaps = [(2.0**octave, 2.0 ** (octave + 1)) for octave in self.all if octave not in used]
-        likelihood = NoiseLikelihood(statistics, shortest_tau, [*lines, *gaps])
+        likelihood = NoiseLikelihood(statistics, shortest_tau, [*lines, *gaps], self._removed)
         # A bin that reaches over the end of its octave may go with its neighbour.
         present = tuple(math.floor(math.log2(likelihood.frequency[at[0]])) for at in likelihood.octaves())
         plain, _ = _tried(present, likelihood, BASIC, self.filtered)

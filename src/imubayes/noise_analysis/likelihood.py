@@ -23,7 +23,7 @@ _DAMPING = 1e-10  # of a term that vanishes, and with it its information
 _LEAST_COUNT = 6  # coefficients of a band for the start
 _REVIVALS = 4
 VANISHED = 0.01  # information on log θ below which a term has no part in the variance
-_MOST_TAKEN = 0.05  # of a bin in bands that are left out; a bin with less has so much less power
+_MOST_TAKEN = 0.05  # of the width of a bin, or of its white noise, in bands that are left out
 _LEAST_TIME = 5.0  # of a correlation time times the highest frequency: at 10 samples; a shorter one is a filter
 _KEPT = 12  # shapes of Gauss–Markov noise at recent correlation times
 _LOG_STEP = 1e-4  # for the derivative with respect to log T
@@ -69,15 +69,17 @@ class NoiseLikelihood:
         statistics: CosineStatistics,
         shortest_tau: float = 0.0,
         left_out: Sequence[tuple[float, float]] = (),
+        removed: Sequence[np.ndarray] | None = None,
     ):
         """Use the coefficients at frequencies up to 1/(2 × `shortest_tau`), all where it is 0.
 
         Parameters
         ----------
         left_out : bands of frequency in Hz whose coefficients are not used.
+        removed : part of white noise that each coefficient lacks (`removed_shares`).
         """
         self._statistics = statistics
-        self._collect(statistics, shortest_tau, left_out)
+        self._collect(statistics, shortest_tau, left_out, removed)
         self._shapes: dict[NoiseTerm, np.ndarray] = {}
         self._recent: dict[float, np.ndarray] = {}
         self._stack: tuple[tuple[tuple[NoiseTerm, ...], float], np.ndarray] = (((), 0.0), np.zeros((0, 0)))
@@ -121,7 +123,11 @@ class NoiseLikelihood:
         return gradient * square, math.sqrt(square), growth
 
     def _collect(
-        self, statistics: CosineStatistics, shortest_tau: float, left_out: Sequence[tuple[float, float]]
+        self,
+        statistics: CosineStatistics,
+        shortest_tau: float,
+        left_out: Sequence[tuple[float, float]],
+        removed: Sequence[np.ndarray] | None,
     ) -> None:
         power, count, slope, coefficient, frequency, width = [], [], [], [], [], []
         if (fine := statistics.fine) is not None:
@@ -145,11 +151,12 @@ class NoiseLikelihood:
         taken = np.zeros(len(at))
         for low, high in left_out:
             taken += np.clip(np.minimum(high, at + wide / 2) - np.maximum(low, at - wide / 2), 0.0, None) / wide
+        lacking = np.zeros(len(at)) if removed is None else np.concatenate(removed)
         within = at <= (0.5 / shortest_tau if shortest_tau else math.inf) * (1 + 1e-9)
-        self._used = within & (taken < _MOST_TAKEN)
+        self._used = within & (np.maximum(taken, lacking) < _MOST_TAKEN)
         self.frequency = at[self._used]
         self.power, self.count, self._ramp, self._coefficient = (part[self._used] for part in of_bin)
-        self.count = self.count * (1 - taken[self._used])
+        self.count = self.count * (1 - lacking[self._used])
 
     @property
     def span(self) -> float:

@@ -5,6 +5,7 @@ that the noise terms do not describe are left out of the fit.  A sudden change s
 not claimed.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from imubayes.noise_analysis.sudden_changes import Outliers, SuddenChange, sudde
 from imubayes.noise_analysis.temperature_drift import TemperatureDrift, without_temperature
 from imubayes.noise_analysis.term_selection import NoiseEstimate, TermEstimate
 
+_MOST_IN_PEAK = 0.06  # of the frequencies in use; a rest of the tails raises white noise by up to 1/20 of that
 _PARTS = 32  # of a record, whose levels of noise are compared
 _UNEQUAL = 1e-4  # chance of levels as far apart
 _LEAST_ROUNDING = 1e-4  # part of the squared white noise
@@ -68,10 +70,18 @@ class Examination:
         found = withheld_terms(band, estimate.full, determined, rounding)
         if self.change is not None:
             found = dict.fromkeys(SLOW, Cause.CHANGE) | found
-        cut = band.cut(Cause.FILTER) or band.cut(Cause.DISTURBANCE)
-        if cut and any(line.broad for line in self.lines):
-            found = dict.fromkeys(NoiseTerm, Cause.DISTURBANCE) | found
-        return found
+        return dict.fromkeys(self._under_tails(band), Cause.DISTURBANCE) | found
+
+    def _under_tails(self, band: DescribedBand) -> Sequence[NoiseTerm]:
+        """Return the terms that the tails of broad peaks may reach: the slow ones, and all if white noise is in them.
+
+        Octaves that are left out beside such a peak are no filter and no other disturbance.
+        """
+        broad = any(line.broad for line in self.lines)
+        widest = max((line.width_hz for line in self.lines), default=0.0) / float(band.likelihood.frequency.max())
+        if widest > _MOST_IN_PEAK or (broad and (band.cut(Cause.FILTER) or band.cut(Cause.DISTURBANCE))):
+            return tuple(NoiseTerm)
+        return SLOW if broad else ()
 
 
 def examined(record: RunningSum, temperature: RunningSum | None = None) -> Examination:

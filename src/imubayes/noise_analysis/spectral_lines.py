@@ -26,6 +26,8 @@ _MOST = 0.3  # of the bins in lines: more are no lines
 _PASSES = 3  # a strong line hides weaker ones beside it
 _NEIGHBOURS = 1.94  # a mean over bins of a Hann window has fewer degrees of freedom: 1 + 2 (4/9 + 1/36)
 _NULL = 0.1  # of the level on both sides
+_RESOLVED = 3  # times the bins of a line of one frequency: a wider band is that of a peak with tails
+_TAILS = 3  # times the band of a peak: at its ends a tail that falls with the square of the distance is a ninth
 _BROAD = 0.1  # width over frequency; the tails of such a peak reach over octaves
 _ENBW = 1.5  # equivalent noise bandwidth of the Hann window, bins
 
@@ -49,8 +51,13 @@ class SpectralLine:
 
     @property
     def broad(self) -> bool:
-        """Whether it is a peak too broad to be taken out without a rest."""
-        return self.high_hz - self.low_hz > _BROAD * self.frequency_hz
+        """Whether it is a peak whose tails reach over octaves."""
+        return self.width_hz > _BROAD * self.frequency_hz
+
+    @property
+    def width_hz(self) -> float:
+        """Width of the band that is taken out."""
+        return self.high_hz - self.low_hz
 
 
 def without_lines(record: RunningSum) -> tuple[RunningSum, tuple[SpectralLine, ...]]:
@@ -175,7 +182,14 @@ def _regions(ratio: np.ndarray, averages: float, factor: int) -> list[tuple[int,
     if not marked.any() or marked.mean() > _MOST:
         return []
     edges = np.flatnonzero(np.diff(np.concatenate([[0], marked.astype(np.int8), [0]])))
-    return [(max(1, int(a)), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [_with_tails(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _with_tails(first: int, stop: int) -> tuple[int, int]:
+    """Return the bins of a line, or those of a peak and of its tails: there each bin is too close to the level."""
+    width = stop - first
+    reach = (_TAILS - 1) * width // 2 if width > _RESOLVED * (2 * _MARGIN + 1) else 0
+    return max(1, first - reach), stop + reach
 
 
 def _line(
