@@ -23,7 +23,7 @@ from imubayes.noise_analysis.sudden_changes import Outliers, SuddenChange, sudde
 from imubayes.noise_analysis.temperature_drift import TemperatureDrift, without_temperature
 from imubayes.noise_analysis.term_selection import NoiseEstimate, TermEstimate
 
-_MOST_IN_PEAK = 0.06  # of the frequencies in use; a rest of the tails raises white noise by up to 1/20 of that
+_MOST_REST = 0.3  # of the uncertainty of white noise, by the tails of peaks
 _PARTS = 32  # of a record, whose levels of noise are compared
 _UNEQUAL = 1e-4  # chance of levels as far apart
 _LEAST_ROUNDING = 1e-4  # part of the squared white noise
@@ -70,16 +70,18 @@ class Examination:
         found = withheld_terms(band, estimate.full, determined, rounding)
         if self.change is not None:
             found = dict.fromkeys(SLOW, Cause.CHANGE) | found
-        return dict.fromkeys(self._under_tails(band), Cause.DISTURBANCE) | found
+        return dict.fromkeys(self._under_tails(band, estimate), Cause.DISTURBANCE) | found
 
-    def _under_tails(self, band: DescribedBand) -> Sequence[NoiseTerm]:
-        """Return the terms that the tails of broad peaks may reach: the slow ones, and all if white noise is in them.
+    def _under_tails(self, band: DescribedBand, estimate: NoiseEstimate) -> Sequence[NoiseTerm]:
+        """Return the terms that the tails of peaks may reach: the slow ones, and all if white noise is in them.
 
-        Octaves that are left out beside such a peak are no filter and no other disturbance.
+        Octaves that are left out beside a broad peak are no filter and no other disturbance.
         """
         broad = any(line.broad for line in self.lines)
-        widest = max((line.width_hz for line in self.lines), default=0.0) / float(band.likelihood.frequency.max())
-        if widest > _MOST_IN_PEAK or (broad and (band.cut(Cause.FILTER) or band.cut(Cause.DISTURBANCE))):
+        white = estimate.of(NoiseTerm.WHITE)
+        rest = sum(line.rest for line in self.lines) / (4 * float(band.likelihood.frequency.max()))
+        reached = white.determined and rest > _MOST_REST * white.value * white.sd
+        if reached or (broad and (band.cut(Cause.FILTER) or band.cut(Cause.DISTURBANCE))):
             return tuple(NoiseTerm)
         return SLOW if broad else ()
 

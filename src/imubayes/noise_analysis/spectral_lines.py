@@ -41,6 +41,8 @@ class SpectralLine:
     frequency_hz : of its centre.
     low_hz, high_hz : ends of the band that is taken out.
     amplitude, amplitude_sd : √2 times its rms, output units.
+    rest : power of the tails beyond the band, output units squared, of a peak that falls with the square of the
+        distance (a phase that wanders at random); 0 of a line.
     """
 
     frequency_hz: float
@@ -48,16 +50,12 @@ class SpectralLine:
     high_hz: float
     amplitude: float
     amplitude_sd: float
+    rest: float
 
     @property
     def broad(self) -> bool:
         """Whether it is a peak whose tails reach over octaves."""
-        return self.width_hz > _BROAD * self.frequency_hz
-
-    @property
-    def width_hz(self) -> float:
-        """Width of the band that is taken out."""
-        return self.high_hz - self.low_hz
+        return self.high_hz - self.low_hz > _BROAD * self.frequency_hz
 
 
 def without_lines(record: RunningSum) -> tuple[RunningSum, tuple[SpectralLine, ...]]:
@@ -69,7 +67,7 @@ def without_lines(record: RunningSum) -> tuple[RunningSum, tuple[SpectralLine, .
     thinning = [1, *([factor] if (factor := -(-record.samples // _SEGMENT)) > 1 else [])]
     for factor in thinning:
         for _ in range(_PASSES):
-            lines = _lines(record, factor)
+            lines = _lines(record, factor, found)
             if not lines:
                 break
             record = from_parts(_cleaned(record, lines, factor), record.interval, record.resolution)
@@ -91,6 +89,7 @@ def _merged(lines: list[SpectralLine]) -> list[SpectralLine]:
                 strong.frequency_hz, other.low_hz, max(line.high_hz, other.high_hz),
                 float(np.hypot(line.amplitude, other.amplitude)),
                 float(np.hypot(line.amplitude_sd, other.amplitude_sd)),
+                line.rest + other.rest,
             )
         )  # fmt: skip
     return joined
@@ -113,7 +112,7 @@ def _segments(record: RunningSum, factor: int) -> Iterator[np.ndarray]:
         yield np.nan_to_num(record.values(first, size))
 
 
-def _lines(record: RunningSum, factor: int) -> list[SpectralLine]:
+def _lines(record: RunningSum, factor: int, removed: list[SpectralLine]) -> list[SpectralLine]:
     total, powers, size = np.zeros(0), [], 0
     for values in _segments(record, factor):
         size = len(values)
@@ -128,11 +127,17 @@ def _lines(record: RunningSum, factor: int) -> list[SpectralLine]:
     mean = total[:-1] / count
     # Neighbouring windows overlap with a correlation of 1/6, and a louder segment counts for more than a quiet one.
     averages = sum(powers) ** 2 / max(sum(each**2 for each in powers), 1e-300) / (1 + (count - 1) / count / 18)
+    step = 1 / (size * factor * record.interval)
+    for line in removed:  # an empty band would lower the level beside it
+        first, stop = max(1, int(line.low_hz / step) - _MARGIN), int(line.high_hz / step) + _MARGIN + 1
+        beside = [part for part in (mean[max(1, 2 * first - stop) : first], mean[stop : 2 * stop - first]) if len(part)]
+        if beside:
+            ends = [float(np.median(part)) for part in (beside[0], beside[-1])]
+            mean[first:stop] = np.linspace(*ends, len(mean[first:stop]))
     level = _level(mean, 2 * averages)
     usable = np.flatnonzero(level > 0)
     if len(mean) <= 4 * _LEAST_CYCLES or len(usable) < len(mean) // 2:
         return []
-    step = 1 / (size * factor * record.interval)
     return [
         _line(mean, level, first, stop, step, size, averages)
         for first, stop in _regions(mean / level, averages, factor)
@@ -205,7 +210,12 @@ def _line(
     sd = float(np.sqrt(coherent + (spread / (2 * amplitude)) ** 2)) if amplitude else float(np.sqrt(spread))
     weight = np.maximum(excess, 0.0) + 1e-300
     frequency = float(weight @ np.arange(at.start, at.stop)) / float(weight.sum())
-    return SpectralLine(frequency * step, (first - 0.5) * step, (stop - 0.5) * step, amplitude, sd)
+    # Half of the power of a Lorentzian is within its full width at half maximum.
+    total = np.maximum.accumulate(np.cumsum(excess))
+    half = float(np.diff(np.searchsorted(total, np.array([0.25, 0.75]) * total[-1]))[0])
+    width = stop - first
+    rest = square * half / (np.pi * width) if width > _RESOLVED * (2 * _MARGIN + 1) else 0.0
+    return SpectralLine(frequency * step, (first - 0.5) * step, (stop - 0.5) * step, amplitude, sd, float(rest))
 
 
 def _cleaned(record: RunningSum, lines: list[SpectralLine], factor: int) -> Iterator[np.ndarray]:
