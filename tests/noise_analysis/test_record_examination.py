@@ -116,6 +116,7 @@ FILTERS = {
     "two taps": lambda x: np.convolve(x, [1, 0.163], "same") / 1.163,
     "mean of four": lambda x: np.convolve(x, np.ones(4) / 4, "same"),
     "Butterworth": lambda x: lfilter(*butter(2, 0.2), x),
+    "Butterworth in steps": lambda x: rounded(np.asarray(lfilter(*butter(2, 0.2), x)), 0.2),
 }
 
 
@@ -150,6 +151,24 @@ def test_a_wandering_line_is_neither_quantisation_nor_gauss_markov_noise(shortes
     assert [round(line.frequency_hz, 1) for line in seen.lines] == [0.7]
     assert estimate.determined == (NoiseTerm.WHITE,)
     assert abs(estimate.of(NoiseTerm.WHITE).value - 0.1) < 3.5 * estimate.of(NoiseTerm.WHITE).sd
+
+
+@pytest.mark.parametrize(("wander", "amplitude", "stated"), [(0.01, 0.3, True), (0.05, 1.0, False), (0.15, 1.0, False)])
+def test_the_tails_of_a_peak_are_not_in_what_is_stated(wander: float, amplitude: float, stated: bool):
+    """The phase of a vibration wanders: the record without it has the white noise of all but its band."""
+    for seed in range(30, 33):
+        x = white(seed) + amplitude * np.sin(2 * np.pi * 12 * TIME + np.cumsum(wander * white(100 + seed)))
+        found, _, withheld = white_of(x)
+        assert (NoiseTerm.WHITE not in withheld) is stated
+        assert abs(found.value - 0.1) < 3.5 * found.sd or not stated
+
+
+def test_no_lines_are_found_at_the_ends_of_a_band_that_is_taken_out():
+    x = white(13) + 2 * np.sin(2 * np.pi * 0.73 * TIME + np.cumsum(0.02 * white(14)))
+    _, lines = without_lines(from_samples(x, STEP))
+    assert len(lines) == 1
+    assert abs(lines[0].amplitude - 2) < 4 * lines[0].amplitude_sd
+    assert lines[0].high_hz < 2
 
 
 def test_a_disturbance_that_is_no_line_withholds():
