@@ -131,6 +131,17 @@ def test_white_noise_behind_a_filter_is_that_of_low_frequencies(name: str):
         assert gap.high_hz >= 50.0
 
 
+def test_the_faint_end_of_a_filter_is_no_quantisation_noise():
+    """Below 5 Hz two taps take 3 % of the power: a filter too strong, and quantisation noise for the difference."""
+    wrong = 0
+    for seed in range(40, 46):
+        x = np.convolve(white(seed), [1, 0.163], "same") / 1.163
+        seen, band, estimate = examination(x, 0.1)
+        withheld = seen.withheld(band, estimate, 0.0)
+        wrong += estimate.of(NoiseTerm.QUANTISATION).determined and NoiseTerm.QUANTISATION not in withheld
+    assert wrong == 0
+
+
 def test_white_noise_has_no_filter():
     """Beyond 1e-4 a record; faint attenuation only widens the interval."""
     assert not any(white_of(white(seed, 20_000))[1].filtered for seed in range(20, 32))

@@ -279,7 +279,8 @@ def withheld_terms(
         return dict.fromkeys(NoiseTerm, Cause.CONVERGENCE)
     if not band.described or misfits(octave_fits(band.likelihood, best)):
         return dict.fromkeys(NoiseTerm, Cause.UNDESCRIBED)
-    found = {NoiseTerm.QUANTISATION: Cause.FILTER} if band.filtered else {}
+    # A filter and quantisation noise have the same form, so that of one beside the other nothing is told.
+    found = {NoiseTerm.QUANTISATION: Cause.FILTER} if band.filtered or band.roll_off else {}
     if band.cut(Cause.DRIFT):
         found |= dict.fromkeys(SLOW, Cause.DRIFT)
     if (gap := band.cut(Cause.DISTURBANCE)) and not _white_around(band.likelihood, best, gap):

@@ -1,7 +1,7 @@
 """The noise of the static records of a campaign, as a record: terms in the units of datasheets, Allan deviations."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Literal
 
 import numpy as np
@@ -27,7 +27,7 @@ from imubayes.noise_analysis.record_examination import examined, unequal_levels,
 from imubayes.noise_analysis.repeated_values import Repetition
 from imubayes.noise_analysis.running_sum import RunningSum, running_sums
 from imubayes.noise_analysis.spectral_lines import SpectralLine
-from imubayes.noise_analysis.sudden_changes import Outliers, SuddenChange
+from imubayes.noise_analysis.sudden_changes import OutlyingSamples, SuddenChange
 from imubayes.noise_analysis.temperature_drift import TemperatureDrift
 from imubayes.noise_analysis.term_selection import PROBABILITY, NoiseEstimate, TermEstimate, estimate_terms
 from imubayes.step_counter import counted, silent
@@ -129,7 +129,7 @@ class ChannelNoise(Record):
     alternatives: list[tuple[NoiseTerm, NoiseTerm]]
     misfit: list[Octave]
     repetition: Repetition | None = None
-    outliers: Outliers | None = None
+    outliers: OutlyingSamples | None = None
     temperature: TemperatureDrift | None = None
     lines: list[SpectralLine] = []
     gaps: list[Gap] = []
@@ -237,8 +237,7 @@ def _of_channel(
     shortest_tau: float,
 ) -> ChannelNoise | None:
     """Return the noise of a channel; None where it is constant but for steps over gaps."""
-    where = f"run '{run.name}', channel '{channel.name}'"
-    _refuse_short(record, shortest_tau, where)
+    _refuse_short(record, shortest_tau, f"run '{run.name}', channel '{channel.name}'")
     variance = allan_variance(record)
     if not variance.variance[0] > 0:
         return None
@@ -246,18 +245,16 @@ def _of_channel(
     band = seen.band(shortest_tau)
     estimate = estimate_terms(band.likelihood)
     own = seen.own_rate
-    if seen.repetition is not None:
-        variance = allan_variance(own)
+    variance = variance if own is record else allan_variance(own)
     share = own.resolution**2 / 12 / float(variance.variance[0])
     withheld = seen.withheld(band, estimate, share)
     levels = unequal_levels(seen.cleaned, band.likelihood, estimate.full)
     growth = levels * (1.0 if band.roll_off is None else band.roll_off.growth)
     white, removed = without_rounding(widened(estimate.of(NoiseTerm.WHITE), growth), estimate, own)
     estimates = [white if term.term is NoiseTerm.WHITE else term for term in estimate.estimates]
-    told = [term for term in estimate.determined if term not in withheld]
-    kept = [place for place, term in enumerate(estimate.determined) if term in told]
-    markov = NoiseTerm.MARKOV in told
-    kept += [len(estimate.determined)] if markov else []
+    kept = _stated(estimate, withheld)
+    names = [*map(str, estimate.determined), "correlation_time"]
+    markov = NoiseTerm.MARKOV in estimate.determined and NoiseTerm.MARKOV not in withheld
     return ChannelNoise(
         run=run.name,
         channel=channel.name,
@@ -272,7 +269,7 @@ def _of_channel(
         terms=[_term(term, channel, campaign.site.gravity, withheld.get(term.term)) for term in estimates],
         correlation_time_s=finite(estimate.correlation_time),
         correlation_time_sd_s=finite(estimate.correlation_time_sd) if markov else None,
-        correlated_terms=[*map(str, told), *(["correlation_time"] if markov else [])],
+        correlated_terms=[names[place] for place in kept],
         correlation=estimate.correlation[np.ix_(kept, kept)].tolist(),
         undecided=[term for term in estimate.undecided if term not in withheld],
         alternatives=[pair for pair in estimate.alternatives if not set(pair) & set(withheld)],
@@ -291,6 +288,13 @@ def _of_channel(
         rounding_removed=removed,
         allan=_allan(variance, estimate, channel, campaign.site.gravity),
     )
+
+
+def _stated(estimate: NoiseEstimate, withheld: Collection[NoiseTerm]) -> list[int]:
+    """Return the places of what is stated in the correlation."""
+    kept = [place for place, term in enumerate(estimate.determined) if term not in withheld]
+    markov = NoiseTerm.MARKOV in estimate.determined and NoiseTerm.MARKOV not in withheld
+    return [*kept, len(estimate.determined)] if markov else kept
 
 
 def _refuse_short(record: RunningSum, shortest_tau: float, where: str) -> None:

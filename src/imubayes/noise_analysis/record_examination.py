@@ -19,7 +19,7 @@ from imubayes.noise_analysis.noise_spectra import NoiseTerm
 from imubayes.noise_analysis.repeated_values import Repetition, at_own_rate
 from imubayes.noise_analysis.running_sum import RunningSum
 from imubayes.noise_analysis.spectral_lines import SpectralLine, without_lines
-from imubayes.noise_analysis.sudden_changes import Outliers, SuddenChange, sudden_change, without_outliers
+from imubayes.noise_analysis.sudden_changes import OutlyingSamples, SuddenChange, sudden_change, without_outliers
 from imubayes.noise_analysis.temperature_drift import TemperatureDrift, without_temperature
 from imubayes.noise_analysis.term_selection import NoiseEstimate, TermEstimate
 
@@ -43,7 +43,7 @@ class Examination:
     own_rate: RunningSum
     cleaned: RunningSum
     repetition: Repetition | None
-    outliers: Outliers | None
+    outliers: OutlyingSamples | None
     temperature: TemperatureDrift | None
     lines: tuple[SpectralLine, ...]
     change: SuddenChange | None

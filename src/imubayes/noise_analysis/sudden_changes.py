@@ -43,7 +43,7 @@ class SuddenChange:
 
 
 @dataclass(frozen=True)
-class Outliers:
+class OutlyingSamples:
     """Samples far from their neighbours: how many, when the largest from the start, and how large in output units."""
 
     count: int
@@ -51,7 +51,7 @@ class Outliers:
     size: float
 
 
-def without_outliers(record: RunningSum) -> tuple[RunningSum, Outliers | None]:
+def without_outliers(record: RunningSum) -> tuple[RunningSum, OutlyingSamples | None]:
     """Return a record with its outliers missing, and what they are; None where there are none."""
     places: list[np.ndarray] = []
     time = size = 0.0
@@ -71,7 +71,7 @@ def without_outliers(record: RunningSum) -> tuple[RunningSum, Outliers | None]:
     if not len(taken) or len(taken) > max(1.0, _RARE * record.present):
         return record, None
     kept = from_parts(_emptied(record, taken), record.interval, record.resolution)
-    return kept, Outliers(len(taken), time, size)
+    return kept, OutlyingSamples(len(taken), time, size)
 
 
 def _emptied(record: RunningSum, places: np.ndarray) -> Iterator[np.ndarray]:
