@@ -8,7 +8,8 @@ import pytest
 
 import small_campaign as small
 from imubayes.display.classical_comparison import compare_classical, discrepancy_sheet
-from imubayes.display.classical_of_prediction import effects_behind, of_prediction
+from imubayes.display.classical_of_prediction import of_prediction
+from imubayes.display.effects_behind import effects_behind
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
 from imubayes.model.derived_quantities import evaluate_derived

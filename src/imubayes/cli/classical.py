@@ -29,7 +29,8 @@ def classical(
     with progress() as tell:
         from imubayes.campaign import load_campaign
         from imubayes.display.classical_comparison import classical_json, compare_classical
-        from imubayes.display.classical_of_prediction import effects_behind, of_prediction
+        from imubayes.display.classical_of_prediction import of_prediction
+        from imubayes.display.effects_behind import effects_behind
         from imubayes.display.fit_report import classical_report
         from imubayes.display.report_layout import print_report
         from imubayes.errors import input_error

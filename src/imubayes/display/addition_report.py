@@ -7,7 +7,8 @@ from dataclasses import replace
 from imubayes.criticism.held_out_record import CrossValidation
 from imubayes.criticism.verdict import RmsChange
 from imubayes.display.diagnosis_report import add_command
-from imubayes.display.labels import listed, pretty, readable
+from imubayes.display.history_table import offsets_moved_text
+from imubayes.display.labels import pretty, readable
 from imubayes.display.prior_conflicts import conflict_line
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import significant, value_and_sd
@@ -113,14 +114,6 @@ def _chi2_lines(addition: Addition) -> list[str]:
     predicted, observed = map(significant, (addition.predicted.delta_chi2, addition.observed.delta_chi2))
     risen = [offsets_moved_text(addition.offsets_moved)] if addition.offsets_moved else []
     return [f"Δχ²{noise}: predicted {predicted}, observed {observed}.", *risen]
-
-
-def offsets_moved_text(channels: Sequence[str]) -> str:
-    """Return why the residual rms of channels rose although χ² fell."""
-    return (
-        f"The residual rms of {listed(channels)} rises because the offsets of runs, which parameters took up before, "
-        "move into it; within runs it does not rise."
-    )
 
 
 def held_out_lines(held_out: CrossValidation | None) -> list[str]:

@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from imubayes.criticism.model_history import Node, Tree, rms_by_unit
-from imubayes.display.addition_report import offsets_moved_text
-from imubayes.display.labels import pretty, readable
+from imubayes.display.labels import listed, pretty, readable
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import ratio_text, significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
@@ -101,3 +100,11 @@ def gain_text(node: Node) -> str:
         return "–" if node.taken else "not taken"
     text = f"{found.delta:+.1f} ± {significant(found.se, 2)} ({found.helped}/{found.of} {found.by}s)"
     return text + {"not": " no gain", "unclear": " unclear", "helps": ""}[found.verdict]
+
+
+def offsets_moved_text(channels: Sequence[str]) -> str:
+    """Return why the residual rms of channels rose although χ² fell."""
+    return (
+        f"The residual rms of {listed(channels)} rises because the offsets of runs, which parameters took up before, "
+        "move into it; within runs it does not rise."
+    )

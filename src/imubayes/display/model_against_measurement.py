@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import lazy_loader
 import polars as pl
 from rich.console import Console, ConsoleOptions
 
 from imubayes.atomic_files import write_json, write_text
 from imubayes.display.classical_comparison import ClassicalComparison, compare_classical, discrepancy_sheet
-from imubayes.display.classical_of_prediction import effects_behind, of_prediction
+from imubayes.display.classical_of_prediction import of_prediction
 from imubayes.display.combination_tables import combination_sheet, weak_sheet
 from imubayes.display.comparison_page import FIRST, comparison_page
 from imubayes.display.figure_selection import corner_choice, most_telling_first, plan, runs_shown
@@ -33,7 +34,6 @@ from imubayes.errors import InputError, Issue, closest_first
 from imubayes.model.model_file import read_model
 from imubayes.procedures.classical import classical
 from imubayes.qualification.temperature_range import ThermalModel, thermal_model
-from imubayes.results.fit_file import read_fit
 from imubayes.results.fit_record import campaign_of
 from imubayes.results.posterior_draws import draws_of
 from imubayes.results.read_folder import read_summary_and_residuals
@@ -41,6 +41,10 @@ from imubayes.results.record_files import damaged
 from imubayes.results.record_names import MODEL, POSTERIOR
 from imubayes.results.summary import Summary
 from imubayes.step_counter import Tell, counted
+
+# They load JAX, which most comparisons do not need.
+effects_behind: Any = lazy_loader.load("imubayes.display.effects_behind")
+fit_file: Any = lazy_loader.load("imubayes.results.fit_file")
 
 _MOST_COLUMNS = 9
 _INDEX = "captions.json"
@@ -144,7 +148,7 @@ def compare(
         predicted = of_prediction(campaign, residuals, summary)
         classical_estimates = compare_classical(classical(campaign), summary, predicted)
         if classical_estimates.beyond:
-            behind = effects_behind(read_fit(folder), residuals, summary)
+            behind = effects_behind.effects_behind(fit_file.read_fit(folder), residuals, summary)
             classical_estimates = classical_estimates.with_causes(behind)
     notes = tuple(_notes(residuals, draws, chosen) if every else _left_out(len(figures) - len(wanted)))
     page = folder / PAGE
