@@ -73,9 +73,9 @@ def test_what_is_added_alone_is_predicted_as_the_diagnosis_did() -> None:
         within_runs=90.0,
     )  # fmt: skip
     extension = made(Extension, delta_chi2=80.0, coefficients=(linear,))
-    assert addition._prediction(extension, screened, True).coefficients == (told,)
+    assert addition._predicted_coefficients(extension, screened, True) == (told,)
     # Beside others its coefficient is another one: no diagnosis has estimated that.
-    assert addition._prediction(extension, screened, False).coefficients == (linear,)
+    assert addition._predicted_coefficients(extension, screened, False) == (linear,)
 
 
 @pytest.mark.parametrize(("own", "expected"), [({"table_rate"}, "table_rate"), (set[str](), "time")])

@@ -102,7 +102,8 @@ def refit_with(
     unseen = None if against else cross_validate(before, fit, progress)
     screened = _screened(effects, diagnosis)
     known = screened[0] if screened and _one_finding(effects, diagnosis) else None
-    prediction = _prediction(before, extension, known, len(effects) == 1)
+    coefficients = _predicted_coefficients(extension, known, len(effects) == 1)
+    prediction = Prediction(delta_chi2=_predicted_drop(before, extension), coefficients=coefficients)
     return Refit(before, extension, fit, delta_chi2, against, unseen, prediction)
 
 
@@ -135,11 +136,12 @@ def start_of_refit(
     return extend(before, effects, channels, shape, hints, estimates, files)
 
 
-def _prediction(before: Fit, extension: Extension, screened: ScreenedEffect | None, alone: bool) -> Prediction:
-    coefficients = extension.coefficients
-    if screened is not None and (alone or extension.delta_chi2 is None):
-        coefficients = screened.coefficients
-    return Prediction(delta_chi2=_predicted_drop(before, extension), coefficients=tuple(coefficients))
+def _predicted_coefficients(
+    extension: Extension, screened: ScreenedEffect | None, alone: bool
+) -> tuple[CoefficientEstimate, ...]:
+    """Return those of the diagnosis, where it estimated the same; of the linear model elsewhere."""
+    of_diagnosis = screened is not None and (alone or extension.delta_chi2 is None)
+    return tuple(screened.coefficients if screened is not None and of_diagnosis else extension.coefficients)
 
 
 def _predicted_drop(before: Fit, extension: Extension) -> float | None:
