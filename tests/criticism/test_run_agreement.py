@@ -22,6 +22,8 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 
+pytestmark = pytest.mark.slow  # a fit and a search for wrong inputs in each
+
 
 def recorded_as(fitted: Fit, run: str, column: str, change) -> Fit:
     """Return the fit where a column of one run was recorded otherwise."""

@@ -142,7 +142,8 @@ def problem_of(model: Model, campaign: Campaign) -> Problem | None:
     same = nodes.turns == model.nodes.turns and np.array_equal(nodes.row_of, model.nodes.row_of)
     if not same or not np.array_equal(nodes.stand, model.nodes.stand):
         return None
-    arrays, value = on_device(nodes_of(campaign, nodes)), jnp.asarray(join_entries(campaign).value, dtype=float)
+    arrays, given = on_device(nodes_of(campaign, nodes)), model.problem.observations.value
+    value = given + jnp.asarray(join_entries(campaign).value - join_entries(model.campaign).value, dtype=float)
     return eqx.tree_at(lambda known: (known.nodes, known.observations.value), model.problem, (arrays, value))
 
 
