@@ -12,6 +12,7 @@ from imubayes.cli.main import run
 from imubayes.display.noise_priors_file import priors_text
 from imubayes.display.noise_report import noise_report
 from imubayes.display.report_layout import report_text
+from imubayes.noise_analysis.described_band import Cause
 from imubayes.noise_analysis.noise_record import ChannelNoise, StaticNoise, static_noise
 from imubayes.noise_analysis.noise_spectra import NoiseTerm
 
@@ -71,8 +72,9 @@ def campaign(
     scale: float = 1.0,
 ) -> Path:
     """Write a campaign of one static record; all columns but `time_s` are gyros."""
-    names = [name for name in columns if name != "time_s"]
-    text = _HEAD.format(suffix=suffix)
+    names = [name for name in columns if name not in ("time_s", "temperature_degC")]
+    head = _HEAD.replace("temperature_degC = 25.0\n", "") if "temperature_degC" in columns else _HEAD
+    text = head.format(suffix=suffix)
     for name, first, second in zip(names, _AXES, _AXES[1:], strict=False):
         text += _CHANNEL.format(name=name, first=first, second=second, unit=unit, scale=scale, noise=0.01 * scale)
     (folder / "campaign.toml").write_text(text)
@@ -139,13 +141,14 @@ def test_integer_counts(tmp_path: Path):
     assert "has steps of" not in text
 
 
-@pytest.mark.parametrize(("step", "said"), [(2.0, "and is part of N"), (5.0, "not those of the sensor")])
+@pytest.mark.parametrize(("step", "said"), [(1.5, "and is taken out of N"), (5.0, "not that of the sensor")])
 def test_a_log_coarser_than_its_noise_is_told(tmp_path: Path, step: float, said: str):
     step *= IN_OUTPUT * np.sqrt(RATE)
     found, text = noise_of(campaign(tmp_path, {"time_s": time_of(), "g": np.rint(white() / step) * step}))
     assert found.channels[0].resolution_in_output_units == pytest.approx(step)
     assert "the log has steps of" in text
     assert said in text
+    assert white_is_right(found.channels[0]) == (found.channels[0].of(NoiseTerm.WHITE).withheld is None)
 
 
 def test_pulses_are_counted_angles_and_no_coarse_log(tmp_path: Path):
@@ -158,28 +161,70 @@ def test_pulses_are_counted_angles_and_no_coarse_log(tmp_path: Path):
     assert "the log has steps of" not in text
 
 
-@pytest.mark.parametrize("kind", ["spike", "step", "turn-on"])
-def test_what_is_no_noise_is_told_with_its_time(tmp_path: Path, kind: str):
-    x, time = white(), time_of()
-    x += {
-        "spike": np.where(np.arange(SAMPLES) == 3000, 1.0, 0.0),
-        "step": np.where(time > 300, 0.01, 0.0),
-        "turn-on": 0.1 * np.exp(-time / 50),
-    }[kind]
-    found, text = noise_of(campaign(tmp_path, {"time_s": time, "g": x}))
-    change = found.channels[0].sudden_change
-    assert change is not None
-    assert abs(change.time_s - (300 if kind != "turn-on" else 20)) < 30
+@pytest.mark.parametrize(("kind", "time"), [("step", 300), ("turn-on", 20)])
+def test_a_change_is_told_and_no_slow_term_beside_it(tmp_path: Path, kind: str, time: float):
+    x = white() + {"step": np.where(time_of() > 300, 0.01, 0.0), "turn-on": 0.1 * np.exp(-time_of() / 50)}[kind]
+    found, text = noise_of(campaign(tmp_path, {"time_s": time_of(), "g": x}))
+    channel = found.channels[0]
+    assert channel.sudden_change is not None
+    assert abs(channel.sudden_change.time_s - time) < 30
     assert text.startswith("g in night: at ")
-    assert "The terms below are wrong with it" in text
-    assert "# Caution: the output changes suddenly" in priors_text(found)
+    for term in (NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK, NoiseTerm.RAMP):
+        assert channel.of(term).withheld is not None
+        assert channel.of(term).upper_limit is None
+    assert white_is_right(channel)
+    assert "# not determined by this record, and not here: flicker, random_walk" in priors_text(found)
 
 
-def test_a_drift_with_temperature_is_told(tmp_path: Path):
-    time = time_of()
-    found, text = noise_of(campaign(tmp_path, {"time_s": time, "g": white() + 0.05 * np.sin(time / 150)}))
-    assert found.channels[0].misfit or found.channels[0].sudden_change
-    assert "Give a settled part of the record" in text or "give a settled part of the record" in text
+def test_outliers_are_left_out(tmp_path: Path):
+    x = white()
+    x[[1000, 3000]] += 1.0
+    found, text = noise_of(campaign(tmp_path, {"time_s": time_of(), "g": x}))
+    assert white_is_right(found.channels[0])
+    assert "2 outliers are left out" in text
+
+
+def test_a_drift_that_the_record_does_not_explain_is_told(tmp_path: Path):
+    x = white() + 0.05 * np.sin(time_of() / 150)
+    found, text = noise_of(campaign(tmp_path, {"time_s": time_of(), "g": x}))
+    assert white_is_right(found.channels[0])
+    assert found.channels[0].of(NoiseTerm.FLICKER).withheld is not None
+    assert "Give a settled part of the record" in text
+
+
+def test_a_drift_with_the_recorded_temperature_is_taken_out(tmp_path: Path):
+    temperature = 25 + 3 * np.sin(time_of() / 150)
+    columns = {"time_s": time_of(), "g": white() + 0.01 * (temperature - 25), "temperature_degC": temperature.round(2)}
+    found, text = noise_of(campaign(tmp_path, columns))
+    drift = found.channels[0].temperature
+    assert drift is not None
+    assert abs(drift.slope - 0.01) < 4 * drift.sd
+    assert white_is_right(found.channels[0])
+    assert not found.channels[0].of(NoiseTerm.FLICKER).determined
+    assert "the output follows temperature_degC" in text
+
+
+def test_a_repeated_channel_beside_one_that_is_not(tmp_path: Path):
+    held = np.repeat(white(SAMPLES // 4, RATE / 4), 4)
+    found, text = noise_of(campaign(tmp_path, {"time_s": time_of(), "g": held, "h": white(seed=3)}))
+    assert [white_is_right(channel) for channel in found.channels] == [True, True]
+    assert [channel.samples for channel in found.channels] == [SAMPLES // 4, SAMPLES]
+    assert "g in night: each value is repeated 4 times: the output is new every 0.4" in text
+    assert "h in night: each value" not in text
+
+
+def test_a_fit_that_did_not_converge_writes_no_prior(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The climb is cut short; an earlier file does not stay."""
+    monkeypatch.setattr("imubayes.noise_analysis.likelihood._STEPS", 1)
+    folder = campaign(tmp_path, {"time_s": time_of(), "g": white()})
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "noise-priors.toml").write_text("earlier")
+    assert run(["noise", str(folder), "--out", str(out)]) == 1
+    assert not (out / "noise-priors.toml").exists()
+    found = StaticNoise.model_validate_json((out / "noise.json").read_text())
+    assert {term.withheld for term in found.channels[0].terms} == {Cause.CONVERGENCE}
+    assert all(term.value is None and term.upper_limit is None for term in found.channels[0].terms)
 
 
 def test_a_dead_and_an_empty_channel_are_left_out(tmp_path: Path):

@@ -9,8 +9,15 @@ from scipy.fft import dct
 
 from imubayes.noise_analysis.allan_deviation import allan_variance
 from imubayes.noise_analysis.cosine_coefficients import cosine_statistics
+from imubayes.noise_analysis.described_band import Octave, octave_fits
 from imubayes.noise_analysis.likelihood import NoiseLikelihood
-from imubayes.noise_analysis.noise_spectra import Averages, NoiseTerm, allan_shape, coefficient_variance
+from imubayes.noise_analysis.noise_spectra import (
+    Averages,
+    NoiseTerm,
+    allan_shape,
+    coefficient_variance,
+    removed_shares,
+)
 from imubayes.noise_analysis.running_sum import from_samples
 from imubayes.noise_analysis.term_selection import NoiseEstimate, estimate_terms
 
@@ -45,6 +52,33 @@ def test_variances_of_coefficients_are_exact(term: NoiseTerm, count: int, block:
     expected = np.diag(basis @ covariance(term, count * block) @ basis.T)
     found = coefficient_variance(term, Averages(count, block, STEP), TIME)
     np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("samples", "limit"), [(120, 1 << 14), (120, 20)])
+def test_shares_of_removed_bands_are_exact(monkeypatch: pytest.MonkeyPatch, samples: int, limit: int):
+    """From the covariance of white noise without two bands of frequency, an integral over what is left."""
+    monkeypatch.setattr("imubayes.noise_analysis.cosine_coefficients._MOST_MEANS", limit)
+    bands = [(0.2, 0.3), (0.7, 0.72)]
+    statistics = cosine_statistics(from_samples(np.random.default_rng(12).normal(size=samples), STEP))
+    frequency = (np.arange(200_000) + 0.5) / 200_000  # up to 1/(2 STEP) = 1 Hz
+    kept = np.all([(frequency < low) | (frequency > high) for low, high in bands], axis=0)
+    lags = [float(np.mean(kept * np.cos(2 * np.pi * frequency * k * STEP))) for k in range(samples)]
+    i = np.arange(samples)
+    filtered = np.array(lags)[np.abs(i[:, None] - i[None, :])]
+    block = statistics.block
+    expected = []
+    if block > 1:
+        basis = dct(np.eye(block), type=2, norm="ortho", axis=0)[1:]
+        expected.append(1 - np.diag(basis @ filtered[:block, :block] @ basis.T))
+    count = samples // block
+    basis = dct(np.eye(count), type=2, norm="ortho", axis=0)[1:] @ np.kron(
+        np.eye(count), np.full((1, block), 1 / block)
+    )
+    single = 1 - block * np.diag(basis @ filtered[: count * block, : count * block] @ basis.T)
+    level = statistics.coarse[0]
+    expected.append(np.add.reduceat(single, level.first - 1) / level.count)
+    for found, exact in zip(removed_shares(statistics, bands), expected, strict=True):
+        np.testing.assert_allclose(found, exact, atol=1e-4)
 
 
 @pytest.mark.parametrize("term", [*TERMS, NoiseTerm.RAMP])
@@ -85,7 +119,7 @@ def test_white_flicker_and_random_walk_are_recovered():
     found = [estimated(record(seed, ALL_THREE), 0.05) for seed in range(100, 104)]
     inside = []
     for estimate in found:
-        assert estimate.converged
+        assert estimate.full.converged
         for name, truth in ALL_THREE.items():
             term = estimate.of(NoiseTerm(name))
             assert term.determined
@@ -100,9 +134,14 @@ def test_a_level_that_the_model_ignores_shows():
     """The planted fault: a tone at 1.7 Hz is no term of the model, and the fit of its octave says so."""
     x = record(1, {"white": 0.1}, 60_000)
     tone = x + 0.5 * np.sin(2 * np.pi * 1.7 * 0.05 * np.arange(len(x)))
-    clean, spoilt = estimated(x, 0.05), estimated(tone, 0.05)
-    assert min(octave.p_value for octave in clean.octaves) > 1e-3
-    assert next(octave for octave in spoilt.octaves if octave.low <= 1.7 <= 1.03 * octave.high).p_value < 1e-6
+    clean, spoilt = (octaves(each, 0.05) for each in (x, tone))
+    assert min(octave.p_value for octave in clean) > 1e-3
+    assert next(octave for octave in spoilt if octave.low_hz <= 1.7 <= 1.03 * octave.high_hz).p_value < 1e-6
+
+
+def octaves(x: np.ndarray, step: float) -> list[Octave]:
+    likelihood = NoiseLikelihood(cosine_statistics(from_samples(x, step)))
+    return octave_fits(likelihood, estimate_terms(likelihood).full)
 
 
 def test_white_noise_alone_gives_limits_for_all_else():

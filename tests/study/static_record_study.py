@@ -76,7 +76,7 @@ def recovered(seed: int, hours: float = HOURS) -> list[Recovery]:
     truth = truth_of(seed)
     samples = generator.noise(truth, round(hours * 3600 * RATE), 1 / RATE, np.random.default_rng([seed, 2]))
     estimate = estimate_terms(NoiseLikelihood(cosine_statistics(from_samples(samples, 1 / RATE))))
-    assert estimate.converged
+    assert estimate.full.converged
     return [Recovery(seed, term, estimate.of(term), truth[str(term)]) for term in TERMS]
 
 

@@ -35,7 +35,7 @@ def priors_text(noise: StaticNoise, sample_rate: float | None = None) -> str:
     ----------
     sample_rate : of the raw samples of the other campaigns, Hz; that of the record where None.
     """
-    last = {channel.channel: channel for channel in noise.channels if channel.of(NoiseTerm.WHITE).determined}
+    last = {channel.channel: channel for channel in noise.channels if has_priors(channel)}
     text = [
         "# Noise of the unit from its static records, as priors for models of its other campaigns. In such a model:",
         '#     noise_priors = "noise-priors.toml"        # path from the folder of the model file',
@@ -46,13 +46,19 @@ def priors_text(noise: StaticNoise, sample_rate: float | None = None) -> str:
     for channel in last.values():
         rate = sample_rate or 1 / channel.interval_s
         text += ["", f"# {channel.channel}, run {channel.run}; raw samples at {rate:.6g} Hz"]
-        if channel.sudden_change is not None:
-            text.append(
-                f"# Caution: the output changes suddenly at {channel.sudden_change.time_s:.6g} s, which is not noise."
-            )
+        if withheld := [str(term.term) for term in channel.terms if term.withheld]:
+            text.append(f"# not determined by this record, and not here: {', '.join(withheld)}")
         text += _effects(channel, rate)
         text += _correlation(channel)
+    left_out = dict.fromkeys(channel.channel for channel in noise.channels if channel.channel not in last)
+    if left_out:
+        text += ["", f"# without priors, as the record does not determine their white noise: {', '.join(left_out)}"]
     return "\n".join(text) + "\n"
+
+
+def has_priors(channel: ChannelNoise) -> bool:
+    """Whether a record gives priors: from a fit that converged and determines the white noise."""
+    return channel.converged and channel.of(NoiseTerm.WHITE).determined
 
 
 def _effects(channel: ChannelNoise, rate: float) -> list[str]:

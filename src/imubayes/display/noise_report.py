@@ -5,7 +5,8 @@ from pathlib import Path
 from imubayes.atomic_files import write_text
 from imubayes.display.figures.allan import allan_figure
 from imubayes.display.labels import pretty
-from imubayes.display.noise_priors_file import priors_text
+from imubayes.display.noise_findings import beside_noise, withheld_because
+from imubayes.display.noise_priors_file import has_priors, priors_text
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import rounded, significant
 from imubayes.display.table_layout import Cell, Sheet
@@ -23,9 +24,6 @@ _NAMES_BY_KIND = {
     NoiseTerm.RANDOM_WALK: ("rate random walk K", "accel. random walk K"),
     NoiseTerm.RAMP: ("rate ramp R", "acceleration ramp R"),
 }
-_COARSE = 0.1  # part of rounding in the variance of samples from which it is told
-_NOT_RANDOM = 0.25  # from which noise is below half a step, too little for errors of rounding that are independent
-_NEAR_NYQUIST = 0.1  # of the sampling rate: a misfit from here on is that of a filter
 _REASONS = {"empty": "without a sample", "constant": "constant, dead or coarser than its noise"}
 NOISE_FILE, PRIORS_FILE = "noise.json", "noise-priors.toml"
 
@@ -59,7 +57,7 @@ def _sheet(noise: ChannelNoise, percent: str) -> Sheet:
     title = f"{noise.channel} in {noise.run}: {noise.samples} samples over {hours:.3g} h{missing}"
     head = ("noise term", "estimate", "sd", f"{percent} interval", "unit")
     rows = [_row(term, noise.kind) for term in noise.terms]
-    if noise.correlation_time_s is not None:
+    if noise.correlation_time_s is not None and noise.of(NoiseTerm.MARKOV).determined:
         value, sd = rounded((noise.correlation_time_s, noise.correlation_time_sd_s), noise.correlation_time_sd_s)
         place = next(k for k, term in enumerate(noise.terms) if term.term is NoiseTerm.MARKOV) + 1
         rows.insert(place, tuple(map(Cell, ("Gauss–Markov T", value, sd, "", "s"))))
@@ -70,56 +68,26 @@ def _row(term: TermRecord, kind: str) -> tuple[Cell, ...]:
     name = _name(term.term, kind)
     unit = pretty(term.unit).replace("sqrt(h)", "√h").replace("sqrt(Hz)", "√Hz")
     if not term.determined:
-        limit = "not determined" if term.upper_limit is None else f"< {significant(term.upper_limit)}"
+        limit = "not determined" if term.upper_limit is None or term.withheld else f"< {significant(term.upper_limit)}"
         return tuple(Cell(text, "dim") for text in (name, "–", "–", limit, unit))
     value, sd, low, high = rounded((term.value, term.sd, term.low, term.high), term.sd)
     return tuple(map(Cell, (name, value, sd, f"{low} … {high}", unit)))
 
 
 def _warnings(noise: ChannelNoise) -> list[str]:
-    found = [] if noise.converged else ["the estimate of the noise terms did not converge."]
-    return [*found, *_of_change(noise), *_of_rounding(noise), *_of_misfit(noise), *_of_ambiguity(noise)]
+    return [*beside_noise(noise), *_withheld(noise), *_of_ambiguity(noise)]
 
 
-def _of_change(noise: ChannelNoise) -> list[str]:
-    change = noise.sudden_change
-    if change is None:
-        return []
-    size = f"{change.change_in_output_units:.3g} {pretty(noise.output_unit)}"
-    return [
-        f"at {change.time_s:.6g} s the output changes by {size} from one mean over {change.tau_s:.3g} s to the next, "
-        f"{change.ratio:.0f} times the scatter of such changes: an outlier, a step or a transient, not noise. The "
-        "terms below are wrong with it. Empty the cells of outliers, or give a settled part of the record."
-    ]
-
-
-def _of_rounding(noise: ChannelNoise) -> list[str]:
-    share = noise.rounding_share
-    if share < _COARSE or noise.of(NoiseTerm.QUANTISATION).determined:
-        return []
-    told = (
-        f"the log has steps of {noise.resolution_in_output_units:.3g} {pretty(noise.output_unit)}. Rounding to them "
-        f"makes {min(share, 1.0):.0%} of the variance of single samples, and is part of N."
-    )
-    if share > _NOT_RANDOM:
-        told += " The noise is below half a step and not rounded at random: the terms are not those of the sensor."
-    return [told]
-
-
-def _of_misfit(noise: ChannelNoise) -> list[str]:
-    if not noise.misfit:
-        return []
-    low, high = min(o.low_hz for o in noise.misfit), max(o.high_hz for o in noise.misfit)
-    told = f"the noise terms do not describe the spectrum between {low:.3g} and {high:.3g} Hz, so that "
-    if high * noise.interval_s > _NEAR_NYQUIST:
-        return [
-            told + "their intervals do not hold: a filter, a vibration or outliers may shape it. --shortest-tau leaves "
-            "high frequencies out."
-        ]
-    return [
-        told + "the intervals of B, K and R do not hold: a drift with temperature, a transient or a disturbance may "
-        "shape it. Give a settled part of the record."
-    ]
+def _withheld(noise: ChannelNoise) -> list[str]:
+    """Return each cause for which terms are withheld, with their names."""
+    found = []
+    for cause in dict.fromkeys(term.withheld for term in noise.terms if term.withheld):
+        names = [_name(term.term, noise.kind) for term in noise.terms if term.withheld is cause]
+        named = (
+            "no term is" if len(names) == len(noise.terms) else f"{', '.join(names)} {'are' if names[1:] else 'is'} not"
+        )
+        found.append(f"{named} determined: {withheld_because(noise, cause)}")
+    return found
 
 
 def _of_ambiguity(noise: ChannelNoise) -> list[str]:
@@ -134,10 +102,14 @@ def _of_ambiguity(noise: ChannelNoise) -> list[str]:
 
 
 def write_noise(folder: Path, noise: StaticNoise, sample_rate: float | None = None) -> list[Path]:
-    """Write the record, the priors and a figure of each static record into a folder; return the files."""
+    """Write the record, the priors if there are any, and a figure of each record into a folder; return the files."""
     write_text(folder / NOISE_FILE, noise.json_text())
-    write_text(folder / PRIORS_FILE, priors_text(noise, sample_rate))
-    written = [folder / NOISE_FILE, folder / PRIORS_FILE]
+    written = [folder / NOISE_FILE]
+    if any(has_priors(channel) for channel in noise.channels):
+        write_text(folder / PRIORS_FILE, priors_text(noise, sample_rate))
+        written.append(folder / PRIORS_FILE)
+    else:
+        (folder / PRIORS_FILE).unlink(missing_ok=True)  # of an earlier call: it would be taken for this one's
     for run in dict.fromkeys(channel.run for channel in noise.channels):
         drawn = allan_figure([channel for channel in noise.channels if channel.run == run])
         plain = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in run)

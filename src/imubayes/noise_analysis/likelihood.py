@@ -5,6 +5,7 @@ g_jk its known variance per unit.  A ramp is integrated out under a flat prior (
 costs the slow terms the degree of freedom that it takes.  Parameters are log θ_j, and log T of a Gauss–Markov process.
 """
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,6 +23,8 @@ _DAMPING = 1e-10  # of a term that vanishes, and with it its information
 _LEAST_COUNT = 6  # coefficients of a band for the start
 _REVIVALS = 4
 VANISHED = 0.01  # information on log θ below which a term has no part in the variance
+_MOST_TAKEN = 0.05  # of the width of a bin, or of its white noise, in bands that are left out
+_LEAST_TIME = 5.0  # of a correlation time times the highest frequency: at 10 samples; a shorter one is a filter
 _KEPT = 12  # shapes of Gauss–Markov noise at recent correlation times
 _LOG_STEP = 1e-4  # for the derivative with respect to log T
 
@@ -61,35 +64,99 @@ class NoiseLikelihood:
     power, count, frequency : shape (K,), sum of the squared coefficients of each bin, their number, frequency in Hz.
     """
 
-    def __init__(self, statistics: CosineStatistics, shortest_tau: float = 0.0):
-        """Use the coefficients at frequencies up to 1/(2 × `shortest_tau`), all where it is 0."""
+    def __init__(
+        self,
+        statistics: CosineStatistics,
+        shortest_tau: float = 0.0,
+        left_out: Sequence[tuple[float, float]] = (),
+        removed: Sequence[np.ndarray] | None = None,
+    ):
+        """Use the coefficients at frequencies up to 1/(2 × `shortest_tau`), all where it is 0.
+
+        Parameters
+        ----------
+        left_out : bands of frequency in Hz whose coefficients are not used.
+        removed : part of white noise that each coefficient lacks (`removed_shares`).
+        """
         self._statistics = statistics
-        self._collect(statistics, shortest_tau)
+        self._collect(statistics, shortest_tau, left_out, removed)
         self._shapes: dict[NoiseTerm, np.ndarray] = {}
         self._recent: dict[float, np.ndarray] = {}
         self._stack: tuple[tuple[tuple[NoiseTerm, ...], float], np.ndarray] = (((), 0.0), np.zeros((0, 0)))
+        self._response = np.ones(len(self.power))
 
-    def _collect(self, statistics: CosineStatistics, shortest_tau: float) -> None:
-        power, count, slope, coefficient, frequency = [], [], [], [], []
+    def rolled_off(self, attenuation: float) -> "NoiseLikelihood":
+        """Return the likelihood of a record behind a low-pass filter.
+
+        The logarithm of the power response is −`attenuation` at the highest frequency in use and goes as sin²(πfτ₀):
+        any short filter has this form below its corner.
+        """
+        found = copy.copy(self)
+        found._stack = (((), 0.0), np.zeros((0, 0)))
+        found._response = np.exp(-attenuation * self._roll_off)
+        return found
+
+    @cached_property
+    def _roll_off(self) -> np.ndarray:
+        square = np.sin(np.pi * self.frequency * self._statistics.interval) ** 2
+        return square / square.max()
+
+    def attenuation_step(self, maximum: Maximum) -> tuple[float, float, float]:
+        """Return the change of the attenuation towards its maximum of the likelihood, its sd, and a growth.
+
+        The last is the factor of the uncertainty of white noise where the attenuation is not known.
+        """
+        derivative = self._derivatives(maximum.terms, maximum.parameters)
+        variance = self.variance(maximum)
+        derivative = np.concatenate([derivative, (-self._roll_off * variance)[None]])
+        gradient = -0.5 * float(derivative[-1] @ (self.count / variance - self.power / variance**2))
+        information = _information(derivative, variance, self.count)
+        free = [place for place in range(len(information)) if information[place, place] > VANISHED]
+        covariance = np.linalg.pinv(information[np.ix_(free, free)])
+        square = float(covariance[-1, -1])
+        white = maximum.terms.index(NoiseTerm.WHITE)
+        growth = 1.0
+        if white in free:
+            place = free.index(white)
+            alone = np.linalg.pinv(information[np.ix_(free[:-1], free[:-1])])
+            growth = math.sqrt(max(1.0, covariance[place, place] / alone[place, place]))
+        return gradient * square, math.sqrt(square), growth
+
+    def _collect(
+        self,
+        statistics: CosineStatistics,
+        shortest_tau: float,
+        left_out: Sequence[tuple[float, float]],
+        removed: Sequence[np.ndarray] | None,
+    ) -> None:
+        power, count, slope, coefficient, frequency, width = [], [], [], [], [], []
         if (fine := statistics.fine) is not None:
             power.append(fine.power)
             count.append(np.full(len(fine.power), float(fine.blocks)))
-            frequency.append(fine.order / (2 * statistics.block * statistics.interval))
+            step = 1 / (2 * statistics.block * statistics.interval)
+            frequency.append(fine.order * step)
+            width.append(np.full(len(fine.power), step))
             slope.append(np.zeros(len(fine.power)))
             coefficient.append(np.zeros(len(fine.power)))
         for level in statistics.coarse:
             power.append(level.power)
             count.append(level.count.astype(float))
-            middle = (level.first + level.last) / 2
-            frequency.append(middle / (2 * level.means * statistics.block * statistics.interval))
+            step = 1 / (2 * level.means * statistics.block * statistics.interval)
+            frequency.append((level.first + level.last) / 2 * step)
+            width.append(level.count * step)
             slope.append(level.ramp)
             coefficient.append(level.coefficient)
-        everything = np.concatenate(frequency) if frequency else np.zeros(0)
-        self._used = everything <= (0.5 / shortest_tau if shortest_tau else math.inf) * (1 + 1e-9)
-        self.frequency = everything[self._used]
-        self.power, self.count, self._ramp, self._coefficient = (
-            (np.concatenate(part) if part else np.zeros(0))[self._used] for part in (power, count, slope, coefficient)
-        )
+        parts = (frequency, width, power, count, slope, coefficient)
+        at, wide, *of_bin = (np.concatenate(part) if part else np.zeros(0) for part in parts)
+        taken = np.zeros(len(at))
+        for low, high in left_out:
+            taken += np.clip(np.minimum(high, at + wide / 2) - np.maximum(low, at - wide / 2), 0.0, None) / wide
+        lacking = np.zeros(len(at)) if removed is None else np.concatenate(removed)
+        within = at <= (0.5 / shortest_tau if shortest_tau else math.inf) * (1 + 1e-9)
+        self._used = within & (np.maximum(taken, lacking) < _MOST_TAKEN)
+        self.frequency = at[self._used]
+        self.power, self.count, self._ramp, self._coefficient = (part[self._used] for part in of_bin)
+        self.count = self.count * (1 - lacking[self._used])
 
     @property
     def span(self) -> float:
@@ -97,9 +164,9 @@ class NoiseLikelihood:
         return self._statistics.samples * self._statistics.interval
 
     @property
-    def interval(self) -> float:
-        """Sampling interval, s."""
-        return self._statistics.interval
+    def shortest_time(self) -> float:
+        """Shortest correlation time of a Gauss–Markov process, s: that of a shorter one is the work of a filter."""
+        return _LEAST_TIME / float(self.frequency.max())
 
     @cached_property
     def _octave(self) -> np.ndarray:
@@ -119,6 +186,9 @@ class NoiseLikelihood:
 
     def shape(self, term: NoiseTerm, correlation_time: float = math.nan) -> np.ndarray:
         """Return the variance of a coefficient per squared coefficient of the term, shape (K,)."""
+        return self._response * self._unfiltered(term, correlation_time)
+
+    def _unfiltered(self, term: NoiseTerm, correlation_time: float) -> np.ndarray:
         if term is NoiseTerm.MARKOV:
             return self._markov(correlation_time)
         if term not in self._shapes:
@@ -137,12 +207,35 @@ class NoiseLikelihood:
         """Return the variance of a coefficient, shape (K,)."""
         return self._parts(maximum.terms, maximum.parameters).sum(axis=0)
 
+    def density(self, maximum: Maximum) -> np.ndarray:
+        """Return the spectral density of the record at each bin, shape (K,), of which N² is that of white noise."""
+        return self.variance(maximum) / self._unfiltered(NoiseTerm.WHITE, math.nan)
+
+    @property
+    def sees_ramp(self) -> bool:
+        """Whether a ramp shows in any of the coefficients."""
+        return bool(np.any(self._ramp))
+
     def ramp(self, maximum: Maximum) -> tuple[float, float]:
         """Return the slope of the record and its standard uncertainty under the noise, output units per second."""
         variance = self.variance(maximum)
         precision = float(np.sum(self._ramp**2 / variance))
         slope = float(np.sum(self._ramp * self._coefficient / variance)) / precision
         return self._statistics.slope + slope, 1 / math.sqrt(precision)
+
+    def slope_along(self, maximum: Maximum, covariate: Sequence[np.ndarray]) -> tuple[float, float]:
+        """Return slope and standard uncertainty of the record along a covariate under the noise.
+
+        Parameters
+        ----------
+        covariate : cosine coefficients of the covariate at the bins of each coarse level, 0 in those of several.
+        """
+        fine = self._statistics.fine
+        bins = np.concatenate([*([np.zeros(len(fine.power))] if fine is not None else []), *covariate])[self._used]
+        variance = self.variance(maximum)
+        own = self._coefficient + self._statistics.slope * self._ramp
+        precision = float(np.sum(bins**2 / variance))
+        return float(np.sum(bins * own / variance)) / precision, 1 / math.sqrt(precision)
 
     def information(self, maximum: Maximum) -> np.ndarray:
         """Return the expected Fisher information of the parameters, shape (P, P)."""
@@ -215,9 +308,9 @@ class NoiseLikelihood:
         return Maximum(tuple(terms), parameters, value, converged)
 
     def _inside(self, terms: Sequence[NoiseTerm], parameters: np.ndarray) -> np.ndarray:
-        """Return parameters with the correlation time between the sampling interval and the record."""
+        """Return parameters with the correlation time between the shortest one and the record."""
         if NoiseTerm.MARKOV in terms:
-            parameters[-1] = min(max(parameters[-1], math.log(self.interval)), math.log(self.span))
+            parameters[-1] = min(max(parameters[-1], math.log(self.shortest_time)), math.log(self.span))
         return parameters
 
     def _parts(self, terms: Sequence[NoiseTerm], parameters: np.ndarray) -> np.ndarray:

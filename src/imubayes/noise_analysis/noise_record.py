@@ -1,7 +1,7 @@
 """The noise of the static records of a campaign, as a record: terms in the units of datasheets, Allan deviations."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Literal
 
 import numpy as np
@@ -12,16 +12,29 @@ from imubayes.errors import InputError, Issue, closest_first, input_error
 from imubayes.json_record import Record, finite
 from imubayes.noise_analysis.allan_deviation import AllanVariance, allan_variance
 from imubayes.noise_analysis.cosine_coefficients import cosine_statistics
+from imubayes.noise_analysis.described_band import (
+    LEAST_OCTAVES,
+    Cause,
+    Gap,
+    Octave,
+    RollOff,
+    misfits,
+    octave_fits,
+)  # fmt: skip
 from imubayes.noise_analysis.likelihood import NoiseLikelihood
 from imubayes.noise_analysis.noise_spectra import NoiseTerm, allan_shape
+from imubayes.noise_analysis.record_examination import examined, unequal_levels, widened, without_rounding
+from imubayes.noise_analysis.repeated_values import Repetition
 from imubayes.noise_analysis.running_sum import RunningSum, running_sums
-from imubayes.noise_analysis.sudden_changes import sudden_change
+from imubayes.noise_analysis.spectral_lines import SpectralLine
+from imubayes.noise_analysis.sudden_changes import OutlyingSamples, SuddenChange
+from imubayes.noise_analysis.temperature_drift import TemperatureDrift
 from imubayes.noise_analysis.term_selection import PROBABILITY, NoiseEstimate, TermEstimate, estimate_terms
 from imubayes.step_counter import counted, silent
 
 PROCEDURE = "static_record"
+_TEMPERATURE = "temperature_degC"
 LEAST_SAMPLES = 256
-MISFIT = 0.01  # chance, over all octaves, at which the fit of one is called bad
 _LEAST_CONSECUTIVE = 2  # samples between gaps, on average; with half of the samples missing at random they are two
 _EXPONENTS = {NoiseTerm.QUANTISATION: 2, NoiseTerm.WHITE: 0, NoiseTerm.FLICKER: -1, NoiseTerm.RANDOM_WALK: -2}
 _HOUR = 3600.0
@@ -48,7 +61,8 @@ _ACCELEROMETER = {
 class TermRecord(Record):
     """One coefficient with its interval of `probability`, or its upper limit of that probability.
 
-    `output_per_unit` is one unit of the coefficient in output units and seconds.
+    `output_per_unit` is one unit of the coefficient in output units and seconds.  A term that is `withheld` has neither
+    estimate nor limit.
     """
 
     term: NoiseTerm
@@ -63,6 +77,7 @@ class TermRecord(Record):
     in_output_units: float | None
     maximum_in_output_units: float
     output_per_unit: float
+    withheld: Cause | None = None
 
 
 class AllanPoint(Record):
@@ -75,25 +90,6 @@ class AllanPoint(Record):
     degrees_of_freedom: float
     dominant_term: NoiseTerm
     fitted: float
-
-
-class OctaveRecord(Record):
-    """χ² of the fitted terms in an octave of frequency."""
-
-    low_hz: float
-    high_hz: float
-    chi2: float
-    count: int
-    p_value: float
-
-
-class ChangeRecord(Record):
-    """A change of the output that is no noise: of the mean over `tau_s` from one span to the next, at `time_s`."""
-
-    time_s: float
-    tau_s: float
-    change_in_output_units: float
-    ratio: float
 
 
 class SilentChannel(Record):
@@ -109,7 +105,9 @@ class ChannelNoise(Record):
 
     `undecided` are terms that are not determined, of which the record needs at least one; `alternatives` pairs of a
     determined term and one that describes the record as well in its place.  `rounding_share` is the part that rounding
-    to the steps of the log, `resolution_in_output_units`, has in the variance of single samples.
+    to the steps of the log, `resolution_in_output_units`, has in the variance of single samples, and `rounding_removed`
+    whether it is taken out of white noise.  `unequal_levels` is the factor by which the level of noise scatters more
+    over the record than it should, and by which the interval of white noise is widened.
     """
 
     run: str
@@ -129,10 +127,19 @@ class ChannelNoise(Record):
     correlation: list[list[float]]
     undecided: list[NoiseTerm] = []
     alternatives: list[tuple[NoiseTerm, NoiseTerm]]
-    misfit: list[OctaveRecord]
-    sudden_change: ChangeRecord | None = None
+    misfit: list[Octave]
+    repetition: Repetition | None = None
+    outliers: OutlyingSamples | None = None
+    temperature: TemperatureDrift | None = None
+    lines: list[SpectralLine] = []
+    gaps: list[Gap] = []
+    roll_off: RollOff | None = None
+    shortest_tau_s: float = 0.0
+    unequal_levels: float = 1.0
+    sudden_change: SuddenChange | None = None
     resolution_in_output_units: float = 0.0
     rounding_share: float = 0.0
+    rounding_removed: bool = False
     allan: list[AllanPoint]
 
     def of(self, term: NoiseTerm) -> TermRecord:
@@ -187,11 +194,15 @@ def static_noise(
     for run in _chosen(campaign, runs):
         tell(f"reading {run.name}")
         source = raw_log(campaign, run)
-        sums = running_sums(source, source.layout.channels, str(source.file))
+        columns = [*source.layout.channels, *(name for name in (_TEMPERATURE,) if name in source.layout.numbers)]
+        sums = running_sums(source, columns, str(source.file))
+        temperature = sums.get(_TEMPERATURE)
         recorded = [channel for channel in campaign.channels if channel.name in source.layout.channels]
         for channel in counted(tell, f"noise of {run.name}, channel", recorded):
             record = sums.pop(channel.name, None)
-            noise = _of_channel(campaign, run, channel, record, shortest_tau) if record and record.resolution else None
+            noise = None
+            if record is not None and record.resolution:
+                noise = _of_channel(campaign, run, channel, record, temperature, shortest_tau)
             if noise is None:
                 reason = "empty" if record is None else "constant"
                 left_out.append(SilentChannel(run=run.name, channel=channel.name, reason=reason))
@@ -218,10 +229,75 @@ def _chosen(campaign: Campaign, names: Sequence[str]) -> list[Run]:
 
 
 def _of_channel(
-    campaign: Campaign, run: Run, channel: Channel, record: RunningSum, shortest_tau: float
+    campaign: Campaign,
+    run: Run,
+    channel: Channel,
+    record: RunningSum,
+    temperature: RunningSum | None,
+    shortest_tau: float,
 ) -> ChannelNoise | None:
     """Return the noise of a channel; None where it is constant but for steps over gaps."""
-    where = f"run '{run.name}', channel '{channel.name}'"
+    _refuse_short(record, shortest_tau, f"run '{run.name}', channel '{channel.name}'")
+    variance = allan_variance(record)
+    if not variance.variance[0] > 0:
+        return None
+    seen = examined(record, temperature)
+    band = seen.band(shortest_tau)
+    estimate = estimate_terms(band.likelihood)
+    own = seen.own_rate
+    variance = variance if own is record else allan_variance(own)
+    share = own.resolution**2 / 12 / float(variance.variance[0])
+    withheld = seen.withheld(band, estimate, share)
+    levels = unequal_levels(seen.cleaned, band.likelihood, estimate.full)
+    growth = levels * (1.0 if band.roll_off is None else band.roll_off.growth)
+    white, removed = without_rounding(widened(estimate.of(NoiseTerm.WHITE), growth), estimate, own)
+    estimates = [white if term.term is NoiseTerm.WHITE else term for term in estimate.estimates]
+    kept = _stated(estimate, withheld)
+    names = [*map(str, estimate.determined), "correlation_time"]
+    markov = NoiseTerm.MARKOV in estimate.determined and NoiseTerm.MARKOV not in withheld
+    return ChannelNoise(
+        run=run.name,
+        channel=channel.name,
+        kind=channel.kind,
+        samples=own.present,
+        missing=own.samples - own.present,
+        interval_s=own.interval,
+        deviation_unit=coefficient_unit(channel, NoiseTerm.FLICKER, campaign.site.gravity)[0],
+        output_per_unit=_output_per_unit(channel, campaign.site.gravity),
+        output_unit=channel.output_unit,
+        converged=estimate.full.converged,
+        terms=[_term(term, channel, campaign.site.gravity, withheld.get(term.term)) for term in estimates],
+        correlation_time_s=finite(estimate.correlation_time),
+        correlation_time_sd_s=finite(estimate.correlation_time_sd) if markov else None,
+        correlated_terms=[names[place] for place in kept],
+        correlation=estimate.correlation[np.ix_(kept, kept)].tolist(),
+        undecided=[term for term in estimate.undecided if term not in withheld],
+        alternatives=[pair for pair in estimate.alternatives if not set(pair) & set(withheld)],
+        misfit=misfits(octave_fits(band.likelihood, estimate.full)),
+        repetition=seen.repetition,
+        outliers=seen.outliers,
+        temperature=seen.temperature,
+        lines=list(seen.lines),
+        gaps=list(band.gaps),
+        roll_off=band.roll_off if band.filtered else None,
+        shortest_tau_s=0.5 / float(band.likelihood.frequency.max()),
+        unequal_levels=levels,
+        sudden_change=seen.change,
+        resolution_in_output_units=own.resolution,
+        rounding_share=share,
+        rounding_removed=removed,
+        allan=_allan(variance, estimate, channel, campaign.site.gravity),
+    )
+
+
+def _stated(estimate: NoiseEstimate, withheld: Collection[NoiseTerm]) -> list[int]:
+    """Return the places of what is stated in the correlation."""
+    kept = [place for place, term in enumerate(estimate.determined) if term not in withheld]
+    markov = NoiseTerm.MARKOV in estimate.determined and NoiseTerm.MARKOV not in withheld
+    return [*kept, len(estimate.determined)] if markov else kept
+
+
+def _refuse_short(record: RunningSum, shortest_tau: float, where: str) -> None:
     if record.present < LEAST_SAMPLES:
         raise input_error(
             f"{record.present} samples are too few for an analysis of noise", where,
@@ -232,57 +308,26 @@ def _of_channel(
             "most samples stand alone between empty cells", where, "consecutive samples",
             "give a channel of a lower rate in a run of its own, without the empty rows",
         )  # fmt: skip
-    likelihood = NoiseLikelihood(cosine_statistics(record), shortest_tau)
-    if len(likelihood.octaves()) < 4:
+    if len(NoiseLikelihood(cosine_statistics(record), shortest_tau).octaves()) < LEAST_OCTAVES:
         allowed = "an averaging time far below the length of the record"
         raise input_error("too few octaves of frequency are left", where, allowed, "choose a shorter --shortest-tau")
-    variance = allan_variance(record)
-    if not variance.variance[0] > 0:
-        return None
-    estimate = estimate_terms(likelihood)
-    correlated = [str(term) for term in estimate.determined]
-    return ChannelNoise(
-        run=run.name,
-        channel=channel.name,
-        kind=channel.kind,
-        samples=record.present,
-        missing=record.samples - record.present,
-        interval_s=record.interval,
-        deviation_unit=coefficient_unit(channel, NoiseTerm.FLICKER, campaign.site.gravity)[0],
-        output_per_unit=_output_per_unit(channel, campaign.site.gravity),
-        output_unit=channel.output_unit,
-        converged=estimate.converged,
-        terms=[_term(term, channel, campaign.site.gravity) for term in estimate.estimates],
-        correlation_time_s=finite(estimate.correlation_time),
-        correlation_time_sd_s=finite(estimate.correlation_time_sd),
-        correlated_terms=[*correlated, "correlation_time"] if NoiseTerm.MARKOV in estimate.determined else correlated,
-        correlation=estimate.correlation.tolist(),
-        undecided=list(estimate.undecided),
-        alternatives=list(estimate.alternatives),
-        misfit=_misfit(estimate),
-        sudden_change=_change(record),
-        resolution_in_output_units=record.resolution,
-        rounding_share=record.resolution**2 / 12 / float(variance.variance[0]),
-        allan=_allan(variance, estimate, channel, campaign.site.gravity),
-    )
 
 
-def _term(found: TermEstimate, channel: Channel, gravity: float) -> TermRecord:
+def _term(found: TermEstimate, channel: Channel, gravity: float, withheld: Cause | None) -> TermRecord:
     unit, factor = coefficient_unit(channel, found.term, gravity)
     per = abs(channel.scale_si) * factor
+    numbers = {
+        "value": found.value / per, "sd": found.sd / per, "low": found.low / per, "high": found.high / per,
+        "upper_limit": found.limit / per, "evidence": found.evidence, "in_output_units": found.value,
+    }  # fmt: skip
     return TermRecord(
         term=found.term,
         unit=unit,
-        determined=found.determined,
-        value=finite(found.value / per),
-        sd=finite(found.sd / per),
-        low=finite(found.low / per),
-        high=finite(found.high / per),
-        upper_limit=finite(found.limit / per),
-        evidence=finite(found.evidence),
-        in_output_units=finite(found.value),
+        determined=found.determined and withheld is None,
+        **{name: None if withheld else finite(number) for name, number in numbers.items()},
         maximum_in_output_units=found.maximum,
         output_per_unit=per,
+        withheld=withheld,
     )
 
 
@@ -317,23 +362,6 @@ def _deviations(noise: ChannelNoise, tau: np.ndarray) -> dict[NoiseTerm, np.ndar
         for found in noise.terms
         if found.maximum_in_output_units
     }
-
-
-def _change(record: RunningSum) -> ChangeRecord | None:
-    found = sudden_change(record)
-    if found is None:
-        return None
-    return ChangeRecord(time_s=found.time, tau_s=found.tau, change_in_output_units=found.change, ratio=found.ratio)
-
-
-def _misfit(estimate: NoiseEstimate) -> list[OctaveRecord]:
-    """Return the octaves that the terms do not describe, at `MISFIT` over all octaves."""
-    octaves = estimate.octaves
-    return [
-        OctaveRecord(low_hz=o.low, high_hz=o.high, chi2=o.chi2, count=o.count, p_value=o.p_value)
-        for o in octaves
-        if o.p_value * len(octaves) < MISFIT
-    ]
 
 
 def _allan(variance: AllanVariance, estimate: NoiseEstimate, channel: Channel, gravity: float) -> list[AllanPoint]:

@@ -15,7 +15,7 @@ order ½ of white noise (Kasdin, Proc. IEEE 83 (1995), 802), random walk a sum o
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -70,6 +70,32 @@ def level_variances(
     for level in statistics.coarse:
         means = Averages(level.means, statistics.block, statistics.interval, level.thinning)
         found.append(_binned(coefficient_variance(term, means, correlation_time), level))
+    return found
+
+
+def removed_shares(statistics: CosineStatistics, bands: Sequence[tuple[float, float]]) -> list[np.ndarray]:
+    """Return the part of white noise that a record without some bands of frequency lacks, at each level.
+
+    Block means alias, and coefficients within short blocks are wide: a band takes part of coefficients far from it.
+
+    Parameters
+    ----------
+    bands : ends in Hz.
+    """
+    block, longest = statistics.block, max((level.means for level in statistics.coarse), default=1)
+    lag = np.abs(np.arange(-block, max(longest, 1) * block)).astype(float)
+    removed = np.zeros(len(lag))
+    for low, high in bands:
+        # Σ over a band of cosines: its autocovariance, in units of that of white noise.
+        low, high = (2 * min(max(end, 0.0) * statistics.interval, 0.5) for end in (low, high))
+        removed += high * np.sinc(high * lag) - low * np.sinc(low * lag)
+    found = []
+    if statistics.fine is not None:
+        found.append(_from_lags(removed[block : 2 * block]))
+    twice = np.concatenate([[0.0], np.cumsum(np.cumsum(removed))])
+    centre = block * np.arange(1, longest + 1)
+    means = (twice[centre + block] - 2 * twice[centre] + twice[centre - block]) / block
+    found += [_binned(_from_lags(means[: level.means]), level) for level in statistics.coarse]
     return found
 
 

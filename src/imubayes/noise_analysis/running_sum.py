@@ -6,7 +6,7 @@ over any span is a difference of two of its values.  It is kept in an unnamed sc
 
 import tempfile
 import weakref
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import IO
 
@@ -86,6 +86,18 @@ class RunningSum:
             raise OSError("the scratch file of the running sum is truncated")
         return found
 
+    def values(self, first: int, count: int) -> np.ndarray:
+        """Return samples less x̃ from a place on, shape (count,), NaN where missing."""
+        found = np.diff(self.read(first, count + 1))
+        if self.holes is not None:
+            found[np.diff(self.missing_before(first + np.arange(count + 1))) > 0] = np.nan
+        return found
+
+    def chunks(self, size: int = CHUNK) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield place and values of consecutive parts of the record."""
+        for first in range(0, self.samples, size):
+            yield first, self.values(first, min(size, self.samples - first))
+
     def missing_before(self, place: np.ndarray) -> np.ndarray:
         """Return how many of the samples before each place are missing."""
         return np.zeros(len(place), dtype=np.int64) if self.holes is None else self.holes.before(place)
@@ -93,9 +105,17 @@ class RunningSum:
 
 def from_samples(values: np.ndarray, interval: float) -> RunningSum:
     """Return the running sum of samples in memory, shape (N,), NaN where missing."""
+    return from_parts([np.asarray(values, dtype=float)], interval)
+
+
+def from_parts(parts: Iterable[np.ndarray], interval: float, resolution: float | None = None) -> RunningSum:
+    """Return the running sum of consecutive samples, NaN where missing, of a known resolution if one is given."""
     writer = _Writer()
-    writer.add(np.asarray(values, dtype=float), 0)
-    return writer.finish(interval)
+    for part in parts:
+        writer.add(part, writer.next)
+    record = writer.finish(interval)
+    record.resolution = record.resolution if resolution is None else resolution
+    return record
 
 
 def running_sums(batches: Iterable[RowBatch], channels: Sequence[str], where: str) -> dict[str, RunningSum]:
@@ -178,6 +198,11 @@ class _Writer:
         self._resolution = np.inf
 
     @property
+    def next(self) -> int:
+        """Number of samples so far, the missing ones included."""
+        return self._next
+
+    @property
     def any(self) -> bool:
         """Whether there has been a sample."""
         return bool(np.isfinite(self._shift))
@@ -203,10 +228,10 @@ class _Writer:
             self._holes += [(first + int(a), first + int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
         # The total goes in first, so that every partial sum is rounded once.
         sums = np.where(empty, 0.0, values - (self._shift if self.any else 0.0))
-        sums[0] += self._total
+        sums[:1] += self._total
         np.cumsum(sums, out=sums)
         self._file.write(sums.tobytes())
-        self._total, self._next = float(sums[-1]), first + len(values)
+        self._total, self._next = float(sums[-1]) if len(sums) else self._total, first + len(values)
 
     def _skip(self, first: int) -> None:
         if first > self._next:

@@ -28,7 +28,8 @@ _LEAST_EVIDENCE_JOINT = {1: LEAST_EVIDENCE, 2: 7.29, 3: 8.75, 4: 10.02}
 _LEAST_EVIDENCE_MARKOV = 9.21
 _SLOW = (NoiseTerm.FLICKER, NoiseTerm.RANDOM_WALK)
 _SCAN = 14
-_LONGEST_TIME = 1 / 5  # of a correlation time over the record at the start; a longer one is a random walk
+_LONGEST_TIME = 1 / 5  # of a correlation time over the record; a longer one is a random walk
+_FROM_BOUND = 1.1  # times the shortest correlation time
 _WELL_WITHIN = 1 / 20  # of a correlation time over the record: some twenty independent values
 _POLISHED = 2  # of the maxima at fixed correlation times
 _FAINT = 8.0  # in log θ: where a term starts that another may replace
@@ -59,7 +60,7 @@ def term_evidence(likelihood: NoiseLikelihood) -> TermEvidence:
     basic = highest(likelihood, BASIC)
     with_markov = highest(likelihood, (*BASIC, NoiseTerm.MARKOV))
     gain = 2 * (with_markov.log_likelihood - basic.log_likelihood)
-    markov = gain > _LEAST_EVIDENCE_MARKOV
+    markov = gain > _LEAST_EVIDENCE_MARKOV and within_record(likelihood, with_markov)
     full = with_markov if markov else basic
     evidence = {term: _lost(likelihood, full, {term}) for term in BASIC}
     determined = [term for term in BASIC if evidence[term] > LEAST_EVIDENCE]
@@ -71,10 +72,16 @@ def term_evidence(likelihood: NoiseLikelihood) -> TermEvidence:
     return TermEvidence(full, evidence, tuple(determined), undecided, alternatives)
 
 
+def within_record(likelihood: NoiseLikelihood, found: Maximum) -> bool:
+    """Whether a correlation time is that of a process: at its bounds it is a filter, or a random walk."""
+    shortest = _FROM_BOUND * likelihood.shortest_time
+    return shortest < found.correlation_time < _LONGEST_TIME * likelihood.span
+
+
 def highest(likelihood: NoiseLikelihood, terms: tuple[NoiseTerm, ...]) -> Maximum:
     """Return the highest maximum of a model: from several starts, and correlation times all over the record."""
     if NoiseTerm.MARKOV in terms:
-        times = np.geomspace(2 * likelihood.interval, _LONGEST_TIME * likelihood.span, _SCAN)
+        times = np.geomspace(likelihood.shortest_time, _LONGEST_TIME * likelihood.span, _SCAN)
         scanned = [_at_time(likelihood, terms, float(time)) for time in times]
         scanned.sort(key=lambda maximum: maximum.log_likelihood, reverse=True)
         starts = [maximum.parameters for maximum in scanned[:_POLISHED]]

@@ -52,24 +52,6 @@ class TermEstimate:
 
 
 @dataclass(frozen=True)
-class Octave:
-    """Fit of one octave of frequency: χ² of the coefficients against their number.
-
-    Attributes
-    ----------
-    low, high : frequencies, Hz.
-    chi2, count : sum of the squared standardised coefficients, and their number.
-    p_value : two-sided, of χ²; not corrected for the number of octaves.
-    """
-
-    low: float
-    high: float
-    chi2: float
-    count: int
-    p_value: float
-
-
-@dataclass(frozen=True)
 class NoiseEstimate:
     """The noise terms of one record, in output units.
 
@@ -79,8 +61,7 @@ class NoiseEstimate:
     correlation_time, correlation_time_sd : T of the Gauss–Markov process, s; NaN where not determined.
     determined : the determined terms but the ramp, in the order of `correlation`.
     correlation : shape (P, P), of the logarithms of the coefficients (the last of log T with Gauss–Markov noise).
-    octaves : the fit, octave by octave.
-    converged : whether the maximum was found.
+    full : the maximum with all terms.
     undecided : terms that are not determined, of which the record needs at least one.
     alternatives : a determined term, and one that describes the record as well in its place.
     """
@@ -90,8 +71,7 @@ class NoiseEstimate:
     correlation_time_sd: float
     determined: tuple[NoiseTerm, ...]
     correlation: np.ndarray
-    octaves: tuple[Octave, ...]
-    converged: bool
+    full: Maximum
     undecided: tuple[NoiseTerm, ...]
     alternatives: tuple[tuple[NoiseTerm, NoiseTerm], ...]
 
@@ -115,8 +95,7 @@ def estimate_terms(likelihood: NoiseLikelihood) -> NoiseEstimate:
         full.correlation_time * float(sd[-1]) if markov else math.nan,
         seen.determined,
         correlation,
-        tuple(_octaves(likelihood, full)),
-        full.converged,
+        full,
         seen.undecided,
         seen.alternatives,
     )
@@ -199,6 +178,8 @@ def _ramp(likelihood: NoiseLikelihood, full: Maximum, walk: TermEstimate) -> Ter
     One or two coefficients tell a weak random walk from a ramp, so its best value says little: the posterior of the
     ramp is a mixture of normal distributions, over a flat prior of K ≥ 0.
     """
+    if not likelihood.sees_ramp:
+        return _unknown(NoiseTerm.RAMP, math.nan, 0.0)
     place = full.terms.index(NoiseTerm.RANDOM_WALK)
     low, high = (0.5 * walk.low, 1.5 * walk.high) if walk.determined else (0.0, 2.0 * walk.limit)
     weights, slopes = [], []
@@ -227,13 +208,3 @@ def _ramp(likelihood: NoiseLikelihood, full: Maximum, walk: TermEstimate) -> Ter
     if chance > _CHANCE_RAMP:
         return _unknown(NoiseTerm.RAMP, max(-first, last), evidence)
     return TermEstimate(NoiseTerm.RAMP, middle, spread, first, last, math.nan, evidence, middle)
-
-
-def _octaves(likelihood: NoiseLikelihood, best: Maximum) -> list[Octave]:
-    squares, found = likelihood.power / likelihood.variance(best), []
-    for at in likelihood.octaves():
-        total, count = float(squares[at].sum()), round(float(likelihood.count[at].sum()))
-        chance = 2 * min(float(scipy.stats.chi2.cdf(total, count)), float(scipy.stats.chi2.sf(total, count)))
-        frequency = likelihood.frequency[at]
-        found.append(Octave(float(frequency.min()), float(frequency.max()), total, count, min(chance, 1.0)))
-    return found
