@@ -132,8 +132,8 @@ def _lines(record: RunningSum, factor: int, removed: list[SpectralLine]) -> list
         first, stop = max(1, int(line.low_hz / step) - _MARGIN), int(line.high_hz / step) + _MARGIN + 1
         beside = [part for part in (mean[max(1, 2 * first - stop) : first], mean[stop : 2 * stop - first]) if len(part)]
         if beside:
-            ends = [float(np.median(part)) for part in (beside[0], beside[-1])]
-            mean[first:stop] = np.linspace(*ends, len(mean[first:stop]))
+            low, high = (float(np.median(part)) for part in (beside[0], beside[-1]))
+            mean[first:stop] = np.linspace(low, high, len(mean[first:stop]))
     level = _level(mean, 2 * averages)
     usable = np.flatnonzero(level > 0)
     if len(mean) <= 4 * _LEAST_CYCLES or len(usable) < len(mean) // 2:
