@@ -1,5 +1,7 @@
 """What a static record holds beside noise, and why terms are withheld, in sentences."""
 
+import math
+
 from imubayes.display.labels import pretty
 from imubayes.display.rounding import significant
 from imubayes.noise_analysis.described_band import Cause, Gap
@@ -26,10 +28,11 @@ def withheld_because(noise: ChannelNoise, cause: Cause) -> str:
             (scale * noise.of(term).maximum_in_output_units) ** 2
             for term, scale in ((NoiseTerm.WHITE, 1.0), (NoiseTerm.MARKOV, (2 * time) ** 0.5))
         )
-        low = square**0.5 / noise.of(NoiseTerm.WHITE).output_per_unit
+        white = noise.of(NoiseTerm.WHITE)
+        low = f"{significant(square**0.5 / white.output_per_unit)} {density_unit(white.unit)}"
         return (
             f"Gauss–Markov noise with a correlation time of {significant(time)} s and white noise behind a low-pass "
-            f"filter look the same. Of a filter, N is {significant(low)} {_unit(noise)}."
+            f"filter look the same. Of a filter, N is {low}."
         )
     return _REASONS[cause]
 
@@ -50,8 +53,9 @@ _REASONS = {
 }
 
 
-def _unit(noise: ChannelNoise) -> str:
-    return pretty(noise.of(NoiseTerm.WHITE).unit).replace("sqrt(h)", "√h").replace("sqrt(Hz)", "√Hz")
+def density_unit(unit: str) -> str:
+    """Return the unit of a noise term for display, with √h and √Hz."""
+    return pretty(unit).replace("sqrt(h)", "√h").replace("sqrt(Hz)", "√Hz")
 
 
 def _of_repetition(noise: ChannelNoise) -> list[str]:
@@ -113,7 +117,7 @@ def _of_filter(noise: ChannelNoise) -> list[str]:
         tau = significant(noise.shortest_tau_s)
         return [f"{told}frequencies above {cut.low_hz:.3g} Hz are left out, as with --shortest-tau {tau}."]
     assert noise.roll_off is not None
-    lost = -4.342944819 * noise.roll_off.attenuation
+    lost = -10 * noise.roll_off.attenuation / math.log(10)
     return [f"{told}its power is {lost:.2g} dB at {noise.roll_off.frequency_hz:.3g} Hz. N is that of low frequencies."]
 
 

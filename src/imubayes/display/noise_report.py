@@ -4,8 +4,7 @@ from pathlib import Path
 
 from imubayes.atomic_files import write_text
 from imubayes.display.figures.allan import allan_figure
-from imubayes.display.labels import pretty
-from imubayes.display.noise_findings import beside_noise, withheld_because
+from imubayes.display.noise_findings import beside_noise, density_unit, withheld_because
 from imubayes.display.noise_priors_file import has_priors, priors_text
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import rounded, significant
@@ -66,7 +65,7 @@ def _sheet(noise: ChannelNoise, percent: str) -> Sheet:
 
 def _row(term: TermRecord, kind: str) -> tuple[Cell, ...]:
     name = _name(term.term, kind)
-    unit = pretty(term.unit).replace("sqrt(h)", "√h").replace("sqrt(Hz)", "√Hz")
+    unit = density_unit(term.unit)
     if not term.determined:
         limit = "not determined" if term.upper_limit is None or term.withheld else f"< {significant(term.upper_limit)}"
         return tuple(Cell(text, "dim") for text in (name, "–", "–", limit, unit))

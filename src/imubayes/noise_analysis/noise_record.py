@@ -194,7 +194,7 @@ def static_noise(
     for run in _chosen(campaign, runs):
         tell(f"reading {run.name}")
         source = raw_log(campaign, run)
-        columns = [*source.layout.channels, *(name for name in (_TEMPERATURE,) if name in source.layout.numbers)]
+        columns = [*source.layout.channels, *({_TEMPERATURE} & set(source.layout.numbers))]
         sums = running_sums(source, columns, str(source.file))
         temperature = sums.get(_TEMPERATURE)
         recorded = [channel for channel in campaign.channels if channel.name in source.layout.channels]
