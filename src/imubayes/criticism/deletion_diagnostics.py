@@ -111,16 +111,20 @@ class LinearFit:
 
     def noise_ratios(self, kept: np.ndarray) -> np.ndarray:
         """Return χ² over degrees of freedom of each channel among entries kept, (E,) bool, at least 1; at entries."""
-        leverage = np.sum(scipy.linalg.solve_triangular(self.lower, self.jacobian.T, lower=True).T * self._half, axis=1)
         used, ratios = kept & (self.weight > 0), np.ones(len(kept))
         plain = np.where(used, self.chi2_of_entries / np.where(self.weight > 0, self.weight, 1.0), 0.0)
-        freedom = np.where(used, 1 - self.weight * leverage, 0.0)
+        freedom = self.freedom(used)
         whole = plain.sum() / max(freedom.sum(), _LEAST_FREEDOM)
         for channel in np.unique(self.at.channel):
             own = self.at.channel == channel
             few = freedom[own].sum() < _LEAST_FREEDOM
             ratios[own] = max(1.0, whole if few else plain[own].sum() / freedom[own].sum())
         return ratios
+
+    def freedom(self, used: np.ndarray) -> np.ndarray:
+        """Return the degrees of freedom that the parameters leave each entry, (E,); 0 where it is not used, (E,) bool."""
+        leverage = np.sum(scipy.linalg.solve_triangular(self.lower, self.jacobian.T, lower=True).T * self._half, axis=1)
+        return np.where(used, 1 - self.weight * leverage, 0.0)
 
     def weighted_by(self, weight: np.ndarray) -> "LinearFit":
         """Return the fit with other factors on Σ⁻¹."""
@@ -157,10 +161,11 @@ class LinearFit:
 
         Parameters
         ----------
-        rows : number of the row of each entry, over all runs, shape (E,); the entries of a row are independent.
+        rows : number of the row of each entry, shape (E,), −1 for none; the entries of a row are independent.
         """
-        order = np.argsort(rows, kind="stable")
-        sizes = np.bincount(rows)
+        told = np.flatnonzero(rows >= 0)
+        order = told[np.argsort(rows[told], kind="stable")]
+        sizes = np.bincount(rows[told])
         firsts = np.cumsum(sizes) - sizes
         chi2 = np.zeros(len(sizes))
         for size in np.unique(sizes[sizes > 0]):
@@ -177,13 +182,15 @@ class LinearFit:
 
         Parameters
         ----------
-        rows : number of the row of each entry, over all runs, shape (E,).
+        rows : number of the row of each entry, shape (E,), −1 for none.
         """
+        own = np.flatnonzero(rows >= 0)
+        rows, columns, weight = rows[own], columns[own], self.weight[own]
         count = rows.max(initial=-1) + 1
         through = np.zeros((count, self._half.shape[1]))
-        np.add.at(through, rows, (self.weight * columns)[:, None] * self._half)
-        pull = np.bincount(rows, self.weight * columns * self.influence, count)
-        whole = np.bincount(rows, self.weight * columns**2 * self.diagonal, count)
+        np.add.at(through, rows, (weight * columns)[:, None] * self._half[own])
+        pull = np.bincount(rows, weight * columns * self.influence[own], count)
+        whole = np.bincount(rows, weight * columns**2 * self.diagonal[own], count)
         left = whole - np.sum(through**2, axis=1)
         told = left > _LEAST_RETAINED * whole
         safe = np.where(told, left, 1.0)

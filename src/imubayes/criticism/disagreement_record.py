@@ -43,6 +43,11 @@ class RivalOfInput(Record):
     effects: tuple[str, ...]
     log_odds: float
 
+    @property
+    def leads(self) -> bool:
+        """Whether the effects are likelier."""
+        return self.log_odds >= 0
+
 
 class Disagreement(Record):
     """A run, or one row of it, that does not agree with all others at the noise that was known before the fit.
@@ -70,4 +75,4 @@ class Disagreement(Record):
     @property
     def leads(self) -> bool:
         """Whether something wrong in the record of this run is likelier than any effect."""
-        return all(each.log_odds < 0 for each in self.rivals)
+        return not any(each.leads for each in self.rivals)

@@ -226,6 +226,23 @@ def known_scales(fitted: Fit, *, correlated: bool = False) -> np.ndarray:
     return h
 
 
+def scales_between_runs(model: Model) -> np.ndarray:
+    """Return which noise scales are a scatter between runs, (H,) bool."""
+    return np.array([issubclass(member, SharedNoise) for _, member, _ in _scales(model)], dtype=bool)
+
+
+def largest_scatter(model: Model) -> np.ndarray:
+    """Return the factor on the known noise of each channel up to which its rows agree with it, (K,).
+
+    Raw samples tell white noise nearly; a prior, within two of its standard deviations.
+    """
+    found, records = np.full(len(model.campaign.channels), thresholds.RUNS_AGREE), sample_noise(model)
+    for parameter, member, place in _scales(model):
+        if issubclass(member, WhiteNoise) and place is not None and place not in records:
+            found[place] = max(thresholds.RUNS_AGREE, _value(parameter, 2.0) / stated(parameter))
+    return found
+
+
 def _known_size(parameter: Parameter, record: SampleNoise | None) -> float:
     """Return z of what is known of a size: of its raw samples, else what the prior states."""
     told = parameter.z_at(record.sd / parameter.factor) if record is not None else None

@@ -17,7 +17,7 @@ from imubayes.campaign_data import Campaign
 from imubayes.criticism import thresholds
 from imubayes.criticism.deletion_diagnostics import LinearFit, Score, divide, linear_fit
 from imubayes.criticism.disagreement_record import DoubtedRun
-from imubayes.criticism.known_noise import known_scales
+from imubayes.criticism.known_noise import known_scales, largest_scatter, scales_between_runs
 from imubayes.criticism.wrong_inputs import Predictions, WrongInput, problem_of, suspected
 from imubayes.inference.fitted_model import Fit
 from imubayes.tail_probabilities import chi2_log_survival, chi2_survival, f_log_survival, f_survival
@@ -75,18 +75,17 @@ class Agreement:
 
     Attributes
     ----------
-    linear, h : the fit as recorded, at noise scales that were known before, in z.
+    linear : the fit as recorded, at noise scales that were known before.
     corrected : χ² of all with the corrections, priors included.
     cost : of the corrections.
-    ratio : χ² over degrees of freedom that the corrections leave, of the worst channel.
+    agree : whether all runs agree with the corrections.
     """
 
     found: tuple[Disagreeing, ...]
     linear: LinearFit
-    h: np.ndarray
     corrected: float
     cost: float
-    ratio: float
+    agree: bool
 
 
 @dataclass(frozen=True)
@@ -120,8 +119,12 @@ class _At:
 
 
 def known_before(fitted: Fit) -> np.ndarray:
-    """Return the noise scales at which runs are judged, in z: as known beforehand, or as fitted where that is less."""
-    return np.minimum(known_scales(fitted, correlated=True), np.asarray(fitted.h))
+    """Return the noise scales at which runs are judged, in z: as known beforehand, or as fitted where that is less.
+
+    A scatter between runs that is less as fitted tells nothing: beside a gross error white noise takes it all.
+    """
+    known, between = known_scales(fitted, correlated=True), scales_between_runs(fitted.model)
+    return np.where(between, known, np.minimum(known, np.asarray(fitted.h)))
 
 
 def agreement_of_runs(fitted: Fit) -> Agreement:
@@ -130,7 +133,7 @@ def agreement_of_runs(fitted: Fit) -> Agreement:
     first = _At.make(fitted, campaign, h, fitted.z)
     assert first is not None
     at, found = first, []
-    most = max(1, (len(campaign.runs) - 1) // 2)
+    most = _most_wrong(len(campaign.runs))
     while len(found) < most + thresholds.MOST_WRONG_ROWS:
         one = _disagreeing(at)
         if one is None or (one.best.wrong.row is None and sum(each.best.wrong.row is None for each in found) == most):
@@ -140,9 +143,14 @@ def agreement_of_runs(fitted: Fit) -> Agreement:
             break
         found.append(one)
         at = after
-    ratios = at.linear.noise_ratios(np.ones(len(at.linear.misfit), dtype=bool))
     cost = sum(each.best.cost for each in found)
-    return Agreement(tuple(found), first.linear, h, at.linear.chi2, cost, float(ratios.max(initial=1.0)))
+    return Agreement(tuple(found), first.linear, at.linear.chi2, cost, _agree(at.linear, largest_scatter(fitted.model)))
+
+
+def _agree(linear: LinearFit, largest: np.ndarray) -> bool:
+    """Whether no channel scatters more than what is known of its noise allows, (K,), as a factor."""
+    ratios = linear.noise_ratios(linear.weight > 0)
+    return bool(np.all(ratios <= np.where(linear.weight > 0, largest[linear.at.channel] ** 2, np.inf)))
 
 
 def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
@@ -151,10 +159,10 @@ def doubted_runs(fitted: Fit) -> tuple[DoubtedRun, ...]:
         return ()
     linear = linear_fit(fitted.model, fitted.model.problem, fitted.z, known_before(fitted))
     names, found = [run.name for run in fitted.model.campaign.runs], []
+    largest = largest_scatter(fitted.model)
     for run, log_p in disagreeing_runs(linear).items():
         others = linear.weighted_by(np.where(linear.at.run != run, linear.weight, 0.0))
-        agree = others.noise_ratios(others.weight > 0).max() < thresholds.RUNS_AGREE**2
-        if agree and log_p < math.log(thresholds.RUN_TOLD_P):
+        if _agree(others, largest) and log_p < math.log(thresholds.RUN_TOLD_P):
             found.append(DoubtedRun(run=names[run], p=math.exp(log_p)))
     return tuple(sorted(found, key=lambda each: each.p))
 
@@ -169,6 +177,40 @@ def disagreeing_runs(linear: LinearFit) -> dict[int, float]:
         # Where the others scatter more than was known their noise is an estimate.
         log_p = float(f_log_survival(f, dof, freedom)) if freedom else 0.0
         found[run] = log_p + np.log(len(runs))
+    return found
+
+
+def most_that_runs_explain(fitted: Fit, linear: LinearFit) -> float | None:
+    """Return the χ² beyond its expectation of the runs and rows without which the others agree, at known noise.
+
+    Corrections of the same explain no more.  None where the others do not agree without them: then something is missing
+    in the model.
+    """
+    left, allowed = linear, largest_scatter(fitted.model)[linear.at.channel] ** 2
+    for _ in range(_most_wrong(len(fitted.model.campaign.runs)) + 1):
+        used = left.weight > 0
+        rows = np.sort(left.row_deletions(_rows(left))[0])[-thresholds.MOST_WRONG_ROWS :].sum()
+        if left.chi2 - rows < max(float(allowed @ left.freedom(used)), 1.0):
+            return float(linear.chi2 - left.chi2 + rows - (linear.weight > 0).sum() + used.sum())
+        names = np.unique(left.at.run[used]).tolist()
+        if len(names) < 2:
+            return None
+        without = [left.weighted_by(np.where(left.at.run != run, left.weight, 0.0)) for run in names]
+        left = min(without, key=lambda each: each.chi2 / max(float((each.weight > 0).sum()), 1.0))
+    return None
+
+
+def _most_wrong(runs: int) -> int:
+    """Return how many runs may be wrong: of more, the others would be."""
+    return max(1, (runs - 1) // 2)
+
+
+def _rows(linear: LinearFit) -> np.ndarray:
+    """Number the rows of all runs that are used, (E,); what is no row is −1."""
+    used = (linear.weight > 0) & (linear.at.row >= 0)
+    places = np.stack([linear.at.run, linear.at.row])[:, used]
+    found = np.full(len(used), -1)
+    found[used] = np.unique(places, axis=1, return_inverse=True)[1].ravel()
     return found
 
 
@@ -199,7 +241,7 @@ def _disagreeing(at: _At) -> Disagreeing | None:
         return None
     promising = [each[1:] for each in candidates[:_REFINED] if each[0] > _PROMISING * candidates[0][0]]
     refined = [found for each in promising if (found := _refined(at, *each)) is not None]
-    refined = [each for each in refined if each.log_p < np.log(thresholds.DISAGREEMENT_P)]
+    refined = [each for each in refined if math.exp(each.log_p) < thresholds.DISAGREEMENT_P]
     if not refined:
         return None
     refined.sort(key=lambda each: -each.gain)
@@ -215,8 +257,8 @@ def _left_out(linear: LinearFit, best: InputExplanation) -> tuple[float, int]:
     if best.wrong.row is None:
         return _deletion(linear, best.wrong.run)[:2]
     own = (linear.at.run == best.wrong.run) & (linear.at.row == best.wrong.row)
-    chi2, sizes = linear.row_deletions(own.astype(int))
-    return float(chi2[1]), int(sizes[1])
+    chi2, sizes = linear.row_deletions(own.astype(int) - 1)
+    return float(chi2[0]), int(sizes[0])
 
 
 def _screened(at: _At) -> list[tuple[float, WrongInput, np.ndarray, float]]:
@@ -264,19 +306,20 @@ def _screened_rows(
 ) -> list[tuple[float, WrongInput, np.ndarray, float]]:
     """Return the wrong inputs of the row of a run that each column, or the outputs, explain best."""
     own = (judged.at.run == run) & (judged.at.row >= 0)
-    rows = np.where(own, judged.at.row, judged.at.row[own].max() + 1)
+    rows = np.where(own, judged.at.row, -1)
     log_looks = float(np.log(max(own.sum(), 1) * (len(columns) + 1)))
-    found = []
+    chi2, sizes = judged.row_deletions(rows)
+    row = int(np.argmax(chi2))
+    gain = float(chi2[row]) - _cost(int(sizes[row]), own, log_looks)
+    found = [(gain, WrongInput(run, "output_offset", row=row), judged.weight, log_looks)]
+    # No column of a row explains more than the row adds to all others.
+    if chi2[row] < _cost(1, own, log_looks):
+        return []
     for name, column in columns.items():
         drop, _ = judged.row_scores(np.where(own, column, 0.0), rows)
         row = int(np.argmax(drop))
         gain = float(drop[row]) - _cost(1, own, log_looks)
         found.append((gain, WrongInput(run, "offset", name, row), judged.weight, log_looks))
-    chi2, sizes = judged.row_deletions(rows)
-    chi2, sizes = chi2[:-1] if (~own).any() else chi2, sizes
-    row = int(np.argmax(chi2))
-    gain = float(chi2[row]) - _cost(int(sizes[row]), own, log_looks)
-    found.append((gain, WrongInput(run, "output_offset", row=row), judged.weight, log_looks))
     return found
 
 

@@ -332,5 +332,5 @@ RUN_TOLD_P = 0.005
 DISAGREEMENT_EQUAL = 10.0
 # Rows that are told at most.  Convention: more are a matter of the model.
 MOST_WRONG_ROWS = 3
-# Scatter of the corrected runs over the noise known before, up to which they agree with one another.  Convention.
+# Scatter of the corrected runs over the noise of raw samples, up to which they agree with one another.  Convention.
 RUNS_AGREE = 1.5

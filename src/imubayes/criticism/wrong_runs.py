@@ -14,9 +14,15 @@ from imubayes.campaign_data import Campaign
 from imubayes.covariates import COVARIATES
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Response, Responses
-from imubayes.criticism.deletion_diagnostics import divide
+from imubayes.criticism.deletion_diagnostics import LinearFit, divide, linear_fit
 from imubayes.criticism.disagreement_record import AgreeingInput, Disagreement, RivalOfInput
-from imubayes.criticism.run_agreement import Agreement, Disagreeing, InputExplanation, agreement_of_runs
+from imubayes.criticism.run_agreement import (
+    Disagreeing,
+    InputExplanation,
+    agreement_of_runs,
+    known_before,
+    most_that_runs_explain,
+)
 from imubayes.inference.fitted_model import Fit
 from imubayes.units import to_si
 
@@ -33,11 +39,17 @@ def disagreements(fitted: Fit, responses: Responses, named: Sequence[str]) -> tu
     responses : to the effects that the model lacks.
     named : the effects that the search found missing together.
     """
+    h = known_before(fitted)
+    linear = linear_fit(fitted.model, fitted.model.problem, fitted.z, h)
+    most = most_that_runs_explain(fitted, linear)
+    if most is None or any(each.leads for each in _rivals(fitted, linear, h, most, responses, named)):
+        return ()
     agreement = agreement_of_runs(fitted)
     told = [each for each in agreement.found if not _is_noise(each)]
-    if not told or agreement.ratio > thresholds.RUNS_AGREE**2:
+    if not told or not agreement.agree:
         return ()
-    rivals = _rivals(fitted, agreement, responses, named)
+    needed = agreement.linear.chi2 - agreement.corrected - agreement.cost
+    rivals = _rivals(fitted, linear, h, needed, responses, named)
     return tuple(_record(fitted.model.campaign, each, rivals) for each in told)
 
 
@@ -52,18 +64,19 @@ def _is_noise(found: Disagreeing) -> bool:
     return best.wrong.row is None or int(np.sum(np.abs(best.size) > thresholds.OUTLIER_SD * best.sd)) < 2
 
 
-def _rivals(fitted: Fit, agreement: Agreement, responses: Responses, named: Sequence[str]) -> tuple[RivalOfInput, ...]:
-    """Return the effects that explain as much as all corrections, alone or, those named, together; the best first."""
+def _rivals(
+    fitted: Fit, linear: LinearFit, h: np.ndarray, needed: float, responses: Responses, named: Sequence[str]
+) -> tuple[RivalOfInput, ...]:
+    """Return the effects that explain as much as is needed, alone or, those named, together; the best first."""
     model = fitted.model
     first = {each.scan.effect: each for each in reversed(responses.candidates)}
-    cost, looks = math.log(len(agreement.linear.misfit)), 2 * math.log(max(len(first), 1))
-    needed = agreement.linear.chi2 - agreement.corrected - agreement.cost
+    cost, looks = math.log(len(linear.misfit)), 2 * math.log(max(len(first), 1))
     found: dict[tuple[str, ...], float] = {}
     together = [first[name] for name in dict.fromkeys(named) if name in first]
     for members in (*([each] for each in responses.candidates), *([together] if len(together) > 1 else [])):
         columns = np.concatenate([each.columns for each in members], axis=1)
-        divided = divide(model.problem, agreement.h, columns)
-        score = agreement.linear.score(columns, divided, np.concatenate([_ties(each) for each in members]))
+        divided = divide(model.problem, h, columns)
+        score = linear.score(columns, divided, np.concatenate([_ties(each) for each in members]))
         names = tuple(each.scan.effect for each in members)
         odds = (score.drop - score.freedom * cost - looks - needed) / 2
         found[names] = max(odds, found.get(names, -math.inf))

@@ -88,16 +88,16 @@ def left_out_lines(found: Sequence[SingleRunEffect]) -> tuple[str, ...]:
     )
 
 
-def disagreement_lines(summary: Summary, result: str = "RESULT") -> tuple[str, ...]:
+def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
     """Return the line that says which runs do not agree with the others; none where all do."""
     doubted = summary.doubted_runs
     if not doubted:
         return ()
     names = listed([f"run {each.run}" for each in doubted], _MOST_NAMED)
-    verb = "does" if len(doubted) == 1 else "do"
+    verb, command = "does" if len(doubted) == 1 else "do", f"imubayes diagnose {result}".rstrip()
     return (
         f"{names[0].upper()}{names[1:]} {verb} not agree with the other runs at the noise known before the fit "
-        f"(p {relation(doubted[0].p)}): `imubayes diagnose {result}` says what in the record would make it agree.",
+        f"(p {relation(doubted[0].p)}): `{command}` says what in the record would make it agree.",
     )
 
 

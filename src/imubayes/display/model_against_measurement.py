@@ -43,8 +43,8 @@ from imubayes.results.summary import Summary
 from imubayes.step_counter import Tell, counted
 
 # They load JAX, which most comparisons do not need.
-effects_behind: Any = lazy_loader.load("imubayes.display.effects_behind")
-fit_file: Any = lazy_loader.load("imubayes.results.fit_file")
+effects_behind: Any = lazy_loader.load("imubayes.display.effects_behind", suppress_warning=True)
+fit_file: Any = lazy_loader.load("imubayes.results.fit_file", suppress_warning=True)
 
 _MOST_COLUMNS = 9
 _INDEX = "captions.json"

@@ -181,8 +181,17 @@ def _bind_effects(
         for (runs, missing), errors in unknown.items()
     )
     issues.extend(_conflicts(effects))
+    _refuse_useless(effects, issues, spec, grouping)
+    return tuple(effects), tuple(left_out)
+
+
+def _refuse_useless(
+    effects: Sequence[BoundEffect], issues: Sequence[Issue], spec: ModelSpec, grouping: Grouping
+) -> None:
+    """Raise InputError with all issues, a model without noise among them, or for a model with nothing to fit."""
+    found = list(issues)
     if not any(_is_independent_noise(effect.effect_class, grouping.campaign) for effect in effects):
-        issues.append(
+        found.append(
             Issue(
                 "the model has no noise",
                 spec.where,
@@ -190,8 +199,8 @@ def _bind_effects(
                 'add [[effect]] name = "white_noise": without it residuals have no scale',
             )
         )
-    if issues:
-        raise InputError(issues)
+    if found:
+        raise InputError(found)
     if not any(effect.parameters for effect in effects):
         raise input_error(
             "the model has no parameter to fit: it lists noise and no effect that acts in these runs",
@@ -199,7 +208,6 @@ def _bind_effects(
             "at least one effect, such as gyro_bias or accel_bias",
             "add an [[effect]]; `imubayes effects --for CAMPAIGN` lists those that the runs could show",
         )
-    return tuple(effects), tuple(left_out)
 
 
 def _refuse_unknown_procedures(campaign: Campaign) -> None:

@@ -102,7 +102,8 @@ def _columns(view: RunView) -> Iterator[str]:
     if view.outer is None and view.table is not None:
         if has_angles(view):
             yield "angle"
-        if np.any(view.rate):
+        # What is wrong in the only row that turns is wrong in the run: its sense, its unit, or a scale factor.
+        if np.sum(np.abs(view.rate) > LEAST_RATE * np.abs(view.rate).max()) > 2:
             yield "rate"
 
 
