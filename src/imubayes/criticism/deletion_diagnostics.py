@@ -122,7 +122,7 @@ class LinearFit:
         return ratios
 
     def freedom(self, used: np.ndarray) -> np.ndarray:
-        """Return the degrees of freedom that the parameters leave each entry, (E,); 0 where it is not used, (E,) bool."""
+        """Return the degrees of freedom left of each entry, (E,), by the parameters; 0 where not used, (E,) bool."""
         leverage = np.sum(scipy.linalg.solve_triangular(self.lower, self.jacobian.T, lower=True).T * self._half, axis=1)
         return np.where(used, 1 - self.weight * leverage, 0.0)
 
