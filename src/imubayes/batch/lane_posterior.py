@@ -25,10 +25,11 @@ from imubayes.inference.conditional_precision import ExactPrecision
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import HyperProbes, NestedLaplace, curved_directions, hyper_probes
 from imubayes.inference.noise_marginal import Curvature
+from imubayes.inference.noise_scale_modes import resampled
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import linearise
 from imubayes.inference.run_fit import judged_fit, posterior_of_draws
-from imubayes.inference.tabulated_density import TabulatedDensity, from_normal
+from imubayes.inference.tabulated_density import TabulatedDensity, from_normal, log_density
 from imubayes.model.bind import Model
 from imubayes.model.problem import Problem
 
@@ -39,10 +40,14 @@ _APART = 1e-3
 
 
 class LaneDraws(eqx.Module):
-    """Steps of θ from the mode before the bend, M for each noise scale, and the noise scales; their axes come first."""
+    """Steps of θ from the mode before the bend, M for each noise scale, and the noise scales; their axes come first.
+
+    `log_weight`, up to a constant, is the Laplace marginal of the scales over the density that they were drawn from.
+    """
 
     delta: Float[Array, "*S M P"]
     h: Float[Array, "*S H"]
+    log_weight: Float[Array, "*S"]
 
 
 def hyper_curvature(problem: Problem, index: GroupIndex, model: GroupedModel, h: Float[Array, " H"]) -> Curvature:
@@ -79,12 +84,14 @@ def draws(
     """Return draws of the approximation before they are bent, for standard normal vectors."""
 
     def at(vectors: tuple[Array, Array]) -> LaneDraws:
-        here = h + axes @ from_normal(along, vectors[0])
+        step = from_normal(along, vectors[0])
+        here = h + axes @ step
         known = normal_equations(problem, index, model, here)
         factor = jnp.linalg.cholesky(known.precision)
         mean = jax.scipy.linalg.cho_solve((factor, True), known.gradient)
         spread = jax.scipy.linalg.solve_triangular(factor.T, vectors[1].T, lower=False).T
-        return LaneDraws(mean[None, :] + spread, here)
+        weight = log_marginal_of(problem, index, model, here) - jnp.sum(log_density(along, step))
+        return LaneDraws(mean[None, :] + spread, here, weight)
 
     return jax.lax.map(at, normal)
 
@@ -166,6 +173,7 @@ def _fit(model: Model, found: LaneMode, at: Curvature, axes: Array, along: Tabul
     delta = np.asarray(drawn.delta).reshape(-1, len(z))
     bent = delta + _bent(delta, np.asarray(weak), np.asarray(bend))
     points = np.concatenate([np.asarray(z) + bent, np.repeat(np.asarray(drawn.h), _EACH, axis=0)], axis=1)
+    points = resampled(points, np.repeat(np.asarray(drawn.log_weight), _EACH))
     return replace(fit, posterior=posterior_of_draws(fit, points, approximation, None))
 
 

@@ -129,7 +129,11 @@ def posterior_points(
     if not (isinstance(approximation.blocks, ExactPrecision) or not rows_correlate(problem)):
         return points
     densities = np.stack([np.asarray(_hyper_densities(each, problem, points[:, size:])) for each in proposals])
-    log_weight = marginal - logsumexp(densities + np.log(share)[:, None], axis=0)
+    return resampled(points, marginal - logsumexp(densities + np.log(share)[:, None], axis=0))
+
+
+def resampled(points: np.ndarray, log_weight: np.ndarray) -> np.ndarray:
+    """Return draws (n, …) with frequencies by their weights (n,), as they are where these are nearly even."""
     weight = np.exp(log_weight - logsumexp(log_weight))
     if len(weight) * np.sum(weight**2) < 1 + _EVEN:
         return points
