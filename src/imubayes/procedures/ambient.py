@@ -68,10 +68,10 @@ def _since_first(run: Run, campaign: Campaign | None) -> float | None:
         return 0.0
     if run.start is None:
         return None
-    return (_instant(run.start) - min(map(_instant, [run.start, *starts]))).total_seconds()
+    return (instant(run.start) - min(map(instant, [run.start, *starts]))).total_seconds()
 
 
-def _instant(start: str) -> datetime:
+def instant(start: str) -> datetime:
     """Return date and time as UTC unless a time zone is given, so that instants can be compared."""
     at = datetime.fromisoformat(start)
     return at if at.tzinfo else at.replace(tzinfo=UTC)
