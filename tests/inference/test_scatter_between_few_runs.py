@@ -134,7 +134,7 @@ def quadrature(data: Callable[[], Data]) -> tuple[np.ndarray, np.ndarray, np.nda
     return whole, np.sqrt(weight @ (own + (mean - whole) ** 2)), Z[places[np.argmax(density)]]
 
 
-@pytest.mark.parametrize("data", [contradicted, disagreeing])
+@pytest.mark.parametrize("data", [pytest.param(contradicted, marks=pytest.mark.slow), disagreeing])
 def test_the_summary_is_of_the_marginal_over_the_scales(data):
     mean, sd, _ = quadrature(data)
     biases = (f"gyro_bias.bias[{name}]" for name in GYROS[: len(data().output)])
@@ -145,7 +145,7 @@ def test_the_summary_is_of_the_marginal_over_the_scales(data):
         assert found[name].sd == pytest.approx(sd[place], rel=0.05), name
 
 
-@pytest.mark.parametrize("data", [contradicted, disagreeing])
+@pytest.mark.parametrize("data", [pytest.param(contradicted, marks=pytest.mark.slow), disagreeing])
 def test_the_mode_is_the_highest_maximum(data):
     names = fitted(data).fit.model.hyper_layout.names
     found = [fitted(data).fit.h[names.index(name)] for name in data().scatters]
