@@ -129,7 +129,18 @@ def wide_campaign() -> Campaign:
     dated = [
         replace(run, start=f"2026-03-1{day}T08:00:00+00:00") for day, run in enumerate([*warming, swept])
     ]  # fmt: skip
-    return replace(base, name="wide", runs=(*base.runs[:9], *dated, shaken, *base.runs[9:]))
+    runs = (*base.runs[:9], *dated, shaken, *base.runs[9:])
+    return replace(base, name="wide", runs=tuple(map(_known, runs, range(len(runs)))))
+
+
+def _known(run: Run, number: int) -> Run:
+    """Return a run with time, date and temperatures, which every run has."""
+    least = {"time": np.arange(run.rows) * 60.0} | dict.fromkeys(
+        ("temperature", "converter_temperature"), np.full(run.rows, 25.0)
+    )
+    return replace(
+        run, covariates=least | dict(run.covariates), start=run.start or f"2026-03-0{number % 9 + 1}T12:00:00+00:00"
+    )
 
 
 def referenced_campaign() -> Campaign:

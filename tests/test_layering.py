@@ -24,6 +24,7 @@ FLOORS = (
         "representation",
         "atomic_files",
         "step_counter",
+        "tail_probabilities",
     ),
     ("parameters",),
     ("covariates", "campaign_data", "signal_path_state"),

@@ -121,6 +121,39 @@ def test_public_functions_are_documented() -> None:
     assert missing == []
 
 
+# Tails and cumulative distributions: what they return beyond the range of a double is decided in one module.
+_OWNER_OF_TAILS = "tail_probabilities.py"
+_OF_SPECIAL = {
+    f"{name}{suffix}"
+    for name in ("chdtr", "fdtr", "bdtr", "pdtr", "gdtr", "betainc", "gammainc")
+    for suffix in ("", "c")
+} | {"ndtr", "log_ndtr", "stdtr", "nbdtr", "erfc", "erfcx"}
+_OF_STATS = {"sf", "logsf", "cdf", "logcdf"}
+
+
+def tails_of_scipy(tree: ast.Module) -> Iterator[str]:
+    """Yield the tail probabilities that a module asks SciPy for."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("scipy"):
+            yield from (f"{node.module}.{each.name}" for each in node.names if each.name in _OF_SPECIAL)
+        if isinstance(node, ast.Attribute):
+            name = ast.unparse(node)
+            if name.startswith(("special.", "scipy.special.")) and node.attr in _OF_SPECIAL:
+                yield name
+            if name.startswith(("stats.", "scipy.stats.")) and node.attr in _OF_STATS:
+                yield name
+
+
+def test_one_module_owns_the_tail_probabilities() -> None:
+    found = {file: names for file, tree in trees().items() if (names := sorted(tails_of_scipy(tree)))}
+    assert list(found) == [_OWNER_OF_TAILS], found
+
+
+def test_a_tail_of_scipy_is_seen() -> None:
+    direct = "from scipy.special import ndtr\np = scipy.stats.chi2.logsf(x, 2) + special.chdtrc(2, x)"
+    assert len(list(tails_of_scipy(ast.parse(direct)))) == 3
+
+
 def test_procedures_are_told_apart_in_their_own_package_alone() -> None:
     """What a procedure needs is a fact of its record, not a case elsewhere."""
     found = [

@@ -41,8 +41,8 @@ def plan(seed: int) -> Plan:
     runs: list[Run] = []
 
     def run(name: str, procedure: str, rows: list[Row], table: str | None = None, seat: str | None = None) -> None:
-        order = len(runs)
-        start = f"2026-11-{1 + order // 6:02d}T{8 + order % 6:02d}:00:00+00:00"
+        day, minute = 1 + len(runs) // 6, 90 * (len(runs) % 6)  # a ramp takes 80 minutes
+        start = f"2026-11-{day:02d}T{8 + minute // 60:02d}:{minute % 60:02d}:00+00:00"
         runs.append(Run(name, procedure, rows, table, seat, start))
 
     def warmth(name: str, rows: int, nominal: float = 25.0):

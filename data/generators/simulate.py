@@ -30,7 +30,7 @@ def write_simulated(
     derived |= truth.scale_factors(plan.channels, values)
     derived |= more_derived(values)
     nuisance = {}
-    write.write_campaign_file(folder, plan, seed, [write.run_entry(run) for run in plan.runs])
+    write.write_campaign_file(folder, plan, seed, write.run_entries(plan.runs))
     for run, readings in zip(plan.runs, read_out(plan, values, seed), strict=True):
         write.write_run(folder, plan, run, readings)
         for channel, offset in zip(plan.channels, readings.run_offset, strict=True):

@@ -7,6 +7,7 @@ import numpy as np
 import tomlkit
 
 from plan import Plan, Readings, Run
+from sensor import REFERENCE_TEMPERATURE
 from truth import UNITS
 
 HEADER = """\
@@ -73,6 +74,13 @@ def run_entry(run, suffix: str = "csv", **more) -> dict:
         start=start,
         **more,
     )
+
+
+def run_entries(runs) -> list[dict]:
+    """Entries of runs; where some warm the converter, the others state its temperature."""
+    warmed = [run.rows[0].converter_temperature is not None for run in runs]
+    held = {"converter_temperature_degC": REFERENCE_TEMPERATURE} if any(warmed) else {}
+    return [run_entry(run, **({} if warms else held)) for run, warms in zip(runs, warmed, strict=True)]
 
 
 def write_campaign_file(folder: Path, plan: Plan, seed: int, runs: list[dict]) -> None:

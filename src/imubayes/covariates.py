@@ -40,6 +40,8 @@ class Covariate:
     source : what brings it into a run, where the column alone does not.
     periodic : whether it is an angle, which enters formulas by harmonics.
     symmetric : whether it acts alike in both directions, so that a resonance lies at its magnitude.
+    absent : what a run without it has; empty where it has some value that nobody knows, so that an effect that needs
+        it cannot be bound to that run.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Covariate:
     source: str = ""
     periodic: bool = False
     symmetric: bool = False
+    absent: str = ""
 
     def factor(self, gravity: float = STANDARD_GRAVITY) -> float:
         """Return the factor from `unit` to SI at a site of the given gravity, m/s²."""
@@ -93,11 +96,12 @@ def _sample_axes() -> Iterable[Covariate]:
 def _outer_axes() -> Iterable[Covariate]:
     for name, letter in (("outer", "o"), ("middle", "m")):
         yield Covariate(
-            f"{name}_rate", f"{name}_rate_deg_s", "deg/s", "rad/s", f"rate of the {name} axis", regressor=False
-        )
+            f"{name}_rate", f"{name}_rate_deg_s", "deg/s", "rad/s", f"rate of the {name} axis", regressor=False,
+            absent="no such axis",
+        )  # fmt: skip
         yield Covariate(
             f"{name}_angle", f"{name}_angle_deg", "deg", "rad", f"angle of the {name} axis", symbol=f"φ_{letter}",
-            periodic=True, source=f"a run on a table with {_ARTICLE[name]} {name} axis",
+            periodic=True, source=f"a run on a table with {_ARTICLE[name]} {name} axis", absent="no such axis",
         )  # fmt: skip
         yield Covariate(
             f"{name}_angle_span", f"{name}_angle_span_deg", "deg", "rad", f"angle swept by the {name} axis",
@@ -117,11 +121,13 @@ _ENTRIES = (
         "campaign_time", "campaign_time_h", "h", "s", "time since the first run", "derived", shown=False,
         source="time_s, and 'start' of the run where other runs have it",
     ),
-    Covariate("power_on", "power_on_s", "s", "s", "time since power-on", symbol="t_on"),
-    Covariate("table_rate", "table_rate_deg_s", "deg/s", "rad/s", "table rate", regressor=False),
+    Covariate("power_on", "power_on_s", "s", "s", "time since power-on", symbol="t_on", absent="long since on"),
+    Covariate(
+        "table_rate", "table_rate_deg_s", "deg/s", "rad/s", "table rate", regressor=False, absent="a table at rest"
+    ),
     Covariate(
         "table_angle", "table_angle_deg", "deg", "rad", "table angle", symbol="φ", periodic=True,
-        source="a run on a table",
+        source="a run on a table", absent="no table, or means over whole turns",
     ),
     Covariate(
         "table_angle_span", "table_angle_span_deg", "deg", "rad", "table angle swept", ambient=False, shown=False,
@@ -143,15 +149,17 @@ _ENTRIES = (
     ),
     Covariate(
         "converter_temperature", "converter_temperature_degC", "degC", "degC", "converter temperature", symbol="ΔT_c",
-        centre=25.0,
+        centre=25.0, source="converter_temperature_degC, as a column or for the whole run",
     ),
     Covariate(
         "converter_temperature_rate", "converter_temperature_rate_degC_min", "degC/min", _KELVIN_PER_SECOND,
         "the rate of change of the converter's temperature", "derived", shown=False,
         source="time_s and a converter_temperature_degC that changes",
     ),
-    Covariate("current", "current_mA", "mA", "A", "injected current"),
-    Covariate("vibration", "vibration_g_rms", "g", "m/s^2", "vibration, rms", shown=False, regressor=False),
+    Covariate("current", "current_mA", "mA", "A", "injected current", absent="none"),
+    Covariate(
+        "vibration", "vibration_g_rms", "g", "m/s^2", "vibration, rms", shown=False, regressor=False, absent="none"
+    ),
     *(
         Covariate(
             f"reference_{axis}", f"reference_{axis}_deg_s", "deg/s", "rad/s", f"rate of the reference about {axis}",
@@ -198,6 +206,7 @@ CONDITIONS: dict[str, str] = {
     "acceleration": "table_acceleration_deg_s2 that is not 0",
     "larger input": "a larger input",
     "response": "a run that responds to it",
+    "second run": "a second run of the channel",
     "reference": "a reference gyro that rides along",
     "injection": "a run of procedure current_injection",
     "driven": "a table that the gyro drives",

@@ -16,7 +16,8 @@ from imubayes.covariates import ambient_names
 class Ambient(eqx.Module):
     """The covariates of one instant that effects see, in SI: `ambient.temperature` and so on.
 
-    A covariate that the run does not carry is 0 here, and effects that need it do not act on that run.
+    A covariate that the run does not carry is 0 here.  An effect that needs it does not act on that run, and cannot be
+    bound where the covariate has some value in spite of that (`Covariate.absent`).
     """
 
     values: dict[str, Scalars]

@@ -77,6 +77,16 @@ def test_what_no_unit_shows_is_found_in_a_hundred():
     assert found.equipment == ()
 
 
+@pytest.mark.parametrize("size", [3.0, 30.0, 300.0])
+def test_evidence_beyond_the_range_of_a_double_is_ranked(size):
+    # The smallest positive double is that of χ² 1485: 100 units reach it at 4 standard deviations each.
+    found = pooled_discovery(*archive(1, of_effect(2, np.full(UNITS, size))))
+    expected = stats.chi2.logsf(1000, 1) / np.log(10) * found.findings[0].evidence.chi2 / 1000
+    assert found.findings[0].effects == ("drift",)
+    assert found.ranking[0].log10_p == pytest.approx(expected, rel=0.02)
+    assert found.findings[0].log10_p_differing < 0
+
+
 def test_sizes_of_their_own_are_found_where_their_mean_is_zero():
     signs = np.random.default_rng(2).choice([-1.0, 1.0], UNITS)
     first = pooled_discovery(*archive(2, of_effect(2, 1.5 * signs))).findings[0]

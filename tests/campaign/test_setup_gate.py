@@ -222,3 +222,17 @@ def test_an_unknown_name_is_no_finding_to_accept(valid: dict[int, Path], tmp_pat
     file.write_text('accepted = ["table_zer"]\n' + file.read_text(encoding="utf-8"), encoding="utf-8")
     with pytest.raises(InputError, match="table_zero"):
         raise InputError(inspect_campaign(folder).issues)
+
+
+def test_a_scale_that_is_stated_twice_as_large_is_a_line_to_write(valid: dict[int, Path], tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(valid[FIRST], tmp_path / "campaign"))
+    files = Files(folder)
+    channel = next(each for each in files.document["channel"] if each["kind"] == "accelerometer")
+    right = float(channel["scale"])
+    channel["scale"] = 2 * right
+    files.save()
+    text = said(folder)
+    assert "times its nominal scale" in text
+    remedy = re.search(rf"write scale = ([\d.e+-]+) for '{channel['name']}'", text)
+    assert remedy is not None
+    np.testing.assert_allclose(float(remedy[1]), right, rtol=0.03)

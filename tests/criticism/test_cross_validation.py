@@ -80,9 +80,13 @@ def test_what_is_not_missing_is_marked_so(third):
 def test_the_error_falls_to_the_noise(second, place):
     (channel,) = second.channels
     assert channel.after < 0.7 * channel.before
-    (floor,) = read_node(place / "second").floor
-    assert (floor.channel, floor.unit) == ("ax", "g") == (channel.channel, channel.unit)
-    assert channel.after == pytest.approx(floor.rms, rel=0.1)
+    (known,) = read_node(place / "second").rms
+    assert (known.channel, known.unit, known.rms) == ("ax", "g", channel.after)
+    assert channel.after < 1.1 * known.noise
+    # History and addition state one figure.
+    before, after = (read_node(place / name) for name in ("first", "second"))
+    assert before.chi2 - after.chi2 == pytest.approx(second.observed.delta_chi2)
+    assert after.delta_chi2.observed == second.observed.delta_chi2
 
 
 _FOUND = '''"""Found in the residuals."""

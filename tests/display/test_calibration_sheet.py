@@ -146,13 +146,18 @@ def test_the_report_states_every_component_with_its_uncertainty():
                 standard_uncertainty=0.00023 if digits is not None else 0.0, low=0.0, high=1.0, exact=digits is None,
                 monte_carlo=None if digits is None else MonteCarloError(
                     estimate=0.0, standard_uncertainty=0.0, low=0.0, high=0.0, effective=100.0, digits=digits,
-                    tolerance=1e-5, worst="mean",
+                    tolerance=1e-5, worst="mean", draws_needed=3.0,
                 ),
             )
             for component, (estimate, digits) in values.items()
         ]
     )  # fmt: skip
-    assert [cell.text for cell in table.rows[0]] == ["gx", "1.00000 ± 0", "0.00023 ± 0.00023", "withheld"]
+    assert [cell.text for cell in table.rows[0]] == [
+        "gx",
+        "1.00000 ± 0",
+        "0.00023 ± 0.00023",
+        "withheld: needs 3.0 × the draws",
+    ]
 
 
 def test_the_first_screen_is_short_and_the_whole_is_there(summary):

@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -29,9 +30,10 @@ from imubayes.criticism.diagnosis_record import (
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.held_out_record import CrossValidation
 from imubayes.criticism.injection_recovery import Size, Trial, Trials
+from imubayes.criticism.known_noise import KnownNoise
 from imubayes.criticism.localised_structure import Step
 from imubayes.criticism.model_history import ChannelRms, ChiSquareDrop, Node, Tree, node_id
-from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
+from imubayes.criticism.noise_violation import NoiseComparison
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, input_times
 from imubayes.criticism.verdict import EffectChoice, RmsChange, Suggestion, Verdict
@@ -46,6 +48,7 @@ from imubayes.display.figures.history_steps import ChannelSteps, error_per_step_
 from imubayes.display.figures.residual_evidence import added_variable_figure
 from imubayes.display.history_table import history_json, history_sheet
 from imubayes.display.injection_report import injection_json, injection_report, injection_sheet
+from imubayes.display.noise_violation_text import contradiction_text
 from imubayes.display.report_layout import print_report
 from imubayes.display.table_layout import terminal
 from imubayes.errors import InputError
@@ -237,17 +240,29 @@ def test_the_picture_of_a_response_that_is_the_input_times_a_function(tmp_path):
 
 
 def comparison(channel: str, ratio: float, p: float) -> NoiseComparison:
-    return NoiseComparison(channel, 8 * ratio, 8.0, "samples", ratio, 0.05 * ratio, p, False, "pulse/s")
+    return NoiseComparison(
+        channel,
+        8 * ratio,
+        8.0,
+        "samples",
+        ratio,
+        0.05 * ratio,
+        p,
+        False,
+        "pulse/s",
+        200.0,
+        f"white_noise.sigma[{channel}]",
+    )
 
 
 def test_noise_that_disagrees_with_its_record_is_told():
     compared = (comparison("ax", 2.14, 1e-40), comparison("ay", 1.02, 0.4), comparison("az", 0.6, 1.0))
     found = diagnosis("adequate").model_copy(update={"recorded_noise": compared})
-    assert "fitted noise of ax is 2.14 ± 0.11 times the recorded noise" in shown.sentence(found)
+    assert "fitted noise of ax is 2.14 ± 0.11 times the known noise" in shown.sentence(found)
     assert "1 more channel disagrees" in shown.sentence(found)
     assert [row[0].text for row in shown.recorded_noise_sheet(found).rows] == ["ax", "az"]
     agreeing = found.model_copy(update={"recorded_noise": compared[1:2]})
-    assert "recorded noise" not in shown.sentence(agreeing)
+    assert "known noise" not in shown.sentence(agreeing)
 
 
 @pytest.mark.parametrize(("p", "told"), [(0.07, True), (0.4, False)])
@@ -278,11 +293,33 @@ def test_excess_scatter_without_a_name_is_a_verdict_on_the_noise():
     assert shown.next_command(found) == "imubayes compare R"
 
 
+def test_noise_that_contradicts_what_is_known_is_said_first():
+    """Whatever the verdict, and once: after the groups it may agree, before them it does not."""
+    told = (comparison("ax", 53.0, 1e-300), comparison("ay", 2.14, 1e-40))
+    found = diagnosis().model_copy(update={"contradicted": told})
+    said = shown.sentence(found)
+    assert said.startswith(
+        "white_noise.sigma[ax], 424 pulse/s, is 53.0 ± 2.7 times what the raw samples of the same rows"
+    )
+    assert (
+        "an effect or noise slower than a row; white_noise.sigma[ay] likewise. gyro_scale_asymmetry is missing" in said
+    )
+    alone = diagnosis("noise_model").model_copy(update={"contradicted": told, "recorded_noise": told})
+    assert "times the known noise" not in shown.sentence(alone)
+    scatter = NoiseComparison(
+        "gx", 7.7, 3.0, "prior", 2.6, 2.6, 0.2, False, "LSB", 0.0, "run_scatter.tau[gx]", (), True
+    )
+    sisters = replace(scatter, source="sisters", ratio=38.0, p=1e-6, sisters=("gy", "gz"))
+    assert contradiction_text((sisters, scatter)) == (
+        "run_scatter.tau[gx], 7.70 LSB, is 38 times that of gy and gz by the means of their runs and 2.6 times the "
+        "scale of its prior: scatter between runs stands in for something that the model lacks"
+    )
+    assert contradiction_text((replace(scatter, p=1e-6),)).endswith("or the prior is too narrow for this unit")
+
+
 def test_the_picture_of_the_recorded_noise(tmp_path):
     scatter, runs = np.random.default_rng(0).normal(size=60), np.repeat(["a", "b", "c"], 20)
-    record = RecordedNoise(
-        (comparison("ax", 2.14, 1e-40), comparison("ay", 1.0, 0.5)), np.repeat("ax", 60), runs, scatter
-    )
+    record = KnownNoise((comparison("ax", 2.14, 1e-40), comparison("ay", 1.0, 0.5)), np.repeat("ax", 60), runs, scatter)
     assert save_recorded_noise(tmp_path, record).read_bytes()[:4] == PNG
 
 
@@ -385,7 +422,7 @@ def test_a_noise_effect_is_not_punished_by_the_error_per_step():
     noise_step = ChannelSteps("gx", "deg/s", [5e-4, 5e-4], [2e-4, 5e-4])
     assert noise_step.changed
     assert not ChannelSteps("gy", "deg/s", [5e-4, 5.05e-4], [5e-4, 5e-4]).changed
-    drawn = error_per_step_figure(["first", "+ run_scatter"], [noise_step], {"gx": 1.9e-4})
+    drawn = error_per_step_figure(["first", "+ run_scatter"], [noise_step])
     assert drawn.png()[:4] == PNG
     bars = [each for each in drawn.axes[0].collections if isinstance(each, LineCollection)]
     heights = np.concatenate([each.get_segments() for each in bars])[:, 0, 1]

@@ -109,8 +109,8 @@ def addition() -> Addition:
     known = BeforeAfter(before=1.0, after=1.0)
     return Addition(
         added=(EffectChoice(effect="gyro_scale_asymmetry", channels=("gx",)),), widened={}, taken=True, message="",
-        predicted=Prediction(delta_chi2=173.0, coefficients=estimates, screened=543.0),
-        observed=Observation(delta_chi2=172.0, delta_chi2_remaining=540.0, coefficients=estimates),
+        predicted=Prediction(delta_chi2=173.0, coefficients=estimates),
+        observed=Observation(delta_chi2=172.0, coefficients=estimates),
         held_out=CrossValidation(by="run", delta=303.1, se=88.0, helped=7, of=7, verdict="helps"),
         runs=tuple(runs), channels=tuple(channels), chi2=known, dof=known, log_evidence=known, parent="results/hidden",
         folder="results/second",
@@ -133,7 +133,7 @@ def test_add_shows_what_changed(addition):
     brief, whole = (screen(addition_report(addition, verbose)) for verbose in (False, True))
     assert len(brief) <= 24
     said = " ".join(line.strip() for line in brief)
-    assert "predicted 543, observed 540 at the noise that remains; predicted 173, observed 172" in "".join(brief)
+    assert "Δχ² at the noise known beforehand: predicted 173, observed 172." in "".join(brief)
     assert "14 of 84 changed by 5 % or more: run-0 gx −50 %" in said
     assert not any(line.startswith(" gy ") for line in brief)
     assert any("asymmetry[gx]" in line for line in brief)  # names are not broken

@@ -5,7 +5,8 @@ import json
 import pytest
 import synthetic_results as made
 
-from imubayes.criticism.noise_violation import NoiseViolation
+from imubayes.criticism.model_history import KnownNoiseFit
+from imubayes.criticism.noise_violation import NoiseComparison, NoiseViolation
 from imubayes.display.fit_cautions import alarm_of, next_command, notices
 from imubayes.display.fit_report import summary_report
 from imubayes.display.report_layout import report_text
@@ -42,6 +43,24 @@ def test_the_last_lines_repeat_the_outcome(plain):
         "Converged, but the intervals cannot be trusted; the first line says why.",
         "The fit did not converge; the first line says why.",
     ]
+
+
+def test_noise_that_contradicts_what_is_known_precedes_everything(plain):
+    told = NoiseComparison("ax", 212.0, 4.0, "samples", 53.0, 0.9, 1e-300, False, "LSB", 87.0, "white_noise.sigma[ax]")
+    known = KnownNoiseFit(chi2=8.1e5, dof=288, channels=())
+    flawed = plain.model_copy(update={"noise_contradicted": (told,), "known_noise": known})
+    text = " ".join(report_text(summary_report(flawed), width=400).split())
+    assert text.startswith(
+        "DO NOT TRUST THE INTERVALS: white_noise.sigma[ax], 212 LSB, is 53.00 ± 0.90 times what the raw samples of the"
+    )
+    assert "degrees of freedom at the noise as fitted, 810000.0 for 288 at the noise known beforehand; fit" in text
+    assert next_command(flawed, "data/unit", "results/unit") == "imubayes diagnose results/unit"
+    assert summary_html(flawed).index("DO NOT TRUST") < summary_html(flawed).index("<table")
+    both = flawed.model_copy(update={"noise_violations": VIOLATIONS})
+    assert alarm_of(both).count("DO NOT TRUST") == 1
+    assert "noise slower than a row; the output is quantised" in alarm_of(both)
+    # A result that was written and read again says the same.
+    assert alarm_of(Summary.model_validate_json(flawed.model_dump_json())) == alarm_of(flawed)
 
 
 def test_intervals_that_cannot_be_trusted_are_said_on_the_first_line(plain):

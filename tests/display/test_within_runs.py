@@ -6,17 +6,18 @@ import numpy as np
 import polars as pl
 import pytest
 
+from display.synthetic_results import summary_of, trihedral_residuals
 from display.test_diagnosis_report import diagnosis, residual_table, tree
 from display.test_first_screen import addition, screen
-from imubayes.criticism.model_history import Tree
+from imubayes.criticism.model_history import ChannelRms, KnownNoiseFit, Tree
 from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs
 from imubayes.display.addition_report import addition_report
-from imubayes.display.diagnosis_report import diagnosis_lines
 from imubayes.display.figures.evidence_pictures import before_after
 from imubayes.display.figures.residual_evidence import evidence_figure
-from imubayes.display.history_table import history_sheet
-from imubayes.results.addition import Addition
+from imubayes.display.history_table import history_report
+from imubayes.results.addition import Addition, offsets_moved
 from imubayes.results.residual_table import Residuals
+from imubayes.results.summary import Summary
 
 __all__ = ["addition"]
 
@@ -45,56 +46,42 @@ def test_what_an_effect_explains_is_compared_without_the_offsets_of_runs():
     noise = 1e-4 * np.random.default_rng(0).normal(size=60)
     noise -= of_runs(noise, runs)
     shown = ResidualEvidence("gx", "effect", None, x, runs, explained + noise, explained, "deg/s", None, True)
-    before, after, unit = shown.rms
-    assert (unit, after) == ("deg/h", pytest.approx(3600 * np.sqrt(np.mean(noise**2))))
-    assert before == pytest.approx(3600 * np.sqrt(np.mean((1e-3 * x + noise) ** 2)))
     assert slope(shown) == pytest.approx(1, abs=0.05)
     # Planted fault: with the offsets left in, the slope says nothing of the effect.
     plain = replace(shown, residual=shown.residual - 2 * OFFSETS, within=False)
     assert abs(slope(plain) - 1) > 0.5
-    assert plain.rms[1] > 10 * after
 
 
-def test_a_prediction_says_that_it_is_within_runs():
-    found = diagnosis()
-    group = found.groups[0]
-    within = group.model_copy(update={"residual": group.residual.model_copy(update={"within": True})})
-    said = [" ".join(diagnosis_lines(found.model_copy(update={"groups": (each,)}))) for each in (group, within)]
-    assert ["within runs" in each for each in said] == [False, True]
-
-
-def test_an_addition_tells_the_rms_within_runs_where_their_means_count(addition: Addition):
-    """The rms as a whole may rise, and that within runs fall."""
+def test_a_rise_of_the_residual_is_explained(addition: Addition):
+    """Offsets that a parameter took up before move into the residual, which then rises although chi-square falls."""
     first, *others = addition.channels
-    risen = first.model_copy(update={"after": 1.2 * first.before})
-    fallen = first.model_copy(update={"before": 0.7 * first.before, "after": 0.4 * first.before, "within": True})
-    told = addition.model_copy(update={"channels": (risen, *others), "within_runs": (fallen,)})
-    said = " ".join(" ".join(screen(addition_report(told))).split())
-    assert "gx 0.720 0.864 deg/h +20 % 0.504 → 0.288 deg/h (−43 %)" in said
-    # A channel is shown although it changed within runs alone; without means that count there is no column.
-    same = told.model_copy(update={"channels": (first.model_copy(update={"after": first.before}), *others)})
-    assert "0.504 → 0.288 deg/h" in " ".join(" ".join(screen(addition_report(same))).split())
-    whole = addition.model_copy(update={"within_runs": addition.channels})
-    assert "within runs" not in " ".join(screen(addition_report(whole)))
-
-
-def test_the_history_has_a_column_where_the_means_of_runs_count():
+    risen = first.model_copy(update={"after": 1.4 * first.before})
+    told = addition.model_copy(update={"channels": (risen, *others), "offsets_moved": ("gx",)})
+    reason = "The residual rms of gx rises because the offsets of runs, which parameters took up before, move into it"
+    assert reason in " ".join(" ".join(screen(addition_report(told))).split())
+    assert "rises because" not in " ".join(screen(addition_report(addition)))
     made = tree()
-    assert not any("within" in name for name in history_sheet(made).head)
-    apart = {
-        place: node.model_copy(
-            update={"rms": tuple(each.model_copy(update={"within": 0.5 * each.rms}) for each in node.rms[:1])}
-        )
-        for place, node in made.nodes.items()
-    }
-    sheet = history_sheet(Tree(apart, made.parents))
-    assert "within runs / deg/h" in sheet.head
-    assert [row[sheet.head.index("within runs / deg/h")].text for row in sheet.rows][:2] == ["0.900", "0.360"]
+    nodes = dict(made.nodes)
+    nodes["/r/b"] = nodes["/r/b"].model_copy(update={"offsets_moved": ("gx",)})
+    (line, *_) = history_report(Tree(nodes, made.parents)).closing
+    assert reason in line
+
+
+def test_offsets_moved_are_told_from_other_rises():
+    def summary(rms: float, within: float) -> Summary:
+        channels = (ChannelRms(channel="ay", rms=rms, unit="g", within=within),)
+        known = KnownNoiseFit(chi2=300.0, dof=290.0, channels=channels)
+        return summary_of(trihedral_residuals()).model_copy(update={"known_noise": known})
+
+    before = summary(15.6e-6, 4e-6)
+    assert offsets_moved(before, summary(21.8e-6, 3.9e-6)) == ("ay",)
+    assert offsets_moved(before, summary(21.8e-6, 8e-6)) == ()
+    assert offsets_moved(before, summary(12e-6, 3e-6)) == ()
 
 
 def test_before_and_after_are_about_the_means_of_runs_where_the_diagnosis_was():
     group = diagnosis().groups[0]
-    within = group.model_copy(update={"residual": group.residual.model_copy(update={"channel": "gx", "within": True})})
+    within = group.model_copy(update={"within": True})
     offsets = pl.Series(OFFSETS)
     before, after = (
         residual_table(size).with_columns(input_residual=pl.col("input_residual") + offset)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from imubayes.inference.conditional_precision import conditional, precision_blocks
-from imubayes.inference.nested_laplace import nested_laplace
+from imubayes.inference.nested_laplace import hyper_probes
 from imubayes.inference.posterior_mode import Mode, find_mode
 from imubayes.inference.posterior_precision import knowledge
-from imubayes.inference.tabulated_density import tabulate
 from imubayes.model.bind import Model, bind
 from imubayes.model.problem import prior_widths
 from small_campaign import campaign, simulated, spec
@@ -49,15 +48,14 @@ def test_precision_and_gradient_follow_the_scatter_between_runs(far):
 
 
 def test_a_second_mode_of_a_scale_is_named():
-    approximation = nested_laplace(made().problem, mode())
-    assert approximation.other_modes(made().problem) == []
-    count = len(mode().h)
-    knots = np.tile(np.linspace(-8.0, 8.0, 33), (count, 1))
-    heights = -0.5 * knots**2
-    heights[0] = np.logaddexp(heights[0], -1.0 - 2 * (knots[0] - 5) ** 2)
-    both = eqx.tree_at(lambda known: known.along, approximation, tabulate(knots, heights, np.ones(count)))
-    (other,) = both.other_modes(made().problem)
-    assert other[0] == pytest.approx(float(mode().h[0]) + 5, abs=0.2)
+    probes = hyper_probes(np.array([0.5, 0.0]), np.diag([400.0, 4.0]))
+    step = probes.points - np.array([0.5, 0.0])
+    heights = -0.5 * step**2 @ np.array([400.0, 4.0])
+    assert probes.other_maxima(heights) == []
+    # A narrow mode, and another that is higher beyond what is tabulated about it.
+    both = np.logaddexp(heights, 1.0 - 2 * (step[:, 0] + 2.5) ** 2 - 2 * step[:, 1] ** 2)
+    (other,) = probes.other_maxima(both)
+    np.testing.assert_allclose(probes.points[other], [-2.0, 0.0], atol=0.3)
 
 
 def test_a_correlation_near_one_leaves_the_precision_positive_and_right_for_means():

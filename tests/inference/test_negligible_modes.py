@@ -7,6 +7,7 @@ import pytest
 
 from imubayes.campaign import load_campaign
 from imubayes.inference import run_fit
+from imubayes.inference.ensemble_sampling import Settings
 from imubayes.model.bind import Model, bind
 from imubayes.model.model_file import read_model
 
@@ -21,16 +22,16 @@ def tumble() -> Model:
 
 
 def others(model: Model) -> list[np.ndarray]:
-    mode, ends = run_fit._best_start(model.problem, SEED, None, run_fit._DISPERSED, lambda text: None)
+    mode, ends = run_fit._best_start(model.problem, Settings(seed=SEED), None, lambda text: None)
     return [end for end in ends if not run_fit._negligible(model.problem, end, mode)]
 
 
 def test_no_ensemble_begins_in_a_mode_without_mass(tumble: Model, monkeypatch: pytest.MonkeyPatch) -> None:
     assert others(tumble) == []
     # Planted fault: every lower mode is a start, and the ensemble that begins there does not leave it.
-    monkeypatch.setattr(run_fit, "_NEGLIGIBLE", np.inf)
+    monkeypatch.setattr(run_fit, "NEGLIGIBLE", np.inf)
     (second,) = others(tumble)
-    monkeypatch.setattr(run_fit, "_NEGLIGIBLE", 20.0)
+    monkeypatch.setattr(run_fit, "NEGLIGIBLE", 20.0)
     assert len(others(tumble)) == 1
     heading = tumble.layout.names.index("tumble_heading.heading[tumble]")
     assert abs(second[heading]) > 1

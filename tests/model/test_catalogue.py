@@ -24,6 +24,9 @@ HOUR = DEGREE / 3600
 RATE = 100 * DEGREE
 UP = EARTH * np.sin(LATITUDE)
 UG = 1e-6 * GRAVITY
+SINCE_FIRST = 237.0
+"""Hours from the start of the campaign, on 1 March at noon, to the last row of the slow cycle, which begins on 11 March
+at eight and lasts an hour."""
 
 
 def outputs(name: str, run: str, channel: str, **values: float) -> np.ndarray:
@@ -125,7 +128,7 @@ def test_a_time_skew_shifts_angle_and_rate():
         ("gyro_g2_sensitivity", {"d_si": 3.0}, "rate-pyramid", "gx", 0, HOUR),
         ("gyro_bias_temperature_quadratic", {"curvature": 0.1}, "rate-pyramid", "gz", 0, 10 * HOUR),
         ("gyro_warm_up", {"amplitude": 10.0, "tau": 10.0}, "cycle-slow", "gz", 3, 10 * HOUR * np.exp(-1.3)),
-        ("gyro_bias_drift", {"slope": 2.0}, "cycle-slow", "gz", 15, 2 * 25 * HOUR),
+        ("gyro_bias_drift", {"slope": 2.0}, "cycle-slow", "gz", 15, 2 * SINCE_FIRST * HOUR),
         ("gyro_scale_temperature_quadratic", {"curvature": 0.5}, "rate-pyramid", "gz", 1, 5e-5 * (RATE + UP) / 3**0.5),
         ("gyro_dead_zone", {"half_width": 2.0}, "rate-flat", "gz", 1, -2 * HOUR),
         ("gyro_dead_zone", {"half_width": 2.0}, "rate-flat", "gz", 2, 2 * HOUR),
@@ -143,7 +146,7 @@ def test_a_time_skew_shifts_angle_and_rate():
         ("accel_scale_asymmetry", {"asymmetry": 30.0}, "rate-flat", "az", 0, 30 * UG),
         ("accel_bias_temperature_quadratic", {"curvature": 0.5}, "rate-pyramid", "az", 0, 50 * UG),
         ("accel_warm_up", {"amplitude": 10.0, "tau": 10.0}, "cycle-slow", "az", 3, 10 * UG * np.exp(-1.3)),
-        ("accel_bias_drift", {"slope": 2.0}, "cycle-slow", "az", 15, 50 * UG),
+        ("accel_bias_drift", {"slope": 2.0}, "cycle-slow", "az", 15, 2 * SINCE_FIRST * UG),
         ("accel_scale_temperature_quadratic", {"curvature": 0.5}, "rate-pyramid", "az", 0, 50 * UG / 3**0.5),
         ("accel_vibration_rectification", {"rectification": 5.0}, "shaken", "ax", 2, 5e-6 * 1600 / GRAVITY),
         ("accel_dead_zone", {"half_width": 12.0}, "rate-flat", "az", 0, -12 * UG),

@@ -1,16 +1,30 @@
 """Derived quantities of many points at once, and their Jacobian against automatic differentiation."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from imubayes.campaign_data import Campaign
 from imubayes.model.bind import bind
 from imubayes.model.derived_quantities import derived_jacobian, derived_quantities, evaluate_derived
 from imubayes.model.problem import values_of
-from small_campaign import campaign, spec
+from small_campaign import campaign as plain_campaign
+from small_campaign import spec
 
 EFFECTS = ("mounting_error", "table_axis_tilt", "gyro_misalignment", "gyro_scale_factor", "converter_gain_drift")
+
+
+def campaign() -> Campaign:
+    """Return the small campaign with temperatures of the converter that change in every run, as recorded ones do."""
+    plain = plain_campaign()
+    runs = []
+    for run in plain.runs:
+        values = run.covariates["converter_temperature"] + 0.01 * np.arange(run.rows)
+        runs.append(replace(run, covariates={**run.covariates, "converter_temperature": values}))
+    return replace(plain, runs=tuple(runs))
 
 
 def test_batches_and_jacobian_agree_with_single_points():

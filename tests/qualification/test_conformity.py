@@ -1,6 +1,7 @@
 """Specification files, limits over temperature, and the outcome for a unit whose posterior is known."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from imubayes.qualification.conformity import TestedUnit, conformity, overall_ou
 from imubayes.qualification.posterior_quantities import PosteriorQuantities
 from imubayes.qualification.specification import read_specification
 from imubayes.qualification.temperature_range import ThermalModel
-from imubayes.results.summary import Quantity
+from imubayes.results.summary import CombinationSummary, Quantity
 
 SIZE = 20_000
 HEAD = 'format = 1\nname = "test"\n'
@@ -63,6 +64,49 @@ def test_a_family_has_a_limit_for_each_member(tmp_path):
     assert found[1].producer == found[1].conformance.value
     assert found[1].consumer is None
     assert overall_outcome(found) == "fail"
+
+
+def with_sum(share: float | None, standard: bool = False) -> TestedUnit:
+    """The unit with a scale factor of which so much is from the data, and its sum with the error of the table."""
+    known = quantities()
+    gx, table = "gyro_scale_factor.scale[gx]", "table_rate_error.rate_error[rate]"
+    total = "S[gx]" if standard else f"{gx}+{table}"
+    line = CombinationSummary(name=total, unit="ppm", standard=standard, quantities=(gx, table), weights=(1.0, 1.0))
+    entries = {**known.entries, gx: known.entries[gx].model_copy(update={"from_data": share}), total: line}
+    draws = {**known.draws, total: known.draws[gx] - 20.0}
+    effective = {**known.effective, total: float(SIZE)}
+    return replace(UNIT, quantities=PosteriorQuantities(entries, draws, effective))
+
+
+def test_a_sum_with_an_error_of_the_table_is_no_member_of_the_family(tmp_path):
+    """The scale factor, 200 ± 10 ppm, passes; its sum with an error of the table, 180 ppm, would fail."""
+    unit, ends = with_sum(0.99), 'lower = 180\nunit = "ppm"'
+    found = outcome(tmp_path, limit("gyro_scale_factor.scale", ends), unit)
+    assert [(each.limit.quantity.name, each.decision.outcome) for each in found] == [
+        ("gyro_scale_factor.scale[gx]", "pass")
+    ]
+    named = "gyro_scale_factor.scale[gx]+table_rate_error.rate_error[rate]"
+    (full,) = outcome(tmp_path, limit(named, ends), unit)
+    assert (full.limit.quantity.name, full.decision.outcome) == (named, "fail")
+    # A symbol of a standard is a family of its own.
+    assert outcome(tmp_path, limit("S", ends), with_sum(0.99, standard=True))[0].decision.outcome == "fail"
+
+
+@pytest.mark.parametrize("ends", ["lower = 0", "lower = 1000"])
+def test_there_is_no_decision_on_what_the_data_do_not_determine(tmp_path, ends):
+    text = limit("gyro_scale_factor.scale", f'{ends}\nunit = "ppm"')
+    (found,) = outcome(tmp_path, text, with_sum(0.2))
+    assert (found.decision.outcome, found.decision.withheld) == ("withheld", "not_determined")
+    assert (found.consumer, found.producer) == (None, None)
+    assert overall_outcome([found]) == "withheld"
+    # What is exact was not measured either.
+    known = quantities()
+    exact = {**known.draws, "gyro_scale_factor.scale[gx]": np.full(SIZE, 200.0)}
+    unmeasured = replace(UNIT, quantities=replace(known, draws=exact))
+    (found,) = outcome(tmp_path, text, unmeasured)
+    assert found.decision.withheld == "not_determined"
+    (found,) = outcome(tmp_path, text, with_sum(0.8))
+    assert found.decision.outcome in ("pass", "fail")
 
 
 def test_limits_in_another_unit_and_relative_to_nominal(tmp_path):

@@ -13,11 +13,12 @@ from imubayes.campaign.run_tables import RowBatch
 from imubayes.errors import InputError
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
-from imubayes.qualification.correct_recording import Correction, RowTally
+from imubayes.qualification.correct_recording import Correction, RowTally, correction_of
 from imubayes.qualification.onboard_response import linear_response, sufficient_grid
 from imubayes.qualification.reading_noise import ReadingNoise
 from imubayes.qualification.recording_files import open_recording
 from imubayes.qualification.sensor_posterior import SensorPosterior, complete_kinds
+from planted_result import planted
 from small_campaign import GRAVITY, campaign, spec
 
 ROOT = Path(__file__).parents[2]
@@ -208,6 +209,41 @@ def test_all_axes_are_solved_jointly_with_the_nonlinear_terms(nonlinear):
         spread = np.std([each[f"{column}_{unit}"] for each in repeated], axis=0)
         stated = found[f"{column}_systematic_sd_{unit}"]
         assert np.median(spread / stated) == pytest.approx(1.0, abs=0.3)
+
+
+def test_gyros_alone_are_right_within_an_uncertainty_that_has_their_g_sensitivity():
+    """Turned by hand at rest in between: the specific force is g in directions that the recording does not tell."""
+    model = bind(spec("gyro_bias", "gyro_g_sensitivity", "accel_bias"), campaign())
+    z = np.array([2.0 if p.name.startswith("gyro_g_sens") else 0.3 for p in model.layout.parameters])
+    result = planted(model, z, sd=1e-4)
+    p = {
+        each.name: float(value)
+        for each, value in zip(model.layout.parameters, model.problem.priors.values(z), strict=True)
+    }
+    rng = np.random.default_rng(4)
+    force = GRAVITY * rng.normal(size=(200, 3))
+    force *= GRAVITY / np.linalg.norm(force, axis=1, keepdims=True)
+    rate, numbers = rng.uniform(-1, 1, (200, 3)), {"samples": np.full(200, 1e12)}
+    drift = np.zeros((200, 3))
+    for k, channel in enumerate(model.campaign.of_kind("gyro")):
+        order = [(k + i) % 3 for i in range(3)]
+        drift[:, k] = sum(
+            p[f"gyro_g_sensitivity.d_{i}[{channel.name}]"] * force[:, j] for i, j in zip("ios", order, strict=True)
+        )
+        signal = rate[:, k] + drift[:, k] + p[f"gyro_bias.bias[{channel.name}]"]
+        numbers[channel.name] = channel.offset + channel.scale_si * signal
+    correction = correction_of(result, ("gx", "gy", "gz"), "recording")
+    found = correction.columns(RowBatch(0, 200, numbers, {}, {}), {}, RowTally())
+    assert [(each.effect, each.channels) for each in correction.left_in] == [("gyro_g_sensitivity", ("gx", "gy", "gz"))]
+    for k, axis in enumerate("xyz"):
+        wrong = found[f"rate_{axis}_rad_s"] - rate[:, k]
+        np.testing.assert_allclose(wrong, drift[:, k], atol=1e-3 * np.abs(drift).max())
+        stated = found[f"rate_{axis}_systematic_sd_rad_s"]
+        assert np.abs(wrong / stated).max() < 2
+        # Neither is it wide beyond reason: the force is g at most.
+        assert np.sqrt(np.mean((wrong / stated) ** 2)) > 0.4
+    # What both kinds tell is corrected.
+    assert correction_of(result, tuple(c.name for c in model.campaign.channels), "recording").left_in == ()
 
 
 def test_the_constants_give_the_truth_within_their_joint_covariance(result, tmp_path):

@@ -7,10 +7,10 @@ from imubayes.display.correction_report import correction_lines
 from imubayes.inference.run_fit import joint_fit
 from imubayes.model.bind import bind
 from imubayes.model.model_spec import EffectSpec, ModelSpec
-from imubayes.qualification.correct_recording import RowTally
+from imubayes.qualification.correct_recording import RowTally, correction_of
 from imubayes.qualification.recording_files import CorrectedRecording
 from imubayes.qualification.sensor_posterior import sensor_posterior
-from imubayes.qualification.unexpressed_effects import input_ranges, uncorrected_effects, unexpressed_effects
+from imubayes.qualification.unexpressed_effects import input_ranges, unexpressed_effects
 from imubayes.results.result import Result, result_of
 from small_campaign import GRAVITY, simulated, wide_campaign
 
@@ -54,7 +54,8 @@ def largest_lag() -> float:
 
 
 def test_effects_with_memory_or_limit_are_named_with_their_size(result):
-    found = {each.effect: each for each in uncorrected_effects(result, ("accelerometer", "gyro"))}
+    correction = correction_of(result, ("gx", "gy", "gz", "ax", "ay", "az"), "recording")
+    found = {each.effect: each for each in correction.left_in}
     assert set(found) == {"accel_dead_zone", "accel_thermal_lag"}
     assert {each.cause for each in found.values()} == {"limit", "memory"}
     zone, lag = found["accel_dead_zone"], found["accel_thermal_lag"]
@@ -64,7 +65,7 @@ def test_effects_with_memory_or_limit_are_named_with_their_size(result):
     assert zone.sd is not None
     assert zone.sd < 0.05 * zone.size
     assert lag.channels == ("ax", "ay", "az")
-    assert uncorrected_effects(result, ("gyro",)) == ()
+    assert correction_of(result, ("gx", "gy", "gz"), "recording").left_in == ()
     lines = correction_lines(CorrectedRecording(("accelerometer",), RowTally(rows=3), {}, (), tuple(found.values())))
     (said,) = [line for line in lines if "accel_thermal_lag" in line]
     assert "left in (it depends on earlier rows)" in said

@@ -2,11 +2,15 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy import stats
 
 from imubayes.api import fit
 from imubayes.inference.run_fit import LAPLACE_DRAWS
-from imubayes.qualification.digits import digits_deserved
+from imubayes.qualification import until_digits
+from imubayes.qualification.digits import digits_deserved, numerical_tolerance
+from imubayes.qualification.marginal import Marginal
 from imubayes.qualification.posterior_quantities import posterior_quantities
 from imubayes.qualification.until_digits import draws_lacking
 from imubayes.results.estimates import is_constant
@@ -23,11 +27,25 @@ def fewest_digits(result: Result) -> int:
     )
 
 
-def test_draws_are_made_until_every_quantity_deserves_a_digit():
+def test_the_draws_of_a_normal_posterior_leave_a_digit_whatever_it_is():
+    """Twice the error of the 2.5 % quantile, √(p(1 − p)/n)/φ(z), against half a unit of the first digit of u."""
+    u = np.linspace(0.95, 9.49, 500)
+    error = u * np.sqrt(0.025 * 0.975) / stats.norm.pdf(stats.norm.ppf(0.025))
+    allowed = np.array([numerical_tolerance(each, 1) for each in u])
+    # The error itself is known to a sixth.
+    assert (2 * error / np.sqrt(LAPLACE_DRAWS) <= allowed / (7 / 6)).all()
+    # Fault planted: 4000 draws withhold nearly half of them.
+    assert np.mean(2 * error / np.sqrt(4000) > allowed) > 0.3
+    draws = 5.5 * np.random.default_rng(9).normal(size=LAPLACE_DRAWS)
+    assert digits_deserved(Marginal(draws, float(LAPLACE_DRAWS))).digits == 1
+
+
+def test_draws_are_made_until_every_quantity_deserves_a_digit(monkeypatch):
+    monkeypatch.setattr(until_digits, "LAPLACE_DRAWS", 1000)
     result = fit(CAMPAIGN, MODEL, sample=False, until_digits=1)
     assert result.fit.posterior is not None
-    # 4000 draws withhold some numbers.
-    assert len(result.fit.posterior.points) > LAPLACE_DRAWS
+    # So few draws withhold some numbers.
+    assert len(result.fit.posterior.points) > 1000
     assert fewest_digits(result) == 1
     lacking, name = draws_lacking(result.fit, 2)
     assert lacking > 1

@@ -74,6 +74,7 @@ procedure = "rate_table"
 table = "rate"
 mounting = "x-up"
 rates_deg_s = [0, 100, -100, 7, -7, 0]
+converter_temperature_degC = [25.0, 25.0]
 
 [[run]]
 name = "turning 2"
@@ -81,6 +82,7 @@ procedure = "rate_table"
 table = "rate"
 mounting = "pyramid"
 rates_deg_s = [0, 100, -100, 0]
+converter_temperature_degC = [25.0, 25.0]
 
 [[run]]
 name = "standing"
@@ -88,6 +90,7 @@ procedure = "dividing_head"
 table = "rate"
 mounting = "x-up"
 positions = 8
+converter_temperature_degC = [25.0, 25.0]
 samples = 400
 
 [[run]]

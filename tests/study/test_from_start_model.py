@@ -70,7 +70,7 @@ def test_what_the_runs_do_not_distinguish_is_added_together(alone, monkeypatch):
     """
     campaign = "redundant-imu"
     if alone:
-        monkeypatch.setattr(diagnose, "_suggested", leader_alone)
+        monkeypatch.setattr(diagnose, "suggestions", leader_alone)
     start = read_model(START)
     lacking = replace(start, effects=tuple(one for one in start.effects if not one.name.endswith("_misalignment")))
     result, found = followed(imubayes.api.fit(ROOT / "data" / campaign, lacking, sample=False), campaign)
@@ -78,6 +78,6 @@ def test_what_the_runs_do_not_distinguish_is_added_together(alone, monkeypatch):
     assert (np.abs(scores(result, campaign)).max() < 5) == (not alone)
 
 
-def leader_alone(found: SearchResult, verdict: Verdict) -> Suggestion | None:
+def leader_alone(found: SearchResult, verdict: Verdict) -> list[Suggestion]:
     """Return the leader of the first group, whatever else these runs do not distinguish from it."""
-    return Suggestion(effects=found.groups[0].effects[:1], channels=None) if verdict in MISSING else None
+    return [Suggestion(effects=found.groups[0].effects[:1], channels=None)] if verdict in MISSING else []

@@ -8,24 +8,33 @@ import polars as pl
 from imubayes.display.notebook_progress import progress_of
 from imubayes.display.onboard.export_files import ExportOptions, Format, write_constants
 from imubayes.qualification.build_report import report_of
+from imubayes.qualification.inputs_along_axes import CalibratedInputs, inputs_along_axes, read_readings
 from imubayes.qualification.noise_densities import of_fit, of_record, read_noise
 from imubayes.qualification.onboard_constants import onboard_constants as constants_of
 from imubayes.qualification.onboard_losses import Loss
 from imubayes.qualification.onboard_record import OnboardConstants
 from imubayes.qualification.recording_files import CorrectedRecording, correct_recording, open_recording
 from imubayes.qualification.report_record import QualificationReport
-from imubayes.results.apply_calibration import CalibratedInputs, apply_calibration, read_readings
 from imubayes.results.result import Result, read_result
 
 
-def apply(result: Result | str | Path, readings: pl.DataFrame | str | Path) -> CalibratedInputs:
-    """Return the inputs of a calibrated unit from its outputs, with uncertainty.
+def apply(
+    result: Result | str | Path,
+    readings: pl.DataFrame | str | Path,
+    *,
+    temperatures: Mapping[str, float] | None = None,
+    nothing_across: bool = False,
+) -> CalibratedInputs:
+    """Return the input along the axis of each channel of a calibrated unit from its output, with uncertainty.
 
     Parameters
     ----------
     result : a fit of the unit, or its folder.
     readings : a table, or a CSV or Parquet file: a column per channel in output units, and
         `converter_temperature_degC` and `temperature_degC` where the model depends on them.
+    temperatures : `temperature` and `converter_temperature` of all rows, °C, where no column gives them.
+    nothing_across : whether there was no input across the axes of the channels.  What it may do is in the uncertainty
+        otherwise.
 
     Raises
     ------
@@ -33,9 +42,9 @@ def apply(result: Result | str | Path, readings: pl.DataFrame | str | Path) -> C
         for a result without a posterior, and a table that cannot be read or lacks what the model needs.
     """
     found = result if isinstance(result, Result) else read_result(result)
-    if isinstance(readings, pl.DataFrame):
-        return apply_calibration(found, readings)
-    return apply_calibration(found, read_readings(Path(readings)), str(readings))
+    table, where = (readings, "readings") if isinstance(readings, pl.DataFrame) else (
+        read_readings(Path(readings)), str(readings))  # fmt: skip
+    return inputs_along_axes(found, table, where, temperatures=temperatures, nothing_across=nothing_across)
 
 
 def correct(

@@ -10,10 +10,10 @@ from typing import Literal
 
 import numpy as np
 import polars as pl
-from scipy import special, stats
 
 from imubayes.batch.population import discoveries
 from imubayes.json_record import Record, finite
+from imubayes.tail_probabilities import chi2_survival, normal_survival
 
 RATE = 0.05
 """False discovery rate of changed estimates (convention)."""
@@ -149,7 +149,7 @@ def _changes(joined: pl.DataFrame) -> pl.DataFrame:
     # Also where the new model is the smaller one.
     variance = np.maximum(np.abs(new_sd**2 - old_sd**2), _LEAST_SHARE * np.maximum(new_sd, old_sd) ** 2)
     deviation = np.sqrt(variance)
-    p = 2 * special.ndtr(-np.abs(change) / np.where(deviation > 0, deviation, np.inf))
+    p = 2 * normal_survival(np.abs(change) / np.where(deviation > 0, deviation, np.inf))
     columns = {
         "old": joined["mean"].to_numpy(), "old_sd": old_sd, "new": joined["mean_new"].to_numpy(), "new_sd": new_sd,
         "change": change, "change_sd": deviation, "p": p, "significant": discoveries(p, RATE),
@@ -175,6 +175,6 @@ def _parameter(changes: pl.DataFrame) -> ParameterChange:
         mean_change_sd=total**-0.5 if total > 0 else None,
         rms_ratio=float(np.sqrt(np.mean((change / np.where(new_sd > 0, new_sd, np.inf)) ** 2))),
         sd_ratio=float(np.median(new_sd / np.where(changes["old_sd"].to_numpy() > 0, changes["old_sd"].to_numpy(), 1))),
-        p=float(stats.chi2.sf(chi2, max(int(known.sum()), 1))) if known.any() else 1.0,
+        p=float(chi2_survival(chi2, max(int(known.sum()), 1))) if known.any() else 1.0,
         most_changed=tuple(clearest[:_MOST_UNITS]),
     )

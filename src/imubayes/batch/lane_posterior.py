@@ -25,10 +25,11 @@ from imubayes.inference.conditional_precision import ExactPrecision
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import HyperProbes, NestedLaplace, curved_directions, hyper_probes
 from imubayes.inference.noise_marginal import Curvature
+from imubayes.inference.noise_scale_modes import resampled
 from imubayes.inference.posterior_mode import Mode
 from imubayes.inference.posterior_precision import linearise
 from imubayes.inference.run_fit import judged_fit, posterior_of_draws
-from imubayes.inference.tabulated_density import TabulatedDensity, from_normal
+from imubayes.inference.tabulated_density import TabulatedDensity, from_normal, log_density
 from imubayes.model.bind import Model
 from imubayes.model.problem import Problem
 
@@ -39,10 +40,14 @@ _APART = 1e-3
 
 
 class LaneDraws(eqx.Module):
-    """Steps of θ from the mode before the bend, M for each noise scale, and the noise scales; their axes come first."""
+    """Steps of θ from the mode before the bend, M for each noise scale, and the noise scales; their axes come first.
+
+    `log_weight`, up to a constant, is the Laplace marginal of the scales over the density that they were drawn from.
+    """
 
     delta: Float[Array, "*S M P"]
     h: Float[Array, "*S H"]
+    log_weight: Float[Array, "*S"]
 
 
 def hyper_curvature(problem: Problem, index: GroupIndex, model: GroupedModel, h: Float[Array, " H"]) -> Curvature:
@@ -79,12 +84,14 @@ def draws(
     """Return draws of the approximation before they are bent, for standard normal vectors."""
 
     def at(vectors: tuple[Array, Array]) -> LaneDraws:
-        here = h + axes @ from_normal(along, vectors[0])
+        step = from_normal(along, vectors[0])
+        here = h + axes @ step
         known = normal_equations(problem, index, model, here)
         factor = jnp.linalg.cholesky(known.precision)
         mean = jax.scipy.linalg.cho_solve((factor, True), known.gradient)
         spread = jax.scipy.linalg.solve_triangular(factor.T, vectors[1].T, lower=False).T
-        return LaneDraws(mean[None, :] + spread, here)
+        weight = log_marginal_of(problem, index, model, here) - jnp.sum(log_density(along, step))
+        return LaneDraws(mean[None, :] + spread, here, weight)
 
     return jax.lax.map(at, normal)
 
@@ -132,13 +139,14 @@ def posteriors(structure: LaneStructure, varying: Stacked, mode: LaneMode, model
     values = structure.run(marginals, varying, mode.model, jnp.asarray(np.stack([each.points for each in chosen])))
     relative = np.asarray(values) - np.asarray(at.value)[:, None]
     tables = [each.tabulated(row) for each, row in zip(chosen, relative, strict=True)]
+    single = [not each.other_maxima(row) for each, row in zip(chosen, relative, strict=True)]
     along = jax.tree.map(lambda *leaves: jnp.stack(leaves), *tables)
     axes = jnp.asarray(np.stack([each.axes for each in chosen]))
     vectors = tuple(jnp.broadcast_to(each, (LANES, *each.shape)) for each in normal_vectors(*structure.problem.size))
     found = structure.run(draws, varying, mode.model, mode.h, axes, along, vectors)
     return [
         None
-        if probes[lane] is None
+        if probes[lane] is None or not single[lane]
         else _fit(model, of_lane(mode, lane), of_lane(at, lane), axes[lane], tables[lane], of_lane(found, lane))
         for lane, model in enumerate(models)
     ]
@@ -151,13 +159,8 @@ def _probes(mode: LaneMode, at: Curvature, lane: int) -> HyperProbes | None:
     return hyper_probes(np.asarray(mode.h)[lane], information)
 
 
-def _fit(
-    model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: LaneDraws
-) -> Fit | None:
-    """Return the fit of one unit, without posterior where its estimates cannot be those of a working unit.
-
-    None where the marginal of the noise scales has another maximum.
-    """
+def _fit(model: Model, found: LaneMode, at: Curvature, axes: Array, along: TabulatedDensity, drawn: LaneDraws) -> Fit:
+    """Return the fit of one unit, without posterior where its estimates cannot be those of a working unit."""
     problem, z = model.problem, found.model.z
     about = linearise(problem, z)
     true = jnp.asarray(True)
@@ -167,11 +170,10 @@ def _fit(
         return fit
     weak, _, bend = curved_directions(problem, mode)
     approximation = NestedLaplace(z, found.h, axes, along, ExactPrecision(about), weak, bend)
-    if approximation.other_modes(problem):
-        return None
     delta = np.asarray(drawn.delta).reshape(-1, len(z))
     bent = delta + _bent(delta, np.asarray(weak), np.asarray(bend))
     points = np.concatenate([np.asarray(z) + bent, np.repeat(np.asarray(drawn.h), _EACH, axis=0)], axis=1)
+    points = resampled(points, np.repeat(np.asarray(drawn.log_weight), _EACH))
     return replace(fit, posterior=posterior_of_draws(fit, points, approximation, None))
 
 

@@ -14,9 +14,9 @@ from typing import Literal
 
 import numpy as np
 import polars as pl
-from scipy import special, stats
 
 from imubayes.batch.posterior_table import unpacked
+from imubayes.tail_probabilities import chi2_log_survival, chi2_survival, normal_log_survival
 
 Law = Literal["common", "own", "some"]
 LAWS: tuple[Law, ...] = ("common", "own", "some")
@@ -179,7 +179,7 @@ class PooledEvidence:
     @cached_property
     def unit_p(self) -> np.ndarray:
         """p-value of each unit by itself, (n,)."""
-        return np.where(self.dof > 0, stats.chi2.sf(self.chi2, np.maximum(self.dof, 1)), 1.0)
+        return np.where(self.dof > 0, chi2_survival(self.chi2, np.maximum(self.dof, 1)), 1.0)
 
     def expected(self, carriers: np.ndarray) -> np.ndarray:
         """Return the χ² that each unit would have with the coefficients of the carriers, averaged, (n,)."""
@@ -190,7 +190,8 @@ class PooledEvidence:
     def log_p_differing(self) -> float:
         """Logarithm of the p-value of no difference between the coefficients of the units."""
         freedom = int(self.dof.sum()) - self.common_dof
-        return float(stats.chi2.logsf(max(float(self.chi2.sum()) - self.common_chi2, 0.0), freedom)) if freedom else 0.0
+        apart = max(float(self.chi2.sum()) - self.common_chi2, 0.0)
+        return float(chi2_log_survival(apart, freedom)) if freedom else 0.0
 
 
 def pooled_evidence(scores: PooledScores, key: CandidateKey) -> PooledEvidence:
@@ -211,8 +212,8 @@ def pooled_evidence(scores: PooledScores, key: CandidateKey) -> PooledEvidence:
     common_dof = int(np.rint(np.trace(covariance @ whole)))
     log_p: dict[Law, float] = {
         "common": _log_p_common(total, covariance, common_dof, scores.signs[places]),
-        "own": float(stats.chi2.logsf(chi2.sum(), dof.sum())) if dof.sum() else 0.0,
-        "some": _simes(stats.chi2.logsf(chi2[dof > 0], dof[dof > 0])),
+        "own": float(chi2_log_survival(chi2.sum(), dof.sum())) if dof.sum() else 0.0,
+        "some": _simes(chi2_log_survival(chi2[dof > 0], dof[dof > 0])),
     }
     contribution = 2 * u @ coefficient - np.einsum("k,nkl,l->n", coefficient, v, coefficient)
     return PooledEvidence(
@@ -240,12 +241,14 @@ def _log_p_common(total: np.ndarray, covariance: np.ndarray, dof: int, signs: np
     if not dof:
         return 0.0
     if not signs.any():
-        return float(stats.chi2.logsf(total @ covariance @ total, dof))
+        return float(chi2_log_survival(total @ covariance @ total, dof))
     value, variance = covariance @ total, np.diag(covariance)
     known = variance > 0
     deviation = value[known] / np.sqrt(variance[known])
     only = signs[known]
-    each = np.where(only == 0, special.log_ndtr(-np.abs(deviation)) + np.log(2), special.log_ndtr(-only * deviation))
+    each = np.where(
+        only == 0, normal_log_survival(np.abs(deviation)) + np.log(2), normal_log_survival(only * deviation)
+    )
     return float(min(0.0, each.min() + np.log(len(each)))) if len(each) else 0.0
 
 

@@ -8,11 +8,12 @@ tails.  Units are treated as independent: an error that all of them share, such 
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import special, stats
+from scipy import stats
 
 from imubayes.batch.information_error import MOST_BITS, information_error
 from imubayes.batch.population_laws import GridPosterior, mixing, mixture, normal_law, student_law
 from imubayes.batch.unit_posteriors import UnitPosteriors
+from imubayes.tail_probabilities import normal_survival
 
 LEAST_UNITS = 5
 """Fewest informative units: with fewer the spread has no variance under its flat prior (derived, Gelman 2006)."""
@@ -23,7 +24,7 @@ TAIL_ALARM = 0.1
 OUTLYING_RATE = 0.05
 """False discovery rate of outlying units (convention)."""
 MASS = 0.95
-_CORE = float(stats.norm.cdf(1.0))
+_CORE = float(normal_survival(-1.0))
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ def _law(estimate: np.ndarray, variance: np.ndarray) -> GridPosterior:
     middle = float(np.median(estimate))
     core = max((float(np.median(np.abs(estimate - middle))) / 0.6745) ** 2 - float(np.median(variance)), 0.0)
     farthest = float(np.max(np.abs(estimate - middle) / np.sqrt(variance + core)))
-    if 2 * special.ndtr(-farthest) * len(estimate) > TAIL_ALARM:
+    if 2 * normal_survival(farthest) * len(estimate) > TAIL_ALARM:
         return normal
     laws = [normal, *(student_law(estimate, variance, freedom) for freedom in STUDENT_FREEDOM)]
     return max(laws, key=lambda each: each.log_evidence)
@@ -188,7 +189,7 @@ def _distances(
     p = np.ones(len(estimate))
     posterior = found.posterior
     if posterior is None or np.isfinite(found.freedom):
-        p[used] = 2 * special.ndtr(-np.abs(distance[used]))
+        p[used] = 2 * normal_survival(np.abs(distance[used]))
         return distance, p
     for place in np.flatnonzero(used):
         total = variance[place] + posterior.scale**2
@@ -197,7 +198,7 @@ def _distances(
         apart, width = np.abs(estimate[place] - centre), centre_variance + total
         log_weight = np.log(posterior.weight + 1e-300) + 0.5 * (apart**2 / width + np.log(width))
         weight = np.exp(log_weight - log_weight.max())
-        p[place] = 2 * (weight / weight.sum()) @ special.ndtr(-apart / np.sqrt(width))
+        p[place] = 2 * (weight / weight.sum()) @ normal_survival(apart / np.sqrt(width))
     return distance, p
 
 

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+from imubayes.tail_probabilities import normal_survival
+
 _POINTS = 400
 # Log density below the maximum at which a grid ends.  Numerical: e⁻²⁵ of the mass of a short tail.
 _DEPTH = 25.0
@@ -75,7 +77,7 @@ def normal_mixture_quantile(probability: float, weight: np.ndarray, mean: np.nda
     low, high = float(np.min(mean - 40 * sd)), float(np.max(mean + 40 * sd))
     for _ in range(80):
         middle = 0.5 * (low + high)
-        if weight @ special.ndtr((middle - mean) / sd) < probability:
+        if weight @ normal_survival((mean - middle) / sd) < probability:
             low = middle
         else:
             high = middle

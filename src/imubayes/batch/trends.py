@@ -15,12 +15,12 @@ from typing import Literal
 
 import numpy as np
 import polars as pl
-from scipy import special, stats
 
 from imubayes.batch.parameter_population import posteriors_of, usable_rows
 from imubayes.batch.population import LEAST_UNITS, discoveries
 from imubayes.batch.population_laws import normal_law
 from imubayes.json_record import Record
+from imubayes.tail_probabilities import chi2_survival, normal_survival, t_survival
 
 RATE = 0.05
 """False discovery rate of trends, and of drifts (convention)."""
@@ -174,7 +174,7 @@ def _trends(rows: pl.DataFrame, scale: Literal["linear", "log"]) -> Iterator[Tre
             units=chosen.height,
             slope=slope,
             slope_sd=deviation,
-            p=float(2 * special.stdtr(chosen.height - 2, -abs(slope) / deviation)),
+            p=float(2 * t_survival(abs(slope) / deviation, chosen.height - 2)),
             significant=False,
         )
 
@@ -214,7 +214,7 @@ def _drifts(rows: pl.DataFrame) -> pl.DataFrame:
     distance = (pairs["change"] / pairs["change_sd"]).abs().to_numpy()
     return pairs.with_columns(
         ((pl.col("to") - pl.col("from")).dt.total_days() / DAYS_PER_YEAR).alias("years"),
-        pl.Series("p", 2 * special.ndtr(-distance), pl.Float64),
+        pl.Series("p", 2 * normal_survival(distance), pl.Float64),
         pl.lit(False).alias("significant"),
     ).select(DRIFTS.names())
 
@@ -233,6 +233,6 @@ def _drift(changes: pl.DataFrame, scale: Literal["linear", "log"]) -> Drift:
         mean=float(np.sum(years * change / variance)) / information if information > 0 else 0.0,
         mean_sd=information**-0.5 if information > 0 else 0.0,
         spread=normal_law(change, variance).of_scale()[0] if several else None,
-        p=float(stats.chi2.sf(np.sum(change**2 / variance), changes.height)),
+        p=float(chi2_survival(np.sum(change**2 / variance), changes.height)),
         units=tuple(changes.filter("significant").sort("p")["unit"].unique(maintain_order=True)[:8]),
     )

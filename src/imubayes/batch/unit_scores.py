@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import polars as pl
-from scipy import special, stats
 
 from imubayes.batch.posterior_table import packed
 from imubayes.criticism import thresholds
@@ -26,11 +25,10 @@ from imubayes.criticism.candidate_effects import Response, candidate_responses
 from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.score_test import ProjectedResponse, coefficient_subsets, project_responses, score_test
 from imubayes.inference.fitted_model import Fit
+from imubayes.tail_probabilities import chi2_at
 
 # Singular values of the model's Jacobian, relative to the largest, below which a direction is rounding.
 _RANK = 1e-10
-# A χ² is not calibrated where its p-value is so small that it cannot be told from 0.
-_LEAST_P = 1e-280
 
 SCORES = pl.Schema(
     {
@@ -147,7 +145,7 @@ def _tests(projection: Projection, each: ProjectedResponse, kinds: dict[str, str
         count = test.span.shape[1]
         if not count or test.delta_chi2_at_fit <= 0:
             continue
-        chi2 = float(special.chdtri(count, test.p)) if test.p > _LEAST_P else test.delta_chi2
+        chi2 = chi2_at(test.log_p, count)
         coefficients = [response.coefficients[place] for place in chosen]
         owners = {coefficient.owner for coefficient in coefficients}
         of_kind = {kinds.get(owner, "") for owner in owners}
@@ -161,7 +159,7 @@ def _tests(projection: Projection, each: ProjectedResponse, kinds: dict[str, str
             signs=tuple(coefficient.sign for coefficient in coefficients),
             dof=count,
             chi2=chi2,
-            p=float(stats.chi2.sf(chi2, count)),
+            p=test.p,
             factor=chi2 / test.delta_chi2_at_fit,
         )
 

@@ -91,21 +91,22 @@ def _covariates(
     span = covariates.get("table_angle_span", np.full(rows, np.nan))
     whole = np.where(np.isnan(covariates["table_angle"]), TURN, 0.0)
     covariates["table_angle_span"] = np.where(np.isnan(span), whole, span)
-    for name in ("temperature", "converter_temperature"):
-        _fill_temperature(name, covariates, entry, rows, notes)
+    stated = {"temperature": entry.temperature_degC, "converter_temperature": entry.converter_temperature_degC}
+    for name, of_run in stated.items():
+        _fill_temperature(name, covariates, of_run, rows, notes)
     return covariates, notes
 
 
 def _fill_temperature(
-    name: str, covariates: dict[str, np.ndarray], entry: RunEntry, rows: int, notes: list[str]
+    name: str, covariates: dict[str, np.ndarray], of_run: float | None, rows: int, notes: list[str]
 ) -> None:
     values = covariates.get(name)
     if values is not None and np.isnan(values).all():
         del covariates[name]
         values = None
     if values is None:
-        if name == "temperature" and entry.temperature_degC is not None:
-            covariates[name] = np.full(rows, entry.temperature_degC)
+        if of_run is not None:
+            covariates[name] = np.full(rows, of_run)
         return
     empty = np.isnan(values)
     if empty.any():

@@ -26,6 +26,8 @@ from imubayes.campaign.equipment import (
 from imubayes.campaign.file_schemas import CampaignFile, ModelFile, RunEntry
 from imubayes.campaign.findings import LIKE_UNITS, SYMPTOMS, UNIT_FINDINGS, Finding
 from imubayes.campaign.load_run import Equipment, Loaded, judge_rows, load_run
+from imubayes.campaign.repeated_data import check_repeats
+from imubayes.campaign.run_times import check_times
 from imubayes.campaign.saturated_rows import without_saturated_rows
 from imubayes.campaign.servo_angle import with_angles
 from imubayes.campaign.setup_gate.remedies import Places
@@ -119,8 +121,22 @@ def _judge_rows(
         return
     files = [str(folder / entry.file) for entry in entries]
     without_saturated_rows(loaded, files, equipment)
+    read = [(each, file) for each, file in zip(loaded, files, strict=True) if each.run is not None]
+    runs, named = [each.run for each, _ in read if each.run is not None], [file for _, file in read]
+    between = [*check_repeats(runs, named, equipment.channels), *check_times(runs, named)]
     for each, entry, file in zip(loaded, entries, files, strict=True):
         judge_rows(each, entry, equipment, file)
+    _add_to_runs(loaded, entries, between)
+
+
+def _add_to_runs(loaded: Sequence[Loaded], entries: Sequence[RunEntry], between: Sequence[Finding]) -> None:
+    """Add what runs tell of each other to the first that it concerns; a wrong unit of time makes turns look short."""
+    for finding in between:
+        place = next((k for k, entry in enumerate(entries) if entry.name == finding.run), 0)
+        loaded[place].findings.append(finding)
+    if any(finding.name == "time_unit" for finding in between):
+        for each in loaded:
+            each.findings = [finding for finding in each.findings if finding.name != "partial_turn"]
 
 
 def _problems(findings: Sequence[Finding]) -> tuple[Issue, ...]:

@@ -169,6 +169,9 @@ class RunEntry(_Entry):
     temperature_degC: float | None = Field(
         default=None, ge=-150, le=150, description="of all rows, where the file has no column of that name"
     )
+    converter_temperature_degC: float | None = Field(
+        default=None, ge=-150, le=150, description="of all rows, where the file has no column of that name"
+    )
     start: datetime | date | None = Field(default=None, description="when the run began; for timelines and trends")
     initial_rest_s: Positive | None = Field(
         default=None, description="of a free tumble: time at rest before the first motion; found where absent"

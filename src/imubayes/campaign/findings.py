@@ -12,6 +12,10 @@ Severity = Literal["error", "warning"]
 
 FINDINGS: dict[str, str] = {
     "time_not_increasing": "the time column does not increase",
+    "time_unit": "the time column is in another unit",
+    "time_origin": "the time column does not count from the start of the run",
+    "runs_overlap": "runs of the unit overlap in time",
+    "same_data": "two runs hold the same data",
     "gap": "samples are missing: a time step is much longer than the sampling interval",
     "duplicate_row": "a row is identical to the one before, time included",
     "stuck_channel": "a channel keeps one value while its input varies",
@@ -45,6 +49,8 @@ FINDINGS: dict[str, str] = {
     "axes_exchanged": "channels are exchanged",
     "channel_unit": "a channel has another sign or unit",
     "angle_unit": "the angle column is in another unit",
+    "table_rate": "the rates of the table in a run are wrong by a factor",
+    "row_disagrees": "angle or rate of the table in one row contradicts its outputs",
     "time_shift": "outputs and table are shifted in time",
     "setup_disagrees": "the outputs contradict the set-up, and no single mistake explains it",
     "not_settled": "an output does not become steady at a level of the stimulus",

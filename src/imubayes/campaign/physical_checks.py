@@ -44,7 +44,7 @@ def check_rows(
     found = _partial_turns(run, where)
     if run.rows == 0:
         return found
-    if radians := _angle_in_radians(run, where):
+    if radians := _angle_in_radians(run, table, where):
         return [*found, radians]
     slopes: list[tuple[Channel, float]] = []
     for index, channel in enumerate(channels):
@@ -134,8 +134,8 @@ def _slope(channel: Channel, stimulus: np.ndarray, measured: np.ndarray) -> floa
     return math.nan
 
 
-def _angle_in_radians(run: Run, where: str) -> Finding | None:
-    degrees = run.covariates["table_angle"] / DEGREE
+def _angle_in_radians(run: Run, table: Table | None, where: str) -> Finding | None:
+    degrees = (run.covariates["table_angle"] + (table.zero_angle if table else 0.0)) / DEGREE
     static = np.isfinite(degrees) & (run.covariates["table_angle_span"] == 0)
     angle = degrees[static]
     if len(np.unique(angle)) < 5 or np.max(np.abs(angle)) > TURN * 1.01 or np.ptp(angle) < 1.0:

@@ -17,6 +17,7 @@ COARSE_CODES = 100  # a channel that spans fewer codes than this repeats values 
 PLATEAU_RUN = 5  # consecutive raw samples at the extreme
 PLATEAU_RATIO = 3  # so many times longer than any run of one value inside the range, which coarse converters repeat
 KELVIN_ABOVE = 200.0
+KELVIN_BELOW = 400.0  # 127 °C, beyond which few chambers go
 FAHRENHEIT_ABOVE = 100.0  # °C, beyond which few chambers go; 100 °F are 38 °C
 TEMPERATURES = ("temperature_degC", "converter_temperature_degC")
 MUST_BE_FILLED = ("time_s", "table_rate_deg_s", "current_mA", "samples")
@@ -128,6 +129,7 @@ class Monitor:
     _not_finite: dict[str, _Tally] = field(default_factory=dict)
     _kelvin: dict[str, _Tally] = field(default_factory=dict)
     _fahrenheit: dict[str, _Tally] = field(default_factory=dict)
+    _parts: dict[str, _Tally] = field(default_factory=dict)
     _repeats: dict[str, _Repeat] = field(default_factory=dict)
     _previous: dict[str, float] = field(default_factory=dict)
     _longest_gap: float = 0.0
@@ -144,8 +146,10 @@ class Monitor:
                 self._empty.setdefault(name, _Tally()).note(batch.first + np.setdiff1d(empty, bad))
         for name in TEMPERATURES:
             if name in batch.numbers:
-                hot = np.flatnonzero(batch.numbers[name] > KELVIN_ABOVE)
-                self._kelvin.setdefault(name, _Tally()).note(batch.first + hot)
+                hot = batch.numbers[name] > KELVIN_ABOVE
+                huge = batch.numbers[name] > KELVIN_BELOW
+                self._kelvin.setdefault(name, _Tally()).note(batch.first + np.flatnonzero(hot & ~huge))
+                self._parts.setdefault(name, _Tally()).note(batch.first + np.flatnonzero(huge))
                 warm = (batch.numbers[name] > FAHRENHEIT_ABOVE) & (batch.numbers[name] <= KELVIN_ABOVE)
                 self._fahrenheit.setdefault(name, _Tally()).note(batch.first + np.flatnonzero(warm))
         for name in self.source.layout.channels:
@@ -199,12 +203,20 @@ class Monitor:
             allowed = f"a number in every row of '{name}'"
             found += self._at("missing_values", tally, name, what, allowed, "fill the cell, or remove the row")
         for name, tally in self._kelvin.items():
-            what = f"{_count(tally, 'value')} of '{name}' above {KELVIN_ABOVE:g}, as in kelvin"
+            what = f"{_count(tally, 'value')} of '{name}' above {KELVIN_ABOVE:g}, as in kelvin or tenths of a degree"
             allowed = f"degrees Celsius up to {KELVIN_ABOVE:g}"
-            found += self._at("kelvin_temperature", tally, name, what, allowed, "subtract 273.15 from the column")
+            remedy = "subtract 273.15 from the column, or divide it by 10"
+            found += self._at("kelvin_temperature", tally, name, what, allowed, remedy)
+        for name, tally in self._parts.items():
+            what = (
+                f"{_count(tally, 'value')} of '{name}' above {KELVIN_BELOW:g}, as in tenths or hundredths of a degree"
+            )
+            remedy = "divide the column by 10 or 100"
+            found += self._at("temperature_unit", tally, name, what, "degrees Celsius", remedy)
         for name, tally in self._fahrenheit.items():
             what = f"{_count(tally, 'value')} of '{name}' above {FAHRENHEIT_ABOVE:g}, as in degrees Fahrenheit"
-            remedy = "where they are degrees Fahrenheit, replace T by (T - 32) / 1.8 in the column"
+            what += " or tenths of a degree"
+            remedy = "where they are degrees Fahrenheit, replace T by (T - 32) / 1.8 in the column; divide tenths by 10"
             found += self._at("temperature_unit", tally, name, what, "degrees Celsius", remedy, "warning")
         return found
 

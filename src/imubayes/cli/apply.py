@@ -24,7 +24,8 @@ def apply(
     A recording with all gyros or accelerometers of a unit is solved for rate and specific force in body axes, all
     channels jointly; the systematic uncertainty of the calibration and the random one of the row are given apart.
     Readings of single channels, or of channels that do not span three axes, become inputs along the axis of each
-    channel.
+    channel. Effects of the model that depend on what the recording does not tell are left in; they are named, and the
+    uncertainty contains what they may do.
 
     Example: imubayes apply results/desk-imu data/desk-imu --out results/desk-imu-corrected.csv
 
@@ -44,7 +45,7 @@ def apply(
     converter_temperature
         Temperature of the converters in °C, where no column gives it.
     along_axes
-        Treat every channel alone, as if there were no input across its axis.
+        Treat every channel alone: there was no input across its axis.
     """
     stated = {"temperature": temperature, "converter_temperature": converter_temperature}
     known = {name: value for name, value in stated.items() if value is not None}
@@ -72,14 +73,17 @@ def _corrected(
         channels = found.fit.model.campaign.channels
         whole = not recording.is_file() or bool(complete_kinds(channels, read_header(recording)))
         if along_axes or not whole:
-            return _along_axes(found, recording, out)
+            return _along_axes(found, recording, out, temperatures, along_axes)
         return correction_lines(api.correct(found, recording, out, run=run, temperatures=temperatures, progress=tell))
 
 
-def _along_axes(result: "Result", readings: Path, out: Path) -> list[str]:
+def _along_axes(
+    result: "Result", readings: Path, out: Path, temperatures: dict[str, float], nothing_across: bool
+) -> list[str]:
     from imubayes import api
     from imubayes.atomic_files import write_text
+    from imubayes.display.correction_report import inputs_lines
 
-    found = api.apply(result, readings)
+    found = api.apply(result, readings, temperatures=temperatures, nothing_across=nothing_across)
     write_text(out, found.table.write_csv())
-    return [f"note: {note}" for note in found.notes]
+    return inputs_lines(found, nothing_across)

@@ -69,6 +69,7 @@ def _with_model(campaign: Path, model: Path) -> "tuple[Inspection, CheckedModel 
         parameters=len(declared.layout),
         noise_parameters=len(declared.hyper_layout),
         measured_values=len(declared.entries),
+        left_out=declared.left_out,
     )
 
 

@@ -30,10 +30,12 @@ def classical(
         from imubayes.campaign import load_campaign
         from imubayes.display.classical_comparison import classical_json, compare_classical
         from imubayes.display.classical_of_prediction import of_prediction
+        from imubayes.display.effects_behind import effects_behind
         from imubayes.display.fit_report import classical_report
         from imubayes.display.report_layout import print_report
         from imubayes.errors import input_error
         from imubayes.procedures.classical import classical as evaluate
+        from imubayes.results.fit_file import read_fit
         from imubayes.results.fit_record import refuse_other_data
         from imubayes.results.read_folder import read_summary_and_residuals
 
@@ -51,6 +53,9 @@ def classical(
     fitted = None if summary is None else summary.delta_k_threshold
     percent = fitted if delta_k_threshold is None else delta_k_threshold
     comparison = compare_classical(evaluate(loaded, None if percent is None else percent / 100), summary, predicted)
+    if result is not None and summary is not None and comparison.beyond:
+        behind = effects_behind(read_fit(result), read_summary_and_residuals(result)[1].table, summary)
+        comparison = comparison.with_causes(behind)
     if as_json:
         print_json(classical_json(comparison))
     else:

@@ -3,19 +3,22 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import numpy as np
 
 from imubayes.criticism.cross_validation import (
     cross_validate,
-    delta_chi2_at_remaining_noise,
     objection,
     observed_delta_chi2,
 )
 from imubayes.criticism.diagnosis_record import CoefficientEstimate, Diagnosis, ScreenedEffect
 from imubayes.criticism.held_out_record import CrossValidation
+from imubayes.criticism.known_noise import known_scales
+from imubayes.criticism.known_noise_fit import known_noise_point
 from imubayes.criticism.warm_start import Extension, extend
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
+from imubayes.inference.posterior_precision import linearise
 from imubayes.inference.run_fit import joint_fit
 from imubayes.json_record import Record, finite
 
@@ -25,13 +28,13 @@ class Prediction(Record):
 
     Attributes
     ----------
-    delta_chi2, coefficients : by the linear model; by the screening where that has no gradient.
-    screened : Δχ² of the screening, in units of the noise that then remains; None without one.
+    delta_chi2 : at the noise known beforehand; None where noise itself is added.
+    coefficients : those of the diagnosis, where it estimated the same; by the linear model elsewhere, several effects
+        together.
     """
 
     delta_chi2: float | None
     coefficients: tuple[CoefficientEstimate, ...]
-    screened: float | None
 
 
 @dataclass(frozen=True)
@@ -43,8 +46,7 @@ class Refit:
     before : the fit before.
     extension : the extended model before its fit, with the prediction.
     fit : the refit.
-    delta_chi2 : observed; NaN where the refit did not converge.
-    delta_chi2_remaining : the same in units of the noise after the refit; None where a noise scale is new.
+    delta_chi2 : observed, at the noise scales of the fit before; NaN where the refit did not converge.
     objection : why the refit is not taken; empty where nothing speaks against it.
     held_out : cross-validation; None where there was none.
     predicted : what was predicted.
@@ -54,7 +56,6 @@ class Refit:
     extension: Extension
     fit: Fit
     delta_chi2: float
-    delta_chi2_remaining: float | None
     objection: str
     held_out: CrossValidation | None
     predicted: Prediction
@@ -101,8 +102,9 @@ def refit_with(
     unseen = None if against else cross_validate(before, fit, progress)
     screened = _screened(effects, diagnosis)
     known = screened[0] if screened and _one_finding(effects, diagnosis) else None
-    remaining = None if against else delta_chi2_at_remaining_noise(before, extension, fit)
-    return Refit(before, extension, fit, delta_chi2, remaining, against, unseen, _prediction(extension, known))
+    coefficients = _predicted_coefficients(extension, known, len(effects) == 1)
+    prediction = Prediction(delta_chi2=_predicted_drop(before, extension), coefficients=coefficients)
+    return Refit(before, extension, fit, delta_chi2, against, unseen, prediction)
 
 
 def _screened(effects: Sequence[str], diagnosis: Diagnosis | None) -> list[ScreenedEffect]:
@@ -134,12 +136,24 @@ def start_of_refit(
     return extend(before, effects, channels, shape, hints, estimates, files)
 
 
-def _prediction(extension: Extension, screened: ScreenedEffect | None) -> Prediction:
-    drop, coefficients = extension.delta_chi2, extension.coefficients
-    if drop is None and screened is not None:
-        drop, coefficients = screened.delta_chi2, screened.coefficients
-    return Prediction(
-        delta_chi2=None if drop is None else finite(drop),
-        coefficients=tuple(coefficients),
-        screened=screened.delta_chi2 if screened is not None else None,
+def _predicted_coefficients(
+    extension: Extension, screened: ScreenedEffect | None, alone: bool
+) -> tuple[CoefficientEstimate, ...]:
+    """Return those of the diagnosis, where it estimated the same; of the linear model elsewhere."""
+    of_diagnosis = screened is not None and (alone or extension.delta_chi2 is None)
+    return tuple(screened.coefficients if screened is not None and of_diagnosis else extension.coefficients)
+
+
+def _predicted_drop(before: Fit, extension: Extension) -> float | None:
+    """Return the drop of χ² at the noise known beforehand, the models linear about the fit and the start of the refit.
+
+    None where the noise has a new scale.
+    """
+    if extension.model.hyper_layout.names != before.model.hyper_layout.names:
+        return None
+    start = Fit(extension.model, extension.z, extension.h, False)
+    was, now = (
+        known_noise_point(fit.model, linearise(fit.model.problem, jnp.asarray(fit.z)), known_scales(fit)).record().chi2
+        for fit in (before, start)
     )
+    return finite(was - now)

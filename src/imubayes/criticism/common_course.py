@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from imubayes.campaign_data import Run
 from imubayes.criticism import thresholds
@@ -20,6 +19,7 @@ from imubayes.criticism.noise_tests import to_entries
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import score_test
+from imubayes.tail_probabilities import f_survival
 
 COMMON_COURSE = "common course of runs"
 _PROFILE = ("table_rate", "table_angle", "temperature", "converter_temperature", "current")
@@ -152,7 +152,7 @@ def course_p_value(projection: Projection, of: Sequence[Replicates]) -> float:
         return 1.0
     effective = freedom / inflation(apart)
     ratio = (common / freedom[0]) / (scatter / freedom[1])
-    return max(float(special.fdtrc(*effective, ratio)), 1e-300)
+    return float(f_survival(ratio, *effective))
 
 
 def inflation(apart: Sequence[np.ndarray]) -> float:

@@ -184,28 +184,6 @@ def observed_delta_chi2(before: Fit, extension: Extension, after: Fit) -> float:
     return float(np.sum(_drops(before, extension, after)))
 
 
-def delta_chi2_at_remaining_noise(before: Fit, extension: Extension, after: Fit) -> float | None:
-    """Return the drop of chi² in units of the noise after the refit, as the score test predicts it.
-
-    The drop of each channel at the noise scales of the old fit, over the ratio of its noise variances; None where a
-    noise scale is new itself.
-    """
-    old, new = before.model, after.model
-    if new.hyper_layout.names != old.hyper_layout.names:
-        return None
-    z, h = jnp.asarray(after.z), jnp.asarray(_in_order(old.hyper_layout, before.h, new.hyper_layout))
-    coarse = np.asarray(_residuals(new.problem, z, h))
-    fine = np.asarray(_residuals(new.problem, z, jnp.asarray(after.h)))
-    weights = np.ones(len(coarse))
-    channels = np.asarray(new.entries.channel)
-    rows = np.arange(len(channels))
-    for channel in np.unique(channels):
-        own = rows[channels == channel]
-        weights[own] = (fine[own] @ fine[own]) / max(float(coarse[own] @ coarse[own]), np.finfo(float).tiny)
-    drops = _drops(before, extension, after)
-    return float(np.sum(drops * weights[: len(drops)]))
-
-
 def _drops(before: Fit, extension: Extension, after: Fit) -> np.ndarray:
     """Return the drop of chi² of each row, priors of old parameters last, at the noise scales of the old fit."""
     old, new = before.model, after.model

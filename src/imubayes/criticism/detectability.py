@@ -9,6 +9,7 @@ from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Response, stated_size
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.score_test import KNOWN_FREEDOM, LEAST_FREEDOM, ProjectedResponse
+from imubayes.tail_probabilities import normal_survival
 
 _QUANTILES = 64
 RUN_OFFSETS = "run offsets"
@@ -134,7 +135,7 @@ def noncentrality_needed(p: np.ndarray, freedom: np.ndarray) -> np.ndarray:
     low, high = np.zeros_like(critical), critical * scale.max(axis=0) + 10
     for _ in range(60):
         middle = (low + high) / 2
-        enough = special.ndtr(middle - critical * scale).mean(axis=0) > thresholds.DETECTION_POWER
+        enough = normal_survival(critical * scale - middle).mean(axis=0) > thresholds.DETECTION_POWER
         low, high = np.where(enough, low, middle), np.where(enough, middle, high)
     return high
 

@@ -1,7 +1,9 @@
 """From a converged fit to its diagnosis: the search, the verdict, and everything that supports it."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+
+import jax.numpy as jnp
 
 from imubayes.campaign_data import Kind
 from imubayes.criticism import thresholds
@@ -21,15 +23,18 @@ from imubayes.criticism.diagnosis_record import (
     UndetectableEffect,
     UntypicalSize,
 )
+from imubayes.criticism.disagreement_record import Disagreement
 from imubayes.criticism.discriminating_run import discriminating_run
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
 from imubayes.criticism.free_form_dependence import dominant_channel
+from imubayes.criticism.known_noise import compare_with_known, known_scales
+from imubayes.criticism.known_noise_fit import known_noise_point
 from imubayes.criticism.large_effects import remainder_of_leader
+from imubayes.criticism.marginal_evidence import columns_of
 from imubayes.criticism.neglected_uncertainty import neglected_uncertainties
-from imubayes.criticism.noise_against_prior import NoiseBeyondPrior, noise_beyond_prior
 from imubayes.criticism.noise_assumptions import judged_noise_in
-from imubayes.criticism.noise_violation import NoiseViolation
-from imubayes.criticism.projection import project
+from imubayes.criticism.noise_violation import NoiseComparison, NoiseViolation
+from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.residual_evidence import ResidualEvidence, following_covariate, residual_evidence
 from imubayes.criticism.residual_findings import (
     covariate_label,
@@ -40,18 +45,24 @@ from imubayes.criticism.residual_findings import (
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.search_outcome import Significant
 from imubayes.criticism.stepwise_search import SearchResult, search
+from imubayes.criticism.suggestions import suggestions, that_converges
 from imubayes.criticism.unexplained_structure import (
-    channels_of,
+    goes_with,
     scatter_remains,
     unexplained_structure,
 )
 from imubayes.criticism.unlisted_causes import Causes, unlisted_causes
-from imubayes.criticism.verdict import MISSING, EffectChoice, RmsChange, Suggestion, Verdict
+from imubayes.criticism.verdict import MISSING, EffectChoice, RmsChange, Verdict
+from imubayes.criticism.wrong_runs import disagreements
 from imubayes.effects.base import Effect, Stage
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
+from imubayes.inference.posterior_precision import Linearised
 from imubayes.json_record import finite
 from imubayes.step_counter import Tell, silent
+
+# p-values below this are not told apart.
+_BEYOND_DOUBT = 1e-30
 
 
 def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = silent) -> Diagnosis:
@@ -75,22 +86,28 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
         message = fit.message or "The fit did not converge."
         return Diagnosis(verdict="not_converged", message=message, result=result)
     found = search(fit, progress)
+    if effect:
+        return _asked(effect, found, result)
+    progress("predicting each run from the others")
+    disagreeing = disagreements(fit, found.responses, [group.leader.effect for group in found.groups])
     progress("interpreting what was found")
-    return _asked(effect, found, result) if effect else _diagnosis(fit, found, result)
+    return _diagnosis(fit, found, disagreeing, result)
 
 
-def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
+def _diagnosis(fit: Fit, found: SearchResult, disagreeing: tuple[Disagreement, ...], result: str) -> Diagnosis:
     found, unexplained = _with_large_effect_fitted(found)
     unlisted = [] if unexplained else [unlisted_causes(found, group) for group in found.groups]
-    beyond_prior = noise_beyond_prior(fit)
-    verdict = _verdict(found, unexplained, unlisted, beyond_prior)
-    violations = _violations(found, verdict)
-    verdict = "noise_model" if violations else verdict
+    as_fitted = project(found.first.projection.fitted, found.responses.misfit, found.responses.jacobian)
+    # As fitted: what the search ends with may be whitened by noise that it only suspects.
+    contradicted = compare_with_known(as_fitted).contradicted
+    verdict = _verdict(found, unexplained, unlisted, contradicted)
+    violations = _violations(found, verdict, as_fitted)
+    verdict = _overruled("noise_model" if violations else verdict, disagreeing)
     found = _as_named(found, verdict)
     open_question = verdict == "unexplained_structure"
     evidence = [_evidence(found, group) for group in found.groups]
     named = found.groups if verdict in MISSING else ()
-    grouped = zip(named, evidence[: len(named)], unlisted, stages_of(found, named), strict=True)
+    grouped = zip(named, evidence[: len(named)], unlisted[: len(named)], stages_of(found, named), strict=True)
     diagnosis = Diagnosis(
         verdict=verdict,
         result=result,
@@ -103,13 +120,13 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         structure=residual_structures(found, unexplained),
         looks=found.look_elsewhere.looks,
         outliers=outlying_samples(found),
-        suggested=_suggested(found, verdict),
         paired=found.paired,
         unfinished=found.unfinished,
         rivals=_rivals(found),
         strongest=strongest_structure(found) if open_question else None,
-        recorded_noise=found.record.comparisons,
-        beyond_prior=beyond_prior,
+        recorded_noise=found.record.of_rows,
+        contradicted=contradicted,
+        disagreeing=disagreeing,
         neglected=neglected_uncertainties(found),
         violations=violations,
         wandering=found.wandering,
@@ -117,9 +134,8 @@ def _diagnosis(fit: Fit, found: SearchResult, result: str) -> Diagnosis:
         more_remains=verdict in MISSING and bool(found.remaining or found.groups[1 + found.paired :]),
         message=fit.message if not fit.sampled else "",
     )
-    if diagnosis.noise_outweighs:
-        noise = Suggestion(effects=(found.adopted[0].effect,), channels=None)
-        diagnosis = diagnosis.model_copy(update={"suggested": noise})
+    tried = suggestions(found, "noise_model" if diagnosis.noise_outweighs else verdict)
+    diagnosis = diagnosis.model_copy(update={"suggested": that_converges(found, diagnosis, tried)})
     return diagnosis.with_evidence(evidence[0] if evidence else None, found.record)
 
 
@@ -162,7 +178,7 @@ def _verdict(
     found: SearchResult,
     unexplained: Sequence[Significant],
     unlisted: Sequence[Causes],
-    beyond_prior: Sequence[NoiseBeyondPrior],
+    contradicted: Sequence[NoiseComparison],
 ) -> Verdict:
     if unexplained:
         return "unexplained_structure"
@@ -170,8 +186,13 @@ def _verdict(
         doubtful = bool(unlisted[0] or found.wandering or found.rivals or found.unfinished) or scatter_remains(found)
         alone = len(found.groups[0].members) == 1 and not doubtful
         return "missing_effect" if alone else "equivalent_effects"
-    noisy = found.adopted or found.record.excessive or beyond_prior or found.wandering
+    noisy = found.adopted or found.record.contradicted or contradicted or found.wandering
     return "noise_model" if noisy else "adequate"
+
+
+def _overruled(verdict: Verdict, disagreeing: Sequence[Disagreement]) -> Verdict:
+    """Return the verdict beside a wrong record of a run, which passes for effects and noise: these are judged after."""
+    return "run_disagrees" if any(each.leads for each in disagreeing) else verdict
 
 
 def _as_named(found: SearchResult, verdict: Verdict) -> SearchResult:
@@ -181,14 +202,12 @@ def _as_named(found: SearchResult, verdict: Verdict) -> SearchResult:
     return replace(found, rivals=found.rivals if found.wandering else (), paired=False, unfinished=False)
 
 
-def _violations(found: SearchResult, verdict: Verdict) -> tuple[NoiseViolation, ...]:
+def _violations(found: SearchResult, verdict: Verdict, as_fitted: Projection) -> tuple[NoiseViolation, ...]:
     """Return how the noise departs from its model where no candidate explains that; outliers are told by themselves."""
     if verdict not in ("adequate", "noise_model") or found.adopted:
         return ()
-    # As fitted: what the search ends with may be whitened by noise that it only suspects.
-    at = project(found.first.projection.fitted, found.responses.misfit, found.responses.jacobian)
     told = ("heavy_tails",) if found.outlier_sd.any() else ()
-    return tuple(each for each in judged_noise_in(at).violations if each.kind not in told)
+    return tuple(each for each in judged_noise_in(as_fitted).violations if each.kind not in told)
 
 
 def _asked(effect: str, found: SearchResult, result: str) -> Diagnosis:
@@ -222,11 +241,13 @@ def _best(found: SearchResult) -> float:
 
 
 def _ranking(found: SearchResult) -> tuple[RankedEffect, ...]:
+    """Return every candidate by its p-value, those beyond doubt by their likelihood ratio."""
     return tuple(
         RankedEffect(
             effect=candidate.effect,
             channels=candidate.owners,
             delta_chi2=candidate.delta_chi2,
+            evidence=2 * candidate.score.log_likelihood_gain,
             dof=candidate.dof,
             p=candidate.p,
             p_global=found.against_budget(found.look_elsewhere(candidate.p)),
@@ -234,7 +255,7 @@ def _ranking(found: SearchResult) -> tuple[RankedEffect, ...]:
             shape=dict(candidate.scan.shape),
             coefficients=_coefficients(candidate),
         )
-        for candidate in found.first.candidates
+        for candidate in sorted(found.first.candidates, key=lambda each: (max(each.p, _BEYOND_DOUBT), each.log_p))
     )
 
 
@@ -255,7 +276,7 @@ def _evidence(found: SearchResult, group: EquivalenceGroup) -> ResidualEvidence:
     response = next(each for each in found.first.prepared if each.response.scan == leader.scan)
     names = [channel.name for channel in projection.fitted.model.campaign.channels]
     channel = dominant_channel(projection, names, leader.score)
-    covariate = following_covariate(projection, found.first.structures, leader, channel)
+    covariate = following_covariate(projection, found.first.structures, leader, channel, goes_with(found, leader))
     return residual_evidence(projection, found.responses, response, leader, channel, covariate, found.covariates)
 
 
@@ -268,12 +289,12 @@ def _group(
     stage: FoundStage | None,
 ) -> EffectGroup:
     leader = group.leader
-    before, after, unit = evidence.rms
+    drop, residual = _at_known_noise(fit, found, leader, evidence.channel)
     return EffectGroup(
         effects=group.effects,
         channels=leader.owners,
         delta_chi2=leader.delta_chi2,
-        delta_chi2_at_fit=leader.score.delta_chi2_at_fit,
+        delta_chi2_known=drop,
         dof=leader.dof,
         p_global=found.against_budget(group.p),
         candidates=tuple(
@@ -287,13 +308,26 @@ def _group(
             )
             for member, unexplained in zip(group.members, group.unexplained, strict=True)
         ),
-        residual=RmsChange(channel=evidence.channel, before=before, after=after, unit=unit, within=evidence.within),
+        residual=residual,
+        within=evidence.within,
         covariate=covariate_label(evidence.covariate) if evidence.covariate is not None else None,
         discriminating_run=discriminating_run(fit, group),
         unlisted=tuple(tuple(map(covariate_label, each)) for each in unlisted),
         stage=_chain_stage(fit, leader, stage) if stage is not None else None,
         beyond_typical=_beyond_typical(leader),
     )
+
+
+def _at_known_noise(fit: Fit, found: SearchResult, leader: Candidate, channel: str) -> tuple[float, RmsChange]:
+    """Return the Δχ² of a candidate at the noise known beforehand, and what it does to the residual of a channel."""
+    about = Linearised(jnp.asarray(fit.z), jnp.asarray(found.responses.misfit), jnp.asarray(found.responses.jacobian))
+    before = known_noise_point(fit.model, about, known_scales(fit))
+    after = before.with_columns(columns_of(found.first.prepared, leader))
+    then, now = before.record(), after.record()
+    one, other = (next(each for each in both.channels if each.channel == channel) for both in (then, now))
+    factor, unit = {"deg/s": (3600.0, "deg/h"), "deg": (3600.0, "arcsec")}.get(one.unit, (1e6, "ug"))
+    change = RmsChange(channel=channel, before=factor * one.rms, after=factor * other.rms, unit=unit)
+    return then.chi2 - now.chi2, change
 
 
 def _beyond_typical(leader: Candidate) -> tuple[UntypicalSize, ...]:
@@ -380,35 +414,3 @@ def _rivals(found: SearchResult) -> tuple[RivalExplanation, ...]:
         )
         for each in found.rivals
     )
-
-
-def _suggested(found: SearchResult, verdict: Verdict) -> Suggestion | None:
-    """Return what to add next; the channels where they are not all on which its effects were screened.
-
-    Where the data do not distinguish several effects, all of them: the posterior then holds every explanation.  A refit
-    with one of them alone would confirm it, and what another one would shift would be far off.
-    """
-    if verdict == "noise_model":
-        return Suggestion(effects=(found.adopted[0].effect,), channels=None) if found.adopted else None
-    # What noise explains as well is not worth an addition before another record has told them apart.
-    if verdict not in MISSING or found.wandering:
-        return None
-    groups = found.groups if found.unfinished else found.groups[: 1 + found.paired]
-    rivals = () if found.unfinished else found.rivals[:1]
-    leaders = [group.leader for group in groups]
-    others = [member for group in groups for member in group.members[1:]]
-    together = [*leaders, *others, *(member for each in rivals for member in each.members)]
-    effects = tuple(dict.fromkeys(member.effect for member in together))
-    return Suggestion(effects=effects, channels=_channels_of_all(found, together))
-
-
-def _channels_of_all(found: SearchResult, together: Sequence[Candidate]) -> tuple[str, ...] | None:
-    """Return the channels on which candidates were found; None where their effects were screened on no others."""
-
-    def channels(candidates: Iterable[Candidate]) -> set[str]:
-        return {name for candidate in candidates for name in channels_of(found, candidate)}
-
-    here, effects = channels(together), {candidate.effect for candidate in together}
-    screened = channels(candidate for candidate in found.first.candidates if candidate.effect in effects)
-    every = found.first.projection.fitted.model.campaign.channels
-    return None if here == screened else tuple(channel.name for channel in every if channel.name in here)

@@ -10,11 +10,11 @@ from pydantic import PrivateAttr
 from imubayes.campaign_data import Kind
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import Absorber, ParameterBias
+from imubayes.criticism.disagreement_record import Disagreement
 from imubayes.criticism.formula_search import FormulaTerm
+from imubayes.criticism.known_noise import KnownNoise
 from imubayes.criticism.localised_structure import Step
-from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
-from imubayes.criticism.noise_violation import NoiseViolation
-from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
+from imubayes.criticism.noise_violation import NoiseComparison, NoiseViolation
 from imubayes.criticism.residual_evidence import ResidualEvidence
 from imubayes.criticism.slow_noise_records import WanderingNoise
 from imubayes.criticism.verdict import EffectChoice, RmsChange, Suggestion, Verdict
@@ -55,11 +55,13 @@ class RankedEffect(ScreenedEffect):
 
     Attributes
     ----------
+    evidence : twice the log-likelihood ratio: a drop of χ² against a noise scale of few degrees of freedom counts less.
     dof : directions that could be resolved.
     p, p_global : p-value of this candidate alone, and corrected for the number of looks and families of tests.
     within_runs : drop of χ² from the variation within runs alone.
     """
 
+    evidence: float = 0.0
     dof: int
     p: float
     p_global: float
@@ -111,10 +113,11 @@ class EffectGroup(Record):
     Attributes
     ----------
     channels, delta_chi2, dof : of the first.
-    delta_chi2_at_fit : Δχ² of the first at the noise scales of the fit; None of diagnoses of earlier versions.
+    delta_chi2_known : Δχ² of the first at the noise known beforehand; None of diagnoses of earlier versions.
     p_global : p-value of the first, corrected for the number of looks and families of tests.
     candidates : one per effect.
-    residual : rms of the channel that shows it best, before and after adding the first.
+    residual : rms of the channel that shows it best, before and after adding the first, at the noise known beforehand.
+    within : whether pictures show that residual about the mean of each run.
     covariate : what that residual depends on; None where no single covariate explains it.
     discriminating_run : the feasible run that distinguishes them best; None where there is none.
     unlisted : covariates, one to three, of each plain function that fits as well and is none of the effects: it may be
@@ -127,11 +130,12 @@ class EffectGroup(Record):
     effects: tuple[str, ...]
     channels: tuple[str, ...]
     delta_chi2: float
-    delta_chi2_at_fit: float | None = None
+    delta_chi2_known: float | None = None
     dof: int
     p_global: float
     candidates: tuple[GroupMember, ...]
     residual: RmsChange
+    within: bool = False
     covariate: CovariateLabel | None
     discriminating_run: RunDesign | None = None
     unlisted: tuple[tuple[CovariateLabel, ...], ...] = ()
@@ -317,8 +321,9 @@ class Diagnosis(Presented, Record):
         add it and diagnose again.
     scatter_remains : whether rows still scatter more than recorded beside the first group, so that it may only resemble
         the cause.
-    recorded_noise : fitted against recorded noise of each channel, after the groups.
-    beyond_prior : noise parameters that the fit puts far beyond their priors, the least probable first.
+    recorded_noise : white noise of each channel, as fitted and as known beforehand, after the groups.
+    contradicted : noise scales of the fit that contradict what is known of them, the least probable first.
+    disagreeing : runs and rows that do not agree with the others at the noise known before the fit.
     neglected : stated uncertainties of the equipment that no interval of the fit includes, those that matter.
     violations : how the noise departs from its model where nothing in the catalogue explains that.
     wandering : whether noise that wanders otherwise than the model's explains what is found as well, or instead of it.
@@ -349,13 +354,14 @@ class Diagnosis(Presented, Record):
     more_remains: bool = False
     scatter_remains: bool = False
     recorded_noise: tuple[NoiseComparison, ...] = ()
-    beyond_prior: tuple[NoiseBeyondPrior, ...] = ()
+    contradicted: tuple[NoiseComparison, ...] = ()
+    disagreeing: tuple[Disagreement, ...] = ()
     neglected: tuple[NeglectedUncertainty, ...] = ()
     violations: tuple[NoiseViolation, ...] = ()
     wandering: WanderingNoise = ""
     asked: AskedEffect | None = None
     _evidence: ResidualEvidence | None = PrivateAttr(None)
-    _scatter: RecordedNoise | None = PrivateAttr(None)
+    _scatter: KnownNoise | None = PrivateAttr(None)
 
     @property
     def evidence(self) -> ResidualEvidence | None:
@@ -363,7 +369,7 @@ class Diagnosis(Presented, Record):
         return self._evidence
 
     @property
-    def scatter(self) -> RecordedNoise | None:
+    def scatter(self) -> KnownNoise | None:
         """The rows against the recorded noise, for pictures; None of a stored diagnosis."""
         return self._scatter
 
@@ -392,11 +398,11 @@ class Diagnosis(Presented, Record):
         """Whether noise that the model lacks has stronger evidence than the effect or structure of the verdict."""
         adopted = [noise for noise in self.noise if noise.adopted]
         others = [group.p_global for group in self.groups] or [each.p for each in self.structure]
-        if not adopted or not others or self.verdict == "noise_model":
+        if not adopted or not others or self.verdict in ("noise_model", "run_disagrees"):
             return False
         return min(noise.p for noise in adopted) < min(others)
 
-    def with_evidence(self, evidence: ResidualEvidence | None, scatter: RecordedNoise | None = None) -> "Diagnosis":
+    def with_evidence(self, evidence: ResidualEvidence | None, scatter: KnownNoise | None = None) -> "Diagnosis":
         """Return the same diagnosis with the residual that shows its first group, and with the rows' scatter."""
         copy = self.model_copy()
         copy._evidence, copy._scatter = evidence, scatter

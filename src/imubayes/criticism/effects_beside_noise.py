@@ -10,13 +10,13 @@ from dataclasses import replace
 from imubayes.criticism import thresholds
 from imubayes.criticism.effect_selection import at_scales, select_beside
 from imubayes.criticism.equivalent_effects import EquivalenceGroup, equivalence_group
+from imubayes.criticism.known_noise import contradicted_between_runs
 from imubayes.criticism.marginal_evidence import (
     columns_of,
     evidence_with_scatter,
     evident_between_runs,
     evident_in_correlated_noise,
 )
-from imubayes.criticism.noise_against_prior import scatter_beyond_prior
 from imubayes.criticism.scales_beside import evident_at_scales_beside
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.search_input import Screening, SearchInput
@@ -46,9 +46,9 @@ def _judged_beside(
     p : of candidates of the first screening alone, by their place.
     corrected : of the smallest one.
     """
-    known = {_identity(first.candidates[place]): value for place, value in p.items()}
+    known = {_identity(first.candidates[place]): math.log(value) for place, value in p.items()}
     candidates = [
-        replace(each, score=replace(each.score, p=max(each.score.p, known.get(_identity(each), 0.0))))
+        replace(each, score=replace(each.score, log_p=max(each.score.log_p, known.get(_identity(each), -math.inf))))
         for each in beside.candidates
     ]
     beside = replace(beside, candidates=tuple(candidates))
@@ -108,7 +108,7 @@ def _between_few_runs(
     candidates = list(first.candidates)
     for place, own in evident.items():
         score = candidates[place].score
-        candidates[place] = replace(candidates[place], score=replace(score, p=min(score.p, math.exp(-own))))
+        candidates[place] = replace(candidates[place], score=replace(score, log_p=min(score.log_p, -own)))
     best = max(evident, key=lambda place: evident[place])
     near = [candidates[k] for k, value in evident.items() if value > evident[best] - thresholds.DECISIVE_LOG_ODDS]
     first, leader = replace(first, candidates=tuple(candidates)), candidates[best]
@@ -119,11 +119,11 @@ def _between_few_runs(
 def outweighed(given: SearchInput, at: FirstPass, outcome: SearchOutcome) -> SearchOutcome:
     """Return the outcome with what scatter between runs took up, where that outweighs what was selected.
 
-    Scatter far beyond its prior is a finding.  The F test of few runs does not show its cause, whose smaller part
-    within runs is then shared by effects that imitate it.  Beside the cause these explain nothing, but what is missing
-    as well is selected.
+    Scatter that contradicts what is known is a finding.  The F test of few runs does not show its cause, whose smaller
+    part within runs is then shared by effects that imitate it.  Beside the cause these explain nothing, but what is
+    missing as well is selected.
     """
-    if not scatter_beyond_prior(given.fitted):
+    if not contradicted_between_runs(given.fitted, given.responses):
         return outcome
     log_factor = -math.inf
     if outcome.groups:

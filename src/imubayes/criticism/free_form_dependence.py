@@ -18,8 +18,8 @@ from imubayes.criticism.localised_structure import Feature, FeatureScan, Feature
 from imubayes.criticism.projection import Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.score_test import ScoreTest, generalised_least_squares, score_test
-from imubayes.criticism.tail_probabilities import chi2_log_survival
 from imubayes.criticism.term_library import levels
+from imubayes.tail_probabilities import chi2_log_survival
 from imubayes.units import to_si
 
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.free_form_dependence import Structure, free_forms, project_forms, screen_structure
+from imubayes.criticism.known_noise import KnownNoise, compare_with_known
 from imubayes.criticism.localised_structure import features, scan_features
 from imubayes.criticism.multiple_testing import look_elsewhere
 from imubayes.criticism.projection import Projection, project
-from imubayes.criticism.recorded_noise import RecordedNoise, compare_with_record
 from imubayes.criticism.score_test import Candidate
 from imubayes.criticism.stepwise_search import SearchResult
 from imubayes.criticism.unexplained_structure import channels_of
@@ -39,7 +39,7 @@ class Remainder:
 
     explained: float
     structures: tuple[tuple[Structure, float], ...]
-    record: RecordedNoise
+    record: KnownNoise
 
     @property
     def small(self) -> bool:
@@ -70,7 +70,7 @@ def remainder_of_leader(found: SearchResult) -> Remainder | None:
         if not owners or each.channel in owners or each.score.delta_chi2 > explained
     ]
     significant = tuple(pair for pair in left if pair[1] < thresholds.FALSE_ALARM_STRUCTURE)
-    return Remainder(explained, significant, compare_with_record(at))
+    return Remainder(explained, significant, compare_with_known(at))
 
 
 def _refit(found: SearchResult, leader: Candidate) -> tuple[Fit, Mode] | None:

@@ -25,7 +25,7 @@ from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
-from imubayes.criticism.noise_against_prior import scatter_beyond_prior
+from imubayes.criticism.known_noise import contradicted_between_runs
 from imubayes.criticism.projection import Projection, project
 from imubayes.criticism.score_test import Candidate, ProjectedResponse, response_of
 from imubayes.criticism.slow_noise_records import with_slow_noise
@@ -152,8 +152,9 @@ def evident_between_runs(
     ----------
     prepared, candidates : as screened, all of them.
     """
-    # Scatter far beyond its prior is a finding by itself, and a name for it is no further alarm.
-    chance = thresholds.FALSE_ALARM if scatter_beyond_prior(fitted) else thresholds.MARGINAL_EVIDENCE
+    # Scatter that contradicts what is known is a finding by itself, and a name for it is no further alarm.
+    told = contradicted_between_runs(fitted, responses)
+    chance = thresholds.FALSE_ALARM if told else thresholds.MARGINAL_EVIDENCE
     enough = _enough(candidates, chance)
     most = 1 - thresholds.BOTH_STRATA_SHARE
     acting = [place for place, each in enumerate(candidates) if each.score.within_runs < most]

@@ -20,12 +20,12 @@ _MOST_NAMED = 3
 
 
 class ChannelRms(Record):
-    """An rms of one channel: its residual, or its noise floor.
+    """The residual rms of one channel.
 
     Attributes
     ----------
     within : about the mean of each run; None where it is unknown.
-    noise : standard deviation that the model assumes of the residual; None where it is unknown.
+    noise : standard deviation that is known of the residual beforehand, offsets of runs included; None where unknown.
     """
 
     channel: str
@@ -33,6 +33,26 @@ class ChannelRms(Record):
     unit: str
     within: float | None = None
     noise: float | None = None
+
+
+class KnownNoiseFit(Record):
+    """Goodness of fit at the noise known beforehand.
+
+    Attributes
+    ----------
+    chi2 : least sum of squares of outputs and priors.
+    dof : number of outputs.
+    channels : residual rms of each channel, offsets of runs included, with the noise that was known.
+    """
+
+    chi2: float
+    dof: float
+    channels: tuple[ChannelRms, ...]
+
+    @property
+    def chi2_per_dof(self) -> float:
+        """χ² per degree of freedom."""
+        return self.chi2 / self.dof
 
 
 class ChiSquareDrop(Record):
@@ -53,14 +73,13 @@ class Node(Record):
     children : folders of the models made from it, relative to its own.
     added : effects that it has more than its parent.
     verdict : of the diagnosis that led here; None where there was none.
-    chi2, dof : at the noise scales of its own fit.
-    rms : residual rms of each channel.
+    chi2, dof, rms : χ², its degrees of freedom and the residual rms of each channel, at the noise known beforehand.
+    offsets_moved : the channels whose residual rms rose because the offsets of runs moved into it.
     delta_chi2 : against its parent.
     held_out : cross-validation against its parent; None where there was none.
     data_hash, model_hash, seed : what was fitted.
     taken, message : whether the fit may be used, and why not.
     selected : whether this is the model that counts.
-    floor : noise of the rows of each channel, where the noise of a sample is known.
     """
 
     format: Literal[2] = 2
@@ -73,6 +92,7 @@ class Node(Record):
     chi2: float | None
     dof: float | None
     rms: tuple[ChannelRms, ...]
+    offsets_moved: tuple[str, ...] = ()
     delta_chi2: ChiSquareDrop = ChiSquareDrop()
     held_out: CrossValidation | None = None
     data_hash: str
@@ -81,7 +101,6 @@ class Node(Record):
     taken: bool = True
     message: str = ""
     selected: bool = True
-    floor: tuple[ChannelRms, ...] = ()
 
     @property
     def title(self) -> str:
@@ -160,16 +179,7 @@ class Tree(Presented):
 
 def rms_by_unit(channels: Iterable[ChannelRms]) -> dict[str, float]:
     """Return the root mean square over the channels of each unit."""
-    return _by_unit((channel.unit, channel.rms) for channel in channels)
-
-
-def within_by_unit(channels: Iterable[ChannelRms]) -> dict[str, float]:
-    """Return the root mean square about the means of runs over the channels of each unit, where it is known."""
-    return _by_unit((channel.unit, channel.within) for channel in channels if channel.within is not None)
-
-
-def _by_unit(known: Iterable[tuple[str, float]]) -> dict[str, float]:
     sizes: dict[str, list[float]] = {}
-    for unit, size in known:
-        sizes.setdefault(unit, []).append(size)
+    for channel in channels:
+        sizes.setdefault(channel.unit, []).append(channel.rms)
     return {unit: math.sqrt(sum(size**2 for size in each) / len(each)) for unit, each in sizes.items()}

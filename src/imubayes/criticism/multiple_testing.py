@@ -11,12 +11,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.localised_structure import FeatureScan
 from imubayes.criticism.one_sided import least_p_of_cones
 from imubayes.criticism.score_test import ScoreTest
+from imubayes.tail_probabilities import chi2_survival
 
 _MOST_THREADS = 4
 
@@ -81,5 +81,5 @@ def _least_p(chi2: np.ndarray, freedom: np.ndarray) -> np.ndarray:
     """Return the smallest p-value of each draw, (draws,), over scores (draws, F) with freedom (F,)."""
     # Among equal degrees of freedom the largest score has the smallest p.
     known = np.unique(freedom[freedom > 0])
-    each = [special.chdtrc(dof, chi2[:, freedom == dof].max(axis=1)) for dof in known]
+    each = [chi2_survival(chi2[:, freedom == dof].max(axis=1), dof) for dof in known]
     return np.min([np.ones(len(chi2)), *each], axis=0)

@@ -43,10 +43,15 @@ class NoiseJudgement:
     suspected: tuple[NoiseViolation, ...]
 
 
+def projected(fit: Fit) -> Projection:
+    """Return the residual of a fit, projected about its mode, for the tests of its noise."""
+    about = fit.mode.about if fit.mode is not None else linearise(fit.model.problem, jnp.asarray(fit.z))
+    return project(fit, np.asarray(about.misfit), np.asarray(about.jacobian))
+
+
 def judged_noise(fit: Fit) -> NoiseJudgement:
     """Return how the noise of a fit departs from its model."""
-    about = fit.mode.about if fit.mode is not None else linearise(fit.model.problem, jnp.asarray(fit.z))
-    return judged_noise_in(project(fit, np.asarray(about.misfit), np.asarray(about.jacobian)))
+    return judged_noise_in(projected(fit))
 
 
 def judged_noise_in(projection: Projection) -> NoiseJudgement:

@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.gauss_markov import WHITE, InnovationsFilter, MarkovNoise, estimate_markov_noise
 from imubayes.criticism.projection import Projection
 from imubayes.noise.components import Outliers
+from imubayes.tail_probabilities import chi2_survival, normal_survival
 
 OUTLIERS = "outliers"
 # Below this the law is normal to all digits.
@@ -125,7 +125,7 @@ def screen_noise(
             skew = float(np.mean((values[1:] - mean) ** 3)) / sd**3 if sd > 1e-9 * abs(mean) else 0.0
             p = _skew_tail(z, float(np.clip(skew, 0.0, 4.0)))
             value = float(np.clip(values[0] - mean, -thresholds.STRONGEST_ANTICORRELATION, None))
-            found.append(NoiseCandidate(effect, names, value, max(p, 1e-300), max(z, 0.0) ** 2))
+            found.append(NoiseCandidate(effect, names, value, p, max(z, 0.0) ** 2))
     # p-values have a floor: where several are at it, the drop decides.
     return sorted(found, key=lambda candidate: (candidate.p, -candidate.drop))
 
@@ -136,9 +136,9 @@ def _skew_tail(z: float, skew: float) -> float:
     `scipy.stats.pearson3` is the same, and takes half a second to import.
     """
     if not skew > _NO_SKEW:
-        return float(special.ndtr(-z))
+        return float(normal_survival(z))
     shape = 4 / skew**2
-    return float(special.gammaincc(shape, max(shape + 2 * z / skew, 0.0)))
+    return float(chi2_survival(2 * max(shape + 2 * z / skew, 0.0), 2 * shape))
 
 
 def _groups(projection: Projection, names: tuple[str, ...], effect: str) -> np.ndarray:

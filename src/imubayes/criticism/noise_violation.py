@@ -1,12 +1,17 @@
-"""How the noise departs from its model, as a record."""
+"""How the noise departs from its model, and from what is known of it beforehand, as records."""
 
+import math
+from dataclasses import dataclass
 from typing import Literal
 
+from imubayes.criticism import thresholds
 from imubayes.json_record import Record
 
 NoiseKind = Literal[
     "autocorrelation", "low_frequency", "scatter_between_runs", "grows_with_input", "heavy_tails", "quantisation"
 ]
+# `channel`: as stated by the channel, in diagnoses of earlier versions.
+NoiseSource = Literal["samples", "prior", "sisters", "channel"]
 
 
 class NoiseViolation(Record):
@@ -24,3 +29,61 @@ class NoiseViolation(Record):
     channels: tuple[str, ...]
     p: float | None = None
     step: float | None = None
+
+
+@dataclass(frozen=True)
+class NoiseComparison:
+    """A noise scale as fitted and as known beforehand.
+
+    Attributes
+    ----------
+    channel : whose noise; the label of the parameter where it has no channel.
+    fitted : as fitted; of white noise the standard deviation of one raw sample, from the scatter of the rows.
+    recorded : the same as known beforehand: of the raw samples, the size that the prior states, or that of the sisters.
+    source : whence that is known.
+    ratio, ratio_sd : fitted over known with its standard uncertainty; of sisters the ratio of the scatter of the means
+        of runs, the noise of the rows included.
+    p : p-value of the ratio, over all comparisons (Holm).
+    correlated : whether the model has autocorrelated noise on this channel, which scatters rows but not samples.
+    unit : of the scale.
+    freedom : degrees of freedom of the fitted noise; 0 where they are not estimated.
+    parameter : its name; empty in diagnoses of earlier versions.
+    sisters : the channels compared with.
+    between_runs : whether it is a scatter between runs.
+    """
+
+    channel: str
+    fitted: float
+    recorded: float
+    source: NoiseSource
+    ratio: float
+    ratio_sd: float
+    p: float
+    correlated: bool
+    unit: str
+    freedom: float = 0.0
+    parameter: str = ""
+    sisters: tuple[str, ...] = ()
+    between_runs: bool = False
+
+    @property
+    def excessive(self) -> bool:
+        """Whether it exceeds what is known, beyond chance, with nothing in the model that would explain it."""
+        return not self.correlated and self.p < thresholds.NOISE_CONTRADICTED_P
+
+    @property
+    def of_rows(self) -> bool:
+        """Whether it is the white noise of rows, against what is known of that channel itself."""
+        return self.freedom > 0 and not self.between_runs and self.source != "sisters"
+
+    @property
+    def excess_chi2(self) -> float:
+        """The χ² by which rows scatter more than known, at the noise that remains; 0 where that may be chance."""
+        told = self.excessive and self.of_rows
+        return self.freedom * (1 - (thresholds.NOISE_AGREES / self.ratio) ** 2) if told else 0.0
+
+    @property
+    def agrees(self) -> bool:
+        """Whether fitted and known noise agree, but for chance or for less than is worth a word."""
+        chance = thresholds.NOISE_TOLD_SD * self.ratio_sd / self.ratio
+        return not self.excessive and abs(math.log(self.ratio)) < max(math.log(thresholds.NOISE_TOLD), chance)

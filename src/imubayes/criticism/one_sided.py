@@ -12,7 +12,7 @@ import numpy as np
 from scipy import special
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.tail_probabilities import chi2_log_survival
+from imubayes.tail_probabilities import chi2_log_survival, f_log_survival, normal_survival
 
 
 @dataclass(frozen=True)
@@ -67,12 +67,13 @@ class Cone:
         tails = np.asarray(special.logsumexp(chi2_log_survival(chi2, freedom), axis=0, b=weights))
         return np.where(chi2 > 0, tails, 0.0)
 
-    def f_survival(self, total: float, denominator: float) -> float:
-        """Return the same where the noise scale is estimated with so many degrees of freedom."""
-        if not total > 0:
-            return 1.0
+    def f_log_survival(self, total: float, denominator: float) -> float:
+        """Return `log_survival` where the noise scale is estimated with so many degrees of freedom."""
         freedom = np.arange(1, len(self.weights))
-        return float(np.sum(self.weights[1:] * special.fdtrc(freedom, denominator, total / freedom)))
+        if not (total > 0 and len(freedom)):
+            return 0.0
+        tails = f_log_survival(total / freedom, freedom, denominator)
+        return float(np.asarray(special.logsumexp(tails, b=self.weights[1:])))
 
 
 def least_p_of_cones(cones: Sequence[Cone], residuals: np.ndarray) -> np.ndarray:
@@ -84,7 +85,7 @@ def least_p_of_cones(cones: Sequence[Cone], residuals: np.ndarray) -> np.ndarray
     if rays:
         # A single coefficient: half the tail of χ² with one degree of freedom, which is the normal tail of the score.
         largest = (residuals @ np.concatenate(rays, axis=1)).max(axis=1)
-        smallest.append(np.where(largest > 0, special.ndtr(-largest), 1.0))
+        smallest.append(np.where(largest > 0, normal_survival(largest), 1.0))
     return np.min(smallest, axis=0)
 
 

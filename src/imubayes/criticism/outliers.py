@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.noise_tests import to_entries
@@ -15,6 +14,7 @@ from imubayes.inference.posterior_precision import deviations
 from imubayes.model.bind import Model
 from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import Problem
+from imubayes.tail_probabilities import binomial_survival, poisson_survival
 
 
 def find_outliers(projection: Projection) -> np.ndarray:
@@ -88,7 +88,7 @@ def _cluster_p(row: np.ndarray, run: np.ndarray, cell: np.ndarray, hit: np.ndarr
     if not sufficient(cell):
         return []
     hits, rows = len(np.unique(row[hit])), len(np.unique(row[cell]))
-    return [float(special.bdtrc(hits - 1, rows, share)) if sufficient(hit) else 1.0]
+    return [binomial_survival(hits, rows, share) if sufficient(hit) else 1.0]
 
 
 def consecutive(model: Model, sizes: np.ndarray) -> bool:
@@ -108,7 +108,7 @@ def consecutive(model: Model, sizes: np.ndarray) -> bool:
     # A shock to the table acts on all channels, and counts once.
     pairs = len(np.unique(np.stack([model.entries.run[at], model.entries.row[at]]), axis=1).T)
     expected = neighbours.sum() * np.mean(sizes != 0) ** 2 / 2
-    return pairs > 0 and float(special.pdtrc(pairs - 1, expected)) < thresholds.CLUSTER_P
+    return pairs > 0 and poisson_survival(pairs, expected) < thresholds.CLUSTER_P
 
 
 def _of_table(model: Model, name: str) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 from imubayes.campaign_data import INPUT_UNIT, Kind
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
-from imubayes.criticism.effect_covariates import INPUTS
+from imubayes.criticism.effect_covariates import INPUTS, MEMORY
 from imubayes.criticism.free_form_dependence import Structure
 from imubayes.criticism.projection import PRIOR, Projection
 from imubayes.criticism.residual_covariates import ResidualCovariate, as_read
@@ -62,31 +62,27 @@ class ResidualEvidence:
     over: "InputTimes | None" = None
     within: bool = False
 
-    @property
-    def rms(self) -> tuple[float, float, str]:
-        """The rms residual before and after the candidate is added, and its unit: deg/h, ug, or arcsec.
-
-        About the mean of each run, where the residual is shown without its offset.
-        """
-        factor, unit = {"deg/s": (3600.0, "deg/h"), "deg": (3600.0, "arcsec")}.get(self.unit, (1e6, "ug"))
-        both = (self.residual, self.residual - self.explained)
-        before, after = (rest - of_runs(rest, self.run) if self.within else rest for rest in both)
-        return factor * _rms(before), factor * _rms(after), unit
-
 
 def of_runs(values: np.ndarray, runs: np.ndarray) -> np.ndarray:
     """Return the mean of the finite values of its run at each entry, (n,)."""
     return group_means(values, np.unique(runs, return_inverse=True)[1])
 
 
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def following_covariate(
-    projection: Projection, structures: Sequence[Structure], candidate: Candidate, channel: str
+    projection: Projection,
+    structures: Sequence[Structure],
+    candidate: Candidate,
+    channel: str,
+    own: frozenset[str] = frozenset(),
 ) -> ResidualCovariate | None:
-    """Return the covariate whose free form follows what a candidate explains of a channel; None where none does."""
+    """Return the covariate whose free form follows what a candidate explains of a channel; None where none does.
+
+    Parameters
+    ----------
+    own : covariates that the effect depends on: another one that happens to go with them is not told.  Any where they
+        are not known, and of a memory, which follows the time as well.
+    """
+    known = own if MEMORY not in own else frozenset[str]()
     names = [each.name for each in projection.fitted.model.campaign.channels]
     of_row, strata = projection.strata.of_row, projection.strata
     here = (of_row != PRIOR) & (strata.channel[np.maximum(of_row, 0)] == names.index(channel))
@@ -96,6 +92,7 @@ def following_covariate(
         (float(np.sum((structure.score.span.T @ target) ** 2)) / whole, structure.covariates[0])
         for structure in structures
         if structure.channel == channel and len(structure.covariates) == 1 and whole > 0
+        if not known or structure.covariates[0].name in known
     ]
     share, covariate = max(shares, key=lambda pair: pair[0], default=(0.0, None))
     return covariate if share > thresholds.COVARIATE_SHARE else None

@@ -14,17 +14,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Coefficient, Response, ShapeScan
 from imubayes.criticism.one_sided import Cone
 from imubayes.criticism.projection import Projection, orthonormal
-from imubayes.criticism.tail_probabilities import chi2_log_survival
+from imubayes.tail_probabilities import LEAST_P, chi2_log_survival, f_log_survival, p_value
 
 # A stratum with fewer degrees of freedom has no scale that could be judged; of a known scale they are unlimited.
 LEAST_FREEDOM, KNOWN_FREEDOM = 0.5, 1e9
-_SMALLEST = 1e-300
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,9 @@ class Candidate:
         """
         typical = np.array([coefficient.typical[1] for coefficient in self.coefficients])
         size = np.abs(self.value)
-        if np.any(size - 3 * self.sd > thresholds.IMPOSSIBLE_SIZE * typical):
+        largest = thresholds.IMPOSSIBLE_SIZE * typical
+        # What no run excites but by rounding has an uncertainty beyond any possible size: it is not observable.
+        if np.any(size - 3 * self.sd > largest) or np.all(self.sd > largest):
             return False
         return self.score.prior_share < 0.5 or bool(np.any(size <= thresholds.IMPLAUSIBLE_SIZE * typical))
 
@@ -129,7 +129,7 @@ class ScoreTest:
     span : shape (R, d), orthonormal; of the columns in use where signs are bound.
     fitted : shape (R,).
     delta_chi2, delta_chi2_at_fit : S with the noise scales after it, and with those of the fit.
-    p : p-value under no effect.
+    log_p : logarithm of the p-value under no effect.
     log_likelihood_gain : with the noise scale of every stratum free, so that evidence counts in whichever it lies.
     within_runs, prior_share : shares of S that come from within runs, and from the priors.
     variance : shape (strata + 1,), noise variance of each stratum after it, relative to the fit's.
@@ -141,13 +141,18 @@ class ScoreTest:
     fitted: np.ndarray
     delta_chi2: float
     delta_chi2_at_fit: float
-    p: float
+    log_p: float
     log_likelihood_gain: float
     within_runs: float
     prior_share: float
     variance: np.ndarray
     cone: Cone | None = None
     used: np.ndarray | None = None
+
+    @property
+    def p(self) -> float:
+        """p-value under no effect."""
+        return float(p_value(self.log_p))
 
 
 def score_test(
@@ -181,15 +186,15 @@ def score_test(
     weighted = drop / variance
     total, count = float(weighted.sum()), span.shape[1]
     finite = np.where(judged, freedom, KNOWN_FREEDOM)
-    denominator = total**2 / max(float(np.sum(weighted**2 / finite)), _SMALLEST) if total > 0 else 1.0
-    p = _p_value(total, count, denominator, cone)
+    denominator = total**2 / max(float(np.sum(weighted**2 / finite)), LEAST_P) if total > 0 else 1.0
+    log_p = _log_p(total, count, denominator, cone)
     # Where the scale is estimated: half the degrees of freedom times the logarithm of what the scatter shrank by.
     shrank = np.log1p(drop / np.where(judged, freedom * variance, 1.0))
     gain = float(np.sum(np.where(judged, freedom * shrank, drop))) / 2
     within = float(weighted[:-1][~strata.between].sum()) / total if total > 0 else 1.0
     prior_share = float(weighted[-1]) / total if total > 0 else 0.0
     at_fit = float(fitted @ fitted)
-    return ScoreTest(span, fitted, total, at_fit, max(p, _SMALLEST), gain, within, prior_share, variance, cone, used)
+    return ScoreTest(span, fitted, total, at_fit, log_p, gain, within, prior_share, variance, cone, used)
 
 
 def noise_left(squares: np.ndarray, freedom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -206,11 +211,11 @@ def noise_left(squares: np.ndarray, freedom: np.ndarray) -> tuple[np.ndarray, np
     return np.maximum(np.where(judged, squares / np.where(judged, freedom, 1.0), 1.0), 1e-12), judged
 
 
-def _p_value(total: float, count: int, denominator: float, cone: Cone | None) -> float:
-    """Return the p-value of a drop of χ² with so many directions, by the F distribution of an estimated scale."""
+def _log_p(total: float, count: int, denominator: float, cone: Cone | None) -> float:
+    """Return the log p-value of a drop of χ² with so many directions, by the F distribution of an estimated scale."""
     if cone is not None:
-        return cone.f_survival(total, denominator)
-    return float(special.fdtrc(count, denominator, total / count)) if count else 1.0
+        return cone.f_log_survival(total, denominator)
+    return float(f_log_survival(total / count, count, denominator)) if count else 0.0
 
 
 def _used(cone: Cone | None, residual: np.ndarray, count: int) -> np.ndarray:

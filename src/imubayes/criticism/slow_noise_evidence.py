@@ -17,13 +17,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.multiple_testing import LookElsewhere
 from imubayes.criticism.slow_noise_records import SlowRecords
-
-_SMALLEST = 1e-300
+from imubayes.tail_probabilities import chi2_survival
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ def slow_noise_evidence(
     acting = np.flatnonzero(dof)
     if not len(acting):
         return None
-    p = np.maximum(special.chdtrc(dof[acting, None], ratios[acting]), _SMALLEST)
+    p = chi2_survival(ratios[acting], dof[acting, None])
     smallest = p.min(axis=0)
     corrected = LookElsewhere(np.sort(smallest[1:]), 0.0)(float(smallest[0]))
     return SlowEvidence(dict(zip(acting.tolist(), p[:, 0].tolist(), strict=True)), corrected)

@@ -12,12 +12,12 @@ from imubayes.criticism.common_course import common_courses
 from imubayes.criticism.effect_selection import deflate, select_effects
 from imubayes.criticism.effects_beside_noise import beside_noise, beside_slow_noise, outweighed
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
+from imubayes.criticism.known_noise import KnownNoise, compare_with_known
 from imubayes.criticism.marginal_evidence import columns_of
 from imubayes.criticism.multiple_testing import LookElsewhere, look_elsewhere
 from imubayes.criticism.noise_tests import OUTLIERS, NoiseCandidate, prewhitening, screen_noise
 from imubayes.criticism.outliers import clustered, consecutive, deletion_residuals, find_outliers
 from imubayes.criticism.projection import Projection, project
-from imubayes.criticism.recorded_noise import RecordedNoise, compare_with_record
 from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
 from imubayes.criticism.rival_explanations import RivalEffects
 from imubayes.criticism.search_input import Screening, SearchInput
@@ -69,7 +69,7 @@ class SearchResult:
     outlier_sd: np.ndarray
     look_elsewhere: LookElsewhere
     factor: float
-    record: RecordedNoise
+    record: KnownNoise
     wandering: WanderingNoise = ""
 
     def against_budget(self, p: float, share: float = thresholds.FALSE_ALARM_EFFECT) -> float:
@@ -239,7 +239,7 @@ def _result(
         outlier_sd=np.zeros(len(given.responses.misfit)),
         look_elsewhere=at.corrections.of_effect,
         factor=outcome.factor,
-        record=compare_with_record((at.selection.last if outcome.groups else at.first).projection),
+        record=compare_with_known((at.selection.last if outcome.groups else at.first).projection),
         wandering=outcome.wandering,
     )
 

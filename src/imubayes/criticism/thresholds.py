@@ -222,26 +222,24 @@ COARSE_STEP = 2.0
 # and the step is above this rounding of the largest output.  Numerical.
 COINCIDENT_SHARE, GRID_SHARE, GRID_ROUNDING = 0.2, 1e-3, 1e-12
 
-# ---- Fitted against recorded noise (recorded_noise) ------------------------------------------------------------------
+# ---- Noise as fitted and as known beforehand (known_noise) -----------------------------------------------------------
+# A scale that exceeds what is known with less than this p-value, all comparisons together (Holm), contradicts it, and
+# no model is adequate.  Convention: half of the budget for noise, because an excess that matters is far beyond; larger
+# gives false alarms.
+NOISE_CONTRADICTED_P = 0.5 * FALSE_ALARM_NOISE
 # A ratio of fitted to recorded noise up to this is agreement, whatever its uncertainty.  Convention: the standard
 # deviation of samples is rounded, and the stimulus varies a little within a row.  Larger hides weak structure.
 NOISE_AGREES = 1.05
-# An excess with less than this p-value, all channels together, is not adequate.  Convention: a tenth of the budget for
-# noise, because an excess that matters is far beyond; larger gives false alarms.
-EXCESS_NOISE_P = 0.1 * FALSE_ALARM_NOISE
 # A ratio beyond this, or below its inverse, is told where it exceeds so many standard uncertainties.  Convention.
 NOISE_TOLD, NOISE_TOLD_SD = 1.3, 3.0
-# Standard deviation of the logarithm of a stated noise of a channel, as in the default prior of white_noise.
-STATED_NOISE_LOG_SD = 0.5
+# Standard deviation of the logarithm of a scale among equal sensors, as in the default prior of white_noise.
+# Convention: with it a scatter of five runs is told from 12 times that of two sisters, one of many runs from 8 times.
+# Scales drawn from half-normal priors, each by itself, differ more: then one campaign in a hundred is told.
+SISTERS_LOG_SD = 0.5
+# Fewest degrees of freedom between runs for such a comparison.  Numerical: below, a variance is rounding.
+SISTERS_FREEDOM_MIN = 0.5
 # Fewest degrees of freedom within runs for which a comparison is made.  Convention: below, σ is known to 30 % at best.
 NOISE_FREEDOM_MIN = 5.0
-
-# ---- Fitted noise against its prior (noise_against_prior) ------------------------------------------------------------
-# A noise parameter beyond its prior with less than this p-value, all parameters together, is not adequate.  Convention:
-# half of the budget for noise; a mode is drawn towards the median, so that fewer alarms come of it.
-NOISE_BEYOND_PRIOR_P = 0.5 * FALSE_ALARM_NOISE
-# Quantile of the prior that is told beside it, on the scale of a standard normal (97.5 %).  Convention.
-EXPECTED_NOISE_Z = 1.96
 
 # ---- Free forms (lack_of_fit) ----------------------------------------------------------------------------------------
 # One value per level up to so many levels, otherwise a cubic spline of so many columns; fewer rows have no form.
@@ -319,3 +317,20 @@ MAX_BLOCKS, BLOCK_ROWS = 8, 4
 # ---- Injection and recovery ------------------------------------------------------------------------------------------
 # Steps to find the injected size, and relative tolerance of its Δχ².  Numerical.
 SIZING_STEPS, SIZING_TOLERANCE = 6, 0.02
+
+# ---- Runs that do not agree with the others (run_agreement) ----------------------------------------------------------
+# Chance, for all that is tried, below which a run or row does not agree with the others.  Convention: noise that is not
+# quite as recorded makes as much of the tail as of the rest, and a wrong input that matters is far beyond.
+DISAGREEMENT_P = 1e-5
+# Chance, for a run and all that is tried at a glance, below which each wrong input of it is worked out.  Convention:
+# one sound run in a hundred costs some predictions more.
+DOUBTED_RUN_P = 0.01
+# Chance of what a run adds to the others, all runs together, below which a fit says that it does not agree.
+# Convention: the line asks for a diagnosis, which decides.
+RUN_TOLD_P = 0.005
+# Explanations whose evidence, twice its logarithm, is within this of the best are not distinguished: odds of 150 to 1.
+DISAGREEMENT_EQUAL = 10.0
+# Rows that are told at most.  Convention: more are a matter of the model.
+MOST_WRONG_ROWS = 3
+# Scatter of the corrected runs over the noise of raw samples, up to which they agree with one another.  Convention.
+RUNS_AGREE = 1.5

@@ -112,12 +112,12 @@ def _crowded(found: SearchResult, leader: Candidate, acting: Sequence[Equivalenc
 
     One of other covariates alone is a cause of its own.
     """
-    own = _goes_with(found, leader)
-    shared = [_goes_with(found, group.leader) for group in acting]
+    own = goes_with(found, leader)
+    shared = [goes_with(found, group.leader) for group in acting]
     return sum(not each or not own or bool(own & each) for each in shared) >= thresholds.CROWDED_EFFECTS
 
 
-def _goes_with(found: SearchResult, candidate: Candidate) -> frozenset[str]:
+def goes_with(found: SearchResult, candidate: Candidate) -> frozenset[str]:
     """Return the covariates of an effect on channels; empty where they are not known."""
     model = found.first.projection.fitted.model
     kinds = {channel.kind for channel in model.campaign.channels if channel.name in candidate.owners}

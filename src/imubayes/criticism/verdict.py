@@ -10,6 +10,7 @@ Verdict = Literal[
     "equivalent_effects",
     "unexplained_structure",
     "noise_model",
+    "run_disagrees",
     "undetectable",
     "not_converged",
 ]
@@ -27,17 +28,20 @@ class EffectChoice(Record):
 
 
 class Suggestion(Record):
-    """Effects, or noise, to add next, on the channels that those which act on channels share; None for all."""
+    """Effects, or noise, to add next, on the channels that those which act on channels share; None for all.
+
+    Those `left_out` explain the same, but the refit with them does not converge.
+    """
 
     effects: tuple[str, ...]
     channels: tuple[str, ...] | None
+    left_out: tuple[str, ...] = ()
 
 
 class RmsChange(Record):
-    """Residual rms of one channel before and after an addition, in `unit`; about the mean of each run if `within`."""
+    """Residual rms of one channel before and after an addition, in `unit`."""
 
     channel: str
     before: float
     after: float
     unit: str
-    within: bool = False

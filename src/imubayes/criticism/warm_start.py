@@ -12,7 +12,6 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
 from scipy.linalg import solve_triangular
 
 from imubayes.array_shapes import Array, Float
@@ -35,6 +34,7 @@ from imubayes.model.robust_likelihood import pseudo_values
 from imubayes.parameters.parameter_declarations import Declared
 from imubayes.parameters.priors import HalfNormal, Normal, Prior, rounded_width
 from imubayes.parameters.vector import Layout, Parameter
+from imubayes.tail_probabilities import chi2_survival, normal_survival
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def _extension(
 ) -> Extension:
     old, model = before.model, bind(spec, before.model.campaign, registry)
     dry_run(model.problem, model.assembly.effects, spec.files)
-    null, new = model.layout.carried(old.layout, before.z, _nulls(model)), _new(old.layout, model.layout)
+    null, new = model.layout.carried(old.layout, before.z, null_point(model)), _new(old.layout, model.layout)
     h = model.hyper_layout.carried(old.hyper_layout, before.h)
     for place in np.flatnonzero(new).tolist():
         value = _given(model.layout.parameters[place], shape)
@@ -239,7 +239,7 @@ def _given(parameter: Parameter, values: Mapping[str, float]) -> float | None:
     return None if value is None else parameter.z_at(value)
 
 
-def _nulls(model: Model) -> np.ndarray:
+def null_point(model: Model) -> np.ndarray:
     """Return z of the null value of each parameter; 0 where its prior excludes that."""
     found = [_null(model, parameter) for parameter in model.layout.parameters]
     return np.array([0.0 if z is None else z for z in found])
@@ -342,7 +342,7 @@ def _contradicting(
     beyond = thresholds.PRIOR_CONFLICT_SD
     alone = np.abs(estimate) > beyond * np.sqrt(width**2 + slope**2 * variance)
     score = float(np.sum((along + axes[:, told].T @ null) ** 2 / (1 + 1 / values[told])))
-    together = special.chdtrc(int(told.sum()), score) < 2 * special.ndtr(-beyond)
+    together = chi2_survival(score, int(told.sum())) < 2 * normal_survival(beyond)
     return np.where(alone | (together & (np.abs(estimate) > beyond * width)), estimate, 0.0)
 
 

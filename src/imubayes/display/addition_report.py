@@ -7,12 +7,12 @@ from dataclasses import replace
 from imubayes.criticism.held_out_record import CrossValidation
 from imubayes.criticism.verdict import RmsChange
 from imubayes.display.diagnosis_report import add_command
+from imubayes.display.history_table import offsets_moved_text
 from imubayes.display.labels import pretty, readable
 from imubayes.display.prior_conflicts import conflict_line
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
-from imubayes.display.within_runs import WITHIN_RUNS, much_less
 from imubayes.results.addition import Addition, RunRmsChange
 
 _PERCENT, _MOST_ROWS, _MOST_CHANGES = 5, 6, 3
@@ -38,7 +38,7 @@ def addition_report(addition: Addition, verbose: bool = False) -> Report:
     if verbose or not addition.taken:
         sheets = [coefficient_sheet(addition), channel_sheet(addition), run_change_sheet(addition)]
         return Report(addition_lines(addition), sheets if addition.taken else (), [command])
-    named = {change.channel for change in _changed((*addition.channels, *addition.within_runs))}
+    named = {change.channel for change in _changed(addition.channels)}
     changed = tuple(sorted((each for each in addition.channels if each.channel in named), key=_size, reverse=True))
     shown = addition.model_copy(update={"channels": changed})
     sheets = [_head(coefficient_sheet(addition)), channel_sheet(shown)]
@@ -109,13 +109,11 @@ def addition_lines(addition: Addition) -> list[str]:
 
 
 def _chi2_lines(addition: Addition) -> list[str]:
-    """Return Δχ² predicted and observed, in the units in which the diagnosis predicts it."""
-    predicted, observed = addition.predicted, addition.observed
-    pairs = [("at the noise as fitted before", predicted.delta_chi2, observed.delta_chi2)]
-    if predicted.screened is not None and observed.delta_chi2_remaining is not None:
-        pairs = [("at the noise that remains", predicted.screened, observed.delta_chi2_remaining), *pairs]
-    each = [f"predicted {significant(guess)}, observed {significant(found)} {noise}" for noise, guess, found in pairs]
-    return [f"Δχ²: {'; '.join(each)}."]
+    """Return Δχ² predicted and observed, and why the residual of a channel rose all the same."""
+    noise = "" if addition.predicted.delta_chi2 is None else " at the noise known beforehand"
+    predicted, observed = map(significant, (addition.predicted.delta_chi2, addition.observed.delta_chi2))
+    risen = [offsets_moved_text(addition.offsets_moved)] if addition.offsets_moved else []
+    return [f"Δχ²{noise}: predicted {predicted}, observed {observed}.", *risen]
 
 
 def held_out_lines(held_out: CrossValidation | None) -> list[str]:
@@ -154,29 +152,11 @@ def coefficient_sheet(addition: Addition) -> Sheet:
 
 
 def channel_sheet(addition: Addition) -> Sheet:
-    """Return the table of the residual rms before and after, per channel; within runs where their means count."""
-    within = {change.channel: change for change in addition.within_runs}
-    apart = any(_much_less(within.get(change.channel), change) for change in addition.channels)
-    rows = [
-        (Cell(change.channel), *_change_cells(change), *([_within_cell(within.get(change.channel))] if apart else []))
-        for change in addition.channels
-    ]
-    head = ("channel", "before", "after", "unit", "change", *(["within runs"] if apart else []))
-    note = WITHIN_RUNS if apart else ""
+    """Return the table of the residual rms before and after, per channel."""
+    rows = [(Cell(change.channel), *_change_cells(change)) for change in addition.channels]
+    note = "At the noise known beforehand, offsets of runs included." if rows else ""
+    head = ("channel", "before", "after", "unit", "change")
     return Sheet("Residual rms before and after, per channel", head, rows, (0, 1, 3), note=note)
-
-
-def _much_less(within: RmsChange | None, whole: RmsChange) -> bool:
-    return within is not None and any(
-        much_less(one, other) for one, other in ((within.before, whole.before), (within.after, whole.after))
-    )
-
-
-def _within_cell(change: RmsChange | None) -> Cell:
-    if change is None:
-        return Cell("–")
-    before, after, unit = _sizes(change)
-    return Cell(f"{before} → {after} {unit} ({_share(change)})", "bad" if _rose(change) else "")
 
 
 def run_change_sheet(addition: Addition) -> Sheet:

@@ -10,7 +10,7 @@ from imubayes.batch.parameter_population import ParameterPopulation, Populations
 from imubayes.batch.trends import Drift, Trend, Trends
 from imubayes.display.archive_report import counted
 from imubayes.display.report_layout import Report
-from imubayes.display.rounding import concise, significant
+from imubayes.display.rounding import chance_text, concise, significant
 from imubayes.display.table_layout import Cell, Sheet, of_columns
 
 _MOST_OUTLYING = 15
@@ -78,7 +78,7 @@ def _change_row(each: ParameterChange) -> list[Cell]:
     mean = concise(each.mean_change or 0.0, each.mean_change_sd or 0.0)
     return [
         Cell(each.parameter), Cell(each.unit_of_measure), Cell(f"{each.significant}/{each.campaigns}"), Cell(mean),
-        Cell(f"{each.rms_ratio:.2f}"), Cell(f"{each.sd_ratio:.2f}"), Cell(significant(each.p, 2)),
+        Cell(f"{each.rms_ratio:.2f}"), Cell(f"{each.sd_ratio:.2f}"), Cell(chance_text(each.p)),
         Cell(", ".join(each.most_changed[:4])),
     ]  # fmt: skip
 
@@ -124,7 +124,7 @@ def _trend_row(each: Trend) -> list[Cell]:
     mood, per = "bad" if each.significant else "", each.per.replace("serial numbers", "serials")
     return [
         Cell(each.parameter, mood), Cell(concise(each.slope, each.slope_sd)), Cell(_unit(each)), Cell(per),
-        Cell(str(each.units)), Cell(significant(each.p, 2)),
+        Cell(str(each.units)), Cell(chance_text(each.p)),
     ]  # fmt: skip
 
 
@@ -132,5 +132,5 @@ def _drift_row(each: Drift) -> list[Cell]:
     return [
         Cell(each.parameter, "bad" if each.significant else ""), Cell(concise(each.mean, each.mean_sd)),
         Cell(_unit(each)), Cell(str(each.pairs)), Cell(str(each.significant)),
-        Cell(significant(each.p, 2)), Cell(", ".join(each.units[:4])),
+        Cell(chance_text(each.p)), Cell(", ".join(each.units[:4])),
     ]  # fmt: skip

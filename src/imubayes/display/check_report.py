@@ -8,12 +8,14 @@ import numpy as np
 from imubayes.campaign import Inspection
 from imubayes.campaign.unit_grade import grade_of
 from imubayes.campaign_data import Campaign, Run
+from imubayes.display.fit_cautions import left_out_lines
 from imubayes.display.grouped_notes import grouped
 from imubayes.display.labels import listed
 from imubayes.display.report_layout import Report
 from imubayes.display.table_layout import Cell, Sheet
 from imubayes.errors import InputError
 from imubayes.json_record import Record
+from imubayes.model.model_spec import SingleRunEffect
 from imubayes.parameters.unit_grades import Grade
 
 _MOST_RUNS = 8
@@ -52,6 +54,7 @@ class CheckedModel(Record):
     parameters: int
     noise_parameters: int
     measured_values: int
+    left_out: tuple[SingleRunEffect, ...] = ()
 
 
 class Check(Record):
@@ -126,6 +129,7 @@ def check_report(
             f"model '{model.name}' fits this campaign: {model.parameters} parameters, "
             f"{model.noise_parameters} of noise, {model.measured_values} measured values"
         )
+        lines += left_out_lines(model.left_out)
     lines += [*_grade_lines(campaign), *warnings, *([f"next: {command}"] if command else [])]
     every = verbose or len(campaign.runs) <= _MOST_RUNS
     sheet = run_sheet(campaign) if every else table_sheet(campaign)

@@ -1,9 +1,12 @@
 """Classical estimates beside the joint fit, and the part of the difference that the mounting angle explains."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from imubayes.covariates import REFERENCE_TEMPERATURE
 from imubayes.display.classical_of_prediction import OfPrediction
@@ -17,6 +20,8 @@ from imubayes.results.summary import Conformance, DerivedSummary, Quantity, Summ
 # A difference beyond so many combined standard deviations is one that the classical uncertainty does not cover.
 _BEYOND = 3.0
 _MOST_BESIDE = 8
+# An effect is named where it adds at least this share of a difference.
+_LEAST_SHARE, _MOST_CAUSES = 0.25, 3
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,7 @@ class ComparedEstimate:
     of_prediction : the classical estimate from the outputs that the joint fit predicts; None where not evaluated.
     of_offset : what a run offset of one standard deviation does to it.
     temperature : of the run, °C, where it is not that of the joint values.
+    causes : effects of the model that make the difference, each with what it adds, the largest first.
     """
 
     classical: Estimate
@@ -44,6 +50,7 @@ class ComparedEstimate:
     of_prediction: float | None = None
     of_offset: float = 0.0
     temperature: float | None = None
+    causes: tuple[tuple[str, float], ...] = ()
 
     @property
     def difference(self) -> float:
@@ -84,7 +91,27 @@ class ClassicalComparison:
 
     estimates: tuple[ComparedEstimate, ...]
     undetermined: tuple[Undetermined, ...]
-    assumed: tuple[str, ...] = ()
+
+    @property
+    def beyond(self) -> bool:
+        """Whether any estimate differs from the joint fit by more than both uncertainties."""
+        return any(each.beyond for each in self.estimates)
+
+    def with_causes(self, behind: Mapping[tuple[str, str], Sequence[tuple[str, float]]]) -> "ClassicalComparison":
+        """Return the comparison with the effects behind each difference that the joint fit explains."""
+        estimates = [
+            replace(each, causes=_causes(each.difference, behind.get((each.classical.name, each.classical.run), ())))
+            if each.beyond and each.explained
+            else each
+            for each in self.estimates
+        ]
+        return replace(self, estimates=tuple(estimates))
+
+
+def _causes(difference: float, added: Sequence[tuple[str, float]]) -> tuple[tuple[str, float], ...]:
+    """Return the effects that add most to a difference, in its direction."""
+    named = [(name, size) for name, size in added if size * np.sign(difference) >= _LEAST_SHARE * abs(difference)]
+    return tuple(sorted(named, key=lambda pair: -abs(pair[1]))[:_MOST_CAUSES])
 
 
 def compare_classical(
@@ -103,7 +130,6 @@ def compare_classical(
     return ClassicalComparison(
         tuple(_with_prediction(_compared(each, joint), predicted) for each in findings if isinstance(each, Estimate)),
         tuple(finding for finding in findings if isinstance(finding, Undetermined)),
-        () if predicted is None else predicted.assumed,
     )
 
 
@@ -161,6 +187,7 @@ def _json(compared: ComparedEstimate) -> dict[str, Any]:
         "of_angle": asdict(compared.of_angle) if compared.of_angle else None,
         "of_prediction": None if compared.of_prediction is None else finite(compared.of_prediction),
         "explained": compared.explained,
+        "causes": [{"effect": name, "adds": size} for name, size in compared.causes],
     }
 
 
@@ -195,15 +222,19 @@ def _joint_cells(compared: ComparedEstimate) -> tuple[Cell, Cell, Cell, Cell]:
         return Cell(""), Cell(""), Cell(""), Cell("")
     value, sd = value_and_sd(joint.mean, joint.sd)
     relative = joint.name.startswith("scale_factor[")
-    size = compared.difference / joint.mean * 1e6 if relative else compared.difference
-    text = significant(size) + (" ppm" if relative else "")
-    because = []
+    text = _size(compared.difference, joint, relative)
+    because = [f"{name}: {_size(added, joint, relative)}" for name, added in compared.causes]
     if angle is not None and abs(angle.ppm) >= 1:
         because.append(f"angle error {significant(angle.arcsec)} arcsec: {significant(angle.ppm)} ppm")
     if compared.temperature is not None:
         because.append(f"run at {compared.temperature:.0f} °C")
     mood = "bad" if compared.beyond and not compared.explained else ""
     return Cell(value), Cell(sd), Cell(text, mood), Cell("; ".join(because))
+
+
+def _size(difference: float, joint: Quantity, relative: bool) -> str:
+    """Return a difference; of a scale factor in ppm of it."""
+    return f"{significant(difference / (joint.mean or 1.0) * 1e6)} ppm" if relative else significant(difference)
 
 
 def discrepancy_sheet(comparison: ClassicalComparison) -> Sheet:
@@ -215,7 +246,7 @@ def discrepancy_sheet(comparison: ClassicalComparison) -> Sheet:
     sheet = classical_sheet((open_ones or beyond)[:_MOST_BESIDE])
     first = (
         f"{len(beyond)} of {len(known)} classical estimates differ from the joint fit by more than {_BEYOND:g} "
-        f"combined standard uncertainties. {_explanation(comparison, beyond, len(open_ones))}"
+        f"combined standard uncertainties. {_explanation(beyond, len(open_ones))}"
     )
     note = f"{first} All estimates: imubayes classical CAMPAIGN --result RESULT."
     title = "Classical estimates that disagree with the joint fit"
@@ -225,13 +256,14 @@ def discrepancy_sheet(comparison: ClassicalComparison) -> Sheet:
     return replace(sheet, title=title, note=note, narrow=narrow)
 
 
-def _explanation(comparison: ClassicalComparison, beyond: Sequence[ComparedEstimate], unexplained: int) -> str:
+def _explanation(beyond: Sequence[ComparedEstimate], unexplained: int) -> str:
     """Return which assumptions of the classical evaluation explain differences, and whether all of them."""
     explained = len(beyond) - unexplained
     if not explained:
         return "The assumptions of the classical evaluation do not hold."
-    exact = [f"takes {listed(comparison.assumed)} as exact"] if comparison.assumed else []
-    gives = " and ".join([*exact, *_at_own_temperature(beyond)]) or "leaves effects of the model out"
+    leading = Counter(each.causes[0][0] for each in beyond if each.causes)
+    named = listed([name for name, _ in leading.most_common()]) if leading else "effects of the model"
+    gives = " and ".join([f"leaves {named} out", *_at_own_temperature(beyond)])
     how_many = f"{explained} are" if unexplained else "All are"
     said = (
         f"{how_many} explained: the classical evaluation {gives}, and applied to the outputs that the joint fit "

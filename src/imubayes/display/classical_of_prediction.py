@@ -19,13 +19,6 @@ from imubayes.results.summary import Summary
 
 # Runs closer to the reference temperature differ by less than a test at one temperature does.
 _SAME_TEMPERATURE = 5.0
-_ASSUMED = {
-    "mounting_error": "the seat",
-    "table_axis_tilt": "the direction of the table's axis",
-    "inner_axis_zero": "the zero of the table",
-    "table_rate_error": "the table rate",
-}
-"""Effect → what the classical evaluation takes as exact and a fit with the effect does not."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +31,11 @@ class OfPrediction:
     of_offset : (name, run) → its change by run offsets of one standard deviation.
     temperature : run → mean temperature, °C, where it differs from that of the joint values and the model has
         parameters for it.
-    assumed : what the classical evaluation takes as exact and the joint fit estimates.
     """
 
     value: Mapping[tuple[str, str], float]
     of_offset: Mapping[tuple[str, str], float]
     temperature: Mapping[str, float]
-    assumed: tuple[str, ...]
 
 
 def of_prediction(campaign: Campaign, residuals: pl.DataFrame, summary: Summary) -> OfPrediction:
@@ -55,19 +46,19 @@ def of_prediction(campaign: Campaign, residuals: pl.DataFrame, summary: Summary)
         )
         for channel in campaign.channels
     }
-    plain = _values(_predicted(campaign, residuals, {}))
-    shifted = _values(_predicted(campaign, residuals, offsets))
+    plain = classical_values(with_outputs(campaign, residuals, {}))
+    shifted = classical_values(with_outputs(campaign, residuals, offsets))
     effects = {p.name.partition(".")[0] for p in summary.parameters}
     thermal = any("temperature" in name or "converter" in name for name in effects)
     return OfPrediction(
         plain,
         {key: abs(shifted[key] - value) for key, value in plain.items() if key in shifted},
         {run.name: at for run in campaign.runs if thermal and (at := _temperature(run)) is not None},
-        tuple(words for effect, words in _ASSUMED.items() if effect in effects),
     )
 
 
-def _values(campaign: Campaign) -> dict[tuple[str, str], float]:
+def classical_values(campaign: Campaign) -> dict[tuple[str, str], float]:
+    """Return the classical estimates of a campaign by (name, run)."""
     return {(each.name, each.run): each.value for each in classical(campaign) if isinstance(each, Estimate)}
 
 
@@ -79,7 +70,7 @@ def _temperature(run: Run) -> float | None:
     return mean if abs(mean - REFERENCE_TEMPERATURE) > _SAME_TEMPERATURE else None
 
 
-def _predicted(campaign: Campaign, residuals: pl.DataFrame, offsets: Mapping[str, float]) -> Campaign:
+def with_outputs(campaign: Campaign, residuals: pl.DataFrame, offsets: Mapping[str, float]) -> Campaign:
     """Return the campaign with the outputs of its channels as predicted, and an offset of each run added."""
     found = {name[0]: own for name, own in residuals.group_by("run")}
     runs = []

@@ -124,7 +124,7 @@ def next_command(found: Diagnosis) -> str:
         adding = f"imubayes add found_shape.py --to {result} --out {result}-found_shape"
         written = f"imubayes diagnose {result} --python > found_shape.py && {adding}"
         return written if printable else f"imubayes compare {result}"
-    if found.verdict in ("noise_model", "not_converged") or found.wandering:
+    if found.verdict in ("noise_model", "run_disagrees", "not_converged") or found.wandering:
         return f"imubayes compare {result}"
     return f"imubayes plant --result {result}"
 
@@ -158,11 +158,10 @@ def effect_source(found: Diagnosis) -> str:
 
 def _prediction(found: Diagnosis) -> str:
     best = found.groups[0]
-    rms, at_fit = best.residual, best.delta_chi2_at_fit
+    rms, known = best.residual, best.delta_chi2_known
+    drop, noise = (best.delta_chi2, "that remains") if known is None else (known, "known beforehand")
     return (
-        f"Predicted for adding it: Δχ² {significant(best.delta_chi2)} at the noise that remains"
-        f"{'' if at_fit is None else f', {significant(at_fit)} at the noise as fitted'}; "
-        f"residual of {rms.channel}{' within runs' if rms.within else ''} "
+        f"Predicted for adding it: Δχ² {significant(drop)} at the noise {noise}; residual of {rms.channel} "
         f"{significant(rms.before)} → {significant(rms.after)} {pretty(rms.unit)} rms; "
         f"p {relation(best.p_global)} corrected for {found.looks:.0f} looks."
     )
@@ -173,7 +172,7 @@ def _indistinguishable(found: Diagnosis) -> list[str]:
     group = found.groups[0]
     if len(group.effects) < 2:
         return []
-    suggested = found.suggested is not None
+    suggested = found.suggested is not None and set(group.effects) <= set(found.suggested.effects)
     together = " The posterior with all of them in the model holds each explanation." if suggested else ""
     run = f" Discriminating run: {_run_text(group)}." if group.discriminating_run is not None else ""
     return [f"Indistinguishable in these runs: {', '.join(group.effects)}.{together}{run}"]

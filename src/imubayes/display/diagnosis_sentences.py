@@ -1,16 +1,15 @@
 """The verdict of a diagnosis in words: a few sentences, the finding of the strongest evidence first."""
 
 import math
-from collections.abc import Sequence
 
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectChoice, EffectGroup, UndetectableEffect
-from imubayes.criticism.noise_against_prior import NoiseBeyondPrior
-from imubayes.criticism.recorded_noise import NoiseComparison
+from imubayes.criticism.noise_violation import NoiseComparison
+from imubayes.display.disagreement_text import disagreement_text
 from imubayes.display.labels import listed, pretty
-from imubayes.display.noise_violation_text import violation_text
-from imubayes.display.rounding import percent, relation, significant, value_and_sd
+from imubayes.display.noise_violation_text import contradiction_text, noise_ratio, violation_text
+from imubayes.display.rounding import percent, significant
 from imubayes.display.structure_words import step_text
 
 _MOST_NAMED = 3
@@ -23,6 +22,8 @@ def sentence(found: Diagnosis) -> str:
     if found.verdict == "not_converged":
         return found.message
     noise = ""
+    if found.verdict == "run_disagrees":
+        return disagreement_text(found.disagreeing) + _record_sentence(found) + _outlier_sentence(found)
     if found.groups:
         said = _missing_sentence(found.groups[0], found.wandering == "rival") + _pair_sentence(found)
         said += _rival_sentence(found) + _more_sentence(found)
@@ -37,8 +38,10 @@ def sentence(found: Diagnosis) -> str:
         said += _undetectable_sentence(found)
         said += _nearest_sentence(found)
     parts = [noise, said] if found.noise_outweighs else [said, noise]
+    told = [f"{contradiction_text(found.contradicted)}."] if found.contradicted else []
     return (
-        " ".join(part for part in parts if part)
+        " ".join(part for part in (*told, *parts) if part)
+        + "".join(f" {disagreement_text([each])}" for each in found.disagreeing if each.leads)
         + _record_sentence(found)
         + _outlier_sentence(found)
         + _neglected_sentence(found)
@@ -98,7 +101,20 @@ def _rival_sentence(found: Diagnosis) -> str:
     best = found.rivals[0]
     names = listed([_on_channels(each, found.groups[0]) for each in best.effects])
     together = " together" if len(best.effects) > 1 else ""
-    return f" {names}{together} would fit as well: the posterior with all of them in the model holds both explanations."
+    if best.log_odds > thresholds.DECISIVE_LOG_ODDS:
+        verb = "explain" if together else "explains"
+        return f" {names}{together} {verb} it better (log odds {significant(best.log_odds)})" + (left_out(found) or ".")
+    said = f" {names}{together} would fit as well"
+    return said + (left_out(found) or ": the posterior with all of them in the model holds both explanations.")
+
+
+def left_out(found: Diagnosis) -> str:
+    """Return which effects the next command leaves out since a refit with them fails; empty where none."""
+    names = found.suggested.left_out if found.suggested is not None else ()
+    verb = "are" if names[1:] else "is"
+    return (
+        f"; {listed(names)} {verb} left out of the next command: the refit does not converge with all." if names else ""
+    )
 
 
 def _on_channels(choice: EffectChoice, group: EffectGroup) -> str:
@@ -161,13 +177,12 @@ def _noise_sentence(found: Diagnosis) -> str:
             f"{_rival_of_noise(found)}"
         )
     if not adopted and found.violations:
-        said = (
+        return (
             f"The noise is not as the model says: {violation_text(found.violations)}. No effect or noise of the "
             "catalogue is significant, but the intervals of this fit cannot be trusted."
         )
-        return f"{said} {_beyond_prior_sentence(found.beyond_prior)}" if found.beyond_prior else said
-    if not adopted and found.beyond_prior:
-        return _beyond_prior_sentence(found.beyond_prior)
+    if not adopted and found.contradicted:
+        return "No single effect and no noise of the catalogue is significant, but the model is not adequate."
     if not adopted:
         return (
             "The model does not explain the scatter from row to row: no single effect and no noise of the catalogue is "
@@ -188,29 +203,16 @@ def _rival_of_noise(found: Diagnosis) -> str:
     )
 
 
-def _beyond_prior_sentence(beyond: Sequence[NoiseBeyondPrior]) -> str:
-    """Return which noise is larger than its prior allows, and what that may mean."""
-    worst, rest = beyond[0], len(beyond) - 1
-    said = (
-        f"{worst.parameter} is {significant(worst.value)} {pretty(worst.unit)}, far beyond its prior (above "
-        f"{significant(worst.expected)} with 2.5 % probability; p {relation(worst.p)})"
-    )
-    said += f", and so {'is one more parameter' if rest == 1 else f'are {rest} more parameters'}." if rest else "."
-    where = "between runs" if worst.between_runs else "from row to row"
-    return f"{said} Either something acts {where} that the model lacks, or the prior is too narrow for this unit."
-
-
 def _record_sentence(found: Diagnosis) -> str:
     """Return by how much the fitted noise differs from the recorded one; empty where they agree."""
-    apart = found.disagreeing_noise
+    told = () if found.groups else {each.parameter for each in found.contradicted}
+    apart = [each for each in found.disagreeing_noise if each.parameter not in told]
     if not apart:
         return ""
     worst = max(apart, key=lambda each: abs(math.log(each.ratio)))
     rest = len(apart) - 1
     more = f" {rest} more {'channel disagrees' if rest == 1 else 'channels disagree'}." if rest else ""
-    return (
-        f" The fitted noise of {worst.channel} is {noise_ratio(worst)} times the recorded noise ({_both(worst)}).{more}"
-    )
+    return f" The fitted noise of {worst.channel} is {noise_ratio(worst)} times the known noise ({_both(worst)}).{more}"
 
 
 def _both(each: NoiseComparison) -> str:
@@ -253,9 +255,11 @@ def bias_clause(bias: ParameterBias) -> str:
 
 
 def _outlier_sentence(found: Diagnosis) -> str:
-    if not found.outliers:
+    told = {(each.run, each.row) for each in found.disagreeing}
+    outliers = [each for each in found.outliers if (each.run, each.row) not in told]
+    if not outliers:
         return ""
-    worst, count = found.outliers[0], len(found.outliers)
+    worst, count = outliers[0], len(outliers)
     where = f"{worst.channel} in row {worst.row} of run {worst.run}, {abs(worst.distance):.0f} standard deviations"
     return f" {count} outliers, the largest {where}." if count > 1 else f" One outlier: {where}."
 
@@ -274,14 +278,10 @@ def _asked_sentence(found: Diagnosis) -> str:
     return f"These runs cannot show {asked.effect}: {why}."
 
 
-def noise_ratio(each: NoiseComparison) -> str:
-    """Return fitted over recorded noise with its standard uncertainty."""
-    value, sd = value_and_sd(each.ratio, each.ratio_sd)
-    return f"{value} ± {sd}"
-
-
 def why_undetectable(hidden: UndetectableEffect) -> str:
     """Return why an effect that no parameter absorbs is undetectable."""
     if hidden.reason == "not_supplied":
-        return f"no run supplies {', '.join(hidden.needs)}" if hidden.needs else "their response to it is zero"
+        return (
+            f"the runs do not all supply {', '.join(hidden.needs)}" if hidden.needs else "their response to it is zero"
+        )
     return {"absorbed": "the model absorbs it", "noise": "its largest typical size is below the noise"}[hidden.reason]

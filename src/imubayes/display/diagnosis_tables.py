@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import ParameterBias
 from imubayes.criticism.diagnosis_record import Diagnosis, RankedEffect
-from imubayes.display.diagnosis_sentences import noise_ratio, why_undetectable
+from imubayes.display.diagnosis_sentences import why_undetectable
 from imubayes.display.labels import listed, pretty
+from imubayes.display.noise_violation_text import noise_ratio
 from imubayes.display.rounding import chance_text, percent, significant, value_and_sd
 from imubayes.display.structure_words import structure_shape
 from imubayes.display.table_layout import Cell, Sheet
@@ -34,20 +35,20 @@ def ranking_sheet(found: Diagnosis) -> Sheet:
     }
     rows, slim = [], []
     for line in ranking:
-        name, drop = Cell(line.effect), Cell(significant(line.delta_chi2))
+        name, drop = Cell(line.effect), Cell(significant(line.evidence))
         p = Cell(chance_text(line.p_global), "bad" if line.p_global < found.threshold else "dim")
         mark = Cell(group.get((line.effect, line.channels), ""))
         on, size = Cell(listed(line.channels, 3)), Cell(_coefficient(line))
         rows.append((name, on, size, drop, Cell(str(line.dof)), p, mark))
         slim.append((name, Cell(_coefficient(line, short=True)), drop, p, mark))
     note = _more(len(found.ranking) - len(rows)) + (
-        "Δχ²: predicted drop of χ² if the effect were added, at the noise that remains; p: probability that the best "
-        "of all candidates does so well where nothing is missing. These runs cannot distinguish the candidates of one "
-        "group."
+        "2 ln Λ: likelihood ratio on dof degrees of freedom, with the noise scales estimated anew; p: "
+        "probability that the best of all candidates does so well where nothing is missing. These runs cannot "
+        "distinguish the candidates of one group."
     )
-    head = ("effect", "on", "coefficient", "Δχ²", "dof", "p", "group")
+    head = ("effect", "on", "coefficient", "2 ln Λ", "dof", "p", "group")
     title = "Candidates in order of evidence"
-    narrow = Sheet(title, ("effect", "coefficient", "Δχ²", "p", "group"), slim, (0, 1), "", note)
+    narrow = Sheet(title, ("effect", "coefficient", "2 ln Λ", "p", "group"), slim, (0, 1), "", note)
     return Sheet(title, head, rows, (0, 1, 2), "", note, narrow=narrow)
 
 
@@ -87,7 +88,7 @@ def undetectable_sheet(found: Diagnosis) -> Sheet:
             "Undetectable is not absent: no statement is made about these effects. The last column is the bias of the "
             "most affected parameter where an effect is present at its largest typical size."
         )
-    note += f" No run supplies what these need: {', '.join(without)}." if without else ""
+    note += f" The runs do not all supply what these need: {', '.join(without)}." if without else ""
     head = ("effect", "absorbed by", "smallest detectable", "would bias")
     return Sheet("Undetectable in these runs", head, rows, (0, 1, 3), "", note.strip())
 
@@ -125,7 +126,7 @@ def noise_sheet(found: Diagnosis) -> Sheet:
 
 def recorded_noise_sheet(found: Diagnosis) -> Sheet:
     """Return fitted against recorded noise of the channels where they do not agree."""
-    sources = {"samples": "samples within rows", "channel": "'noise' of the channel"}
+    sources = {"samples": "samples within rows", "prior": "the prior", "channel": "'noise' of the channel"}
     rows = [
         (
             Cell(each.channel),

@@ -1,9 +1,12 @@
 """What has to be known before the numbers of a fit are used, in sentences."""
 
-from imubayes.display.labels import pretty
-from imubayes.display.noise_violation_text import violation_text
-from imubayes.display.rounding import percent, significant
+from collections.abc import Sequence
+
+from imubayes.display.labels import listed, pretty
+from imubayes.display.noise_violation_text import contradiction_text, violation_text
+from imubayes.display.rounding import percent, relation, significant
 from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
+from imubayes.model.model_spec import SingleRunEffect
 from imubayes.results.summary import PriorScatter, Summary
 
 _MOST_NAMED = 3
@@ -16,17 +19,16 @@ def alarm_of(summary: Summary) -> str:
     if not summary.converged:
         said = f"NOT CONVERGED. {summary.message.strip() or 'The numbers below must not be used.'}"
         return f"{said} {_SAMPLING_REMEDY}" if summary.sampled else said
-    if summary.noise_violations:
-        causes = violation_text(summary.noise_violations)
-        return f"DO NOT TRUST THE INTERVALS: {causes}. `imubayes diagnose` looks for the cause."
-    return ""
+    contradicted = [contradiction_text(summary.noise_contradicted)] if summary.noise_contradicted else []
+    causes = "; ".join([*contradicted, *([violation_text(summary.noise_violations)] * bool(summary.noise_violations))])
+    return f"DO NOT TRUST THE INTERVALS: {causes}. `imubayes diagnose` looks for the cause." if causes else ""
 
 
 def next_command(summary: Summary, campaign: str, folder: str) -> str:
     """Return the command to run after a fit: what looks for the cause of its warning, or the look at the residuals."""
     if summary.implausible or summary.unexplained or not (summary.converged or summary.sampled):
         return f"imubayes check {campaign}"
-    doubted = summary.noise_violations or not summary.converged
+    doubted = summary.noise_violations or summary.noise_contradicted or not summary.converged
     return f"imubayes {'diagnose' if doubted else 'compare'} {folder}"
 
 
@@ -74,7 +76,29 @@ def notices(summary: Summary) -> tuple[str, ...]:
     """Return what the intervals rest on besides the data."""
     suspected = summary.noise_suspected and not alarm_of(summary)
     noise = (_SUSPECTED.format(violation_text(summary.noise_suspected)),) if suspected else ()
-    return (*noise, *map(_rests_on_prior, summary.prior_scatter))
+    return (*left_out_lines(summary.left_out), *noise, *map(_rests_on_prior, summary.prior_scatter))
+
+
+def left_out_lines(found: Sequence[SingleRunEffect]) -> tuple[str, ...]:
+    """Return what a campaign of one run cannot tell of its channels, a line for each effect."""
+    return tuple(
+        f"{each.effect} is left out, with one run of {listed(each.channels, 4)}: uncertainties hold within that run "
+        "and do not include repeatability from run to run, which more runs, or a prior of it in the model, would tell."
+        for each in found
+    )
+
+
+def disagreement_lines(summary: Summary, result: str = "") -> tuple[str, ...]:
+    """Return the line that says which runs do not agree with the others; none where all do."""
+    doubted = summary.doubted_runs
+    if not doubted:
+        return ()
+    names = listed([f"run {each.run}" for each in doubted], _MOST_NAMED)
+    verb, command = "does" if len(doubted) == 1 else "do", f"imubayes diagnose {result}".rstrip()
+    return (
+        f"{names[0].upper()}{names[1:]} {verb} not agree with the other runs at the noise known before the fit "
+        f"(p {relation(doubted[0].p)}): `{command}` says what in the record would make it agree.",
+    )
 
 
 _SUSPECTED = "Suspected: {}. This may be chance; if it is not, the intervals are too narrow. Longer runs would tell."

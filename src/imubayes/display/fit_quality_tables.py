@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from imubayes.display.fit_cautions import alarm_of
-from imubayes.display.goodness_of_fit import SIGNIFICANT, share_of_freedom, tail
+from imubayes.display.goodness_of_fit import SIGNIFICANT, chi2_text, share_of_freedom, tail
 from imubayes.display.labels import pretty, readable
 from imubayes.display.rounding import ratio_text, significant
 from imubayes.display.run_design_words import run_design_text
@@ -78,7 +78,7 @@ def _fit_note(summary: Summary) -> str:
     excessive = sum(_fit_cell(run, share).mood == "bad" for run in runs)
     note = ""
     if summary.chi2 and summary.dof:
-        note = f"Total: chi2 {significant(summary.chi2, 4)} for {summary.dof:.0f} degrees of freedom. "
+        note = f"Total: {chi2_text(summary)}. "
     if not excessive:
         return note + f"No chi2 is larger than noise explains (p < {SIGNIFICANT:g})."
     verb = "is" if excessive == 1 else "are"

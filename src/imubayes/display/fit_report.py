@@ -8,7 +8,7 @@ from imubayes.display.classical_comparison import (
     undetermined_sheet,
 )
 from imubayes.display.combination_tables import combination_sheet, weak_sheet, weak_text
-from imubayes.display.fit_cautions import alarm_of, notices
+from imubayes.display.fit_cautions import alarm_of, disagreement_lines, notices
 from imubayes.display.fit_quality_tables import (
     NOT_DETERMINED,
     contribution_sheet,
@@ -16,6 +16,7 @@ from imubayes.display.fit_quality_tables import (
     next_run_sheet,
     run_sheet,
 )
+from imubayes.display.goodness_of_fit import chi2_text
 from imubayes.display.labels import listed
 from imubayes.display.prior_conflicts import conflict_sheet
 from imubayes.display.quantity_tables import (
@@ -46,19 +47,19 @@ def summary_report(summary: Summary, verbose: bool = False) -> Report:
     sheets += every_table(summary, nuisance=True) if verbose else brief
     sheets += [conflict_sheet(summary.prior_conflicts)]
     weak = () if verbose else weak_lines(summary)
-    chi2 = "–" if summary.chi2 is None else f"{summary.chi2:.1f}"
     meaning = f"intervals are {summary.interval}; " if verbose else ""
     closing = (
-        f"{_outcome(summary)} chi2 {chi2} for {summary.dof:.0f} degrees of freedom; "
+        f"{_outcome(summary)} {chi2_text(summary)}; "
         f"fit {summary.seconds.fit:.1f} s, sampling {summary.seconds.sample:.1f} s; "
         f"{meaning}uncertainty is the {summary.uncertainty if verbose else 'posterior standard deviation'}"
     )
     # A warning stands on the first line, above the first table; nothing comes before it.
     said, alarm = notices(summary), alarm_of(summary)
+    closings = (*weak, *disagreement_lines(summary), closing)
     if not alarm:
-        return Report(said, sheets, (*weak, closing))
+        return Report(said, sheets, closings)
     quiet = [without_alarm(sheet) if isinstance(sheet, Sheet) else sheet for sheet in sheets]
-    return Report((), quiet, (*said, *weak, closing), alarm)
+    return Report((), quiet, (*said, *closings), alarm)
 
 
 def every_table(summary: Summary, nuisance: bool) -> list[Sheet]:

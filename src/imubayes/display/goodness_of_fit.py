@@ -1,4 +1,4 @@
-"""p-values of χ² per run and channel.
+"""χ² in words, and its p-values per run and channel.
 
 Parameters take up their share of the degrees of freedom: of its n values a run and channel has n·dof/N in proportion.
 """
@@ -6,9 +6,8 @@ Parameters take up their share of the degrees of freedom: of its n values a run 
 import math
 from collections.abc import Sequence
 
-from scipy.special import gammainc, gammaincc
-
 from imubayes.results.summary import RunSummary, Summary
+from imubayes.tail_probabilities import chi2_cdf, chi2_survival
 
 SIGNIFICANT = 0.001
 
@@ -19,12 +18,21 @@ def share_of_freedom(summary: Summary) -> float:
     return min(max(summary.dof / count, 0.1), 1.0) if count and summary.dof else 1.0
 
 
+def chi2_text(summary: Summary) -> str:
+    """Return χ² at the noise as fitted, and beside it at the noise known beforehand where that was found."""
+    fitted = "–" if summary.chi2 is None else f"{summary.chi2:.1f}"
+    said, known = f"chi2 {fitted} for {summary.dof:.0f} degrees of freedom", summary.known_noise
+    if known is None:
+        return said
+    return f"{said} at the noise as fitted, {known.chi2:.1f} for {known.dof:.0f} at the noise known beforehand"
+
+
 def tail(chi2: float, freedom: float) -> float:
     """Return the p-value of a χ²: of its upper tail, or minus that of the lower tail where this is smaller."""
     if not (math.isfinite(chi2) and freedom > 0):
         return math.nan
-    above = float(gammaincc(freedom / 2, chi2 / 2))
-    below = float(gammainc(freedom / 2, chi2 / 2))
+    above = float(chi2_survival(chi2, freedom))
+    below = float(chi2_cdf(chi2, freedom))
     return above if above <= below else -below
 
 

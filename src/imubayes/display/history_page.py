@@ -104,8 +104,7 @@ def _errors(nodes: Sequence[Node]) -> Picture | None:
         channels.append(ChannelSteps(name, unit, rms, noise))
     if not channels:
         return None
-    floors = {each.channel: each.rms for each in nodes[-1].floor}
-    return error_per_step_figure([node.title for node in nodes], channels, floors)
+    return error_per_step_figure([node.title for node in nodes], channels)
 
 
 def _section(step: HistoryStep) -> StepSection:
@@ -117,7 +116,7 @@ def _section(step: HistoryStep) -> StepSection:
     names = listed([choice.effect for choice in node.added], 2)
     pictures = []
     if step.before is not None and step.after is not None:
-        floors = {channel.channel: channel.rms for channel in node.floor}
+        floors = {each.channel: each.noise for each in node.rms if each.noise is not None}
         pictures.append(before_after(step.before, step.after, names, floors, step.group))
     if step.added_variable is not None:
         pictures.append(added_variable(step.added_variable, names, step.before))

@@ -3,12 +3,11 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from imubayes.criticism.model_history import Node, Tree, rms_by_unit, within_by_unit
-from imubayes.display.labels import pretty, readable
+from imubayes.criticism.model_history import Node, Tree, rms_by_unit
+from imubayes.display.labels import listed, pretty, readable
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import ratio_text, significant, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet
-from imubayes.display.within_runs import WITHIN_RUNS, much_less
 from imubayes.results.history_tree import shown_place
 
 Scales = Mapping[str, tuple[float, str]]
@@ -18,7 +17,12 @@ Scales = Mapping[str, tuple[float, str]]
 def history_report(tree: Tree) -> Report:
     """Return the models tried, and why some were not taken."""
     refused = [f"{shown_place(place)}: {node.message}" for place, node in tree.nodes.items() if not node.taken]
-    return Report((), [history_sheet(tree)], refused)
+    risen = [
+        f"{shown_place(place)}: {offsets_moved_text(node.offsets_moved)}"
+        for place, node in tree.nodes.items()
+        if node.offsets_moved
+    ]
+    return Report((), [history_sheet(tree)], [*risen, *refused])
 
 
 def history_json(tree: Tree) -> dict[str, Any]:
@@ -27,7 +31,7 @@ def history_json(tree: Tree) -> dict[str, Any]:
     for depth, place in tree.in_order():
         parent = tree.parents[place]
         where = {"folder": shown_place(place), "depth": depth}
-        content = tree.nodes[place].model_dump(mode="json", exclude={"format", "children", "floor"})
+        content = tree.nodes[place].model_dump(mode="json", exclude={"format", "children"})
         nodes.append(where | content | {"parent": None if parent is None else shown_place(parent)})
     return {"format": 2, "nodes": nodes, "selected": [shown_place(place) for place in tree.selected]}
 
@@ -36,20 +40,17 @@ def history_sheet(tree: Tree) -> Sheet:
     """Return a line for each model tried."""
     nodes = list(tree.nodes.values())
     scales = _scales([rms_by_unit(node.rms) for node in nodes])
-    apart = {unit: scale for unit, scale in scales.items() if any(_much_less_within(node, unit) for node in nodes)}
     ordered = tree.in_order()
-    rows = [_row(tree.nodes[place], depth, place, scales, apart) for depth, place in ordered]
-    columns = (*_heads("residual / ", scales), *_heads("within runs / ", apart))
-    head = ("model", "χ²/dof", "Δχ²", *columns, "Δ elpd", "folder")
+    rows = [_row(tree.nodes[place], depth, place, scales) for depth, place in ordered]
+    head = ("model", "χ²/dof", "Δχ²", *_heads("residual / ", scales), "Δ elpd", "folder")
     note = (
-        "● selected, the model that is exported; ✕ not taken. Residual: rms over the channels of one unit. Δχ²: drop "
-        "at the noise scales of the model before; Δ elpd: rise of the log predictive density in cross-validation."
-        + (f" {WITHIN_RUNS}" if apart else "")
+        "● selected, the model that is exported; ✕ not taken. χ², its drop Δχ² and the residual, rms over the channels "
+        "of one unit, are at the noise known beforehand, offsets of runs included; Δ elpd: rise of the log predictive "
+        "density in cross-validation."
     )
     dividers = frozenset(index for index, (depth, _) in enumerate(ordered) if index and depth == 0)
     slim = [_slim_row(row, tree.nodes[place]) for row, (_, place) in zip(rows, ordered, strict=True)]
-    short = (*_heads("rms ", scales), *_heads("within ", apart))
-    narrow = Sheet("Models tried", ("model", "Δχ²", *short, "Δ elpd"), slim, (0,), "", note, dividers)
+    narrow = Sheet("Models tried", ("model", "Δχ²", *_heads("rms ", scales), "Δ elpd"), slim, (0,), "", note, dividers)
     return Sheet("Models tried", head, rows, (0, len(head) - 1), "", note, dividers, narrow)
 
 
@@ -72,14 +73,9 @@ def _slim_row(row: Sequence[Cell], node: Node) -> tuple[Cell, ...]:
     return (row[0], row[2], *row[3:-2], Cell(gain, row[-2].mood))
 
 
-def _much_less_within(node: Node, unit: str) -> bool:
-    """Tell whether the means of runs are a part of the residual rms that counts."""
-    return much_less(within_by_unit(node.rms).get(unit), rms_by_unit(node.rms).get(unit))
-
-
-def _row(node: Node, depth: int, place: str, scales: Scales, apart: Scales) -> tuple[Cell, ...]:
-    """Return title, goodness of fit, residual rms by unit and within runs, cross-validation and folder of a node."""
-    sizes = _sizes(rms_by_unit(node.rms), scales) + _sizes(within_by_unit(node.rms), apart)
+def _row(node: Node, depth: int, place: str, scales: Scales) -> tuple[Cell, ...]:
+    """Return title, goodness of fit, residual rms by unit, cross-validation and folder of a node."""
+    sizes = _sizes(rms_by_unit(node.rms), scales)
     mark = "●" if node.selected else ("○" if node.taken else "✕")
     title = f"{'  ' * (depth - 1)}└ {node.title}" if depth else node.title
     useless = node.held_out is not None and node.held_out.verdict == "not"
@@ -104,3 +100,11 @@ def gain_text(node: Node) -> str:
         return "–" if node.taken else "not taken"
     text = f"{found.delta:+.1f} ± {significant(found.se, 2)} ({found.helped}/{found.of} {found.by}s)"
     return text + {"not": " no gain", "unclear": " unclear", "helps": ""}[found.verdict]
+
+
+def offsets_moved_text(channels: Sequence[str]) -> str:
+    """Return why the residual rms of channels rose although χ² fell."""
+    return (
+        f"The residual rms of {listed(channels)} rises because the offsets of runs, which parameters took up before, "
+        "move into it; within runs it does not rise."
+    )

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import lazy_loader
 import polars as pl
 from rich.console import Console, ConsoleOptions
 
@@ -21,6 +22,7 @@ from imubayes.display.classical_of_prediction import of_prediction
 from imubayes.display.combination_tables import combination_sheet, weak_sheet
 from imubayes.display.comparison_page import FIRST, comparison_page
 from imubayes.display.figure_selection import corner_choice, most_telling_first, plan, runs_shown
+from imubayes.display.fit_cautions import disagreement_lines
 from imubayes.display.fit_quality_tables import fit_sheet, run_sheet
 from imubayes.display.notebook_progress import progress_of
 from imubayes.display.quantity_tables import derived_sheet, parameter_sheet
@@ -39,6 +41,10 @@ from imubayes.results.record_files import damaged
 from imubayes.results.record_names import MODEL, POSTERIOR
 from imubayes.results.summary import Summary
 from imubayes.step_counter import Tell, counted
+
+# They load JAX, which most comparisons do not need.
+effects_behind: Any = lazy_loader.load("imubayes.display.effects_behind", suppress_warning=True)
+fit_file: Any = lazy_loader.load("imubayes.results.fit_file", suppress_warning=True)
 
 _MOST_COLUMNS = 9
 _INDEX = "captions.json"
@@ -141,6 +147,9 @@ def compare(
     if campaign is not None:
         predicted = of_prediction(campaign, residuals, summary)
         classical_estimates = compare_classical(classical(campaign), summary, predicted)
+        if classical_estimates.beyond:
+            behind = effects_behind.effects_behind(fit_file.read_fit(folder), residuals, summary)
+            classical_estimates = classical_estimates.with_causes(behind)
     notes = tuple(_notes(residuals, draws, chosen) if every else _left_out(len(figures) - len(wanted)))
     page = folder / PAGE
     write_text(page, comparison_page(summary, [f"{name}.png" for name in ranked], captions, notes))
@@ -291,6 +300,8 @@ def print_comparison(comparison: Comparison) -> None:
         console.print(terminal(sheet))
     for note in comparison.notes:
         console.print(note, highlight=False)
+    for line in disagreement_lines(comparison.summary, str(comparison.folder)):
+        console.print(line, highlight=False, soft_wrap=True)
     count = len(comparison.pictures)
     console.print(f"{count} figures in {comparison.folder / 'figures'}", highlight=False, soft_wrap=True)
     console.print(f"look at these first: {comparison.page}", highlight=False, soft_wrap=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from imubayes.batch.pooled_discovery import EquipmentEvidence, PooledCandidate, PooledDiscovery, PooledFinding
 from imubayes.display.archive_report import counted
 from imubayes.display.report_layout import Report
-from imubayes.display.rounding import concise, significant
+from imubayes.display.rounding import chance_text, concise
 from imubayes.display.table_layout import Cell, Sheet, of_columns
 from imubayes.errors import Issue
 
@@ -80,7 +80,7 @@ def _sides(each: PooledFinding) -> Sheet:
     common = each.evidence.law == "common"
     rows = [
         [Cell(word), Cell(unit.unit), Cell(f"{unit.contribution if common else unit.chi2:.1f}"),
-         Cell(significant(unit.p, 2))]
+         Cell(chance_text(unit.p))]
         for word, listed in (("for", each.supporting), ("against", each.opposing))
         for unit in listed[:_MOST_SIDE]
     ]  # fmt: skip

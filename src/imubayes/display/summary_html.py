@@ -3,6 +3,7 @@
 from imubayes.display.calibration_sheet import axis_sheet, calibration_sheets
 from imubayes.display.fit_cautions import alarm_of, notices
 from imubayes.display.fit_report import every_table, weak_lines
+from imubayes.display.goodness_of_fit import chi2_text
 from imubayes.display.provenance_line import provenance_line
 from imubayes.display.quantity_tables import scale_and_angle_sheet
 from imubayes.display.templates import render
@@ -19,6 +20,7 @@ def summary_html(summary: Summary) -> str:
         summary=summary,
         alarm=alarm_of(summary),
         notices=notices(summary),
+        chi2=chi2_text(summary),
         # Without a channel of its own, such as a result of equipment alone, the parameters stand open.
         shown=shown or folded[:1],
         weak=weak_lines(summary),

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from datetime import timedelta
 from typing import Literal
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from imubayes.campaign_data import Campaign, Mounting, Run, Table
 from imubayes.json_record import Record
 from imubayes.procedures import PROCEDURES
+from imubayes.procedures.ambient import instant
 
 _HEAD_POSITIONS = 12
 _DEFAULT_RATES = (100.0, 30.0, 10.0, -100.0, -30.0, -10.0)  # deg/s
@@ -186,7 +188,7 @@ def _injections(campaign: Campaign) -> list[CandidateRun]:
 def _empty_run(
     campaign: Campaign, name: str, procedure: str, table: str | None, mounting: str | None, covariates: dict
 ) -> Run:
-    """Return a run without observations."""
+    """Return a run without observations; a temperature that is not given is the usual one, the date the next day."""
     count = len(covariates["time"])
     samples = float(np.median(np.concatenate([run.samples for run in campaign.runs])))
     injected = PROCEDURES[procedure].injected
@@ -195,9 +197,25 @@ def _empty_run(
         [c.kind != "angle" and (not injected or bool(c.current_per_acceleration)) for c in campaign.channels]
     )
     observed = np.where(known, np.zeros((count, len(known))), np.nan)
+    usual = {temperature: np.full(count, value) for temperature, value in _usual_temperatures(campaign).items()}
     return Run(
-        name, procedure, table, mounting, covariates, observed, np.full(count, samples), np.full_like(observed, np.nan)
-    )
+        name, procedure, table, mounting, usual | covariates, observed, np.full(count, samples),
+        np.full_like(observed, np.nan), start=_next_day(campaign),
+    )  # fmt: skip
+
+
+def _usual_temperatures(campaign: Campaign) -> dict[str, float]:
+    """Return the median of the means of the runs, degC, of each temperature that a run has."""
+    means = {
+        name: [run.covariates[name].mean() for run in campaign.runs if name in run.covariates] for name in _TEMPERATURES
+    }
+    return {name: float(np.median(values)) for name, values in means.items() if values}
+
+
+def _next_day(campaign: Campaign) -> str | None:
+    """Return the day after the last run; None where no run has a date."""
+    dates = [instant(run.start) for run in campaign.runs if run.start]
+    return (max(dates) + timedelta(days=1)).isoformat() if dates else None
 
 
 def _planned(campaign: Campaign, table: Table, mounting: Mounting, repeated: bool = False) -> CandidateRun:
@@ -216,10 +234,6 @@ def _planned(campaign: Campaign, table: Table, mounting: Mounting, repeated: boo
     count = len(rate)
     covariates = {"time": np.arange(count, dtype=float), "table_rate": rate, "table_angle": angle}
     covariates["table_angle_span"] = np.zeros(count)
-    for name in _TEMPERATURES:
-        known = [run.covariates[name].mean() for run in campaign.runs if name in run.covariates]
-        if known:
-            covariates[name] = np.full(count, float(np.median(known)))
     name = f"candidate {table.name} {mounting.name}"
     return CandidateRun(design, _empty_run(campaign, name, design.procedure, table.name, mounting.name, covariates))
 

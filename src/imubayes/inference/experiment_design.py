@@ -43,7 +43,7 @@ def with_planned(fit: Fit, elsewhere: bool = False) -> tuple[Fit, list[Candidate
     """
     extended, candidates = candidate_runs(fit.model.campaign, elsewhere)
     campaign = replace(extended, runs=(*extended.runs, *(candidate.run for candidate in candidates)))
-    model = bind(fit.model.spec, campaign, fit.model.registry.without_files())
+    model = bind(fit.model.spec_of_known, campaign, fit.model.registry.without_files())
     z = model.layout.carried(fit.model.layout, fit.z)
     h = model.hyper_layout.carried(fit.model.hyper_layout, fit.h)
     return Fit(model, z, h, fit.optimised, fit.message, sampled=fit.sampled), candidates

@@ -29,7 +29,7 @@ else:
 _MOST_IN_BLOCK = 16
 
 
-def _in_blocks(function: Callable[[Array], Any], rows: Float[Array, "n PH"]):
+def in_blocks(function: Callable[[Array], Any], rows: Float[Array, "n PH"]) -> Any:
     """Apply a function of one row to all; the last block is padded, since a shorter one would be compiled as well.
 
     Vectorised as a whole, the precisions of 4000 draws take hundreds of megabytes, and five times as long.
@@ -42,12 +42,12 @@ def _in_blocks(function: Callable[[Array], Any], rows: Float[Array, "n PH"]):
 
 @kept
 def _to_point(approximation: NestedLaplace, problem: Problem, normal: Float[Array, "n PH"]):
-    return _in_blocks(lambda vector: to_point(approximation, problem, vector), normal)
+    return in_blocks(lambda vector: to_point(approximation, problem, vector), normal)
 
 
 @kept
 def _to_normal(approximation: NestedLaplace, problem: Problem, points: Float[Array, "n PH"]):
-    return _in_blocks(lambda point: to_normal(approximation, problem, point), points)
+    return in_blocks(lambda point: to_normal(approximation, problem, point), points)
 
 
 @kept

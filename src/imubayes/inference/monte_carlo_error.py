@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING
 
 import lazy_loader
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
+
+from imubayes.tail_probabilities import normal_survival
 
 if TYPE_CHECKING:
     import arviz_stats.sampling_diagnostics
@@ -49,11 +51,11 @@ class ChainErrors:
 
     def chance_beyond(self, longer: float = 1.0) -> float:
         """Return the largest probability that any number is beyond its bar, for chains `longer` times as long."""
-        return self.chance_of_ends(longer) + float(2 * ndtr(-SD_BAR * np.sqrt(longer) / self.sd).sum())
+        return self.chance_of_ends(longer) + float(2 * normal_survival(SD_BAR * np.sqrt(longer) / self.sd).sum())
 
     def chance_of_ends(self, longer: float = 1.0) -> float:
         """Return the largest probability that any end is beyond its bar, for chains `longer` times as long."""
-        return float(2 * ndtr(-END_BAR * np.sqrt(longer) / self.end).sum())
+        return float(2 * normal_survival(END_BAR * np.sqrt(longer) / self.end).sum())
 
     def longer(self) -> float:
         """Return how many times the length the chains need; at most 1 where they are long enough."""

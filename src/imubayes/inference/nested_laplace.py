@@ -30,6 +30,7 @@ from imubayes.inference.tabulated_density import TabulatedDensity, from_normal, 
 from imubayes.inference.tabulated_density import to_normal as to_standard
 from imubayes.inference.tabulated_directions import TabulatedDirections, tabulated_directions
 from imubayes.kept_programs import kept
+from imubayes.model.likelihood import log_normaliser, residuals_of
 from imubayes.model.noise_covariance import inverse_covariance, whitener
 from imubayes.model.problem import Problem, predict_many, prior_widths
 
@@ -38,8 +39,10 @@ from imubayes.model.problem import Problem, predict_many, prior_widths
 _WEAK_SD = 0.03
 # Second derivatives are taken over pairs of directions: 60 directions have 1830 pairs.
 _MOST_WEAK = 60
-# Where the marginal of h is evaluated along each axis, in units of its width at the mode.
+# Where the marginal of h is evaluated along each axis, in units of its width at the mode,
 _PROBES = np.array([-8.0, -6.0, -4.5, -3.5, -2.7, -2.0, -1.3, -0.6, 0.0, 0.6, 1.3, 2.0, 2.7, 3.5, 4.5, 6.0, 8.0, 11.0])
+# and, for other maxima, over the whole prior, in z: a scatter at the lower end is zero for all that data can tell.
+_SURVEY = np.linspace(-3.5, 3.5, 15)
 # Another maximum counts where it is less than this below the highest, and this above what lies between.
 _HOPELESS, _APART = 15.0, 0.1
 # Log density, relative to the mode, where the marginal is not finite.
@@ -71,19 +74,6 @@ class NestedLaplace(eqx.Module):
     bend: Float[Array, "K K P"]
     shape: TabulatedDirections | None = None
     ridge: InnovationScale | None = None
-
-    def other_modes(self, problem: Problem) -> list[np.ndarray]:
-        """Return h (H,) at the other maxima of the marginal along its axes that hold some of the mass."""
-        found = []
-        tables = zip(np.asarray(self.along.knots), np.asarray(self.along.log_density), strict=True)
-        for axis, (knots, height) in enumerate(tables):
-            inside = np.flatnonzero((height[1:-1] > height[:-2]) & (height[1:-1] >= height[2:])) + 1
-            highest = int(np.argmax(height))
-            for place in inside:
-                between = height[min(place, highest) : max(place, highest) + 1].min()
-                if place != highest and height[place] > max(height[highest] - _HOPELESS, between + _APART):
-                    found.append(np.asarray(self.scales(problem, self.h + knots[place] * self.hyper_axes[:, axis])))
-        return found
 
     def scales(self, problem: Problem, straight: Float[Array, " H"]) -> Float[Array, " H"]:
         """Return the noise scales h of u."""
@@ -133,12 +123,12 @@ def _pulled(problem: Problem, mode: Mode, changes: Float[Array, "n E"]) -> Float
     return jax.vmap(lambda change: mode.about.jacobian.T @ inverse_covariance(problem, by, change)[0])(changes)
 
 
-def nested_laplace(problem: Problem, mode: Mode) -> NestedLaplace:
-    """Return the proposal about a mode."""
+def nested_laplace(problem: Problem, mode: Mode, marginal: "HyperMarginal | None" = None) -> NestedLaplace:
+    """Return the proposal about a mode; `marginal` is that of its noise scales, where it is at hand."""
     weak, bend, shape = weak_directions(problem, mode)
-    ridge = innovation_scale(problem, mode.h)
-    axes, along = _marginal(problem, mode, ridge)
-    return NestedLaplace(mode.z, mode.h, axes, along, precision_blocks(problem, mode), weak, bend, shape, ridge)
+    own = marginal or hyper_marginal(problem, mode)
+    blocks = precision_blocks(problem, mode)
+    return NestedLaplace(mode.z, mode.h, own.axes, own.along, blocks, weak, bend, shape, own.ridge)
 
 
 def weak_directions(
@@ -172,34 +162,75 @@ def _log_marginals(problem: Problem, mode: Mode, h: Float[Array, "n H"]) -> Floa
     return jax.lax.map(lambda point: log_marginal(problem, mode.about, point), h)
 
 
-def _marginal(
-    problem: Problem, mode: Mode, ridge: InnovationScale | None
-) -> tuple[Float[Array, "H H"], TabulatedDensity]:
-    """Return axes of the marginal of h, or of u where there is a ridge, and the marginal along each."""
-    information = np.asarray(mode.marginal.information)
+@dataclass(frozen=True)
+class HyperMarginal:
+    """The marginal of h about a mode: see `NestedLaplace`.
+
+    Attributes
+    ----------
+    deviation : shape (H,), its width along each axis.
+    others : h (H,) near other maxima along the axes.
+    """
+
+    axes: Float[Array, "H H"]
+    along: TabulatedDensity
+    ridge: InnovationScale | None
+    deviation: np.ndarray
+    others: tuple[np.ndarray, ...]
+
+
+def hyper_marginal(problem: Problem, mode: Mode) -> HyperMarginal:
+    """Return the marginal of h, or of u where there is a ridge, along each of its axes."""
+    information, ridge = np.asarray(mode.marginal.information), innovation_scale(problem, mode.h)
     if ridge is not None:
         information = np.asarray(ridge.straightened_information(problem, mode.h, mode.marginal.information))
     probes = hyper_probes(np.asarray(mode.h), information)
     points = jnp.asarray(probes.points)
     if ridge is not None:
         points = jax.vmap(lambda point: ridge.scales(problem, point))(points)
-    values = np.asarray(_log_marginals(problem, mode, points))
-    return jnp.asarray(probes.axes), probes.tabulated(values - float(mode.marginal.value))
+    values = np.asarray(_log_marginals(problem, mode, points)) - float(mode.marginal.value)
+    others = tuple(np.asarray(points[place]) for place in probes.other_maxima(values))
+    return HyperMarginal(jnp.asarray(probes.axes), probes.tabulated(values), ridge, probes.deviation, others)
 
 
 @dataclass(frozen=True)
 class HyperProbes:
-    """Where the marginal of h is evaluated: axes (H, H), knots along each (H, n), and the points (H n, H)."""
+    """Where the marginal of h is evaluated.
+
+    Attributes
+    ----------
+    axes : shape (H, H).
+    deviation : shape (H,), width of the marginal along each axis.
+    knots : shape (H, n), along each axis, increasing.
+    near : shape (H, n), which of them the table is made of; the others reach over the prior.
+    points : shape (H n, H).
+    """
 
     axes: np.ndarray
-    knots: np.ndarray
     deviation: np.ndarray
+    knots: np.ndarray
+    near: np.ndarray
     points: np.ndarray
 
     def tabulated(self, log_density: np.ndarray) -> TabulatedDensity:
         """Return the marginal along each axis, from its logarithm at the points (H n,) relative to that at the mode."""
+        knots, values = (each[self.near].reshape(-1, len(_PROBES)) for each in (self.knots, self._heights(log_density)))
+        return tabulate(knots, values, self.deviation)
+
+    def other_maxima(self, log_density: np.ndarray) -> list[int]:
+        """Return the places among the points of maxima beside the mode, apart from it and not hopelessly below it."""
+        found = []
+        for axis, (knots, height) in enumerate(zip(self.knots, self._heights(log_density), strict=True)):
+            mode = int(np.argmin(np.abs(knots)))
+            for place in np.flatnonzero((height[1:-1] > height[:-2]) & (height[1:-1] >= height[2:])) + 1:
+                between = height[min(place, mode) : max(place, mode) + 1].min()
+                if place != mode and height[place] > max(height.max() - _HOPELESS, between + _APART):
+                    found.append(axis * len(knots) + int(place))
+        return found
+
+    def _heights(self, log_density: np.ndarray) -> np.ndarray:
         values = np.nan_to_num(log_density, nan=_NOWHERE, neginf=_NOWHERE, posinf=_NOWHERE)
-        return tabulate(self.knots, np.maximum(values, _NOWHERE).reshape(self.knots.shape), self.deviation)
+        return np.maximum(values, _NOWHERE).reshape(self.knots.shape)
 
 
 def hyper_probes(h: np.ndarray, information: np.ndarray) -> HyperProbes:
@@ -209,9 +240,11 @@ def hyper_probes(h: np.ndarray, information: np.ndarray) -> HyperProbes:
     factor = np.linalg.cholesky((vectors / np.maximum(eigenvalues, 1.0)) @ vectors.T)
     deviation = np.diagonal(factor)
     axes = factor / deviation
-    knots = deviation[:, None] * _PROBES
+    knots = np.concatenate([deviation[:, None] * _PROBES, _SURVEY - h[:, None]], axis=1)
+    order = np.argsort(knots, axis=1)
+    knots = np.take_along_axis(knots, order, axis=1)
     points = h + knots[..., None] * axes.T[:, None, :]
-    return HyperProbes(axes, knots, deviation, points.reshape(-1, len(axes)))
+    return HyperProbes(axes, deviation, knots, order < len(_PROBES), points.reshape(-1, len(axes)))
 
 
 def _conditional(approximation: NestedLaplace, problem: Problem, h: Float[Array, " H"]):
@@ -234,6 +267,26 @@ def to_point(
 
     The points of random vectors are proposals.
     """
+    return _to_point(approximation, problem, normal)[:2]
+
+
+def point_and_marginal(
+    approximation: NestedLaplace, problem: Problem, misfit: Float[Array, " E"], normal: Float[Array, " PH"]
+) -> tuple[Float[Array, " PH"], Scalar]:
+    """Return the point of a standard normal vector, and the Laplace marginal of its h, up to a constant.
+
+    Parameters
+    ----------
+    misfit : shape (E,), y − f at the mode.
+    """
+    point, _, (factor, mean) = _to_point(approximation, problem, normal)
+    h = point[approximation.z.shape[0] :]
+    joint = -0.5 * jnp.sum(residuals_of(problem, misfit, approximation.z, h) ** 2) + log_normaliser(problem, h)
+    return point, joint + 0.5 * jnp.sum((factor.T @ mean) ** 2) - jnp.sum(jnp.log(jnp.diagonal(factor)))
+
+
+def _to_point(approximation: NestedLaplace, problem: Problem, normal: Float[Array, " PH"]):
+    """Return point and log density as `to_point`, and Cholesky factor and mean of θ given h."""
     size = approximation.z.shape[0]
     along = from_normal(approximation.along, normal[size:])
     h = approximation.scales(problem, approximation.h + approximation.hyper_axes @ along)
@@ -243,7 +296,7 @@ def to_point(
         whitened, excess = approximation.shape.shaped(factor, whitened)
     delta = mean + solve_triangular(factor.T, whitened, lower=False)
     point = jnp.concatenate([approximation.z + delta + _bent(approximation, delta), h])
-    return point, _log_density(approximation, factor, whitened, along) + excess
+    return point, _log_density(approximation, factor, whitened, along) + excess, (factor, mean)
 
 
 def to_normal(
@@ -252,9 +305,7 @@ def to_normal(
     """Return the standard normal vector of a point, and the log density of the proposal there."""
     size = approximation.z.shape[0]
     z, h = point[:size], point[size:]
-    axes = approximation.hyper_axes
-    straight = h if approximation.ridge is None else approximation.ridge.straightened(problem, h)
-    along = solve_triangular(axes, straight - approximation.h, lower=True, unit_diagonal=True) if h.size else h
+    along = _along(approximation, problem, h)
     factor, mean = _conditional(approximation, problem, h)
     bent = z - approximation.z
     # The bend does not change the weak coordinates, so it is computed from the bent step and subtracted.
@@ -264,6 +315,18 @@ def to_normal(
         whitened, excess = approximation.shape.normalised(factor, whitened)
         density = density + excess
     return jnp.concatenate([whitened, to_standard(approximation.along, along)]), density
+
+
+def hyper_density(approximation: NestedLaplace, problem: Problem, h: Float[Array, " H"]) -> Scalar:
+    """Return the log density of the proposal of h."""
+    return jnp.sum(log_density(approximation.along, _along(approximation, problem, h)))
+
+
+def _along(approximation: NestedLaplace, problem: Problem, h: Float[Array, " H"]) -> Float[Array, " H"]:
+    """Return h along the axes of its marginal."""
+    straight = h if approximation.ridge is None else approximation.ridge.straightened(problem, h)
+    step = straight - approximation.h
+    return solve_triangular(approximation.hyper_axes, step, lower=True, unit_diagonal=True) if h.size else h
 
 
 def _log_density(approximation: NestedLaplace, factor, whitened: Float[Array, " P"], along: Float[Array, " H"]):

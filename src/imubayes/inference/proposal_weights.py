@@ -75,9 +75,7 @@ class WeighedProposal:
     def resampled(self, pool: int, count: int, random: np.random.RandomState) -> np.ndarray:
         """Return draws of a pool by importance resampling, (count, D): nearly draws of the posterior."""
         share = self.weight[pool] / self.weight[pool].sum()
-        # Systematic: each point as often as its weight says, to within one.
-        at = np.searchsorted(np.cumsum(share), (random.uniform() + np.arange(count)) / count)
-        return self.points[pool][random.permutation(np.minimum(at, len(share) - 1))]
+        return self.points[pool][systematic(share, count, random)]
 
     def moments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return mean (D,) and standard deviation (D,) of the posterior, and the relative error of the latter (D,)."""
@@ -121,6 +119,12 @@ def weigh(
     if not weight.any(axis=1).all():
         return None
     return WeighedProposal(proposal, np.stack(points), weight / weight.mean(), pareto_k(log_weight.reshape(-1)))
+
+
+def systematic(share: np.ndarray, count: int, random: np.random.RandomState) -> np.ndarray:
+    """Return `count` places in random order, each as often as its share (n,) says, to within one."""
+    at = np.searchsorted(np.cumsum(share), (random.uniform() + np.arange(count)) / count)
+    return random.permutation(np.minimum(at, len(share) - 1))
 
 
 def pareto_k(log_weight: np.ndarray) -> float:

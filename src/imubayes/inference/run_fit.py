@@ -11,12 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from imubayes.array_shapes import Array, Float
 from imubayes.errors import InputError, Issue
 from imubayes.inference.checkpoint import Checkpoint
 from imubayes.inference.ensemble_sampling import Chains, Settings, sample, thinned, walkers_for
 from imubayes.inference.fitted_model import Fit, Posterior
 from imubayes.inference.laplace_move import LaplaceProposal, LogDensity
 from imubayes.inference.nested_laplace import NestedLaplace, nested_laplace
+from imubayes.inference.noise_scale_modes import NEGLIGIBLE, modes_of_scales, posterior_points
 from imubayes.inference.plausible_estimates import implausible_estimates, unexplained_outputs
 from imubayes.inference.posterior_mode import Mode, find_mode, fit_at, heights, log_evidence, message
 from imubayes.inference.proposal_weights import WeighedProposal, weigh_tail
@@ -28,13 +30,13 @@ from imubayes.step_counter import counted
 # Starts are compared by their log density: within this they are the same mode or one as good, beyond the second
 # they are out of the running whatever their width.
 _SAME, _HOPELESS = 0.5, 30.0
-# A mode of less than a thousandth of the mass moves the ends of 95 % intervals by 0.02 standard deviations at most. An
-# ensemble that begins there does not leave it, and says what is no matter: that the ensembles disagree.
-_NEGLIGIBLE = float(np.log(1e3))
 _DISPERSED = 3
 # Draws whose importance weights judge the proposal, of all ensembles together.
 _TRIAL = 4000
-PRIOR_DRAWS, LAPLACE_DRAWS = 2000, 4000
+# An end of the 95 % interval of a normal posterior has a Monte Carlo error of 2.67 u/√n.  At 11 400 draws twice that is
+# half a unit of the first digit of u (JCGM 101, 7.9), a twentieth of a u that begins with 9; and a margin for the error
+# of the error itself.
+PRIOR_DRAWS, LAPLACE_DRAWS = 2000, 16_000
 
 FAILED = "The fit failed: it ended where no working unit on the stated equipment can be."
 
@@ -77,19 +79,19 @@ def joint_fit(
         if file is not None and resume:
             file.check()
         tell("fitting: mode")
-        dispersed = _DISPERSED if sampling is not None or start is None else 0
-        mode, others = _best_start(problem, sampling.seed if sampling else 0, start, dispersed, tell)
+        mode, others = _best_start(problem, sampling, start, tell)
         fit = judged_fit(model, mode)
         if not fit.converged:
             return replace(fit, seconds={"fit": time.perf_counter() - clock})
         tell("fitting: noise scales")
-        mode, approximation = _highest(problem, mode, nested_laplace(problem, mode), others)
+        found = modes_of_scales(problem, mode)
+        mode, others = found.highest, [*others, *(np.asarray(lower.z) for lower in found.lower)]
         fit = judged_fit(model, mode)
         if not fit.converged:
             return replace(fit, seconds={"fit": time.perf_counter() - clock})
+        approximation = nested_laplace(problem, mode, found.marginal)
         proposal = LaplaceProposal(approximation, problem)
-        seconds = {"fit": time.perf_counter() - clock}
-        clock = time.perf_counter()
+        seconds, clock = {"fit": time.perf_counter() - clock}, time.perf_counter()
         if sampling is not None and file is not None:
             if not resume:
                 file.create()
@@ -97,7 +99,7 @@ def joint_fit(
             points = chains.points.reshape(-1, chains.points.shape[-1])
             fit = replace(fit, sampled=chains.diagnosis.converged, message=chains.diagnosis.message)
         else:
-            chains, points = None, _laplace_points(proposal, laplace_draws)
+            chains, points = None, posterior_points(problem, found, approximation, laplace_draws)
         seconds["sample"] = time.perf_counter() - clock
     tell("deriving quantities")
     return replace(fit, posterior=posterior_of_draws(fit, points, approximation, chains), seconds=seconds)
@@ -131,12 +133,6 @@ def _sampled(
     others = [end for end in others if not _negligible(model.problem, end, mode)]
     starts = _starts(proposal, weighed, mode, others, file, sampling)
     return sample(density, starts, names, sampling, file, weighed, tell)
-
-
-def _laplace_points(proposal: LaplaceProposal, draws: int | np.ndarray) -> np.ndarray:
-    if isinstance(draws, np.ndarray):
-        return proposal.to_point(draws)[0]
-    return proposal.draw(np.random.RandomState(0), draws)
 
 
 def _require_double_precision() -> None:
@@ -184,17 +180,15 @@ def model_hash(model: Model) -> str:
 
 def _best_start(
     problem: Problem,
-    seed: int,
+    sampling: Settings | None,
     start: tuple[np.ndarray, np.ndarray] | None,
-    dispersed: int,
     tell: Progress,
 ) -> tuple[Mode, list[np.ndarray]]:
     """Fit from the start and from draws of the prior; return the best, and other ends worth a look."""
     size, hyper_size = problem.size
     z, h = start if start is not None else (np.zeros(size), np.zeros(hyper_size))
     mode = find_mode(problem, jnp.asarray(z), jnp.asarray(h))
-    random = np.random.default_rng([seed, 1])
-    draws = [jnp.asarray(random.normal(size=size)) for _ in range(dispersed)]
+    draws = _dispersed(size, sampling) if sampling is not None or start is None else []
     ends = [fit_at(problem, draw, mode.h) for draw in counted(tell, "fitting: dispersed start", draws)]
     here, *densities = heights(problem, [mode.z, *ends], mode.h).tolist()
     best = int(np.argmax(densities)) if densities else -1
@@ -208,28 +202,19 @@ def _best_start(
     return mode, others
 
 
+def _dispersed(size: int, sampling: Settings | None) -> list[Float[Array, " P"]]:
+    """Return draws of the prior to begin fits at."""
+    random = np.random.default_rng([sampling.seed if sampling else 0, 1])
+    return [jnp.asarray(random.normal(size=size)) for _ in range(_DISPERSED)]
+
+
 def _negligible(problem: Problem, end: np.ndarray, mode: Mode) -> bool:
-    """Tell whether a fit ended in a mode that holds next to nothing of the posterior, by the Laplace evidence."""
-    there = find_mode(problem, jnp.asarray(end), mode.h)
-    return bool(there.converged) and log_evidence(there) < log_evidence(mode) - _NEGLIGIBLE
+    """Tell whether a fit ended in a mode that holds next to nothing of the posterior, by the Laplace evidence.
 
-
-def _highest(
-    problem: Problem, mode: Mode, approximation: NestedLaplace, others: list[np.ndarray]
-) -> tuple[Mode, NestedLaplace]:
-    """Return the mode of most evidence among those that the marginal of the noise scales shows, and the proposal there.
-
-    Where runs are few the scatter between them may as well be small, with their offsets taken for parameters, as large.
-    The proposal holds both; θ of those passed over is added to `others`.
+    An ensemble that begins there does not leave it, and says what is no matter: that the ensembles disagree.
     """
-    for h in approximation.other_modes(problem):
-        again = find_mode(problem, mode.z, jnp.asarray(h))
-        if bool(again.converged) and log_evidence(again) > log_evidence(mode):
-            others.append(np.asarray(mode.z))
-            mode, approximation = again, nested_laplace(problem, again)
-        elif bool(again.converged):
-            others.append(np.asarray(again.z))
-    return mode, approximation
+    there = find_mode(problem, jnp.asarray(end), mode.h)
+    return bool(there.converged) and log_evidence(there) < log_evidence(mode) - NEGLIGIBLE
 
 
 def _starts(
@@ -256,6 +241,16 @@ def _starts(
             points[:, : len(mode.z)] += others[ensemble - 1] - np.asarray(mode.z)
         starts.append(points)
     return starts
+
+
+def redrawn(fit: Fit, count: int) -> Fit:
+    """Return a fit with so many draws of its Laplace approximation."""
+    assert fit.posterior is not None
+    assert fit.mode is not None
+    approximation = fit.posterior.approximation
+    problem = fit.model.problem
+    points = posterior_points(problem, modes_of_scales(problem, fit.mode), approximation, count)
+    return replace(fit, posterior=posterior_of_draws(fit, points, approximation, None))
 
 
 def posterior_of_draws(fit: Fit, points: np.ndarray, approximation: NestedLaplace, chains: Chains | None) -> Posterior:

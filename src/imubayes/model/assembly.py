@@ -138,7 +138,7 @@ def assemble(effects: tuple[BoundEffect, ...], grouping: Grouping) -> Assembly:
         hyper_layout=Layout(tuple(p for effect in effects for p in effect.hyperparameters)),
         nulls=np.array(sorted({d.null for effect in effects for d in effect.declared.values()} | {0.0})),
         channels={k: _channels(campaign, k) for k in KINDS if any(c.kind == k for c in campaign.channels)},
-        nodes=_nodes(campaign, grouping.nodes),
+        nodes=nodes_of(campaign, grouping.nodes),
     )
 
 
@@ -152,7 +152,8 @@ def _channels(campaign: Campaign, kind: str) -> Channels:
     )
 
 
-def _nodes(campaign: Campaign, nodes: NodeTable) -> Nodes:
+def nodes_of(campaign: Campaign, nodes: NodeTable) -> Nodes:
+    """Return the nodes of a campaign as arrays."""
     stimulus, first = nodes.stimulus, nodes.stand_node
     count, still = len(first), np.zeros(len(first))
     referenced = np.any(stimulus.reference_rate[first] != 0, axis=1)

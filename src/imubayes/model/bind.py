@@ -17,7 +17,15 @@ from imubayes.errors import InputError, Issue, closest_first, input_error
 from imubayes.gather import on_device
 from imubayes.jax_settings import prepare_jax
 from imubayes.model.assembly import Assembly, assemble
-from imubayes.model.bound_effects import BoundEffect, ExactEquipmentError, NotObservableError, bind_effect
+from imubayes.model.bound_effects import (
+    BoundEffect,
+    ExactEquipmentError,
+    NotObservableError,
+    SingleRunError,
+    UnknownCovariateError,
+    bind_effect,
+    unknown_covariates_issue,
+)
 from imubayes.model.build_problem import build_problem
 from imubayes.model.compile_cache_limit import clear_if_crowded
 from imubayes.model.dry_run import dry_run
@@ -25,7 +33,7 @@ from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.grouping import Grouping
 from imubayes.model.hyper_prior import hyper_correlation
 from imubayes.model.likelihood import log_density
-from imubayes.model.model_spec import EffectSpec, ModelSpec
+from imubayes.model.model_spec import EffectSpec, ModelSpec, SingleRunEffect
 from imubayes.model.nodes_and_entries import Entries, NodeTable, join_entries, join_nodes, servo_runs
 from imubayes.model.noise_priors import with_noise_priors
 from imubayes.model.nominal_response import is_independent
@@ -53,6 +61,7 @@ class Model:
     layout, hyper_layout : names and priors of θ and of h, in the order of the flat vectors.
     problem : the arrays.
     assembly : the effects and channels they are made from.
+    left_out : effects of the model that the campaign, having one run of their channels, cannot tell.
     """
 
     spec: ModelSpec
@@ -64,6 +73,7 @@ class Model:
     nodes: NodeTable
     entries: Entries
     assembly: Assembly
+    left_out: tuple[SingleRunEffect, ...] = ()
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -74,6 +84,18 @@ class Model:
     def parameter_units(self) -> tuple[str, ...]:
         """Units of the components of z, in the order of `parameter_names`."""
         return tuple(p.unit for p in (*self.layout.parameters, *self.hyper_layout.parameters))
+
+    @property
+    def spec_of_known(self) -> ModelSpec:
+        """The model without what was left out of it, for a campaign with more runs."""
+        gone = {each.effect for each in self.left_out}
+        kept = {effect.name: effect.channels for effect in self.assembly.effects if effect.left_out}
+        known = (
+            replace(each, channels=kept.get(each.name, each.channels))
+            for each in self.spec.effects
+            if each.name not in gone or each.name in kept
+        )
+        return replace(self.spec, effects=tuple(known))
 
     def log_density(self, z: Float[Array, " D"]) -> Scalar:
         """Return log p(y, z), the joint log density of data and parameters; normalised in y and z.
@@ -100,12 +122,13 @@ class Model:
         return np.concatenate([self.layout.z_of(values[:count]), self.hyper_layout.z_of(values[count:])])
 
 
-def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None) -> Model:
+def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None, *, single_runs: bool = False) -> Model:
     """Return a model bound to a campaign.
 
     Parameters
     ----------
     registry : effects by name, user effects in it are not dry-run again; by default the package's own.
+    single_runs : see `imubayes.model.bound_effects.bind_effect`.
 
     Raises
     ------
@@ -119,31 +142,56 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None) 
     spec = _with_implied(with_noise_priors(spec, campaign, registry), campaign)
     nodes, entries = join_nodes(campaign), join_entries(campaign)
     grouping = Grouping(campaign, nodes, entries)
-    effects = _bind_effects(spec, grouping, registry)
+    effects, left_out = _bind_effects(spec, grouping, registry, single_runs)
     clear_if_crowded()  # compiled code belongs to the structure of one model, and every model bound may be another
     assembly = assemble(effects, grouping)
     problem = on_device(build_problem(assembly, hyper_correlation(spec.correlations, assembly.hyper_layout)))
     if new_files:
         dry_run(problem, effects, spec.files)
-    return Model(spec, registry, campaign, assembly.layout, assembly.hyper_layout, problem, nodes, entries, assembly)
+    layouts = assembly.layout, assembly.hyper_layout
+    return Model(spec, registry, campaign, *layouts, problem, nodes, entries, assembly, left_out)
 
 
-def _bind_effects(spec: ModelSpec, grouping: Grouping, registry: Registry) -> tuple[BoundEffect, ...]:
-    """Return all effects bound to the campaign; raises InputError with everything that does not fit."""
+def _bind_effects(
+    spec: ModelSpec, grouping: Grouping, registry: Registry, single_runs: bool
+) -> tuple[tuple[BoundEffect, ...], tuple[SingleRunEffect, ...]]:
+    """Return all effects bound to the campaign, and those left out; raises InputError with all that does not fit."""
     effects: list[BoundEffect] = []
+    left_out: list[SingleRunEffect] = []
     issues: list[Issue] = []
+    unknown: dict[tuple, list[UnknownCovariateError]] = {}
     for entry in spec.effects:
         try:
-            effects.append(bind_effect(entry, grouping, registry))
+            bound = bind_effect(entry, grouping, registry, single_runs=single_runs)
+            effects.append(bound)
+            left_out += [SingleRunEffect(effect=entry.name, channels=bound.left_out)] if bound.left_out else []
+        except UnknownCovariateError as error:
+            # An optional one too: other runs show it, and to drop it would put its part of their outputs elsewhere.
+            unknown.setdefault((error.runs, error.missing), []).append(error)
         except ExactEquipmentError:
             continue  # the effect is known to be absent
+        except SingleRunError as error:
+            left_out.append(SingleRunEffect(effect=entry.name, channels=error.channels))
         except NotObservableError as error:
             issues.extend(() if entry.optional else error.issues)
         except InputError as error:
             issues.extend(error.issues)
+    issues.extend(
+        unknown_covariates_issue([each.effect for each in errors], runs, missing, errors[0].where)
+        for (runs, missing), errors in unknown.items()
+    )
     issues.extend(_conflicts(effects))
+    _refuse_useless(effects, issues, spec, grouping)
+    return tuple(effects), tuple(left_out)
+
+
+def _refuse_useless(
+    effects: Sequence[BoundEffect], issues: Sequence[Issue], spec: ModelSpec, grouping: Grouping
+) -> None:
+    """Raise InputError with all issues, a model without noise among them, or for a model with nothing to fit."""
+    found = list(issues)
     if not any(_is_independent_noise(effect.effect_class, grouping.campaign) for effect in effects):
-        issues.append(
+        found.append(
             Issue(
                 "the model has no noise",
                 spec.where,
@@ -151,8 +199,8 @@ def _bind_effects(spec: ModelSpec, grouping: Grouping, registry: Registry) -> tu
                 'add [[effect]] name = "white_noise": without it residuals have no scale',
             )
         )
-    if issues:
-        raise InputError(issues)
+    if found:
+        raise InputError(found)
     if not any(effect.parameters for effect in effects):
         raise input_error(
             "the model has no parameter to fit: it lists noise and no effect that acts in these runs",
@@ -160,7 +208,6 @@ def _bind_effects(spec: ModelSpec, grouping: Grouping, registry: Registry) -> tu
             "at least one effect, such as gyro_bias or accel_bias",
             "add an [[effect]]; `imubayes effects --for CAMPAIGN` lists those that the runs could show",
         )
-    return tuple(effects)
 
 
 def _refuse_unknown_procedures(campaign: Campaign) -> None:

@@ -60,7 +60,7 @@ def solve_rows(
 
     def predicted(changed, acting, at):
         stimulus = jnp.zeros(6).at[unknown].set(acting)
-        found = outputs_in_body(inputs, changed, stimulus, at[0], at[1])
+        found = outputs_in_body(inputs, changed, stimulus, {"temperature": at[0], "converter_temperature": at[1]})
         return jnp.concatenate([found[kind] for kind in kinds])
 
     def of_row(read, weight, at):

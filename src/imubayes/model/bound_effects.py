@@ -1,24 +1,25 @@
 """One effect of a model, bound to a campaign: its channels, runs, labels and priors, or what is wrong with it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from imubayes.campaign_data import Campaign
-from imubayes.covariates import ambient_names
+from imubayes.campaign_data import Campaign, Run
+from imubayes.covariates import COVARIATES, ambient_names, remedy
 from imubayes.effects.base import MotionEffect, Stage
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.model.effect_registry import EffectClass, Registry, acts_on_channels
 from imubayes.model.grouping import Grouping
 from imubayes.model.model_spec import EffectSpec
-from imubayes.model.nominal_response import missing_stimulus, noisy_runs, probes
+from imubayes.model.nominal_response import missing_stimulus, noisy_runs, probes, responding_runs
 from imubayes.model.parameter_priors import exact_by_equipment, hyper_fields, parameter_of
-from imubayes.noise.base import Noise, SlowNoise
+from imubayes.noise.base import Noise, SharedNoise, SlowNoise
 from imubayes.parameters.parameter_declarations import Declared, declared_options, declared_parameters
 from imubayes.parameters.vector import Parameter
+from imubayes.procedures.ambient import unknown_covariates
 
-# An effect that needs one of these, or a covariate, must be switched off in the runs without it.
+# An effect that needs one of these, or a covariate that is absent there, must be switched off in the runs without it.
 _GATES = ("injection", "reference", "driven", "directions")
 _SHARING = {"channel": ("channel",), "all": (), "run": ("channel", "run"), "mounting": ("channel", "mounting")}
 _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
@@ -37,12 +38,53 @@ class NotObservableError(InputError):
         self.missing = missing
 
 
+class UnknownCovariateError(NotObservableError):
+    """Some runs that the effect changes lack a covariate that it needs.
+
+    Attributes
+    ----------
+    effect, where : its name, and its place in the model.
+    runs : names of those runs.
+    """
+
+    def __init__(self, effect: str, runs: tuple[str, ...], missing: tuple[str, ...], where: str):
+        super().__init__(unknown_covariates_issue((effect,), runs, missing, where), missing)
+        self.effect, self.where, self.runs = effect, where, runs
+
+
+def unknown_covariates_issue(effects: Sequence[str], runs: Sequence[str], missing: Sequence[str], where: str) -> Issue:
+    """Return the issue of effects that depend on what some runs have not recorded."""
+    named, quoted = " and ".join(COVARIATES[name].column for name in missing), [f"'{run}'" for run in runs]
+    listed = ", ".join(f"'{effect}'" for effect in effects)
+    return Issue(
+        f"{'run' if len(runs) == 1 else 'runs'} {', '.join(quoted)} without {named}, on which {listed} "
+        f"{'depends' if len(effects) == 1 else 'depend'}",
+        where,
+        "; ".join(remedy(name) for name in missing) + ": in every run",
+        f"state {named} of {'the run' if len(runs) == 1 else 'these runs'}; or leave {listed} out of the model, or "
+        f"{', '.join(quoted)} out of the campaign",
+    )
+
+
 class ExactEquipmentError(NotObservableError):
     """The campaign states that the equipment has no such error."""
 
 
 class NoChannelError(NotObservableError):
     """The unit has no channel that the effect acts on."""
+
+
+class SingleRunError(NotObservableError):
+    """The effect is what differs from run to run, and each of its channels has one run.
+
+    Attributes
+    ----------
+    channels : names of the channels.
+    """
+
+    def __init__(self, issue: Issue, channels: tuple[str, ...]):
+        super().__init__(issue, ("second run",))
+        self.channels = channels
 
 
 @dataclass(frozen=True)
@@ -67,6 +109,7 @@ class BoundEffect:
     shown_in : indices of those among them whose nominal signals it changes.
     gated : indices of the runs in which it is switched off because they do not supply what it needs.
     parameters, hyperparameters : its scalars, in order.
+    left_out : names of the channels on which it cannot be known, each having one run.
     moved : where it acts in place of its own stage of the signal path; None at its own.
     """
 
@@ -81,6 +124,7 @@ class BoundEffect:
     gated: set[int]
     parameters: tuple[Parameter, ...]
     hyperparameters: tuple[Parameter, ...]
+    left_out: tuple[str, ...] = ()
     moved: Move | None = None
 
     @property
@@ -94,8 +138,12 @@ class BoundEffect:
         return self.sharing if own is None else own
 
 
-def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry) -> BoundEffect:
+def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry, *, single_runs: bool = False) -> BoundEffect:
     """Return an effect of a model bound to a campaign.
+
+    Parameters
+    ----------
+    single_runs : keep what differs from run to run on channels of one run as well, for data that are to be simulated.
 
     Raises
     ------
@@ -107,12 +155,14 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry) -> Bou
     sharing, channels = settings.sharing(), settings.channels()
     settings.check_names()
     settings.raise_issues()
+    channels, left_out = _without_single_runs(spec, effect_class, sharing, channels, grouping, single_runs)
     runs, gated = _recorded_runs(spec, effect_class, grouping.nodes.supplies)
     declared = declared_parameters(effect_class)
     labelled = channels or tuple(channel.name for channel in grouping.campaign.channels)
     if not grouping.labels(sharing, labelled, runs):
         raise _without_label(spec, sharing, grouping)
     shown_in = _showing_runs(spec, effect_class, channels, runs, grouping)
+    _refuse_unknown(spec, effect_class, channels, grouping)
     made: dict[str, list[Parameter]] = {}
     for name, declaration in declared.items():
         per = sharing if declaration.per is None else declaration.per
@@ -132,7 +182,43 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry) -> Bou
         gated=gated,
         parameters=tuple(p for name, parameters in made.items() if name not in hyper for p in parameters),
         hyperparameters=tuple(p for name, parameters in made.items() if name in hyper for p in parameters),
+        left_out=left_out,
     )
+
+
+def _without_single_runs(
+    spec: EffectSpec,
+    effect_class: EffectClass,
+    sharing: tuple[str, ...],
+    channels: tuple[str, ...],
+    grouping: Grouping,
+    single_runs: bool,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the channels that can show an effect, and those of one run, which for what differs between runs cannot.
+
+    The default prior, which then decides alone how wide the bias of the run is, says nothing of this unit.  A prior
+    that the model states does: the effect stays.
+
+    Raises
+    ------
+    SingleRunError
+        where no other channel is left.
+    """
+    learnt = "run" in sharing and hyper_fields(effect_class)
+    if single_runs or spec.prior or not (issubclass(effect_class, SharedNoise) or learnt):
+        return channels, ()
+    found = tuple(name for name in channels if grouping.run_count(name) == 1)
+    if found and found == channels:
+        raise SingleRunError(
+            Issue(
+                f"'{spec.name}' is what differs from run to run, and {' and '.join(found)} had one run",
+                spec.where,
+                "channels of two runs and more, or a prior from experience",
+                "leave the effect out, add a run, or state its prior",
+            ),
+            found,
+        )
+    return tuple(name for name in channels if name not in found), found
 
 
 def _refuse_exact(spec: EffectSpec, made: Mapping[str, list[Parameter]]) -> None:
@@ -158,6 +244,27 @@ def _recorded_runs(
         raise _not_observable(spec, f"it needs {' and '.join(missing)}", supplies, missing)
     gating = {need for need in needs if need in ambient_names() or need in _GATES}
     return runs, {index for index, supplied in enumerate(supplies) if not gating <= supplied}
+
+
+def _refuse_unknown(spec: EffectSpec, effect_class: EffectClass, channels: tuple[str, ...], grouping: Grouping) -> None:
+    """Raise an error where the effect changes what was measured in runs that lack a covariate it needs."""
+    runs, supplies = grouping.campaign.runs, grouping.nodes.supplies
+    unknown = [unknown_covariates(run, effect_class.needs, each) for run, each in zip(runs, supplies, strict=True)]
+    if issubclass(effect_class, Noise) or not any(unknown):
+        return
+    tried = probes(effect_class, dict(spec.options), channels, grouping.campaign)
+    blocks = [at.elsewhere(*set().union(*unknown)) for at in grouping.samples]
+    changed = set().union(*(responding_runs(probe, blocks) for probe in tried))
+    places = [place for place, channel in enumerate(grouping.campaign.channels) if channel.name in channels]
+    lacking = {runs[k].name: unknown[k] for k in sorted(changed) if unknown[k] and _measures(runs[k], places)}
+    if lacking:
+        missing = tuple(need for need in effect_class.needs if need in set().union(*lacking.values()))
+        raise UnknownCovariateError(spec.name, tuple(lacking), missing, spec.where)
+
+
+def _measures(run: Run, places: list[int]) -> bool:
+    """Whether a run has outputs of some channels; of any where none are named."""
+    return not places or bool(np.isfinite(run.observed[:, places]).any())
 
 
 def _showing_runs(

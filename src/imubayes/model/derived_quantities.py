@@ -195,7 +195,7 @@ def _quantities_of_kind(
 
 @dataclass(frozen=True)
 class _ThermalRuns:
-    """Runs with a converter temperature: their indices, a node of each, and kind → nominal input in SI, (T, C).
+    """Runs in which the converter temperature changes: their indices, a node of each, and kind → input in SI, (T, C).
 
     `drifting` are the channels whose output depends on that temperature in the model; without one there are no runs.
     """
@@ -210,7 +210,8 @@ def _thermal_runs(assembly: Assembly) -> _ThermalRuns:
     nodes = assembly.grouping.nodes
     felt = [effect for effect in assembly.effects if "converter_temperature" in effect.effect_class.needs]
     drifting = frozenset(channel for effect in felt for channel in effect.channels)
-    runs = [index for index, supplied in enumerate(nodes.supplies) if "converter_temperature" in supplied]
+    recorded = [run.covariates.get("converter_temperature", np.zeros(1)) for run in assembly.grouping.campaign.runs]
+    runs = [index for index, values in enumerate(recorded) if np.ptp(values) > 0]
     runs = runs if drifting else []
     first = np.array([int(np.argmax(nodes.run == run)) for run in runs], dtype=int)
     inputs = {kind: _nominal_inputs(assembly, kind, first) for kind in assembly.channels}

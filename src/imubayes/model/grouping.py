@@ -43,6 +43,11 @@ class Grouping:
     def _responding(self) -> dict[tuple, set[int]]:
         return {}
 
+    def run_count(self, channel: str) -> int:
+        """Return the number of runs in which a channel was recorded."""
+        place = [known.name for known in self.campaign.channels].index(channel)
+        return len(set(self.entries.run[(self.entries.channel == place) & ~self.entries.closing].tolist()))
+
     def label_of_run(self, axis: str, run: int) -> str | None:
         """Return the run's own name, or its mounting or table; None where it has none."""
         recorded = self.campaign.runs[run]

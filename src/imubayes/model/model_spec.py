@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from imubayes.json_record import Record
+
 
 @dataclass(frozen=True)
 class EffectSpec:
@@ -26,6 +28,13 @@ class EffectSpec:
     options: Mapping[str, float] = field(default_factory=dict)
     optional: bool = False
     where: str = "model"
+
+
+class SingleRunEffect(Record):
+    """An effect that is what differs from run to run, on channels of one run each: it is not in the bound model."""
+
+    effect: str
+    channels: tuple[str, ...]
 
 
 @dataclass(frozen=True)

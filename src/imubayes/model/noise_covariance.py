@@ -230,3 +230,13 @@ def inverse_covariance(
     along = group_sum(weight * residual, observations)
     pulled = weight * (residual - take(rank_one * along, observations.group))
     return pulled, weight * (1 - take(rank_one, observations.group) * weight)
+
+
+def noise_deviation(problem: Problem, by: Whitener) -> Float[Array, " E"]:
+    """Return the standard deviation of the noise of each entry, including the part common to a run, shape (E,)."""
+    weight = by.precision_root**2
+    direction = group_sum(by.direction**2, problem.observations)
+    # shrink = (1 − 1/√(1 + T|u|²))/|u|² solved for T
+    safe = jnp.where(direction > 0, direction, 1.0)
+    shared = ((1 - by.shrink * direction) ** -2 - 1) / safe
+    return jnp.sqrt(1 / jnp.where(weight > 0, weight, jnp.inf) + shared[problem.observations.group])

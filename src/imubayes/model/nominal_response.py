@@ -126,9 +126,9 @@ class NominalSamples:
         )
         return NominalSamples(self.place, faster, self.ambient)
 
-    def elsewhere(self, covariate: str) -> "NominalSamples":
-        """Return the samples at another value of a covariate."""
-        changed = self.ambient.updated(**{covariate: getattr(self.ambient, covariate) + 10.0})
+    def elsewhere(self, *covariates: str) -> "NominalSamples":
+        """Return the samples at other values of some covariates."""
+        changed = self.ambient.updated(**{name: getattr(self.ambient, name) + 10.0 for name in covariates})
         return NominalSamples(self.place, self.motion, changed)
 
 

@@ -19,7 +19,8 @@ class Observability:
     effect_class : the class.
     runs : names of the runs that respond to it.
     channels : names of the channels it can act on; none for effects on the motion.
-    missing : covariates that no run recorded, or the stimulus that no run has; empty where the campaign could show it.
+    missing : covariates that no run recorded, or that a run which it changes lacks, or the stimulus that no run has;
+        empty where the campaign could show it.
     """
 
     effect_class: EffectClass

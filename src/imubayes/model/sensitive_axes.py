@@ -6,13 +6,14 @@ a mounting the true mounting angle.  The relative slope against converter temper
 effects are included without further code.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from imubayes.array_shapes import Array, Float, Scalar
+from imubayes.array_shapes import Array, Float, Scalar, Vectors
 from imubayes.covariates import REFERENCE_TEMPERATURE, ambient_names
 from imubayes.model.signal_path import Channels, Layer, initial_path, propagate
 from imubayes.signal_path_state import Ambient, Experience, Nodes, SignalPath
@@ -62,38 +63,52 @@ def sensitivities(inputs: SensitivityInputs, values: Float[Array, " V"]) -> dict
 def _respond(inputs: SensitivityInputs, values, stimulus: Float[Array, " 6"]) -> dict[str, Float[Array, " C"]]:
     """Return the outputs at a rate and a specific force at the reference temperatures, kind → (C,)."""
     warm = jnp.asarray(REFERENCE_TEMPERATURE)
-    return outputs_in_body(inputs, values, stimulus, warm, warm)
+    return outputs_in_body(inputs, values, stimulus, {"temperature": warm, "converter_temperature": warm})
 
 
 def outputs_in_body(
-    inputs: SensitivityInputs,
-    values: Float[Array, " V"],
-    stimulus: Float[Array, " 6"],
-    temperature: Scalar,
-    converter_temperature: Scalar,
+    inputs: SensitivityInputs, values: Float[Array, " V"], stimulus: Float[Array, " 6"], ambient: Mapping[str, Scalar]
 ) -> dict[str, Float[Array, " C"]]:
-    """Return the outputs of a unit that has warmed up, kind → (C,), output units.
+    """Return the outputs at one rate and specific force of the whole unit, kind → (C,), output units.
+
+    Parameters
+    ----------
+    values, ambient : as of `outputs_at`.
+    stimulus : rate (rad/s), then specific force (m/s²), in body axes.
+    """
+    experience = {
+        kind: acting_on(*(jnp.broadcast_to(each, (len(known.scale), 3)) for each in (stimulus[:3], stimulus[3:])))
+        for kind, known in inputs.channels.items()
+    }
+    return outputs_at(inputs, values, experience, ambient)
+
+
+def acting_on(rate: Vectors, force: Vectors) -> Experience:
+    """Return what acts on channels of which rate and specific force are known and nothing else.
+
+    The angular acceleration is not, and the unit turns about the point that its lever arms start from.
+    """
+    zero = jnp.zeros_like(rate)
+    return Experience(rate, force, rate, zero, zero, zero)
+
+
+def outputs_at(
+    inputs: SensitivityInputs, values: Float[Array, " V"], experience: dict[str, Experience],
+    ambient: Mapping[str, Scalar],
+) -> dict[str, Float[Array, " C"]]:  # fmt: skip
+    """Return the outputs of a unit wherever it is mounted, kind → (C,), output units.
 
     Parameters
     ----------
     values : all values the layers refer to, SI.
-    stimulus : rate (rad/s), then specific force (m/s²), in body axes.
-    temperature, converter_temperature : °C.
+    experience : kind → what acts on each channel, leaves (C, 3).
+    ambient : covariates that are known; power-on was long ago where nothing else is said, all others are 0.
     """
-    zero = jnp.zeros(1)
-    nothing = jnp.zeros(3)
-    rate, force = stimulus[:3], stimulus[3:]
-    experience = {
-        name: Experience(*(jnp.broadcast_to(v, (1, known.scale.shape[0], 3)) for v in (rate, force, *(nothing,) * 4)))
-        for name, known in inputs.channels.items()
-    }
-    known = {
-        "temperature": temperature[None],
-        "converter_temperature": converter_temperature[None],
-        "power_on": jnp.full(1, WARMED_UP),
-    }
-    ambient = Ambient(**{name: known.get(name, zero) for name in ambient_names()})
-    path = SignalPath(inputs.mountings.stands, ambient, experience, {}, {})
+    known = {"power_on": jnp.asarray(WARMED_UP)} | dict(ambient)
+    at_node = Ambient(**{name: known.get(name, jnp.zeros(()))[None] for name in ambient_names()})
+    path = SignalPath(
+        inputs.mountings.stands, at_node, jax.tree.map(lambda leaf: leaf[None], experience), {}, {}
+    )  # fmt: skip
     signal = propagate(inputs.sensor_layers, path, values).signal
     return {kind: signal[kind][0] for kind in inputs.channels}
 

@@ -18,6 +18,7 @@ from imubayes.noise_analysis.cosine_coefficients import CosineStatistics
 from imubayes.noise_analysis.likelihood import Maximum, NoiseLikelihood
 from imubayes.noise_analysis.noise_spectra import NoiseTerm, removed_shares
 from imubayes.noise_analysis.term_evidence import BASIC, highest, within_record
+from imubayes.tail_probabilities import normal_survival
 
 MISFIT = 0.003  # chance, over all octaves, at which the fit of one is called bad
 LEAST_OCTAVES = 4
@@ -73,7 +74,7 @@ class Octave:
     @property
     def p_value(self) -> float:
         """Two-sided, not corrected for the number of octaves."""
-        return 2 * float(scipy.stats.norm.sf(abs(self.score)))
+        return 2 * float(normal_survival(abs(self.score)))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy  # loads its parts when they are first used
 from scipy.fft import dct
 
 from imubayes.noise_analysis.cosine_coefficients import cosine_statistics
@@ -22,6 +21,7 @@ from imubayes.noise_analysis.spectral_lines import SpectralLine, without_lines
 from imubayes.noise_analysis.sudden_changes import OutlyingSamples, SuddenChange, sudden_change, without_outliers
 from imubayes.noise_analysis.temperature_drift import TemperatureDrift, without_temperature
 from imubayes.noise_analysis.term_selection import NoiseEstimate, TermEstimate
+from imubayes.tail_probabilities import chi2_survival
 
 _MOST_REST = 0.3  # of the uncertainty of white noise, by the tails of peaks
 _PARTS = 32  # of a record, whose levels of noise are compared
@@ -123,7 +123,7 @@ def unequal_levels(record: RunningSum, likelihood: NoiseLikelihood, best: Maximu
             levels.append(float(power[used].mean()) * size / present)
     degrees, count = len(levels) - 1, int(used.sum())
     ratio = float(np.var(levels, ddof=1)) / float(np.mean(levels)) ** 2 * count / 2 if degrees > 1 else 1.0
-    return float(np.sqrt(ratio)) if float(scipy.stats.chi2.sf(degrees * ratio, degrees)) < _UNEQUAL else 1.0
+    return float(np.sqrt(ratio)) if float(chi2_survival(degrees * ratio, degrees)) < _UNEQUAL else 1.0
 
 
 def widened(found: TermEstimate, growth: float) -> TermEstimate:

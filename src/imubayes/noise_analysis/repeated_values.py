@@ -10,9 +10,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # loads its parts when they are first used
 
 from imubayes.noise_analysis.running_sum import CHUNK, RunningSum, from_parts
+from imubayes.tail_probabilities import binomial_survival
 
 _ALPHA = 1e-6  # chance of calling a record held that is not
 _FINEST = 0.01  # quantile of the changes taken for a step where the steps of the log differ
@@ -139,7 +139,7 @@ def _held_on_a_cycle(runs: _Runs) -> bool:
         return False
     for cycle in range(2, _LONGEST + 1):
         most = int(np.bincount(at % cycle, minlength=cycle).max())
-        chance = float(scipy.stats.binom.sf(most - 1, len(at), 1 / cycle)) * cycle * _LONGEST
+        chance = binomial_survival(most, len(at), 1 / cycle) * cycle * _LONGEST
         if most >= _ON_CYCLE * len(at) and chance < _ALPHA:
             return True
     return False
@@ -147,7 +147,7 @@ def _held_on_a_cycle(runs: _Runs) -> bool:
 
 def _more(one: int, other: int) -> bool:
     """Whether one count is larger than another by more than chance explains."""
-    return one > other and float(scipy.stats.binom.sf(one - 1, one + other, 0.5)) < _ALPHA
+    return one > other and binomial_survival(one, one + other, 0.5) < _ALPHA
 
 
 def _values_of_runs(value: np.ndarray, length: np.ndarray, resolution: float) -> tuple[np.ndarray, float, bool]:

@@ -14,6 +14,7 @@ import scipy  # loads its parts when they are first used
 from imubayes.noise_analysis.likelihood import VANISHED, Maximum, NoiseLikelihood
 from imubayes.noise_analysis.noise_spectra import NoiseTerm
 from imubayes.noise_analysis.term_evidence import BASIC, TermEvidence, term_evidence
+from imubayes.tail_probabilities import LEAST_P, normal_survival
 
 PROBABILITY = 0.95
 _CHANCE_RAMP = 0.01
@@ -194,7 +195,7 @@ def _ramp(likelihood: NoiseLikelihood, full: Maximum, walk: TermEstimate) -> Ter
     mean, sd = np.array(slopes).T
 
     def below(slope: float) -> float:
-        return float(weight @ scipy.stats.norm.cdf((slope - mean) / sd))
+        return float(weight @ normal_survival((mean - slope) / sd))
 
     reach = 20 * float(sd.max())
     ends = (float(mean.min()) - reach, float(mean.max()) + reach)
@@ -204,7 +205,7 @@ def _ramp(likelihood: NoiseLikelihood, full: Maximum, walk: TermEstimate) -> Ter
     middle = float(weight @ mean)
     spread = math.sqrt(float(weight @ (sd**2 + (mean - middle) ** 2)))
     chance = 2 * min(below(0.0), 1 - below(0.0))
-    evidence = float(scipy.stats.chi2.isf(max(chance, 1e-300), 1))
+    evidence = float(scipy.stats.chi2.isf(max(chance, LEAST_P), 1))
     if chance > _CHANCE_RAMP:
         return _unknown(NoiseTerm.RAMP, max(-first, last), evidence)
     return TermEstimate(NoiseTerm.RAMP, middle, spread, first, last, math.nan, evidence, middle)

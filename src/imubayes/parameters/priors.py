@@ -20,6 +20,7 @@ from scipy import special
 
 from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.errors import InputError, closest_first, input_error
+from imubayes.tail_probabilities import normal_survival
 from imubayes.units import same_dimension, to_si
 
 
@@ -129,7 +130,7 @@ class HalfNormal(Prior):
     def z(self, value: float) -> float:
         x = value / float(self.scale)
         if x < _FAR:
-            return -float(special.ndtri(2 * special.ndtr(-x)))
+            return -float(special.ndtri(2 * float(normal_survival(x))))
         # The tail probability underflows: φ(x)/x = ½ φ(z)/z is solved for z.
         z = x
         for _ in range(4):

@@ -1,11 +1,12 @@
 """Covariates available to effects: recorded ones, temperature rates, and time since the start of the campaign."""
 
+from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
 
 import numpy as np
 
 from imubayes.campaign_data import Campaign, Run
-from imubayes.covariates import ambient_names
+from imubayes.covariates import COVARIATES, ambient_names
 
 # A temperature range below half a degree, or fewer rows than a line and its residual variance need, gives no usable
 # rate; windows widen until the noise of the slopes is a tenth of their size.
@@ -37,6 +38,29 @@ def ambient_of(run: Run, row: np.ndarray, campaign: Campaign | None = None) -> d
     return {name: values[row] for name, values in covariates.items() if np.all(np.isfinite(values))}
 
 
+def unknown_covariates(run: Run, needs: Sequence[str], supplied: Collection[str]) -> tuple[str, ...]:
+    """Return those of the covariates that have some value in a run which nobody knows.
+
+    A temperature that is known to be constant has no rate of change, and the rate of one that is unknown follows it.
+    """
+    return tuple(
+        name
+        for name in needs
+        if name in COVARIATES and not COVARIATES[name].absent and name not in supplied
+        and not (_is_steady(run, name) or _of_rate(name) in set(needs) - set(run.covariates))
+    )  # fmt: skip
+
+
+def _of_rate(name: str) -> str:
+    """Return the covariate whose rate of change this one is; empty where it is none."""
+    return name.removesuffix("_rate") if name.endswith("_rate") else ""
+
+
+def _is_steady(run: Run, rate: str) -> bool:
+    values = run.covariates.get(_of_rate(rate))
+    return values is not None and bool(np.ptp(values) < _LEAST_CHANGE)
+
+
 def _since_first(run: Run, campaign: Campaign | None) -> float | None:
     """Return the time from the start of the first dated run of the campaign to the start of this run, s."""
     starts = [other.start for other in campaign.runs if other.start] if campaign is not None else []
@@ -44,10 +68,10 @@ def _since_first(run: Run, campaign: Campaign | None) -> float | None:
         return 0.0
     if run.start is None:
         return None
-    return (_instant(run.start) - min(map(_instant, [run.start, *starts]))).total_seconds()
+    return (instant(run.start) - min(map(instant, [run.start, *starts]))).total_seconds()
 
 
-def _instant(start: str) -> datetime:
+def instant(start: str) -> datetime:
     """Return date and time as UTC unless a time zone is given, so that instants can be compared."""
     at = datetime.fromisoformat(start)
     return at if at.tzinfo else at.replace(tzinfo=UTC)

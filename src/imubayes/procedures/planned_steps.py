@@ -35,7 +35,7 @@ class PlannedSteps(BaseModel):
         default=None, description="angles of the table, a row each"
     )
     converter_temperature_degC: Annotated[list[Temperature], Field(min_length=2, max_length=2)] | None = Field(
-        default=None, description="first and last temperature of the converter"
+        default=None, description="first and last temperature of the converter, in any run"
     )
     rows: Annotated[int, Field(ge=1, le=100_000)] | None = Field(default=None, description="number of rows")
     rate_degC_per_h: Positive | None = Field(default=None, description="rate of a temperature ramp")
@@ -77,6 +77,8 @@ class PlannedSteps(BaseModel):
 
 
 RAMP_KEYS = ("converter_temperature_degC", "rows", "rate_degC_per_h")
+OF_ANY_RUN = ("converter_temperature_degC",)
+"""What every run has, whatever its procedure."""
 STEP_KEYS = tuple(key for key in PlannedSteps.model_fields if key not in ("samples", "seconds_per_row"))
 
 

@@ -20,6 +20,7 @@ from imubayes.qualification.d_si import digital_unit
 from imubayes.qualification.report_budgets import budgets_of
 from imubayes.qualification.report_estimates import (
     determined_combinations,
+    monte_carlo_error,
     mounting_angles,
     not_estimated,
     probability_of,
@@ -48,6 +49,7 @@ from imubayes.qualification.report_record import (
     StructureFound,
 )
 from imubayes.qualification.subject_and_provenance import omitted_values, provenance_of, subject_of
+from imubayes.results.estimates import is_constant
 from imubayes.results.history_tree import read_tree
 from imubayes.results.loop_files import read_diagnosis
 from imubayes.results.posterior_draws import draws_of
@@ -221,6 +223,8 @@ def _outcome(found: ConformityOfQuantity, gravity: float) -> LimitOutcome:
         rule_probability=rule.probability,
         guard_band=found.decision.guard_band,
         outcome=found.decision.outcome,
+        withheld=found.decision.withheld,
+        monte_carlo=None if is_constant(found.marginal.draws) else monte_carlo_error(found.marginal),
         consumer_risk=found.consumer,
         producer_risk=found.producer,
         global_consumer_risk=_optional(consumer),

@@ -1,25 +1,28 @@
 """Conformity of a unit: each limit of a specification held against the posterior of its quantity.
 
 A limit over a temperature range is met where the quantity is within it at every temperature; its conformance
-probability is that of the smallest margin over the range, and its decision is the worst over the range.
+probability is that of the smallest margin over the range, and its decision is the worst over the range.  Of a quantity
+that the data do not determine there is no decision: its posterior is its prior, which the unit was not asked about.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imubayes.campaign.toml_documents import Ledger
 from imubayes.errors import InputError, closest_first
+from imubayes.inference.identifiability import WEAK_SHARE
 from imubayes.qualification.conformance import ProbabilityByTwoMethods, ToleranceInterval, conformance_probability
-from imubayes.qualification.decision_rules import Decision, DecisionRule, MeasuredValue, Outcome, decide
+from imubayes.qualification.decision_rules import REJECTED, Decision, DecisionRule, MeasuredValue, Outcome, decide
 from imubayes.qualification.global_risk import GlobalRisks, Production, global_risks, guard_for_risk
 from imubayes.qualification.marginal import Marginal
 from imubayes.qualification.posterior_quantities import PosteriorQuantities
 from imubayes.qualification.specification import LimitEntry, SpecificationFile, rule_of
 from imubayes.qualification.temperature_range import ThermalModel, over_range
-from imubayes.results.summary import Quantity
+from imubayes.results.estimates import is_constant
+from imubayes.results.summary import CombinationSummary, Quantity
 from imubayes.units import same_dimension, to_si
 
 WORST_FIRST: tuple[Outcome, ...] = ("fail", "withheld", "conditional_fail", "conditional_pass", "pass")
@@ -66,7 +69,7 @@ class ConformityOfQuantity:
     Attributes
     ----------
     limit : in the unit of the quantity.
-    estimate : at the worst temperature of the range.
+    estimate, marginal : at the worst temperature of the range.
     temperature : that temperature, °C; None without a range or without dependence on it.
     conformance : p_c over the whole range.
     decision : outcome with the guard band.
@@ -77,6 +80,7 @@ class ConformityOfQuantity:
 
     limit: ResolvedLimit
     estimate: MeasuredValue
+    marginal: Marginal
     temperature: float | None
     conformance: ProbabilityByTwoMethods
     decision: Decision
@@ -95,7 +99,7 @@ def resolved_limits(file: SpecificationFile, ledger: Ledger, unit: TestedUnit) -
     """
     found: list[ResolvedLimit] = []
     for place, entry in enumerate(file.limit):
-        names = _members(entry.quantity, list(unit.quantities.entries))
+        names = _members(entry.quantity, unit.quantities.entries)
         if not names:
             families = dict.fromkeys(name.partition("[")[0] for name in unit.quantities.entries)
             options = unit.quantities.entries if "[" in entry.quantity else families
@@ -116,8 +120,14 @@ def resolved_limits(file: SpecificationFile, ledger: Ledger, unit: TestedUnit) -
     return tuple(found)
 
 
-def _members(asked: str, names: Sequence[str]) -> list[str]:
-    return [name for name in names if asked in (name, name.partition("[")[0])]
+def _members(asked: str, entries: Mapping[str, Quantity]) -> list[str]:
+    """Return the quantities of a name, or of a family.
+
+    A sum of several quantities is of no family, though it begins with the name of one: it may hold errors of the
+    equipment, and has limits where it is named in full.
+    """
+    sums = {name for name, line in entries.items() if isinstance(line, CombinationSummary) and not line.standard}
+    return [name for name in entries if asked == name or (asked == name.partition("[")[0] and name not in sums)]
 
 
 def _check_temperatures(entry: LimitEntry, place: int, ledger: Ledger, unit: TestedUnit) -> None:
@@ -194,9 +204,12 @@ def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
     values = values[np.isfinite(values).all(axis=1)]
     effective = quantities.effective[name]
     over = _conformance_over(values, limit.tolerance, effective)
-    estimates = [_estimate(Marginal(column, effective), over) for column in values.T]
+    marginals = [Marginal(column, effective) for column in values.T]
+    estimates = [_estimate(marginal, over) for marginal in marginals]
     rule, production = limit.rule, limit.production
     decisions = [_decision(rule, estimate, limit.tolerance, production) for estimate in estimates]
+    if not _determined(limit.quantity, quantities.draws[name]):
+        decisions = [replace(decision, outcome="withheld", withheld="not_determined") for decision in decisions]
     worst = min(range(len(estimates)), key=lambda place: _rank(decisions[place], estimates[place], limit.tolerance))
     estimate, decision = estimates[worst], decisions[worst]
     p = over.value
@@ -204,15 +217,22 @@ def conformity(limit: ResolvedLimit, unit: TestedUnit) -> ConformityOfQuantity:
     return ConformityOfQuantity(
         limit=limit,
         estimate=estimate,
+        marginal=marginals[worst],
         temperature=_temperature(limit, worst, len(estimates)),
         conformance=over,
         decision=decision,
         consumer=1 - p if p is not None and accepted else None,
-        producer=p if p is not None and not accepted else None,
+        producer=p if p is not None and decision.outcome in REJECTED else None,
         overall=None
         if production is None
         else global_risks(production, estimate.standard, limit.tolerance, decision.guard_band or 0.0),
     )
+
+
+def _determined(quantity: Quantity, draws: np.ndarray) -> bool:
+    """Tell whether the data determine a quantity: an exact one was never measured."""
+    share = quantity.from_data
+    return not is_constant(draws[np.isfinite(draws)]) and (share is None or share >= WEAK_SHARE)
 
 
 def _temperature(limit: ResolvedLimit, worst: int, count: int) -> float | None:

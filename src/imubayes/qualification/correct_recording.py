@@ -2,10 +2,12 @@
 
 All channels of a row are solved jointly (`imubayes.model.body_solution`), so that misalignment, nonlinear terms and the
 g-sensitivity of the gyros are removed together.  Two standard uncertainties go with every number.  The *systematic* one
-comes from the posterior of the parameters and from the offset that a recording may have of its own: it is the same
-for all rows and does not average.  The *random* one comes from the noise of the row and averages over rows.
+comes from the posterior of the parameters, from the offset that a recording may have of its own and from the effects
+that are left in, for want of what they depend on: it is taken as the same for all rows and does not average.  The
+*random* one comes from the noise of the row and averages over rows.
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import jax.numpy as jnp
@@ -16,14 +18,24 @@ from imubayes.campaign_data import Campaign, Channel
 from imubayes.covariates import COVARIATES, REFERENCE_TEMPERATURE
 from imubayes.errors import InputError, Issue
 from imubayes.model.body_solution import solve_rows
+from imubayes.model.sensitive_axes import acting_on
+from imubayes.qualification.onboard_record import UnexpressedEffect
 from imubayes.qualification.reading_noise import ReadingNoise, reading_noise
-from imubayes.qualification.sensor_posterior import SensorPosterior, complete_kinds, sensor_posterior
+from imubayes.qualification.sensor_posterior import (
+    TEMPERATURES,
+    SensorPosterior,
+    complete_kinds,
+    sensor_posterior,
+    temperature_ranges,
+)
+from imubayes.qualification.unexpressed_effects import Acting, acts_linearly, input_ranges, uncorrected_effects
 from imubayes.results.result import Result
 
 _ROWS_AT_ONCE = 2048
 # A row is solved where the last step is below this share of the largest component.
 _CONVERGED = 1e-9
-TEMPERATURES = ("temperature", "converter_temperature")
+# Vibration and noise exceed the largest mean of a row by a part of it.
+_BEYOND = 1.1
 VECTORS = {"gyro": ("rate", "rad_s"), "accelerometer": ("force", "m_s2")}
 """Kind of channel → name and unit of the vector of its columns."""
 
@@ -37,7 +49,7 @@ class RowTally:
     rows : rows read.
     incomplete : rows in which an output that is needed is missing or not finite.
     unsolved : rows outside the range in which the model can be inverted.
-    beyond : temperature → rows outside its calibrated range.
+    beyond : temperature, or kind of channel → rows outside its range in the runs that were fitted.
     """
 
     rows: int = 0
@@ -54,8 +66,9 @@ class Correction:
     ----------
     posterior, noise : of the unit.
     kinds : kinds of channels that the recording has and that span three dimensions.
-    needs : temperatures that the model depends on.
-    ranges : temperature → lowest and highest calibrated value, °C.
+    needs : temperatures that the outputs of these kinds depend on in the model.
+    ranges : temperature → lowest and highest calibrated value, °C; kind of channel → those of the inputs, in SI.
+    left_in : effects that are not taken out; what they may do is in the systematic uncertainty.
     """
 
     posterior: SensorPosterior
@@ -63,6 +76,7 @@ class Correction:
     kinds: tuple[str, ...]
     needs: tuple[str, ...]
     ranges: dict[str, tuple[float, float]]
+    left_in: tuple[UnexpressedEffect, ...] = ()
 
     @property
     def channels(self) -> list[Channel]:
@@ -94,20 +108,25 @@ class Correction:
         tally.rows += batch.rows
         tally.incomplete += int(missing.any(axis=1).sum())
         tally.unsolved += int((unsolved & ~missing.any(axis=1)).sum())
+        for place, kind in enumerate(kind for kind in ("gyro", "accelerometer") if kind in self.kinds):
+            acting = np.abs(inputs[~missing.any(axis=1) & ~unsolved, 3 * place : 3 * place + 3])
+            self._count_beyond(kind, acting.max(axis=1) / _BEYOND, tally)
         return self._named(inputs, systematic, random, missing | unsolved[:, None])
 
     def _temperatures(self, batch: RowBatch, stated: dict[str, float], tally: RowTally) -> np.ndarray:
         """Return the temperatures of sensor and converter, shape (R, 2); what the model does not need is T_ref."""
         found = []
         for name in TEMPERATURES:
-            values = batch.numbers.get(COVARIATES[name].column)
-            if values is None or name not in self.needs:
-                values = np.full(batch.rows, stated.get(name, REFERENCE_TEMPERATURE))
-            if name in self.needs and name in self.ranges:
-                low, high = self.ranges[name]
-                tally.beyond[name] = tally.beyond.get(name, 0) + int(np.sum((values < low) | (values > high)))
-            found.append(values)
+            unsaid = np.full(batch.rows, stated.get(name, np.nan))
+            values = batch.numbers.get(COVARIATES[name].column, unsaid)
+            self._count_beyond(name, values, tally)
+            found.append(values if name in self.needs else np.full(batch.rows, REFERENCE_TEMPERATURE))
         return np.stack(found, axis=1)
+
+    def _count_beyond(self, name: str, values: np.ndarray, tally: RowTally) -> None:
+        if name in self.ranges:
+            low, high = self.ranges[name]
+            tally.beyond[name] = tally.beyond.get(name, 0) + int(np.sum((values < low) | (values > high)))
 
     def _missing(self, outputs: np.ndarray, usable: np.ndarray) -> np.ndarray:
         """Return for each row and kind whether it cannot be solved, shape (R, kinds).
@@ -129,7 +148,7 @@ class Correction:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return inputs (R, n), systematic and random error vectors (R, n, K) and (R, n, C), and unsolved rows (R,)."""
         posterior, blocks = self.posterior, []
-        shared = np.array([self.noise.run_sd[channel.name] for channel in self.channels])
+        shared = np.array([np.hypot(self.noise.run_sd[c.name], left_in_sd(self.left_in, c)) for c in self.channels])
         weights = 1 / np.where(variances > 0, variances, 1.0)
         for first in range(0, len(outputs), _ROWS_AT_ONCE):
             # All blocks have one size, so that one program serves all: the last is padded with its last row.
@@ -205,14 +224,33 @@ def correction_of(result: Result, header: tuple[str, ...], where: str) -> Correc
     kinds = complete_kinds(posterior.campaign.channels, header)
     if not kinds:
         raise _refusal(posterior.campaign, where)
-    channels = [channel for kind in kinds for channel in posterior.campaign.of_kind(kind)]
-    needed = {need for layer in result.fit.model.assembly.effects for need in layer.effect_class.needs}
-    runs = posterior.campaign.runs
-    ranges = {}
-    for name in TEMPERATURES:
-        known = [run.covariates[name] for run in runs if name in run.covariates]
-        if known:
-            joined = np.concatenate(known)
-            ranges[name] = float(joined.min()), float(joined.max())
-    needs = tuple(name for name in TEMPERATURES if name in needed)
-    return Correction(posterior, reading_noise(result, channels), kinds, needs, ranges)
+    campaign = posterior.campaign
+    channels = [channel for kind in kinds for channel in campaign.of_kind(kind)]
+    ranges, inputs = temperature_ranges(campaign), input_ranges(campaign)
+
+    def known(everything: Acting) -> Acting:
+        return {
+            kind: acting_on(each.rate * ("gyro" in kinds), each.force * ("accelerometer" in kinds))
+            for kind, each in everything.items()
+        }
+
+    left_in = uncorrected_effects(result, posterior, known, inputs, ranges)
+    return Correction(
+        posterior, reading_noise(result, channels), kinds, needed_temperatures(result, channels),
+        ranges | {kind: (-inputs[kind], inputs[kind]) for kind in kinds},
+        tuple(each for each in left_in if each.kind in kinds),
+    )  # fmt: skip
+
+
+def needed_temperatures(result: Result, channels: Sequence[Channel]) -> tuple[str, ...]:
+    """Return the temperatures that a correction of some channels depends on."""
+    names = {channel.name for channel in channels}
+    acting = [each for each in result.fit.model.assembly.effects if acts_linearly(each) and names & set(each.channels)]
+    needed = {need for effect in acting for need in effect.effect_class.needs}
+    return tuple(name for name in TEMPERATURES if name in needed)
+
+
+def left_in_sd(left_in: Iterable[UnexpressedEffect], channel: Channel) -> float:
+    """Return the standard uncertainty that the effects left in give a channel, output units."""
+    own = [each.standard_uncertainty for each in left_in if channel.name in each.channels]
+    return float(np.linalg.norm(own)) * abs(channel.scale_si)

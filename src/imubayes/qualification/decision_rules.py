@@ -18,6 +18,10 @@ RuleName = Literal[
 Outcome = Literal["pass", "conditional_pass", "conditional_fail", "fail", "withheld"]
 ACCEPTED: tuple[Outcome, ...] = ("pass", "conditional_pass")
 """Outcomes with which a unit is delivered."""
+REJECTED: tuple[Outcome, ...] = ("conditional_fail", "fail")
+"""Outcomes with which it is not; `withheld` is no decision."""
+NoDecision = Literal["probability", "not_determined"]
+"""Why there is none: a probability that the rule needs is withheld, or the data do not determine the quantity."""
 
 
 @dataclass(frozen=True)
@@ -67,16 +71,18 @@ class DecisionRule:
 
 @dataclass(frozen=True)
 class Decision:
-    """Outcome of a rule, with the guard band that it used; None for rules on p_c."""
+    """Outcome of a rule, with the guard band that it used, None for rules on p_c; and why it is withheld, if it is."""
 
     outcome: Outcome
     guard_band: float | None
+    withheld: NoDecision | None = None
 
 
 def decide(rule: DecisionRule, estimate: MeasuredValue, tolerance: ToleranceInterval) -> Decision:
     """Return the outcome of a rule for one quantity; `withheld` where it needs a probability that is withheld."""
     if rule.name in ("conformance_probability", "specific_risk"):
-        return Decision(_by_probability(rule, estimate.conformance.value), None)
+        outcome = _by_probability(rule, estimate.conformance.value)
+        return Decision(outcome, None, "probability" if outcome == "withheld" else None)
     guard = rule.guard(estimate)
     if rule.name == "ilac_g8_non_binary":
         return Decision(_non_binary(estimate.value, tolerance, guard), guard)

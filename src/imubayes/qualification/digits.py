@@ -42,6 +42,11 @@ def numerical_tolerance(uncertainty: float, digits: int) -> float:
     return 0.5 * 10.0 ** last_digit(uncertainty, digits)
 
 
+def draws_needed(marginal: Marginal, digits: Digits) -> float:
+    """Return how many times the draws so many digits need: twice the largest Monte Carlo error is then δ."""
+    return (2 * marginal.errors.largest / numerical_tolerance(marginal.sd, digits)) ** 2
+
+
 def digits_deserved(marginal: Marginal) -> DeservedDigits:
     """Return the digits that the draws of a quantity deserve.  A quantity that does not vary is exact: two digits."""
     errors: dict[Statistic, float] = {

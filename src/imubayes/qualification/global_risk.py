@@ -12,10 +12,10 @@ from itertools import pairwise
 
 import numpy as np
 import scipy  # loads its parts when they are first used
-from scipy import special
 
 from imubayes.qualification.conformance import ProbabilityByTwoMethods, ToleranceInterval, compared, fraction_error
 from imubayes.qualification.marginal import gauss_legendre
+from imubayes.tail_probabilities import normal_survival
 
 _NODES, _FAR, _CLIMB, _UNITS = 100, 9.0, 8.0, 400_000
 # Widest guard band that is tried: in standard uncertainties, where no unit beyond a limit is accepted, and as a share
@@ -75,7 +75,7 @@ def _by_quadrature(
     def joint(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         density = np.exp(-0.5 * ((values - production.mean) / production.sd) ** 2)
         density = density / (production.sd * math.sqrt(2 * math.pi))
-        upper, lower = (special.ndtr((limit - values) / standard) for limit in (accepted.upper, accepted.lower))
+        upper, lower = (normal_survival((values - limit) / standard) for limit in (accepted.upper, accepted.lower))
         acceptance = np.maximum(upper - lower, 0.0)
         return density * acceptance, density * (1 - acceptance)
 

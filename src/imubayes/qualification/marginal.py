@@ -14,6 +14,8 @@ import numpy as np
 import scipy  # loads its parts when they are first used
 from scipy import special
 
+from imubayes.tail_probabilities import normal_survival
+
 # Nodes of the quadrature, and how far beyond the draws an infinite end is placed, in standard normals.
 _NODES, _FAR = 400, 8.0
 _INTERVAL = (0.025, 0.975)
@@ -84,7 +86,7 @@ class Marginal:
 
     def _quantile_error(self, probability: float) -> float:
         shape = self.effective * probability + 1, self.effective * (1 - probability) + 1
-        below, above = self._quantiles(special.betaincinv(*shape, special.ndtr([-1.0, 1.0])))
+        below, above = self._quantiles(special.betaincinv(*shape, normal_survival(np.array([1.0, -1.0]))))
         return float((above - below) / 2)
 
     @cached_property

@@ -15,7 +15,6 @@ from imubayes.errors import InputError, Issue
 from imubayes.inference.identifiability import WEAK_SHARE, from_data
 from imubayes.inference.run_fit import data_hash, model_hash
 from imubayes.json_record import finite
-from imubayes.qualification.correct_recording import TEMPERATURES
 from imubayes.qualification.onboard_conventions import CONVENTIONS, body_vector, nominal, polynomial, unscaled
 from imubayes.qualification.onboard_record import (
     Constant,
@@ -27,7 +26,14 @@ from imubayes.qualification.onboard_record import (
 )
 from imubayes.qualification.onboard_response import LinearResponse, ThermalGrid, linear_response, sufficient_grid
 from imubayes.qualification.reading_noise import ReadingNoise, reading_noise
-from imubayes.qualification.sensor_posterior import SensorPosterior, complete_kinds, prior_values, sensor_posterior
+from imubayes.qualification.sensor_posterior import (
+    TEMPERATURES,
+    SensorPosterior,
+    complete_kinds,
+    prior_values,
+    sensor_posterior,
+    temperature_ranges,
+)
 from imubayes.qualification.unexpressed_effects import (
     acts_linearly,
     input_ranges,
@@ -91,7 +97,7 @@ def onboard_constants(result: Result) -> OnboardConstants:
             )
         )  # fmt: skip
     needs = _needs(result)
-    ranges = {name: span for name, span in _ranges(posterior).items() if name in needs}
+    ranges = {name: span for name, span in temperature_ranges(posterior.campaign).items() if name in needs}
     grid = sufficient_grid(posterior, ranges, needs, kinds)
     triads = _triads(posterior, np.stack([posterior.at(draw) for draw in posterior.draws]), grid, kinds)
     before = prior_values(result, posterior)
@@ -142,16 +148,6 @@ def _not_determined(constants: tuple[Constant, ...]) -> tuple[str, ...]:
 def _covariance(triads: dict[str, _Triad]) -> tuple[tuple[float, ...], ...]:
     joined = np.concatenate([block.draws for kind in sorted(triads) for block in triads[kind].blocks], axis=1)
     return tuple(map(tuple, np.atleast_2d(np.cov(joined, rowvar=False)).tolist()))
-
-
-def _ranges(posterior: SensorPosterior) -> dict[str, tuple[float, float]]:
-    found = {}
-    for name in TEMPERATURES:
-        known = [run.covariates[name] for run in posterior.campaign.runs if name in run.covariates]
-        if known:
-            joined = np.concatenate(known)
-            found[name] = float(np.nanmin(joined)), float(np.nanmax(joined))
-    return found
 
 
 def _triads(

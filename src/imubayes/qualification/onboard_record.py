@@ -1,5 +1,6 @@
 """Constants to use on board, as a record: the JSON of `imubayes export --format json`."""
 
+import math
 from typing import Literal
 
 from imubayes.inference.identifiability import WeakDirection
@@ -34,13 +35,16 @@ class CarriedParameter(Record):
     si_factor: float
 
 
+Cause = Literal["nonlinear", "memory", "limit", "covariate"]
+
+
 class UnexpressedEffect(Record):
     """An effect of the model that the constants do not express.
 
     Attributes
     ----------
     effect, channels, formula : as in the catalogue.
-    cause : ``nonlinear`` in the input, with ``memory``, a ``limit``, or of a ``covariate`` other than temperature.
+    cause : ``nonlinear`` in the input, with ``memory``, a ``limit``, or of a ``covariate`` that is not known.
     size, sd : largest error within the range of the campaign where it is left out, and its standard uncertainty, in
         m/s² or rad/s; None where only the parameters tell.
     parameters : with which it can be computed.
@@ -50,10 +54,15 @@ class UnexpressedEffect(Record):
     channels: tuple[str, ...]
     kind: str
     formula: str
-    cause: Literal["nonlinear", "memory", "limit", "covariate"]
+    cause: Cause
     size: float | None
     sd: float | None
     parameters: tuple[CarriedParameter, ...]
+
+    @property
+    def standard_uncertainty(self) -> float:
+        """Of leaving the effect out: that of a rectangular distribution over ± its size (GUM 4.3.7), and that of it."""
+        return math.hypot((self.size or 0.0) / math.sqrt(3), self.sd or 0.0)
 
 
 class TriadConstants(Record):

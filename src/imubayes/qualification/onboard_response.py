@@ -74,7 +74,9 @@ def _about_zero(
 
     def at(value, temperature):
         def outputs(u):
-            found = outputs_in_body(inputs, value, u, temperature[0], temperature[1])
+            found = outputs_in_body(
+                inputs, value, u, {"temperature": temperature[0], "converter_temperature": temperature[1]}
+            )
             return found, found
 
         slopes, found = jax.jacfwd(outputs, has_aux=True)(jnp.zeros(6))

@@ -18,9 +18,9 @@ from imubayes.campaign.run_tables import RowBatch, TableSource, is_csv, read_hea
 from imubayes.campaign_data import Campaign, Channel, Run
 from imubayes.covariates import COVARIATES
 from imubayes.errors import InputError, Issue, closest_first, input_error
-from imubayes.qualification.correct_recording import TEMPERATURES, RowTally, correction_of
+from imubayes.qualification.correct_recording import RowTally, correction_of
 from imubayes.qualification.onboard_record import UnexpressedEffect
-from imubayes.qualification.unexpressed_effects import uncorrected_effects
+from imubayes.qualification.sensor_posterior import TEMPERATURES
 from imubayes.results.result import Result
 
 
@@ -56,9 +56,10 @@ class CorrectedRecording:
     ----------
     kinds : kinds of channels that were solved for.
     tally : what was noticed in the rows.
-    ranges : temperature → calibrated range, °C.
+    ranges : temperature → calibrated range, °C; kind of channel → range of inputs in the runs, rad/s or m/s².
     slow_noise : noise that changes within a recording and is in neither uncertainty.
-    uncorrected : effects of the model that are left in, with their size in the campaign of the fit.
+    uncorrected : effects of the model that are left in, with the size that they may have.
+    lacking : channels of the unit that the recording lacks.
     """
 
     kinds: tuple[str, ...]
@@ -66,6 +67,7 @@ class CorrectedRecording:
     ranges: Mapping[str, tuple[float, float]]
     slow_noise: tuple[str, ...]
     uncorrected: tuple[UnexpressedEffect, ...]
+    lacking: tuple[Channel, ...] = ()
 
 
 def open_recording(
@@ -168,6 +170,7 @@ def correct_recording(
     InputError
         where the fit did not converge, or the recording lacks channels or a temperature that the model depends on.
     """
+    tell("sizing what is left in")
     correction = correction_of(result, recording.header, recording.where)
     if missing := [name for name in correction.needs if not _given(name, recording)]:
         raise InputError(
@@ -190,9 +193,10 @@ def correct_recording(
             writer.close()
         if not tally.rows:
             raise input_error("the recording has no rows", recording.where, "a header and rows", "record it again")
-    tell("sizing what is left in")
-    uncorrected = uncorrected_effects(result, correction.kinds)
-    return CorrectedRecording(correction.kinds, tally, correction.ranges, correction.noise.slow, uncorrected)
+    lacking = tuple(c for c in correction.posterior.campaign.channels if c.name not in recording.header)
+    return CorrectedRecording(
+        correction.kinds, tally, correction.ranges, correction.noise.slow, correction.left_in, lacking
+    )
 
 
 def _given(name: str, recording: UnitRecording) -> bool:

@@ -11,7 +11,7 @@ from imubayes.qualification.assess import standards_input
 from imubayes.qualification.conformance import ProbabilityByTwoMethods, ToleranceInterval, conformance_probability
 from imubayes.qualification.conformity import TestedUnit
 from imubayes.qualification.d_si import digital_unit
-from imubayes.qualification.digits import digits_deserved
+from imubayes.qualification.digits import digits_deserved, draws_needed
 from imubayes.qualification.marginal import Marginal
 from imubayes.qualification.report_record import (
     MonteCarloError,
@@ -57,23 +57,31 @@ def _numbers(marginal: Marginal) -> dict[str, Any]:
         value = float(marginal.draws[0])
         return {"estimate": value, "standard_uncertainty": 0.0, "low": value, "high": value, "exact": True}
     low, high = marginal.interval
-    deserved, errors = digits_deserved(marginal), marginal.errors
+    error = monte_carlo_error(marginal)
     return {
         "estimate": marginal.mean,
         "standard_uncertainty": marginal.sd,
         "low": low,
         "high": high,
-        "monte_carlo": MonteCarloError(
-            estimate=errors.mean,
-            standard_uncertainty=errors.sd,
-            low=errors.low,
-            high=errors.high,
-            effective=marginal.effective,
-            digits=deserved.digits,
-            tolerance=deserved.tolerance,
-            worst=deserved.worst,
-        ),
+        "monte_carlo": error,
+        "withheld": None if error.digits else "monte_carlo_error",
     }
+
+
+def monte_carlo_error(marginal: Marginal) -> MonteCarloError:
+    """Return the Monte Carlo errors of draws that vary, and the digits that they leave."""
+    deserved, errors = digits_deserved(marginal), marginal.errors
+    return MonteCarloError(
+        estimate=errors.mean,
+        standard_uncertainty=errors.sd,
+        low=errors.low,
+        high=errors.high,
+        effective=marginal.effective,
+        digits=deserved.digits,
+        tolerance=deserved.tolerance,
+        worst=deserved.worst,
+        draws_needed=draws_needed(marginal, 1),
+    )
 
 
 def _output_units(campaign: Campaign) -> dict[str, str]:
@@ -81,7 +89,9 @@ def _output_units(campaign: Campaign) -> dict[str, str]:
 
 
 def _estimate(unit: TestedUnit | None, name: str) -> dict[str, Any]:
-    return {} if unit is None or name not in unit.quantities.draws else _numbers(unit.quantities.marginal(name))
+    if unit is None:
+        return {"withheld": "not_converged"}
+    return _numbers(unit.quantities.marginal(name)) if name in unit.quantities.draws else {"withheld": "no_draws"}
 
 
 def result_lines(result: Result, unit: TestedUnit | None) -> tuple[ResultLine, ...]:

@@ -17,7 +17,7 @@ from imubayes.qualification.assess import Obstacle
 from imubayes.qualification.budget_record import UncertaintyBudgets
 from imubayes.qualification.conformance import Withheld
 from imubayes.qualification.d_si import DigitalUnit
-from imubayes.qualification.decision_rules import Outcome, RuleName
+from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName
 from imubayes.qualification.digits import Statistic
 from imubayes.qualification.report_pictures import PictureData
 from imubayes.qualification.report_subject import Provenance, Subject
@@ -25,6 +25,10 @@ from imubayes.qualification.standard_quantities import Standard
 from imubayes.results.summary import NoiseViolation, RunSummary
 
 IntervalKind = Literal["95 % equal-tailed credible interval"]
+
+
+NumberWithheld = Literal["not_converged", "no_draws", "monte_carlo_error"]
+"""Why a number is not stated: there is no posterior; it has no draws; or these leave no digit of its uncertainty."""
 
 
 class MonteCarloError(Record):
@@ -36,6 +40,7 @@ class MonteCarloError(Record):
     digits : significant digits of the standard uncertainty that these errors leave (JCGM 101, 7.9); 0: withheld.
     tolerance : numerical tolerance δ of so many digits; of one digit where the number is withheld.
     worst : what has the largest error.
+    draws_needed : how many times the draws would leave one digit, about.
     """
 
     estimate: float
@@ -46,6 +51,7 @@ class MonteCarloError(Record):
     digits: Literal[0, 1, 2]
     tolerance: float
     worst: Statistic
+    draws_needed: float
 
 
 class ReportedEstimate(Record):
@@ -59,6 +65,7 @@ class ReportedEstimate(Record):
     prior_sd : prior standard deviation, None where it is infinite or unknown.
     from_data : 1 − posterior variance / prior variance; None where it is unknown.
     exact : whether nothing in the model changes it.
+    withheld : why the number is not stated; None where it is.
     """
 
     name: str
@@ -72,6 +79,7 @@ class ReportedEstimate(Record):
     prior_sd: float | None = None
     from_data: float | None = None
     exact: bool = False
+    withheld: NumberWithheld | None = None
 
 
 class ResultLine(ReportedEstimate):
@@ -119,7 +127,7 @@ class NotEstimated(Record):
     ----------
     effects : that the model would need.
     reason : the model lacks the effects; the runs cannot show them; or the runs lack what the definition needs.
-    needs : covariates or conditions that no run supplies.
+    needs : covariates or conditions that the runs do not all supply.
     screened : what the diagnosis estimated of them without adding them, the most significant first.
     """
 
@@ -219,6 +227,8 @@ class LimitOutcome(Record):
     guard_band : width w; None for rules on probabilities.
     consumer_risk, producer_risk : specific risks.
     global_consumer_risk, global_producer_risk : where the production is known.
+    withheld : why there is no decision; None where there is one.
+    monte_carlo : errors of the estimate; None where it is exact.
     """
 
     name: str
@@ -239,6 +249,8 @@ class LimitOutcome(Record):
     rule_probability: float | None
     guard_band: float | None
     outcome: Outcome
+    withheld: NoDecision | None = None
+    monte_carlo: MonteCarloError | None = None
     consumer_risk: float | None
     producer_risk: float | None
     global_consumer_risk: Probability | None

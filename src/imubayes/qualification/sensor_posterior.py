@@ -15,6 +15,8 @@ from imubayes.results.result import Result
 
 # A covariance of so many draws is good to 2 %.
 _MOST_DRAWS = 4000
+TEMPERATURES = ("temperature", "converter_temperature")
+"""Covariates that a correction uses beside the outputs."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,17 @@ def spans(channels: Sequence[Channel]) -> bool:
     """Tell whether the input axes of channels span three dimensions, to a thousandth."""
     axes = np.array([channel.axes[0] for channel in channels]).reshape(-1, 3)
     return bool(np.linalg.matrix_rank(axes, tol=1e-3) == 3)
+
+
+def temperature_ranges(campaign: Campaign) -> dict[str, tuple[float, float]]:
+    """Return the lowest and highest temperature of sensor and converter in the runs that recorded them, °C."""
+    found = {}
+    for name in TEMPERATURES:
+        known = [run.covariates[name] for run in campaign.runs if name in run.covariates]
+        if known:
+            joined = np.concatenate(known)
+            found[name] = float(np.nanmin(joined)), float(np.nanmax(joined))
+    return found
 
 
 def sensor_posterior(result: Result) -> SensorPosterior:

@@ -13,9 +13,9 @@ from pathlib import Path
 from imubayes.inference.checkpoint import steps_in
 from imubayes.inference.ensemble_sampling import Settings
 from imubayes.inference.fitted_model import Fit
-from imubayes.inference.run_fit import LAPLACE_DRAWS, joint_fit
+from imubayes.inference.run_fit import LAPLACE_DRAWS, joint_fit, redrawn
 from imubayes.model.bind import Model
-from imubayes.qualification.digits import Digits, numerical_tolerance
+from imubayes.qualification.digits import Digits, draws_needed
 from imubayes.qualification.posterior_quantities import posterior_quantities, with_combinations
 from imubayes.results.estimates import is_constant
 from imubayes.results.result import result_of
@@ -64,28 +64,25 @@ def fit_until_digits(
                 if more == draws:
                     break
                 draws = more
+                fit = redrawn(fit, draws)
             else:
                 steps = steps_in(file)
                 if steps < sampling.least_steps:  # memory allows no more
                     break
                 sampling = replace(sampling, least_steps=math.ceil(_MARGIN * lacking * steps))
-            fit = joint_fit(model, sampling, file, sampling is not None, progress, laplace_draws=draws)
+                fit = joint_fit(model, sampling, file, True, progress)
     return fit
 
 
 def draws_lacking(fit: Fit, digits: Digits) -> tuple[float, str]:
-    """Return how many times the draws are needed for all quantities to deserve so many digits, and which needs most.
-
-    Digits of a quantity are deserved where twice its largest Monte Carlo error is at most δ of its uncertainty.
-    """
+    """Return how many times the draws are needed for all quantities to deserve so many digits, and which needs most."""
     result = result_of(fit)
     quantities = with_combinations(posterior_quantities(result), result.summary.combinations)
     worst, worst_name = 0.0, ""
     for name, draws in quantities.draws.items():
         if is_constant(draws):
             continue
-        marginal = quantities.marginal(name)
-        factor = (2 * marginal.errors.largest / numerical_tolerance(marginal.sd, digits)) ** 2
+        factor = draws_needed(quantities.marginal(name), digits)
         if factor > worst:
             worst, worst_name = factor, name
     return worst, worst_name

@@ -1,7 +1,5 @@
 """The record of an addition: what was predicted and observed, cross-validation, residual rms before and after."""
 
-import math
-from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -20,6 +18,9 @@ from imubayes.representation import Presented
 from imubayes.results.output_units import in_output_units
 from imubayes.results.result import Result
 from imubayes.results.summary import Summary
+
+# Less than a hundredth more is no rise.
+_RISEN = 1.01
 
 
 class RunRmsChange(Record):
@@ -45,14 +46,11 @@ class Observation(Record):
 
     Attributes
     ----------
-    delta_chi2 : at the noise scales of the fit before.
-    delta_chi2_remaining : in units of the noise after the refit, as `Prediction.screened`; None where a noise scale is
-        new, and where the refit is not taken.
+    delta_chi2 : at the noise known beforehand; where noise itself was added, twice the rise of the log likelihood.
     coefficients : the new parameters.
     """
 
     delta_chi2: float | None
-    delta_chi2_remaining: float | None = None
     coefficients: tuple[CoefficientEstimate, ...]
 
 
@@ -67,8 +65,10 @@ class Addition(Presented, Record):
     predicted, observed : Δχ² and coefficients before and after the refit.
     prior_conflicts : new parameters whose prior disagrees with the data.
     held_out : cross-validation; None where there was none.
-    runs, channels : residual rms in input units; empty where the refit is not taken.
-    within_runs : of each channel about its mean in each run; empty where it is unknown as well.
+    runs : residual rms of the fits in input units; empty where the refit is not taken.
+    channels : the same at the noise known beforehand, offsets of runs included.
+    offsets_moved : the channels whose residual rms rose although the residual within runs did not: the new effect no
+        longer takes up the offsets of their runs.
     parent, folder : result folders before and after; None where there are none.
     """
 
@@ -85,7 +85,7 @@ class Addition(Presented, Record):
     held_out: CrossValidation | None
     runs: tuple[RunRmsChange, ...]
     channels: tuple[RmsChange, ...]
-    within_runs: tuple[RmsChange, ...] = ()
+    offsets_moved: tuple[str, ...] = ()
     chi2: BeforeAfter
     dof: BeforeAfter
     log_evidence: BeforeAfter
@@ -121,15 +121,14 @@ def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
         message=refit.objection,
         predicted=refit.predicted,
         observed=Observation(
-            delta_chi2=finite(refit.delta_chi2),
-            delta_chi2_remaining=refit.delta_chi2_remaining,
+            delta_chi2=_drop(refit, before, after),
             coefficients=_estimates(after, fresh),
         ),
         prior_conflicts=tuple(conflict for conflict in after.prior_conflicts if conflict.name in fresh),
         held_out=refit.held_out,
         runs=_by_run(before, after) if taken else (),
         channels=_by_channel(before, after) if taken else (),
-        within_runs=_by_channel(before, after, within=True) if taken else (),
+        offsets_moved=offsets_moved(before, after) if taken else (),
         chi2=BeforeAfter(before=before.chi2, after=after.chi2 if taken else None),
         dof=BeforeAfter(before=before.dof, after=after.dof if taken else None),
         log_evidence=BeforeAfter(before=before.log_evidence, after=after.log_evidence),
@@ -170,39 +169,40 @@ def _by_run(before: Summary, after: Summary) -> tuple[RunRmsChange, ...]:
     )
 
 
-def _by_channel(before: Summary, after: Summary, within: bool = False) -> tuple[RmsChange, ...]:
-    """Return the residual rms of each channel, as a whole or about the mean of each run, where both are known."""
-
-    def size(channel: ChannelRms) -> float | None:
-        return channel.within if within else channel.rms
-
-    was = {channel.channel: size(channel) for channel in channel_rms(before)}
+def _by_channel(before: Summary, after: Summary) -> tuple[RmsChange, ...]:
+    """Return the residual rms of each channel at the noise known beforehand, where both are known."""
     return tuple(
-        RmsChange(channel=channel.channel, before=then, after=now, unit=channel.unit, within=within)
-        for channel in channel_rms(after)
-        if (then := was.get(channel.channel)) is not None and (now := size(channel)) is not None
+        RmsChange(channel=now.channel, before=was.rms, after=now.rms, unit=now.unit)
+        for was, now in _both(before, after)
     )
 
 
+def offsets_moved(before: Summary, after: Summary) -> tuple[str, ...]:
+    """Return the channels whose residual rms rose though not within runs, at the noise known beforehand."""
+    return tuple(
+        now.channel
+        for was, now in _both(before, after)
+        if was.within is not None and now.within is not None
+        if now.rms > _RISEN * was.rms and now.within <= _RISEN * was.within
+    )
+
+
+def _both(before: Summary, after: Summary) -> list[tuple[ChannelRms, ChannelRms]]:
+    known = {each.channel: each for each in channel_rms(before)}
+    return [(known[each.channel], each) for each in channel_rms(after) if each.channel in known]
+
+
 def channel_rms(summary: Summary) -> tuple[ChannelRms, ...]:
-    """Return residual rms, as a whole and within runs, and assumed noise of each channel over all runs."""
-    found = []
-    for channel in dict.fromkeys(run.channel for run in summary.runs):
-        runs = [run for run in summary.runs if run.channel == channel and run.n]
-        rms = _pooled([(run.n, run.rms) for run in runs])
-        if rms is not None:
-            noise = _pooled([(run.n, run.noise) for run in runs])
-            within = _pooled([(run.n, run.within) for run in runs])
-            found.append(ChannelRms(channel=channel, rms=rms, unit=runs[0].unit, within=within, noise=noise))
-    return tuple(found)
+    """Return the residual of each channel at the noise known beforehand; empty in results of earlier versions."""
+    return summary.known_noise.channels if summary.known_noise is not None else ()
 
 
-def _pooled(sizes: Sequence[tuple[int, float | None]]) -> float | None:
-    """Return the rms over runs of (number, rms); None where no run has one."""
-    known = [(count, size) for count, size in sizes if size is not None]
-    if not known:
-        return None
-    return math.sqrt(sum(count * size**2 for count, size in known) / sum(count for count, _ in known))
+def _drop(refit: Refit, before: Summary, after: Summary) -> float | None:
+    """Return the observed drop of χ² (see `Observation`)."""
+    same = refit.fit.model.hyper_layout.names == refit.before.model.hyper_layout.names
+    if not same or before.known_noise is None or after.known_noise is None:
+        return finite(refit.delta_chi2)
+    return before.known_noise.chi2 - after.known_noise.chi2
 
 
 def added_variable(extension: Extension) -> pl.DataFrame:

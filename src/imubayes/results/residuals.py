@@ -2,7 +2,6 @@
 
 from typing import TYPE_CHECKING
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
@@ -12,7 +11,7 @@ from imubayes.covariates import shown
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.nested_laplace import posterior_precision
 from imubayes.kept_programs import kept
-from imubayes.model.noise_covariance import Whitener, group_sum, whiten, whitener
+from imubayes.model.noise_covariance import noise_deviation, whiten, whitener
 from imubayes.model.problem import Problem
 from imubayes.model.robust_likelihood import pseudo_values
 from imubayes.results.residual_table import Residuals
@@ -30,16 +29,6 @@ def _at_mode(problem: Problem, mode):
     spread = jnp.linalg.solve(jnp.linalg.cholesky(posterior_precision(problem, mode)), mode.about.jacobian.T)
     predicted = problem.observations.value - mode.about.misfit
     return predicted, jnp.sqrt(jnp.sum(spread**2, axis=0)), noise_deviation(problem, by), whitened
-
-
-def noise_deviation(problem: Problem, by: Whitener) -> jax.Array:
-    """Return the standard deviation of the noise of each entry, including the part common to a run, shape (E,)."""
-    weight = by.precision_root**2
-    direction = group_sum(by.direction**2, problem.observations)
-    # shrink = (1 − 1/√(1 + T|u|²))/|u|² solved for T
-    safe = jnp.where(direction > 0, direction, 1.0)
-    shared = ((1 - by.shrink * direction) ** -2 - 1) / safe
-    return jnp.sqrt(1 / jnp.where(weight > 0, weight, jnp.inf) + shared[problem.observations.group])
 
 
 def residuals_of(fit: Fit) -> Residuals:

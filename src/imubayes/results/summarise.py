@@ -5,7 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from imubayes.criticism.noise_assumptions import NoiseJudgement, judged_noise
+from imubayes.criticism.known_noise import compare_with_known
+from imubayes.criticism.known_noise_fit import fit_at_known_noise
+from imubayes.criticism.model_history import KnownNoiseFit
+from imubayes.criticism.noise_assumptions import NoiseJudgement, judged_noise_in, projected
+from imubayes.criticism.noise_violation import NoiseComparison
+from imubayes.criticism.run_agreement import doubted_runs
 from imubayes.inference.contribution_record import Contribution
 from imubayes.inference.ensemble_sampling import Chains
 from imubayes.inference.experiment_design import next_runs
@@ -46,7 +51,7 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
     found = combinations(fit, precision)
     shares = {quantity.name: quantity.from_data for quantity in (*derived, *parameters)}
     chains = fit.posterior.chains if fit.posterior is not None else None
-    noise = judged_noise(fit) if usable else NoiseJudgement((), ())
+    noise, contradicted, known = _noise(fit)
     return Summary(
         campaign=model.campaign.name,
         model=model.spec.name,
@@ -58,10 +63,14 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         interval="95 % equal-tailed",
         uncertainty="standard deviation of the joint posterior distribution (GUM, type A and B combined)",
         **_sampling(chains),
-        intervals_valid=fit.converged and not noise.violations,
+        intervals_valid=fit.converged and not noise.violations and not contradicted,
         noise_violations=noise.violations,
         noise_suspected=noise.suspected,
+        noise_contradicted=contradicted,
+        known_noise=known,
         prior_scatter=prior_scatter(fit),
+        doubted_runs=doubted_runs(fit),
+        left_out=model.left_out,
         parameters=parameters,
         derived=derived,
         runs=residuals.by_run_and_channel(),
@@ -76,6 +85,14 @@ def summarise(fit: Fit, residuals: Residuals, load_seconds: float = 0.0, seed: i
         notes=(*model.campaign.notes, *(f"{run.name}: {note}" for run in model.campaign.runs for note in run.notes)),
         seconds=Seconds(load=load_seconds, **fit.seconds),
     )
+
+
+def _noise(fit: Fit) -> tuple[NoiseJudgement, tuple[NoiseComparison, ...], KnownNoiseFit | None]:
+    """Return how the noise departs from its model, what contradicts the noise known beforehand, and the fit at it."""
+    if fit.posterior is None:
+        return NoiseJudgement((), ()), (), None
+    at = projected(fit)
+    return judged_noise_in(at), compare_with_known(at).contradicted, fit_at_known_noise(fit)
 
 
 def _sampling(chains: Chains | None) -> dict[str, Any]:

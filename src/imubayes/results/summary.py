@@ -7,13 +7,16 @@ from typing import Any, Literal
 
 from pydantic import field_validator
 
-from imubayes.criticism.noise_violation import NoiseViolation
+from imubayes.criticism.disagreement_record import DoubtedRun
+from imubayes.criticism.model_history import KnownNoiseFit
+from imubayes.criticism.noise_violation import NoiseComparison, NoiseViolation
 from imubayes.inference.contribution_record import Contribution
 from imubayes.inference.identifiability import WeakDirection
 from imubayes.inference.implausible_record import ImplausibleEstimate, UnexplainedOutput
 from imubayes.inference.next_run import NextRun
 from imubayes.inference.prior_conflict import PriorConflict
 from imubayes.json_record import Record
+from imubayes.model.model_spec import SingleRunEffect
 from imubayes.parameters.input_axis_names import channel_of_component
 from imubayes.results.provenance_record import FitProvenance
 
@@ -141,10 +144,15 @@ class Summary(Record):
     ----------
     provenance : unit, dates, hashes, seed and software; None in results of earlier versions.
     implausible, unexplained : why a fit that reached a mode failed all the same; empty otherwise.
-    intervals_valid : whether the fit converged and its noise is what the model assumes.
+    intervals_valid : whether the fit converged and its noise is what the model assumes, and what is known of it.
     noise_violations : how the noise is not, the clearest first.
     noise_suspected : how the noise may not be, although it may be chance; intervals count as valid.
+    noise_contradicted : comparisons of the noise scales that contradict what is known of them, the clearest first.
+    known_noise : goodness of fit at the noise known beforehand, what the fit let its noise take up included; None where
+        the fit has no mode, and in results of earlier versions.
     prior_scatter : noise scales known from their priors alone, on which intervals rest.
+    doubted_runs : runs that the others do not predict at the noise known before the fit.
+    left_out : effects between runs that one run of a channel cannot tell: not in the model, nor in the intervals.
     combinations : what is determined of the members of weak directions.
     pareto_k : tail index of the importance weights of the sampler's proposal; None without sampling.
     """
@@ -165,7 +173,11 @@ class Summary(Record):
     intervals_valid: bool = True
     noise_violations: tuple[NoiseViolation, ...] = ()
     noise_suspected: tuple[NoiseViolation, ...] = ()
+    noise_contradicted: tuple[NoiseComparison, ...] = ()
+    known_noise: KnownNoiseFit | None = None
     prior_scatter: tuple[PriorScatter, ...] = ()
+    doubted_runs: tuple[DoubtedRun, ...] = ()
+    left_out: tuple[SingleRunEffect, ...] = ()
     parameters: tuple[ParameterSummary, ...]
     derived: tuple[DerivedSummary, ...]
     runs: tuple[RunSummary, ...]

@@ -2,7 +2,7 @@
 
 from imubayes.campaign.named_directions import perpendicular
 from imubayes.campaign.toml_documents import Ledger
-from imubayes.procedures.planned_steps import STEP_KEYS, PlanRules
+from imubayes.procedures.planned_steps import OF_ANY_RUN, STEP_KEYS, PlanRules
 from imubayes.simulation.test_plan import PlannedRun
 
 
@@ -11,7 +11,7 @@ def judge_steps(run: PlannedRun, rules: PlanRules, place: int, ledger: Ledger) -
     one_of, further = rules.one_of, rules.further
     given = [key for key in STEP_KEYS if getattr(run, key) is not None]
     for key in given:
-        if key not in one_of + further:
+        if key not in (*one_of, *further, *OF_ANY_RUN):
             ledger.add(
                 f"'{key}' does not apply to procedure '{run.procedure}'",
                 ("run", place, key),

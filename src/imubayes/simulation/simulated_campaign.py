@@ -43,7 +43,7 @@ def simulate_plan(plan: Path, out: Path, seed: int | None = None) -> Path:
     """
     refuse_occupied(out)
     read = read_plan(plan)
-    model = bind(read_model(read.model), read.campaign)
+    model = bind(read_model(read.model), read.campaign, single_runs=True)
     chosen = read.file.seed if seed is None else seed
     done = simulate(model, chosen, read.file.truth, f"{read.path}, [truth]")
     _write(out, read, model, done, chosen)

@@ -185,10 +185,13 @@ class ErrorModel:
         stand = moved.local_to_body() @ tilted
         up, earth = np.array([0.0, 0.0, view.gravity]), earth_rate(view.latitude)
         force, rate = stand @ up, moved.rate_in_body(stand)
-        felt = np.where(self.gyro[:, None, None], rate, force)  # of each channel, (K, R, 3)
+        nominal = np.where(self.gyro[:, None, None], rate, force)
+        response = view.response[self.places][:, None, None]
+        felt = nominal * response  # of each channel, (K, R, 3)
         along = felt @ self.axes.swapaxes(1, 2)
         shared = self._shared(view)
-        design = self._design(view, stand, felt, along, np.where(self.gyro[:, None, None], earth, up), len(shared))
+        still = np.where(self.gyro[:, None, None], earth, up) * response
+        design = self._design(view, stand, felt, along, still, len(shared))
         output = view.observed[:, self.places].T
         there = np.isfinite(output)
         at_zero = (
@@ -196,7 +199,7 @@ class ErrorModel:
         )
         error = np.where(there, (output - self.offset) / self.scale - at_zero, 0.0)
         white = (self.noise / self.scale) ** 2 / view.samples
-        left_out, arm = self._left_out(view, np.linalg.norm(felt, axis=2))
+        left_out, arm = self._left_out(view, np.linalg.norm(nominal, axis=2))
         return Seen(design, error, there, white, left_out, arm, along[:, :, :1], shared)
 
     def _design(

@@ -10,6 +10,7 @@ import numpy as np
 
 from imubayes.campaign.setup_gate.evidence import ErrorModel
 from imubayes.campaign.setup_gate.mistakes import MISTAKES, Mistake, TableAzimuth, TableElevation, TableZero
+from imubayes.campaign.setup_gate.nominal_scales import NominalScale
 from imubayes.campaign.setup_gate.plausible_errors import POOR, Steadiness
 from imubayes.campaign.setup_gate.run_view import feels_the_earth_alone, turns_through, views_of
 from imubayes.campaign.setup_gate.search import DECISIVE, ORDINARY_ERROR, Explanation, Search
@@ -68,7 +69,7 @@ def hidden_mistakes(campaign: Campaign) -> list[Explanation]:
     views = levels[0].views
     concealed = (*LATITUDE_MISTAKES, TableAzimuth, TableElevation, *TEMPERATURE_MISTAKES)
     if feels_the_earth_alone(campaign, views) or all(turns_through(view) for view in views):
-        concealed = (*MISTAKES, ChannelGain, AngleUnit, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
+        concealed = (*MISTAKES, ChannelGain, AngleUnit, NominalScale, *LATITUDE_MISTAKES, *TEMPERATURE_MISTAKES)
     found = [
         best
         for kind in concealed
@@ -191,6 +192,8 @@ def _is_of_equipment(mistake: Mistake) -> bool:
 def _small(found: Explanation, campaign: Campaign) -> bool:
     if isinstance(found.mistake, LatitudeValue):
         return abs(found.size - campaign.site.latitude) < LEAST_LATITUDE
+    if isinstance(found.mistake, NominalScale):
+        return not found.mistake.stops(found.size)
     least = LEAST_ZERO if isinstance(found.mistake, TableZero) else LEAST_TILT
     least = LEAST_TURN if isinstance(found.mistake, TableAzimuth) else least
     return isinstance(found.mistake, (TableAzimuth, TableElevation, TableZero)) and abs(found.size) < least

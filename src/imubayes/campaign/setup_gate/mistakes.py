@@ -76,6 +76,10 @@ class Mistake(ABC):
         """Return whether there can be a mistake of that size: what lies beyond is the work of something else."""
         return True
 
+    def stops(self, size: float) -> bool:
+        """Return whether a mistake of that size is beyond a poor unit; else it is a warning."""
+        return True
+
     def like(self, other: "Mistake") -> bool:
         """Return whether another mistake, although of more evidence, is none that the outputs tell from this one.
 
@@ -224,14 +228,20 @@ class MountingsExchanged(Mistake):
 @register
 @dataclass(frozen=True)
 class TableSense(Mistake):
-    """The table turns against the stated sense."""
+    """The table turns against the stated sense; `zero_too` is whether its zero was read in the right one."""
 
+    zero_too: bool = False
     kind: ClassVar[str] = "table_reversed"
 
     @property
     def unlikelihood(self) -> float:
         """A table turns the same way in all runs."""
         return 6.0 if self.scope.section == "run" else 0.0
+
+    @property
+    def variant(self) -> str:
+        """Whether the zero is read in the right sense."""
+        return "zero" if self.zero_too else ""
 
     def like(self, other: Mistake) -> bool:
         """Return whether another mistake is the sign of the one channel that sees the rate in the run."""
@@ -242,11 +252,14 @@ class TableSense(Mistake):
         """Yield every table and every run on one."""
         for scope in wide_first(tables_of(views), single_runs(views)):
             yield cls(scope)
+            if scope.section == "table" and abs(math.sin(views[scope.runs[0]].zero)) > 0:
+                yield cls(scope, True)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
-        """Return the run with rate and angle reversed."""
+        """Return the run with rate and reading reversed."""
         view = views[place]
-        return replace(view, rate=-view.rate, angle=-view.angle, span=-view.span)
+        angle = -view.angle if self.zero_too else -view.angle - 2 * view.zero
+        return replace(view, rate=-view.rate, angle=angle, span=-view.span)
 
 
 @register
@@ -410,6 +423,10 @@ class TimeShift(Mistake):
             yield cls(Scope("campaign", "", tuple(varying)), all(_is_static(views[k]) for k in varying))
         for k in varying:
             yield cls(Scope("run", views[k].name, (k,)), _is_static(views[k]))
+
+    def possible(self, size: float) -> bool:
+        """Return whether there is a shift at all: it is told to half a row, and to a row between static rows."""
+        return abs(size) >= (0.5 if self.whole else 0.25)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the stimulus of earlier rows; rows that have none are left out."""

@@ -16,6 +16,7 @@ from imubayes.campaign.setup_gate.mistakes import (
     MountingWrong,
     TimeShift,
 )
+from imubayes.campaign.setup_gate.nominal_scales import NominalScale, TableRates
 from imubayes.campaign.setup_gate.search import Explanation
 from imubayes.campaign.setup_gate.site_mistakes import LatitudeValue
 from imubayes.campaign.setup_gate.temperature_mistakes import TemperatureReversed, TemperatureUnit
@@ -145,7 +146,8 @@ def _sense(campaign: Campaign, found: Explanation, places: Places) -> Words:
         f"the table turns against the stated sense {_subject(found.mistake)}",
         places.column(found.mistake, "table_angle_deg"),
         "rates and angles right-handed about the axis of the table",
-        f"reverse the sign of 'table_rate_deg_s' and 'table_angle_deg' {_subject(found.mistake)}",
+        f"reverse the sign of 'table_rate_deg_s' and 'table_angle_deg' {_subject(found.mistake)}"
+        + (f" and of zero_angle_deg of the table '{found.mistake.scope.name}'" if found.mistake.variant else ""),
     )
 
 
@@ -275,34 +277,52 @@ def _channels(campaign: Campaign, found: Explanation, places: Places) -> Words:
     )
 
 
+def _unit_and_factor(found: Explanation) -> tuple[str, float]:
+    """Return the mistaken unit in words, empty for a reversed sign, and by how much the outputs are too large."""
+    if isinstance(found.mistake, ChannelGain):
+        return found.mistake.units, found.mistake.factor
+    assert isinstance(found.mistake, NominalScale)
+    factor = float(f"{math.exp(found.size):.4g}")
+    return found.mistake.units(found.size) or f"{factor:g} times its nominal scale", factor
+
+
 def _gain(campaign: Campaign, found: Explanation, places: Places) -> Words:
     mistake = found.mistake
-    assert isinstance(mistake, ChannelGain)
+    assert isinstance(mistake, (ChannelGain, NominalScale))
+    units, factor = _unit_and_factor(found)
     subject, names = _subject(mistake), ", ".join(f"'{name}'" for name in mistake.channels)
     noun, verb = ("channel", "is") if len(mistake.channels) == 1 else ("channels", "are")
     run = mistake.scope.section == "run"
     chosen = [channel for channel in campaign.channels if channel.name in mistake.channels]
-    key = "scale" if mistake.units else "input_axis"
+    key = "scale" if units else "input_axis"
     where = places.column(mistake, mistake.channels[0]) if run else places.line("channel", mistake.channels[0], key)
-    if not mistake.units:
+    if not units:
         axes = "; ".join(f"input_axis = {(-c.axes[0].round(6) + 0.0).tolist()} for '{c.name}'" for c in chosen)
         return Words(
             f"{noun} {names} {verb} reversed in sign {subject}", where,
             "outputs that rise with the input along input_axis",
             f"reverse the sign of the columns {names} {subject}" if run else f"write {axes} (and reverse output_axis)",
         )  # fmt: skip
-    scales = "; ".join(f"scale = {c.scale * mistake.factor:.6g} for '{c.name}'" for c in chosen)
-    factor, large = mistake.factor, mistake.factor > 1
+    scales = "; ".join(f"scale = {c.scale * factor:.6g} for '{c.name}'" for c in chosen)
+    large = factor > 1
     size = f"{factor if large else 1 / factor:.4g} times too {'large' if large else 'small'}"
     return Words(
-        f"{noun} {names} {verb} {size} {subject} ({mistake.units})", where,
+        f"{noun} {names} {verb} {size} {subject} ({units})", where,
         "outputs in 'output_unit', 'scale' of them per 'per'",
-        f"divide the columns {names} by {mistake.factor:.6g} {subject}" if run
-        else f"write {scales}, or correct 'per', or divide the columns by {mistake.factor:.6g}",
+        f"divide the columns {names} by {factor:.6g} {subject}" if run
+        else f"write {scales}, or correct 'per', or divide the columns by {factor:.6g}",
     )  # fmt: skip
 
 
 def _rate(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    if isinstance(found.mistake, TableRates):
+        return Words(
+            f"the rates of table '{found.mistake.scope.name}' are {math.exp(found.size):.4g} times those of column "
+            "'table_rate_deg_s'",
+            places.column(found.mistake, "table_rate_deg_s"),
+            "degrees per second",
+            f"multiply 'table_rate_deg_s' by {math.exp(found.size):.4g} {_subject(found.mistake)}",
+        )
     assert isinstance(found.mistake, RateUnit)
     unit = found.mistake.unit
     return _unit(found.mistake, places, "table_rate_deg_s", unit, RATE_UNITS[unit], "degrees per second")
@@ -338,6 +358,19 @@ def _time(campaign: Campaign, found: Explanation, places: Places) -> Words:
         places.column(found.mistake, "time_s"),
         "outputs and table recorded on one clock",
         f"shift the outputs by {-size:+g} rows{seconds} against the columns of the table {subject}",
+    )
+
+
+def _rate_factor(campaign: Campaign, found: Explanation, places: Places) -> Words:
+    run = found.mistake.scope.name
+    large, digits = 1 / (1 + found.size), max(2, min(5, 1 - math.floor(math.log10(found.uncertainty or 1e-3))))
+    sd = f" ± {found.uncertainty:.1g}" if found.uncertainty else ""
+    return Words(
+        f"'table_rate_deg_s' of run '{run}' is {large:.{digits}f}{sd} times what the outputs say, "
+        "relative to the other runs",
+        places.column(found.mistake, "table_rate_deg_s"),
+        "the rate that the table had in the run",
+        f"divide 'table_rate_deg_s' by {large:.{digits}f} in {places.file(run)}, or state the rate as it was measured",
     )
 
 
@@ -391,6 +424,7 @@ REMEDIES: dict[str, Callable[[Campaign, Explanation, Places], Words]] = {
     "axes_exchanged": _channels,
     "channel_unit": _gain,
     "rate_unit": _rate,
+    "table_rate": _rate_factor,
     "angle_unit": _angle,
     "time_shift": _time,
     "mounting_wrong": _matrix,

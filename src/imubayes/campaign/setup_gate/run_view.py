@@ -38,7 +38,9 @@ class RunView:
     temperatures : name of a recorded temperature → shape (R,), °C.
     observed : shape (R, C), output units.
     samples : shape (R,).
+    response : shape (C,), of each channel over that of its nominal scale factor.
     outer : the axes that carry that of the table; None where there are none.
+    zero : reading of the angle of the table at its zero, from which `angle` is counted.
     """
 
     name: str
@@ -59,7 +61,9 @@ class RunView:
     temperatures: Mapping[str, np.ndarray]
     observed: np.ndarray
     samples: np.ndarray
+    response: np.ndarray
     outer: CarryingAxes | None = None
+    zero: float = 0.0
 
     @property
     def rows(self) -> int:
@@ -152,7 +156,9 @@ def _view(campaign: Campaign, run: Run) -> RunView:
         temperatures={name: recorded[name] for name in names if name in recorded},
         observed=run.observed,
         samples=run.samples,
+        response=np.ones(len(campaign.channels)),
         outer=serial,
+        zero=table.zero_angle if table and serial is None else 0.0,
     )
 
 

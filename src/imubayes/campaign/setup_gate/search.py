@@ -18,6 +18,7 @@ from imubayes.campaign.setup_gate.plausible_errors import POOR, Steadiness
 from imubayes.campaign.setup_gate.run_view import RunView, views_of
 from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
 from imubayes.campaign.setup_gate.unit_mistakes import UNIT_MISTAKES, ChannelGain
+from imubayes.campaign.setup_gate.wrong_rates import RateFactor
 from imubayes.campaign_data import Campaign
 
 ORDINARY_MISFIT, ORDINARY_ERROR = 1.0, 3.5
@@ -129,7 +130,7 @@ class Search:
         most : mistakes together.
         tried : how many of the best are tried as the first of several.
         """
-        found = [each for each in self._suspected() if each.support > DECISIVE]
+        found = [each for each in self._suspected() if each.support > DECISIVE and each.mistake.possible(each.size)]
         whole = [each for each in found if self._explains(each) and not self._passes(each)]
         if whole:
             return [equally_good(whole)]
@@ -150,7 +151,7 @@ class Search:
 
     def _suspected(self) -> Iterator[Explanation]:
         suspects = self.suspects()
-        for kind in (*MISTAKES, AxisZero, *UNIT_MISTAKES, *TEMPERATURE_MISTAKES):
+        for kind in (*MISTAKES, AxisZero, *UNIT_MISTAKES, RateFactor, *TEMPERATURE_MISTAKES):
             for mistake in kind.suspected(self.campaign, self.views):
                 if mistake.scope.section != "run" or suspects.issuperset(mistake.scope.runs):
                     yield self.explain(mistake)

@@ -7,7 +7,9 @@ from imubayes.campaign.setup_gate.judgement import judge_setup
 from imubayes.campaign.setup_gate.remedies import REMEDIES, Places, Words
 from imubayes.campaign.setup_gate.search import Explanation
 from imubayes.campaign.setup_gate.temperature_mistakes import TEMPERATURE_MISTAKES, TemperatureReversed
+from imubayes.campaign.setup_gate.wrong_rows import WrongRow, with_rows, wrong_rows
 from imubayes.campaign_data import Campaign
+from imubayes.covariates import COVARIATES
 
 _MOST_RUNS = 5
 _MOST_ALTERNATIVES = 5
@@ -21,10 +23,30 @@ def setup_findings(campaign: Campaign, places: Places, accepted: tuple[str, ...]
     places : where what is said stands in the files.
     accepted : names of findings that the campaign accepts; they are warnings.
     """
-    judged = judge_setup(campaign)
+    rows = wrong_rows(campaign)
+    said = [_of_row(campaign, each, places) for each in rows]
+    judged = judge_setup(with_rows(campaign, rows))
     if judged.mistakes:
-        return [_explained(campaign, equal, places, accepted) for equal in judged.mistakes]
-    return [_unexplained(name, misfit, places.table(name)) for name, misfit in judged.unexplained[:_MOST_RUNS]]
+        return [*said, *(_explained(campaign, equal, places, accepted) for equal in judged.mistakes)]
+    return [
+        *said,
+        *(_unexplained(name, misfit, places.table(name)) for name, misfit in judged.unexplained[:_MOST_RUNS]),
+    ]
+
+
+def _of_row(campaign: Campaign, found: WrongRow, places: Places) -> Finding:
+    covariate = COVARIATES[f"table_{found.column}"]
+    table = next(run.table for run in campaign.runs if run.name == found.run)
+    zero = campaign.tables[table or ""].zero_angle if found.column == "angle" else 0.0
+    recorded, agreeing = ((value + zero) / covariate.factor() for value in (found.recorded, found.agreeing))
+    sd, unit = found.sd / covariate.factor(), covariate.unit
+    what = (
+        f"all outputs of row {found.row + 1} are as at '{covariate.column}' = {agreeing:.4g} ± {sd:.1g} {unit}, not "
+        f"{recorded:.6g}: {found.distance:.2g} standard deviations of the other rows"
+    )
+    where = f"{places.table(found.run)}, row {found.row + 1}, column '{covariate.column}'"
+    remedy = "correct the value from the record of the test, or take the row out"
+    return Finding("row_disagrees", "warning", found.run, what, where, "what the table did in that row", remedy)
 
 
 def _explained(
@@ -45,13 +67,20 @@ def _explained(
         what = f"the data cannot tell whether {what}"
         remedy += " (or: " + "; or: ".join(each.remedy for each in others) + ")"
     # Weaker evidence is said and stops nothing.
-    sure = first.support > first.stopping and not first.rivalled and not {kind for kind, _ in found} & {*accepted}
+    sure = _stops(equal) and not {kind for kind, _ in found} & {*accepted}
     severity: Severity = "error" if sure else "warning"
     if sure:
         remedy += f'; accepted = ["{first.mistake.kind}"] in campaign.toml lets the campaign pass as it is'
     return Finding(
         first.mistake.kind, severity, run, f"{what}: {evidence}", words.where, words.allowed, remedy
     )  # fmt: skip
+
+
+def _stops(equal: tuple[Explanation, ...]) -> bool:
+    """Whether a mistake is supported well enough to stop a fit, and no explanation is one of a poor unit."""
+    first = equal[0]
+    sure = first.support > first.stopping and not first.rivalled
+    return sure and all(each.mistake.stops(each.size) for each in equal)
 
 
 def _rival(found: Explanation) -> str:

@@ -20,11 +20,12 @@ from imubayes.campaign.setup_gate.run_view import RunView, views_of
 from imubayes.campaign.setup_gate.search import Explanation, Search
 from imubayes.campaign.setup_gate.shown_steadiness import shown_steadiness
 from imubayes.campaign.setup_gate.site_mistakes import LatitudeValue
+from imubayes.campaign.setup_gate.wrong_rates import RateFactor
 from imubayes.campaign_data import Campaign
 
-SIZED = (TableZero, AxisZero, TableElevation, TableAzimuth, LatitudeValue)
-"""Mistakes whose size is an angle, of which the remedy writes the value."""
-_STEP = math.radians(0.01)  # of the derivative by the size
+SIZED = (TableZero, AxisZero, TableElevation, TableAzimuth, LatitudeValue, RateFactor)
+"""Mistakes whose size is an angle, or a ratio, of which the remedy writes the value."""
+_STEP = math.radians(0.01)  # of the derivative by the size; a ratio is as small a number as an angle in rad
 _APART = math.radians(1.0)
 _LONGEST = math.radians(10.0)  # of one step to the best size
 _WIDEST = math.radians(30.0)  # standard deviation; beyond, the evidence is no parabola of the size

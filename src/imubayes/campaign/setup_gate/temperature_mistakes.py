@@ -77,8 +77,10 @@ class ThermometersExchanged(Mistake):
 
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
-        """Yield all runs with both thermometers, and each."""
-        for scope in _recorded(views, (SENSOR, CONVERTER)):
+        """Yield all runs with both thermometers, and each; a converter at one temperature has it stated for the run."""
+        columns = [k for k, view in enumerate(views) if np.ptp(view.temperatures.get(CONVERTER, 0.0)) > 0]
+        for scope in _recorded([views[k] for k in columns], (SENSOR, CONVERTER)):
+            scope = replace(scope, runs=tuple(columns[place] for place in scope.runs))
             mistake = cls(scope)
             if scope.section != "run" or _among_others(mistake, views):
                 yield mistake

@@ -17,8 +17,9 @@ from imubayes.campaign.setup_gate.mistakes import (
     tables_of,
     wide_first,
 )
-from imubayes.campaign.setup_gate.run_view import RunView, feels_the_earth_alone
-from imubayes.campaign_data import Campaign, Channel
+from imubayes.campaign.setup_gate.nominal_scales import GAINS, SCALE_MISTAKES, NominalScale, driven
+from imubayes.campaign.setup_gate.run_view import RunView
+from imubayes.campaign_data import Campaign
 
 _DEGREE = math.pi / 180
 RATE_UNITS = {
@@ -32,38 +33,7 @@ ANGLE_UNITS = {
 """Units of angle in degrees."""
 _MOST_TURNS = 4
 """Angles of more turns are in no other unit; multiples of 15 degrees in turns would all be one angle."""
-_GAINS = {
-    "gyro": {
-        "rad/s for deg/s": 1 / _DEGREE, "deg/s for rad/s": _DEGREE, "deg/h for deg/s": 3600.0,
-        "deg/s for deg/h": 1 / 3600, "deg/h for rad/s": 3600.0 * _DEGREE, "rpm for deg/s": 1 / 6, "deg/s for rpm": 6.0,
-        "mdeg/s for deg/s": 1000.0, "deg/s for mdeg/s": 1e-3,
-    },
-    "accelerometer": {
-        "m/s² for g": 9.80665, "g for m/s²": 1 / 9.80665, "mg for g": 1000.0, "g for mg": 1e-3,
-        "ft/s² for g": 32.174, "mg for m/s²": 1000 / 9.80665, "cm/s² for m/s²": 100.0,
-    },
-}  # fmt: skip
-"""Mistaken units of an output, and the factor by which it is too large."""
 _SAME_FACTOR = 0.02
-_LEAST_CHANGE = 5 * _DEGREE / 3600  # rad/s, a third of the Earth rate
-_LEAST_INPUT = {"gyro": 0.5 * _DEGREE, "accelerometer": 0.5}  # rad/s and m/s²
-
-
-def _driven(campaign: Campaign, channel: Channel, views: Sequence[RunView]) -> bool:
-    """Whether a channel has an input from which its scale factor shows.
-
-    Without one a large factor would only make the errors of the channel small.  Where all feel the Earth rate alone,
-    that is the input, if it changes: a constant one is no other than a bias.
-    """
-    felt = []
-    for view in views:
-        stand = view.local_to_body()
-        inputs = view.rate_in_body(stand) if channel.kind == "gyro" else stand[:, :, 2] * view.gravity
-        felt.append(inputs @ channel.axes[0])
-    along = np.concatenate(felt)
-    if feels_the_earth_alone(campaign, views):
-        return bool(np.ptp(along) > _LEAST_CHANGE)
-    return bool(np.abs(along).max(initial=0.0) > _LEAST_INPUT[channel.kind])
 
 
 @dataclass(frozen=True)
@@ -88,14 +58,14 @@ class ChannelGain(Mistake):
     @classmethod
     def suspected(cls, campaign: Campaign, views: Sequence[RunView]) -> Iterator[Mistake]:
         """Yield every channel and all of a kind, in all runs or one."""
-        for kind, gains in _GAINS.items():
+        for kind, gains in GAINS.items():
             places = [k for k, channel in enumerate(campaign.channels) if channel.kind == kind]
             groups = [(k,) for k in places] + ([tuple(places)] if len(places) > 1 else [])
             factors = {"": -1.0} | gains
             scopes = [all_runs(range(len(views))), *single_runs(views, False)]
             for scope, group in itertools.product(scopes, groups):
                 channels = [campaign.channels[k] for k in group]
-                if not all(_driven(campaign, channel, [views[k] for k in scope.runs]) for channel in channels):
+                if not all(driven(campaign, channel, [views[k] for k in scope.runs]) for channel in channels):
                     continue
                 names, offsets = tuple(c.name for c in channels), tuple(c.offset for c in channels)
                 for units, factor in factors.items():
@@ -137,6 +107,8 @@ class RateUnit(Mistake):
         Only the Earth rate, biases and the lever arms of accelerometers tell the two, all of them loosely.  A gain of
         one gyro is alike where it alone sees the rate.
         """
+        if isinstance(other, NominalScale):
+            return self.scope.section == "table" and other.of_gyros
         if not isinstance(other, ChannelGain):
             return False
         same = self.scope.section == "table" if other.scope.section == "campaign" else other.scope == self.scope
@@ -161,14 +133,14 @@ class AngleUnit(Mistake):
         tables = [scope for scope in tables_of(views) if set(scope.runs) & set(several)]
         runs = [scope for scope in single_runs(views) if scope.runs[0] in several]
         for scope, unit in itertools.product(wide_first(tables, runs), ANGLE_UNITS):
-            largest = max(float(np.nanmax(np.abs(views[k].angle), initial=0.0)) for k in scope.runs)
+            largest = max(float(np.nanmax(np.abs(views[k].angle + views[k].zero), initial=0.0)) for k in scope.runs)
             if largest * ANGLE_UNITS[unit] < _MOST_TURNS * 2 * math.pi:
                 yield cls(scope, unit)
 
     def corrected(self, views: Sequence[RunView], place: int, size: float) -> RunView:
         """Return the run with the angles converted."""
-        factor = ANGLE_UNITS[self.unit]
-        return replace(views[place], angle=views[place].angle * factor, span=views[place].span * factor)
+        factor, view = ANGLE_UNITS[self.unit], views[place]
+        return replace(view, angle=(view.angle + view.zero) * factor - view.zero, span=view.span * factor)
 
 
-UNIT_MISTAKES: tuple[type[Mistake], ...] = (ChannelGain, RateUnit, AngleUnit)
+UNIT_MISTAKES: tuple[type[Mistake], ...] = (ChannelGain, RateUnit, AngleUnit, *SCALE_MISTAKES)

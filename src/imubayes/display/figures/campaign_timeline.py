@@ -52,7 +52,7 @@ def campaign_timeline_figure(campaign: Campaign) -> Picture:
     upper.set_yticks(range(len(kinds)), [kind.replace("_", " ") for kind in kinds])
     upper.set(ylim=(len(kinds) - 0.4, -0.6))
     lower.set_ylabel("temperature / °C")
-    locator = AutoDateLocator(maxticks=8)
+    locator = AutoDateLocator(minticks=3, maxticks=8)
     lower.xaxis.set_major_locator(locator)
     lower.xaxis.set_major_formatter(ConciseDateFormatter(locator, tz=UTC))
     lower.set_xlabel("UTC")

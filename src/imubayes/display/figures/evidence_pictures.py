@@ -9,7 +9,7 @@ import polars as pl
 from imubayes.covariates import Covariate, shown
 from imubayes.criticism.diagnosis_record import CovariateLabel, EffectGroup
 from imubayes.criticism.effect_covariates import INPUTS
-from imubayes.criticism.recorded_noise import RecordedNoise
+from imubayes.criticism.known_noise import KnownNoise
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs
 from imubayes.display.figures.recorded_noise import recorded_noise_figure
@@ -42,7 +42,7 @@ def _label(covariate: Covariate | ResidualCovariate | CovariateLabel) -> str:
     return covariate.phrase + (f" / {pretty(covariate.unit)}" if covariate.unit else "")
 
 
-def save_recorded_noise(folder: Path, record: RecordedNoise) -> Path:
+def save_recorded_noise(folder: Path, record: KnownNoise) -> Path:
     """Draw fitted against recorded noise into the `figures` of a result folder; return the file."""
     return _saved(folder, recorded_noise_figure(record, _signs_of(folder)), "recorded_noise.png")
 
@@ -88,7 +88,7 @@ def before_after(
     named = group.covariate if group is not None else None
     own = joined.filter(pl.col("channel") == channel)
     before_own, after_own = own["input_residual"].to_numpy(), own["after"].to_numpy()
-    runs, within = own["run"].to_numpy(), group is not None and group.residual.within
+    runs, within = own["run"].to_numpy(), group is not None and group.within
     if within:
         before_own, after_own = (each - of_runs(each, runs) for each in (before_own, after_own))
     if named is not None and named.name in INPUTS.values() and "input_observed" in own.columns:

@@ -1,6 +1,6 @@
 """How the error of each channel fell from model to model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +26,7 @@ class ChannelSteps:
     ----------
     channel, unit : its name and input unit.
     rms : residual rms of each model, NaN where it is unknown.
-    noise : standard deviation that each model assumes of the residual, NaN where it is unknown.
+    noise : standard deviation of the residual that is known beforehand with each model, NaN where it is unknown.
     """
 
     channel: str
@@ -36,30 +36,26 @@ class ChannelSteps:
 
     @property
     def changed(self) -> bool:
-        """Whether a step changed residual or assumed noise noticeably."""
+        """Whether a step changed residual or known noise noticeably."""
         sizes = [np.asarray(each, dtype=float) for each in (self.rms, self.noise)]
         known = [size[np.isfinite(size)] for size in sizes]
         return any(size.size > 1 and np.ptp(size) > _NOTICEABLE * size.max() for size in known)
 
 
 @themed
-def error_per_step_figure(
-    steps: Sequence[str], channels: Sequence[ChannelSteps], floors: Mapping[str, float]
-) -> Picture:
-    """Return residual rms and assumed noise of every channel, model by model.
+def error_per_step_figure(steps: Sequence[str], channels: Sequence[ChannelSteps]) -> Picture:
+    """Return residual rms and known noise of every channel, model by model.
 
     Parameters
     ----------
     steps : what each step added; the first is the model it began with.
     channels : of the path; those that a step changed have a hue.
-    floors : channel → noise of one row in its unit, where it is known.
     """
     caption = (
-        "Line: residual rms of a channel over all rows and runs; short bar: the noise that the model assumes of it, "
+        "Line: residual rms of a channel over all rows and runs; short bar: the noise that is known of it beforehand, "
         "run offsets included. An effect that was missing lowers the line; a noise effect leaves the line and moves "
-        "the bar to it. In a good last model line and bar meet. Grey: channels that no step changed by more than "
+        "the bar. In a good last model line and bar meet. Grey: channels that no step changed by more than "
         f"{100 * _NOTICEABLE:.0f} %."
-        + (" Dotted: noise of single rows as recorded, of the channels with a hue." if floors else "")
     )
     units = list(dict.fromkeys(each.unit for each in channels))
     figure = picture(max(6.5, 5.2 * len(units) + 0.6), 3.3, "Residual error by step", caption)
@@ -67,7 +63,7 @@ def error_per_step_figure(
     for axes, unit in zip(grid, units, strict=False):
         own = [each for each in channels if each.unit == unit]
         factor, shown = readable(unit, max(float(np.nanmax(each.rms)) for each in own))
-        _lines(axes, own, floors, factor)
+        _lines(axes, own, factor)
         room = max(9, int(figure.get_figwidth() / len(units) / len(steps) * 9))
         axes.set_xticks(range(len(steps)), [_folded(step.replace("+ ", "+"), room) for step in steps])
         axes.tick_params(axis="x", length=0)
@@ -75,7 +71,7 @@ def error_per_step_figure(
     return figure
 
 
-def _lines(axes: Axes, channels: Sequence[ChannelSteps], floors: Mapping[str, float], factor: float) -> None:
+def _lines(axes: Axes, channels: Sequence[ChannelSteps], factor: float) -> None:
     """Draw the channels of one unit, those that changed with hue and name."""
     changed = [each for each in channels if each.changed][: len(HUES)]
     for each in sorted(channels, key=lambda each: each in changed):
@@ -86,8 +82,6 @@ def _lines(axes: Axes, channels: Sequence[ChannelSteps], floors: Mapping[str, fl
             continue
         places = np.arange(len(noise), dtype=float)
         axes.hlines(noise, places - _BAR, places + _BAR, hue, linewidth=2.2, alpha=0.55, zorder=2.5)
-        if each.channel in floors:
-            axes.axhline(floors[each.channel] * factor, color=hue, linewidth=0.8, linestyle=":")
     most = max(float(np.nanmax([*each.rms, *each.noise])) for each in channels) * factor
     axes.set(xlim=(-0.55, len(channels[0].rms) - 0.3), ylim=(0, 1.12 * most))
     for place in (0, len(channels[0].rms) - 1):

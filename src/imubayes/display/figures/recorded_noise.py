@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from imubayes.criticism.recorded_noise import NoiseComparison, RecordedNoise
+from imubayes.criticism.known_noise import KnownNoise
+from imubayes.criticism.noise_violation import NoiseComparison
 from imubayes.display.figures.panels import limit_of, thinned
 from imubayes.display.labels import shortened
 from imubayes.display.rounding import value_and_sd
@@ -27,15 +28,15 @@ _LEGEND, _MOST_CHANNELS = 2.05, 12
 
 
 @themed
-def recorded_noise_figure(record: RecordedNoise, signs: RunSigns | None = None) -> Picture:
+def recorded_noise_figure(record: KnownNoise, signs: RunSigns | None = None) -> Picture:
     """Return the rows of the channel that disagrees most, and the ratio of fitted to recorded noise of every channel.
 
     Parameters
     ----------
     record : with at least one comparison; of more than 12 channels the most deviating are shown.
     """
-    ranked = sorted(record.comparisons, key=lambda each: -abs(math.log(each.ratio)))
-    worst, shown = ranked[0], [each for each in record.comparisons if each in ranked[:_MOST_CHANNELS]]
+    ranked = sorted(record.of_rows, key=lambda each: -abs(math.log(each.ratio)))
+    worst, shown = ranked[0], [each for each in record.of_rows if each in ranked[:_MOST_CHANNELS]]
     here = record.channel == worst.channel
     runs, scatter = record.run[here], record.scatter[here]
     value, sd = value_and_sd(worst.ratio, worst.ratio_sd)

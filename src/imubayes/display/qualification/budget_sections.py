@@ -1,11 +1,12 @@
 """Section on uncertainty budgets: what contributes to each uncertainty, and what would narrow it first."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from imubayes.display.labels import pretty
 from imubayes.display.qualification.budget_drawings import bar_drawings, correlation_drawing
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
+from imubayes.display.qualification.words import MORE_DRAWS
 from imubayes.display.rounding import NO_NUMBER, significant
 from imubayes.display.run_design_words import run_design_text
 from imubayes.qualification.budget_record import (
@@ -59,7 +60,7 @@ def budget_section(report: QualificationReport) -> list[Block]:
     budgets = report.budgets
     if budgets is None:
         return []
-    shown = reported_budgets(report, budgets)
+    shown, withheld = reported_budgets(report, budgets), _withheld(report)
     found: list[Block] = [
         Heading("Uncertainty budgets"),
         Paragraph(_METHOD),
@@ -69,8 +70,8 @@ def budget_section(report: QualificationReport) -> list[Block]:
     bars = bar_drawings(shown)
     if bars is not None:
         found.append(bars)
-    found += _improvements(shown)
-    found += [_budget_table(each, place == 0) for place, each in enumerate(shown)]
+    found += _improvements(shown, withheld)
+    found += [_budget_table(each, place == 0, each.name in withheld) for place, each in enumerate(shown)]
     found.append(Heading("Correlations", 3))
     drawn = [each.name for each in shown][:_MOST_DRAWN]
     found.append(correlation_drawing(budgets.correlation, drawn))
@@ -86,6 +87,12 @@ def reported_budgets(report: QualificationReport, budgets: UncertaintyBudgets) -
     names += [each.name for each in report.combinations if each.standard]
     names += [each.name for each in report.thermal_linearity]
     return [known[name] for name in dict.fromkeys(names) if name in known]
+
+
+def _withheld(report: QualificationReport) -> set[str]:
+    """Return the quantities whose uncertainty no other page states."""
+    lines = (*report.results, *report.mounting_angles, *report.standards, *report.combinations)
+    return {line.name for line in (*lines, *report.thermal_linearity) if line.withheld is not None}
 
 
 def _scaled_text(budgets: UncertaintyBudgets) -> str:
@@ -136,14 +143,14 @@ def input_text(line: BudgetLine | HalvedInput) -> str:
             return f"{line.inputs} smaller" if isinstance(line, BudgetLine) else ""
 
 
-def _improvements(shown: Sequence[QuantityBudget]) -> list[Block]:
+def _improvements(shown: Sequence[QuantityBudget], withheld: Collection[str]) -> list[Block]:
     """Return what to improve first, and the runs that it names by letters."""
     texts = list(dict.fromkeys(run_text(each.next_run) for each in shown if each.next_run is not None))
     letters = {text: _letter(place) for place, text in enumerate(texts)}
     rows = [
         (
             Text(each.name),
-            Text(significant(each.standard_uncertainty, 2)),
+            Text("withheld" if each.name in withheld else significant(each.standard_uncertainty, 2)),
             Text(pretty(each.unit)),
             Text(input_text(each.halved[0]) if each.halved else NO_NUMBER),
             Text(_fall(each, each.halved[0].standard_uncertainty) if each.halved else NO_NUMBER),
@@ -172,7 +179,7 @@ def _letter(place: int) -> str:
     return "ABCDEFGHIJKLMNOPQRSTUVWXYZ"[place] if place < 26 else f"R{place + 1}"
 
 
-def _budget_table(budget: QuantityBudget, first: bool) -> ReportTable:
+def _budget_table(budget: QuantityBudget, first: bool, withheld: bool) -> ReportTable:
     lines = sorted(_grouped(budget.lines), key=lambda line: -line.share)
     large = [line for line in lines if line.kind != "small" and line.share >= _SHOWN_SHARE][:_MOST_LINES]
     rest = [line for line in lines if line not in large]
@@ -183,13 +190,7 @@ def _budget_table(budget: QuantityBudget, first: bool) -> ReportTable:
         count = sum(line.inputs for line in rest)
         rows.append(_cells(f"{count} smaller", contribution=contribution, share=share))
     rows.append(_cells("remainder", share=budget.remainder))
-    u, unit = significant(budget.standard_uncertainty, 2), pretty(budget.unit)
-    degrees = "= ∞" if budget.degrees_of_freedom is None else _degrees(budget.degrees_of_freedom)
-    degrees = degrees if degrees.startswith((">", "=")) else f"= {degrees}"
-    caption = (
-        f"{budget.name}: u = {u} {unit}, ν {degrees}, k = {budget.coverage_factor:.2f}, "
-        f"U = {significant(budget.expanded_uncertainty, 2)} {unit}"
-    )
+    caption = _caption(budget, withheld)
     head = ("contribution", "type", "source", "distribution", "u(x)", "unit", "c", "|c| u(x)", "share", "ν")
     note = (
         "Near zero inputs contribute through the components of the direction, and shares are of these."
@@ -198,6 +199,19 @@ def _budget_table(budget: QuantityBudget, first: bool) -> ReportTable:
     )
     return _without_empty_columns(
         ReportTable(caption, head, rows, (0, 1, 2, 3, 5), " ".join([_TABLE_NOTE if first else "", note]).strip())
+    )
+
+
+def _caption(budget: QuantityBudget, withheld: bool) -> str:
+    """Return what a budget is of, with u, k and U where they are stated."""
+    if withheld:
+        return f"{budget.name}: u, k and U withheld, as the draws leave no digit ({MORE_DRAWS})"
+    u, unit = significant(budget.standard_uncertainty, 2), pretty(budget.unit)
+    degrees = "= ∞" if budget.degrees_of_freedom is None else _degrees(budget.degrees_of_freedom)
+    degrees = degrees if degrees.startswith((">", "=")) else f"= {degrees}"
+    return (
+        f"{budget.name}: u = {u} {unit}, ν {degrees}, k = {budget.coverage_factor:.2f}, "
+        f"U = {significant(budget.expanded_uncertainty, 2)} {unit}"
     )
 
 

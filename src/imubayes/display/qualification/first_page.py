@@ -5,16 +5,19 @@ from collections.abc import Sequence
 from imubayes.display.labels import pretty
 from imubayes.display.qualification.document import Banner, ReportTable, Text
 from imubayes.display.qualification.words import (
+    NO_DECISION,
     OBSTACLES,
     OUTCOMES,
     VERDICTS,
+    beside,
     enumerated,
     limits_text,
     probability_text,
     risk_text,
     rule_text,
+    with_digits,
 )
-from imubayes.display.rounding import rounded, significant
+from imubayes.display.rounding import significant
 from imubayes.qualification.report_record import (
     Conformity,
     LimitOutcome,
@@ -43,8 +46,9 @@ def _sentence(found: Conformity) -> str:
         return f"The limits of the specification “{found.specification}” could not be judged: the fit did not converge."
     if found.outcome == "withheld" and found.obstacles:
         return f"{limits} The unit cannot pass, for the reasons below."
-    if found.outcome == "withheld":
-        return f"{limits} A probability that the rule needs is withheld."
+    for reason, why in NO_DECISION.items():
+        if undecided := [limit.name for limit in found.limits if limit.withheld == reason]:
+            limits += f" There is no decision on {enumerated(undecided, 4)}: {why}."
     conditional = sum(limit.outcome.startswith("conditional") for limit in found.limits)
     return limits + (f" {conditional} results are conditional: within U of the limit." if conditional else "")
 
@@ -101,15 +105,16 @@ def limits_table(limits: Sequence[LimitOutcome]) -> ReportTable:
     rows = []
     for limit in limits:
         word, mood = OUTCOMES[limit.outcome]
-        estimate, u = rounded((limit.estimate, limit.standard_uncertainty), limit.standard_uncertainty)
+        values = limit.estimate, limit.standard_uncertainty
+        estimate, u = with_digits(values, limit.standard_uncertainty, limit.monte_carlo)
         rows.append(
             (
                 Text(limit.name),
                 Text(f"{limits_text(limit)} {pretty(limit.unit)}"),
                 Text(_where(limit)),
-                Text(f"{estimate} ± {u}"),
+                Text(beside(estimate, u)),
                 probability_text(limit.conformance),
-                Text(word, mood),
+                Text(word if limit.withheld is None else f"{word}: {NO_DECISION[limit.withheld]}", mood),
             )
         )
     return ReportTable(

@@ -172,8 +172,8 @@ def _history(adequacy: Adequacy) -> list[Block]:
             )
         )  # fmt: skip
     note = (
-        "Each model below the one it was made from. Verdict: of the diagnosis that led to it. χ² of each model is at "
-        "the noise scales of its own fit. The more models were tried, the more of the agreement is selection."
+        "Each model below the one it was made from. Verdict: of the diagnosis that led to it. χ² is at the noise "
+        "known beforehand. The more models were tried, the more of the agreement is selection."
     )
     head = ("model", "verdict before", "χ²", "χ²/ν", "")
     return [ReportTable("Models tried", head, rows, (0, 1, 4), note)]

@@ -7,6 +7,7 @@ from imubayes.display.labels import pretty
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
 from imubayes.display.qualification.words import (
     WITHHELD_NUMBER,
+    beside,
     enumerated,
     interval_text,
     probability_text,
@@ -153,7 +154,7 @@ def mounting_section(angles: Sequence[MountingAngle]) -> list[Block]:
         "negative. "
         "Determined by: the procedure that alone would leave the smallest uncertainty, with that uncertainty, and how "
         "many times smaller it is with all runs together; a dash stands where the angle is not linear enough in the "
-        "parameters for a share by procedure."
+        f"parameters for a share by procedure. {WITHHELD_NUMBER}"
     )
     runs = [
         f"{mounting}: {enumerated(next(each.runs for each in angles if each.mounting == mounting))}"
@@ -249,7 +250,7 @@ def _delta_k_table(lines: Sequence[ThermalLinearity]) -> ReportTable:
     note = (
         "Δk: relative difference between the thermal slope of an input and that of the input nearest 1 g. Where "
         "Δk is probably below the threshold, the temperature line measured at 1 g stands for all inputs; where it is "
-        "above, each input needs its own line."
+        f"above, each input needs its own line. {WITHHELD_NUMBER}"
     )
     return ReportTable("Thermal linearity: Δk of each input", head, rows, (0, 1), note)
 
@@ -282,7 +283,7 @@ def axis_table(lines: Sequence[ResultLine]) -> ReportTable:
         estimate, u, _, _ = stated(line)
         channel = channel_of_component(line.name)
         assert channel is not None, line.name
-        cells.setdefault(channel, []).append(Text(f"{estimate} ± {u}" if u[0].isdigit() else estimate))
+        cells.setdefault(channel, []).append(Text(beside(estimate, u)))
     rows = [(Text(channel), *own) for channel, own in cells.items()]
     note = "Components of the unit vectors in body axes; their budgets are those of the misalignments."
     return ReportTable("Input axes (input_axis)", ("channel", "x", "y", "z"), rows, (0,), note)

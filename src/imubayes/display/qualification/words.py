@@ -8,8 +8,14 @@ from imubayes.display.qualification.document import Mood, Text
 from imubayes.display.rounding import NO_NUMBER, rounded, significant
 from imubayes.qualification.assess import Obstacle
 from imubayes.qualification.conformance import Withheld
-from imubayes.qualification.decision_rules import Outcome, RuleName
-from imubayes.qualification.report_record import LimitOutcome, Probability, ReportedEstimate
+from imubayes.qualification.decision_rules import NoDecision, Outcome, RuleName
+from imubayes.qualification.report_record import (
+    LimitOutcome,
+    MonteCarloError,
+    NumberWithheld,
+    Probability,
+    ReportedEstimate,
+)
 
 OUTCOMES: dict[Outcome, tuple[str, Mood]] = {
     "pass": ("PASS", "good"),
@@ -33,17 +39,26 @@ VERDICTS: dict[Verdict, str] = {
     "equivalent_effects": "inadequate: one of several effects, which these runs cannot distinguish, is missing",
     "unexplained_structure": "inadequate: residuals show structure that no effect of the catalogue explains",
     "noise_model": "inadequate: the noise is not what the model assumes",
+    "run_disagrees": "inadequate: one run does not agree with the others, and its record is to be checked",
     "undetectable": "undetectable: the runs cannot show the effect that was asked about",
     "not_converged": "none: the fit did not converge",
+}
+NO_DECISION: dict[NoDecision, str] = {
+    "probability": "a probability that the rule needs is withheld",
+    "not_determined": "less than half of the information came from the data",
 }
 WITHHELD: dict[Withheld, str] = {
     "disagreement": "withheld: the two methods disagree",
     "too_few_draws": "withheld: too few effective draws",
 }
+MORE_DRAWS = "imubayes fit … --until-digits 1"
 WITHHELD_NUMBER = (
-    "Withheld: twice the Monte Carlo error exceeds half a unit of the first digit of u (JCGM 101, 7.9); more draws are "
-    "needed (`imubayes fit --until-digits 1`)."
+    "Withheld: twice the Monte Carlo error exceeds half a unit of the first digit of u (JCGM 101, 7.9); so many times "
+    f"the draws are needed (`{MORE_DRAWS}`)."
 )
+_NO_POSTERIOR: dict[NumberWithheld, str] = {
+    "not_converged": "no convergence", "no_draws": "no draws", "monte_carlo_error": "too few draws",
+}  # fmt: skip
 _RULES: dict[RuleName, str] = {
     "simple_acceptance": "simple acceptance",
     "guard_band": "guard band",
@@ -71,23 +86,30 @@ def rule_text(limit: LimitOutcome) -> str:
 def stated(found: ReportedEstimate) -> tuple[str, str, str, str]:
     """Return estimate, standard uncertainty and both ends of the interval with the digits that they deserve."""
     if found.estimate is None or found.standard_uncertainty is None:
-        return NO_NUMBER, NO_NUMBER, NO_NUMBER, NO_NUMBER
+        return NO_NUMBER, _NO_POSTERIOR[found.withheld or "no_draws"], NO_NUMBER, NO_NUMBER
     if found.exact:
         return rounded((found.estimate,), None)[0], "0", "", ""
-    digits = found.monte_carlo.digits if found.monte_carlo is not None else 2
-    if digits == 0:
-        return "withheld", "withheld", "withheld", "withheld"
-    step = found.standard_uncertainty * (1 if digits == 2 else 10)
-    estimate, u, low, high = rounded((found.estimate, found.standard_uncertainty, found.low, found.high), step)
+    values = (found.estimate, found.standard_uncertainty, found.low, found.high)
+    estimate, u, low, high = with_digits(values, found.standard_uncertainty, found.monte_carlo)
     return estimate, u, low, high
+
+
+def beside(estimate: str, u: str) -> str:
+    """Return an estimate with its uncertainty, or why they are withheld."""
+    return f"{estimate} ± {u}" if u[0].isdigit() else f"{estimate}: {u}"
+
+
+def with_digits(values: tuple[float | None, ...], uncertainty: float, error: MonteCarloError | None) -> tuple[str, ...]:
+    """Return numbers, u the second of them, with the digits that u deserves; or that they are withheld, and why."""
+    if error is not None and error.digits == 0:
+        return "withheld", f"needs {significant(error.draws_needed, 2)} × the draws", *(MORE_DRAWS for _ in values[2:])
+    return tuple(rounded(values, uncertainty * (1 if error is None or error.digits == 2 else 10)))
 
 
 def interval_text(found: ReportedEstimate) -> str:
     """Return the coverage interval; empty for an exact quantity."""
     _, _, low, high = stated(found)
-    if low == "withheld" or not low:
-        return low
-    return f"{low} … {high}"
+    return low if found.withheld is not None or not low else f"{low} … {high}"
 
 
 def probability_text(found: Probability | None) -> Text:

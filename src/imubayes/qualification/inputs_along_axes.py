@@ -1,11 +1,13 @@
 """Readings of a calibrated unit, and the temperature of its converter, turned into inputs with uncertainty.
 
-The fitted model is inverted at draws of its posterior: the mean over the draws is the input, their standard deviation
-the uncertainty of the calibration, in which the correlations of all parameters are contained.
+The fitted model is inverted at draws of its posterior: the mean over the draws is the input along the axis of a
+channel, their standard deviation the uncertainty of the calibration, in which the correlations of all parameters are
+contained.  So is the offset that a recording may have of its own, and what effects of the model do that depend on what
+a single channel does not tell: the input across its axis, or that of the other kind of sensor.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,17 +22,20 @@ from imubayes.covariates import COVARIATES, REFERENCE_TEMPERATURE
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.inference.fitted_model import Fit
 from imubayes.kept_programs import kept
-from imubayes.model.bind import Model
-from imubayes.model.inverse_response import Conditions, inputs_of
+from imubayes.model.inverse_response import inputs_of
 from imubayes.model.problem import Problem, values_of
-from imubayes.model.sensitive_axes import SensitivityInputs
+from imubayes.model.sensitive_axes import SensitivityInputs, acting_on
+from imubayes.qualification.correct_recording import left_in_sd, needed_temperatures
+from imubayes.qualification.onboard_record import UnexpressedEffect
+from imubayes.qualification.reading_noise import reading_noise
+from imubayes.qualification.sensor_posterior import TEMPERATURES, sensor_posterior, temperature_ranges
+from imubayes.qualification.unexpressed_effects import Acting, input_ranges, uncorrected_effects
 from imubayes.results.posterior_draws import complete, draws_of, thinned
 from imubayes.results.result import Result
 from imubayes.units import to_si
 
 _MOST_DRAWS = 200
 _ROWS_AT_ONCE = 500
-_TEMPERATURES = ("temperature", "converter_temperature")
 
 
 @dataclass(frozen=True)
@@ -41,14 +46,21 @@ class CalibratedInputs:
     ----------
     table : the readings, and for each channel its input, the standard uncertainty of the calibration, and that of the
         row: with the white noise of its samples.  In the input unit of the channel, named in the column.
-    notes : what was assumed, one sentence each.
+    beyond : temperature → rows outside its calibrated range.
+    ranges : temperature → calibrated range, °C.
+    left_in : effects that are not taken out; what they may do is in both uncertainties.
     """
 
     table: pl.DataFrame
-    notes: tuple[str, ...] = ()
+    beyond: Mapping[str, int]
+    ranges: Mapping[str, tuple[float, float]]
+    left_in: tuple[UnexpressedEffect, ...]
 
 
-def apply_calibration(result: Result, readings: pl.DataFrame, where: str = "readings") -> CalibratedInputs:
+def inputs_along_axes(
+    result: Result, readings: pl.DataFrame, where: str = "readings", *,
+    temperatures: Mapping[str, float] | None = None, nothing_across: bool = False,
+) -> CalibratedInputs:  # fmt: skip
     """Return the inputs of a calibrated unit from its outputs.
 
     Parameters
@@ -57,6 +69,9 @@ def apply_calibration(result: Result, readings: pl.DataFrame, where: str = "read
     readings : a column per channel in output units; `converter_temperature_degC` and `temperature_degC` where the model
         depends on them; `samples` where rows are means.
     where : place of the readings, for errors.
+    temperatures : temperature → value for all rows, where no column gives it, °C.
+    nothing_across : whether there was no input across the axes; else there may have been one within the range of the
+        runs that were fitted.
 
     Raises
     ------
@@ -66,23 +81,51 @@ def apply_calibration(result: Result, readings: pl.DataFrame, where: str = "read
     fit = result.fit
     campaign = fit.model.campaign
     channels = [channel for channel in campaign.channels if channel.name in readings.columns]
-    _check(readings, campaign, channels, fit.model, where)
-    points = _draws(result)
-    temperatures, notes = _temperatures(readings, campaign)
+    stated = {COVARIATES[name].column: value for name, value in (temperatures or {}).items()}
+    readings = readings.with_columns(
+        pl.lit(value).alias(name) for name, value in stated.items() if name not in readings.columns
+    )
+    _check(readings, campaign, channels, needed_temperatures(result, channels), where)
+    ranges = temperature_ranges(campaign)
+    felt, beyond = _temperatures(readings, ranges)
     outputs = {
         kind: np.stack([_numbers(readings, channel.name, 0.0) for channel in campaign.of_kind(kind)], axis=1)
         for kind in fit.derived.derivation.inputs.channels
     }
-    mean, spread = _inverted(fit, points, outputs, temperatures)
+    mean, spread = _inverted(fit, _draws(result), outputs, felt)
     samples = _numbers(readings, "samples", 1.0)
+    left_in = effects_left_in(result, channels, nothing_across)
+    noise = reading_noise(result, channels)
     sigmas = {parameter.name: parameter.mean or 0.0 for parameter in result.summary.parameters}
     columns: list[pl.Series] = []
     for channel in channels:
-        place = campaign.of_kind(channel.kind).index(channel)
-        white = sigmas.get(f"white_noise.sigma[{channel.name}]", 0.0) / abs(channel.scale_si) / np.sqrt(samples)
-        found, own = mean[channel.kind][:, place], spread[channel.kind][:, place]
+        place, scale = campaign.of_kind(channel.kind).index(channel), abs(channel.scale_si)
+        white = sigmas.get(f"white_noise.sigma[{channel.name}]", 0.0) / scale / np.sqrt(samples)
+        shared = math.hypot(noise.run_sd[channel.name], left_in_sd(left_in, channel)) / scale
+        found, own = mean[channel.kind][:, place], np.hypot(spread[channel.kind][:, place], shared)
         columns += _columns(channel, campaign.site.gravity, found, own, white)
-    return CalibratedInputs(readings.with_columns(columns), tuple(notes))
+    return CalibratedInputs(readings.with_columns(columns), beyond, ranges, left_in)
+
+
+def effects_left_in(result: Result, channels: Sequence[Channel], nothing_across: bool) -> tuple[UnexpressedEffect, ...]:
+    """Return the effects on channels that their own inputs do not tell."""
+    posterior = sensor_posterior(result)
+
+    def known(everything: Acting) -> Acting:
+        found = {}
+        for kind, each in everything.items():
+            own = np.asarray(each.rate if kind == "gyro" else each.force)
+            if not nothing_across:
+                axes = np.stack([channel.axes[0] for channel in posterior.campaign.of_kind(kind)])
+                own = np.sum(own * axes, axis=2, keepdims=True) * axes
+            zero = np.zeros_like(own)
+            found[kind] = acting_on(*((own, zero) if kind == "gyro" else (zero, own)))
+        return found
+
+    names = {channel.name for channel in channels}
+    campaign = posterior.campaign
+    found = uncorrected_effects(result, posterior, known, input_ranges(campaign), temperature_ranges(campaign))
+    return tuple(each for each in found if names & set(each.channels))
 
 
 def _columns(
@@ -91,7 +134,7 @@ def _columns(
     """Return the columns of one channel, in its input unit."""
     factor, unit = to_si(channel.per, gravity), channel.per.replace("^", "").replace("/", "_")
     values = {"": found, "_calibration_sd": calibration, "_sd": np.hypot(calibration, noise)}
-    return [pl.Series(f"{channel.name}{name}_{unit}", each / factor) for name, each in values.items()]
+    return [pl.Series(f"{channel.name}{n}_{unit}", each / factor, nan_to_null=True) for n, each in values.items()]
 
 
 def read_readings(file: Path) -> pl.DataFrame:
@@ -117,9 +160,11 @@ def _numbers(readings: pl.DataFrame, name: str, otherwise: float) -> np.ndarray:
     return readings[name].cast(pl.Float64).to_numpy() if given else np.full(readings.height, otherwise)
 
 
-def _check(readings: pl.DataFrame, campaign: Campaign, channels: Sequence[Channel], model: Model, where: str) -> None:
+def _check(
+    readings: pl.DataFrame, campaign: Campaign, channels: Sequence[Channel], needed: Sequence[str], where: str
+) -> None:
     """Raise InputError with everything that is wrong with the columns of readings."""
-    issues = [*_missing(readings, model, where), *_not_numeric(readings, channels, where)]
+    issues = [*_missing(readings, needed, where), *_not_numeric(readings, channels, where)]
     if not channels:
         names = [channel.name for channel in campaign.channels if channel.kind != "angle"]
         allowed = closest_first(next(iter(readings.columns), ""), names)
@@ -128,23 +173,20 @@ def _check(readings: pl.DataFrame, campaign: Campaign, channels: Sequence[Channe
         raise InputError(issues)
 
 
-def _missing(readings: pl.DataFrame, model: Model, where: str) -> list[Issue]:
-    """Return an issue for every temperature that the model depends on and the readings lack."""
-    needed = {need for effect in model.assembly.effects for need in effect.effect_class.needs}
+def _missing(readings: pl.DataFrame, needed: Sequence[str], where: str) -> list[Issue]:
+    """Return an issue for every temperature that the channels depend on and the readings lack."""
     return [
         Issue(
             f"the model depends on the {name.replace('_', ' ')}, which is not given",
-            f"{where}, header",
-            f"a column '{COVARIATES[name].column}'",
-            "add the column",
+            f"{where}, header", f"a column '{COVARIATES[name].column}'",
+            f"add the column, or state one value with --{name.replace('_', '-')}",
         )
-        for name in _TEMPERATURES
-        if name in needed and COVARIATES[name].column not in readings.columns
-    ]
+        for name in needed if COVARIATES[name].column not in readings.columns
+    ]  # fmt: skip
 
 
 def _not_numeric(readings: pl.DataFrame, channels: Sequence[Channel], where: str) -> list[Issue]:
-    used = [*(channel.name for channel in channels), "samples", *(COVARIATES[name].column for name in _TEMPERATURES)]
+    used = [*(channel.name for channel in channels), "samples", *(COVARIATES[name].column for name in TEMPERATURES)]
     return [
         Issue(f"column '{name}' is not numeric", f"{where}, column '{name}'", "numbers in every row", "correct it")
         for name in used
@@ -152,23 +194,15 @@ def _not_numeric(readings: pl.DataFrame, channels: Sequence[Channel], where: str
     ]
 
 
-def _temperatures(readings: pl.DataFrame, campaign: Campaign) -> tuple[np.ndarray, list[str]]:
-    """Return the temperatures of sensor and converter, shape (R, 2), and what to know of them."""
-    found, notes = [], []
-    for name in _TEMPERATURES:
-        column = COVARIATES[name].column
-        if column not in readings.columns:
-            found.append(np.full(readings.height, REFERENCE_TEMPERATURE))
-            continue
-        values = readings[column].cast(pl.Float64).to_numpy()
-        known = [run.covariates[name] for run in campaign.runs if name in run.covariates]
-        if known and len(values):
-            low, high = (float(each(np.concatenate(known))) for each in (np.min, np.max))
-            beyond = int(np.sum((values < low) | (values > high)))
-            if beyond:
-                notes.append(f"{beyond} rows are outside the calibrated range of {column}, {low:.4g} … {high:.4g} °C")
-        found.append(values)
-    return np.stack(found, axis=1), notes
+def _temperatures(readings: pl.DataFrame, ranges: dict[str, tuple[float, float]]) -> tuple[np.ndarray, dict[str, int]]:
+    """Return the temperatures of sensor and converter, shape (R, 2), and the rows in which one is beyond its range."""
+    found = [_numbers(readings, COVARIATES[name].column, REFERENCE_TEMPERATURE) for name in TEMPERATURES]
+    beyond = {}
+    for name, values in zip(TEMPERATURES, found, strict=True):
+        if name in ranges and COVARIATES[name].column in readings.columns:
+            low, high = ranges[name]
+            beyond[name] = int(np.sum((values < low) | (values > high)))
+    return np.stack(found, axis=1), beyond
 
 
 def _draws(result: Result) -> np.ndarray:
@@ -193,7 +227,8 @@ def _invert(
     values = jax.vmap(lambda z: values_of(problem, z))(points)
 
     def of_row(row, at):
-        return jax.vmap(lambda each: inputs_of(inputs, each, row, Conditions(at[0], at[1])))(values)
+        ambient = {"temperature": at[0], "converter_temperature": at[1]}
+        return jax.vmap(lambda each: inputs_of(inputs, each, row, ambient))(values)
 
     found = jax.vmap(of_row)(outputs, temperatures)
     return jax.tree.map(lambda each: each.mean(axis=1), found), jax.tree.map(lambda each: each.std(axis=1), found)

@@ -53,8 +53,8 @@ def test_the_row_has_the_noise_of_its_samples(result):
 
 
 def test_temperatures_beyond_the_calibration_are_noted(result):
-    assert apply(result, readings(np.ones(2), np.array([25.0, 80.0]))).notes
-    assert not apply(result, readings(np.ones(2), np.array([25.0, 26.0]))).notes
+    assert apply(result, readings(np.ones(2), np.array([25.0, 80.0]))).beyond == {"converter_temperature": 1}
+    assert apply(result, readings(np.ones(2), np.array([25.0, 26.0]))).beyond == {"converter_temperature": 0}
 
 
 def test_bad_readings_are_refused(result, tmp_path):

@@ -1,0 +1,174 @@
+"""One row of a run whose angle or rate of the table is not the recorded one: every channel is off as that predicts.
+
+The row is predicted from all others by the linear model of plausible errors, without the row.  How well rows are
+predicted the other rows show, so that no size of errors has to be assumed: a row is told where it stands out from
+everything else that the linear model leaves out, and another angle or rate brings it back in line.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imubayes.campaign.setup_gate.evidence import ErrorModel, total
+from imubayes.campaign.setup_gate.mistakes import has_angles
+from imubayes.campaign.setup_gate.run_view import RunView, views_of
+from imubayes.campaign_data import Campaign
+
+STANDS_OUT = 5.0
+"""How many times as far off as the next a row has to be: what a linear model leaves out grows toward the largest
+inputs, and several rows have these."""
+LEAST_SD = 10.0
+"""How many standard deviations of the other rows it has to be off, at least."""
+LEFT = 0.2
+"""Share of its error that the other angle or rate may leave."""
+LEAST_ANGLE, LEAST_RATE = np.radians(0.5), 0.02
+"""Errors that are told: of an angle, rad, and of a rate over the largest one of the run.  Smaller ones are the business
+of a diagnosis, at the noise of the unit."""
+MOST_ROWS = 3
+_STEPS = 5
+_NORMAL_MAD = 0.6745
+_STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class WrongRow:
+    """A row whose column `angle` or `rate` of the table does not agree with its outputs.
+
+    Attributes
+    ----------
+    run, row : name of the run, and place of the row from 0.
+    recorded, agreeing, sd : of that column, rad or rad/s, the last from the scatter of the other rows.
+    distance : of its outputs from the prediction, in standard deviations of the other rows.
+    column : of the view.
+    """
+
+    run: str
+    row: int
+    column: str
+    recorded: float
+    agreeing: float
+    sd: float
+    distance: float
+
+
+def wrong_rows(campaign: Campaign) -> list[WrongRow]:
+    """Return the rows whose angle or rate is wrong by far."""
+    views, found = list(views_of(campaign)), []
+    several = [place for place, view in enumerate(views) if view.rows > 2]
+    if not several or sum(view.rows for view in views) < 2 * LEAST_SD:
+        return []
+    model = ErrorModel(campaign)
+    while len(found) < MOST_ROWS:
+        one = _wrong_row(model, views)
+        if one is None:
+            break
+        place = next(k for k, view in enumerate(views) if view.name == one.run)
+        found.append(one)
+        views[place] = _set(views[place], one.column, one.row, one.agreeing)
+    return found
+
+
+def with_rows(campaign: Campaign, rows: Sequence[WrongRow]) -> Campaign:
+    """Return the campaign with the agreeing values in place of those recorded."""
+    runs = list(campaign.runs)
+    for each in rows:
+        place = next(k for k, run in enumerate(runs) if run.name == each.run)
+        name = f"table_{each.column}"
+        values = runs[place].covariates[name].copy()
+        values[each.row] = each.agreeing
+        runs[place] = replace(runs[place], covariates={**runs[place].covariates, name: values})
+    return replace(campaign, runs=tuple(runs)) if rows else campaign
+
+
+def _wrong_row(model: ErrorModel, views: Sequence[RunView]) -> WrongRow | None:
+    apart, _ = _judged(model, views, views)
+    place = max(range(len(apart)), key=lambda k: float(apart[k].max(initial=0.0)))
+    row = int(np.argmax(apart[place]))
+    without = list(views)
+    observed = views[place].observed.copy()
+    observed[row] = np.nan
+    without[place] = replace(views[place], observed=observed)
+    apart, error = _judged(model, without, views)
+    size = float(apart[place][row])
+    apart[place][row] = 0.0
+    if size < max(LEAST_SD, STANDS_OUT * max(float(each.max(initial=0.0)) for each in apart)):
+        return None
+    found = [each for column in _columns(views[place]) if (each := _better(views, place, row, column, size, error))]
+    return min(found, key=lambda each: each[0])[1] if found else None
+
+
+def _columns(view: RunView) -> Iterator[str]:
+    if view.outer is None and view.table is not None:
+        if has_angles(view):
+            yield "angle"
+        # What is wrong in the only row that turns is wrong in the run: its sense, its unit, or a scale factor.
+        if np.sum(np.abs(view.rate) > LEAST_RATE * np.abs(view.rate).max()) > 2:
+            yield "rate"
+
+
+def _better(
+    views: Sequence[RunView],
+    place: int,
+    row: int,
+    column: str,
+    size: float,
+    error: Callable[[int, RunView], np.ndarray],
+) -> tuple[float, WrongRow] | None:
+    """Return the other value of a column in a row, with what is left of its error; None where none brings it in line.
+
+    Parameters
+    ----------
+    size : error of the row as recorded.
+    error : place and view → errors of the outputs of the run less the prediction, over their scatter, (K, R).
+    """
+    view = views[place]
+    recorded = float(getattr(view, column)[row])
+    if not np.isfinite(recorded):
+        return None
+    least = LEAST_ANGLE if column == "angle" else LEAST_RATE * float(np.abs(view.rate).max())
+    step = _STEP * (1.0 if column == "angle" else float(np.abs(view.rate).max()))
+    value, sd = recorded, np.inf
+    for _ in range(_STEPS):
+        at, ahead = (error(place, _set(view, column, row, one))[:, row] for one in (value, value + step))
+        rate = (ahead - at) / step
+        if not rate @ rate > 0:
+            return None
+        value, sd = value - float(rate @ at / (rate @ rate)), float(1 / np.sqrt(rate @ rate))
+    left = float(np.sqrt(np.mean(error(place, _set(view, column, row, value))[:, row] ** 2)))
+    far = abs(value - recorded) > least and (column != "angle" or abs(value - recorded) < np.pi)
+    if not far or left > max(LEFT * size, 3.0):
+        return None
+    return left, WrongRow(view.name, row, column, recorded, value, sd, size)
+
+
+def _set(view: RunView, column: str, row: int, value: float) -> RunView:
+    values = getattr(view, column).copy()
+    values[row] = value
+    return replace(view, angle=values) if column == "angle" else replace(view, rate=values)
+
+
+def _judged(
+    model: ErrorModel, fitted: Sequence[RunView], views: Sequence[RunView]
+) -> tuple[list[np.ndarray], Callable[[int, RunView], np.ndarray]]:
+    """Return the distance of every row from its prediction by `fitted`, (R,) a run, and the errors behind it."""
+    errors = model.estimates(total([model.terms(view) for view in fitted]))
+    own = errors[: model.own * len(model.channels)].reshape(-1, model.own)
+
+    def left(view: RunView) -> np.ndarray:
+        seen = model.seen(view).without_shared(errors)
+        made = (seen.design[:, :, : model.own] @ own[:, :, None])[:, :, 0]
+        return np.where(seen.there, seen.error - made, np.nan)
+
+    offsets = [np.nanmedian(left(view), axis=1, keepdims=True) for view in fitted]
+    every = np.concatenate([left(view) - offset for view, offset in zip(fitted, offsets, strict=True)], axis=1)
+    white = np.concatenate([model.seen(view).white for view in fitted], axis=1)
+    scatter = np.nanmedian(np.abs(every), axis=1, keepdims=True) / _NORMAL_MAD
+    scatter = np.maximum(scatter, np.sqrt(np.median(white, axis=1, keepdims=True)))
+    scatter = np.where(scatter > 0, scatter, np.inf)
+
+    def error(place: int, view: RunView) -> np.ndarray:
+        return np.nan_to_num((left(view) - offsets[place]) / scatter)
+
+    apart = [np.sqrt(np.mean(error(place, view) ** 2, axis=0)) for place, view in enumerate(views)]
+    return apart, error

@@ -1,0 +1,228 @@
+"""A fit judged at the noise that was known before it: what the runs and rows say of one another, in closed form.
+
+A fit adapts its noise scales to whatever the model lacks: a run whose recorded input is wrong becomes scatter between
+runs, a row becomes a heavy tail, and no residual is left that would tell.  Here white noise is that of the raw samples
+within rows, and a scatter between runs is no larger than its prior says.  About a point the model is linear,
+y = f + J t + e, and every question is least squares with the priors as further rows:
+
+- *deletion*: the χ² that rows G add to all others, q = vᵀ(M_GG)⁻¹v with M = Σ⁻¹ − Σ⁻¹J A⁻¹JᵀΣ⁻¹, A the precision of t
+  and v = M(y − f) in G: the square of what the others predict wrongly, in units of noise and prediction (Cook and
+  Weisberg, Residuals and Influence in Regression, 1982);
+- *score*: the drop of χ² by a further response g, (gᵀv)²/(gᵀMg), at the size gᵀv/(gᵀMg).
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+
+from imubayes.inference.posterior_precision import linearise
+from imubayes.kept_programs import kept
+from imubayes.model.bind import Model
+from imubayes.model.noise_covariance import inverse_covariance, whitener
+from imubayes.model.problem import Problem, prior_widths
+
+# Columns that are divided by the covariance at once, so that one compiled program serves all.
+_AT_ONCE = 16
+# Fewer degrees of freedom of a channel do not tell its noise.
+_LEAST_FREEDOM = 5.0
+# A direction of which the parameters leave less than this share is theirs.
+_LEAST_RETAINED = 1e-6
+
+
+@dataclass(frozen=True)
+class EntryPlaces:
+    """Run, row and channel of each entry, (E,)."""
+
+    run: np.ndarray
+    row: np.ndarray
+    channel: np.ndarray
+
+
+@dataclass(frozen=True)
+class Score:
+    """The drop of χ² by some responses, their sizes (d,) with covariance (d, d), and the directions resolved."""
+
+    drop: float
+    size: np.ndarray
+    covariance: np.ndarray
+    freedom: int
+
+
+@dataclass(frozen=True)
+class LinearFit:
+    """The model linearised, at given noise.
+
+    Attributes
+    ----------
+    jacobian, misfit : shapes (E, P) and (E,).
+    weighted, pulled, diagonal : Σ⁻¹J, Σ⁻¹ misfit and the diagonal of Σ⁻¹; entries of different runs or channels are
+        independent.
+    precision, centre : of the priors, (P,), the centre less the point of linearisation.
+    at : run, row and channel of each entry.
+    weight : shape (E,), factor on Σ⁻¹, the same in all rows of a run and channel; 0 leaves out.
+    """
+
+    jacobian: np.ndarray
+    misfit: np.ndarray
+    weighted: np.ndarray
+    pulled: np.ndarray
+    diagonal: np.ndarray
+    precision: np.ndarray
+    centre: np.ndarray
+    at: EntryPlaces
+    weight: np.ndarray
+
+    @cached_property
+    def lower(self) -> np.ndarray:
+        """Cholesky factor of the precision of all parameters, (P, P)."""
+        found = self.jacobian.T @ (self.weight[:, None] * self.weighted)
+        return np.linalg.cholesky(0.5 * (found + found.T) + np.diag(self.precision))
+
+    @cached_property
+    def shift(self) -> np.ndarray:
+        """The parameters of least χ² less the point of linearisation, (P,)."""
+        pull = self.weighted.T @ (self.weight * self.misfit) + self.precision * self.centre
+        return scipy.linalg.cho_solve((self.lower, True), pull)
+
+    @cached_property
+    def influence(self) -> np.ndarray:
+        """Return v = M(y − f), (E,), as if every entry counted."""
+        return self.pulled - self.weighted @ self.shift
+
+    @cached_property
+    def chi2_of_entries(self) -> np.ndarray:
+        """What each entry adds to χ², (E,); the sums over a run and channel alone have a meaning."""
+        return self.weight * (self.misfit - self.jacobian @ self.shift) * self.influence
+
+    @cached_property
+    def chi2(self) -> float:
+        """The least χ², priors included."""
+        priors = self.precision @ (self.shift - self.centre) ** 2
+        return float(self.chi2_of_entries.sum() + priors)
+
+    @cached_property
+    def _half(self) -> np.ndarray:
+        """Σ⁻¹J L⁻ᵀ with L Lᵀ the precision, (E, P)."""
+        return scipy.linalg.solve_triangular(self.lower, self.weighted.T, lower=True).T
+
+    def noise_ratios(self, kept: np.ndarray) -> np.ndarray:
+        """Return χ² over degrees of freedom of each channel among entries kept, (E,) bool, at least 1; at entries."""
+        used, ratios = kept & (self.weight > 0), np.ones(len(kept))
+        plain = np.where(used, self.chi2_of_entries / np.where(self.weight > 0, self.weight, 1.0), 0.0)
+        freedom = self.freedom(used)
+        whole = plain.sum() / max(freedom.sum(), _LEAST_FREEDOM)
+        for channel in np.unique(self.at.channel):
+            own = self.at.channel == channel
+            few = freedom[own].sum() < _LEAST_FREEDOM
+            ratios[own] = max(1.0, whole if few else plain[own].sum() / freedom[own].sum())
+        return ratios
+
+    def freedom(self, used: np.ndarray) -> np.ndarray:
+        """Return the degrees of freedom left of each entry, (E,), by the parameters; 0 where not used, (E,) bool."""
+        leverage = np.sum(scipy.linalg.solve_triangular(self.lower, self.jacobian.T, lower=True).T * self._half, axis=1)
+        return np.where(used, 1 - self.weight * leverage, 0.0)
+
+    def weighted_by(self, weight: np.ndarray) -> "LinearFit":
+        """Return the fit with other factors on Σ⁻¹."""
+        return replace(self, weight=weight)
+
+    def without_run(self, run: int) -> "LinearFit":
+        """Return the fit to all other runs, each channel at the noise that they show if that is larger."""
+        others = self.weighted_by((self.at.run != run).astype(float))
+        return others.weighted_by(others.weight / others.noise_ratios(others.weight > 0))
+
+    def score(self, columns: np.ndarray, divided: np.ndarray, tied: np.ndarray | None = None) -> Score:
+        """Return what responses (E, d) explain; `divided` are Σ⁻¹ times them.
+
+        Parameters
+        ----------
+        tied : precision of the prior of each size, (d,), about zero; none by default.
+        """
+        divided = self.weight[:, None] * divided
+        across = scipy.linalg.solve_triangular(
+            self.lower, self.jacobian.T @ divided, lower=True, check_finite=False
+        )  # fmt: skip
+        pull = divided.T @ (self.misfit - self.jacobian @ self.shift)
+        whole = columns.T @ divided
+        left = whole - across.T @ across + (np.diag(tied) if tied is not None else 0.0)
+        size = np.sqrt(np.maximum(np.diag(whole), np.finfo(float).tiny))
+        squares, axes = np.linalg.eigh(left / np.outer(size, size))
+        told = squares > _LEAST_RETAINED
+        inverse = (axes[:, told] / squares[told]) @ axes[:, told].T / np.outer(size, size)
+        found = inverse @ pull
+        return Score(float(pull @ found), found, inverse, int(told.sum()))
+
+    def row_deletions(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the χ² that each row adds to all others, and the number of its entries; shapes (rows,).
+
+        Parameters
+        ----------
+        rows : number of the row of each entry, shape (E,), −1 for none; the entries of a row are independent.
+        """
+        told = np.flatnonzero(rows >= 0)
+        order = told[np.argsort(rows[told], kind="stable")]
+        sizes = np.bincount(rows[told])
+        firsts = np.cumsum(sizes) - sizes
+        chi2 = np.zeros(len(sizes))
+        for size in np.unique(sizes[sizes > 0]):
+            at = np.flatnonzero(sizes == size)
+            own = order[firsts[at][:, None] + np.arange(size)]
+            half = self._half[own]
+            left = (self.diagonal[own])[:, :, None] * np.eye(size) - half @ half.swapaxes(1, 2)
+            pull = self.influence[own]
+            chi2[at] = np.sum(pull * np.linalg.solve(left, pull[:, :, None])[:, :, 0], axis=1)
+        return chi2, sizes
+
+    def row_scores(self, columns: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the drops of χ² by the part of a response, (E,), in each row alone, and the sizes; shapes (rows,).
+
+        Parameters
+        ----------
+        rows : number of the row of each entry, shape (E,), −1 for none.
+        """
+        own = np.flatnonzero(rows >= 0)
+        rows, columns, weight = rows[own], columns[own], self.weight[own]
+        count = rows.max(initial=-1) + 1
+        through = np.zeros((count, self._half.shape[1]))
+        np.add.at(through, rows, (weight * columns)[:, None] * self._half[own])
+        pull = np.bincount(rows, weight * columns * self.influence[own], count)
+        whole = np.bincount(rows, weight * columns**2 * self.diagonal[own], count)
+        left = whole - np.sum(through**2, axis=1)
+        told = left > _LEAST_RETAINED * whole
+        safe = np.where(told, left, 1.0)
+        return np.where(told, pull**2 / safe, 0.0), np.where(told, pull / safe, 0.0)
+
+
+def linear_fit(model: Model, problem: Problem, z: np.ndarray, h: np.ndarray) -> LinearFit:
+    """Return a problem of a model linearised about parameters z at noise scales h."""
+    about = linearise(problem, jnp.asarray(z))
+    jacobian, misfit = np.asarray(about.jacobian), np.asarray(about.misfit)
+    divided = divide(problem, h, np.column_stack([misfit, jacobian]))
+    _, diagonal = _inverse(problem, jnp.asarray(h), np.zeros((_AT_ONCE, len(misfit))))
+    entries = model.entries
+    return LinearFit(
+        jacobian=jacobian, misfit=misfit, weighted=divided[:, 1:], pulled=divided[:, 0],
+        diagonal=np.asarray(diagonal)[0],
+        precision=np.asarray(prior_widths(problem, jnp.asarray(h))) ** -2.0, centre=-np.asarray(z),
+        at=EntryPlaces(entries.run, np.where(entries.closing, -1, entries.row), entries.channel),
+        weight=np.asarray(problem.observations.weight),
+    )  # fmt: skip
+
+
+def divide(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return Σ(h)⁻¹ times columns (E, C)."""
+    count = columns.shape[1]
+    padded = np.zeros((-(-count // _AT_ONCE) * _AT_ONCE, len(columns)))
+    padded[:count] = columns.T
+    parts = np.split(padded, max(len(padded) // _AT_ONCE, 1))
+    return np.concatenate([np.asarray(_inverse(problem, jnp.asarray(h), each)[0]) for each in parts])[:count].T
+
+
+@kept
+def _inverse(problem: Problem, h, columns):
+    by = whitener(problem, h)
+    return jax.vmap(lambda column: inverse_covariance(problem, by, column))(columns)

@@ -1,0 +1,124 @@
+"""χ² and residuals at the noise known beforehand, so that what noise absorbed is seen again.
+
+A scale of the noise that takes up a missing effect leaves χ² at its degrees of freedom, and the offset of a run that
+grows takes up what differs between runs.  At scales that do not depend on the fit
+(`imubayes.criticism.known_noise.known_scales`) neither can happen: the least sum of squares of outputs and priors,
+
+    min_z |Σ^(−½) (y − f(z))|² + |z|²,
+
+has as many degrees of freedom as there are outputs, and never rises with an effect that is added.  The offset of a run
+is counted with the scatter that is known, and remains in the residual.  Diagnosis, addition and history state this one
+figure.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.campaign_data import INPUT_UNIT
+from imubayes.criticism import thresholds
+from imubayes.criticism.known_noise import known_scales
+from imubayes.criticism.model_history import ChannelRms, KnownNoiseFit
+from imubayes.group_means import group_means
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.posterior_mode import fit_at
+from imubayes.inference.posterior_precision import Linearised, linearise
+from imubayes.kept_programs import kept
+from imubayes.model.bind import Model
+from imubayes.model.noise_covariance import noise_deviation, whiten, whitener
+from imubayes.model.problem import Problem, prior_widths
+from imubayes.model.robust_likelihood import pseudo_values
+from imubayes.units import to_si
+
+
+@dataclass(frozen=True)
+class KnownNoisePoint:
+    """A model linearised, with its noise at known scales, and fitted there.
+
+    Attributes
+    ----------
+    model, h : whose noise scales are h.
+    misfit : shape (E,), in output units, at the least squares.
+    jacobian : shape (E, P).
+    basis, upper : shapes (E + P, P) and (P, P), QR of the whitened Jacobian with the rows of the priors.
+    left : shape (E + P,), whitened residual at the least squares, the rows of the priors last.
+    """
+
+    model: Model
+    h: np.ndarray
+    misfit: np.ndarray
+    jacobian: np.ndarray
+    basis: np.ndarray
+    upper: np.ndarray
+    left: np.ndarray
+
+    def with_columns(self, columns: np.ndarray) -> "KnownNoisePoint":
+        """Return the same with further responses (E, C) fitted, without a prior."""
+        white = np.asarray(_whitened(self.model.problem, self.h, columns))
+        fresh = np.concatenate([white, np.zeros((len(self.left) - len(white), columns.shape[1]))])
+        absorbed = self.basis.T @ fresh
+        across = fresh - self.basis @ absorbed
+        # Columns are of one length for the least squares, whatever their units.
+        length = np.linalg.norm(fresh, axis=0)
+        unit = np.where(length > 0, length, 1.0)
+        size = np.linalg.lstsq(across / unit, self.left, rcond=math.sqrt(thresholds.RETAINED_MIN))[0] / unit
+        moved = np.linalg.solve(self.upper, absorbed @ size)
+        misfit = self.misfit - columns @ size + self.jacobian @ moved
+        return replace(self, misfit=misfit, left=self.left - across @ size)
+
+    def record(self) -> KnownNoiseFit:
+        """Return χ² and the residual rms of each channel."""
+        outputs = float(np.sum(np.asarray(self.model.problem.observations.weight)))
+        return KnownNoiseFit(chi2=float(self.left @ self.left), dof=outputs, channels=self._channels())
+
+    def _channels(self) -> tuple[ChannelRms, ...]:
+        campaign, entries = self.model.campaign, self.model.entries
+        noise = np.asarray(_noise(self.model.problem, self.h))
+        used = (np.asarray(self.model.problem.observations.weight) > 0) & ~entries.closing
+        found = []
+        for place, channel in enumerate(campaign.channels):
+            here, unit = used & (entries.channel == place), INPUT_UNIT[channel.kind]
+            if here.any():
+                own = self.misfit[here] / abs(channel.scale_si * to_si(unit, campaign.site.gravity))
+                within = own - group_means(own, np.unique(entries.run[here], return_inverse=True)[1])
+                sizes = own, within, noise[here] / abs(channel.scale_si * to_si(unit, campaign.site.gravity))
+                rms, inside, assumed = (float(np.sqrt(np.mean(each**2))) for each in sizes)
+                found.append(ChannelRms(channel=channel.name, rms=rms, unit=unit, within=inside, noise=assumed))
+        return tuple(found)
+
+
+@kept
+def _whitened(problem: Problem, h, columns):
+    return whiten(problem, whitener(problem, h), columns)
+
+
+@kept
+def _parts(problem: Problem, h, about: Linearised):
+    by = whitener(problem, h)
+    residual = whiten(problem, by, pseudo_values(problem, h, about.misfit))
+    return residual, whiten(problem, by, about.jacobian), prior_widths(problem, h)
+
+
+@kept
+def _noise(problem: Problem, h):
+    return noise_deviation(problem, whitener(problem, h))
+
+
+def known_noise_point(model: Model, about: Linearised, h: np.ndarray) -> KnownNoisePoint:
+    """Return a linearised model fitted at noise scales h, in z, shape (H,)."""
+    residual, jacobian, widths = (np.asarray(part) for part in _parts(model.problem, jnp.asarray(h), about))
+    rows = np.concatenate([jacobian, np.diag(1 / widths)])
+    right = np.concatenate([residual, -np.asarray(about.z) / widths])
+    basis, upper = np.linalg.qr(rows)
+    along, raw = basis.T @ right, np.asarray(about.jacobian)
+    misfit = np.asarray(about.misfit) - raw @ np.linalg.solve(upper, along)
+    return KnownNoisePoint(model, h, misfit, raw, basis, upper, right - basis @ along)
+
+
+def fit_at_known_noise(fitted: Fit) -> KnownNoiseFit:
+    """Return the goodness of fit of a model at the noise known beforehand, its parameters fitted there."""
+    problem, h = fitted.model.problem, known_scales(fitted)
+    z = fit_at(problem, jnp.asarray(fitted.z), jnp.asarray(h))
+    return known_noise_point(fitted.model, linearise(problem, z), h).record()

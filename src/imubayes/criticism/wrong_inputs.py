@@ -1,0 +1,205 @@
+"""Wrong inputs: what may be wrong in the record of a run, and how the predicted outputs respond to it.
+
+The response to a wrong input is the derivative of the model to that column of the record: an offset or a factor of a
+column in a run, or one row of it.  Beside them a run may have been made in another attitude of the seat, and its
+outputs may be off.  Every hypothesis is the campaign as it would be if the input were right, so that physics stands in
+one place: the prediction of the model for that campaign.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.campaign_data import Campaign, Run
+from imubayes.covariates import COVARIATES, Covariate, recorded
+from imubayes.gather import on_device
+from imubayes.inference.posterior_precision import linearise
+from imubayes.model.assembly import nodes_of
+from imubayes.model.bind import Model
+from imubayes.model.nodes_and_entries import join_entries, join_nodes
+from imubayes.model.problem import Problem
+from imubayes.procedures import PROCEDURES
+from imubayes.rotations import exponential
+
+Form = Literal["offset", "factor", "seat", "output_offset", "output_factor"]
+_STEP = 1e-3
+"""Step of derivatives, over the largest value of a column, or in rad and as a ratio: the error of a central difference
+is a millionth."""
+
+_LARGEST = {"rad": math.pi, "degC": 150.0}
+"""Largest errors of a column by its SI unit: half a turn, and the range of a climatic chamber."""
+_LARGEST_FACTOR = 10.0
+
+
+@dataclass(frozen=True)
+class WrongInput:
+    """One thing that may be wrong in the record of a run.
+
+    A size is what has to be added to the record: to the column; to a factor on it, 1; to the attitude of the seat, a
+    rotation vector in body axes, rad; to the outputs of each channel, output units; or to a factor on all of them.
+
+    Attributes
+    ----------
+    run : place of the run.
+    covariate : the column; empty for seat and outputs.
+    row : the only row concerned, from 0; None for all of the run.
+    """
+
+    run: int
+    form: Form
+    covariate: str = ""
+    row: int | None = None
+
+    def corrected(self, campaign: Campaign, size: np.ndarray) -> Campaign:
+        """Return the campaign with a size, (d,), added to the record."""
+        run = campaign.runs[self.run]
+        if self.form == "seat":
+            assert run.mounting is not None
+            seat = campaign.mountings[run.mounting]
+            turned = replace(seat, body_to_table=seat.body_to_table @ np.asarray(exponential(jnp.asarray(size))))
+            name = f"{run.mounting} of {run.name}"
+            campaign = replace(campaign, mountings={**campaign.mountings, name: replace(turned, name=name)})
+            found = replace(run, mounting=name)
+        elif self.covariate:
+            values = np.array(run.covariates[self.covariate], dtype=float)
+            here = slice(None) if self.row is None else self.row
+            values[here] += size[0] * (values[here] if self.form == "factor" else 1.0)
+            found = replace(run, covariates={**run.covariates, self.covariate: values})
+        else:
+            found = replace(run, observed=self._outputs(campaign, run, size))
+        return replace(campaign, runs=tuple(found if k == self.run else one for k, one in enumerate(campaign.runs)))
+
+    def _outputs(self, campaign: Campaign, run: Run, size: np.ndarray) -> np.ndarray:
+        observed = run.observed.copy()
+        here = slice(None) if self.row is None else slice(self.row, self.row + 1)
+        offsets = np.array([channel.offset for channel in campaign.channels])
+        change = size if self.form == "output_offset" else size[0] * (observed[here] - offsets)
+        observed[here] = observed[here] + change
+        return observed
+
+    def freedom(self, campaign: Campaign) -> int:
+        """Return the number of components of a size."""
+        return {"seat": 3, "output_offset": len(campaign.channels)}.get(self.form, 1)
+
+    def possible(self, campaign: Campaign, size: np.ndarray) -> bool:
+        """Whether a record can be wrong by a size: what lies beyond is the work of something else."""
+        if self.form == "seat":
+            return float(np.linalg.norm(size)) < math.pi / 2
+        if self.form.endswith("factor"):
+            return _LARGEST_FACTOR > 1 + float(size[0]) > 1 / _LARGEST_FACTOR
+        if not self.covariate:
+            return True
+        largest = _LARGEST.get(COVARIATES[self.covariate].si, np.inf)
+        return abs(float(size[0])) < largest
+
+    def step(self, campaign: Campaign) -> float:
+        """Return the step of the derivative by a component of its size."""
+        if self.form != "offset":
+            return _STEP
+        return _STEP * (float(np.nanmax(np.abs(campaign.runs[self.run].covariates[self.covariate]))) or 1.0)
+
+
+def suspected(campaign: Campaign, run: int) -> Iterator[WrongInput]:
+    """Yield what may be wrong in all rows of a run; the natural form of a column first."""
+    one = campaign.runs[run]
+    for column in suspected_columns(one):
+        values = one.covariates[column.name]
+        rate = column.si == "rad/s"
+        if not rate:
+            yield WrongInput(run, "offset", column.name)
+        # A thermometer is off by degrees; its unit is judged by the reader.
+        if not column.periodic and column.si != "degC" and np.any(values != 0):
+            yield WrongInput(run, "factor", column.name)
+    if one.mounting is not None and one.table is not None:
+        yield WrongInput(run, "seat")
+    yield WrongInput(run, "output_factor")
+    yield WrongInput(run, "output_offset")
+
+
+def suspected_columns(run: Run) -> list[Covariate]:
+    """Return the recorded columns of a run whose values may be wrong: what a bench or an instrument says."""
+    if run.tumble is not None or PROCEDURES[run.procedure].driven:
+        return []
+    found = [each for each in recorded() if each.name in run.covariates and each.name not in _NOT_SUSPECTED]
+    turns = [each for each in found if each.si != "rad/s" or np.any(run.covariates[each.name] != 0)]
+    return [each for each in turns if np.isfinite(run.covariates[each.name]).any()]
+
+
+# A time is judged by the reader, and the arc of a row and its acceleration follow from the rate.
+_NOT_SUSPECTED = {"time", "power_on", *(name for name in COVARIATES if name.endswith(("_span", "_acceleration")))}
+
+
+def problem_of(model: Model, campaign: Campaign) -> Problem | None:
+    """Return the problem of a model for a changed record of its campaign; None where the nodes are no longer the same.
+
+    Arrays have the shapes that they had, so that nothing is compiled.
+    """
+    nodes = join_nodes(campaign)
+    same = nodes.turns == model.nodes.turns and np.array_equal(nodes.row_of, model.nodes.row_of)
+    if not same or not np.array_equal(nodes.stand, model.nodes.stand):
+        return None
+    arrays, given = on_device(nodes_of(campaign, nodes)), model.problem.observations.value
+    value = given + jnp.asarray(join_entries(campaign).value - join_entries(model.campaign).value, dtype=float)
+    return eqx.tree_at(lambda known: (known.nodes, known.observations.value), model.problem, (arrays, value))
+
+
+class Predictions:
+    """Misfits of a model at parameters z, for changed records of its campaign."""
+
+    def __init__(self, model: Model, z: np.ndarray):
+        self.model, self.z = model, jnp.asarray(z)
+
+    def misfit(self, campaign: Campaign) -> np.ndarray | None:
+        """Return observed less predicted of every entry, (E,); None where the prediction is not defined."""
+        problem = problem_of(self.model, campaign)
+        return None if problem is None else np.asarray(linearise(problem, self.z).misfit)
+
+    def response(self, wrong: WrongInput, campaign: Campaign) -> np.ndarray | None:
+        """Return the derivative of −misfit by the size of a wrong input, (E, d), in a campaign."""
+        if not wrong.covariate and wrong.form != "seat":
+            return self._of_outputs(wrong, campaign)
+        step, columns = wrong.step(campaign), []
+        for along in np.eye(wrong.freedom(campaign)):
+            high, low = (self.misfit(wrong.corrected(campaign, sign * step * along)) for sign in (1, -1))
+            if high is None or low is None:
+                return None
+            columns.append((low - high) / (2 * step))
+        found = np.stack(columns, axis=1)
+        return found if np.isfinite(found).all() and np.any(found) else None
+
+    def _of_outputs(self, wrong: WrongInput, campaign: Campaign) -> np.ndarray:
+        """Return the same for outputs: what is recorded moves, and not the prediction."""
+        entries, count = self.model.entries, wrong.freedom(campaign)
+        own = (entries.run == wrong.run) & ~entries.closing & ((entries.row == wrong.row) | (wrong.row is None))
+        found = np.zeros((len(entries), count))
+        if wrong.form == "output_offset":
+            found[own, entries.channel[own]] = -1.0
+        else:
+            offsets = np.array([channel.offset for channel in campaign.channels])
+            found[own, 0] = offsets[entries.channel[own]] - entries.value[own]
+        return found
+
+    def responses_of_columns(self, campaign: Campaign) -> Mapping[str, np.ndarray]:
+        """Return the derivative by each column of the record, (E,), each row by its own value, all runs at once."""
+        every = [suspected_columns(run) for run in campaign.runs]
+        names = dict.fromkeys(each.name for columns in every for each in columns)
+        found = {}
+        for name in names:
+            concerned = [
+                WrongInput(k, "offset", name)
+                for k, columns in enumerate(every)
+                if any(column.name == name for column in columns)
+            ]
+            step = max(each.step(campaign) for each in concerned)
+            high, low = campaign, campaign
+            for each in concerned:
+                high, low = each.corrected(high, np.array([step])), each.corrected(low, np.array([-step]))
+            misfits = [self.misfit(each) for each in (high, low)]
+            if misfits[0] is not None and misfits[1] is not None:
+                found[name] = np.nan_to_num((misfits[1] - misfits[0]) / (2 * step))
+        return found

@@ -1,0 +1,63 @@
+"""A run that does not agree with the others, and what would make it agree, in sentences."""
+
+from collections.abc import Sequence
+
+from imubayes.criticism.disagreement_record import AgreeingInput, Disagreement
+from imubayes.display.labels import listed, pretty
+from imubayes.display.rounding import relation, significant, value_and_sd
+
+_MOST = 3
+
+
+def disagreement_text(found: Sequence[Disagreement]) -> str:
+    """Return which runs and rows do not agree with the others, and what would make them agree."""
+    return " ".join(map(_sentence, found))
+
+
+def place_text(found: Disagreement) -> str:
+    """Return a run, or a row of one, as it is named in a sentence."""
+    return f"run {found.run}" if found.row is None else f"row {found.row} of run {found.run}"
+
+
+def _sentence(found: Disagreement) -> str:
+    place = place_text(found)
+    said = (
+        f"{place[0].upper()}{place[1:]} does not agree with "
+        f"{'the other runs' if found.row is None else 'all other rows'} at the noise known before the fit "
+        f"(Δχ² {significant(found.causes[0].delta_chi2)}, p {relation(found.p)})."
+    )
+    best, *others = found.causes
+    said += f" It would agree with {_cause(best, found)}."
+    if others:
+        said += f" Not distinguished from that: {'; '.join(_cause(each, found) for each in others[:_MOST])}."
+    if found.instead:
+        said += f" Or the record of {listed(list(found.instead), _MOST)} is wrong instead."
+    if found.rivals:
+        names = " and ".join(found.rivals[0].effects)
+        likely = "is as likely" if abs(found.rivals[0].log_odds) < 1 else _likelier(found.rivals[0].log_odds)
+        return f"{said} That {names} is missing, in all runs, {likely}."
+    return f"{said} Correct the record, or leave the {'run' if found.row is None else 'row'} out, and fit again."
+
+
+def _likelier(log_odds: float) -> str:
+    return "is likelier" if log_odds > 0 else "is less likely, but not excluded"
+
+
+def _cause(each: AgreeingInput, found: Disagreement) -> str:
+    """Return what would make a run agree."""
+    unit = f" {pretty(each.unit)}" if each.unit not in ("", "1") else ""
+    pairs = [value_and_sd(value, sd) for value, sd in zip(each.agreeing, each.sd, strict=True)]
+    sizes = ", ".join(f"{value} ± {sd}" for value, sd in pairs)
+    if each.form == "seat":
+        return f"the unit turned in its mounting by ({sizes}){unit} about its axes"
+    if each.form == "output_offset":
+        which = "outputs" if len(pairs) > 1 else "output"
+        return f"its {which} {'of every channel ' if len(pairs) > 1 else ''}changed by ({sizes}){unit}"
+    if each.form == "factor":
+        return f"{each.quantity} times {sizes}, all rows alike"
+    if each.form == "output_factor":
+        return f"its outputs times {sizes}"
+    recorded = significant(each.recorded, 5)
+    if found.row is not None:
+        return f"{each.quantity} = {sizes}{unit} (recorded: {recorded})"
+    return f"{each.quantity} about {sizes}{unit} on average (recorded: {recorded})"

@@ -1,0 +1,121 @@
+"""Runs and rows left out, and further responses, against least squares by brute force with the whole covariance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imubayes.criticism.deletion_diagnostics import EntryPlaces, LinearFit
+from imubayes.criticism.run_agreement import disagreeing_runs
+
+RUNS, ROWS, CHANNELS, PARAMETERS = 5, 8, 2, 4
+SCATTER = 0.7
+
+
+def places() -> EntryPlaces:
+    run, row, channel = np.meshgrid(np.arange(RUNS), np.arange(ROWS), np.arange(CHANNELS), indexing="ij")
+    return EntryPlaces(run.ravel(), row.ravel(), channel.ravel())
+
+
+def covariance(at: EntryPlaces) -> np.ndarray:
+    """White noise and an offset of each run and channel, which all rows of it share."""
+    group = at.run * CHANNELS + at.channel
+    return np.diag(np.where(at.channel == 0, 1.0, 2.0)) + SCATTER**2 * (group[:, None] == group[None, :])
+
+
+def drawn(seed: int) -> tuple[LinearFit, np.ndarray]:
+    """Return a model with data drawn from its own prior and noise, and the covariance."""
+    random, at = np.random.default_rng(seed), places()
+    sigma = covariance(at)
+    jacobian = random.normal(size=(len(at.run), PARAMETERS))
+    misfit = jacobian @ random.normal(size=PARAMETERS) + np.linalg.cholesky(sigma) @ random.normal(size=len(at.run))
+    inverse = np.linalg.inv(sigma)
+    return LinearFit(
+        jacobian, misfit, inverse @ jacobian, inverse @ misfit, np.diag(inverse).copy(), np.ones(PARAMETERS),
+        np.zeros(PARAMETERS), at, np.ones(len(at.run)),
+    ), sigma  # fmt: skip
+
+
+def chi2_of(linear: LinearFit, sigma: np.ndarray, kept: np.ndarray, columns: np.ndarray | None = None) -> float:
+    """Return the least χ² with the parameters integrated out, and further columns fitted freely."""
+    whole = (sigma + linear.jacobian @ linear.jacobian.T)[np.ix_(kept, kept)]
+    lower = np.linalg.cholesky(whole)
+    left = np.linalg.solve(lower, linear.misfit[kept])
+    if columns is not None:
+        design = np.linalg.solve(lower, columns[kept])
+        left = left - design @ np.linalg.lstsq(design, left, rcond=None)[0]
+    return float(left @ left)
+
+
+def test_the_whole_and_each_run_left_out_have_the_chi2_of_brute_force() -> None:
+    linear, sigma = drawn(1)
+    every = np.ones(len(linear.misfit), dtype=bool)
+    assert linear.chi2 == pytest.approx(chi2_of(linear, sigma, every))
+    for run in range(RUNS):
+        kept = linear.at.run != run
+        assert linear.weighted_by(kept.astype(float)).chi2 == pytest.approx(chi2_of(linear, sigma, kept))
+
+
+def test_each_row_left_out_has_the_chi2_of_brute_force() -> None:
+    linear, sigma = drawn(2)
+    rows = linear.at.run * ROWS + linear.at.row
+    chi2, sizes = linear.row_deletions(rows)
+    whole = chi2_of(linear, sigma, rows >= 0)
+    assert np.all(sizes == CHANNELS)
+    expected = [whole - chi2_of(linear, sigma, rows != row) for row in range(RUNS * ROWS)]
+    assert chi2 == pytest.approx(np.array(expected))
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_response_explains_what_brute_force_says(count: int) -> None:
+    linear, sigma = drawn(3)
+    columns = np.where(
+        linear.at.run[:, None] == 2, np.random.default_rng(4).normal(size=(len(linear.misfit), count)), 0.0
+    )
+    every = np.ones(len(linear.misfit), dtype=bool)
+    score = linear.score(columns, np.linalg.solve(sigma, columns))
+    assert score.freedom == count
+    assert score.drop == pytest.approx(chi2_of(linear, sigma, every) - chi2_of(linear, sigma, every, columns))
+
+
+def test_a_response_in_each_row_explains_what_it_explains_alone() -> None:
+    linear, sigma = drawn(5)
+    column = np.random.default_rng(6).normal(size=len(linear.misfit))
+    rows = linear.at.run * ROWS + linear.at.row
+    drop, size = linear.row_scores(column, rows)
+    for row in (0, 11, RUNS * ROWS - 1):
+        single = np.where(rows == row, column, 0.0)[:, None]
+        score = linear.score(single, np.linalg.solve(sigma, single))
+        assert (drop[row], size[row]) == pytest.approx((score.drop, score.size[0]))
+
+
+def test_a_response_that_the_parameters_make_explains_nothing() -> None:
+    linear, sigma = drawn(7)
+    linear = replace(linear, precision=np.full(PARAMETERS, 1e-12))
+    columns = linear.jacobian[:, :1]
+    assert linear.score(columns, np.linalg.solve(sigma, columns)).freedom == 0
+
+
+def test_no_run_disagrees_by_chance_and_a_changed_one_does() -> None:
+    """P-values of 200 sound campaigns are those of chance; a change of three standard deviations in a run is found."""
+    sound = [min(disagreeing_runs(drawn(seed)[0]).values()) for seed in range(200)]
+    # Bonferroni over the runs, and noise that the others show if it is larger, both on the safe side.
+    assert np.mean(np.array(sound) < np.log(0.05)) < 0.08
+    assert min(sound) > np.log(1e-4)
+    linear, sigma = drawn(8)
+    random = np.random.default_rng(9)
+    change = np.where(linear.at.run == 3, 3 * random.normal(size=len(linear.misfit)), 0.0)
+    changed = replace(linear, misfit=linear.misfit + change, pulled=np.linalg.solve(sigma, linear.misfit + change))
+    found = disagreeing_runs(changed)
+    assert min(found, key=lambda run: found[run]) == 3
+    assert found[3] < np.log(1e-5)
+    # The others still agree, and none of them is blamed.
+    assert all(found[run] > np.log(0.01) for run in found if run != 3)
+
+
+def test_where_all_runs_scatter_no_run_is_blamed() -> None:
+    """The noise that the others show is what a run is judged at: something is missing in the model, and no run is."""
+    linear, sigma = drawn(10)
+    more = linear.misfit + 5 * np.random.default_rng(11).normal(size=len(linear.misfit))
+    scattered = replace(linear, misfit=more, pulled=np.linalg.solve(sigma, more))
+    assert min(disagreeing_runs(scattered).values()) > np.log(0.01)

@@ -1,0 +1,114 @@
+"""A number that is withheld says why and what gives it, and is withheld wherever it would stand."""
+
+import pytest
+
+from imubayes.display.qualification.budget_sections import budget_section
+from imubayes.display.qualification.document import Block, ReportTable
+from imubayes.display.qualification.first_page import limits_table
+from imubayes.display.qualification.result_sections import mounting_section, result_section
+from imubayes.display.qualification.words import interval_text, stated
+from imubayes.qualification.budget_record import CorrelationMatrix, QuantityBudget, UncertaintyBudgets
+from imubayes.qualification.report_record import (
+    Conformity,
+    LimitOutcome,
+    MonteCarloError,
+    MountingAngle,
+    Probability,
+    QualificationReport,
+    ReportedEstimate,
+    ResultLine,
+)
+
+NAME, U = "accel_quadratic.quadratic[az]", 0.93
+VALUES = {"estimate": -22.44, "standard_uncertainty": U, "low": -24.2, "high": -20.6}
+
+
+def error(digits: int) -> MonteCarloError:
+    return MonteCarloError.model_validate(
+        {
+            "estimate": 0.015, "standard_uncertainty": 0.01, "low": 0.04, "high": 0.04, "effective": 4000.0,
+            "digits": digits, "tolerance": 0.05, "worst": "low", "draws_needed": 2.56,
+        }
+    )  # fmt: skip
+
+
+def line(digits: int) -> ResultLine:
+    withheld = None if digits else "monte_carlo_error"
+    common = {"name": NAME, "unit": "ug/g^2", "d_si": None, "kind": "parameter", "monte_carlo": error(digits)}
+    return ResultLine.model_validate({**common, **VALUES, "withheld": withheld})
+
+
+def limit(digits: int) -> LimitOutcome:
+    sure = Probability(
+        value=1.0, from_draws=1.0, from_quadrature=1.0, monte_carlo_error=1e-4, allowed=0.01, withheld=None
+    )
+    return LimitOutcome(
+        name=NAME, unit="ug/g^2", d_si=None, lower=-40, upper=40, nominal=None, temperature_range=None,
+        temperature=None,
+        estimate=-22.44, standard_uncertainty=U, expanded_uncertainty=1.8, conformance=sure, rule="guard_band",
+        guard_factor=1.65, guard_width=None, rule_probability=None, guard_band=1.5, outcome="pass", consumer_risk=0.0,
+        producer_risk=None, global_consumer_risk=None, global_producer_risk=None, monte_carlo=error(digits),
+    )  # fmt: skip
+
+
+def report(digits: int) -> QualificationReport:
+    budget = QuantityBudget.model_construct(
+        name=NAME, unit="ug/g^2", standard_uncertainty=U, expanded_uncertainty=1.8, coverage_factor=1.96,
+        degrees_of_freedom=None, remainder=0.0, components=False, scaled=1.0, lines=(), halved=(), next_run=None,
+    )  # fmt: skip
+    conformity = Conformity(specification="x", sha256="", outcome="pass", obstacles=(), limits=(limit(digits),))
+    budgets = UncertaintyBudgets.model_construct(
+        quantities=(budget,), correlation=CorrelationMatrix(names=(NAME,), rows=((1.0,),))
+    )
+    return QualificationReport.model_construct(
+        results=(line(digits),), mounting_angles=(), standards=(), combinations=(), thermal_linearity=(),
+        conformity=conformity, budgets=budgets,
+    )  # fmt: skip
+
+
+def text(blocks: list[Block]) -> str:
+    tables = [block for block in blocks if isinstance(block, ReportTable)]
+    return "\n".join(
+        " | ".join([table.caption, *(cell.text for row in table.rows for cell in row)]) for table in tables
+    )
+
+
+def test_the_row_says_why_and_which_command_gives_it():
+    estimate, u, _, _ = stated(line(0))
+    assert (estimate, u) == ("withheld", "needs 2.6 × the draws")
+    assert interval_text(line(0)) == "imubayes fit … --until-digits 1"
+    assert stated(line(1))[:2] == ("-22.4", "0.9")
+
+
+@pytest.mark.parametrize("page", ["limits", "results", "budgets"])
+def test_what_one_page_withholds_no_other_states(page):
+    """The uncertainty and the estimate are on no page, and each says so."""
+    pages = {
+        "limits": lambda digits: text([limits_table([limit(digits)])]),
+        "results": lambda digits: text(result_section(report(digits))),
+        "budgets": lambda digits: text(budget_section(report(digits))),
+    }
+    withheld, known = pages[page](0), pages[page](2)
+    assert "withheld" in withheld
+    for number in ("0.93", "22.4", "1.8"):
+        assert number not in withheld
+    assert "withheld" not in known
+    assert "0.93" in known
+
+
+def test_an_estimate_without_posterior_says_so():
+    none = ReportedEstimate(name="x", unit="1", d_si=None, withheld="not_converged")
+    assert stated(none)[1] == "no convergence"
+
+
+def test_a_mounting_angle_that_is_withheld_names_the_command():
+    angle = MountingAngle.model_validate(
+        {
+            "name": "mounting_angle[gx,flat]", "unit": "deg", "d_si": None, **VALUES, "monte_carlo": error(0),
+            "withheld": "monte_carlo_error", "channel": "gx", "mounting": "flat", "nominal": 0.0, "deviation": None,
+            "evidence": (), "runs": (),
+        }
+    )  # fmt: skip
+    (table,) = [block for block in mounting_section([angle]) if isinstance(block, ReportTable)]
+    assert "withheld" in text([table])
+    assert "--until-digits 1" in table.note
