@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from campaign_files import Files
+from fresh_setups import write_campaign
 from valid_campaigns import KINDS, valid_campaign
 
 from imubayes.campaign import Inspection, inspect_campaign
@@ -118,6 +119,24 @@ def test_an_angle_mistyped_by_degrees_is_named_by_run_and_row(tmp_path: Path, se
     assert abs((float(told[2]) - angle + 180) % 360 - 180) < 0.3
 
 
+@pytest.mark.parametrize(("bench", "column"), [("triad", "table_angle_deg"), ("gyro", "table_rate_deg_s")])
+def test_two_rows_that_are_exchanged_are_named(tmp_path: Path, bench: str, column: str) -> None:
+    write_campaign(tmp_path / bench, bench, 5)
+    files = Files(tmp_path / bench)
+    run = next(run for run in files.runs if files.has(run, column))
+    first, second = 5, 8
+
+    def exchange(columns: dict[str, list[str]]) -> None:
+        cells = columns[column]
+        cells[first], cells[second] = cells[second], cells[first]
+
+    files.edit(run, exchange)
+    found = [each for each in inspect_campaign(tmp_path / bench).findings if each.name == "row_disagrees"]
+    told = [int(re.search(r"row (\d+) are as at", each.what)[1]) for each in found]  # type: ignore[index]
+    assert sorted(told) == [first + 1, second + 1]
+    assert {each.run for each in found} == {run["name"]}
+
+
 def test_no_row_of_a_valid_campaign_is_named(tmp_path: Path) -> None:
     for seed in HEADS[:2]:
         valid_campaign(tmp_path / str(seed), seed)
@@ -127,5 +146,5 @@ def test_no_row_of_a_valid_campaign_is_named(tmp_path: Path) -> None:
 def test_without_the_derivative_no_row_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The planted fault of these tests."""
     mistyped(tmp_path / "campaign", HEADS[0])
-    monkeypatch.setattr(rows, "_columns", lambda view: iter(()))
+    monkeypatch.setattr(rows, "_columns", lambda view, wrong: iter(()))
     assert "row_disagrees" not in {each.name for each in inspect_campaign(tmp_path / "campaign").findings}

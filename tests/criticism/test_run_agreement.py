@@ -22,8 +22,6 @@ from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
 
-pytestmark = pytest.mark.slow  # a fit and a search for wrong inputs in each
-
 
 def recorded_as(fitted: Fit, run: str, column: str, change) -> Fit:
     """Return the fit where a column of one run was recorded otherwise."""
@@ -62,6 +60,7 @@ def test_a_rate_that_is_wrong_in_one_run_is_named_with_its_factor() -> None:
     assert "rate-y-up" in {each.run for each in doubted_runs(fitted)}
 
 
+@pytest.mark.slow
 def test_an_angle_mistyped_in_one_row_is_named_with_the_true_one() -> None:
     sound = fitted_to("hidden-none")
     true = next(run for run in sound.model.campaign.runs if run.name == "head-x-up").covariates["table_angle"][4]
@@ -78,6 +77,7 @@ def test_an_angle_mistyped_in_one_row_is_named_with_the_true_one() -> None:
     assert cause.sd[0] < 0.02
 
 
+@pytest.mark.slow
 def test_a_unit_that_sat_askew_in_one_run_is_named_with_its_rotation() -> None:
     """The record says that the seat of one run was turned by half a degree about body y, and it was not."""
     sound = fitted_to("hidden-none")
@@ -134,6 +134,7 @@ def test_a_thermometer_that_is_wrong_in_one_run_is_named(tmp_path: Path) -> None
     assert cause.agreeing[0] == pytest.approx(true, abs=5 * cause.sd[0])
 
 
+@pytest.mark.slow
 def test_without_the_look_at_each_run_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """The planted fault of these tests."""
     monkeypatch.setattr(thresholds, "DISAGREEMENT_P", 0.0)

@@ -34,7 +34,7 @@ class InputExplanation:
     Attributes
     ----------
     size, sd : shape (d,).
-    drop : of χ², the model refitted, in units of the noise that remains.
+    drop : of χ², the model refitted, at the noise known before.
     log_p : logarithm of the chance of that, for all that was tried.
     cost : what its sizes count against it: the logarithm of the number of outputs for each, and of what was tried.
     """
@@ -181,23 +181,24 @@ def disagreeing_runs(linear: LinearFit) -> dict[int, float]:
 
 
 def most_that_runs_explain(fitted: Fit, linear: LinearFit) -> float | None:
-    """Return the χ² beyond its expectation of the runs and rows without which the others agree, at known noise.
+    """Return the χ² beyond its expectation of as many runs and rows as may be wrong, at known noise.
 
     Corrections of the same explain no more.  None where the others do not agree without them: then something is missing
     in the model.
     """
     left, allowed = linear, largest_scatter(fitted.model)[linear.at.channel] ** 2
+    most, agree = 0.0, False
     for _ in range(_most_wrong(len(fitted.model.campaign.runs)) + 1):
         used = left.weight > 0
         rows = np.sort(left.row_deletions(_rows(left))[0])[-thresholds.MOST_WRONG_ROWS :].sum()
-        if left.chi2 - rows < max(float(allowed @ left.freedom(used)), 1.0):
-            return float(linear.chi2 - left.chi2 + rows - (linear.weight > 0).sum() + used.sum())
+        agree |= left.chi2 - rows < max(float(allowed @ left.freedom(used)), 1.0)
+        most = max(most, float(linear.chi2 - left.chi2 + rows - (linear.weight > 0).sum() + used.sum()))
         names = np.unique(left.at.run[used]).tolist()
         if len(names) < 2:
-            return None
+            break
         without = [left.weighted_by(np.where(left.at.run != run, left.weight, 0.0)) for run in names]
         left = min(without, key=lambda each: each.chi2 / max(float((each.weight > 0).sum()), 1.0))
-    return None
+    return most if agree else None
 
 
 def _most_wrong(runs: int) -> int:
@@ -362,10 +363,12 @@ def _refined(at: _At, wrong: WrongInput, weight: np.ndarray, log_looks: float) -
     if score is None or not wrong.possible(at.campaign, size):
         return None
     drop = at.linear.weighted_by(weight).chi2 - where.linear.weighted_by(weight).chi2
+    # What the others show of the noise differs with the run that is left out: runs are compared at what is known.
+    known = at.linear.chi2 - where.linear.weighted_by(at.linear.weight).chi2
     own = (at.linear.at.run == wrong.run) & (at.linear.at.row >= 0)
     log_p = float(chi2_log_survival(max(drop, 1e-9), score.freedom)) + log_looks
     sd = np.sqrt(np.diag(score.covariance))
-    return InputExplanation(wrong, size, sd, drop, log_p, _cost(score.freedom, own, log_looks))
+    return InputExplanation(wrong, size, sd, known, log_p, _cost(score.freedom, own, log_looks))
 
 
 def _corrected(at: _At, found: InputExplanation) -> _At | None:

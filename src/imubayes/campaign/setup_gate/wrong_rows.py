@@ -26,6 +26,7 @@ LEAST_ANGLE, LEAST_RATE = np.radians(0.5), 0.02
 """Errors that are told: of an angle, rad, and of a rate over the largest one of the run.  Smaller ones are the business
 of a diagnosis, at the noise of the unit."""
 MOST_ROWS = 3
+_MOST_LEFT_OUT = 6
 _STEPS = 5
 _NORMAL_MAD = 0.6745
 _STEP = 1e-4
@@ -82,28 +83,48 @@ def with_rows(campaign: Campaign, rows: Sequence[WrongRow]) -> Campaign:
 
 
 def _wrong_row(model: ErrorModel, views: Sequence[RunView]) -> WrongRow | None:
-    apart, _ = _judged(model, views, views)
-    place = max(range(len(apart)), key=lambda k: float(apart[k].max(initial=0.0)))
-    row = int(np.argmax(apart[place]))
-    without = list(views)
-    observed = views[place].observed.copy()
-    observed[row] = np.nan
-    without[place] = replace(views[place], observed=observed)
+    """Return the row that is farthest off, as soon as rows that are left out stand out from all others.
+
+    Two wrong rows may hide each other behind a right one, which is left out first and then agrees.
+    """
+    without, out = list(views), list[tuple[int, int]]()
     apart, error = _judged(model, without, views)
-    size = float(apart[place][row])
-    apart[place][row] = 0.0
-    if size < max(LEAST_SD, STANDS_OUT * max(float(each.max(initial=0.0)) for each in apart)):
-        return None
-    found = [each for column in _columns(views[place]) if (each := _better(views, place, row, column, size, error))]
-    return min(found, key=lambda each: each[0])[1] if found else None
+    while len(out) < _MOST_LEFT_OUT:
+        place, row = _farthest(apart, out)
+        out.append((place, row))
+        observed = without[place].observed.copy()
+        observed[row] = np.nan
+        without[place] = replace(without[place], observed=observed)
+        apart, error = _judged(model, without, views)
+        sizes = {each: float(apart[each[0]][each[1]]) for each in out}
+        rest = _farthest(apart, out)
+        least = max(LEAST_SD, STANDS_OUT * float(apart[rest[0]][rest[1]]))
+        wrong = {each: size for each, size in sizes.items() if size >= least}
+        right = max((size for each, size in sizes.items() if each not in wrong), default=0.0)
+        if 0 < len(wrong) <= MOST_ROWS and min(wrong.values()) >= STANDS_OUT * right:
+            place, row = max(wrong, key=lambda each: wrong[each])
+            columns = _columns(views[place], sum(each[0] == place for each in wrong))
+            found = [one for column in columns if (one := _better(views, place, row, column, wrong[place, row], error))]
+            return min(found, key=lambda each: each[0])[1] if found else None
+    return None
 
 
-def _columns(view: RunView) -> Iterator[str]:
+def _farthest(apart: Sequence[np.ndarray], out: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """Return run and row of the largest distance, but for those left out."""
+    left = [each.copy() for each in apart]
+    for place, row in out:
+        left[place][row] = 0.0
+    place = max(range(len(left)), key=lambda k: float(left[k].max(initial=0.0)))
+    return place, int(np.argmax(left[place]))
+
+
+def _columns(view: RunView, wrong: int) -> Iterator[str]:
+    """Yield what may be wrong in so many rows of a run."""
     if view.outer is None and view.table is not None:
         if has_angles(view):
             yield "angle"
-        # What is wrong in the only row that turns is wrong in the run: its sense, its unit, or a scale factor.
-        if np.sum(np.abs(view.rate) > LEAST_RATE * np.abs(view.rate).max()) > 2:
+        # What is wrong in most rows that turn is wrong in the run: its sense, its unit, or a scale factor.
+        if np.sum(np.abs(view.rate) > LEAST_RATE * np.abs(view.rate).max()) > 2 * wrong:
             yield "rate"
 
 
