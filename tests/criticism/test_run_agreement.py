@@ -16,8 +16,9 @@ from imubayes.campaign import load_campaign
 from imubayes.campaign_data import Campaign
 from imubayes.criticism import thresholds, wrong_runs
 from imubayes.criticism.candidate_effects import Responses
+from imubayes.criticism.deletion_diagnostics import linear_fit
 from imubayes.criticism.disagreement_record import Disagreement
-from imubayes.criticism.run_agreement import agreement_of_runs, doubted_runs
+from imubayes.criticism.run_agreement import agreement_of_runs, doubted_runs, known_before
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import bind
 from imubayes.model.model_file import read_model
@@ -139,4 +140,6 @@ def test_without_the_look_at_each_run_none_is_named(monkeypatch: pytest.MonkeyPa
     """The planted fault of these tests."""
     monkeypatch.setattr(thresholds, "DISAGREEMENT_P", 0.0)
     fitted = recorded_as(fitted_to("hidden-none"), "rate-y-up", "table_rate", lambda rate: 1.002 * rate)
-    assert not agreement_of_runs(fitted).found
+    h = known_before(fitted)
+    linear = linear_fit(fitted.model, fitted.model.problem, fitted.z, h)
+    assert not agreement_of_runs(fitted, linear, h).found

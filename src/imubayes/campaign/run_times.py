@@ -7,7 +7,7 @@ unless the unit soaks, and it does not go from one position to the next, or turn
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from itertools import combinations
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from imubayes.campaign.findings import Finding, Severity
 from imubayes.campaign_data import Run
 from imubayes.procedures import PROCEDURES, Reduction
+from imubayes.procedures.ambient import instant
 
 UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, "minutes": 60.0, "hours": 3600.0}
 """Units of time in seconds."""
@@ -96,8 +97,7 @@ class Timed:
         start = self.run.start
         if start is None or "T" not in start:
             return None
-        begin = datetime.fromisoformat(start)
-        begin = begin if begin.tzinfo else begin.replace(tzinfo=UTC)
+        begin = instant(start)
         low, high = (min(float(each) * unit, 1e10) for each in (self.time[0], self.time[-1]))
         return begin + timedelta(seconds=low), begin + timedelta(seconds=high)
 

@@ -75,14 +75,12 @@ class Agreement:
 
     Attributes
     ----------
-    linear : the fit as recorded, at noise scales that were known before.
     corrected : χ² of all with the corrections, priors included.
     cost : of the corrections.
     agree : whether all runs agree with the corrections.
     """
 
     found: tuple[Disagreeing, ...]
-    linear: LinearFit
     corrected: float
     cost: float
     agree: bool
@@ -127,12 +125,10 @@ def known_before(fitted: Fit) -> np.ndarray:
     return np.where(between, known, np.minimum(known, np.asarray(fitted.h)))
 
 
-def agreement_of_runs(fitted: Fit) -> Agreement:
-    """Return which runs and rows of a converged fit do not agree with the others."""
-    h, campaign = known_before(fitted), fitted.model.campaign
-    first = _At.make(fitted, campaign, h, fitted.z)
-    assert first is not None
-    at, found = first, []
+def agreement_of_runs(fitted: Fit, linear: LinearFit, h: np.ndarray) -> Agreement:
+    """Return which runs and rows of a converged fit, linear at noise scales h, do not agree with the others."""
+    campaign = fitted.model.campaign
+    at, found = _At(fitted, campaign, h, fitted.z, linear), []
     most = _most_wrong(len(campaign.runs))
     while len(found) < most + thresholds.MOST_WRONG_ROWS:
         one = _disagreeing(at)
@@ -144,7 +140,7 @@ def agreement_of_runs(fitted: Fit) -> Agreement:
         found.append(one)
         at = after
     cost = sum(each.best.cost for each in found)
-    return Agreement(tuple(found), first.linear, at.linear.chi2, cost, _agree(at.linear, largest_scatter(fitted.model)))
+    return Agreement(tuple(found), at.linear.chi2, cost, _agree(at.linear, largest_scatter(fitted.model)))
 
 
 def _agree(linear: LinearFit, largest: np.ndarray) -> bool:

@@ -42,14 +42,19 @@ def disagreements(fitted: Fit, responses: Responses, named: Sequence[str]) -> tu
     h = known_before(fitted)
     linear = linear_fit(fitted.model, fitted.model.problem, fitted.z, h)
     most = most_that_runs_explain(fitted, linear)
-    if most is None or any(each.leads for each in _rivals(fitted, linear, h, most, responses, named)):
+    if most is None:
         return ()
-    agreement = agreement_of_runs(fitted)
+    gains = _gains(fitted, linear, h, responses, named)
+    if max(gains.values(), default=-math.inf) >= most:
+        return ()
+    agreement = agreement_of_runs(fitted, linear, h)
     told = [each for each in agreement.found if not _is_noise(each)]
     if not told or not agreement.agree:
         return ()
-    needed = agreement.linear.chi2 - agreement.corrected - agreement.cost
-    rivals = _rivals(fitted, linear, h, needed, responses, named)
+    needed = linear.chi2 - agreement.corrected - agreement.cost
+    odds = {effects: (gain - needed) / 2 for effects, gain in gains.items()}
+    near = [RivalOfInput(effects=effects, log_odds=each) for effects, each in odds.items() if each > -_NEAR]
+    rivals = tuple(sorted(near, key=lambda each: -each.log_odds))
     return tuple(_record(fitted.model.campaign, each, rivals) for each in told)
 
 
@@ -64,10 +69,10 @@ def _is_noise(found: Disagreeing) -> bool:
     return best.wrong.row is None or int(np.sum(np.abs(best.size) > thresholds.OUTLIER_SD * best.sd)) < 2
 
 
-def _rivals(
-    fitted: Fit, linear: LinearFit, h: np.ndarray, needed: float, responses: Responses, named: Sequence[str]
-) -> tuple[RivalOfInput, ...]:
-    """Return the effects that explain as much as is needed, alone or, those named, together; the best first."""
+def _gains(
+    fitted: Fit, linear: LinearFit, h: np.ndarray, responses: Responses, named: Sequence[str]
+) -> dict[tuple[str, ...], float]:
+    """Return twice the log evidence, roughly, of effects alone and of those named together (Schwarz's criterion)."""
     model = fitted.model
     first = {each.scan.effect: each for each in reversed(responses.candidates)}
     cost, looks = math.log(len(linear.misfit)), 2 * math.log(max(len(first), 1))
@@ -78,10 +83,8 @@ def _rivals(
         divided = divide(model.problem, h, columns)
         score = linear.score(columns, divided, np.concatenate([_ties(each) for each in members]))
         names = tuple(each.scan.effect for each in members)
-        odds = (score.drop - score.freedom * cost - looks - needed) / 2
-        found[names] = max(odds, found.get(names, -math.inf))
-    near = [RivalOfInput(effects=names, log_odds=odds) for names, odds in found.items() if odds > -_NEAR]
-    return tuple(sorted(near, key=lambda each: -each.log_odds))
+        found[names] = max(score.drop - score.freedom * cost - looks, found.get(names, -math.inf))
+    return found
 
 
 def _ties(response: Response) -> np.ndarray:

@@ -6,6 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.run_fit import model_hash
+from imubayes.procedures.ambient import instant
 from imubayes.results.fit_file import campaign_hash
 from imubayes.results.provenance_record import FitProvenance, SoftwareVersion
 
@@ -16,7 +17,7 @@ PACKAGES = ("imubayes", "jax", "equinox", "optimistix", "emcee", "arviz-base", "
 def provenance(fit: Fit, seed: int) -> FitProvenance:
     """Return what a fit made now comes from."""
     campaign = fit.model.campaign
-    starts = sorted((run.start for run in campaign.runs if run.start), key=_instant)
+    starts = sorted((run.start for run in campaign.runs if run.start), key=instant)
     return FitProvenance(
         serial=campaign.serial,
         first_run=starts[0] if starts else None,
@@ -27,12 +28,6 @@ def provenance(fit: Fit, seed: int) -> FitProvenance:
         seed=seed,
         software=software(),
     )
-
-
-def _instant(start: str) -> datetime:
-    """Return a start as an instant; one without a time zone is taken as UTC."""
-    found = datetime.fromisoformat(start)
-    return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
 
 
 def software() -> tuple[SoftwareVersion, ...]:

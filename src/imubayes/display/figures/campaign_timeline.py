@@ -1,6 +1,6 @@
 """The campaign on a time axis: when each run was recorded, in which mounting and at which temperature."""
 
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, timedelta
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,6 +11,7 @@ from imubayes.campaign_data import Campaign, Run
 from imubayes.display.labels import shortened
 from imubayes.display.run_signs import HUES
 from imubayes.display.theme import Picture, legend_at, panels, picture, themed
+from imubayes.procedures.ambient import instant
 
 _LEGEND, _LINE = 2.05, 0.24
 _NO_MOUNTING = "no mounting"
@@ -64,8 +65,7 @@ def campaign_timeline_figure(campaign: Campaign) -> Picture:
 def _span(run: Run) -> tuple[float, float]:
     """Return start and end of a run as matplotlib dates; a run without times is a point."""
     assert run.start is not None
-    start = datetime.fromisoformat(run.start)
-    start = start if start.tzinfo is not None else start.replace(tzinfo=UTC)
+    start = instant(run.start)
     times = run.covariates.get("time", np.zeros(1))
     known = times[np.isfinite(times)]
     seconds = float(known.max()) if known.size else 0.0
