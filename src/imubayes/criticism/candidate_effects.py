@@ -4,8 +4,8 @@ The model and all candidates become one problem whose first parameters are the m
 candidates change nothing, so one linearisation gives the Jacobian of the fit and the response to every candidate.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -109,12 +109,38 @@ class Responses:
 
 
 @dataclass(frozen=True)
+class LinearisationPoint:
+    """Where candidates are linearised that are not at their nulls.
+
+    Attributes
+    ----------
+    values : coefficient → its value, in its unit.
+    shapes : effect → field → value, in its unit; no other shape of that effect is scanned.
+    """
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    shapes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+
+_AT_NULLS = LinearisationPoint()
+
+
+@dataclass(frozen=True)
 class _Extended:
     problem: Problem
     own: int
     effects: tuple[BoundEffect, ...]
     parameters: tuple[Parameter, ...]
     places: dict[str, int]
+    about: LinearisationPoint
+
+    def grid(self, effect: BoundEffect) -> list[dict[str, float]]:
+        """Return the shapes to scan; several shape parameters are scanned together, place by place."""
+        if effect.name in self.about.shapes:
+            return [dict(self.about.shapes[effect.name])]
+        grids = {name: declared.shape for name, declared in effect.declared.items() if declared.shape}
+        longest = max((len(grid) for grid in grids.values()), default=0)
+        return [{name: grid[min(place, len(grid) - 1)] for name, grid in grids.items()} for place in range(longest)]
 
 
 def stated_size(model: Model, effect: str, coefficient: Coefficient) -> float | None:
@@ -127,12 +153,17 @@ def stated_size(model: Model, effect: str, coefficient: Coefficient) -> float | 
     return None if stated is None else stated / parameter.factor
 
 
-def candidate_responses(fitted: Fit, only: Sequence[str] = ()) -> Responses:
-    """Return the fit linearised in its own parameters and in those of every candidate, or of the named ones only."""
+def candidate_responses(fitted: Fit, only: Sequence[str] = (), about: LinearisationPoint = _AT_NULLS) -> Responses:
+    """Return the fit linearised in its own parameters and in those of every candidate, or of the named ones only.
+
+    Parameters
+    ----------
+    about : where candidates are linearised; those that it does not name at their nulls.
+    """
     acting, unobservable = _candidates(fitted)
     if only:
         acting = tuple(effect for effect in acting if effect.name in only)
-    return _linearised_with(fitted, acting, unobservable)
+    return _linearised_with(fitted, acting, unobservable, about)
 
 
 def moved_responses(fitted: Fit, names: Sequence[str], move: Callable[[BoundEffect], Move]) -> Responses:
@@ -142,16 +173,19 @@ def moved_responses(fitted: Fit, names: Sequence[str], move: Callable[[BoundEffe
 
 
 def _linearised_with(
-    fitted: Fit, acting: tuple[BoundEffect, ...], unobservable: dict[str, tuple[str, ...]]
+    fitted: Fit,
+    acting: tuple[BoundEffect, ...],
+    unobservable: dict[str, tuple[str, ...]],
+    about: LinearisationPoint = _AT_NULLS,
 ) -> Responses:
-    extended = _extend(fitted, acting)
+    extended = _extend(fitted, acting, about)
     z = np.concatenate([fitted.z, np.zeros(len(extended.parameters) - extended.own)])
     slopes = np.asarray(_slopes(extended.problem, jnp.asarray(z)))
     own = np.asarray(_values(extended.problem, jnp.asarray(z)))[: extended.own]
     first = _linearised(extended, own, 0, range(len(extended.parameters)))
     candidates: list[Response] = []
-    for place in range(max((1, *(len(_grid(effect)) for effect in acting)))):
-        scanned = [effect for effect in acting if place < max(1, len(_grid(effect)))]
+    for place in range(max((1, *(len(extended.grid(effect)) for effect in acting)))):
+        scanned = [effect for effect in acting if place < max(1, len(extended.grid(effect)))]
         linear = [extended.places[parameter.name] for effect in scanned for parameter in _linear(effect)]
         at = first if place == 0 else _linearised(extended, own, place, linear)
         candidates.extend(_response(effect, extended, at, place) for effect in scanned)
@@ -255,19 +289,13 @@ def _rival(member: EffectClass, other: EffectClass) -> bool:
     return member.name == other.name or member.name in other.excludes or other.name in member.excludes
 
 
-def _extend(fitted: Fit, acting: tuple[BoundEffect, ...]) -> _Extended:
+def _extend(fitted: Fit, acting: tuple[BoundEffect, ...], about: LinearisationPoint) -> _Extended:
     assembly = fitted.model.assembly
     extended = assemble(assembly.effects + acting, assembly.grouping)
     parameters = extended.layout.parameters
     places = {parameter.name: place for place, parameter in enumerate(parameters)}
-    return _Extended(on_device(build_problem(extended)), len(assembly.layout), acting, parameters, places)
-
-
-def _grid(effect: BoundEffect) -> list[dict[str, float]]:
-    """Return the shapes to scan; several shape parameters are scanned together, place by place."""
-    grids = {field: declared.shape for field, declared in effect.declared.items() if declared.shape}
-    longest = max((len(grid) for grid in grids.values()), default=0)
-    return [{field: grid[min(place, len(grid) - 1)] for field, grid in grids.items()} for place in range(longest)]
+    problem, own = on_device(build_problem(extended)), len(assembly.layout)
+    return _Extended(problem, own, acting, parameters, places, about)
 
 
 @dataclass(frozen=True)
@@ -311,11 +339,13 @@ def _at_nulls(extended: _Extended, own: np.ndarray, scan_place: int) -> np.ndarr
     values = np.concatenate([own, np.zeros(len(extended.parameters) - extended.own)])
     place = extended.own
     for effect in extended.effects:
-        grid = _grid(effect)
+        grid = extended.grid(effect)
         shape = grid[min(scan_place, len(grid) - 1)] if grid else {}
         for parameter in effect.parameters:
             null = effect.declared[parameter.field].null
             values[place] = shape[parameter.field] * parameter.factor if parameter.field in shape else null
+            if parameter.name in extended.about.values:
+                values[place] = extended.about.values[parameter.name] * parameter.factor
             place += 1
     return values
 
@@ -343,7 +373,7 @@ def _linear(effect: BoundEffect) -> list[Parameter]:
 
 
 def _response(effect: BoundEffect, extended: _Extended, at: _Linearised, scan_place: int) -> Response:
-    grid = _grid(effect)
+    grid = extended.grid(effect)
     shape = grid[scan_place] if grid else {}
     linear = _linear(effect)
     places = [extended.places[parameter.name] for parameter in linear]

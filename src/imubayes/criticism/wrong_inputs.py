@@ -7,7 +7,7 @@ one place: the prediction of the model for that campaign.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -18,11 +18,11 @@ import numpy as np
 from imubayes.campaign_data import Campaign, Run
 from imubayes.covariates import COVARIATES, Covariate, recorded
 from imubayes.gather import on_device
-from imubayes.inference.posterior_precision import linearise
+from imubayes.kept_programs import kept
 from imubayes.model.assembly import nodes_of
 from imubayes.model.bind import Model
 from imubayes.model.nodes_and_entries import join_entries, join_nodes
-from imubayes.model.problem import Problem
+from imubayes.model.problem import Problem, predict
 from imubayes.procedures import PROCEDURES
 from imubayes.rotations import exponential
 
@@ -148,6 +148,11 @@ def problem_of(model: Model, campaign: Campaign) -> Problem | None:
     return eqx.tree_at(lambda known: (known.nodes, known.observations.value), model.problem, (arrays, value))
 
 
+@kept
+def _misfit(problem: Problem, z):
+    return problem.observations.value - predict(problem, z)
+
+
 class Predictions:
     """Misfits of a model at parameters z, for changed records of its campaign."""
 
@@ -157,7 +162,7 @@ class Predictions:
     def misfit(self, campaign: Campaign) -> np.ndarray | None:
         """Return observed less predicted of every entry, (E,); None where the prediction is not defined."""
         problem = problem_of(self.model, campaign)
-        return None if problem is None else np.asarray(linearise(problem, self.z).misfit)
+        return None if problem is None else np.asarray(_misfit(problem, self.z))
 
     def response(self, wrong: WrongInput, campaign: Campaign) -> np.ndarray | None:
         """Return the derivative of −misfit by the size of a wrong input, (E, d), in a campaign."""
@@ -196,10 +201,24 @@ class Predictions:
                 if any(column.name == name for column in columns)
             ]
             step = max(each.step(campaign) for each in concerned)
-            high, low = campaign, campaign
-            for each in concerned:
-                high, low = each.corrected(high, np.array([step])), each.corrected(low, np.array([-step]))
-            misfits = [self.misfit(each) for each in (high, low)]
-            if misfits[0] is not None and misfits[1] is not None:
-                found[name] = np.nan_to_num((misfits[1] - misfits[0]) / (2 * step))
+            if (response := self._of_all(campaign, concerned, np.array([step]))) is not None:
+                found[name] = response
         return found
+
+    def response_of_seats(self, campaign: Campaign) -> np.ndarray | None:
+        """Return the derivative by the attitude of the seat, (E, 3), each run by its own, all runs at once."""
+        concerned = [each for k in range(len(campaign.runs)) for each in suspected(campaign, k) if each.form == "seat"]
+        if not concerned:
+            return None
+        found = [self._of_all(campaign, concerned, _STEP * along) for along in np.eye(3)]
+        known = [each for each in found if each is not None]
+        return np.stack(known, axis=1) if len(known) == len(found) else None
+
+    def _of_all(self, campaign: Campaign, concerned: Sequence[WrongInput], step: np.ndarray) -> np.ndarray | None:
+        high, low = campaign, campaign
+        for each in concerned:
+            high, low = each.corrected(high, step), each.corrected(low, -step)
+        misfits = [self.misfit(each) for each in (high, low)]
+        if misfits[0] is None or misfits[1] is None:
+            return None
+        return np.nan_to_num((misfits[1] - misfits[0]) / (2 * float(np.linalg.norm(step))))

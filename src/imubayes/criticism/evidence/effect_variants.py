@@ -1,0 +1,114 @@
+"""Which effects may be missing, and in which form: all of an effect, one of its parameters, or on one channel alone.
+
+An effect of several parameters is in practice often one of them, and on one channel: without these variants its prior
+would spread over coefficients that are zero, and Occam's factor would prefer any special case that the catalogue has.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imubayes.criticism.candidate_effects import Response
+from imubayes.criticism.evidence.linear_problem import LinearProblem, typical_sizes
+
+EXPECTED = 1.0
+"""Expected number of missing effects, in equal shares of the catalogue; most of `LARGEST` each."""
+LARGEST = 0.2
+ONE_PARAMETER, ONE_OWNER = 0.5, 0.3
+"""Shares of the prior of an effect for one of its parameters, and for one channel, mounting or table alone."""
+_REACH, _RATIO = 10.0, 4.0
+"""Widths of the prior of coefficients: from the smallest to ten times the largest typical size, in steps of a ratio.
+Derived: a coarser ratio costs more than a nat of Occam's factor."""
+_LEAST_WIDTH, _MOST_LEAST = 1e-4, 0.5
+
+
+@dataclass(frozen=True)
+class EffectVariant:
+    """An effect in one form.
+
+    Attributes
+    ----------
+    response : place of its response, which tells the effect and its shape.
+    owners : channels, mountings or tables.
+    places : places of its coefficients.
+    log_odds : logarithm of the prior odds that it is missing.
+    widths : standard deviations of the prior of its coefficients, in their largest typical sizes; equally likely.
+    """
+
+    effect: str
+    response: int
+    owners: tuple[str, ...]
+    places: tuple[int, ...]
+    log_odds: float
+    widths: tuple[float, ...]
+
+    def excludes(self, other: "EffectVariant") -> bool:
+        """Whether both are the same effect of the same owner."""
+        return self.effect == other.effect and bool(set(self.owners) & set(other.owners))
+
+
+@dataclass
+class _Share:
+    """Live coefficients of one response that belong to one kind of owner."""
+
+    response: int
+    places: list[int] = field(default_factory=list)
+
+
+def effect_variants(problem: LinearProblem) -> tuple[EffectVariant, ...]:
+    """Return all variants of the effects that the rows respond to."""
+    shares, first, kind = list[tuple[str, str, _Share]](), 0, dict(zip(_names(problem), problem.kinds, strict=True))
+    for place, response in enumerate(problem.responses.candidates):
+        own: dict[str, _Share] = {}
+        for k, coefficient in enumerate(response.coefficients, first):
+            if problem.shown[k]:
+                own.setdefault(kind.get(coefficient.owner, ""), _Share(place)).places.append(k)
+        shares += [(response.scan.effect, name, share) for name, share in own.items()]
+        first += len(response.coefficients)
+    causes = {(effect, name) for effect, name, _ in shares}
+    effects = [effect for effect, _ in causes]
+    odds = min(LARGEST, EXPECTED / max(len(set(effects)), 1))
+    shapes = {cause: sum((effect, name) == cause for effect, name, _ in shares) for cause in causes}
+    found: list[EffectVariant] = []
+    for effect, name, share in shares:
+        log_odds = math.log(odds / (1 - odds) / effects.count(effect) / shapes[effect, name])
+        found += _variants(problem, problem.responses.candidates[share.response], share, log_odds)
+    return tuple(found)
+
+
+def _names(problem: LinearProblem) -> list[str]:
+    return [channel.name for channel in problem.fitted.model.campaign.channels]
+
+
+def _variants(problem: LinearProblem, response: Response, share: _Share, log_odds: float) -> list[EffectVariant]:
+    def variant(places: list[int], log_share: float) -> EffectVariant:
+        owners = tuple(dict.fromkeys(problem.coefficients[k].owner for k in places))
+        widths = _widths(problem, places)
+        return EffectVariant(response.scan.effect, share.response, owners, tuple(places), log_odds + log_share, widths)
+
+    fields: dict[str, list[int]] = {}
+    owners: dict[str, list[int]] = {}
+    for k in share.places:
+        fields.setdefault(problem.coefficients[k].parameter.field, []).append(k)
+        owners.setdefault(problem.coefficients[k].owner, []).append(k)
+    several = math.log(1 - ONE_OWNER) if len(owners) > 1 else 0.0
+    whole = math.log(1 - ONE_PARAMETER) if len(fields) > 1 else 0.0
+    found = [variant(share.places, whole + several)]
+    if len(fields) > 1:
+        part = math.log(ONE_PARAMETER / len(fields))
+        for places in fields.values():
+            shared = len({problem.coefficients[k].owner for k in places}) > 1
+            found.append(variant(places, part + (math.log(1 - ONE_OWNER) if shared else 0.0)))
+    if len(owners) > 1:
+        alone = math.log(ONE_OWNER / len(owners))
+        found += [variant(places, whole + alone) for places in owners.values()]
+    return found
+
+
+def _widths(problem: LinearProblem, places: list[int]) -> tuple[float, ...]:
+    typical = np.array([typical_sizes(problem.coefficients[k]) for k in places])
+    least = float(np.exp(np.mean(np.log(np.maximum(typical[:, 0], 1e-300) / typical[:, 1]))))
+    least = min(max(least, _LEAST_WIDTH), _MOST_LEAST)
+    count = 1 + max(2, round(math.log(_REACH / least) / math.log(_RATIO)))
+    return tuple(np.geomspace(least, _REACH, count).tolist())

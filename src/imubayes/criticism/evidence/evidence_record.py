@@ -1,0 +1,117 @@
+"""What a search found, as a record: how probable each explanation is, and what stands in the place of each effect."""
+
+from typing import Literal
+
+from imubayes.json_record import Record
+
+Explanation = Literal["nothing", "noise", "effects", "input", "outside"]
+"""Nothing is missing; the noise is not as stated; effects of the catalogue; a wrong input; a form outside of it."""
+
+
+class ProbableExplanation(Record):
+    """A kind of explanation: its probability, and the log odds of its likeliest against the likeliest of all.
+
+    `log_odds` is a natural logarithm; None where no explanation of the kind was evaluated.
+    """
+
+    kind: Explanation
+    probability: float
+    log_odds: float | None
+
+
+class ProbableEffect(Record):
+    """An effect with its inclusion probability: of all explanations that contain it."""
+
+    effect: str
+    channels: tuple[str, ...]
+    probability: float
+
+
+class EvidenceCoefficient(Record):
+    """A coefficient of the likeliest explanation with its posterior standard deviation, in its unit."""
+
+    name: str
+    value: float
+    sd: float
+    unit: str
+
+
+class EffectSlot(Record):
+    """One missing effect of the likeliest explanation, and what may stand in its place, the rest held.
+
+    Attributes
+    ----------
+    candidates : effects with their shares, the likeliest first, until 95 % are told.
+    gain : natural logarithm of the evidence for it.
+    shape : scanned parameters, such as a time constant.
+    """
+
+    candidates: tuple[ProbableEffect, ...]
+    channels: tuple[str, ...]
+    gain: float
+    coefficients: tuple[EvidenceCoefficient, ...]
+    shape: dict[str, float]
+
+
+class FoundForm(Record):
+    """A form outside the catalogue, or a wrong input, of the likeliest explanation that has one.
+
+    Attributes
+    ----------
+    name : what it is.
+    channels : on which.
+    covariates : columns of the covariates that it depends on.
+    run, row : of a step or a wrong input; the row counts from 1.
+    log_odds : against the likeliest explanation without one.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    covariates: tuple[str, ...] = ()
+    run: str = ""
+    row: int | None = None
+    log_odds: float
+
+
+class FoundNoise(Record):
+    """Noise other than stated in the likeliest explanation.
+
+    Attributes
+    ----------
+    family : what it is; ``scale``: white noise of another size.
+    scale : noise of a row over that known beforehand.
+    """
+
+    channels: tuple[str, ...]
+    family: str
+    scale: float
+
+
+class Evidence(Record):
+    """How probable each explanation of what a model leaves is.
+
+    Attributes
+    ----------
+    explanations : every kind of explanation.
+    slots : effects of the likeliest explanation, the strongest first.
+    inclusion : effects by their inclusion probability.
+    form : the likeliest form or wrong input; None where none is near.
+    noise : noise other than stated, in the likeliest explanation.
+    hypotheses : how many were evaluated.
+    """
+
+    explanations: tuple[ProbableExplanation, ...]
+    slots: tuple[EffectSlot, ...]
+    inclusion: tuple[ProbableEffect, ...]
+    form: FoundForm | None
+    noise: tuple[FoundNoise, ...]
+    hypotheses: int
+
+    @property
+    def leading(self) -> ProbableExplanation:
+        """The kind of explanation that is likeliest."""
+        return max(self.explanations, key=lambda each: each.probability)
+
+    def of(self, kind: Explanation) -> ProbableExplanation:
+        """Return one kind of explanation."""
+        return next(each for each in self.explanations if each.kind == kind)

@@ -1,0 +1,346 @@
+"""Explanations outside the catalogue: free functions of covariates, steps, harmonics, and wrong inputs of runs or rows.
+
+What is not among the hypotheses gives its probability to the nearest that is: without free forms an effect that the
+catalogue lacks gets a wrong name with confidence.  A form is a few columns with one amplitude in units of noise; its
+coefficients are normal.  A wrong input responds as the model does to that column of the record (`wrong_inputs`), in all
+rows of one run or in one row.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from imubayes.criticism.evidence.effect_variants import ONE_OWNER
+from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
+from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.criticism.wrong_inputs import Predictions, WrongInput, suspected
+
+FormFamily = Literal["function", "gain", "level", "harmonic", "product", "memory", "step", "input"]
+
+FREE_FORM, WRONG_INPUT = 0.05, 0.05
+"""Prior probabilities of a form outside the catalogue and of a wrong input, in equal shares of families and members."""
+AMPLITUDES = (1.0, 4.0, 16.0, 64.0)
+"""Standard deviations of the coefficients of a form, in units of the noise of a row; equally likely."""
+_ERRORS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
+"""The same of a wrong input, by its largest response: a mistake is no small effect."""
+_SMOOTH, _ROUGH = (0.25, 7), (0.06, 16)
+"""Length of a Gaussian process over the range of its covariate, and its columns."""
+_HARMONICS, _FIRST_HARMONIC = 12, 3
+_MOST_LEVELS, _LEAST_ROWS, _STEPS = 40, 8, 10
+_POWERS = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (3, 1))
+_MEAN_FREE = ("temperature_degC", "campaign_time_h", "time_s", "power_on_s")
+"""Covariates that act by their change, not by their distance from zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class FreeForm:
+    """A form of one kind of channel.
+
+    Attributes
+    ----------
+    covariates : columns of the covariates it depends on; of a step none.
+    columns : channel → (n, k) over its rows, in units of their noise.
+    amplitudes : standard deviations of its coefficients.
+    log_prior : logarithm of its prior probability, shared by its amplitudes.
+    run, row : of a step or a wrong input; the row counts from 0, None for all.
+    wrong : the wrong input it is.
+    """
+
+    family: FormFamily
+    name: str
+    covariates: tuple[str, ...]
+    columns: Mapping[int, np.ndarray]
+    amplitudes: tuple[float, ...] = AMPLITUDES
+    log_prior: float = 0.0
+    run: int | None = None
+    row: int | None = None
+    wrong: WrongInput | None = None
+
+
+@dataclass(frozen=True)
+class ChosenForm:
+    """A form with its amplitude, on all of its channels or on one alone."""
+
+    form: FreeForm
+    amplitude: float
+    channels: tuple[int, ...]
+
+    @property
+    def log_prior(self) -> float:
+        """Logarithm of the prior probability."""
+        several = len(self.form.columns)
+        alone = len(self.channels) == 1 and several > 1
+        share = math.log(ONE_OWNER / several) if alone else math.log(1 - ONE_OWNER) if several > 1 else 0.0
+        return self.form.log_prior + (share if self.form.wrong is None else 0.0) - math.log(len(self.form.amplitudes))
+
+    def at(self, amplitude: float) -> "ChosenForm":
+        """Return the form with another amplitude."""
+        return ChosenForm(self.form, amplitude, self.channels)
+
+    @property
+    def may_be_alone(self) -> bool:
+        """Whether one channel may have it alone; the record of a run is wrong for all."""
+        return self.form.wrong is None
+
+
+def free_forms(
+    problem: LinearProblem, known: Sequence[ResidualCovariate]
+) -> "tuple[tuple[FreeForm, ...], WrongRows | None]":
+    """Return all forms with their prior probabilities, and what may be wrong in single rows."""
+    forms: list[FreeForm] = []
+    for kind in dict.fromkeys(problem.kinds):
+        forms += _of_kind(problem, known, [k for k, each in enumerate(problem.kinds) if each == kind])
+    predictions = Predictions(problem.fitted.model, problem.fitted.z)
+    columns = predictions.responses_of_columns(problem.fitted.model.campaign)
+    wrong = list(_wrong_inputs(problem, predictions, columns))
+    return (*_with_prior(forms, FREE_FORM), *_with_prior(wrong, WRONG_INPUT / 2)), _wrong_rows(problem, columns)
+
+
+def _with_prior(forms: Sequence[FreeForm], whole: float) -> list[FreeForm]:
+    members = Counter(each.family for each in forms)
+    share = {family: math.log(whole / len(members) / count) for family, count in members.items()}
+    return [
+        FreeForm(one.family, one.name, one.covariates, one.columns, one.amplitudes, share[one.family], one.run,
+                 one.row, one.wrong)
+        for one in forms
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Rows of a channel with its covariates as seen there."""
+
+    rows: ChannelRows
+    run: np.ndarray
+
+    def weighted(self, columns: np.ndarray) -> np.ndarray:
+        return columns * self.rows.root[:, None]
+
+
+def _of_kind(problem: LinearProblem, known: Sequence[ResidualCovariate], channels: list[int]) -> Iterator[FreeForm]:
+    places = {
+        k: _Place(problem.rows[k], problem.run[problem.rows[k].entry]) for k in channels if len(problem.rows[k].entry)
+    }
+    for covariate in known:
+        values = {k: covariate.values[place.rows.entry] for k, place in places.items()}
+        seen = {k: x for k, x in values.items() if _varies(x)}
+        if seen:
+            yield from _of_covariate(covariate, seen, places)
+    yield from _products(known, places)
+    yield FreeForm("memory", "input of the row before", (), {k: place.weighted(_row_before(place.rows))
+                                                              for k, place in places.items()})  # fmt: skip
+    yield from _steps(places)
+
+
+def _varies(values: np.ndarray) -> bool:
+    told = values[np.isfinite(values)]
+    return len(told) >= _LEAST_ROWS and float(np.ptp(told)) > 1e-9 * (1 + float(np.abs(told).max()))
+
+
+def _of_covariate(
+    covariate: ResidualCovariate, seen: Mapping[int, np.ndarray], places: Mapping[int, _Place]
+) -> Iterator[FreeForm]:
+    name, own = covariate.name, (covariate.name,)
+    if covariate.periodic:
+        angle = {k: np.radians(x) for k, x in seen.items()}
+        basis = {k: 0.5 * _harmonics(x, range(1, 7)) for k, x in angle.items()}
+        for order in range(_FIRST_HARMONIC, _HARMONICS + 1):
+            shape = {k: places[k].weighted(_harmonics(x, [order])) for k, x in angle.items()}
+            yield FreeForm("harmonic", f"harmonic {order} of {name}", own, shape)
+    else:
+        basis = {k: _gaussian_process(x, *_SMOOTH) for k, x in seen.items()}
+        rough = {k: places[k].weighted(_gaussian_process(x, *_ROUGH)) for k, x in seen.items()}
+        yield FreeForm("function", f"rough function of {name}", own, rough)
+        if name.startswith(("rate", "force")):
+            yield from _levels(name, seen, places)
+    yield FreeForm("function", f"function of {name}", own, {k: places[k].weighted(b) for k, b in basis.items()})
+    gained = {k: places[k].weighted(b * places[k].rows.input[:, None]) for k, b in basis.items()}
+    yield FreeForm("gain", f"input × function of {name}", own, gained)
+
+
+def _harmonics(angle: np.ndarray, orders: Sequence[int]) -> np.ndarray:
+    waves = [wave(order * np.nan_to_num(angle)) for order in orders for wave in (np.cos, np.sin)]
+    return np.where(np.isfinite(angle)[:, None], np.stack(waves, axis=1), 0.0)
+
+
+def _gaussian_process(values: np.ndarray, length: float, columns: int) -> np.ndarray:
+    """Return columns whose normal combinations are a Gaussian process of unit variance; zero where not finite.
+
+    Its coordinate is the mean of value and rank, both scaled to their range: levels far apart are not one.
+    """
+    told = np.isfinite(values)
+    x = values[told]
+    _, rank = np.unique(np.round(x / float(np.ptp(x)), 3), return_inverse=True)
+    at = 0.5 * (x - x.min()) / np.ptp(x) + 0.5 * rank / max(int(rank.max()), 1)
+    grid, place = np.unique(np.round(at, 3), return_inverse=True)
+    squares, axes = np.linalg.eigh(np.exp(-0.5 * ((grid[:, None] - grid) / length) ** 2))
+    best = np.argsort(-squares)[:columns]
+    found = np.zeros((len(values), len(best)))
+    found[told] = (axes[:, best] * np.sqrt(np.maximum(squares[best], 0.0)))[place]
+    return found
+
+
+def _levels(name: str, seen: Mapping[int, np.ndarray], places: Mapping[int, _Place]) -> Iterator[FreeForm]:
+    """Yield an even and an odd response at one level of an input alone, as of a resonance."""
+    filled = {k: np.nan_to_num(x) for k, x in seen.items()}
+    top = max(float(np.abs(x).max()) for x in filled.values())
+    level = {k: np.round(np.abs(x) / top * 50) for k, x in filled.items()}
+    levels = np.unique(np.concatenate(list(level.values())))
+    if 2 < len(levels) <= _MOST_LEVELS:
+        for one in levels[1:].tolist():
+            both = {
+                k: places[k].weighted(np.stack([at == one, (at == one) * np.sign(filled[k])], axis=1).astype(float))
+                for k, at in level.items()
+            }
+            yield FreeForm("level", f"level of |{name}| = {one * top / 50:.3g}", (name,), both)
+
+
+def _products(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) -> Iterator[FreeForm]:
+    scaled: dict[str, dict[int, np.ndarray]] = {}
+    for covariate in known:
+        seen = {k: covariate.values[place.rows.entry] for k, place in places.items()}
+        seen = {k: np.nan_to_num(x) for k, x in seen.items() if _varies(x)}
+        if seen and not covariate.periodic:
+            every = np.concatenate(list(seen.values()))
+            centre = float(every.mean()) if covariate.name in _MEAN_FREE else 0.0
+            size = float(np.abs(every - centre).max()) or 1.0
+            scaled[covariate.name] = {k: (x - centre) / size for k, x in seen.items()}
+    for one, other in combinations(scaled, 2):
+        shapes = {}
+        for k in scaled[one].keys() & scaled[other].keys():
+            a, b = scaled[one][k], scaled[other][k]
+            terms = [a**p * b**q for p, q in _POWERS] + [np.sign(a) * b, a * np.sign(b)]
+            shapes[k] = places[k].weighted(np.stack(terms, axis=1))
+        if shapes:
+            yield FreeForm("product", f"function of {one} and {other}", (one, other), shapes)
+
+
+def _row_before(rows: ChannelRows) -> np.ndarray:
+    found = np.zeros((len(rows.entry), 1))
+    for start, length in rows.series:
+        found[start + 1 : start + length, 0] = rows.input[start : start + length - 1]
+    return found
+
+
+def _steps(places: Mapping[int, _Place]) -> Iterator[FreeForm]:
+    """Yield steps in a run, and from a row of a run on, of bias and of scale."""
+    runs = sorted({int(run) for place in places.values() for run in np.unique(place.run)})
+    for run in runs:
+        rank = {k: np.where(place.run == run, np.cumsum(place.run == run), 0) for k, place in places.items()}
+        rows = max(int(at.max()) for at in rank.values())
+        for row in range(2, rows, max(1, rows // _STEPS)):
+            within = {k: at > row for k, at in rank.items()}
+            onward = {k: here | (places[k].run > run) for k, here in within.items()}
+            for name, where in (("step within the run", within), ("step of the bias", onward)):
+                shape = {k: places[k].weighted(here[:, None].astype(float)) for k, here in where.items()}
+                yield FreeForm("step", name, (), shape, run=run, row=row)
+            gained = {k: places[k].weighted((here * places[k].rows.input)[:, None]) for k, here in onward.items()}
+            yield FreeForm("step", "step of the scale factor", (), gained, run=run, row=row)
+
+
+def _wrong_inputs(
+    problem: LinearProblem, predictions: Predictions, columns: Mapping[str, np.ndarray]
+) -> Iterator[FreeForm]:
+    """Yield what may be wrong in all rows of one run."""
+    campaign = problem.fitted.model.campaign
+    seats = predictions.response_of_seats(campaign)
+    for run in range(len(campaign.runs)):
+        for wrong in suspected(campaign, run):
+            response = _of_run(problem, wrong, columns, seats, predictions)
+            shape = _in_noise(problem, response) if response is not None else {}
+            if shape:
+                name = f"{wrong.form} of {wrong.covariate or 'outputs'}" if wrong.form != "seat" else "attitude"
+                yield FreeForm("input", name, (), shape, _ERRORS, run=run, wrong=wrong)
+
+
+def _of_run(
+    problem: LinearProblem,
+    wrong: WrongInput,
+    columns: Mapping[str, np.ndarray],
+    seats: np.ndarray | None,
+    predictions: Predictions,
+) -> np.ndarray | None:
+    """Return the response to a wrong input of one run, (E, d), from the derivatives by the record of all runs."""
+    model = problem.fitted.model
+    if wrong.form == "seat":
+        every = seats
+    elif wrong.covariate:
+        every = columns.get(wrong.covariate)
+    else:
+        return predictions.response(wrong, model.campaign)
+    if every is None:
+        return None
+    here, found = (problem.run == wrong.run) & ~model.entries.closing, np.zeros((len(every), every[0].size))
+    own = every.reshape(found.shape)[here]
+    if wrong.form == "factor":
+        own = (
+            own
+            * np.nan_to_num(model.campaign.runs[wrong.run].covariates[wrong.covariate])[model.entries.row[here], None]
+        )
+    found[here] = own
+    return found
+
+
+def _in_noise(problem: LinearProblem, response: np.ndarray) -> dict[int, np.ndarray]:
+    """Return a response of all entries (E, d), output units, over the noise of each, its largest value 1."""
+    root = problem.root[:, None] * response
+    largest = float(np.abs(root).max(initial=0.0))
+    if not (np.isfinite(largest) and largest > 0):
+        return {}
+    found = {k: root[rows.entry] / largest for k, rows in enumerate(problem.rows)}
+    return {k: columns for k, columns in found.items() if np.any(columns)}
+
+
+@dataclass(frozen=True, eq=False)
+class WrongRows:
+    """What may be wrong in one row of a run: one column of the record there.
+
+    Attributes
+    ----------
+    columns : column of the record → channel → (n,), the response of each row to its own value, its largest 1.
+    row : channel → (n,), row of each entry, counted over all runs.
+    run, place : shape (rows,), run of each row, and its place there.
+    """
+
+    columns: Mapping[str, Mapping[int, np.ndarray]]
+    row: Mapping[int, np.ndarray]
+    run: np.ndarray
+    place: np.ndarray
+    amplitudes: tuple[float, ...] = _ERRORS
+
+    @property
+    def log_prior(self) -> float:
+        """Logarithm of the prior probability of each: as likely together as a run that is wrong."""
+        return math.log(WRONG_INPUT / 2 / max(len(self.columns), 1) / max(len(self.run), 1))
+
+    def form(self, column: str, row: int) -> FreeForm:
+        """Return one of them as a form."""
+        shape = {k: np.where(self.row[k] == row, x, 0.0)[:, None] for k, x in self.columns[column].items()}
+        shape = {k: x for k, x in shape.items() if np.any(x)}
+        run, place = int(self.run[row]), int(self.place[row])
+        wrong = WrongInput(run, "offset", column, place)
+        return FreeForm("input", f"offset of {column}", (), shape, _ERRORS, self.log_prior, run, place, wrong)
+
+
+def _wrong_rows(problem: LinearProblem, columns: Mapping[str, np.ndarray]) -> WrongRows | None:
+    """Return what may be wrong in single rows; None where nothing is that a bench or an instrument says."""
+    runs, entries = problem.fitted.model.campaign.runs, problem.fitted.model.entries
+    first = np.cumsum([0, *(run.rows for run in runs)])
+    row = {k: first[entries.run[rows.entry]] + entries.row[rows.entry] for k, rows in enumerate(problem.rows)}
+    found: dict[str, dict[int, np.ndarray]] = {}
+    for name, response in columns.items():
+        white = {k: problem.root[rows.entry] * response[rows.entry] for k, rows in enumerate(problem.rows)}
+        largest = np.zeros(first[-1])
+        for k, x in white.items():
+            np.maximum.at(largest, row[k], np.abs(x))
+        safe = np.where(largest > 0, largest, 1.0)
+        found[name] = {k: x / safe[row[k]] for k, x in white.items()}
+    if not found:
+        return None
+    run = np.repeat(np.arange(len(runs)), [each.rows for each in runs])
+    return WrongRows(found, row, run, np.arange(first[-1]) - first[run])

@@ -1,0 +1,254 @@
+"""The fit as one linear model: residual, Jacobian and the responses of all candidates, at the noise known beforehand.
+
+    r = J t + X b + F c + e
+
+t are the model's own parameters with their priors, b the coefficients of missing effects, c a free form, e the noise.
+Rows are divided by the noise that was known before the fit, as raw samples, priors or the campaign tell it, so that a
+scale of 1 is the noise as known.  Nothing is projected out: parameters are coefficients with priors like all others,
+and noise may change between hypotheses.  Coefficients of effects count in their largest typical sizes.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax.numpy as jnp
+import numpy as np
+from scipy import special
+
+from imubayes.array_shapes import Array, Float
+from imubayes.criticism.candidate_effects import Coefficient, Responses
+from imubayes.criticism.known_noise import known_scales, sample_noise
+from imubayes.inference.fitted_model import Fit
+from imubayes.kept_programs import kept
+from imubayes.model.bind import Model
+from imubayes.model.noise_covariance import Series, Whitener, noise_distribution, whitener_of
+from imubayes.model.problem import Problem, prior_widths
+from imubayes.model.slow_series import SlowSeries
+from imubayes.model.student_t import fisher_information
+from imubayes.noise.base import SharedNoise
+from imubayes.noise.components import WhiteNoise
+from imubayes.parameters.vector import Parameter
+
+BELIEVED = 0.03
+"""Standard deviation of the logarithm of a noise scale that raw samples tell.  Calibrated on complete shipped models:
+rounding of the recorded deviations and a stimulus that varies a little within rows stay within it."""
+UNKNOWN = 0.7
+"""The same of a scale that nothing tells: a factor of two either way."""
+_AT_ONCE = 16
+"""Columns that are whitened at once, so that one compiled program serves all."""
+_LEAST_LENGTH = 1e-6
+"""Length of a response to its largest typical size, in units of noise, below which no run shows it.  Numerical."""
+
+
+@dataclass(frozen=True)
+class ChannelRows:
+    """The rows of a channel in order of run and time, divided by the noise known beforehand.
+
+    Attributes
+    ----------
+    live : shape (L,), which columns of [J X] this channel responds to.
+    columns : shape (n, L + 1), those columns, the residual last.
+    entry : shape (n,), entry of each row.
+    series : start and length of each run.
+    offset : shape (n,), response to an offset of the outputs of one standard deviation of the noise of a row.
+    root : shape (n,), noise of the median row over that of each.
+    input : shape (n,), predicted output less the nominal offset, over its largest magnitude.
+    scale_sd : standard deviation of the logarithm of the noise scale, as known.
+    run_scatter : standard deviations of offsets of runs that the model's prior allows, in units of the noise of a row,
+        with the logarithm of the probability of each; empty of a model without them.
+    """
+
+    live: np.ndarray
+    columns: np.ndarray
+    entry: np.ndarray
+    series: tuple[tuple[int, int], ...]
+    offset: np.ndarray
+    root: np.ndarray
+    input: np.ndarray
+    scale_sd: float
+    run_scatter: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class LinearProblem:
+    """A linearised fit with the responses of its candidates.
+
+    Attributes
+    ----------
+    fitted, responses : what was linearised.
+    precision, pull : shape (P,), of the priors of the model's own parameters about the fit, and precision × mean.
+    root : shape (E,), one over the noise of each entry as known, output units.
+    rows : one of each channel.
+    """
+
+    fitted: Fit
+    responses: Responses
+    precision: np.ndarray
+    pull: np.ndarray
+    root: np.ndarray
+    rows: tuple[ChannelRows, ...]
+
+    @property
+    def own(self) -> int:
+        """The number P of the model's own parameters."""
+        return len(self.precision)
+
+    @cached_property
+    def coefficients(self) -> tuple[Coefficient, ...]:
+        """All C coefficients, in the order of the columns."""
+        return tuple(each for response in self.responses.candidates for each in response.coefficients)
+
+    @cached_property
+    def sizes(self) -> np.ndarray:
+        """The largest typical size of each coefficient, (C,), in its unit: what the columns count in."""
+        return np.array([typical_sizes(each)[1] for each in self.coefficients])
+
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """The kind of sensor of each channel."""
+        return tuple(channel.kind for channel in self.fitted.model.campaign.channels)
+
+    @cached_property
+    def sign(self) -> np.ndarray:
+        """The only sign that each coefficient may have, (C,); 0 for either."""
+        return np.array([each.sign for each in self.coefficients], dtype=int)
+
+    @cached_property
+    def run(self) -> np.ndarray:
+        """The run of each entry, (E,)."""
+        return self.fitted.model.entries.run
+
+    @property
+    def outputs(self) -> int:
+        """The number of outputs that count."""
+        return sum(len(each.entry) for each in self.rows)
+
+    @cached_property
+    def shown(self) -> np.ndarray:
+        """Which coefficients any row responds to, (C,) bool."""
+        found = np.zeros(self.own + len(self.coefficients), dtype=bool)
+        for rows in self.rows:
+            found[rows.live] = True
+        return found[self.own :]
+
+
+def typical_sizes(coefficient: Coefficient) -> tuple[float, float]:
+    """Return the smallest and the largest typical size of a coefficient: where no one states them, of its prior."""
+    least, largest = coefficient.typical
+    if not np.isfinite(largest) or largest <= 0:
+        largest = coefficient.parameter.prior_sd
+        largest = largest if np.isfinite(largest) and largest > 0 else 1.0
+    return min(least, largest), largest
+
+
+def linear_problem(fitted: Fit, responses: Responses) -> LinearProblem:
+    """Return a converged fit as a linear model with candidates."""
+    model, problem = fitted.model, fitted.model.problem
+    h = known_scales(fitted, correlated=True)
+    typical = np.array([typical_sizes(each)[1] for one in responses.candidates for each in one.coefficients])
+    candidates = [each.columns for each in responses.candidates]
+    free = np.concatenate(candidates, axis=1) * typical if candidates else np.zeros((len(responses.misfit), 0))
+    whole = np.concatenate([responses.jacobian, free, responses.misfit[:, None]], axis=1)
+    at = _columns_at(problem, h, whole)
+    width = np.asarray(prior_widths(problem, jnp.asarray(fitted.h)))
+    rows = tuple(_rows_of(model, place, at, responses.misfit) for place in range(len(model.campaign.channels)))
+    return LinearProblem(fitted, responses, width**-2.0, -fitted.z * width**-2.0, at.root, rows)
+
+
+@dataclass(frozen=True)
+class _Whitened:
+    """Columns whitened by independent noise as known, the response to a common offset, and one over the noise."""
+
+    columns: np.ndarray
+    offset: np.ndarray
+    root: np.ndarray
+
+
+def _columns_at(problem: Problem, h: np.ndarray, columns: np.ndarray) -> _Whitened:
+    root, along, series = _roots(problem, jnp.asarray(h))
+    root, along = np.asarray(root), np.asarray(along)
+    if series is None:
+        return _Whitened(root[:, None] * columns, along, root)
+    count = columns.shape[1]
+    padded = np.zeros((len(columns), -(-count // _AT_ONCE) * _AT_ONCE))
+    padded[:, :count] = root[:, None] * columns
+    parts = np.split(padded, padded.shape[1] // _AT_ONCE, axis=1)
+    white = np.concatenate([np.asarray(_forward(series, jnp.asarray(part))) for part in parts], axis=1)
+    return _Whitened(white[:, :count], along, root)
+
+
+@kept
+def _roots(problem: Problem, h: Float[Array, " H"]):
+    by = _without_offsets(problem, h)
+    return by.precision_root, by.direction, by.series
+
+
+@kept
+def _forward(series: Series | SlowSeries, columns: Float[Array, "E C"]):
+    return series.forward(columns)
+
+
+def _without_offsets(problem: Problem, h: Float[Array, " H"]) -> Whitener:
+    """Return the whitener of a problem with no offsets of runs: these are hypotheses."""
+    noise = noise_distribution(problem, h)
+    own = noise.squared_scale if noise.tail is None else noise.squared_scale / fisher_information(noise.tail)
+    return whitener_of(problem, h, own, jnp.zeros_like(noise.shared_variance))
+
+
+def _rows_of(model: Model, channel: int, at: _Whitened, misfit: np.ndarray) -> ChannelRows:
+    entries, observations = model.entries, model.problem.observations
+    used = (np.asarray(observations.weight) > 0) & ~entries.closing & (entries.channel == channel)
+    padded = np.append(used, np.zeros(1, dtype=bool))
+    parts = [group[padded[group]] for group in np.asarray(observations.in_time)]
+    parts = sorted((part for part in parts if len(part)), key=lambda part: int(entries.run[part[0]]))
+    entry = np.concatenate([*parts, np.zeros(0, dtype=int)]).astype(int)
+    ends = np.cumsum([0, *map(len, parts)]).tolist()
+    own = at.columns[entry]
+    live = np.flatnonzero(np.linalg.norm(own[:, :-1], axis=0) > _LEAST_LENGTH)
+    noise = 1 / float(np.median(at.root[entry])) if len(entry) else 1.0
+    value = entries.value[entry] - misfit[entry] - model.campaign.channels[channel].offset
+    return ChannelRows(
+        live=live,
+        columns=own[:, [*live, own.shape[1] - 1]],
+        entry=entry,
+        series=tuple(zip(ends[:-1], np.diff(ends).tolist(), strict=True)),
+        offset=at.offset[entry] * noise,
+        root=at.root[entry] * noise,
+        input=value / max(float(np.abs(value).max(initial=0.0)), np.finfo(float).tiny),
+        scale_sd=_scale_sd(model, channel),
+        run_scatter=_run_scatter(model, channel, noise),
+    )
+
+
+def _scale_sd(model: Model, channel: int) -> float:
+    """Return how well the noise of a channel is known: the standard deviation of its logarithm."""
+    samples = sample_noise(model).get(channel)
+    if samples is not None and not samples.varying:
+        return float(np.hypot(BELIEVED, np.sqrt(0.5 / samples.freedom)))
+    scale = _scale(model, channel, WhiteNoise)
+    if scale is None:
+        return BELIEVED
+    values = [float(scale.prior.value(jnp.asarray(z))) for z in (-1.0, 1.0)]
+    return float(min(max(0.5 * np.log(values[1] / values[0]), BELIEVED), UNKNOWN)) if min(values) > 0 else UNKNOWN
+
+
+def _run_scatter(model: Model, channel: int, noise: float) -> tuple[tuple[float, float], ...]:
+    """Return a grid over the prior of the scatter between runs, as intervals of z of length 1."""
+    scale = _scale(model, channel, SharedNoise)
+    if scale is None:
+        return ()
+    edges = np.arange(-1.0, 4.0)
+    below = np.array([0.0, *special.ndtr(edges), 1.0])
+    return tuple(
+        (float(scale.prior.value(jnp.asarray(z))) / noise, float(np.log(p)))
+        for z, p in zip(np.append(edges, 4.0) - 0.5, np.diff(below), strict=True)
+    )
+
+
+def _scale(model: Model, channel: int, member: type) -> Parameter | None:
+    """Return the noise scale of a kind that a channel has; None without one."""
+    name, members = model.campaign.channels[channel].name, {each.name: each for each in model.assembly.effects}
+    for each in model.hyper_layout.parameters:
+        if issubclass(members[each.effect].effect_class, member) and each.label and each.label[0] == name:
+            return each
+    return None

@@ -1,0 +1,215 @@
+"""Best-first search: effects are added, removed and swapped, noise and forms varied, until no hypothesis is near.
+
+Every hypothesis within `EXPANDED` nats of the best of its kind is expanded: with and without a form.  Members are
+swapped at the noise of the full hypothesis, since a missing effect inflates the noise of what lacks it.
+"""
+
+from collections.abc import Callable, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from imubayes.criticism.evidence.free_forms import ChosenForm, free_forms
+from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis
+from imubayes.criticism.evidence.linear_problem import LinearProblem
+from imubayes.criticism.evidence.noise_structures import SCALED, NoiseOfUnit, NoiseStructure
+from imubayes.criticism.evidence.proposals import FormScan, Screen, at_scales, conditional, log_likelihood, residuals
+from imubayes.criticism.residual_covariates import ResidualCovariate
+
+EXPANDED, PROPOSED = 3.0, 9.0
+"""Nats below the best within which hypotheses are expanded, and within which quick gains are worth an evaluation."""
+_QUICK_NOISE = 2.0
+"""Nats that a structure may lose at the parameters of another, and still be tried."""
+_SINGLES, _PAIRS, _POOL, _SWAPS, _FORMS = 7, 5, 28, 8, 4
+_MOST_EXPANDED, _MOST_KNOWN, _PAIRED_UP_TO = 24, 3000, 2
+
+
+class ModelSearch:
+    """A search, and all hypotheses that it has evaluated."""
+
+    def __init__(self, problem: LinearProblem, covariates: Sequence[ResidualCovariate]):
+        self.of = EvidenceOf(problem)
+        self.forms, self.wrong_rows = free_forms(problem, covariates)
+        empty = self.of.evaluate(Hypothesis((), self.of.stated))
+        self._screen = Screen(self.of, conditional(self.of, empty))
+        self._expanded: set[Hypothesis] = set()
+        self._scanned: set[Hypothesis] = set()
+
+    @property
+    def known(self) -> list[Evaluated]:
+        """All evaluated hypotheses."""
+        return list(self.of.known.values())
+
+    def best(self, which: Callable[[Evaluated], bool] = lambda _: True) -> Evaluated:
+        """Return the likeliest hypothesis of those that fulfil a condition."""
+        return max((each for each in self.known if which(each)), key=lambda each: each.log_posterior)
+
+    def run(self) -> "ModelSearch":
+        """Search, and return itself."""
+        empty = self.of.evaluate(Hypothesis((), self.of.stated))
+        self._get(Hypothesis((), tuple(_first(unit.choices, SCALED) for unit in self.of.units)))
+        self._vary_noise(empty)
+        self._expand(self.best(_states_noise))
+        self._expand(self.best(lambda each: not each.hypothesis.variants))
+        self._vary_noise(self.best(_pure))
+        self._grow(_pure, _MOST_EXPANDED)
+        for _ in range(2):
+            self._scan_forms()
+            formed = [each for each in self.known if each.hypothesis.form is not None]
+            near = max((each.log_posterior for each in formed), default=-np.inf)
+            if near < self.best().log_posterior - PROPOSED:
+                break
+            self._vary_noise(max(formed, key=lambda each: each.log_posterior))
+            self._grow(_formed, _MOST_EXPANDED // 2)
+            self._grow(_pure, _MOST_EXPANDED // 4)
+        self._vary_noise(self.best())
+        top = self.best()
+        for each in top.hypothesis.variants:
+            self._get(top.hypothesis.without(each), top)
+        return self
+
+    def _get(self, hypothesis: Hypothesis, start: Evaluated | None = None) -> Evaluated | None:
+        try:
+            return self.of.evaluate(hypothesis, start)
+        except np.linalg.LinAlgError:
+            return None
+
+    def _allowed(self, hypothesis: Hypothesis) -> bool:
+        variants = [self.of.variants[each] for each in hypothesis.variants]
+        return not any(one.excludes(other) for one, other in combinations(variants, 2))
+
+    def _try(self, hypothesis: Hypothesis, start: Evaluated) -> None:
+        if self._allowed(hypothesis):
+            self._get(hypothesis, start)
+
+    # ---- noise ----
+
+    def _vary_noise(self, at: Evaluated) -> Evaluated:
+        """Return the likeliest noise about a hypothesis: structures, then scatters, one unit after the other."""
+        for _ in range(2):
+            before = at
+            for place, unit in enumerate(self.of.units):
+                for choices in (unit.structures, unit.scatters):
+                    at = self._likeliest(at, place, choices(at.hypothesis.noise[place]))
+            if at is before:
+                break
+        return at
+
+    def _likeliest(self, at: Evaluated, place: int, choices: Sequence[NoiseOfUnit]) -> Evaluated:
+        """Return the likeliest of some choices of noise in a unit; those that the residual excludes are not tried."""
+        residual, channels = residuals(self.of, at), self.of.units[place].channels
+        quick = {each: log_likelihood(self.of, residual, channels, each) for each in choices}
+        own = quick.get(at.hypothesis.noise[place], max(quick.values()))
+        for choice in sorted(quick, key=lambda each: -quick[each]):
+            if quick[choice] < own - _QUICK_NOISE:
+                break
+            new = self._get(at.hypothesis.with_noise(place, choice), at)
+            if new is not None and new.log_posterior > at.log_posterior + 1e-9:
+                at = new
+        return at
+
+    # ---- effects ----
+
+    def _expand(self, at: Evaluated) -> None:
+        """Evaluate what lies about a hypothesis: an effect more, a pair more, one less, one or two in place of one."""
+        self._expanded.add(at.hypothesis)
+        likelihood = conditional(self.of, at)
+        singles = [each for each in self._screen.singles(likelihood) if each[0] > -PROPOSED]
+        allowed = [each for each in singles if self._allowed(at.hypothesis.including(each[1]))]
+        for _, variant in allowed[:_SINGLES]:
+            self._get(at.hypothesis.including(variant), at)
+        if len(at.hypothesis.variants) < _PAIRED_UP_TO:
+            for gain, pair in self._screen.pairs(likelihood, [n for _, n in allowed[:_POOL]])[:_PAIRS]:
+                if gain > -PROPOSED:
+                    self._try(at.hypothesis.including(*pair), at)
+        for variant in at.hypothesis.variants:
+            self._swap(at, variant)
+
+    def _swap(self, at: Evaluated, variant: int) -> None:
+        less = self._get(at.hypothesis.without(variant), at)
+        if less is None:
+            return
+        likelihood = conditional(self.of, at_scales(self.of, less, at.scale))
+        singles = self._screen.singles(likelihood)
+        for _, other in singles[:_SWAPS]:
+            self._try(less.hypothesis.including(other), at)
+        if len(less.hypothesis.variants) < _PAIRED_UP_TO:
+            for _, pair in self._screen.pairs(likelihood, [n for _, n in singles[:_POOL]])[: _PAIRS - 1]:
+                self._try(less.hypothesis.including(*pair), at)
+
+    def _grow(self, which: Callable[[Evaluated], bool], most: int) -> None:
+        for _ in range(most):
+            mine = [each for each in self.known if which(each)]
+            top = max(each.log_posterior for each in mine)
+            todo = [
+                each for each in mine if each.hypothesis not in self._expanded and each.log_posterior > top - EXPANDED
+            ]
+            if not todo or len(self.of.known) > _MOST_KNOWN:
+                return
+            self._expand(max(todo, key=lambda each: each.log_posterior))
+            new = self.best(which)
+            if new.log_posterior > top:
+                self._vary_noise(new)
+
+    # ---- forms ----
+
+    def _scan_forms(self) -> None:
+        """Add the best forms to the likeliest effects, to those less each, and to none at the noise as known."""
+        best = self.best(_pure)
+        for variant in best.hypothesis.variants:
+            if (less := self._get(best.hypothesis.without(variant), best)) is not None:
+                self._add_forms(less, best.scale)
+        if best.hypothesis.variants:
+            for none in (self._get(Hypothesis((), best.hypothesis.noise), best), self.best(_no_effects)):
+                if none is not None:
+                    self._add_forms(none, best.scale)
+        self._add_forms(best, best.scale)
+        stated = self.best(_states_noise)
+        self._add_forms(stated, np.minimum(1.0, best.scale))
+
+    def _add_forms(self, at: Evaluated, scale: np.ndarray) -> None:
+        if at.hypothesis in self._scanned:
+            return
+        self._scanned.add(at.hypothesis)
+        scan = FormScan(self.of, at_scales(self.of, at, scale))
+        found = scan.best(self.forms)
+        if self.wrong_rows is not None:
+            found = sorted([*found, *scan.rows(self.wrong_rows)], key=lambda each: -each[0])
+        seen: set[tuple[object, ...]] = set()
+        for gain, form in found:
+            key = form.form.name, form.form.run, form.form.row, form.channels
+            if key in seen:
+                continue
+            if gain < -PROPOSED / 2 or len(seen) >= _FORMS:
+                break
+            seen.add(key)
+            self._with_form(at, form)
+
+    def _with_form(self, at: Evaluated, form: ChosenForm) -> None:
+        """Evaluate a form, with amplitudes beside it as well."""
+        hypothesis = at.hypothesis
+        first = self._get(Hypothesis(hypothesis.variants, hypothesis.noise, form), at)
+        amplitudes = form.form.amplitudes
+        place = amplitudes.index(form.amplitude)
+        for other in amplitudes[max(place - 1, 0) : place + 2]:
+            self._get(Hypothesis(hypothesis.variants, hypothesis.noise, form.at(other)), first or at)
+
+
+def _first(choices: Sequence[NoiseOfUnit], structure: NoiseStructure) -> NoiseOfUnit:
+    return next(each for each in choices if each.rows == structure)
+
+
+def _pure(each: Evaluated) -> bool:
+    return each.hypothesis.form is None
+
+
+def _formed(each: Evaluated) -> bool:
+    return each.hypothesis.form is not None
+
+
+def _no_effects(each: Evaluated) -> bool:
+    return _pure(each) and not each.hypothesis.variants
+
+
+def _states_noise(each: Evaluated) -> bool:
+    return _no_effects(each) and all(noise.stated for noise in each.hypothesis.noise)

@@ -1,0 +1,188 @@
+"""What the noise may be other than stated: structures of the rows of a channel, and offsets between its runs.
+
+A structure is a covariance of the rows of one run up to a scale.  It whitens columns of rows that are divided by the
+noise known beforehand, and tells the log determinant of that.  Offsets of runs lie on top of any structure: their
+variance changes Gram matrices by a term of low rank, so that they cost nothing.
+
+- As known; another scale.
+- A state beside white noise (Kalman filter): AR(1) alone or with white noise, or a random walk.
+- White noise that grows with the input, var ∝ 1 + k (input / largest)².
+- Heavy tails: Student's t as a scale mixture, whose weights are found with the fit (West, JRSS B 46, 431, 1984).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from imubayes.criticism.evidence.linear_problem import UNKNOWN, ChannelRows, LinearProblem
+
+Family = Literal["known", "scale", "correlated", "wander", "rate", "tails", "runs"]
+
+OTHER_NOISE = 0.1
+"""Prior probability that a kind of channel has other noise than stated, in equal shares of the families."""
+
+
+@dataclass(frozen=True)
+class NoiseStructure:
+    """A structure of the rows of a channel.
+
+    Attributes
+    ----------
+    free : whether its scale is not that of the noise known beforehand.
+    """
+
+    family: Family
+    free: bool = False
+
+    def whiten(self, rows: ChannelRows, columns: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return columns (n, C) whitened, and the log determinant of the whitening."""
+        return columns, 0.0
+
+
+@dataclass(frozen=True)
+class StateNoise(NoiseStructure):
+    """White noise of variance `white` beside a state x_k = φ x_(k−1) + w of variance `drive`, starting at `start`."""
+
+    phi: float = 0.0
+    drive: float = 0.0
+    white: float = 1.0
+    start: float = 0.0
+
+    def whiten(self, rows: ChannelRows, columns: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the innovations of a Kalman filter over each run, all columns at once."""
+        found, log_det = np.empty_like(columns), 0.0
+        for length in {each for _, each in rows.series}:
+            places = np.array([start for start, each in rows.series if each == length])[:, None] + np.arange(length)
+            state, variance = np.zeros((len(places), columns.shape[1])), self.start
+            for k in range(length):
+                own, total = columns[places[:, k]], variance + self.white
+                found[places[:, k]] = (own - state) / math.sqrt(total)
+                log_det -= 0.5 * len(places) * math.log(total)
+                gain = variance / total
+                state = self.phi * (state + gain * (own - state))
+                variance = self.phi**2 * variance * (1 - gain) + self.drive
+        return found, log_det
+
+
+def correlated(phi: float, share: float) -> StateNoise:
+    """Return AR(1) noise that makes a share of the variance of a row."""
+    return StateNoise("correlated", True, phi, share * (1 - phi**2), 1 - share, share)
+
+
+def random_walk(variance: float) -> StateNoise:
+    """Return a random walk from row to row beside white noise as known."""
+    return StateNoise("wander", False, 1.0, variance, 1.0, variance)
+
+
+@dataclass(frozen=True)
+class InputNoise(NoiseStructure):
+    """White noise that grows with the input; `excess`: variance at the largest, over that at zero, less 1."""
+
+    excess: float = 0.0
+
+    def whiten(self, rows: ChannelRows, columns: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return columns divided by the noise of each row."""
+        root = 1 / np.sqrt(1 + self.excess * rows.input**2)
+        return columns * root[:, None], float(np.log(root).sum())
+
+
+@dataclass(frozen=True)
+class HeavyTails(NoiseStructure):
+    """Student's t with `degrees` of freedom; its weights are a matter of the fit."""
+
+    degrees: float = 4.0
+
+
+KNOWN = NoiseStructure("known")
+SCALED = NoiseStructure("scale", True)
+_STRUCTURES: tuple[NoiseStructure, ...] = (
+    KNOWN,
+    SCALED,
+    *(correlated(phi, 1.0) for phi in (0.3, 0.6, 0.85)),
+    *(correlated(phi, share) for phi in (0.6, 0.9) for share in (0.15, 0.4)),
+    *(random_walk(variance) for variance in (0.01, 0.05, 0.2, 0.6)),
+    *(InputNoise("rate", False, excess) for excess in (1.0, 8.0, 60.0)),
+    *(HeavyTails("tails", True, degrees) for degrees in (2.0, 4.0)),
+)
+_SCATTERS = (0.3, 0.6, 1.2, 2.5, 5.0, 10.0)
+"""Standard deviations of offsets of runs that a model does not have, in units of the noise of a row."""
+
+
+@dataclass(frozen=True)
+class NoiseOfUnit:
+    """The noise of the channels of a unit: a structure of rows, and the scatter of runs in units of the noise of a row.
+
+    Attributes
+    ----------
+    log_prior : logarithm of its prior probability.
+    stated : whether it is what the model states.
+    """
+
+    rows: NoiseStructure
+    scatter: float
+    log_prior: float
+    stated: bool
+
+    @property
+    def family(self) -> Family:
+        """What the noise is beyond what is stated."""
+        return self.rows.family if self.rows != KNOWN or self.stated else "runs"
+
+    def scale_sd(self, rows: ChannelRows) -> float:
+        """Return the standard deviation of the logarithm of the scale of a channel."""
+        return UNKNOWN if self.rows.free else rows.scale_sd
+
+
+@dataclass(frozen=True)
+class NoiseUnit:
+    """Channels that share a noise structure, and the noise that they may have."""
+
+    channels: tuple[int, ...]
+    kind: str
+    choices: tuple[NoiseOfUnit, ...]
+
+    @cached_property
+    def stated(self) -> tuple[NoiseOfUnit, ...]:
+        """The noise that the model states; several where it leaves a scatter between runs open."""
+        return tuple(each for each in self.choices if each.stated)
+
+    def structures(self, at: NoiseOfUnit) -> list[NoiseOfUnit]:
+        """Return all structures of rows, with the scatter between runs that is there."""
+        return [each for each in self.choices if each.scatter == at.scatter]
+
+    def scatters(self, at: NoiseOfUnit) -> list[NoiseOfUnit]:
+        """Return all scatters between runs, with the structure of rows that is there."""
+        return [each for each in self.choices if each.rows == at.rows]
+
+
+def noise_units(problem: LinearProblem) -> tuple[NoiseUnit, ...]:
+    """Return who shares noise: each channel by itself where the model has a scatter between runs, else each kind."""
+    channels = [k for k, rows in enumerate(problem.rows) if len(rows.entry)]
+    if any(problem.rows[k].run_scatter for k in channels):
+        groups = [(k,) for k in channels]
+    else:
+        kinds = dict.fromkeys(problem.kinds[k] for k in channels)
+        groups = [tuple(k for k in channels if problem.kinds[k] == kind) for kind in kinds]
+    return tuple(NoiseUnit(each, problem.kinds[each[0]], _choices(problem, each)) for each in groups)
+
+
+def _choices(problem: LinearProblem, channels: tuple[int, ...]) -> tuple[NoiseOfUnit, ...]:
+    own = problem.rows[channels[0]]
+    allowed = [each for each in _STRUCTURES if each.family != "rate" or problem.kinds[channels[0]] == "gyro"]
+    families = [each.family for each in allowed if each.family != "known"]
+    several = len(own.series) > 1
+    names = {*families} | ({"runs"} if several and not own.run_scatter else set())
+    other = math.log(OTHER_NOISE / len(names))
+    # A scatter that the model has is there beside any structure of the rows, as its prior says.
+    scatters = own.run_scatter or ((0.0, 0.0),)
+    found = [NoiseOfUnit(KNOWN, tau, math.log(1 - OTHER_NOISE) + p, True) for tau, p in scatters]
+    for each in allowed:
+        if each.family != "known":
+            share = other - math.log(families.count(each.family))
+            found += [NoiseOfUnit(each, tau, share + p, False) for tau, p in scatters]
+    if "runs" in names:
+        found += [NoiseOfUnit(KNOWN, tau, other - math.log(len(_SCATTERS)), False) for tau in _SCATTERS]
+    return tuple(found)
