@@ -59,7 +59,7 @@ class _Share:
 def effect_variants(problem: LinearProblem) -> tuple[EffectVariant, ...]:
     """Return all variants of the effects that the rows respond to."""
     shares, first, kind = list[tuple[str, str, _Share]](), 0, dict(zip(_names(problem), problem.kinds, strict=True))
-    for place, response in enumerate(problem.responses.candidates):
+    for place, response in enumerate(problem.candidates):
         own: dict[str, _Share] = {}
         for k, coefficient in enumerate(response.coefficients, first):
             if problem.shown[k]:
@@ -73,12 +73,12 @@ def effect_variants(problem: LinearProblem) -> tuple[EffectVariant, ...]:
     found: list[EffectVariant] = []
     for effect, name, share in shares:
         log_odds = math.log(odds / (1 - odds) / effects.count(effect) / shapes[effect, name])
-        found += _variants(problem, problem.responses.candidates[share.response], share, log_odds)
+        found += _variants(problem, problem.candidates[share.response], share, log_odds)
     return tuple(found)
 
 
 def _names(problem: LinearProblem) -> list[str]:
-    return [channel.name for channel in problem.fitted.model.campaign.channels]
+    return [channel.name for channel in problem.channels]
 
 
 def _variants(problem: LinearProblem, response: Response, share: _Share, log_odds: float) -> list[EffectVariant]:

@@ -12,10 +12,12 @@ import numpy as np
 
 from imubayes.criticism.candidate_effects import LinearisationPoint, Responses, candidate_responses
 from imubayes.criticism.evidence.evidence_record import Evidence
+from imubayes.criticism.evidence.free_forms import free_forms
 from imubayes.criticism.evidence.hypothesis import Evaluated
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
 from imubayes.criticism.evidence.model_search import ModelSearch
 from imubayes.criticism.evidence.posterior_summary import evidence_of
+from imubayes.criticism.evidence.wrong_input_forms import wrong_inputs
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.inference.fitted_model import Fit
 
@@ -28,18 +30,24 @@ _NEAR, _ROUNDS = 0.1, 2
 
 def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCovariate]) -> Evidence:
     """Return how probable each explanation of what a converged fit leaves is."""
-    search = ModelSearch(linear_problem(fitted, responses), covariates).run()
+    search = _searched(fitted, linear_problem(fitted, responses), covariates)
     about = LinearisationPoint()
     for _ in range(_ROUNDS):
         top = _leader(search)
         point = _point(search, top)
         if not _is_large(search, top) or _stands(about, point):
             break
-        moved = _linearised_about(search, top, point)
+        at = replace(fitted, z=fitted.z + top.mean[: search.of.problem.own])
+        moved = _linearised_about(search.of.problem, at, point)
         if moved is None:
             break
-        about, search = point, ModelSearch(moved, covariates).run()
+        fitted, about, search = at, point, _searched(at, moved, covariates)
     return evidence_of(search)
+
+
+def _searched(fitted: Fit, problem: LinearProblem, covariates: Sequence[ResidualCovariate]) -> ModelSearch:
+    wrong = wrong_inputs(problem, fitted)
+    return ModelSearch(problem, (*free_forms(problem, covariates), *wrong.of_runs), wrong.of_rows).run()
 
 
 def _leader(search: ModelSearch) -> Evaluated:
@@ -58,10 +66,8 @@ def _stands(before: LinearisationPoint, now: LinearisationPoint) -> bool:
     return same and all(abs(now.values[name] - x) <= _NEAR * abs(x) for name, x in before.values.items())
 
 
-def _linearised_about(search: ModelSearch, top: Evaluated, point: LinearisationPoint) -> LinearProblem | None:
-    """Return the problem linearised about a hypothesis; None where the model is not defined there."""
-    problem = search.of.problem
-    fitted = replace(problem.fitted, z=problem.fitted.z + top.mean[: problem.own])
+def _linearised_about(problem: LinearProblem, fitted: Fit, point: LinearisationPoint) -> LinearProblem | None:
+    """Return the problem linearised about a fit and coefficients; None where the model is not defined there."""
     if not np.isfinite(fitted.z).all():
         return None
     responses = candidate_responses(fitted, about=point)
@@ -84,7 +90,7 @@ def _point(search: ModelSearch, top: Evaluated) -> LinearisationPoint:
     values: dict[str, float] = {}
     shapes: dict[str, dict[str, float]] = {}
     for variant in (of.variants[n] for n in top.hypothesis.variants):
-        shape = of.problem.responses.candidates[variant.response].scan.shape
+        shape = of.problem.candidates[variant.response].scan.shape
         if shape:
             shapes[variant.effect] = dict(shape)
         for k in variant.places:

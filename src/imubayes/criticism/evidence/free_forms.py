@@ -2,14 +2,13 @@
 
 What is not among the hypotheses gives its probability to the nearest that is: without free forms an effect that the
 catalogue lacks gets a wrong name with confidence.  A form is a few columns with one amplitude in units of noise; its
-coefficients are normal.  A wrong input responds as the model does to that column of the record (`wrong_inputs`), in all
-rows of one run or in one row.
+coefficients are normal.
 """
 
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
@@ -18,7 +17,7 @@ import numpy as np
 from imubayes.criticism.evidence.effect_variants import ONE_OWNER
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.wrong_inputs import Predictions, WrongInput, suspected
+from imubayes.criticism.wrong_inputs import WrongInput
 
 FormFamily = Literal["function", "gain", "level", "harmonic", "product", "memory", "step", "input"]
 
@@ -26,8 +25,6 @@ FREE_FORM, WRONG_INPUT = 0.05, 0.05
 """Prior probabilities of a form outside the catalogue and of a wrong input, in equal shares of families and members."""
 AMPLITUDES = (1.0, 4.0, 16.0, 64.0)
 """Standard deviations of the coefficients of a form, in units of the noise of a row; equally likely."""
-_ERRORS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
-"""The same of a wrong input, by its largest response: a mistake is no small effect."""
 _SMOOTH, _ROUGH = (0.25, 7), (0.06, 16)
 """Length of a Gaussian process over the range of its covariate, and its columns."""
 _HARMONICS, _FIRST_HARMONIC = 12, 3
@@ -88,27 +85,19 @@ class ChosenForm:
         return self.form.wrong is None
 
 
-def free_forms(
-    problem: LinearProblem, known: Sequence[ResidualCovariate]
-) -> "tuple[tuple[FreeForm, ...], WrongRows | None]":
-    """Return all forms with their prior probabilities, and what may be wrong in single rows."""
+def free_forms(problem: LinearProblem, known: Sequence[ResidualCovariate]) -> tuple[FreeForm, ...]:
+    """Return all forms outside the catalogue, with their prior probabilities."""
     forms: list[FreeForm] = []
     for kind in dict.fromkeys(problem.kinds):
         forms += _of_kind(problem, known, [k for k, each in enumerate(problem.kinds) if each == kind])
-    predictions = Predictions(problem.fitted.model, problem.fitted.z)
-    columns = predictions.responses_of_columns(problem.fitted.model.campaign)
-    wrong = list(_wrong_inputs(problem, predictions, columns))
-    return (*_with_prior(forms, FREE_FORM), *_with_prior(wrong, WRONG_INPUT / 2)), _wrong_rows(problem, columns)
+    return with_prior(forms, FREE_FORM)
 
 
-def _with_prior(forms: Sequence[FreeForm], whole: float) -> list[FreeForm]:
+def with_prior(forms: Sequence[FreeForm], whole: float) -> tuple[FreeForm, ...]:
+    """Return forms with a prior probability in equal shares of families and members."""
     members = Counter(each.family for each in forms)
     share = {family: math.log(whole / len(members) / count) for family, count in members.items()}
-    return [
-        FreeForm(one.family, one.name, one.covariates, one.columns, one.amplitudes, share[one.family], one.run,
-                 one.row, one.wrong)
-        for one in forms
-    ]  # fmt: skip
+    return tuple(replace(each, log_prior=share[each.family]) for each in forms)
 
 
 @dataclass(frozen=True)
@@ -241,106 +230,3 @@ def _steps(places: Mapping[int, _Place]) -> Iterator[FreeForm]:
                 yield FreeForm("step", name, (), shape, run=run, row=row)
             gained = {k: places[k].weighted((here * places[k].rows.input)[:, None]) for k, here in onward.items()}
             yield FreeForm("step", "step of the scale factor", (), gained, run=run, row=row)
-
-
-def _wrong_inputs(
-    problem: LinearProblem, predictions: Predictions, columns: Mapping[str, np.ndarray]
-) -> Iterator[FreeForm]:
-    """Yield what may be wrong in all rows of one run."""
-    campaign = problem.fitted.model.campaign
-    seats = predictions.response_of_seats(campaign)
-    for run in range(len(campaign.runs)):
-        for wrong in suspected(campaign, run):
-            response = _of_run(problem, wrong, columns, seats, predictions)
-            shape = _in_noise(problem, response) if response is not None else {}
-            if shape:
-                name = f"{wrong.form} of {wrong.covariate or 'outputs'}" if wrong.form != "seat" else "attitude"
-                yield FreeForm("input", name, (), shape, _ERRORS, run=run, wrong=wrong)
-
-
-def _of_run(
-    problem: LinearProblem,
-    wrong: WrongInput,
-    columns: Mapping[str, np.ndarray],
-    seats: np.ndarray | None,
-    predictions: Predictions,
-) -> np.ndarray | None:
-    """Return the response to a wrong input of one run, (E, d), from the derivatives by the record of all runs."""
-    model = problem.fitted.model
-    if wrong.form == "seat":
-        every = seats
-    elif wrong.covariate:
-        every = columns.get(wrong.covariate)
-    else:
-        return predictions.response(wrong, model.campaign)
-    if every is None:
-        return None
-    here, found = (problem.run == wrong.run) & ~model.entries.closing, np.zeros((len(every), every[0].size))
-    own = every.reshape(found.shape)[here]
-    if wrong.form == "factor":
-        own = (
-            own
-            * np.nan_to_num(model.campaign.runs[wrong.run].covariates[wrong.covariate])[model.entries.row[here], None]
-        )
-    found[here] = own
-    return found
-
-
-def _in_noise(problem: LinearProblem, response: np.ndarray) -> dict[int, np.ndarray]:
-    """Return a response of all entries (E, d), output units, over the noise of each, its largest value 1."""
-    root = problem.root[:, None] * response
-    largest = float(np.abs(root).max(initial=0.0))
-    if not (np.isfinite(largest) and largest > 0):
-        return {}
-    found = {k: root[rows.entry] / largest for k, rows in enumerate(problem.rows)}
-    return {k: columns for k, columns in found.items() if np.any(columns)}
-
-
-@dataclass(frozen=True, eq=False)
-class WrongRows:
-    """What may be wrong in one row of a run: one column of the record there.
-
-    Attributes
-    ----------
-    columns : column of the record → channel → (n,), the response of each row to its own value, its largest 1.
-    row : channel → (n,), row of each entry, counted over all runs.
-    run, place : shape (rows,), run of each row, and its place there.
-    """
-
-    columns: Mapping[str, Mapping[int, np.ndarray]]
-    row: Mapping[int, np.ndarray]
-    run: np.ndarray
-    place: np.ndarray
-    amplitudes: tuple[float, ...] = _ERRORS
-
-    @property
-    def log_prior(self) -> float:
-        """Logarithm of the prior probability of each: as likely together as a run that is wrong."""
-        return math.log(WRONG_INPUT / 2 / max(len(self.columns), 1) / max(len(self.run), 1))
-
-    def form(self, column: str, row: int) -> FreeForm:
-        """Return one of them as a form."""
-        shape = {k: np.where(self.row[k] == row, x, 0.0)[:, None] for k, x in self.columns[column].items()}
-        shape = {k: x for k, x in shape.items() if np.any(x)}
-        run, place = int(self.run[row]), int(self.place[row])
-        wrong = WrongInput(run, "offset", column, place)
-        return FreeForm("input", f"offset of {column}", (), shape, _ERRORS, self.log_prior, run, place, wrong)
-
-
-def _wrong_rows(problem: LinearProblem, columns: Mapping[str, np.ndarray]) -> WrongRows | None:
-    """Return what may be wrong in single rows; None where nothing is that a bench or an instrument says."""
-    runs, entries = problem.fitted.model.campaign.runs, problem.fitted.model.entries
-    first = np.cumsum([0, *(run.rows for run in runs)])
-    row = {k: first[entries.run[rows.entry]] + entries.row[rows.entry] for k, rows in enumerate(problem.rows)}
-    found: dict[str, dict[int, np.ndarray]] = {}
-    for name, response in columns.items():
-        white = {k: problem.root[rows.entry] * response[rows.entry] for k, rows in enumerate(problem.rows)}
-        largest = np.zeros(first[-1])
-        for k, x in white.items():
-            np.maximum.at(largest, row[k], np.abs(x))
-        safe = np.where(largest > 0, largest, 1.0)
-        found[name] = {k: x / safe[row[k]] for k, x in white.items()}
-    if not found:
-        return None
-    run = np.repeat(np.arange(len(runs)), [each.rows for each in runs])
-    return WrongRows(found, row, run, np.arange(first[-1]) - first[run])

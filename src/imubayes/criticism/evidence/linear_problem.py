@@ -16,7 +16,8 @@ import numpy as np
 from scipy import special
 
 from imubayes.array_shapes import Array, Float
-from imubayes.criticism.candidate_effects import Coefficient, Responses
+from imubayes.campaign_data import Channel
+from imubayes.criticism.candidate_effects import Coefficient, Response, Responses
 from imubayes.criticism.known_noise import known_scales, sample_noise
 from imubayes.inference.fitted_model import Fit
 from imubayes.kept_programs import kept
@@ -75,14 +76,18 @@ class LinearProblem:
 
     Attributes
     ----------
-    fitted, responses : what was linearised.
+    candidates : one response per effect and shape; their coefficients are the columns X in this order.
+    channels, runs : of the campaign, in its order.
+    run : shape (E,), run of each entry.
     precision, pull : shape (P,), of the priors of the model's own parameters about the fit, and precision × mean.
     root : shape (E,), one over the noise of each entry as known, output units.
     rows : one of each channel.
     """
 
-    fitted: Fit
-    responses: Responses
+    candidates: tuple[Response, ...]
+    channels: tuple[Channel, ...]
+    runs: tuple[str, ...]
+    run: np.ndarray
     precision: np.ndarray
     pull: np.ndarray
     root: np.ndarray
@@ -96,7 +101,7 @@ class LinearProblem:
     @cached_property
     def coefficients(self) -> tuple[Coefficient, ...]:
         """All C coefficients, in the order of the columns."""
-        return tuple(each for response in self.responses.candidates for each in response.coefficients)
+        return tuple(each for response in self.candidates for each in response.coefficients)
 
     @cached_property
     def sizes(self) -> np.ndarray:
@@ -106,17 +111,12 @@ class LinearProblem:
     @cached_property
     def kinds(self) -> tuple[str, ...]:
         """The kind of sensor of each channel."""
-        return tuple(channel.kind for channel in self.fitted.model.campaign.channels)
+        return tuple(channel.kind for channel in self.channels)
 
     @cached_property
     def sign(self) -> np.ndarray:
         """The only sign that each coefficient may have, (C,); 0 for either."""
         return np.array([each.sign for each in self.coefficients], dtype=int)
-
-    @cached_property
-    def run(self) -> np.ndarray:
-        """The run of each entry, (E,)."""
-        return self.fitted.model.entries.run
 
     @property
     def outputs(self) -> int:
@@ -152,7 +152,10 @@ def linear_problem(fitted: Fit, responses: Responses) -> LinearProblem:
     at = _columns_at(problem, h, whole)
     width = np.asarray(prior_widths(problem, jnp.asarray(fitted.h)))
     rows = tuple(_rows_of(model, place, at, responses.misfit) for place in range(len(model.campaign.channels)))
-    return LinearProblem(fitted, responses, width**-2.0, -fitted.z * width**-2.0, at.root, rows)
+    return LinearProblem(
+        responses.candidates, model.campaign.channels, tuple(run.name for run in model.campaign.runs),
+        model.entries.run, width**-2.0, -fitted.z * width**-2.0, at.root, rows,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ from itertools import combinations
 
 import numpy as np
 
-from imubayes.criticism.evidence.free_forms import ChosenForm, free_forms
+from imubayes.criticism.evidence.free_forms import ChosenForm, FreeForm
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.linear_problem import LinearProblem
 from imubayes.criticism.evidence.noise_structures import SCALED, NoiseOfUnit, NoiseStructure
 from imubayes.criticism.evidence.proposals import FormScan, Screen, at_scales, conditional, log_likelihood, residuals
-from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 
 EXPANDED, PROPOSED = 3.0, 9.0
 """Nats below the best within which hypotheses are expanded, and within which quick gains are worth an evaluation."""
@@ -27,9 +27,8 @@ _MOST_EXPANDED, _MOST_KNOWN, _PAIRED_UP_TO = 24, 3000, 2
 class ModelSearch:
     """A search, and all hypotheses that it has evaluated."""
 
-    def __init__(self, problem: LinearProblem, covariates: Sequence[ResidualCovariate]):
-        self.of = EvidenceOf(problem)
-        self.forms, self.wrong_rows = free_forms(problem, covariates)
+    def __init__(self, problem: LinearProblem, forms: Sequence[FreeForm], wrong_rows: WrongRows | None = None):
+        self.of, self.forms, self.wrong_rows = EvidenceOf(problem), forms, wrong_rows
         empty = self.of.evaluate(Hypothesis((), self.of.stated))
         self._screen = Screen(self.of, conditional(self.of, empty))
         self._expanded: set[Hypothesis] = set()

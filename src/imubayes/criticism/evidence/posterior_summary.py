@@ -114,7 +114,7 @@ def _slot(of: EvidenceOf, distinct: list[Evaluated], top: Evaluated, variant: in
         channels=own.owners,
         gain=float(top.log_posterior - without) if math.isfinite(without) else 0.0,
         coefficients=_coefficients(of, top, own.places),
-        shape=dict(of.problem.responses.candidates[own.response].scan.shape),
+        shape=dict(of.problem.candidates[own.response].scan.shape),
     )
 
 
@@ -142,21 +142,21 @@ def _form(of: EvidenceOf, distinct: list[Evaluated]) -> FoundForm | None:
     best = max(formed, key=lambda each: each.log_posterior)
     if best.log_posterior < without - _NEAR_FORM:
         return None
-    chosen, campaign = best.hypothesis.form, of.problem.fitted.model.campaign
+    chosen, problem = best.hypothesis.form, of.problem
     assert chosen is not None
     form = chosen.form
     return FoundForm(
         name=form.name,
-        channels=tuple(campaign.channels[k].name for k in chosen.channels),
+        channels=tuple(problem.channels[k].name for k in chosen.channels),
         covariates=form.covariates,
-        run=campaign.runs[form.run].name if form.run is not None else "",
+        run=problem.runs[form.run] if form.run is not None else "",
         row=form.row + 1 if form.row is not None else None,
         log_odds=float(best.log_posterior - without),
     )
 
 
 def _noise(of: EvidenceOf, top: Evaluated) -> Iterable[FoundNoise]:
-    names: Mapping[int, str] = dict(enumerate(each.name for each in of.problem.fitted.model.campaign.channels))
+    names: Mapping[int, str] = dict(enumerate(each.name for each in of.problem.channels))
     for unit, noise in zip(of.units, top.hypothesis.noise, strict=True):
         if not noise.stated:
             scale = float(np.exp(np.mean(np.log(top.scale[list(unit.channels)]))))

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 import scipy.linalg
 
-from imubayes.criticism.evidence.free_forms import ChosenForm, FreeForm, WrongRows
+from imubayes.criticism.evidence.free_forms import ChosenForm, FreeForm
 from imubayes.criticism.evidence.hypothesis import (
     Evaluated,
     EvidenceOf,
@@ -22,6 +22,7 @@ from imubayes.criticism.evidence.hypothesis import (
     with_scatter,
 )
 from imubayes.criticism.evidence.noise_structures import HeavyTails, NoiseOfUnit
+from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 
 _EXACT_FORMS, _TAIL_ROUNDS = 160, 8
 _SHOWN_SD = 3.0
