@@ -7,6 +7,7 @@ candidates change nothing, so one linearisation gives the Jacobian of the fit an
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -294,7 +295,11 @@ def _extend(fitted: Fit, acting: tuple[BoundEffect, ...], about: LinearisationPo
     extended = assemble(assembly.effects + acting, assembly.grouping)
     parameters = extended.layout.parameters
     places = {parameter.name: place for place, parameter in enumerate(parameters)}
-    problem, own = on_device(build_problem(extended)), len(assembly.layout)
+    problem, own, given = on_device(build_problem(extended)), len(assembly.layout), fitted.model.problem
+    # The record may have been corrected since it was bound.
+    problem = eqx.tree_at(
+        lambda known: (known.nodes, known.observations.value), problem, (given.nodes, given.observations.value)
+    )
     return _Extended(problem, own, acting, parameters, places, about)
 
 

@@ -1,12 +1,13 @@
 """The evidence of a fit: a search, and another about its leader where that is large.
 
 A large effect acts by its curvature and by its products with other parameters as well, which the linear model leaves
-over and which look like further effects and forms.  The campaign is linearised anew where the leader puts parameters
-and coefficients, at the price of one evaluation, and searched again (one Gauss–Newton step).
+over and which look like further effects and forms; so does a gross error of the record.  The campaign is linearised
+anew where the leader puts parameters, coefficients and record, at the price of one evaluation, and searched again (one
+Gauss–Newton step).
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,68 +20,124 @@ from imubayes.criticism.evidence.model_search import ModelSearch
 from imubayes.criticism.evidence.posterior_summary import evidence_of
 from imubayes.criticism.evidence.wrong_input_forms import wrong_inputs
 from imubayes.criticism.residual_covariates import ResidualCovariate
+from imubayes.criticism.wrong_inputs import Predictions, WrongInput, problem_of
 from imubayes.inference.fitted_model import Fit
 
 LARGE = 500.0
 """Nats of an effect above which the campaign is linearised anew about it.  Derived: where it stands out of the noise by
 thirty standard deviations, a curvature of a tenth of it does by three."""
-_NEAR, _ROUNDS = 0.1, 2
+_NEAR, _ROUNDS = 0.1, 3
 """Relative change of a coefficient within which a linearisation stands, and how often it is made anew."""
+
+
+@dataclass(frozen=True)
+class _About:
+    """Where a campaign is linearised: at a fit, coefficients off their nulls, and a record that was corrected.
+
+    Attributes
+    ----------
+    wrong, size : what was added to the record, (d,); None for the record as it is.
+    """
+
+    fitted: Fit
+    point: LinearisationPoint = field(default_factory=LinearisationPoint)
+    wrong: WrongInput | None = None
+    size: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def stands_for(self, other: "_About") -> bool:
+        """Tell whether this linearisation serves the other."""
+        before, now = self.point.values, other.point.values
+        same = before.keys() == now.keys() and self.point.shapes == other.point.shapes and self.wrong == other.wrong
+        pairs = [*((x, now.get(name, 0.0)) for name, x in before.items()), *zip(self.size, other.size, strict=False)]
+        return same and all(abs(new - old) <= _NEAR * abs(old) for old, new in pairs)
 
 
 def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCovariate]) -> Evidence:
     """Return how probable each explanation of what a converged fit leaves is."""
-    search = _searched(fitted, linear_problem(fitted, responses), covariates)
-    about = LinearisationPoint()
+    about = _About(fitted)
+    best = search = _searched(about, linear_problem(fitted, responses), covariates)
     for _ in range(_ROUNDS):
-        top = _leader(search)
-        point = _point(search, top)
-        if not _is_large(search, top) or _stands(about, point):
+        moved = _leading_to(search, about, fitted)
+        if moved is None or about.stands_for(moved):
             break
-        at = replace(fitted, z=fitted.z + top.mean[: search.of.problem.own])
-        moved = _linearised_about(search.of.problem, at, point)
-        if moved is None:
+        problem = _linearised(search.of.problem, moved)
+        if problem is None:
             break
-        fitted, about, search = at, point, _searched(at, moved, covariates)
-    return evidence_of(search)
+        about, search = moved, _searched(moved, problem, covariates)
+        best = max(best, search, key=lambda each: each.best().log_posterior)
+    return evidence_of(best)
 
 
-def _searched(fitted: Fit, problem: LinearProblem, covariates: Sequence[ResidualCovariate]) -> ModelSearch:
-    wrong = wrong_inputs(problem, fitted)
+def _searched(about: _About, problem: LinearProblem, covariates: Sequence[ResidualCovariate]) -> ModelSearch:
+    wrong = wrong_inputs(problem, about.fitted)
     return ModelSearch(problem, (*free_forms(problem, covariates), *wrong.of_runs), wrong.of_rows).run()
 
 
-def _leader(search: ModelSearch) -> Evaluated:
-    """Return the likeliest hypothesis without a form: what a large effect leaves looks like one."""
-    return search.best(lambda each: each.hypothesis.form is None)
+def _leading_to(search: ModelSearch, about: _About, recorded: Fit) -> _About | None:
+    """Return the linearisation that a search calls for: about a gross wrong input, or about large effects; else None.
 
-
-def _is_large(search: ModelSearch, top: Evaluated) -> bool:
+    What the curvature of a wrong input leaves excludes it as long as it is not corrected, so that it need not lead.
+    """
+    top, inputs = search.best(), [each for each in search.known if _is_input(each)]
+    wrong = max(inputs, key=lambda each: each.log_posterior, default=None)
+    if wrong is not None and _gain_of_form(search, wrong) > LARGE:
+        return _moved(search, about, wrong, recorded)
     without = [search.of.known.get(top.hypothesis.without(each)) for each in top.hypothesis.variants]
-    return max((top.log_posterior - each.log_posterior for each in without if each is not None), default=0.0) > LARGE
+    gains = [top.log_posterior - each.log_posterior for each in without if each is not None]
+    return _moved(search, about, top, recorded) if max(gains, default=0.0) > LARGE else None
 
 
-def _stands(before: LinearisationPoint, now: LinearisationPoint) -> bool:
-    """Tell whether a linearisation about the former point serves the other."""
-    same = before.values.keys() == now.values.keys() and before.shapes == now.shapes
-    return same and all(abs(now.values[name] - x) <= _NEAR * abs(x) for name, x in before.values.items())
+def _is_input(each: Evaluated) -> bool:
+    form = each.hypothesis.form
+    return form is not None and form.form.wrong is not None
 
 
-def _linearised_about(problem: LinearProblem, fitted: Fit, point: LinearisationPoint) -> LinearProblem | None:
-    """Return the problem linearised about a fit and coefficients; None where the model is not defined there."""
-    if not np.isfinite(fitted.z).all():
+def _gain_of_form(search: ModelSearch, at: Evaluated) -> float:
+    without = search.of.evaluate(replace(at.hypothesis, form=None), at)
+    return at.log_posterior - without.log_posterior
+
+
+def _moved(search: ModelSearch, about: _About, top: Evaluated, recorded: Fit) -> _About | None:
+    """Return the linearisation about a hypothesis; None where the record cannot be corrected so."""
+    z = about.fitted.z + top.mean[: search.of.problem.own]
+    point, form = _point(search, top), top.hypothesis.form
+    if not np.isfinite(z).all():
         return None
-    responses = candidate_responses(fitted, about=point)
+    if form is None or form.form.wrong is None:
+        return _About(replace(recorded, z=z), point)
+    wrong, campaign = form.form.wrong, recorded.model.campaign
+    size = top.mean[len(top.columns) :] * form.form.unit
+    if not wrong.possible(campaign, size):
+        return None
+    corrected = wrong.corrected(campaign, size)
+    problem = problem_of(recorded.model, corrected)
+    if problem is None:
+        return None
+    model = replace(recorded.model, campaign=corrected, problem=problem)
+    return _About(replace(recorded, model=model, z=z), point, wrong, size)
+
+
+def _linearised(problem: LinearProblem, about: _About) -> LinearProblem | None:
+    """Return the problem linearised anew; None where the model is not defined there.
+
+    Coefficients and what is added to the record stay measured from zero, where their priors are centred.
+    """
+    responses = candidate_responses(about.fitted, about=about.point)
     if not np.isfinite(responses.misfit).all():
         return None
-    # The coefficients stay measured from their nulls, where their priors are centred.
     columns = {
         c.parameter.name: x for r in responses.candidates for c, x in zip(r.coefficients, r.columns.T, strict=True)
     }
     nulls = {each.parameter.name: each.null / each.parameter.factor for each in problem.coefficients}
-    moved = {name: value - nulls[name] for name, value in point.values.items() if name in columns}
+    moved = {name: value - nulls[name] for name, value in about.point.values.items() if name in columns}
     restored = responses.misfit + sum(columns[name] * size for name, size in moved.items())
-    return linear_problem(fitted, replace(responses, misfit=restored))
+    if about.wrong is not None:
+        predictions = Predictions(about.fitted.model, about.fitted.z)
+        response = predictions.response(about.wrong, about.fitted.model.campaign)
+        if response is None or not np.isfinite(response).all():
+            return None
+        restored = restored + response @ about.size
+    return linear_problem(about.fitted, replace(responses, misfit=restored))
 
 
 def _point(search: ModelSearch, top: Evaluated) -> LinearisationPoint:

@@ -45,7 +45,7 @@ class FreeForm:
     amplitudes : standard deviations of its coefficients.
     log_prior : logarithm of its prior probability, shared by its amplitudes.
     run, row : of a step or a wrong input; the row counts from 0, None for all.
-    wrong : the wrong input it is.
+    wrong, unit : the wrong input it is, and its size for a coefficient of 1.
     """
 
     family: FormFamily
@@ -57,6 +57,7 @@ class FreeForm:
     run: int | None = None
     row: int | None = None
     wrong: WrongInput | None = None
+    unit: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -75,14 +76,24 @@ class ChosenForm:
         share = math.log(ONE_OWNER / several) if alone else math.log(1 - ONE_OWNER) if several > 1 else 0.0
         return self.form.log_prior + (share if self.form.wrong is None else 0.0) - math.log(len(self.form.amplitudes))
 
+    def span(self, channel: int) -> slice:
+        """Return the places of a channel's coefficients: each its own, but a wrong input has the same for all."""
+        own = self.form.columns[channel].shape[1]
+        before = (
+            0
+            if self.form.wrong is not None
+            else sum(self.form.columns[k].shape[1] for k in self.channels if k < channel)
+        )
+        return slice(before, before + own)
+
+    @property
+    def width(self) -> int:
+        """The number of its coefficients."""
+        return max(self.span(k).stop for k in self.channels)
+
     def at(self, amplitude: float) -> "ChosenForm":
         """Return the form with another amplitude."""
         return ChosenForm(self.form, amplitude, self.channels)
-
-    @property
-    def may_be_alone(self) -> bool:
-        """Whether one channel may have it alone; the record of a run is wrong for all."""
-        return self.form.wrong is None
 
 
 def free_forms(problem: LinearProblem, known: Sequence[ResidualCovariate]) -> tuple[FreeForm, ...]:

@@ -18,7 +18,14 @@ from scipy import special
 from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants
 from imubayes.criticism.evidence.free_forms import FREE_FORM, WRONG_INPUT, ChosenForm
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
-from imubayes.criticism.evidence.noise_structures import HeavyTails, NoiseOfUnit, NoiseStructure, NoiseUnit, noise_units
+from imubayes.criticism.evidence.noise_structures import (
+    HeavyTails,
+    NoiseOfUnit,
+    NoiseStructure,
+    NoiseUnit,
+    log_prior_of_sisters,
+    noise_units,
+)
 
 _ROUNDS, _TAIL_ROUNDS, _SETTLED = 6, 4, 1e-3
 _LOG_SCALES = (-6.0, 12.0)
@@ -103,6 +110,7 @@ class EvidenceOf:
         """Return the logarithm of the prior probability."""
         found = sum(self.variants[each].log_odds for each in hypothesis.variants)
         found += sum(each.log_prior for each in hypothesis.noise)
+        found += log_prior_of_sisters(self.problem, self.units, hypothesis.noise)
         form = hypothesis.form
         return found + (form.log_prior if form is not None else math.log(1 - FREE_FORM - WRONG_INPUT))
 
@@ -178,7 +186,7 @@ class _Evaluation:
         self.coefficients = np.array(places, dtype=int)
         self.columns = np.concatenate([np.arange(problem.own), problem.own + self.coefficients]).astype(int)
         form = hypothesis.form
-        self.form_columns = sum(form.form.columns[k].shape[1] for k in form.channels) if form is not None else 0
+        self.form_columns = form.width if form is not None else 0
         self.scale = np.ones(len(problem.rows)) if start is None else start.scale.copy()
         self.weight: dict[int, np.ndarray] = {}
         tails = {k: each for k in self.channels if isinstance(each := self._rows_noise(k), HeavyTails)}
@@ -214,7 +222,6 @@ class _Evaluation:
         """Collect the Gram matrices of the columns that take part."""
         of, form, count = self.of, self.hypothesis.form, len(self.columns) + self.form_columns
         self.products, self.across, self.square, self.log_det = {}, {}, {}, 0.0
-        at = len(self.columns)
         for k in self.channels:
             weight = self.weight.get(k)
             gram = of.gram(self.hypothesis, k, weight)
@@ -225,11 +232,10 @@ class _Evaluation:
             right[where] = gram.products[place, -1]
             if form is not None and k in form.channels:
                 columns = of.form_columns(self.hypothesis, form, k, weight)
-                span = slice(at, at + columns.shape[1])
+                span = _after(form.span(k), len(self.columns))
                 across = columns.T @ of.whitened(self.hypothesis, k, weight)[:, [*place, -1]]
                 whole[span, where], whole[where, span] = across[:, :-1], across[:, :-1].T
                 whole[span, span], right[span] = columns.T @ columns, across[:, -1]
-                at = span.stop
             self.products[k], self.across[k], self.square[k] = whole, right, float(gram.products[-1, -1])
             self.log_det += gram.log_det
 
@@ -290,10 +296,9 @@ class _Evaluation:
         rows = self.of.problem.rows[channel].columns
         columns, form = rows[:, place], self.hypothesis.form
         if form is not None and channel in form.channels:
-            before = sum(form.form.columns[k].shape[1] for k in form.channels if k < channel)
-            own = form.form.columns[channel]
-            where = np.concatenate([where, len(self.columns) + before + np.arange(own.shape[1])])
-            columns = np.concatenate([columns, own], axis=1)
+            span = _after(form.span(channel), len(self.columns))
+            where = np.concatenate([where, np.arange(span.start, span.stop)])
+            columns = np.concatenate([columns, form.form.columns[channel]], axis=1)
         residual = rows[:, -1] - columns @ self.mean[where]
         spread = np.sum((columns @ self.covariance[np.ix_(where, where)]) * columns, axis=1)
         return (residual**2 + spread) / self.scale[channel] ** 2
@@ -328,6 +333,10 @@ def _places_of(rows: ChannelRows, count: int) -> np.ndarray:
     found = np.full(count, -1)
     found[rows.live] = np.arange(len(rows.live))
     return found
+
+
+def _after(span: slice, count: int) -> slice:
+    return slice(count + span.start, count + span.stop)
 
 
 def _middle(widths: Sequence[float]) -> float:

@@ -50,6 +50,7 @@ class ModelSearch:
         self._vary_noise(empty)
         self._expand(self.best(_states_noise))
         self._expand(self.best(lambda each: not each.hypothesis.variants))
+        self._expand_at_less_noise()
         self._vary_noise(self.best(_pure))
         self._grow(_pure, _MOST_EXPANDED)
         for _ in range(2):
@@ -108,6 +109,25 @@ class ModelSearch:
         return at
 
     # ---- effects ----
+
+    def _expand_at_less_noise(self) -> None:
+        """Expand the empty hypothesis with the least noise of each unit that has more: what noise absorbs shows there.
+
+        The best additions get the noise that is likeliest with them.
+        """
+        at = self.best(_no_effects)
+        for place, unit in enumerate(self.of.units):
+            least = min(unit.stated, key=lambda each: each.scatter)
+            if at.hypothesis.noise[place] == least:
+                continue
+            quiet = self._get(at.hypothesis.with_noise(place, least), at)
+            if quiet is None:
+                continue
+            self._expand(quiet)
+            noise = quiet.hypothesis.noise
+            found = [each for each in self.known if each.hypothesis.noise == noise and each.hypothesis.variants]
+            if found:
+                self._vary_noise(max(found, key=lambda each: each.log_posterior))
 
     def _expand(self, at: Evaluated) -> None:
         """Evaluate what lies about a hypothesis: an effect more, a pair more, one less, one or two in place of one."""
@@ -171,18 +191,19 @@ class ModelSearch:
             return
         self._scanned.add(at.hypothesis)
         scan = FormScan(self.of, at_scales(self.of, at, scale))
-        found = scan.best(self.forms)
-        if self.wrong_rows is not None:
-            found = sorted([*found, *scan.rows(self.wrong_rows)], key=lambda each: -each[0])
-        seen: set[tuple[object, ...]] = set()
-        for gain, form in found:
-            key = form.form.name, form.form.run, form.form.row, form.channels
-            if key in seen:
-                continue
-            if gain < -PROPOSED / 2 or len(seen) >= _FORMS:
-                break
-            seen.add(key)
-            self._with_form(at, form)
+        rows = [] if self.wrong_rows is None else sorted(scan.rows(self.wrong_rows), key=lambda each: -each[0])
+        found, seen = scan.best(self.forms), set[tuple[object, ...]]()
+        wrong = sorted([*rows, *(each for each in found if each[1].form.wrong is not None)], key=lambda each: -each[0])
+        for proposed, most in (found, _FORMS), (wrong, _FORMS // 2):
+            told = 0
+            for gain, form in proposed:
+                key = form.form.name, form.form.run, form.form.row, form.channels
+                if gain < -PROPOSED / 2 or told >= most:
+                    break
+                if key not in seen:
+                    seen.add(key)
+                    told += 1
+                    self._with_form(at, form)
 
     def _with_form(self, at: Evaluated, form: ChosenForm) -> None:
         """Evaluate a form, with amplitudes beside it as well."""

@@ -18,9 +18,12 @@ from typing import Literal
 import numpy as np
 
 from imubayes.criticism.evidence.linear_problem import UNKNOWN, ChannelRows, LinearProblem
+from imubayes.criticism.thresholds import SISTERS_LOG_SD
 
 Family = Literal["known", "scale", "correlated", "wander", "rate", "tails", "runs"]
 
+UNLIKE_SISTERS = 0.1
+"""Probability that the scatter of a channel has nothing in common with that of its sister channels."""
 OTHER_NOISE = 0.1
 """Prior probability that a kind of channel has other noise than stated, in equal shares of the families."""
 
@@ -167,6 +170,33 @@ def noise_units(problem: LinearProblem) -> tuple[NoiseUnit, ...]:
         kinds = dict.fromkeys(problem.kinds[k] for k in channels)
         groups = [tuple(k for k in channels if problem.kinds[k] == kind) for kind in kinds]
     return tuple(NoiseUnit(each, problem.kinds[each[0]], _choices(problem, each)) for each in groups)
+
+
+def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], noise: tuple[NoiseOfUnit, ...]) -> float:
+    """Return what the scatters between runs of equal sensors tell of one another, beyond the prior of each.
+
+    Scatters of a kind have a common size with the prior of the model, and lie about it with a standard deviation of the
+    logarithm as equal sensors do, but for a share that have nothing in common.
+    """
+    found = 0.0
+    for kind in dict.fromkeys(unit.kind for unit in units):
+        sisters = [
+            (unit.channels[0], each.scatter) for unit, each in zip(units, noise, strict=True) if unit.kind == kind
+        ]
+        grids = [problem.rows[k].run_scatter for k, _ in sisters]
+        if len(sisters) < 2 or not all(grids):
+            continue
+        places = [
+            int(np.argmin([abs(tau - own) for tau, _ in grid])) for (_, own), grid in zip(sisters, grids, strict=True)
+        ]
+        each = np.zeros(len(grids[0]))
+        for place, grid in zip(places, grids, strict=True):
+            prior, size = np.exp([p for _, p in grid]), np.log([tau for tau, _ in grid])
+            near = np.exp(-0.5 * ((size[:, None] - size) / SISTERS_LOG_SD) ** 2)
+            about = UNLIKE_SISTERS * prior[:, None] + (1 - UNLIKE_SISTERS) * near / near.sum(axis=0)
+            each += np.log(about[place]) - math.log(prior[place])
+        found += float(np.logaddexp.reduce(each + [p for _, p in grids[0]]))
+    return found
 
 
 def _choices(problem: LinearProblem, channels: tuple[int, ...]) -> tuple[NoiseOfUnit, ...]:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-import scipy.linalg
 
 from imubayes.criticism.evidence.free_forms import ChosenForm, FreeForm
 from imubayes.criticism.evidence.hypothesis import (
@@ -25,6 +24,7 @@ from imubayes.criticism.evidence.noise_structures import HeavyTails, NoiseOfUnit
 from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 
 _EXACT_FORMS, _TAIL_ROUNDS = 160, 8
+_LEAST_RETAINED = 1e-9
 _SHOWN_SD = 3.0
 """Standard deviations at which an effect of its largest typical size would stand, to be looked for."""
 
@@ -54,9 +54,8 @@ def _where(of: EvidenceOf, at: Evaluated, channel: int) -> np.ndarray:
     here, _ = of.select(channel, at.columns)
     found, form = np.flatnonzero(here), at.hypothesis.form
     if form is not None and channel in form.channels:
-        before = sum(form.form.columns[k].shape[1] for k in form.channels if k < channel)
-        own = form.form.columns[channel].shape[1]
-        found = np.concatenate([found, len(at.columns) + before + np.arange(own)])
+        span = form.span(channel)
+        found = np.concatenate([found, len(at.columns) + np.arange(span.start, span.stop)])
     return found
 
 
@@ -207,6 +206,15 @@ class _FormGram:
     across: np.ndarray
 
 
+@dataclass(frozen=True)
+class _Screened:
+    """A form with its quick gain, and the Gram matrices of its channels."""
+
+    gain: float
+    form: ChosenForm
+    parts: dict[int, _FormGram]
+
+
 class FormScan:
     """Quick gains of every form beside a hypothesis without one."""
 
@@ -224,29 +232,21 @@ class FormScan:
 
     def best(self, forms: Sequence[FreeForm]) -> list[tuple[float, ChosenForm]]:
         """Return forms with their gains against no form, the largest first; screened channel by channel."""
-        found: list[tuple[float, ChosenForm, dict[int, _FormGram]]] = []
-        for form in forms:
-            parts = {k: self._gram(ChosenForm(form, 1.0, tuple(form.columns)), k) for k in form.columns}
-            whole = np.zeros(len(form.amplitudes))
-            for k, part in parts.items():
-                each = _gains(part, form.amplitudes)
-                whole += each
-                if len(parts) > 1 and form.wrong is None:
-                    found += [(g, ChosenForm(form, a, (k,)), parts) for g, a in zip(each, form.amplitudes, strict=True)]
-            every = tuple(parts)
-            found += [(g, ChosenForm(form, a, every), parts) for g, a in zip(whole, form.amplitudes, strict=True)]
-        scored = sorted(((g + one.log_prior, one, parts) for g, one, parts in found), key=lambda each: -each[0])
-        exact = [(self._exact(gain, one, parts), one) for gain, one, parts in scored[:_EXACT_FORMS]]
+        quick = sorted((each for form in forms for each in self._screened(form)), key=lambda each: -each.gain)
+        exact = [(_exact(each), each.form) for each in quick[:_EXACT_FORMS]]
         return sorted(exact, key=lambda each: -each[0])
 
-    @staticmethod
-    def _exact(gain: float, form: ChosenForm, parts: dict[int, _FormGram]) -> float:
-        if len(form.channels) == 1:
-            return gain
-        own = scipy.linalg.block_diag(*(parts[k].own for k in form.channels))
-        across = np.concatenate([parts[k].across for k in form.channels], axis=1)
-        right = np.concatenate([parts[k].right for k in form.channels])
-        return _gain(own - across.T @ across, right, form.amplitude) + form.log_prior
+    def _screened(self, form: FreeForm) -> Iterator["_Screened"]:
+        """Yield a form at each amplitude, on all channels and on one alone, the channels as if they were apart."""
+        parts = {k: self._gram(ChosenForm(form, 1.0, tuple(form.columns)), k) for k in form.columns}
+        each = {k: _gains(part, form.amplitudes) for k, part in parts.items()}
+        alone = len(parts) > 1 and form.wrong is None
+        for n, amplitude in enumerate(form.amplitudes):
+            whole = ChosenForm(form, amplitude, tuple(parts))
+            yield _Screened(float(sum(gains[n] for gains in each.values())) + whole.log_prior, whole, parts)
+            for k in parts if alone else ():
+                one = ChosenForm(form, amplitude, (k,))
+                yield _Screened(float(each[k][n]) + one.log_prior, one, parts)
 
     def rows(self, wrong: WrongRows) -> Iterator[tuple[float, ChosenForm]]:
         """Yield the best wrong row of each column and amplitude, with its gain."""
@@ -270,14 +270,28 @@ class FormScan:
                 yield float(gain[best]) + chosen.log_prior, chosen
 
 
+def _exact(screened: _Screened) -> float:
+    """Return the gain of a form with its channels together, its prior probability included."""
+    form, parts = screened.form, screened.parts
+    if len(form.channels) == 1:
+        return screened.gain
+    own, right = np.zeros((form.width, form.width)), np.zeros(form.width)
+    across = np.zeros((len(parts[form.channels[0]].across), form.width))
+    for k in form.channels:
+        span = form.span(k)
+        own[span, span] += parts[k].own
+        right[span] += parts[k].right
+        across[:, span] += parts[k].across
+    return float(_gains(_FormGram(own, right, across), [form.amplitude])[0]) + form.log_prior
+
+
 def _gains(part: _FormGram, amplitudes: Sequence[float]) -> np.ndarray:
+    """Return the log evidence of coefficients with standard deviations `amplitudes`, (n,).
+
+    Directions that what takes part explains to rounding are left out: a large misfit would make them a gain.
+    """
     squares, axes = np.linalg.eigh(part.own - part.across.T @ part.across)
-    along, squares = (axes.T @ part.right) ** 2, np.maximum(squares, 0.0)
+    told = squares > _LEAST_RETAINED * max(float(np.trace(part.own)), np.finfo(float).tiny)
+    along, squares = (axes.T @ part.right)[told] ** 2, squares[told]
     variance = np.square(amplitudes)[:, None]
     return 0.5 * np.sum(along * variance / (1 + variance * squares) - np.log1p(variance * squares), axis=1)
-
-
-def _gain(own: np.ndarray, right: np.ndarray, amplitude: float) -> float:
-    scaled = np.eye(len(right)) + amplitude**2 * own
-    found = 0.5 * amplitude**2 * float(right @ np.linalg.solve(scaled, right))
-    return found - 0.5 * float(np.linalg.slogdet(scaled)[1])

@@ -44,10 +44,11 @@ def _of_runs(
     for run in range(len(campaign.runs)):
         for wrong in suspected(campaign, run):
             response = _of_run(problem, fitted, wrong, columns, seats, predictions)
-            shape = _in_noise(problem, response) if response is not None else {}
-            if shape:
+            largest = float(np.abs(problem.root[:, None] * response).max(initial=0.0)) if response is not None else 0.0
+            if response is not None and np.isfinite(largest) and largest > 0:
+                shape = _in_noise(problem, response, largest)
                 name = f"{wrong.form} of {wrong.covariate or 'outputs'}" if wrong.form != "seat" else "attitude"
-                yield FreeForm("input", name, (), shape, _ERRORS, run=run, wrong=wrong)
+                yield FreeForm("input", name, (), shape, _ERRORS, run=run, wrong=wrong, unit=1 / largest)
 
 
 def _of_run(
@@ -79,12 +80,9 @@ def _of_run(
     return found
 
 
-def _in_noise(problem: LinearProblem, response: np.ndarray) -> dict[int, np.ndarray]:
+def _in_noise(problem: LinearProblem, response: np.ndarray, largest: float) -> dict[int, np.ndarray]:
     """Return a response of all entries (E, d), output units, over the noise of each, its largest value 1."""
     root = problem.root[:, None] * response
-    largest = float(np.abs(root).max(initial=0.0))
-    if not (np.isfinite(largest) and largest > 0):
-        return {}
     found = {k: root[rows.entry] / largest for k, rows in enumerate(problem.rows)}
     return {k: columns for k, columns in found.items() if np.any(columns)}
 
@@ -96,11 +94,13 @@ class WrongRows:
     Attributes
     ----------
     columns : column of the record → channel → (n,), the response of each row to its own value, its largest 1.
+    unit : column of the record → (rows,), error of the row for a coefficient of 1.
     row : channel → (n,), row of each entry, counted over all runs.
     run, place : shape (rows,), run of each row, and its place there.
     """
 
     columns: Mapping[str, Mapping[int, np.ndarray]]
+    unit: Mapping[str, np.ndarray]
     row: Mapping[int, np.ndarray]
     run: np.ndarray
     place: np.ndarray
@@ -117,7 +117,18 @@ class WrongRows:
         shape = {k: x for k, x in shape.items() if np.any(x)}
         run, place = int(self.run[row]), int(self.place[row])
         wrong = WrongInput(run, "offset", column, place)
-        return FreeForm("input", f"offset of {column}", (), shape, _ERRORS, self.log_prior, run, place, wrong)
+        return FreeForm(
+            "input",
+            f"offset of {column}",
+            (),
+            shape,
+            _ERRORS,
+            self.log_prior,
+            run,
+            place,
+            wrong,
+            float(self.unit[column][row]),
+        )
 
 
 def _wrong_rows(problem: LinearProblem, fitted: Fit, columns: Mapping[str, np.ndarray]) -> WrongRows | None:
@@ -126,14 +137,16 @@ def _wrong_rows(problem: LinearProblem, fitted: Fit, columns: Mapping[str, np.nd
     first = np.cumsum([0, *(run.rows for run in runs)])
     row = {k: first[entries.run[rows.entry]] + entries.row[rows.entry] for k, rows in enumerate(problem.rows)}
     found: dict[str, dict[int, np.ndarray]] = {}
+    units: dict[str, np.ndarray] = {}
     for name, response in columns.items():
         white = {k: problem.root[rows.entry] * response[rows.entry] for k, rows in enumerate(problem.rows)}
         largest = np.zeros(first[-1])
         for k, x in white.items():
             np.maximum.at(largest, row[k], np.abs(x))
         safe = np.where(largest > 0, largest, 1.0)
+        units[name] = 1 / safe
         found[name] = {k: x / safe[row[k]] for k, x in white.items()}
     if not found:
         return None
     run = np.repeat(np.arange(len(runs)), [each.rows for each in runs])
-    return WrongRows(found, row, run, np.arange(first[-1]) - first[run])
+    return WrongRows(found, units, row, run, np.arange(first[-1]) - first[run])
