@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 from imubayes.campaign_data import Campaign
-from imubayes.model.bound_effects import NoChannelError, NotObservableError, bind_effect
+from imubayes.effects.base import AmbientEffect
+from imubayes.model.bound_effects import ExactEquipmentError, NoChannelError, NotObservableError, bind_effect
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.grouping import Grouping
 from imubayes.model.model_spec import EffectSpec
@@ -37,13 +38,20 @@ def observability(campaign: Campaign, registry: Registry | None = None) -> tuple
 
 
 def _of_class(effect_class: EffectClass, grouping: Grouping, registry: Registry) -> Observability:
-    runs = grouping.campaign.runs
-    if effect_class.nuisance and "driven" not in effect_class.needs and not any(run.tumble for run in runs):
+    runs, of_ambient = grouping.campaign.runs, issubclass(effect_class, AmbientEffect)
+    of_tumble = effect_class.nuisance and not of_ambient and "driven" not in effect_class.needs
+    if of_tumble and not any(run.tumble for run in runs):
         return Observability(effect_class, (), (), ("free tumble",))
     try:
         bound = bind_effect(EffectSpec(effect_class.name), grouping, registry)
     except NoChannelError:
         return Observability(effect_class, (), (), tuple(effect_class.kinds))
+    except ExactEquipmentError:
+        needed = f"{effect_class.needs[0]} uncertainty" if of_ambient else "response"
+        return Observability(effect_class, (), (), (needed,))
     except NotObservableError as error:
         return Observability(effect_class, (), (), error.missing or ("response",))
-    return Observability(effect_class, tuple(runs[run].name for run in sorted(bound.shown_in)), bound.channels, ())
+    shown = [runs[run].name for run in sorted(bound.shown_in)]
+    if of_ambient:  # exact in the others
+        shown = [name for name in shown if any(parameter.label == (name,) for parameter in bound.parameters)]
+    return Observability(effect_class, tuple(shown), bound.channels, ())
