@@ -144,3 +144,4 @@ def test_effects_of_one_covariate_are_one_issue_and_optional_ones_are_named_too(
         bind(ModelSpec("thermal", entries), campaign)
     (issue,) = refused.value.issues
     assert "'accel_bias_temperature', 'gyro_scale_temperature' depend" in issue.what
+    assert "with temperature_uncertainty_degC unless it is known well" in issue.remedy
