@@ -141,7 +141,8 @@ def test_it_is_of_the_run_and_no_part_of_the_calibration():
     derived = derived_quantities(model.assembly).derivation
     own = np.array(["thermometer" in name for name in model.layout.names])
     values = (np.concatenate([0.3 * ~own + size * own, model.assembly.nulls]) * 1e-3 for size in (0.0, 5000.0))
-    np.testing.assert_array_equal(*map(derived, values))
+    without, with_it = map(derived, values)
+    np.testing.assert_array_equal(with_it, without)
 
 
 def test_a_value_for_several_runs_is_refused():
