@@ -172,7 +172,7 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry, *, sin
         per = sharing if declaration.per is None else declaration.per
         made[name] = settings.parameters(name, per, grouping.labels(per, labelled, sorted(shown_in)))
     settings.raise_issues()
-    _refuse_exact(spec, made)
+    _refuse_exact(spec, effect_class, made)
     hyper = hyper_fields(effect_class)
     return BoundEffect(
         spec=spec,
@@ -225,15 +225,17 @@ def _without_single_runs(
     return tuple(name for name in channels if name not in found), found
 
 
-def _refuse_exact(spec: EffectSpec, made: Mapping[str, list[Parameter]]) -> None:
+def _refuse_exact(spec: EffectSpec, effect_class: EffectClass, made: Mapping[str, list[Parameter]]) -> None:
     if made and not any(made.values()):
+        of_runs = issubclass(effect_class, AmbientEffect)
         raise ExactEquipmentError(
             Issue(
                 f"the campaign states that '{spec.name}' is zero: an uncertainty of 0 means exact",
                 spec.where,
                 "an uncertainty above 0 in campaign.toml, or a prior in the model",
                 "leave the effect out, or state the uncertainty",
-            )
+            ),
+            tuple(f"{need} uncertainty" for need in effect_class.needs) if of_runs else (),
         )
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from imubayes.campaign_data import Campaign
 from imubayes.effects.base import AmbientEffect
-from imubayes.model.bound_effects import ExactEquipmentError, NoChannelError, NotObservableError, bind_effect
+from imubayes.model.bound_effects import BoundEffect, NoChannelError, NotObservableError, bind_effect
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.grouping import Grouping
 from imubayes.model.model_spec import EffectSpec
@@ -38,20 +38,26 @@ def observability(campaign: Campaign, registry: Registry | None = None) -> tuple
 
 
 def _of_class(effect_class: EffectClass, grouping: Grouping, registry: Registry) -> Observability:
-    runs, of_ambient = grouping.campaign.runs, issubclass(effect_class, AmbientEffect)
-    of_tumble = effect_class.nuisance and not of_ambient and "driven" not in effect_class.needs
-    if of_tumble and not any(run.tumble for run in runs):
+    if _of_tumbles(effect_class) and not any(run.tumble for run in grouping.campaign.runs):
         return Observability(effect_class, (), (), ("free tumble",))
     try:
         bound = bind_effect(EffectSpec(effect_class.name), grouping, registry)
     except NoChannelError:
         return Observability(effect_class, (), (), tuple(effect_class.kinds))
-    except ExactEquipmentError:
-        needed = f"{effect_class.needs[0]} uncertainty" if of_ambient else "response"
-        return Observability(effect_class, (), (), (needed,))
     except NotObservableError as error:
         return Observability(effect_class, (), (), error.missing or ("response",))
-    shown = [runs[run].name for run in sorted(bound.shown_in)]
-    if of_ambient:  # exact in the others
-        shown = [name for name in shown if any(parameter.label == (name,) for parameter in bound.parameters)]
-    return Observability(effect_class, tuple(shown), bound.channels, ())
+    return Observability(effect_class, _shown_in(bound, grouping.campaign), bound.channels, ())
+
+
+def _of_tumbles(effect_class: EffectClass) -> bool:
+    """Whether an effect is an unknown of free tumbles themselves."""
+    of_others = issubclass(effect_class, AmbientEffect) or "driven" in effect_class.needs
+    return effect_class.nuisance and not of_others
+
+
+def _shown_in(bound: BoundEffect, campaign: Campaign) -> tuple[str, ...]:
+    """Return the names of the runs that respond; of an error in what they state, of those that state one."""
+    names = [campaign.runs[run].name for run in sorted(bound.shown_in)]
+    if issubclass(bound.effect_class, AmbientEffect):
+        names = [name for name in names if any(parameter.label == (name,) for parameter in bound.parameters)]
+    return tuple(names)
