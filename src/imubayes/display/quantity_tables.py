@@ -8,12 +8,11 @@ from imubayes.display.fit_quality_tables import NOT_DETERMINED, more
 from imubayes.display.labels import pretty
 from imubayes.display.rounding import is_exact, percent, rounded, value_and_sd
 from imubayes.display.table_layout import Cell, Sheet, without_dividers
-from imubayes.effects.thermometer import ConverterThermometerError, ThermometerError
 from imubayes.results.output_units import in_output_units
 from imubayes.results.summary import ParameterSummary, Quantity, Summary
 
 R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
-_TEMPERATURES = tuple(f"{effect.name}." for effect in (ThermometerError, ConverterThermometerError))
+_TEMPERATURES = ("thermometer_error.", "converter_thermometer_error.")
 _MEANING = "sd: standard uncertainty. from data: 1 − (sd/prior sd)² on the scale on which the prior is normal. "
 
 
