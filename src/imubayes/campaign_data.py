@@ -193,6 +193,8 @@ class Run:
     tumble : the moving part, for a free tumble.
     attitude : shape (R, 3, 3), body → local level of each row, where the record names directions instead of angles.
     notes : what the reduction did and what it left out, one sentence each.
+    temperature_uncertainty, converter_temperature_uncertainty : standard uncertainty of what all rows have in common of
+        these temperatures, °C; None or 0 where they are exact.
     """
 
     name: str
@@ -207,6 +209,8 @@ class Run:
     tumble: Tumble | None = None
     attitude: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    temperature_uncertainty: float | None = None
+    converter_temperature_uncertainty: float | None = None
 
     @property
     def rows(self) -> int:

@@ -209,6 +209,8 @@ CONDITIONS: dict[str, str] = {
     "second run": "a second run of the channel",
     "reference": "a reference gyro that rides along",
     "injection": "a run of procedure current_injection",
+    "temperature uncertainty": "a run that states temperature_uncertainty_degC",
+    "converter_temperature uncertainty": "a run that states converter_temperature_uncertainty_degC",
     "driven": "a table that the gyro drives",
     "directions": "positions named by directions of the site (i_axis, o_axis)",
     "table": "a run on a table",

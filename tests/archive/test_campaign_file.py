@@ -65,6 +65,17 @@ def test_the_comparison_sees_a_changed_value():
     assert content_checksum(changed) != content_checksum(campaign)
 
 
+def test_the_uncertainty_of_a_temperature_is_kept(tmp_path):
+    campaign = load_campaign(DATA / "polar-tumble")
+    first = dataclasses.replace(campaign.runs[0], temperature_uncertainty=0.5, converter_temperature_uncertainty=2.0)
+    stated = dataclasses.replace(campaign, runs=(first, *campaign.runs[1:]))
+    write_campaign(stated, tmp_path / "campaign.parquet")
+    found = read_campaign(tmp_path / "campaign.parquet")
+    assert (found.runs[0].temperature_uncertainty, found.runs[0].converter_temperature_uncertainty) == (0.5, 2.0)
+    assert differences(found, stated) == []
+    assert content_checksum(stated) != content_checksum(campaign)
+
+
 def test_the_head_is_read_without_the_rows(small):
     head, campaign = read_head(small), load_campaign(DATA / "polar-tumble")
     assert (head.unit, head.name, head.digest) == (campaign.serial, campaign.name, campaign.digest)

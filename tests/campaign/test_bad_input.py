@@ -127,6 +127,22 @@ CAMPAIGNS: dict[str, tuple[Spoil, str, str, str]] = {
     "negative uncertainty": (
         toml("axis_uncertainty_arcsec = 20.0", "axis_uncertainty_arcsec = -1.0"), "-1", r"table\[0\]\.axis", "at least 0",
     ),
+    "negative uncertainty of a temperature": (
+        toml("temperature_degC = 25.0", "temperature_degC = 25.0\ntemperature_uncertainty_degC = -0.5"),
+        "-0.5", r"run\[0\]\.temperature_uncertainty_degC", "at least 0",
+    ),
+    "uncertainty of a temperature without end": (
+        toml("temperature_degC = 25.0", "temperature_degC = 25.0\ntemperature_uncertainty_degC = inf"),
+        "finite", r"run\[0\]\.temperature_uncertainty_degC", "number",
+    ),
+    "uncertainty of a temperature in mK": (
+        toml("temperature_degC = 25.0", "temperature_degC = 25.0\ntemperature_uncertainty_degC = 500"),
+        "500", r"run\[0\]\.temperature_uncertainty_degC", "at most 100",
+    ),
+    "uncertainty of no temperature": (
+        toml("temperature_degC = 25.0", "converter_temperature_uncertainty_degC = 0.5"),
+        "there is no converter_temperature_degC", r"rates\.csv, header", "a column of that name",
+    ),
     "table twice": (toml('name = "head"', 'name = "rate"'), "given twice", r"table\[1\]\.name", "not yet used"),
     "singular mounting": (toml("[[1, 0, 0], [0, 1, 0]", "[[1, 0, 0], [1, 0, 0]"), "singular", r"mounting\[0\]", "orthonormal"),
     "mirrored mounting": (toml("[[1, 0, 0], [0, 1, 0]", "[[0, 1, 0], [1, 0, 0]"), "mirror", r"mounting\[0\]", "determinant"),

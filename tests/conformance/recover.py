@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.campaign_data import Campaign
+from imubayes.effects.base import AmbientEffect
 from imubayes.inference.posterior_mode import find_mode
 from imubayes.model.bind import Model, bind
 from imubayes.model.effect_registry import Registry
@@ -29,6 +30,11 @@ from small_campaign import (
 # Where a limit lies among the inputs of a few rows decides which of them feel it at all: that is scanned, not fitted.
 HELD = {"converter_saturation": {"limit": "lognormal(30 scale, 0.01)"}}
 
+THROUGH = (
+    "accel_bias_temperature", "gyro_bias_temperature", "converter_gain_drift", "converter_offset_drift",
+)  # fmt: skip
+"""Effects of the temperatures, without which an error of these changes nothing."""
+
 
 @dataclass(frozen=True)
 class Recovered:
@@ -47,8 +53,8 @@ class Recovered:
 
 
 def declared_alone(member: type, registry: Registry | None = None) -> Model:
-    """Return a model of one effect and white noise on the campaign that can show it."""
-    model = spec(member.name)
+    """Return a model of one effect and white noise on the campaign that can show it, with what it acts through."""
+    model = spec(member.name, *(THROUGH if issubclass(member, AmbientEffect) else ()))
     held = replace(model.effects[0], prior=HELD.get(member.name, {}))
     return bind(replace(model, effects=(held, *model.effects[1:])), shown_by(member), registry)
 
@@ -60,12 +66,21 @@ def shown_by(member: type) -> Campaign:
     for need, among in special.items():
         if need in member.needs:
             return among()
+    if issubclass(member, AmbientEffect):
+        return uncertain_campaign()
     if member.nuisance:
         return tumble_campaign()
     # A skew shows in rows of known angle that turn, and there are none but in the wide campaign.
     recorded = any(set(member.needs) <= names for names in join_nodes(campaign()).supplies)
     plain = member.name != "time_skew" and recorded and not _missing(member.name)
     return campaign() if plain else wide_campaign()
+
+
+def uncertain_campaign() -> Campaign:
+    """Return the campaign with temperatures of the converter in all runs on tables, stated with uncertainties."""
+    known = campaign()
+    stated = {"temperature_uncertainty": 2.0, "converter_temperature_uncertainty": 3.0}
+    return replace(known, runs=tuple(replace(run, **stated) for run in known.runs))
 
 
 def _missing(name: str) -> bool:

@@ -15,7 +15,7 @@ import pytest
 
 from imubayes.campaign_data import Campaign
 from imubayes.covariates import COVARIATES, ambient_names
-from imubayes.effects.base import Effect, MotionEffect, RecordEffect
+from imubayes.effects.base import AmbientEffect, Effect, MotionEffect, RecordEffect
 from imubayes.errors import InputError
 from imubayes.model.bind import bind
 from imubayes.model.bound_effects import UnknownCovariateError, bind_effect
@@ -27,9 +27,11 @@ from small_campaign import spec, wide_campaign
 
 EFFECTS = {name: each for name, each in Registry().effects.items() if issubclass(each, Effect)}
 DEPENDENT = [
-    name for name, each in EFFECTS.items() if any(not COVARIATES[n].absent for n in each.needs if n in COVARIATES)
+    name
+    for name, each in EFFECTS.items()
+    if any(not COVARIATES[n].absent for n in each.needs if n in COVARIATES) and not issubclass(each, AmbientEffect)
 ]
-"""Effects of a covariate that every run has."""
+"""Effects of a covariate that every run has; an error of the covariate itself is none where it is not recorded."""
 RECORDED = {
     "temperature_rate": "temperature",
     "converter_temperature_rate": "converter_temperature",
@@ -84,12 +86,17 @@ def test_an_effect_reads_no_covariate_that_it_does_not_declare(name):
     undeclared = {other: float(rng.uniform(1, 60)) for other in ambient_names() if other not in member.needs}
     for seed in range(1, 4):
         acting = laws.instance(member, laws.drawn_values(member, seed))
-        apply = acting.carry if issubclass(member, RecordEffect) else acting.apply
+        apply = acting.carry if issubclass(member, RecordEffect) else laws.act_of(acting)
         plain, moved = ((laws.ambient(seed, **fixed), laws.states(member, seed, **fixed)) for fixed in ({}, undeclared))
         if issubclass(member, RecordEffect):
             found = [apply(ambient, ambient, jnp.asarray(1.0)) for ambient, _ in (plain, moved)]
         else:
             found = [apply(*state) for _, state in (plain, moved)]
+        if issubclass(member, AmbientEffect):  # it hands on all circumstances, and has to change its own alike
+            found = [
+                jax.tree.map(lambda after, before: jnp.round(after - before, 9), each, state[0])
+                for each, (_, state) in zip(found, (plain, moved), strict=True)
+            ]
         if issubclass(member, MotionEffect) or issubclass(member, RecordEffect):
             same = jax.tree.map(lambda a, b: np.array_equal(a, b), *found)
             assert all(jax.tree.leaves(same))
@@ -137,3 +144,4 @@ def test_effects_of_one_covariate_are_one_issue_and_optional_ones_are_named_too(
         bind(ModelSpec("thermal", entries), campaign)
     (issue,) = refused.value.issues
     assert "'accel_bias_temperature', 'gyro_scale_temperature' depend" in issue.what
+    assert "with temperature_uncertainty_degC unless it is known well" in issue.remedy

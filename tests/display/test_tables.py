@@ -69,6 +69,17 @@ def test_parameters_are_rounded_with_units_interval_and_share(summary):
     assert row.split() == ["gyro_bias.bias[gx]", "13.62", "0.61", "12.42", "…", "14.82", "deg/h", "99.96", "%"]
 
 
+def test_the_temperature_of_a_run_is_shown_where_the_data_tell_it(summary):
+    of_runs = [
+        made.parameter("thermometer_error.offset[warm]", "degC", 20.7, 0.3, 0.99, nuisance=True),
+        made.parameter("thermometer_error.offset[steady]", "degC", 0.01, 0.49, 0.02, nuisance=True),
+    ]
+    text = text_of(parameter_sheet(summary.model_copy(update={"parameters": (*summary.parameters, *of_runs)})))
+    assert "thermometer_error.offset[warm]" in text
+    assert "thermometer_error.offset[steady]" not in text
+    assert "2 nuisance parameters" in text
+
+
 def test_what_the_data_did_not_determine_is_marked(summary):
     text = text_of(parameter_sheet(summary))
     row = next(line for line in text.splitlines() if "accel_quadratic" in line)

@@ -167,6 +167,21 @@ def test_what_is_simulated_is_loaded_and_recovered(plan: Path):
     assert np.max(np.abs(np.asarray(mode.h) - true_h)) < 4
 
 
+def test_the_uncertainty_of_a_temperature_is_written_back_and_has_a_truth(plan: Path, edit):
+    stated = "converter_temperature_degC = [25.0, 25.0]"
+    edit(stated, f"{stated}\nconverter_temperature_uncertainty_degC = 3.0")
+    folder = simulate_plan(plan, plan.parent / "out")
+    run, *others = load_campaign(folder).runs
+    assert run.converter_temperature_uncertainty == 3.0
+    assert all(other.converter_temperature_uncertainty is None for other in others)
+    truth = tomllib.loads((folder / "truth.toml").read_text())["parameters"]
+    (offset,) = (value for name, value in truth.items() if name.startswith("converter_thermometer_error"))
+    assert 0 < abs(offset) < 12
+    edit("converter_temperature_uncertainty_degC = 3.0", "converter_temperature_uncertainty_degC = -3.0")
+    with pytest.raises(InputError, match="converter_temperature_uncertainty_degC"):
+        read_plan(plan)
+
+
 def test_outputs_are_written_with_all_digits(plan: Path):
     folder = simulate_plan(plan, plan.parent / "out")
     planned = read_plan(plan)

@@ -52,6 +52,8 @@ def build_run(
         tumble,
         attitude,
         (*notes, *covariate_notes),
+        entry.temperature_uncertainty_degC,
+        entry.converter_temperature_uncertainty_degC,
     )
 
 
@@ -65,6 +67,24 @@ def unused_columns(layout: ColumnLayout, procedure: Procedure, run: str, where: 
     return [
         Finding("unused_columns", "warning", run, what, f"{where}, header", "", "nothing; the other columns are used")
     ]
+
+
+def unfounded_uncertainties(entry: RunEntry, run: Run, where: str) -> list[Finding]:
+    """Return an error for each stated uncertainty of a temperature that the run neither states nor records."""
+    stated = {
+        "temperature": entry.temperature_uncertainty_degC,
+        "converter_temperature": entry.converter_temperature_uncertainty_degC,
+    }
+    return [
+        Finding(
+            "unfounded_uncertainty", "error", entry.name,
+            f"{name}_uncertainty_degC is stated, and there is no {name}_degC that it could be of",
+            f"{where}, header", f"{name}_degC of the run, or a column of that name with values",
+            f"state {name}_degC, or take {name}_uncertainty_degC out",
+        )
+        for name, uncertainty in stated.items()
+        if uncertainty and name not in run.covariates
+    ]  # fmt: skip
 
 
 def _covariates(

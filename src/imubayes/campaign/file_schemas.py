@@ -21,6 +21,7 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 _LEAST_LENGTH = 1e-9
 Degrees = Annotated[float, Field(ge=-360, le=360)]
+TemperatureUncertainty = Annotated[float, Field(ge=0, le=100)]
 
 
 class _Entry(BaseModel):
@@ -171,6 +172,14 @@ class RunEntry(_Entry):
     )
     converter_temperature_degC: float | None = Field(
         default=None, ge=-150, le=150, description="of all rows, where the file has no column of that name"
+    )
+    temperature_uncertainty_degC: TemperatureUncertainty | None = Field(
+        default=None,
+        description="standard uncertainty of temperature_degC, stated or recorded, common to all rows: the prior of "
+        "thermometer_error; exact where absent",
+    )
+    converter_temperature_uncertainty_degC: TemperatureUncertainty | None = Field(
+        default=None, description="the same of converter_temperature_degC: the prior of converter_thermometer_error"
     )
     start: datetime | date | None = Field(default=None, description="when the run began; for timelines and trends")
     initial_rest_s: Positive | None = Field(

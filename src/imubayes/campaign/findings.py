@@ -57,6 +57,7 @@ FINDINGS: dict[str, str] = {
     "segment_not_constant": "the stimulus varies within a labelled segment",
     "partial_turn": "a mean over less than one turn at an unknown angle",
     "bad_count": "an impossible number of samples or standard deviation",
+    "unfounded_uncertainty": "an uncertainty of a temperature that is not there",
     "unused_columns": "columns that are not used",
 }
 """Name of every finding → its meaning."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imubayes.campaign.build_run import build_run, unused_columns
+from imubayes.campaign.build_run import build_run, unfounded_uncertainties, unused_columns
 from imubayes.campaign.file_schemas import RunEntry
 from imubayes.campaign.findings import UNIT_FINDINGS, Finding
 from imubayes.campaign.free_tumble import reduce_tumble
@@ -113,6 +113,9 @@ def _load(loaded: Loaded, source: TableSource, entry: RunEntry, equipment: Equip
     loaded.findings += found
     if run.rows == 0:
         loaded.findings.append(_empty(entry, where, "no interval of constant stimulus was found in the log"))
+    if loaded.failed:
+        return
+    loaded.findings += unfounded_uncertainties(entry, run, where)
     if loaded.failed:
         return
     loaded.findings += unused_columns(source.layout, PROCEDURES[entry.procedure], entry.name, where)

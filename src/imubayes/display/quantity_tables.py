@@ -12,6 +12,7 @@ from imubayes.results.output_units import in_output_units
 from imubayes.results.summary import ParameterSummary, Quantity, Summary
 
 R_HAT, EFFECTIVE_SIZE = 1.01, 400.0
+_TEMPERATURES = ("thermometer_error.", "converter_thermometer_error.")
 _MEANING = "sd: standard uncertainty. from data: 1 − (sd/prior sd)² on the scale on which the prior is normal. "
 
 
@@ -71,8 +72,13 @@ def _quantities(
 
 
 def is_nuisance(entry: Quantity) -> bool:
-    """Tell whether a quantity is of no interest in itself, such as the attitude of a pose."""
-    return isinstance(entry, ParameterSummary) and entry.nuisance
+    """Tell whether a quantity is of no interest in itself, such as the attitude of a pose.
+
+    The temperature of a run is of interest where the data tell it better than the campaign states it.
+    """
+    if not isinstance(entry, ParameterSummary) or not entry.nuisance:
+        return False
+    return is_undetermined(entry) or not entry.name.startswith(_TEMPERATURES)
 
 
 def _note(entries: Sequence[Quantity], left_out: int) -> str:
@@ -84,7 +90,7 @@ def _note(entries: Sequence[Quantity], left_out: int) -> str:
             "their estimates are those of the prior. "
         )
     if left_out:
-        note += f"{left_out} nuisance parameters (attitudes of poses) are left out. "
+        note += f"{left_out} nuisance parameters (of single runs and poses) are left out. "
     return note
 
 

@@ -12,6 +12,7 @@ from imubayes.effects import (
     outer_axes,
     reference_gyro,
     table,
+    thermometer,
 )
 from imubayes.effects.base import Effect, MotionEffect, Order, PlaceEffect, RecordEffect, SignalEffect, Stage
 from imubayes.parameters.parameter_declarations import named_in
@@ -20,6 +21,7 @@ FAMILIES = (
     table,
     outer_axes,
     reference_gyro,
+    thermometer,
     mounting,
     gyro_sensitivities,
     gyro_bias_and_scale,

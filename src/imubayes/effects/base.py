@@ -50,9 +50,11 @@ class Order(IntEnum):
 
     IEEE 1293 and 952 write the output as K1·(K0 + a_i + …): what is referred to the input is added first, the scale
     factor multiplies the sum.  What the input along the true axis causes by itself precedes what else is added, so
-    that it does not act on a drift.  For the table, the instant is corrected first, then the angle, then rate and axis.
+    that it does not act on a drift.  For the table, the
+    circumstances are corrected first, then the instant, the angle, and last rate and axis.
     """
 
+    CIRCUMSTANCES = -30
     TIME = -20
     ANGLE = -10
     AXIS = 10
@@ -136,6 +138,28 @@ class MotionEffect(Effect):
             at_nodes, path.motion, path.ambient
         )
         return eqx.tree_at(lambda p: p.motion, path, moved)
+
+
+class AmbientEffect(MotionEffect):
+    """An effect on the circumstances of the whole unit, at the stage TABLE: what was recorded of them is in error.
+
+    The motion stays as it is.  Records that memories look back on stay, too, so the error has to be one that no change
+    within a run shows.
+    """
+
+    @abstractmethod
+    def true_ambient(self, ambient: Ambient) -> Ambient:
+        """Return the true circumstances at one instant."""
+
+    def apply(self, motion: Motion, ambient: Ambient) -> Motion:
+        return motion
+
+    @classmethod
+    def advance(cls, make: Callable, values: dict[str, Array], path: SignalPath, kind: str) -> SignalPath:
+        nodes = path.ambient.time.shape[0]
+        at_nodes = jax.tree.map(lambda value: jnp.broadcast_to(value, (nodes,)), values)
+        true = jax.vmap(lambda value, ambient: make(value).true_ambient(ambient))(at_nodes, path.ambient)
+        return eqx.tree_at(lambda p: p.ambient, path, true)
 
 
 class PlaceEffect(Effect):

@@ -44,9 +44,11 @@ def prior_conflicts(model: Model, z: np.ndarray, precision: np.ndarray) -> tuple
     for place in np.argsort(-distance).tolist():
         parameter = model.layout.parameters[place]
         effect = _owner(model, parameter)
+        declared = effect.declared[parameter.field]
         # A prior that is learnt from the same data cannot disagree with them; one without end in either direction says
         # nothing that they could contradict.
-        if distance[place] <= CONFLICT_SD or parameter.nuisance or effect.declared[parameter.field].spread:
+        hidden = parameter.nuisance and not declared.equipment
+        if distance[place] <= CONFLICT_SD or hidden or declared.spread:
             continue
         found.append(_conflict(parameter, effect, float(z[place]), float(variance[place]), float(distance[place])))
     return tuple(found)

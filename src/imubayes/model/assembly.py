@@ -8,7 +8,7 @@ import numpy as np
 from imubayes.array_shapes import Array
 from imubayes.campaign_data import Campaign
 from imubayes.earth import earth_rate
-from imubayes.effects.base import Effect, MotionEffect, RecordEffect, Stage
+from imubayes.effects.base import AmbientEffect, Effect, MotionEffect, RecordEffect, Stage
 from imubayes.model.bound_effects import BoundEffect
 from imubayes.model.grouping import Grouping
 from imubayes.model.nodes_and_entries import KINDS, NodeTable, outer_axes, records_of
@@ -81,6 +81,14 @@ class Assembly:
                 continue
             if (effect.moved or effect_class).stage in stages:
                 layers += self._effect_layers(effect, effect_class, chosen)
+        return tuple(sorted(layers, key=lambda layer: layer.sort_key()))
+
+    def ambient_path(self, chosen: np.ndarray) -> tuple[Layer, ...]:
+        """Return the effects on the circumstances at some nodes, (n,), alone: for a path that begins at the sensors."""
+        of_ambient = [
+            (effect, effect.effect_class) for effect in self.effects if issubclass(effect.effect_class, AmbientEffect)
+        ]
+        layers = [layer for effect, known in of_ambient for layer in self._effect_layers(effect, known, chosen)]
         return tuple(sorted(layers, key=lambda layer: layer.sort_key()))
 
     def _effect_layers(

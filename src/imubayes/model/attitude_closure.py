@@ -36,7 +36,8 @@ class Transitions(eqx.Module):
     ambient : covariates of every step, T·K of them: those of the preceding pose.
     records : the static nodes in the order of time, for effects with memory.
     inverse : kind → shape (3, C); least-squares inverse of the nominal axes.
-    layers : the signal path from the projection on, with places of values for T·K instants.
+    layers : effects on the circumstances, then the signal path from the projection on, with places of values for T·K
+        instants.
     """
 
     start: Array
@@ -77,10 +78,13 @@ def bind_transitions(assembly: Assembly) -> Transitions | None:
         ambient=Ambient(**{name: values[node] for name, values in nodes.stimulus.ambient.items()}),
         records=assembly.nodes.records.at(node),
         inverse={kind: nominal_inverse(channels.axes) for kind, channels in assembly.channels.items()},
-        layers=assembly.path(
-            node,
-            (Stage.PLACE, Stage.SENSOR, Stage.CONVERTER),
-            keep=lambda _, effect_class: effect_class.stage >= Stage.SENSOR,
+        layers=(
+            *assembly.ambient_path(node),
+            *assembly.path(
+                node,
+                (Stage.PLACE, Stage.SENSOR, Stage.CONVERTER),
+                keep=lambda _, effect_class: effect_class.stage >= Stage.SENSOR,
+            ),
         ),
     )
 

@@ -4,7 +4,7 @@ Names end here and arrays begin.  Everything that does not fit (an unknown effec
 effect that no run can show, two that exclude each other) is collected and reported at once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from imubayes.array_shapes import Array, Float, Scalar
 from imubayes.campaign_data import Campaign
+from imubayes.effects.thermometer import TemperatureOffset
 from imubayes.errors import InputError, Issue, closest_first, input_error
 from imubayes.gather import on_device
 from imubayes.jax_settings import prepare_jax
@@ -37,6 +38,7 @@ from imubayes.model.model_spec import EffectSpec, ModelSpec, SingleRunEffect
 from imubayes.model.nodes_and_entries import Entries, NodeTable, join_entries, join_nodes, servo_runs
 from imubayes.model.noise_priors import with_noise_priors
 from imubayes.model.nominal_response import is_independent
+from imubayes.model.parameter_priors import stated_uncertainty
 from imubayes.model.problem import Problem
 from imubayes.noise.base import EntryNoise
 from imubayes.parameters.vector import Layout
@@ -139,7 +141,7 @@ def bind(spec: ModelSpec, campaign: Campaign, registry: Registry | None = None, 
     _refuse_unknown_procedures(campaign)
     new_files = registry is None
     registry = (registry or Registry()).with_files(spec.files)
-    spec = _with_implied(with_noise_priors(spec, campaign, registry), campaign)
+    spec = _with_implied(with_noise_priors(spec, campaign, registry), campaign, registry)
     nodes, entries = join_nodes(campaign), join_entries(campaign)
     grouping = Grouping(campaign, nodes, entries)
     effects, left_out = _bind_effects(spec, grouping, registry, single_runs)
@@ -224,14 +226,30 @@ def _refuse_unknown_procedures(campaign: Campaign) -> None:
         )
 
 
-def _with_implied(spec: ModelSpec, campaign: Campaign) -> ModelSpec:
-    """Return the model with the unknowns of the procedures themselves."""
+def _with_implied(spec: ModelSpec, campaign: Campaign, registry: Registry) -> ModelSpec:
+    """Return the model with the unknowns of the procedures themselves, and of temperatures that are stated as such."""
     names = [*(_IMPLIED_BY_TUMBLE if any(run.tumble for run in campaign.runs) else ())]
     names += _IMPLIED_BY_SERVO if servo_runs(campaign) else ()
     listed = {effect.name for effect in spec.effects}
-    where = f"{spec.where}: implied by the procedure"
+    names += _temperature_errors(listed, campaign, registry)
+    where = f"{spec.where}: implied by the campaign"
     implied = tuple(EffectSpec(name, where=where) for name in names if name not in listed)
     return replace(spec, effects=spec.effects + implied)
+
+
+def _temperature_errors(listed: Collection[str], campaign: Campaign, registry: Registry) -> list[str]:
+    """Return the effects of the temperatures that listed effects depend on and runs state with an uncertainty.
+
+    To take such a temperature as exact would be silently wrong; to leave the uncertainty out of campaign.toml says so.
+    """
+    needed = {need for name in listed if name in registry.effects for need in registry.effects[name].needs}
+    return [
+        member.name
+        for member in registry.effects.values()
+        if issubclass(member, TemperatureOffset)
+        and member.covariate in needed
+        and any(stated_uncertainty(member.covariate, {"run": run.name}, campaign) for run in campaign.runs)
+    ]
 
 
 def _conflicts(effects: Sequence[BoundEffect]) -> list[Issue]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from imubayes.campaign_data import Campaign, Run
 from imubayes.covariates import COVARIATES, ambient_names, remedy
-from imubayes.effects.base import MotionEffect, Stage
+from imubayes.effects.base import AmbientEffect, MotionEffect, Stage
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.model.effect_registry import EffectClass, Registry, acts_on_channels
 from imubayes.model.grouping import Grouping
@@ -23,6 +23,8 @@ from imubayes.procedures.ambient import unknown_covariates
 _GATES = ("injection", "reference", "driven", "directions")
 _SHARING = {"channel": ("channel",), "all": (), "run": ("channel", "run"), "mounting": ("channel", "mounting")}
 _MOTION_SHARING = {"all": (), "run": ("run",), "mounting": ("mounting",)}
+_AMBIENT_SHARING = {"run": ("run",)}  # a run states the uncertainty of its own temperature
+_WITH_UNCERTAINTY = ("temperature", "converter_temperature")
 
 
 class NotObservableError(InputError):
@@ -56,12 +58,14 @@ def unknown_covariates_issue(effects: Sequence[str], runs: Sequence[str], missin
     """Return the issue of effects that depend on what some runs have not recorded."""
     named, quoted = " and ".join(COVARIATES[name].column for name in missing), [f"'{run}'" for run in runs]
     listed = ", ".join(f"'{effect}'" for effect in effects)
+    uncertain = " and ".join(f"{name}_uncertainty_degC" for name in missing if name in _WITH_UNCERTAINTY)
     return Issue(
         f"{'run' if len(runs) == 1 else 'runs'} {', '.join(quoted)} without {named}, on which {listed} "
         f"{'depends' if len(effects) == 1 else 'depend'}",
         where,
         "; ".join(remedy(name) for name in missing) + ": in every run",
-        f"state {named} of {'the run' if len(runs) == 1 else 'these runs'}; or leave {listed} out of the model, or "
+        f"state {named} of {'the run' if len(runs) == 1 else 'these runs'}"
+        f"{f', with {uncertain} unless it is known well' if uncertain else ''}; or leave {listed} out of the model, or "
         f"{', '.join(quoted)} out of the campaign",
     )
 
@@ -168,7 +172,7 @@ def bind_effect(spec: EffectSpec, grouping: Grouping, registry: Registry, *, sin
         per = sharing if declaration.per is None else declaration.per
         made[name] = settings.parameters(name, per, grouping.labels(per, labelled, sorted(shown_in)))
     settings.raise_issues()
-    _refuse_exact(spec, made)
+    _refuse_exact(spec, effect_class, made)
     hyper = hyper_fields(effect_class)
     return BoundEffect(
         spec=spec,
@@ -221,15 +225,17 @@ def _without_single_runs(
     return tuple(name for name in channels if name not in found), found
 
 
-def _refuse_exact(spec: EffectSpec, made: Mapping[str, list[Parameter]]) -> None:
+def _refuse_exact(spec: EffectSpec, effect_class: EffectClass, made: Mapping[str, list[Parameter]]) -> None:
     if made and not any(made.values()):
+        of_runs = issubclass(effect_class, AmbientEffect)
         raise ExactEquipmentError(
             Issue(
                 f"the campaign states that '{spec.name}' is zero: an uncertainty of 0 means exact",
                 spec.where,
                 "an uncertainty above 0 in campaign.toml, or a prior in the model",
                 "leave the effect out, or state the uncertainty",
-            )
+            ),
+            tuple(f"{need} uncertainty" for need in effect_class.needs) if of_runs else (),
         )
 
 
@@ -331,7 +337,8 @@ class _Settings:
     def sharing(self) -> tuple[str, ...]:
         """Return the axes by which the values are labelled."""
         per = self.spec.per
-        allowed = _MOTION_SHARING if issubclass(self.effect_class, MotionEffect) else _SHARING
+        of_unit = _AMBIENT_SHARING if issubclass(self.effect_class, AmbientEffect) else _MOTION_SHARING
+        allowed = of_unit if issubclass(self.effect_class, MotionEffect) else _SHARING
         if per is not None and per not in allowed:
             what = f"'{self.spec.name}' cannot have one value per {per}"
             self.report(what, closest_first(per, allowed), "correct 'per', or leave it out")

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 from imubayes.campaign_data import Campaign
-from imubayes.model.bound_effects import NoChannelError, NotObservableError, bind_effect
+from imubayes.effects.base import AmbientEffect
+from imubayes.model.bound_effects import BoundEffect, NoChannelError, NotObservableError, bind_effect
 from imubayes.model.effect_registry import EffectClass, Registry
 from imubayes.model.grouping import Grouping
 from imubayes.model.model_spec import EffectSpec
@@ -37,8 +38,7 @@ def observability(campaign: Campaign, registry: Registry | None = None) -> tuple
 
 
 def _of_class(effect_class: EffectClass, grouping: Grouping, registry: Registry) -> Observability:
-    runs = grouping.campaign.runs
-    if effect_class.nuisance and "driven" not in effect_class.needs and not any(run.tumble for run in runs):
+    if _of_tumbles(effect_class) and not any(run.tumble for run in grouping.campaign.runs):
         return Observability(effect_class, (), (), ("free tumble",))
     try:
         bound = bind_effect(EffectSpec(effect_class.name), grouping, registry)
@@ -46,4 +46,18 @@ def _of_class(effect_class: EffectClass, grouping: Grouping, registry: Registry)
         return Observability(effect_class, (), (), tuple(effect_class.kinds))
     except NotObservableError as error:
         return Observability(effect_class, (), (), error.missing or ("response",))
-    return Observability(effect_class, tuple(runs[run].name for run in sorted(bound.shown_in)), bound.channels, ())
+    return Observability(effect_class, _shown_in(bound, grouping.campaign), bound.channels, ())
+
+
+def _of_tumbles(effect_class: EffectClass) -> bool:
+    """Whether an effect is an unknown of free tumbles themselves."""
+    of_others = issubclass(effect_class, AmbientEffect) or "driven" in effect_class.needs
+    return effect_class.nuisance and not of_others
+
+
+def _shown_in(bound: BoundEffect, campaign: Campaign) -> tuple[str, ...]:
+    """Return the names of the runs that respond; of an error in what they state, of those that state one."""
+    names = [campaign.runs[run].name for run in sorted(bound.shown_in)]
+    if issubclass(bound.effect_class, AmbientEffect):
+        names = [name for name in names if any(parameter.label == (name,) for parameter in bound.parameters)]
+    return tuple(names)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.campaign.unit_grade import grade_of
-from imubayes.campaign_data import Campaign, Channel, Table
+from imubayes.campaign_data import Campaign, Channel, Run, Table
 from imubayes.errors import input_error
 from imubayes.model.effect_registry import EffectClass
 from imubayes.model.model_spec import EffectSpec
@@ -30,6 +30,11 @@ _OF_TABLES: dict[str, Callable[[Table], float | None]] = {
     "arm": lambda table: table.arm_uncertainty,
 }
 """Equipment fact of a table → the uncertainty that the campaign states of it."""
+_OF_RUNS: dict[str, Callable[[Run], float | None]] = {
+    "temperature": lambda run: run.temperature_uncertainty,
+    "converter_temperature": lambda run: run.converter_temperature_uncertainty,
+}
+"""Equipment fact of a run → the uncertainty that the campaign states of it; exact where it states none."""
 
 
 def hyper_fields(effect_class: EffectClass) -> set[str]:
@@ -181,4 +186,6 @@ def stated_uncertainty(fact: str, label: dict[str, str], campaign: Campaign) -> 
         stated = campaign.mountings[label["mounting"]].uncertainty
     elif fact in _OF_TABLES and "table" in label:
         stated = _OF_TABLES[fact](campaign.tables[label["table"]])
+    elif fact in _OF_RUNS and "run" in label:
+        stated = next(_OF_RUNS[fact](run) or 0.0 for run in campaign.runs if run.name == label["run"])
     return stated

@@ -53,6 +53,7 @@ SOURCES: dict[str, Source] = {
     "time_skew": "table", "tumble_heading": "site", "station_heading": "site", "station_level": "site",
     "gravity_anomaly": "site", "reference_bias": "reference", "reference_scale_factor": "reference",
     "reference_alignment": "reference", "injection_error": "reference",
+    "thermometer_error": "reference", "converter_thermometer_error": "reference",
 }  # fmt: skip
 """Effect → what its prior is about; the unit under test for all others."""
 

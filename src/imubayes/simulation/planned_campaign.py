@@ -134,6 +134,8 @@ def _entry(run: PlannedRun, place: int) -> RunEntry:
         table=run.table,
         mounting=run.mounting,
         temperature_degC=run.temperature_degC,
+        temperature_uncertainty_degC=run.temperature_uncertainty_degC,
+        converter_temperature_uncertainty_degC=run.converter_temperature_uncertainty_degC,
         start=run.start,
     )
 

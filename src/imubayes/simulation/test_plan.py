@@ -29,6 +29,7 @@ from imubayes.campaign.file_schemas import (
     Name,
     SiteEntry,
     TableEntry,
+    TemperatureUncertainty,
     UnitEntry,
 )
 from imubayes.procedures.planned_steps import PlannedSteps, Temperature
@@ -42,6 +43,12 @@ class PlannedRun(PlannedSteps):
     table: str | None = Field(default=None, description="name of a [[table]]")
     mounting: str | None = Field(default=None, description="name of a [[mounting]]")
     temperature_degC: Temperature | None = Field(default=None, description="of all rows")
+    temperature_uncertainty_degC: TemperatureUncertainty | None = Field(
+        default=None, description="as in campaign.toml; the truth has an error of this size"
+    )
+    converter_temperature_uncertainty_degC: TemperatureUncertainty | None = Field(
+        default=None, description="as in campaign.toml; the truth has an error of this size"
+    )
     start: datetime | date | None = Field(default=None, description="when the run begins")
 
 
