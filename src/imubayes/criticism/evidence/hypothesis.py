@@ -255,8 +255,7 @@ class _Evaluation:
 
     def _solve(self, precision: np.ndarray, pull: np.ndarray) -> None:
         self.whole, self.right = self._system(precision, pull)
-        found = np.linalg.inv(self.whole)
-        self.covariance = 0.5 * (found + found.T)
+        self.covariance = inverse(self.whole)
         self.mean = self.covariance @ self.right
 
     def _settle(self, precision: np.ndarray, pull: np.ndarray) -> None:
@@ -315,18 +314,28 @@ class _Evaluation:
                 found += _tail_bound(self._squares(k), self.weight[k], structure.degrees)
         of_effects = np.arange(problem.own, problem.own + len(self.coefficients))
         rest = np.setdiff1d(np.arange(len(self.whole)), of_effects)
-        lower = np.linalg.cholesky(self.whole[np.ix_(rest, rest)])
-        along = scipy.linalg.solve_triangular(lower, self.right[rest], lower=True)
-        found += 0.5 * along @ along - np.log(np.diag(lower)).sum() + 0.5 * np.log(precision[rest]).sum()
+        # Coefficients of unit information: what a prior alone tells stands beside what a million rows tell.
+        unit = 1 / np.sqrt(np.diag(self.whole)[rest])
+        lower = np.linalg.cholesky(unit[:, None] * self.whole[np.ix_(rest, rest)] * unit)
+        along = scipy.linalg.solve_triangular(lower, unit * self.right[rest], lower=True)
+        found += 0.5 * along @ along - np.log(np.diag(lower)).sum()
+        found += np.log(unit).sum() + 0.5 * np.log(precision[rest]).sum()
         if not len(of_effects):
             return [], 0.0, float(found)
-        shared = scipy.linalg.solve_triangular(lower, self.whole[np.ix_(rest, of_effects)], lower=True)
+        shared = scipy.linalg.solve_triangular(lower, unit[:, None] * self.whole[np.ix_(rest, of_effects)], lower=True)
         own = self.whole[np.ix_(of_effects, of_effects)] - shared.T @ shared - np.diag(precision[of_effects])
         grids = [self.of.variants[each].widths for each in self.hypothesis.variants]
         widths, gain = summed_over_widths(
             own, self.right[of_effects] - shared.T @ along, self.owner, grids, problem.sign[self.coefficients]
         )
         return widths, gain, float(found)
+
+
+def inverse(whole: np.ndarray) -> np.ndarray:
+    """Return the inverse of a positive definite matrix, (n, n), at unit diagonal."""
+    unit = 1 / np.sqrt(np.diag(whole))
+    found = np.linalg.inv(unit[:, None] * whole * unit)
+    return 0.5 * (found + found.T) * np.outer(unit, unit)
 
 
 def _places_of(rows: ChannelRows, count: int) -> np.ndarray:

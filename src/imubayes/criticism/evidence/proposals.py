@@ -16,6 +16,7 @@ from imubayes.criticism.evidence.hypothesis import (
     Evaluated,
     EvidenceOf,
     gain_of_coefficients,
+    inverse,
     scale_mode,
     tail_log_density,
     with_scatter,
@@ -45,7 +46,7 @@ def at_scales(of: EvidenceOf, at: Evaluated, scale: np.ndarray) -> Evaluated:
         where = _where(of, at, k)
         whole[np.ix_(where, where)] += base[:, :-1].T @ base[:, :-1] / scale[k] ** 2
         right[where] += base[:, :-1].T @ base[:, -1] / scale[k] ** 2
-    covariance = np.linalg.inv(whole)
+    covariance = inverse(whole)
     return replace(at, scale=scale, covariance=covariance, mean=covariance @ right)
 
 
@@ -220,7 +221,8 @@ class FormScan:
 
     def __init__(self, of: EvidenceOf, at: Evaluated):
         self.of, self.at = of, at
-        self._root = np.linalg.cholesky(at.covariance)
+        squares, axes = np.linalg.eigh(at.covariance)
+        self._root = axes * np.sqrt(np.maximum(squares, 0.0))
         self._bases = {k: _base(of, at, k)[0] / at.scale[k] for k in of.unit_of}
         self._residual = {k: b[:, -1] - b[:, :-1] @ at.mean[_where(of, at, k)] for k, b in self._bases.items()}
 
