@@ -26,11 +26,14 @@ from imubayes.criticism.diagnosis_record import (
 from imubayes.criticism.disagreement_record import Disagreement
 from imubayes.criticism.discriminating_run import discriminating_run
 from imubayes.criticism.equivalent_effects import EquivalenceGroup
+from imubayes.criticism.evidence.evidence_record import Evidence
+from imubayes.criticism.evidence.explain import explain, weighs
 from imubayes.criticism.free_form_dependence import dominant_channel
 from imubayes.criticism.known_noise import compare_with_known, known_scales
 from imubayes.criticism.known_noise_fit import known_noise_point
 from imubayes.criticism.large_effects import remainder_of_leader
 from imubayes.criticism.marginal_evidence import columns_of
+from imubayes.criticism.named_by_evidence import named_by_evidence
 from imubayes.criticism.neglected_uncertainty import neglected_uncertainties
 from imubayes.criticism.noise_assumptions import judged_noise_in
 from imubayes.criticism.noise_violation import NoiseComparison, NoiseViolation
@@ -88,19 +91,29 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
     found = search(fit, progress)
     if effect:
         return _asked(effect, found, result)
+    progress("weighing the explanations")
+    evidence = explain(fit, found.responses, found.covariates) if weighs(fit) else None
     progress("predicting each run from the others")
     disagreeing = disagreements(fit, found.responses, [group.leader.effect for group in found.groups])
     progress("interpreting what was found")
-    return _diagnosis(fit, found, disagreeing, result)
+    return _diagnosis(fit, found, evidence, disagreeing, result)
 
 
-def _diagnosis(fit: Fit, found: SearchResult, disagreeing: tuple[Disagreement, ...], result: str) -> Diagnosis:
-    found, unexplained = _with_large_effect_fitted(found)
+def _diagnosis(
+    fit: Fit,
+    found: SearchResult,
+    weighed: Evidence | None,
+    disagreeing: tuple[Disagreement, ...],
+    result: str,
+) -> Diagnosis:
+    found, unexplained = _with_large_effect_fitted(named_by_evidence(found, weighed))
     unlisted = [] if unexplained else [unlisted_causes(found, group) for group in found.groups]
     as_fitted = project(found.first.projection.fitted, found.responses.misfit, found.responses.jacobian)
     # As fitted: what the search ends with may be whitened by noise that it only suspects.
     contradicted = compare_with_known(as_fitted).contradicted
     verdict = _verdict(found, unexplained, unlisted, contradicted)
+    if verdict == "adequate" and weighed is not None and weighed.excludes_nothing_missing:
+        verdict = "noise_model"
     violations = _violations(found, verdict, as_fitted)
     verdict = _overruled("noise_model" if violations else verdict, disagreeing)
     found = _as_named(found, verdict)
@@ -127,6 +140,7 @@ def _diagnosis(fit: Fit, found: SearchResult, disagreeing: tuple[Disagreement, .
         recorded_noise=found.record.of_rows,
         contradicted=contradicted,
         disagreeing=disagreeing,
+        explanations=weighed,
         neglected=neglected_uncertainties(found),
         violations=violations,
         wandering=found.wandering,

@@ -11,6 +11,7 @@ from imubayes.campaign_data import Kind
 from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import Absorber, ParameterBias
 from imubayes.criticism.disagreement_record import Disagreement
+from imubayes.criticism.evidence.evidence_record import Evidence
 from imubayes.criticism.formula_search import FormulaTerm
 from imubayes.criticism.known_noise import KnownNoise
 from imubayes.criticism.localised_structure import Step
@@ -324,6 +325,7 @@ class Diagnosis(Presented, Record):
     recorded_noise : white noise of each channel, as fitted and as known beforehand, after the groups.
     contradicted : noise scales of the fit that contradict what is known of them, the least probable first.
     disagreeing : runs and rows that do not agree with the others at the noise known before the fit.
+    explanations : how probable each explanation is; None of models with slow noise, and of earlier versions.
     neglected : stated uncertainties of the equipment that no interval of the fit includes, those that matter.
     violations : how the noise departs from its model where nothing in the catalogue explains that.
     wandering : whether noise that wanders otherwise than the model's explains what is found as well, or instead of it.
@@ -356,6 +358,7 @@ class Diagnosis(Presented, Record):
     recorded_noise: tuple[NoiseComparison, ...] = ()
     contradicted: tuple[NoiseComparison, ...] = ()
     disagreeing: tuple[Disagreement, ...] = ()
+    explanations: Evidence | None = None
     neglected: tuple[NeglectedUncertainty, ...] = ()
     violations: tuple[NoiseViolation, ...] = ()
     wandering: WanderingNoise = ""

@@ -9,6 +9,7 @@ one place: the prediction of the model for that campaign.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import equinox as eqx
@@ -159,6 +160,12 @@ class Predictions:
     def __init__(self, model: Model, z: np.ndarray):
         self.model, self.z = model, jnp.asarray(z)
 
+    @cached_property
+    def _predicted(self) -> np.ndarray:
+        """The predicted outputs of the campaign of the model, (E,)."""
+        problem = self.model.problem
+        return np.asarray(problem.observations.value) - np.asarray(_misfit(problem, self.z))
+
     def misfit(self, campaign: Campaign) -> np.ndarray | None:
         """Return observed less predicted of every entry, (E,); None where the prediction is not defined."""
         problem = problem_of(self.model, campaign)
@@ -178,7 +185,10 @@ class Predictions:
         return found if np.isfinite(found).all() and np.any(found) else None
 
     def _of_outputs(self, wrong: WrongInput, campaign: Campaign) -> np.ndarray:
-        """Return the same for outputs: what is recorded moves, and not the prediction."""
+        """Return the same for outputs: what is recorded moves, and not the prediction.
+
+        A factor acts on the predicted outputs: about the recorded ones it would explain their noise by itself.
+        """
         entries, count = self.model.entries, wrong.freedom(campaign)
         own = (entries.run == wrong.run) & ~entries.closing & ((entries.row == wrong.row) | (wrong.row is None))
         found = np.zeros((len(entries), count))
@@ -186,7 +196,7 @@ class Predictions:
             found[own, entries.channel[own]] = -1.0
         else:
             offsets = np.array([channel.offset for channel in campaign.channels])
-            found[own, 0] = offsets[entries.channel[own]] - entries.value[own]
+            found[own, 0] = offsets[entries.channel[own]] - self._predicted[own]
         return found
 
     def responses_of_columns(self, campaign: Campaign) -> Mapping[str, np.ndarray]:

@@ -16,6 +16,7 @@ from imubayes.display.diagnosis_tables import (
     structure_sheet,
     undetectable_sheet,
 )
+from imubayes.display.evidence_text import evidence_text
 from imubayes.display.labels import pretty
 from imubayes.display.report_layout import Report
 from imubayes.display.rounding import relation, significant
@@ -91,6 +92,8 @@ def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
 def diagnosis_lines(found: Diagnosis) -> list[str]:
     """Return the verdict, and the prediction for the first group."""
     lines = [sentence(found)]
+    if found.explanations is not None:
+        lines.append(evidence_text(found.explanations))
     if found.groups:
         lines.append(_prediction(found))
         lines += _indistinguishable(found)

@@ -4,6 +4,9 @@ from typing import Literal
 
 from imubayes.json_record import Record
 
+NAMED, LEAST_GAIN = 0.9, 1.5
+"""Probability at which an explanation is told as a finding, and the least log evidence of each effect of it.  Measured
+on simulated campaigns: of effects told with 0.9 … 0.98 91 % were right, of those above 0.98 all 60."""
 Explanation = Literal["nothing", "noise", "effects", "input", "outside"]
 """Nothing is missing; the noise is not as stated; effects of the catalogue; a wrong input; a form outside of it."""
 
@@ -63,6 +66,7 @@ class FoundForm(Record):
     covariates : columns of the covariates that it depends on.
     run, row : of a step or a wrong input; the row counts from 1.
     log_odds : against the likeliest explanation without one.
+    wrong : whether it is a wrong input.
     """
 
     name: str
@@ -71,6 +75,7 @@ class FoundForm(Record):
     run: str = ""
     row: int | None = None
     log_odds: float
+    wrong: bool = False
 
 
 class FoundNoise(Record):
@@ -97,6 +102,7 @@ class Evidence(Record):
     inclusion : effects by their inclusion probability.
     form : the likeliest form or wrong input; None where none is near.
     noise : noise other than stated, in the likeliest explanation.
+    noise_known : standard deviation of the logarithm of the worst known noise scale.
     hypotheses : how many were evaluated.
     """
 
@@ -105,7 +111,18 @@ class Evidence(Record):
     inclusion: tuple[ProbableEffect, ...]
     form: FoundForm | None
     noise: tuple[FoundNoise, ...]
+    noise_known: float
     hypotheses: int
+
+    @property
+    def names_effects(self) -> bool:
+        """Whether effects are missing beyond reasonable doubt, and which is told by more than their priors."""
+        return self.of("effects").probability >= NAMED and all(slot.gain >= LEAST_GAIN for slot in self.slots)
+
+    @property
+    def excludes_nothing_missing(self) -> bool:
+        """Whether something is missing, effects, noise or a cause outside the catalogue, beyond reasonable doubt."""
+        return self.of("nothing").probability <= 1 - NAMED
 
     @property
     def leading(self) -> ProbableExplanation:

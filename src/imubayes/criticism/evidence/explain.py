@@ -52,6 +52,11 @@ class _About:
         return same and all(abs(new - old) <= _NEAR * abs(old) for old, new in pairs)
 
 
+def weighs(fitted: Fit) -> bool:
+    """Tell whether the explanations of a fit can be weighed: slow noise is judged by its own records."""
+    return fitted.model.problem.timeline is None and bool(fitted.model.campaign.channels)
+
+
 def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCovariate]) -> Evidence:
     """Return how probable each explanation of what a converged fit leaves is."""
     about = _About(fitted)

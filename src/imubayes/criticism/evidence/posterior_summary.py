@@ -40,6 +40,7 @@ def evidence_of(search: ModelSearch) -> Evidence:
         inclusion=_inclusion(of, distinct, share),
         form=_form(of, distinct),
         noise=tuple(_noise(of, top)),
+        noise_known=max(of.problem.rows[k].scale_sd for k in of.unit_of),
         hypotheses=len(search.known),
     )
 
@@ -152,6 +153,7 @@ def _form(of: EvidenceOf, distinct: list[Evaluated]) -> FoundForm | None:
         run=problem.runs[form.run] if form.run is not None else "",
         row=form.row + 1 if form.row is not None else None,
         log_odds=float(best.log_posterior - without),
+        wrong=form.wrong is not None,
     )
 
 
