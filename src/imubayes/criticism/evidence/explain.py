@@ -59,8 +59,13 @@ def weighs(fitted: Fit) -> bool:
 
 def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCovariate]) -> Evidence:
     """Return how probable each explanation of what a converged fit leaves is."""
-    about = _About(fitted)
-    best = search = _searched(about, linear_problem(fitted, responses), covariates)
+    about, problem = _About(fitted), linear_problem(fitted, responses)
+    first = _search(about, problem, covariates)
+    large = _moved(first, about, first.large_effects(), fitted)
+    if large is not None and _is_large(first, first.large_effects()):
+        moved = _linearised(problem, large)
+        about, problem = (large, moved) if moved is not None else (about, problem)
+    best = search = (first if about.fitted is fitted else _search(about, problem, covariates)).run()
     for _ in range(_ROUNDS):
         moved = _leading_to(search, about, fitted)
         if moved is None or about.stands_for(moved):
@@ -68,14 +73,14 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
         problem = _linearised(search.of.problem, moved)
         if problem is None:
             break
-        about, search = moved, _searched(moved, problem, covariates)
+        about, search = moved, _search(moved, problem, covariates).run()
         best = max(best, search, key=lambda each: each.best().log_posterior)
     return evidence_of(best)
 
 
-def _searched(about: _About, problem: LinearProblem, covariates: Sequence[ResidualCovariate]) -> ModelSearch:
+def _search(about: _About, problem: LinearProblem, covariates: Sequence[ResidualCovariate]) -> ModelSearch:
     wrong = wrong_inputs(problem, about.fitted)
-    return ModelSearch(problem, (*free_forms(problem, covariates), *wrong.of_runs), wrong.of_rows).run()
+    return ModelSearch(problem, (*free_forms(problem, covariates), *wrong.of_runs), wrong.of_rows)
 
 
 def _leading_to(search: ModelSearch, about: _About, recorded: Fit) -> _About | None:
@@ -83,13 +88,17 @@ def _leading_to(search: ModelSearch, about: _About, recorded: Fit) -> _About | N
 
     What the curvature of a wrong input leaves excludes it as long as it is not corrected, so that it need not lead.
     """
-    top, inputs = search.best(), [each for each in search.known if _is_input(each)]
+    inputs = [each for each in search.known if _is_input(each)]
     wrong = max(inputs, key=lambda each: each.log_posterior, default=None)
     if wrong is not None and _gain_of_form(search, wrong) > LARGE:
         return _moved(search, about, wrong, recorded)
-    without = [search.of.known.get(top.hypothesis.without(each)) for each in top.hypothesis.variants]
-    gains = [top.log_posterior - each.log_posterior for each in without if each is not None]
-    return _moved(search, about, top, recorded) if max(gains, default=0.0) > LARGE else None
+    top = search.best()
+    return _moved(search, about, top, recorded) if _is_large(search, top) else None
+
+
+def _is_large(search: ModelSearch, top: Evaluated) -> bool:
+    without = [search.of.evaluate(top.hypothesis.without(each), top) for each in top.hypothesis.variants]
+    return max((top.log_posterior - each.log_posterior for each in without), default=0.0) > LARGE
 
 
 def _is_input(each: Evaluated) -> bool:

@@ -126,6 +126,8 @@ def _of_kind(problem: LinearProblem, known: Sequence[ResidualCovariate], channel
     places = {
         k: _Place(problem.rows[k], problem.run[problem.rows[k].entry]) for k in channels if len(problem.rows[k].entry)
     }
+    if not places:
+        return
     for covariate in known:
         values = {k: covariate.values[place.rows.entry] for k, place in places.items()}
         seen = {k: x for k, x in values.items() if _varies(x)}

@@ -27,6 +27,7 @@ from imubayes.criticism.evidence.noise_structures import (
     noise_units,
 )
 
+_WIDTH_SWEEPS = 3
 _ROUNDS, _TAIL_ROUNDS, _SETTLED = 6, 4, 1e-3
 _LOG_SCALES = (-6.0, 12.0)
 
@@ -147,13 +148,16 @@ class EvidenceOf:
             self._white[key] = both[:, :-1], both[:, -1], log_det
         return self._white[key]
 
-    def form_columns(self, at: Hypothesis, form: ChosenForm, channel: int, weight: np.ndarray | None) -> np.ndarray:
-        """Return the columns of a form whitened as those of a channel, offsets of runs included, (n, k)."""
+    def whiten(self, at: Hypothesis, columns: np.ndarray, channel: int, weight: np.ndarray | None) -> np.ndarray:
+        """Return further columns of a channel, (n, C), whitened by the whole noise of a hypothesis."""
         structure, scatter = self._structure(at, channel)
-        rows, columns = self.problem.rows[channel], form.form.columns[channel]
+        rows = self.problem.rows[channel]
         white = columns * np.sqrt(weight)[:, None] if weight is not None else structure.whiten(rows, columns)[0]
-        offset = self._whitened(structure, channel, weight)[1]
-        return _less_offsets(white, rows, offset, scatter)
+        return _less_offsets(white, rows, self._whitened(structure, channel, weight)[1], scatter)
+
+    def form_columns(self, at: Hypothesis, form: ChosenForm, channel: int, weight: np.ndarray | None) -> np.ndarray:
+        """Return the columns of a form on a channel, whitened, (n, k)."""
+        return self.whiten(at, form.form.columns[channel], channel, weight)
 
     def whitened(self, at: Hypothesis, channel: int, weight: np.ndarray | None = None) -> np.ndarray:
         """Return all columns of a channel, the residual last, whitened by the whole noise, (n, L + 1)."""
@@ -325,9 +329,8 @@ class _Evaluation:
         shared = scipy.linalg.solve_triangular(lower, unit[:, None] * self.whole[np.ix_(rest, of_effects)], lower=True)
         own = self.whole[np.ix_(of_effects, of_effects)] - shared.T @ shared - np.diag(precision[of_effects])
         grids = [self.of.variants[each].widths for each in self.hypothesis.variants]
-        widths, gain = summed_over_widths(
-            own, self.right[of_effects] - shared.T @ along, self.owner, grids, problem.sign[self.coefficients]
-        )
+        right, sign = self.right[of_effects] - shared.T @ along, problem.sign[self.coefficients]
+        widths, gain = summed_over_widths(own, right, self.owner, grids, sign, self.widths)
         return widths, gain, float(found)
 
 
@@ -442,21 +445,22 @@ def gain_of_coefficients(own: np.ndarray, right: np.ndarray, widths: np.ndarray,
 
 
 def summed_over_widths(
-    own: np.ndarray, right: np.ndarray, owner: np.ndarray, grids: Sequence[tuple[float, ...]], sign: np.ndarray
+    own: np.ndarray,
+    right: np.ndarray,
+    owner: np.ndarray,
+    grids: Sequence[tuple[float, ...]],
+    sign: np.ndarray,
+    start: Sequence[float],
 ) -> tuple[list[float], float]:
     """Return the likeliest width of each variant and the log evidence summed over all, one variant after the other."""
-    best = [_middle(grid) for grid in grids]
-
-    def along(n: int) -> np.ndarray:
-        tried = np.array([[width if j == n else best[j] for j in owner] for width in grids[n]])
-        return gain_of_coefficients(own, right, tried, sign)
-
-    for _ in range(2 if len(grids) > 1 else 1):
+    best, each = list(start), [np.zeros(1)] * len(grids)
+    for _ in range(_WIDTH_SWEEPS):
+        before = list(best)
         for n, grid in enumerate(grids):
-            best[n] = grid[int(np.argmax(along(n)))]
-    gain = 0.0
-    for n, grid in enumerate(grids):
-        each = along(n)
-        mean = float(np.logaddexp.reduce(each)) - math.log(len(grid))
-        gain += mean - (float(each.max()) if n else 0.0)
-    return best, gain
+            tried = np.array([[width if j == n else best[j] for j in owner] for width in grid])
+            each[n] = gain_of_coefficients(own, right, tried, sign)
+            best[n] = grid[int(np.argmax(each[n]))]
+        if best == before:
+            break
+    means = [float(np.logaddexp.reduce(one)) - math.log(len(one)) for one in each]
+    return best, sum(means) - sum(float(one.max()) for one in each[1:])

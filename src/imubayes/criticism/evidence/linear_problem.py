@@ -11,6 +11,7 @@ and noise may change between hypotheses.  Coefficients of effects count in their
 from dataclasses import dataclass
 from functools import cached_property
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy import special
@@ -242,10 +243,8 @@ def _run_scatter(model: Model, channel: int, noise: float) -> tuple[tuple[float,
         return ()
     edges = np.arange(-1.0, 4.0)
     below = np.array([0.0, *special.ndtr(edges), 1.0])
-    return tuple(
-        (float(scale.prior.value(jnp.asarray(z))) / noise, float(np.log(p)))
-        for z, p in zip(np.append(edges, 4.0) - 0.5, np.diff(below), strict=True)
-    )
+    sizes = np.asarray(jax.vmap(scale.prior.value)(jnp.asarray(np.append(edges, 4.0) - 0.5))) / noise
+    return tuple(zip(sizes.tolist(), np.log(np.diff(below)).tolist(), strict=True))
 
 
 def _scale(model: Model, channel: int, member: type) -> Parameter | None:

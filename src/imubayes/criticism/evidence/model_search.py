@@ -9,13 +9,16 @@ from itertools import combinations
 
 import numpy as np
 
+from imubayes.criticism.evidence.form_scan import FormScan
 from imubayes.criticism.evidence.free_forms import ChosenForm, FreeForm
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.linear_problem import LinearProblem
 from imubayes.criticism.evidence.noise_structures import SCALED, NoiseOfUnit, NoiseStructure
-from imubayes.criticism.evidence.proposals import FormScan, Screen, at_scales, conditional, log_likelihood, residuals
+from imubayes.criticism.evidence.proposals import Screen, at_scales, conditional, log_likelihood, residuals
 from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 
+LARGE = 50.0
+"""Nats of an effect that is taken before any other is looked for."""
 EXPANDED, PROPOSED = 3.0, 9.0
 """Nats below the best within which hypotheses are expanded, and within which quick gains are worth an evaluation."""
 _QUICK_NOISE = 2.0
@@ -30,7 +33,8 @@ class ModelSearch:
     def __init__(self, problem: LinearProblem, forms: Sequence[FreeForm], wrong_rows: WrongRows | None = None):
         self.of, self.forms, self.wrong_rows = EvidenceOf(problem), forms, wrong_rows
         empty = self.of.evaluate(Hypothesis((), self.of.stated))
-        self._screen = Screen(self.of, conditional(self.of, empty))
+        as_known = at_scales(self.of, empty, np.ones(len(problem.rows)))
+        self._screen = Screen(self.of, conditional(self.of, as_known))
         self._expanded: set[Hypothesis] = set()
         self._scanned: set[Hypothesis] = set()
 
@@ -43,14 +47,28 @@ class ModelSearch:
         """Return the likeliest hypothesis of those that fulfil a condition."""
         return max((each for each in self.known if which(each)), key=lambda each: each.log_posterior)
 
+    def large_effects(self) -> Evaluated:
+        """Return the hypothesis with every effect that stands far out, one after the other, at the noise as stated."""
+        at = self.of.evaluate(Hypothesis((), self.of.stated))
+        while True:
+            singles = self._screen.singles(conditional(self.of, at))
+            gain, variant = next(
+                ((g, n) for g, n in singles if self._allowed(at.hypothesis.including(n))), (-np.inf, -1)
+            )
+            new = self._get(at.hypothesis.including(variant), at) if gain > LARGE else None
+            if new is None or new.log_posterior < at.log_posterior + LARGE:
+                return at
+            at = new
+
     def run(self) -> "ModelSearch":
         """Search, and return itself."""
         empty = self.of.evaluate(Hypothesis((), self.of.stated))
         self._get(Hypothesis((), tuple(_first(unit.choices, SCALED) for unit in self.of.units)))
-        self._vary_noise(empty)
-        self._expand(self.best(_states_noise))
-        self._expand(self.best(lambda each: not each.hypothesis.variants))
-        self._expand_at_less_noise()
+        large, none = self._vary_noise(self.large_effects()), self._vary_noise(empty)
+        if large.log_posterior < none.log_posterior + LARGE:
+            self._expand(self.best(_states_noise))
+            self._expand(self.best(lambda each: not each.hypothesis.variants))
+            self._expand_at_less_noise()
         self._vary_noise(self.best(_pure))
         self._grow(_pure, _MOST_EXPANDED)
         for _ in range(2):
@@ -175,15 +193,15 @@ class ModelSearch:
     def _scan_forms(self) -> None:
         """Add the best forms to the likeliest effects, to those less each, and to none at the noise as known."""
         best = self.best(_pure)
-        for variant in best.hypothesis.variants:
-            if (less := self._get(best.hypothesis.without(variant), best)) is not None:
+        without = [self._get(best.hypothesis.without(each), best) for each in best.hypothesis.variants]
+        for less in without:
+            # An effect that stands far out is swapped for a form where one is expanded.
+            if less is not None and less.log_posterior > best.log_posterior - LARGE:
                 self._add_forms(less, best.scale)
-        if best.hypothesis.variants:
-            for none in (self._get(Hypothesis((), best.hypothesis.noise), best), self.best(_no_effects)):
-                if none is not None:
-                    self._add_forms(none, best.scale)
         self._add_forms(best, best.scale)
-        stated = self.best(_states_noise)
+        none, stated = self._get(Hypothesis((), best.hypothesis.noise), best), self.best(_states_noise)
+        if none is not None:
+            self._add_forms(none, best.scale)
         self._add_forms(stated, np.minimum(1.0, best.scale))
 
     def _add_forms(self, at: Evaluated, scale: np.ndarray) -> None:

@@ -1,17 +1,16 @@
-"""What to add to a hypothesis: quick gains of every effect, of pairs and of every form, its noise held.
+"""What to add to a hypothesis: quick gains of every effect and of pairs of effects, its noise held.
 
 Conditional on a hypothesis with its scales, the likelihood of further coefficients is normal: V and u past all that
 takes part are the same for every candidate, so that all are scored from one matrix.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
-from imubayes.criticism.evidence.free_forms import ChosenForm, FreeForm
 from imubayes.criticism.evidence.hypothesis import (
     Evaluated,
     EvidenceOf,
@@ -22,10 +21,8 @@ from imubayes.criticism.evidence.hypothesis import (
     with_scatter,
 )
 from imubayes.criticism.evidence.noise_structures import HeavyTails, NoiseOfUnit
-from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 
-_EXACT_FORMS, _TAIL_ROUNDS = 160, 8
-_LEAST_RETAINED = 1e-9
+_TAIL_ROUNDS = 8
 _SHOWN_SD = 3.0
 """Standard deviations at which an effect of its largest typical size would stand, to be looked for."""
 
@@ -42,16 +39,16 @@ def at_scales(of: EvidenceOf, at: Evaluated, scale: np.ndarray) -> Evaluated:
     """Return a hypothesis with its linear algebra at other noise scales, (K,): a larger noise hides what is missing."""
     whole, right = np.diag(at.precision).astype(float), at.pull.copy()
     for k in of.unit_of:
-        base, _ = _base(of, at, k)
-        where = _where(of, at, k)
+        base, _ = base_columns(of, at, k)
+        where = places_of_base(of, at, k)
         whole[np.ix_(where, where)] += base[:, :-1].T @ base[:, :-1] / scale[k] ** 2
         right[where] += base[:, :-1].T @ base[:, -1] / scale[k] ** 2
     covariance = inverse(whole)
     return replace(at, scale=scale, covariance=covariance, mean=covariance @ right)
 
 
-def _where(of: EvidenceOf, at: Evaluated, channel: int) -> np.ndarray:
-    """Return the places of the columns of `_base` among all that take part."""
+def places_of_base(of: EvidenceOf, at: Evaluated, channel: int) -> np.ndarray:
+    """Return the places of the columns of `base_columns` among all that take part."""
     here, _ = of.select(channel, at.columns)
     found, form = np.flatnonzero(here), at.hypothesis.form
     if form is not None and channel in form.channels:
@@ -60,7 +57,7 @@ def _where(of: EvidenceOf, at: Evaluated, channel: int) -> np.ndarray:
     return found
 
 
-def _base(of: EvidenceOf, at: Evaluated, channel: int) -> tuple[np.ndarray, np.ndarray]:
+def base_columns(of: EvidenceOf, at: Evaluated, channel: int) -> tuple[np.ndarray, np.ndarray]:
     """Return whitened columns of a channel that take part, the residual last, and all that it responds to."""
     weight, form = at.weight.get(channel), at.hypothesis.form
     white = of.whitened(at.hypothesis, channel, weight)
@@ -88,9 +85,11 @@ def conditional(of: EvidenceOf, at: Evaluated) -> Conditional:
         if form is not None and k in form.channels:
             columns = of.form_columns(at.hypothesis, form, k, at.weight.get(k))
             white = of.whitened(at.hypothesis, k, at.weight.get(k))
-            span = _where(of, at, k)[len(mine) :]
+            span = places_of_base(of, at, k)[len(mine) :]
             across[np.ix_(span, which)] += inverse * columns.T @ white[:, place]
-    return Conditional(own - across.T @ at.covariance @ across, right - across.T @ at.mean)
+    left = own - across.T @ at.covariance @ across
+    np.fill_diagonal(left, np.maximum(np.diag(left), 0.0))
+    return Conditional(left, right - across.T @ at.mean)
 
 
 def residuals(of: EvidenceOf, at: Evaluated) -> dict[int, np.ndarray]:
@@ -101,7 +100,7 @@ def residuals(of: EvidenceOf, at: Evaluated) -> dict[int, np.ndarray]:
         rows = of.problem.rows[k].columns
         found[k] = rows[:, -1] - rows[:, place] @ at.mean[np.flatnonzero(here)]
         if form is not None and k in form.channels:
-            own = _where(of, at, k)[len(place) :]
+            own = places_of_base(of, at, k)[len(place) :]
             found[k] = found[k] - form.form.columns[k] @ at.mean[own]
     return found
 
@@ -193,107 +192,3 @@ class Screen:
                 share = self._log_share[one, i] + self._log_share[other, j] + 2 * math.log(2)
                 gains.append(gain_of_coefficients(own, right, np.repeat(both, size, axis=1), sign) + share)
         return np.asarray(np.logaddexp.reduce(gains, axis=0))
-
-
-# ---- forms ----
-
-
-@dataclass(frozen=True)
-class _FormGram:
-    """V and u of the columns of a form on one channel, past what that channel's own columns explain."""
-
-    own: np.ndarray
-    right: np.ndarray
-    across: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Screened:
-    """A form with its quick gain, and the Gram matrices of its channels."""
-
-    gain: float
-    form: ChosenForm
-    parts: dict[int, _FormGram]
-
-
-class FormScan:
-    """Quick gains of every form beside a hypothesis without one."""
-
-    def __init__(self, of: EvidenceOf, at: Evaluated):
-        self.of, self.at = of, at
-        squares, axes = np.linalg.eigh(at.covariance)
-        self._root = axes * np.sqrt(np.maximum(squares, 0.0))
-        self._bases = {k: _base(of, at, k)[0] / at.scale[k] for k in of.unit_of}
-        self._residual = {k: b[:, -1] - b[:, :-1] @ at.mean[_where(of, at, k)] for k, b in self._bases.items()}
-
-    def _gram(self, form: ChosenForm, channel: int) -> _FormGram:
-        at, k = self.at, channel
-        columns = self.of.form_columns(at.hypothesis, form, k, at.weight.get(k)) / at.scale[k]
-        across = self._root[_where(self.of, at, k)].T @ (self._bases[k][:, :-1].T @ columns)
-        return _FormGram(columns.T @ columns, columns.T @ self._residual[k], across)
-
-    def best(self, forms: Sequence[FreeForm]) -> list[tuple[float, ChosenForm]]:
-        """Return forms with their gains against no form, the largest first; screened channel by channel."""
-        quick = sorted((each for form in forms for each in self._screened(form)), key=lambda each: -each.gain)
-        exact = [(_exact(each), each.form) for each in quick[:_EXACT_FORMS]]
-        return sorted(exact, key=lambda each: -each[0])
-
-    def _screened(self, form: FreeForm) -> Iterator["_Screened"]:
-        """Yield a form at each amplitude, on all channels and on one alone, the channels as if they were apart."""
-        parts = {k: self._gram(ChosenForm(form, 1.0, tuple(form.columns)), k) for k in form.columns}
-        each = {k: _gains(part, form.amplitudes) for k, part in parts.items()}
-        alone = len(parts) > 1 and form.wrong is None
-        for n, amplitude in enumerate(form.amplitudes):
-            whole = ChosenForm(form, amplitude, tuple(parts))
-            yield _Screened(float(sum(gains[n] for gains in each.values())) + whole.log_prior, whole, parts)
-            for k in parts if alone else ():
-                one = ChosenForm(form, amplitude, (k,))
-                yield _Screened(float(each[k][n]) + one.log_prior, one, parts)
-
-    def rows(self, wrong: WrongRows) -> Iterator[tuple[float, ChosenForm]]:
-        """Yield the best wrong row of each column and amplitude, with its gain."""
-        count = len(wrong.run)
-        for name, columns in wrong.columns.items():
-            own, right, through = np.zeros(count), np.zeros(count), np.zeros((count, len(self.at.mean)))
-            for k in self.of.unit_of:
-                row, white = wrong.row[k], columns[k] / self.at.scale[k]
-                np.add.at(own, row, white**2)
-                np.add.at(right, row, white * self._residual[k])
-                where, products = _where(self.of, self.at, k), white[:, None] * self._bases[k][:, :-1]
-                for place, column in zip(where, products.T, strict=True):
-                    through[:, place] += np.bincount(row, column, count)
-            left = np.maximum(own - np.sum((through @ self._root) ** 2, axis=1), 0.0)
-            for amplitude in wrong.amplitudes:
-                variance = amplitude**2
-                gain = 0.5 * variance * right**2 / (1 + variance * left) - 0.5 * np.log1p(variance * left)
-                best = int(np.argmax(gain))
-                form = wrong.form(name, best)
-                chosen = ChosenForm(form, amplitude, tuple(form.columns))
-                yield float(gain[best]) + chosen.log_prior, chosen
-
-
-def _exact(screened: _Screened) -> float:
-    """Return the gain of a form with its channels together, its prior probability included."""
-    form, parts = screened.form, screened.parts
-    if len(form.channels) == 1:
-        return screened.gain
-    own, right = np.zeros((form.width, form.width)), np.zeros(form.width)
-    across = np.zeros((len(parts[form.channels[0]].across), form.width))
-    for k in form.channels:
-        span = form.span(k)
-        own[span, span] += parts[k].own
-        right[span] += parts[k].right
-        across[:, span] += parts[k].across
-    return float(_gains(_FormGram(own, right, across), [form.amplitude])[0]) + form.log_prior
-
-
-def _gains(part: _FormGram, amplitudes: Sequence[float]) -> np.ndarray:
-    """Return the log evidence of coefficients with standard deviations `amplitudes`, (n,).
-
-    Directions that what takes part explains to rounding are left out: a large misfit would make them a gain.
-    """
-    squares, axes = np.linalg.eigh(part.own - part.across.T @ part.across)
-    told = squares > _LEAST_RETAINED * max(float(np.trace(part.own)), np.finfo(float).tiny)
-    along, squares = (axes.T @ part.right)[told] ** 2, squares[told]
-    variance = np.square(amplitudes)[:, None]
-    return 0.5 * np.sum(along * variance / (1 + variance * squares) - np.log1p(variance * squares), axis=1)

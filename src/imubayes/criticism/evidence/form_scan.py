@@ -1,0 +1,127 @@
+"""Which form to add to a hypothesis: quick gains of all forms and wrong inputs beside it, its noise held.
+
+Forms of one channel and width are whitened, projected and decomposed together; a form of several channels is first
+scored as if these were apart, and the best are scored exactly.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imubayes.criticism.evidence.free_forms import ChosenForm, FreeForm
+from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf
+from imubayes.criticism.evidence.proposals import base_columns, places_of_base
+from imubayes.criticism.evidence.wrong_input_forms import WrongRows
+
+_EXACT, _TOGETHER = 160, 256
+_LEAST_RETAINED = 1e-9
+"""Share of a direction below which what takes part explains it to rounding: a large misfit would make it a gain."""
+
+
+@dataclass(frozen=True)
+class _Grams:
+    """V (m, k, k) and u (m, k) of m forms on one channel, with their products with what takes part, (m, k, n)."""
+
+    own: np.ndarray
+    right: np.ndarray
+    across: np.ndarray
+
+    def gains(self, amplitudes: Sequence[float]) -> np.ndarray:
+        """Return the log evidence of coefficients with standard deviations `amplitudes`, (m, A)."""
+        squares, axes = np.linalg.eigh(self.own - self.across @ self.across.swapaxes(1, 2))
+        whole = np.trace(self.own, axis1=1, axis2=2)[:, None]
+        told = squares > _LEAST_RETAINED * np.maximum(whole, np.finfo(float).tiny)
+        along = np.where(told, (axes.swapaxes(1, 2) @ self.right[:, :, None])[:, :, 0] ** 2, 0.0)[:, None, :]
+        squares = np.where(told, squares, 0.0)[:, None, :]
+        variance = np.square(amplitudes)[None, :, None]
+        return 0.5 * np.sum(along * variance / (1 + variance * squares) - np.log1p(variance * squares), axis=2)
+
+
+class FormScan:
+    """Quick gains of every form beside a hypothesis without one."""
+
+    def __init__(self, of: EvidenceOf, at: Evaluated):
+        self.of, self.at = of, at
+        squares, axes = np.linalg.eigh(at.covariance)
+        self._root = axes * np.sqrt(np.maximum(squares, 0.0))
+        self._places = {k: places_of_base(of, at, k) for k in of.unit_of}
+        self._bases = {k: base_columns(of, at, k)[0] / at.scale[k] for k in of.unit_of}
+        self._residual = {k: b[:, -1] - b[:, :-1] @ at.mean[self._places[k]] for k, b in self._bases.items()}
+        self._through = {k: b[:, :-1] @ self._root[self._places[k]] for k, b in self._bases.items()}
+
+    def best(self, forms: Sequence[FreeForm]) -> list[tuple[float, ChosenForm]]:
+        """Return forms with their gains against no form, prior probabilities included, the largest first."""
+        gains = self._gains(forms)
+        quick: list[tuple[float, ChosenForm]] = []
+        for n, form in enumerate(forms):
+            parts = {k: gains[n, k] for k in form.columns}
+            quick.append(_likeliest(form, tuple(parts), sum(parts.values(), np.zeros(len(form.amplitudes)))))
+            if len(parts) > 1 and form.wrong is None:
+                quick += [_likeliest(form, (k,), part) for k, part in parts.items()]
+        quick.sort(key=lambda each: -each[0])
+        exact = [(gain if len(form.channels) == 1 else self._exact(form), form) for gain, form in quick[:_EXACT]]
+        return sorted(exact, key=lambda each: -each[0])
+
+    def _gains(self, forms: Sequence[FreeForm]) -> dict[tuple[int, int], np.ndarray]:
+        """Return the gain of each form on each of its channels, (A,)."""
+        found: dict[tuple[int, int], np.ndarray] = {}
+        for k in self.of.unit_of:
+            alike: dict[tuple[int, tuple[float, ...]], list[int]] = {}
+            for n, form in enumerate(forms):
+                if k in form.columns:
+                    alike.setdefault((form.columns[k].shape[1], form.amplitudes), []).append(n)
+            for (_, amplitudes), members in alike.items():
+                for first in range(0, len(members), _TOGETHER):
+                    some = members[first : first + _TOGETHER]
+                    each = self._grams([forms[n].columns[k] for n in some], k).gains(amplitudes)
+                    found.update({(n, k): gain for n, gain in zip(some, each, strict=True)})
+        return found
+
+    def _grams(self, columns: Sequence[np.ndarray], channel: int) -> _Grams:
+        """Return the Gram matrices of forms of one width on a channel."""
+        at, k, width = self.at, channel, columns[0].shape[1]
+        joined = np.concatenate(columns, axis=1)
+        white = self.of.whiten(at.hypothesis, joined, k, at.weight.get(k)) / at.scale[k]
+        apart = white.reshape(len(white), -1, width).transpose(1, 2, 0)
+        across = (white.T @ self._through[k]).reshape(-1, width, self._root.shape[1])
+        return _Grams(apart @ apart.swapaxes(1, 2), (white.T @ self._residual[k]).reshape(-1, width), across)
+
+    def _exact(self, form: ChosenForm) -> float:
+        """Return the gain of a form with its channels together, its prior probability included."""
+        own, right = np.zeros((form.width, form.width)), np.zeros(form.width)
+        across = np.zeros((form.width, self._root.shape[1]))
+        for k in form.channels:
+            span, part = form.span(k), self._grams([form.form.columns[k]], k)
+            own[span, span] += part.own[0]
+            right[span] += part.right[0]
+            across[span] += part.across[0]
+        whole = _Grams(own[None], right[None], across[None])
+        return float(whole.gains([form.amplitude])[0, 0]) + form.log_prior
+
+    def rows(self, wrong: WrongRows) -> Iterator[tuple[float, ChosenForm]]:
+        """Yield the best wrong row of each column and amplitude, with its gain."""
+        count = len(wrong.run)
+        for name, columns in wrong.columns.items():
+            own, right, through = np.zeros(count), np.zeros(count), np.zeros((count, self._root.shape[1]))
+            for k in self.of.unit_of:
+                row, white = wrong.row[k], columns[k] / self.at.scale[k]
+                np.add.at(own, row, white**2)
+                np.add.at(right, row, white * self._residual[k])
+                np.add.at(through, row, white[:, None] * self._through[k])
+            left = np.maximum(own - np.sum(through**2, axis=1), 0.0)
+            for amplitude in wrong.amplitudes:
+                variance = amplitude**2
+                gain = 0.5 * variance * right**2 / (1 + variance * left) - 0.5 * np.log1p(variance * left)
+                best = int(np.argmax(gain))
+                form = wrong.form(name, best)
+                chosen = ChosenForm(form, amplitude, tuple(form.columns))
+                yield float(gain[best]) + chosen.log_prior, chosen
+
+
+def _likeliest(form: FreeForm, channels: tuple[int, ...], gains: np.ndarray) -> tuple[float, ChosenForm]:
+    """Return a form at its likeliest amplitude, with its gain and prior probability."""
+    best = int(np.argmax(gains)) if len(gains) else 0
+    chosen = ChosenForm(form, form.amplitudes[best], channels)
+    return (float(gains[best]) if math.isfinite(gains[best]) else -math.inf) + chosen.log_prior, chosen
