@@ -111,9 +111,7 @@ def _diagnosis(
     as_fitted = project(found.first.projection.fitted, found.responses.misfit, found.responses.jacobian)
     # As fitted: what the search ends with may be whitened by noise that it only suspects.
     contradicted = compare_with_known(as_fitted).contradicted
-    verdict = _verdict(found, unexplained, unlisted, contradicted)
-    if verdict == "adequate" and weighed is not None and weighed.excludes_nothing_missing:
-        verdict = "noise_model"
+    verdict = _not_adequate(_verdict(found, unexplained, unlisted, contradicted), weighed)
     violations = _violations(found, verdict, as_fitted)
     verdict = _overruled("noise_model" if violations else verdict, disagreeing)
     found = _as_named(found, verdict)
@@ -202,6 +200,12 @@ def _verdict(
         return "missing_effect" if alone else "equivalent_effects"
     noisy = found.adopted or found.record.contradicted or contradicted or found.wandering
     return "noise_model" if noisy else "adequate"
+
+
+def _not_adequate(verdict: Verdict, weighed: Evidence | None) -> Verdict:
+    """Return the verdict where the evidence excludes that nothing is missing, and no test says what is."""
+    excluded = weighed is not None and weighed.excludes_nothing_missing
+    return "noise_model" if verdict == "adequate" and excluded else verdict
 
 
 def _overruled(verdict: Verdict, disagreeing: Sequence[Disagreement]) -> Verdict:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.criticism.evidence.free_forms import ChosenForm, FreeForm
+from imubayes.criticism.evidence.free_forms import ChosenForm, FormHypothesis
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf
 from imubayes.criticism.evidence.proposals import base_columns, places_of_base
 from imubayes.criticism.evidence.wrong_input_forms import WrongRows
@@ -51,7 +51,7 @@ class FormScan:
         self._residual = {k: b[:, -1] - b[:, :-1] @ at.mean[self._places[k]] for k, b in self._bases.items()}
         self._through = {k: b[:, :-1] @ self._root[self._places[k]] for k, b in self._bases.items()}
 
-    def best(self, forms: Sequence[FreeForm]) -> list[tuple[float, ChosenForm]]:
+    def best(self, forms: Sequence[FormHypothesis]) -> list[tuple[float, ChosenForm]]:
         """Return forms with their gains against no form, prior probabilities included, the largest first."""
         gains = self._gains(forms)
         quick: list[tuple[float, ChosenForm]] = []
@@ -64,7 +64,7 @@ class FormScan:
         exact = [(gain if len(form.channels) == 1 else self._exact(form), form) for gain, form in quick[:_EXACT]]
         return sorted(exact, key=lambda each: -each[0])
 
-    def _gains(self, forms: Sequence[FreeForm]) -> dict[tuple[int, int], np.ndarray]:
+    def _gains(self, forms: Sequence[FormHypothesis]) -> dict[tuple[int, int], np.ndarray]:
         """Return the gain of each form on each of its channels, (A,)."""
         found: dict[tuple[int, int], np.ndarray] = {}
         for k in self.of.unit_of:
@@ -120,7 +120,7 @@ class FormScan:
                 yield float(gain[best]) + chosen.log_prior, chosen
 
 
-def _likeliest(form: FreeForm, channels: tuple[int, ...], gains: np.ndarray) -> tuple[float, ChosenForm]:
+def _likeliest(form: FormHypothesis, channels: tuple[int, ...], gains: np.ndarray) -> tuple[float, ChosenForm]:
     """Return a form at its likeliest amplitude, with its gain and prior probability."""
     best = int(np.argmax(gains)) if len(gains) else 0
     chosen = ChosenForm(form, form.amplitudes[best], channels)

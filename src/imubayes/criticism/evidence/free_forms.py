@@ -35,7 +35,7 @@ _MEAN_FREE = ("temperature_degC", "campaign_time_h", "time_s", "power_on_s")
 
 
 @dataclass(frozen=True, eq=False)
-class FreeForm:
+class FormHypothesis:
     """A form of one kind of channel.
 
     Attributes
@@ -64,7 +64,7 @@ class FreeForm:
 class ChosenForm:
     """A form with its amplitude, on all of its channels or on one alone."""
 
-    form: FreeForm
+    form: FormHypothesis
     amplitude: float
     channels: tuple[int, ...]
 
@@ -96,15 +96,15 @@ class ChosenForm:
         return ChosenForm(self.form, amplitude, self.channels)
 
 
-def free_forms(problem: LinearProblem, known: Sequence[ResidualCovariate]) -> tuple[FreeForm, ...]:
+def free_forms(problem: LinearProblem, known: Sequence[ResidualCovariate]) -> tuple[FormHypothesis, ...]:
     """Return all forms outside the catalogue, with their prior probabilities."""
-    forms: list[FreeForm] = []
+    forms: list[FormHypothesis] = []
     for kind in dict.fromkeys(problem.kinds):
         forms += _of_kind(problem, known, [k for k, each in enumerate(problem.kinds) if each == kind])
     return with_prior(forms, FREE_FORM)
 
 
-def with_prior(forms: Sequence[FreeForm], whole: float) -> tuple[FreeForm, ...]:
+def with_prior(forms: Sequence[FormHypothesis], whole: float) -> tuple[FormHypothesis, ...]:
     """Return forms with a prior probability in equal shares of families and members."""
     members = Counter(each.family for each in forms)
     share = {family: math.log(whole / len(members) / count) for family, count in members.items()}
@@ -122,7 +122,9 @@ class _Place:
         return columns * self.rows.root[:, None]
 
 
-def _of_kind(problem: LinearProblem, known: Sequence[ResidualCovariate], channels: list[int]) -> Iterator[FreeForm]:
+def _of_kind(
+    problem: LinearProblem, known: Sequence[ResidualCovariate], channels: list[int]
+) -> Iterator[FormHypothesis]:
     places = {
         k: _Place(problem.rows[k], problem.run[problem.rows[k].entry]) for k in channels if len(problem.rows[k].entry)
     }
@@ -134,7 +136,7 @@ def _of_kind(problem: LinearProblem, known: Sequence[ResidualCovariate], channel
         if seen:
             yield from _of_covariate(covariate, seen, places)
     yield from _products(known, places)
-    yield FreeForm("memory", "input of the row before", (), {k: place.weighted(_row_before(place.rows))
+    yield FormHypothesis("memory", "input of the row before", (), {k: place.weighted(_row_before(place.rows))
                                                               for k, place in places.items()})  # fmt: skip
     yield from _steps(places)
 
@@ -146,23 +148,23 @@ def _varies(values: np.ndarray) -> bool:
 
 def _of_covariate(
     covariate: ResidualCovariate, seen: Mapping[int, np.ndarray], places: Mapping[int, _Place]
-) -> Iterator[FreeForm]:
+) -> Iterator[FormHypothesis]:
     name, own = covariate.name, (covariate.name,)
     if covariate.periodic:
         angle = {k: np.radians(x) for k, x in seen.items()}
         basis = {k: 0.5 * _harmonics(x, range(1, 7)) for k, x in angle.items()}
         for order in range(_FIRST_HARMONIC, _HARMONICS + 1):
             shape = {k: places[k].weighted(_harmonics(x, [order])) for k, x in angle.items()}
-            yield FreeForm("harmonic", f"harmonic {order} of {name}", own, shape)
+            yield FormHypothesis("harmonic", f"harmonic {order} of {name}", own, shape)
     else:
         basis = {k: _gaussian_process(x, *_SMOOTH) for k, x in seen.items()}
         rough = {k: places[k].weighted(_gaussian_process(x, *_ROUGH)) for k, x in seen.items()}
-        yield FreeForm("function", f"rough function of {name}", own, rough)
+        yield FormHypothesis("function", f"rough function of {name}", own, rough)
         if name.startswith(("rate", "force")):
             yield from _levels(name, seen, places)
-    yield FreeForm("function", f"function of {name}", own, {k: places[k].weighted(b) for k, b in basis.items()})
+    yield FormHypothesis("function", f"function of {name}", own, {k: places[k].weighted(b) for k, b in basis.items()})
     gained = {k: places[k].weighted(b * places[k].rows.input[:, None]) for k, b in basis.items()}
-    yield FreeForm("gain", f"input × function of {name}", own, gained)
+    yield FormHypothesis("gain", f"input × function of {name}", own, gained)
 
 
 def _harmonics(angle: np.ndarray, orders: Sequence[int]) -> np.ndarray:
@@ -187,7 +189,7 @@ def _gaussian_process(values: np.ndarray, length: float, columns: int) -> np.nda
     return found
 
 
-def _levels(name: str, seen: Mapping[int, np.ndarray], places: Mapping[int, _Place]) -> Iterator[FreeForm]:
+def _levels(name: str, seen: Mapping[int, np.ndarray], places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
     """Yield an even and an odd response at one level of an input alone, as of a resonance."""
     filled = {k: np.nan_to_num(x) for k, x in seen.items()}
     top = max(float(np.abs(x).max()) for x in filled.values())
@@ -199,10 +201,10 @@ def _levels(name: str, seen: Mapping[int, np.ndarray], places: Mapping[int, _Pla
                 k: places[k].weighted(np.stack([at == one, (at == one) * np.sign(filled[k])], axis=1).astype(float))
                 for k, at in level.items()
             }
-            yield FreeForm("level", f"level of |{name}| = {one * top / 50:.3g}", (name,), both)
+            yield FormHypothesis("level", f"level of |{name}| = {one * top / 50:.3g}", (name,), both)
 
 
-def _products(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) -> Iterator[FreeForm]:
+def _products(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
     scaled: dict[str, dict[int, np.ndarray]] = {}
     for covariate in known:
         seen = {k: covariate.values[place.rows.entry] for k, place in places.items()}
@@ -219,7 +221,7 @@ def _products(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) 
             terms = [a**p * b**q for p, q in _POWERS] + [np.sign(a) * b, a * np.sign(b)]
             shapes[k] = places[k].weighted(np.stack(terms, axis=1))
         if shapes:
-            yield FreeForm("product", f"function of {one} and {other}", (one, other), shapes)
+            yield FormHypothesis("product", f"function of {one} and {other}", (one, other), shapes)
 
 
 def _row_before(rows: ChannelRows) -> np.ndarray:
@@ -229,7 +231,7 @@ def _row_before(rows: ChannelRows) -> np.ndarray:
     return found
 
 
-def _steps(places: Mapping[int, _Place]) -> Iterator[FreeForm]:
+def _steps(places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
     """Yield steps in a run, and from a row of a run on, of bias and of scale."""
     runs = sorted({int(run) for place in places.values() for run in np.unique(place.run)})
     for run in runs:
@@ -240,6 +242,6 @@ def _steps(places: Mapping[int, _Place]) -> Iterator[FreeForm]:
             onward = {k: here | (places[k].run > run) for k, here in within.items()}
             for name, where in (("step within the run", within), ("step of the bias", onward)):
                 shape = {k: places[k].weighted(here[:, None].astype(float)) for k, here in where.items()}
-                yield FreeForm("step", name, (), shape, run=run, row=row)
+                yield FormHypothesis("step", name, (), shape, run=run, row=row)
             gained = {k: places[k].weighted((here * places[k].rows.input)[:, None]) for k, here in onward.items()}
-            yield FreeForm("step", "step of the scale factor", (), gained, run=run, row=row)
+            yield FormHypothesis("step", "step of the scale factor", (), gained, run=run, row=row)

@@ -26,6 +26,7 @@ from imubayes.criticism.evidence.noise_structures import (
     log_prior_of_sisters,
     noise_units,
 )
+from imubayes.tail_probabilities import normal_log_survival
 
 _WIDTH_SWEEPS = 3
 _ROUNDS, _TAIL_ROUNDS, _SETTLED = 6, 4, 1e-3
@@ -440,7 +441,7 @@ def gain_of_coefficients(own: np.ndarray, right: np.ndarray, widths: np.ndarray,
         diagonal = np.diagonal(np.linalg.inv(scaled), axis1=-2, axis2=-1) if np.any(sign) else np.ones_like(mean)
     if np.any(sign):
         z = sign * mean / np.sqrt(np.maximum(diagonal, 1e-300))
-        found = found + np.sum(np.where(sign != 0, special.log_ndtr(z) + math.log(2), 0.0), axis=-1)
+        found = found + np.sum(np.where(sign != 0, normal_log_survival(-z) + math.log(2), 0.0), axis=-1)
     return found
 
 

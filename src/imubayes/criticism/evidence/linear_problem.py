@@ -14,7 +14,6 @@ from functools import cached_property
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import special
 
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Channel
@@ -30,6 +29,7 @@ from imubayes.model.student_t import fisher_information
 from imubayes.noise.base import SharedNoise
 from imubayes.noise.components import WhiteNoise
 from imubayes.parameters.vector import Parameter
+from imubayes.tail_probabilities import normal_survival
 
 BELIEVED = 0.03
 """Standard deviation of the logarithm of a noise scale that raw samples tell.  Calibrated on complete shipped models:
@@ -242,7 +242,7 @@ def _run_scatter(model: Model, channel: int, noise: float) -> tuple[tuple[float,
     if scale is None:
         return ()
     edges = np.arange(-1.0, 4.0)
-    below = np.array([0.0, *special.ndtr(edges), 1.0])
+    below = np.array([0.0, *normal_survival(-edges), 1.0])
     sizes = np.asarray(jax.vmap(scale.prior.value)(jnp.asarray(np.append(edges, 4.0) - 0.5))) / noise
     return tuple(zip(sizes.tolist(), np.log(np.diff(below)).tolist(), strict=True))
 

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from imubayes.criticism.evidence.form_scan import FormScan
-from imubayes.criticism.evidence.free_forms import ChosenForm, FreeForm
+from imubayes.criticism.evidence.free_forms import ChosenForm, FormHypothesis
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.linear_problem import LinearProblem
 from imubayes.criticism.evidence.noise_structures import SCALED, NoiseOfUnit, NoiseStructure
@@ -30,7 +30,7 @@ _MOST_EXPANDED, _MOST_KNOWN, _PAIRED_UP_TO = 24, 3000, 2
 class ModelSearch:
     """A search, and all hypotheses that it has evaluated."""
 
-    def __init__(self, problem: LinearProblem, forms: Sequence[FreeForm], wrong_rows: WrongRows | None = None):
+    def __init__(self, problem: LinearProblem, forms: Sequence[FormHypothesis], wrong_rows: WrongRows | None = None):
         self.of, self.forms, self.wrong_rows = EvidenceOf(problem), forms, wrong_rows
         empty = self.of.evaluate(Hypothesis((), self.of.stated))
         as_known = at_scales(self.of, empty, np.ones(len(problem.rows)))

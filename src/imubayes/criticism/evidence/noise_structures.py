@@ -24,6 +24,7 @@ Family = Literal["known", "scale", "correlated", "wander", "rate", "tails", "run
 
 UNLIKE_SISTERS = 0.1
 """Probability that the scatter of a channel has nothing in common with that of its sister channels."""
+_LEAST_SCATTER = 1e-3
 OTHER_NOISE = 0.1
 """Prior probability that a kind of channel has other noise than stated, in equal shares of the families."""
 
@@ -191,7 +192,7 @@ def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], n
         ]
         each = np.zeros(len(grids[0]))
         for place, grid in zip(places, grids, strict=True):
-            prior, size = np.exp([p for _, p in grid]), np.log([tau for tau, _ in grid])
+            prior, size = np.exp([p for _, p in grid]), np.log([max(tau, _LEAST_SCATTER) for tau, _ in grid])
             near = np.exp(-0.5 * ((size[:, None] - size) / SISTERS_LOG_SD) ** 2)
             about = UNLIKE_SISTERS * prior[:, None] + (1 - UNLIKE_SISTERS) * near / near.sum(axis=0)
             each += np.log(about[place]) - math.log(prior[place])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.criticism.evidence.free_forms import WRONG_INPUT, FreeForm, with_prior
+from imubayes.criticism.evidence.free_forms import WRONG_INPUT, FormHypothesis, with_prior
 from imubayes.criticism.evidence.linear_problem import LinearProblem
 from imubayes.criticism.wrong_inputs import Predictions, WrongInput, suspected
 from imubayes.inference.fitted_model import Fit
@@ -23,7 +23,7 @@ _ERRORS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
 class WrongInputs:
     """What may be wrong in all rows of a run, with prior probabilities, and in single rows; None where nothing is."""
 
-    of_runs: tuple[FreeForm, ...]
+    of_runs: tuple[FormHypothesis, ...]
     of_rows: "WrongRows | None"
 
 
@@ -37,7 +37,7 @@ def wrong_inputs(problem: LinearProblem, fitted: Fit) -> WrongInputs:
 
 def _of_runs(
     problem: LinearProblem, fitted: Fit, predictions: Predictions, columns: Mapping[str, np.ndarray]
-) -> Iterator[FreeForm]:
+) -> Iterator[FormHypothesis]:
     """Yield what may be wrong in all rows of one run."""
     campaign = fitted.model.campaign
     seats = predictions.response_of_seats(campaign)
@@ -48,7 +48,7 @@ def _of_runs(
             if response is not None and np.isfinite(largest) and largest > 0:
                 shape = _in_noise(problem, response, largest)
                 name = f"{wrong.form} of {wrong.covariate or 'outputs'}" if wrong.form != "seat" else "attitude"
-                yield FreeForm("input", name, (), shape, _ERRORS, run=run, wrong=wrong, unit=1 / largest)
+                yield FormHypothesis("input", name, (), shape, _ERRORS, run=run, wrong=wrong, unit=1 / largest)
 
 
 def _of_run(
@@ -111,13 +111,13 @@ class WrongRows:
         """Logarithm of the prior probability of each: as likely together as a run that is wrong."""
         return math.log(WRONG_INPUT / 2 / max(len(self.columns), 1) / max(len(self.run), 1))
 
-    def form(self, column: str, row: int) -> FreeForm:
+    def form(self, column: str, row: int) -> FormHypothesis:
         """Return one of them as a form."""
         shape = {k: np.where(self.row[k] == row, x, 0.0)[:, None] for k, x in self.columns[column].items()}
         shape = {k: x for k, x in shape.items() if np.any(x)}
         run, place = int(self.run[row]), int(self.place[row])
         wrong = WrongInput(run, "offset", column, place)
-        return FreeForm(
+        return FormHypothesis(
             "input",
             f"offset of {column}",
             (),
