@@ -9,13 +9,26 @@ from imubayes.display.rounding import percent
 _LEAST_TOLD, _MOST_NAMES, _WELL_KNOWN = 0.01, 4, 0.1
 _PRIOR_DOUBT = 2.0
 """Nats by which prior odds may reasonably differ."""
+_NOISE = {
+    "known": "noise as stated", "scale": "white noise of another size", "correlated": "correlated rows",
+    "wander": "a random walk", "rate": "noise that grows with the input", "tails": "heavy tails",
+    "runs": "scatter between runs",
+}  # fmt: skip
+_KINDS: dict[Explanation, str] = {
+    "nothing": "nothing missing", "noise": "noise not as stated", "effects": "an effect missing",
+    "input": "a wrong record", "outside": "a cause outside the catalogue",
+}  # fmt: skip
 
 
 def evidence_text(found: Evidence) -> str:
     """Return the probability of each explanation, what the likeliest is, and what that rests on."""
     each = sorted(found.explanations, key=lambda one: -one.probability)
     shown = [one for one in each if one.kind == "nothing" or one.probability >= _LEAST_TOLD]
-    told = [f"{_words(found, one.kind)} {probability(one.probability)}" for one in shown]
+    told = []
+    for one in shown:
+        detail = _detail(found, one.kind)
+        kind = "effects missing" if one.kind == "effects" and len(found.slots) > 1 else _KINDS[one.kind]
+        told.append(f"{kind} {probability(one.probability)}" + (f" ({detail})" if detail else ""))
     return f"Probability: {'; '.join(told)}.{_assumptions(found)}"
 
 
@@ -23,39 +36,33 @@ def probability(value: float) -> str:
     """Return a probability, never 0 or 1."""
     if value > 0.999:
         return "> 0.999"
-    return "< 0.001" if value < 0.001 else f"{value:.2g}" if value < 0.1 else f"{min(value, 0.999):.3g}"
+    return "< 0.001" if value < 0.001 else f"{value:.2f}" if 0.01 <= value < 0.99 else f"{value:.3f}"
 
 
-def _words(found: Evidence, kind: Explanation) -> str:
-    if kind == "nothing":
-        return "nothing missing"
-    if kind == "effects":
-        names = " and ".join(map(_slot_words, found.slots)) or listed([each.effect for each in found.inclusion[:2]])
-        return f"{names} missing"
+def _detail(found: Evidence, kind: Explanation) -> str:
+    """Return what an explanation is in particular; empty where nothing is to be said."""
+    noise = listed([f"{_NOISE[each.family]} on {listed(each.channels)}" for each in found.noise])
     if kind == "noise":
-        names = [f"{_NOISE[each.family]} on {listed(each.channels)}" for each in found.noise]
-        return f"other noise ({listed(names)})" if names else "other noise than stated"
-    plain = "wrong record" if kind == "input" else "outside the catalogue"
-    form = found.form
-    return f"{plain} ({_form_words(form)})" if form is not None and form.wrong == (kind == "input") else plain
+        return noise
+    if kind == "effects" and found.slots:
+        return " and ".join(map(_slot, found.slots)) + (f", beside {noise}" if noise else "")
+    if kind == "effects":
+        told = [each for each in found.inclusion if each.probability >= _LEAST_TOLD][:2]
+        return ", ".join(f"{each.effect} {probability(each.probability)}" for each in told)
+    if found.form is not None and found.form.wrong == (kind == "input") and kind in ("input", "outside"):
+        return _form(found.form)
+    return ""
 
 
-_NOISE = {
-    "known": "as stated", "scale": "another size", "correlated": "correlated rows", "wander": "random walk",
-    "rate": "noise that grows with rate", "tails": "heavy tails", "runs": "scatter between runs",
-}  # fmt: skip
-
-
-def _slot_words(slot: EffectSlot) -> str:
+def _slot(slot: EffectSlot) -> str:
     first, *others = slot.candidates[:_MOST_NAMES]
-    names = first.effect
-    if others:
-        names = " or ".join(f"{each.effect} {probability(each.probability)}" for each in (first, *others))
-        names = f"({names})" if len(others) > 1 else names
-    return f"{names} on {listed(slot.channels)}"
+    names = (
+        [f"{each.effect} {probability(each.probability)}" for each in (first, *others)] if others else [first.effect]
+    )
+    return f"{' or '.join(names)} on {listed(slot.channels)}"
 
 
-def _form_words(form: FoundForm) -> str:
+def _form(form: FoundForm) -> str:
     where = f" in run {form.run}" if form.run else ""
     row = f", row {form.row}" if form.row is not None else ""
     return f"{form.name} on {listed(form.channels)}{where}{row}"

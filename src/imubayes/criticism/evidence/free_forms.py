@@ -19,7 +19,7 @@ from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProble
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.wrong_inputs import WrongInput
 
-FormFamily = Literal["function", "gain", "level", "harmonic", "product", "memory", "step", "input"]
+FormFamily = Literal["function", "gain", "level", "threshold", "harmonic", "product", "memory", "step", "input"]
 
 FREE_FORM, WRONG_INPUT = 0.05, 0.05
 """Prior probabilities of a form outside the catalogue and of a wrong input, in equal shares of families and members."""
@@ -28,6 +28,7 @@ AMPLITUDES = (1.0, 4.0, 16.0, 64.0)
 _SMOOTH, _ROUGH = (0.25, 7), (0.06, 16)
 """Length of a Gaussian process over the range of its covariate, and its columns."""
 _HARMONICS, _FIRST_HARMONIC = 12, 3
+_SHARES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7)
 _MOST_LEVELS, _LEAST_ROWS, _STEPS = 40, 8, 10
 _POWERS = ((1, 1), (1, 2), (2, 1), (2, 2), (1, 3), (3, 1))
 _MEAN_FREE = ("temperature_degC", "campaign_time_h", "time_s", "power_on_s")
@@ -162,6 +163,7 @@ def _of_covariate(
         yield FormHypothesis("function", f"rough function of {name}", own, rough)
         if name.startswith(("rate", "force")):
             yield from _levels(name, seen, places)
+            yield from _thresholds(name, seen, places)
     yield FormHypothesis("function", f"function of {name}", own, {k: places[k].weighted(b) for k, b in basis.items()})
     gained = {k: places[k].weighted(b * places[k].rows.input[:, None]) for k, b in basis.items()}
     yield FormHypothesis("gain", f"input × function of {name}", own, gained)
@@ -202,6 +204,18 @@ def _levels(name: str, seen: Mapping[int, np.ndarray], places: Mapping[int, _Pla
                 for k, at in level.items()
             }
             yield FormHypothesis("level", f"level of |{name}| = {one * top / 50:.3g}", (name,), both)
+
+
+def _thresholds(name: str, seen: Mapping[int, np.ndarray], places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
+    """Yield responses that set in, or saturate, at a share of the largest input; odd and even."""
+    top = max(float(np.nanmax(np.abs(x))) for x in seen.values())
+    scaled = {k: np.nan_to_num(x) / top for k, x in seen.items()}
+    for share in _SHARES:
+        saturating = {k: np.tanh(x / share) for k, x in scaled.items()}
+        beyond = {k: np.sign(x) * np.maximum(np.abs(x) - share, 0.0) for k, x in scaled.items()}
+        for what, odd in (("saturation", saturating), ("onset", beyond)):
+            shape = {k: places[k].weighted(np.stack([x, np.abs(x)], axis=1)) for k, x in odd.items()}
+            yield FormHypothesis("threshold", f"{what} of {name} at {share * top:.3g}", (name,), shape)
 
 
 def _products(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:

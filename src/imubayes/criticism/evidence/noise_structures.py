@@ -16,12 +16,14 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import scipy.linalg
 
 from imubayes.criticism.evidence.linear_problem import UNKNOWN, ChannelRows, LinearProblem
 from imubayes.criticism.thresholds import SISTERS_LOG_SD
 
 Family = Literal["known", "scale", "correlated", "wander", "rate", "tails", "runs"]
 
+_STEADY = 1e-12
 UNLIKE_SISTERS = 0.1
 """Probability that the scatter of a channel has nothing in common with that of its sister channels."""
 _LEAST_SCATTER = 1e-3
@@ -63,12 +65,27 @@ class StateNoise(NoiseStructure):
             state, variance = np.zeros((len(places), columns.shape[1])), self.start
             for k in range(length):
                 own, total = columns[places[:, k]], variance + self.white
+                gain = variance / total
+                after = self.phi**2 * variance * (1 - gain) + self.drive
+                if abs(after - variance) < _STEADY * variance and k > 0:
+                    rest = places[:, k:]
+                    found[rest] = self._steady(columns[rest], state, gain) / math.sqrt(total)
+                    log_det -= 0.5 * rest.size * math.log(total)
+                    break
                 found[places[:, k]] = (own - state) / math.sqrt(total)
                 log_det -= 0.5 * len(places) * math.log(total)
-                gain = variance / total
                 state = self.phi * (state + gain * (own - state))
-                variance = self.phi**2 * variance * (1 - gain) + self.drive
+                variance = after
         return found, log_det
+
+    def _steady(self, columns: np.ndarray, state: np.ndarray, gain: float) -> np.ndarray:
+        """Return the innovations of rows, (runs, n, C), once the gain is constant: a bidiagonal system."""
+        length, apart = columns.shape[1], np.ones((2, columns.shape[1]))
+        apart[1] = -self.phi * (1 - gain)
+        right = np.empty((length, *state.shape))
+        right[0], right[1:] = state, self.phi * gain * columns[:, :-1].swapaxes(0, 1)
+        predicted = scipy.linalg.solve_banded((1, 0), apart, right.reshape(length, -1)).reshape(right.shape)
+        return columns - predicted.swapaxes(0, 1)
 
 
 def correlated(phi: float, share: float) -> StateNoise:
@@ -123,17 +140,19 @@ class NoiseOfUnit:
     ----------
     log_prior : logarithm of its prior probability.
     stated : whether it is what the model states.
+    rows_differ : whether the structure of the rows is not what the model states.
     """
 
     rows: NoiseStructure
     scatter: float
     log_prior: float
     stated: bool
+    rows_differ: bool = False
 
     @property
     def family(self) -> Family:
         """What the noise is beyond what is stated."""
-        return self.rows.family if self.rows != KNOWN or self.stated else "runs"
+        return "runs" if self.scatter > 0 and not self.rows_differ else self.rows.family
 
     def scale_sd(self, rows: ChannelRows) -> float:
         """Return the standard deviation of the logarithm of the scale of a channel."""
@@ -203,17 +222,20 @@ def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], n
 def _choices(problem: LinearProblem, channels: tuple[int, ...]) -> tuple[NoiseOfUnit, ...]:
     own = problem.rows[channels[0]]
     allowed = [each for each in _STRUCTURES if each.family != "rate" or problem.kinds[channels[0]] == "gyro"]
-    families = [each.family for each in allowed if each.family != "known"]
+    # Tails that the model has are no finding; that there are none beside them is.
+    stated = [each for each in allowed if each.family == ("tails" if own.tails else "known")]
+    others = [each for each in allowed if each not in stated]
+    families = [each.family for each in others]
     several = len(own.series) > 1
     names = {*families} | ({"runs"} if several and not own.run_scatter else set())
     other = math.log(OTHER_NOISE / len(names))
     # A scatter that the model has is there beside any structure of the rows, as its prior says.
     scatters = own.run_scatter or ((0.0, 0.0),)
-    found = [NoiseOfUnit(KNOWN, tau, math.log(1 - OTHER_NOISE) + p, True) for tau, p in scatters]
-    for each in allowed:
-        if each.family != "known":
-            share = other - math.log(families.count(each.family))
-            found += [NoiseOfUnit(each, tau, share + p, False) for tau, p in scatters]
+    share = math.log((1 - OTHER_NOISE) / len(stated))
+    found = [NoiseOfUnit(each, tau, share + p, True) for each in stated for tau, p in scatters]
+    for each in others:
+        share = other - math.log(families.count(each.family))
+        found += [NoiseOfUnit(each, tau, share + p, False, True) for tau, p in scatters]
     if "runs" in names:
-        found += [NoiseOfUnit(KNOWN, tau, other - math.log(len(_SCATTERS)), False) for tau in _SCATTERS]
+        found += [NoiseOfUnit(stated[0], tau, other - math.log(len(_SCATTERS)), False) for tau in _SCATTERS]
     return tuple(found)

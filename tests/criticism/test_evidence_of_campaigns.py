@@ -1,0 +1,77 @@
+"""The evidence of campaigns: what a free noise scale absorbs, what is wrong in the record, and complete models."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imubayes.campaign import load_campaign
+from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.criticism.diagnose import judge
+from imubayes.criticism.evidence.evidence_record import Evidence
+from imubayes.criticism.evidence.explain import explain
+from imubayes.criticism.residual_covariates import covariates
+from imubayes.display.diagnosis_report import diagnosis_lines
+from imubayes.inference.fitted_model import Fit
+from imubayes.inference.posterior_mode import find_mode
+from imubayes.model.bind import bind
+from imubayes.model.model_file import read_model
+
+ROOT = Path(__file__).parents[2]
+CASES = ROOT.parent / "shared" / "cases"
+
+
+def fit_of(campaign: Path, model: Path) -> Fit:
+    declared = bind(read_model(model), load_campaign(campaign))
+    mode = find_mode(declared.problem, *(np.zeros(size) for size in declared.problem.size))
+    return Fit(declared, np.asarray(mode.z), np.asarray(mode.h), bool(mode.converged))
+
+
+def weighed(fitted: Fit) -> Evidence:
+    return explain(fitted, candidate_responses(fitted), tuple(covariates(fitted)))
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not in this checkout")
+def test_an_effect_that_the_scatter_between_runs_absorbs_is_named() -> None:
+    fitted = fit_of(CASES / "evidence" / "asymmetry-two-rates", ROOT / "models" / "rotation-modulation.toml")
+    found = judge(fitted)
+    assert found.explanations is not None
+    [slot] = found.explanations.slots
+    assert {each.effect for each in slot.candidates} == {"gyro_scale_asymmetry", "gyro_scale_quadratic"}
+    assert slot.channels == ("gx",)
+    assert found.explanations.of("effects").probability > 0.99
+    assert found.verdict == "equivalent_effects"
+    assert set(found.groups[0].effects) == {"gyro_scale_asymmetry", "gyro_scale_quadratic"}
+    assert found.suggested is not None
+    assert any(line.startswith("Probability: an effect missing 0.99") for line in diagnosis_lines(found))
+
+
+@pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not in this checkout")
+def test_a_mistyped_angle_is_a_wrong_record_and_its_size_is_found_beyond_the_linear() -> None:
+    case = CASES / "inputs" / "one-angle-typo"
+    found = weighed(fit_of(case, case / "model.toml"))
+    assert found.of("input").probability > 0.99
+    assert found.form is not None
+    assert (found.form.run, found.form.row, found.form.wrong) == ("A1", 10, True)
+    assert "table_angle" in found.form.name
+
+
+def test_nothing_is_missing_in_a_complete_model() -> None:
+    found = weighed(fit_of(ROOT / "data" / "hidden-none", ROOT / "models" / "hidden-effects.toml"))
+    assert found.of("nothing").probability > 0.5
+    assert not found.slots
+    assert found.form is None
+
+
+def test_two_hidden_effects_are_named_with_their_channels() -> None:
+    found = weighed(fit_of(ROOT / "data" / "hidden-two", ROOT / "models" / "hidden-effects.toml"))
+    named = {(slot.candidates[0].effect, slot.channels) for slot in found.slots}
+    assert named == {("accel_cross_coupling", ("ay",)), ("gyro_scale_asymmetry", ("gz",))}
+
+
+def test_what_the_catalogue_lacks_is_told_with_its_covariate_and_channel() -> None:
+    found = weighed(fit_of(ROOT / "data" / "hidden-outside", ROOT / "models" / "hidden-effects.toml"))
+    assert found.leading.kind == "outside"
+    assert found.form is not None
+    assert found.form.covariates == ("rate_i",)
+    assert found.form.channels == ("gy",)
