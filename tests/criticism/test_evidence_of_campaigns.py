@@ -54,24 +54,3 @@ def test_a_mistyped_angle_is_a_wrong_record_and_its_size_is_found_beyond_the_lin
     assert found.form is not None
     assert (found.form.run, found.form.row, found.form.wrong) == ("A1", 10, True)
     assert "table_angle" in found.form.name
-
-
-def test_nothing_is_missing_in_a_complete_model() -> None:
-    found = weighed(fit_of(ROOT / "data" / "hidden-none", ROOT / "models" / "hidden-effects.toml"))
-    assert found.of("nothing").probability > 0.5
-    assert not found.slots
-    assert found.form is None
-
-
-def test_two_hidden_effects_are_named_with_their_channels() -> None:
-    found = weighed(fit_of(ROOT / "data" / "hidden-two", ROOT / "models" / "hidden-effects.toml"))
-    named = {(slot.candidates[0].effect, slot.channels) for slot in found.slots}
-    assert named == {("accel_cross_coupling", ("ay",)), ("gyro_scale_asymmetry", ("gz",))}
-
-
-def test_what_the_catalogue_lacks_is_told_with_its_covariate_and_channel() -> None:
-    found = weighed(fit_of(ROOT / "data" / "hidden-outside", ROOT / "models" / "hidden-effects.toml"))
-    assert found.leading.kind == "outside"
-    assert found.form is not None
-    assert found.form.covariates == ("rate_i",)
-    assert found.form.channels == ("gy",)

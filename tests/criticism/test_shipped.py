@@ -18,6 +18,10 @@ def _diagnosed(name: str) -> tuple[dict, dict]:
     return diagnosis_json(judge(fitted_to(name, Path(truth["hidden"]["model"]).stem))), truth["hidden"]
 
 
+def _probability(document: dict, kind: str) -> float:
+    return next(each["probability"] for each in document["explanations"]["explanations"] if each["kind"] == kind)
+
+
 # Two at every run of the tests; each of the others compiles models of its own, and `make study` has the time.
 AT_ONCE = ("hidden-gyro", "hidden-two")
 OTHERS = [one for one in CAMPAIGNS if one not in (*AT_ONCE, "hidden-none", "hidden-outside")]
@@ -31,6 +35,9 @@ def test_the_hidden_effects_are_found_with_their_sizes(name):
     for one in hidden["effect"]:
         assert any(one["effect"] in group for group in named), (one["effect"], named)
     assert named[0] & {one["effect"] for one in hidden["effect"]}
+    # The evidence names the same, each alone on its channels.
+    slots = document["explanations"]["slots"]
+    assert {slot["candidates"][0]["effect"] for slot in slots} == {one["effect"] for one in hidden["effect"]}
     truth = {key: value for one in hidden["effect"] for key, value in one["parameters"].items()}
     found = {
         one["name"]: one
@@ -50,6 +57,7 @@ def test_nothing_is_found_where_nothing_is_hidden():
     assert document["verdict"] == "adequate"
     assert document["groups"] == []
     assert {one["effect"] for one in document["undetectable"]}
+    assert _probability(document, "nothing") > 0.5
 
 
 def test_what_the_catalogue_does_not_know_is_not_named():
@@ -58,5 +66,8 @@ def test_what_the_catalogue_does_not_know_is_not_named():
     assert document["groups"] == []
     best = document["structure"][0]
     assert (best["channel"], best["covariate"]) == ("gy", "rate_i")
+    assert _probability(document, "outside") > 0.9
+    form = document["explanations"]["form"]
+    assert (form["channels"], form["covariates"]) == (["gy"], ["rate_i"])
     assert best["coefficient"]["value"] == pytest.approx(12.0, rel=0.15)
     compile(best["python"], "found_shape.py", "exec")

@@ -18,9 +18,10 @@ LARGEST = 0.2
 ONE_PARAMETER, ONE_OWNER = 0.5, 0.3
 """Shares of the prior of an effect for one of its parameters, and for one channel, mounting or table alone."""
 _REACH, _RATIO = 10.0, 4.0
-"""Widths of the prior of coefficients: from the smallest to ten times the largest typical size, in steps of a ratio.
-Derived: a coarser ratio costs more than a nat of Occam's factor."""
-_LEAST_WIDTH, _MOST_LEAST = 1e-4, 0.5
+"""Widths of the prior of coefficients: from a tenth of the smallest to ten times the largest typical size, in steps of
+a ratio.  Derived: a coarser ratio costs more than a nat of Occam's factor; and of two effects with equal responses the
+one whose size is within its range would win by its range alone."""
+_LEAST_WIDTH, _MOST_LEAST = 1e-4, 0.1
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,6 @@ def _variants(problem: LinearProblem, response: Response, share: _Share, log_odd
 def _widths(problem: LinearProblem, places: list[int]) -> tuple[float, ...]:
     typical = np.array([typical_sizes(problem.coefficients[k]) for k in places])
     least = float(np.exp(np.mean(np.log(np.maximum(typical[:, 0], 1e-300) / typical[:, 1]))))
-    least = min(max(least, _LEAST_WIDTH), _MOST_LEAST)
+    least = min(max(least / _REACH, _LEAST_WIDTH), _MOST_LEAST)
     count = 1 + max(2, round(math.log(_REACH / least) / math.log(_RATIO)))
     return tuple(np.geomspace(least, _REACH, count).tolist())
