@@ -5,7 +5,8 @@ would spread over coefficients that are zero, and Occam's factor would prefer an
 """
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,6 +23,9 @@ _REACH, _RATIO = 10.0, 4.0
 a ratio.  Derived: a coarser ratio costs more than a nat of Occam's factor; and of two effects with equal responses the
 one whose size is within its range would win by its range alone."""
 _LEAST_WIDTH, _MOST_LEAST = 1e-4, 0.1
+_SHOWN, _SEEN = 3.0, 1.0
+"""Standard deviations at which an effect of its largest typical size would stand, to be looked for, and at which one of
+a width would, for that width to be told from nothing."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,25 @@ def effect_variants(problem: LinearProblem) -> tuple[EffectVariant, ...]:
     for effect, name, share in shares:
         log_odds = math.log(odds / (1 - odds) / effects.count(effect) / shapes[effect, name])
         found += _variants(problem, problem.candidates[share.response], share, log_odds)
+    return tuple(found)
+
+
+def visible(variants: Sequence[EffectVariant], information: np.ndarray) -> tuple[EffectVariant, ...]:
+    """Return the variants that the runs can show, with the widths at which they would.
+
+    What the runs would not show at its largest typical size is no hypothesis: its probability would remain that of the
+    prior, and together such effects would outweigh that nothing is missing.  They are told as undetectable.
+
+    Parameters
+    ----------
+    information : shape (C, C), of the coefficients beside the model's own parameters, at the noise as known.
+    """
+    found = []
+    for each in variants:
+        size = float(np.sqrt(max(np.linalg.eigvalsh(information[np.ix_(each.places, each.places)])[-1], 0.0)))
+        widths = tuple(width for width in each.widths if width * size >= _SEEN)
+        if size >= _SHOWN and widths:
+            found.append(replace(each, widths=widths))
     return tuple(found)
 
 

@@ -9,6 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
+from imubayes.criticism.evidence.effect_variants import visible
 from imubayes.criticism.evidence.form_scan import FormScan
 from imubayes.criticism.evidence.free_forms import ChosenForm, FormHypothesis
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis
@@ -34,7 +35,8 @@ class ModelSearch:
         self.of, self.forms, self.wrong_rows = EvidenceOf(problem), forms, wrong_rows
         empty = self.of.evaluate(Hypothesis((), self.of.stated))
         as_known = at_scales(self.of, empty, np.ones(len(problem.rows)))
-        self._screen = Screen(self.of, conditional(self.of, as_known))
+        self.of.variants = visible(self.of.variants, conditional(self.of, as_known).own)
+        self._screen = Screen(self.of)
         self._expanded: set[Hypothesis] = set()
         self._scanned: set[Hypothesis] = set()
 

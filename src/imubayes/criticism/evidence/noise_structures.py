@@ -11,6 +11,8 @@ variance changes Gram matrices by a term of low rank, so that they cost nothing.
 """
 
 import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -225,17 +227,25 @@ def _choices(problem: LinearProblem, channels: tuple[int, ...]) -> tuple[NoiseOf
     # Tails that the model has are no finding; that there are none beside them is.
     stated = [each for each in allowed if each.family == ("tails" if own.tails else "known")]
     others = [each for each in allowed if each not in stated]
-    families = [each.family for each in others]
-    several = len(own.series) > 1
-    names = {*families} | ({"runs"} if several and not own.run_scatter else set())
-    other = math.log(OTHER_NOISE / len(names))
     # A scatter that the model has is there beside any structure of the rows, as its prior says.
     scatters = own.run_scatter or ((0.0, 0.0),)
+    scattered = _SCATTERS if len(own.series) > 1 and not own.run_scatter else ()
     share = math.log((1 - OTHER_NOISE) / len(stated))
     found = [NoiseOfUnit(each, tau, share + p, True) for each in stated for tau, p in scatters]
-    for each in others:
-        share = other - math.log(families.count(each.family))
-        found += [NoiseOfUnit(each, tau, share + p, False, True) for tau, p in scatters]
-    if "runs" in names:
-        found += [NoiseOfUnit(stated[0], tau, other - math.log(len(_SCATTERS)), False) for tau in _SCATTERS]
-    return tuple(found)
+    return (*found, *_other_noise(others, scatters, stated[0], scattered))
+
+
+def _other_noise(
+    structures: Sequence[NoiseStructure],
+    scatters: Sequence[tuple[float, float]],
+    stated: NoiseStructure,
+    scattered: Sequence[float],
+) -> Iterator[NoiseOfUnit]:
+    """Yield noise other than stated: other structures, and scatters between runs that the model does not have."""
+    families = Counter(each.family for each in structures)
+    each_family = math.log(OTHER_NOISE / (len(families) + bool(scattered)))
+    for each in structures:
+        share = each_family - math.log(families[each.family])
+        yield from (NoiseOfUnit(each, tau, share + p, False, True) for tau, p in scatters)
+    for tau in scattered:
+        yield NoiseOfUnit(stated, tau, each_family - math.log(len(scattered)), False)

@@ -23,8 +23,6 @@ from imubayes.criticism.evidence.hypothesis import (
 from imubayes.criticism.evidence.noise_structures import HeavyTails, NoiseOfUnit
 
 _TAIL_ROUNDS = 8
-_SHOWN_SD = 3.0
-"""Standard deviations at which an effect of its largest typical size would stand, to be looked for."""
 
 
 @dataclass(frozen=True)
@@ -129,18 +127,12 @@ def log_likelihood(
 
 
 class Screen:
-    """Quick gains of variants and pairs from one conditional likelihood.
+    """Quick gains of variants and pairs from one conditional likelihood."""
 
-    Effects that the runs would not show at their largest typical size are no hypotheses: their probability would remain
-    that of the prior, and together they would outweigh that nothing is missing.  They are told as undetectable.
-    """
-
-    def __init__(self, of: EvidenceOf, empty: Conditional):
+    def __init__(self, of: EvidenceOf):
         self.of, sizes = of, dict[int, list[int]]()
         for n, each in enumerate(of.variants):
-            own = empty.own[np.ix_(each.places, each.places)]
-            if float(np.linalg.eigvalsh(own)[-1]) >= _SHOWN_SD**2:
-                sizes.setdefault(len(each.places), []).append(n)
+            sizes.setdefault(len(each.places), []).append(n)
         self._sizes = sizes
         most = max((len(each.widths) for each in of.variants), default=1)
         self._widths = np.array([(*v.widths, *[v.widths[-1]] * (most - len(v.widths))) for v in of.variants])
