@@ -224,8 +224,8 @@ def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], n
 def _choices(problem: LinearProblem, channels: tuple[int, ...]) -> tuple[NoiseOfUnit, ...]:
     own = problem.rows[channels[0]]
     allowed = [each for each in _STRUCTURES if each.family != "rate" or problem.kinds[channels[0]] == "gyro"]
-    # Tails that the model has are no finding; that there are none beside them is.
-    stated = [each for each in allowed if each.family == ("tails" if own.tails else "known")]
+    # Tails that the model has may be any: also none, at a scale that their weights leave open.
+    stated = [each for each in allowed if each.family in (("tails", "known", "scale") if own.tails else ("known",))]
     others = [each for each in allowed if each not in stated]
     # A scatter that the model has is there beside any structure of the rows, as its prior says.
     scatters = own.run_scatter or ((0.0, 0.0),)
