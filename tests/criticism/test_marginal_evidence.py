@@ -10,7 +10,7 @@ import pytest
 from null_data import fitted_to, redrawn, refitted
 
 from imubayes.campaign import load_campaign
-from imubayes.criticism import effect_selection, effects_beside_noise, stepwise_search, thresholds
+from imubayes.criticism import diagnose, effect_selection, effects_beside_noise, stepwise_search, thresholds
 from imubayes.criticism.candidate_effects import candidate_responses
 from imubayes.criticism.diagnose import judge
 from imubayes.criticism.marginal_evidence import evident_between_runs
@@ -51,10 +51,12 @@ def planted(seed: int, **sizes: float) -> Fit:
 def test_an_effect_between_few_runs_is_not_passed_over(monkeypatch: pytest.MonkeyPatch, verdict: Any) -> None:
     """Seven runs: the F test of their scatter says nothing of such an effect.
 
-    Without this evidence it passes for scatter between runs, far beyond the prior of that.
+    Without this evidence, and without that of all explanations, it passes for scatter between runs, far beyond the
+    prior of that.
     """
     if verdict == "noise_model":
         monkeypatch.setattr(effects_beside_noise, "evident_between_runs", lambda *_: {})
+        monkeypatch.setattr(diagnose, "weighs", lambda _: False)
     found = judge(planted(5, **{BETWEEN: 0.2}))
     assert found.verdict == verdict
     assert [group.effects[0] for group in found.groups] == ([BETWEEN] if verdict == "missing_effect" else [])
