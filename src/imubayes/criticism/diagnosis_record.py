@@ -325,7 +325,8 @@ class Diagnosis(Presented, Record):
     recorded_noise : white noise of each channel, as fitted and as known beforehand, after the groups.
     contradicted : noise scales of the fit that contradict what is known of them, the least probable first.
     disagreeing : runs and rows that do not agree with the others at the noise known before the fit.
-    explanations : how probable each explanation is; None of models with slow noise, and of earlier versions.
+    explanations : how probable each explanation is; None of models with slow noise or heavy tails, and
+        of earlier versions.
     neglected : stated uncertainties of the equipment that no interval of the fit includes, those that matter.
     violations : how the noise departs from its model where nothing in the catalogue explains that.
     wandering : whether noise that wanders otherwise than the model's explains what is found as well, or instead of it.

@@ -22,6 +22,7 @@ from imubayes.criticism.evidence.wrong_input_forms import wrong_inputs
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.wrong_inputs import Predictions, WrongInput, problem_of
 from imubayes.inference.fitted_model import Fit
+from imubayes.noise.base import SlowNoise, TailNoise
 
 LARGE = 500.0
 """Nats of an effect above which the campaign is linearised anew about it.  Derived: where it stands out of the noise by
@@ -53,8 +54,9 @@ class _About:
 
 
 def weighs(fitted: Fit) -> bool:
-    """Tell whether the explanations of a fit can be weighed: slow noise is judged by its own records."""
-    return fitted.model.problem.timeline is None and bool(fitted.model.campaign.channels)
+    """Tell whether the explanations of a fit can be weighed: not yet with slow noise or heavy tails in the model."""
+    beyond = (SlowNoise, TailNoise)
+    return not any(issubclass(layer.noise, beyond) for layer in fitted.model.problem.noise)
 
 
 def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCovariate]) -> Evidence:

@@ -26,7 +26,7 @@ from imubayes.model.noise_covariance import Series, Whitener, noise_distribution
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.model.slow_series import SlowSeries
 from imubayes.model.student_t import fisher_information
-from imubayes.noise.base import SharedNoise, TailNoise
+from imubayes.noise.base import SharedNoise
 from imubayes.noise.components import WhiteNoise
 from imubayes.parameters.vector import Parameter
 from imubayes.tail_probabilities import normal_survival
@@ -56,7 +56,6 @@ class ChannelRows:
     root : shape (n,), noise of the median row over that of each.
     input : shape (n,), predicted output less the nominal offset, over its largest magnitude.
     scale_sd : standard deviation of the logarithm of the noise scale, as known.
-    tails : whether the model has heavy tails here.
     run_scatter : standard deviations of offsets of runs that the model's prior allows, in units of the noise of a row,
         with the logarithm of the probability of each; empty of a model without them.
     """
@@ -69,7 +68,6 @@ class ChannelRows:
     root: np.ndarray
     input: np.ndarray
     scale_sd: float
-    tails: bool
     run_scatter: tuple[tuple[float, float], ...]
 
 
@@ -211,7 +209,7 @@ def _rows_of(model: Model, channel: int, at: _Whitened, misfit: np.ndarray) -> C
     ends = np.cumsum([0, *map(len, parts)]).tolist()
     own = at.columns[entry]
     live = np.flatnonzero(np.linalg.norm(own[:, :-1], axis=0) > _LEAST_LENGTH)
-    noise, name = 1 / float(np.median(at.root[entry])) if len(entry) else 1.0, model.campaign.channels[channel].name
+    noise = 1 / float(np.median(at.root[entry])) if len(entry) else 1.0
     value = entries.value[entry] - misfit[entry] - model.campaign.channels[channel].offset
     return ChannelRows(
         live=live,
@@ -222,9 +220,6 @@ def _rows_of(model: Model, channel: int, at: _Whitened, misfit: np.ndarray) -> C
         root=at.root[entry] * noise,
         input=value / max(float(np.abs(value).max(initial=0.0)), np.finfo(float).tiny),
         scale_sd=_scale_sd(model, channel),
-        tails=any(
-            issubclass(each.effect_class, TailNoise) and name in each.channels for each in model.assembly.effects
-        ),
         run_scatter=_run_scatter(model, channel, noise),
     )
 

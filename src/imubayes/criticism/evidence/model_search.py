@@ -14,7 +14,7 @@ from imubayes.criticism.evidence.form_scan import FormScan
 from imubayes.criticism.evidence.free_forms import ChosenForm, FormHypothesis
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.linear_problem import LinearProblem
-from imubayes.criticism.evidence.noise_structures import SCALED, NoiseOfUnit, NoiseStructure
+from imubayes.criticism.evidence.noise_structures import SCALED, TAILED, NoiseOfUnit, NoiseStructure
 from imubayes.criticism.evidence.proposals import Screen, at_scales, conditional, log_likelihood, residuals
 from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 
@@ -65,8 +65,11 @@ class ModelSearch:
     def run(self) -> "ModelSearch":
         """Search, and return itself."""
         empty = self.of.evaluate(Hypothesis((), self.of.stated))
-        self._get(Hypothesis((), tuple(_first(unit.choices, SCALED) for unit in self.of.units)))
-        large, none = self._vary_noise(self.large_effects()), self._vary_noise(empty)
+        # Outliers distort parameters, and are seen only where all channels bound them at once.
+        others = [tuple(_first(unit.choices, each) for unit in self.of.units) for each in (SCALED, TAILED)]
+        starts = [one for noise in others if (one := self._get(Hypothesis((), noise))) is not None]
+        start = max((empty, *starts), key=lambda each: each.log_posterior)
+        large, none = self._vary_noise(self.large_effects()), self._vary_noise(start)
         if large.log_posterior < none.log_posterior + LARGE:
             self._expand(self.best(_states_noise))
             self._expand(self.best(lambda each: not each.hypothesis.variants))

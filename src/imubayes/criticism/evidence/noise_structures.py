@@ -121,6 +121,7 @@ class HeavyTails(NoiseStructure):
 
 KNOWN = NoiseStructure("known")
 SCALED = NoiseStructure("scale", True)
+TAILED = HeavyTails("tails", True, 4.0)
 _STRUCTURES: tuple[NoiseStructure, ...] = (
     KNOWN,
     SCALED,
@@ -128,7 +129,8 @@ _STRUCTURES: tuple[NoiseStructure, ...] = (
     *(correlated(phi, share) for phi in (0.6, 0.9) for share in (0.15, 0.4)),
     *(random_walk(variance) for variance in (0.01, 0.05, 0.2, 0.6)),
     *(InputNoise("rate", False, excess) for excess in (1.0, 8.0, 60.0)),
-    *(HeavyTails("tails", True, degrees) for degrees in (2.0, 4.0)),
+    TAILED,
+    HeavyTails("tails", True, 2.0),
 )
 _SCATTERS = (0.3, 0.6, 1.2, 2.5, 5.0, 10.0)
 """Standard deviations of offsets of runs that a model does not have, in units of the noise of a row."""
@@ -142,19 +144,17 @@ class NoiseOfUnit:
     ----------
     log_prior : logarithm of its prior probability.
     stated : whether it is what the model states.
-    rows_differ : whether the structure of the rows is not what the model states.
     """
 
     rows: NoiseStructure
     scatter: float
     log_prior: float
     stated: bool
-    rows_differ: bool = False
 
     @property
     def family(self) -> Family:
         """What the noise is beyond what is stated."""
-        return "runs" if self.scatter > 0 and not self.rows_differ else self.rows.family
+        return self.rows.family if self.rows != KNOWN or self.stated else "runs"
 
     def scale_sd(self, rows: ChannelRows) -> float:
         """Return the standard deviation of the logarithm of the scale of a channel."""
@@ -224,21 +224,17 @@ def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], n
 def _choices(problem: LinearProblem, channels: tuple[int, ...]) -> tuple[NoiseOfUnit, ...]:
     own = problem.rows[channels[0]]
     allowed = [each for each in _STRUCTURES if each.family != "rate" or problem.kinds[channels[0]] == "gyro"]
-    # Tails that the model has may be any: also none, at a scale that their weights leave open.
-    stated = [each for each in allowed if each.family in (("tails", "known", "scale") if own.tails else ("known",))]
-    others = [each for each in allowed if each not in stated]
+    others = [each for each in allowed if each != KNOWN]
     # A scatter that the model has is there beside any structure of the rows, as its prior says.
     scatters = own.run_scatter or ((0.0, 0.0),)
     scattered = _SCATTERS if len(own.series) > 1 and not own.run_scatter else ()
-    share = math.log((1 - OTHER_NOISE) / len(stated))
-    found = [NoiseOfUnit(each, tau, share + p, True) for each in stated for tau, p in scatters]
-    return (*found, *_other_noise(others, scatters, stated[0], scattered))
+    found = [NoiseOfUnit(KNOWN, tau, math.log(1 - OTHER_NOISE) + p, True) for tau, p in scatters]
+    return (*found, *_other_noise(others, scatters, scattered))
 
 
 def _other_noise(
     structures: Sequence[NoiseStructure],
     scatters: Sequence[tuple[float, float]],
-    stated: NoiseStructure,
     scattered: Sequence[float],
 ) -> Iterator[NoiseOfUnit]:
     """Yield noise other than stated: other structures, and scatters between runs that the model does not have."""
@@ -246,6 +242,6 @@ def _other_noise(
     each_family = math.log(OTHER_NOISE / (len(families) + bool(scattered)))
     for each in structures:
         share = each_family - math.log(families[each.family])
-        yield from (NoiseOfUnit(each, tau, share + p, False, True) for tau, p in scatters)
+        yield from (NoiseOfUnit(each, tau, share + p, False) for tau, p in scatters)
     for tau in scattered:
-        yield NoiseOfUnit(stated, tau, each_family - math.log(len(scattered)), False)
+        yield NoiseOfUnit(KNOWN, tau, each_family - math.log(len(scattered)), False)
