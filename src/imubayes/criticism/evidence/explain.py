@@ -16,7 +16,7 @@ from imubayes.criticism.evidence.evidence_record import Evidence
 from imubayes.criticism.evidence.free_forms import free_forms
 from imubayes.criticism.evidence.hypothesis import Evaluated
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
-from imubayes.criticism.evidence.model_search import ModelSearch
+from imubayes.criticism.evidence.model_search import ModelSearch, states_noise
 from imubayes.criticism.evidence.posterior_summary import evidence_of
 from imubayes.criticism.evidence.wrong_input_forms import wrong_inputs
 from imubayes.criticism.residual_covariates import ResidualCovariate
@@ -92,7 +92,7 @@ def _leading_to(search: ModelSearch, about: _About, recorded: Fit) -> _About | N
     """
     inputs = [each for each in search.known if _is_input(each)]
     wrong = max(inputs, key=lambda each: each.log_posterior, default=None)
-    if wrong is not None and _gain_of_form(search, wrong) > LARGE:
+    if wrong is not None and wrong.log_posterior > search.best(states_noise).log_posterior + LARGE:
         return _moved(search, about, wrong, recorded)
     top = search.best()
     return _moved(search, about, top, recorded) if _is_large(search, top) else None
@@ -106,11 +106,6 @@ def _is_large(search: ModelSearch, top: Evaluated) -> bool:
 def _is_input(each: Evaluated) -> bool:
     form = each.hypothesis.form
     return form is not None and form.form.wrong is not None
-
-
-def _gain_of_form(search: ModelSearch, at: Evaluated) -> float:
-    without = search.of.evaluate(replace(at.hypothesis, form=None), at)
-    return at.log_posterior - without.log_posterior
 
 
 def _moved(search: ModelSearch, about: _About, top: Evaluated, recorded: Fit) -> _About | None:

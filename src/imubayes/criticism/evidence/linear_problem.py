@@ -28,7 +28,6 @@ from imubayes.model.slow_series import SlowSeries
 from imubayes.model.student_t import fisher_information
 from imubayes.noise.base import SharedNoise
 from imubayes.noise.components import WhiteNoise
-from imubayes.parameters.vector import Parameter
 from imubayes.tail_probabilities import normal_survival
 
 BELIEVED = 0.03
@@ -36,6 +35,8 @@ BELIEVED = 0.03
 rounding of the recorded deviations and a stimulus that varies a little within rows stay within it."""
 UNKNOWN = 0.7
 """The same of a scale that nothing tells: a factor of two either way."""
+_PRIOR_Z = np.array([-2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0])
+"""Places of the prior of a noise scale, in its standard deviations, that stand for it.  Numerical."""
 _AT_ONCE = 16
 """Columns that are whitened at once, so that one compiled program serves all."""
 _LEAST_LENGTH = 1e-6
@@ -152,7 +153,8 @@ def linear_problem(fitted: Fit, responses: Responses) -> LinearProblem:
     whole = np.concatenate([responses.jacobian, free, responses.misfit[:, None]], axis=1)
     at = _columns_at(problem, h, whole)
     width = np.asarray(prior_widths(problem, jnp.asarray(fitted.h)))
-    rows = tuple(_rows_of(model, place, at, responses.misfit) for place in range(len(model.campaign.channels)))
+    sizes = np.asarray(_noise_sizes(problem, jnp.asarray(_PRIOR_Z)))
+    rows = tuple(_rows_of(model, place, at, responses.misfit, sizes) for place in range(len(model.campaign.channels)))
     return LinearProblem(
         responses.candidates, model.campaign.channels, tuple(run.name for run in model.campaign.runs),
         model.entries.run, width**-2.0, -fitted.z * width**-2.0, at.root, rows,
@@ -199,7 +201,7 @@ def _without_offsets(problem: Problem, h: Float[Array, " H"]) -> Whitener:
     return whitener_of(problem, h, own, jnp.zeros_like(noise.shared_variance))
 
 
-def _rows_of(model: Model, channel: int, at: _Whitened, misfit: np.ndarray) -> ChannelRows:
+def _rows_of(model: Model, channel: int, at: _Whitened, misfit: np.ndarray, sizes: np.ndarray) -> ChannelRows:
     entries, observations = model.entries, model.problem.observations
     used = (np.asarray(observations.weight) > 0) & ~entries.closing & (entries.channel == channel)
     padded = np.append(used, np.zeros(1, dtype=bool))
@@ -219,38 +221,44 @@ def _rows_of(model: Model, channel: int, at: _Whitened, misfit: np.ndarray) -> C
         offset=at.offset[entry] * noise,
         root=at.root[entry] * noise,
         input=value / max(float(np.abs(value).max(initial=0.0)), np.finfo(float).tiny),
-        scale_sd=_scale_sd(model, channel),
-        run_scatter=_run_scatter(model, channel, noise),
+        scale_sd=_scale_sd(model, channel, sizes),
+        run_scatter=_run_scatter(model, channel, noise, sizes),
     )
 
 
-def _scale_sd(model: Model, channel: int) -> float:
+def _scale_sd(model: Model, channel: int, sizes: np.ndarray) -> float:
     """Return how well the noise of a channel is known: the standard deviation of its logarithm."""
     samples = sample_noise(model).get(channel)
     if samples is not None and not samples.varying:
         return float(np.hypot(BELIEVED, np.sqrt(0.5 / samples.freedom)))
-    scale = _scale(model, channel, WhiteNoise)
-    if scale is None:
+    place = _scale(model, channel, WhiteNoise)
+    if place is None:
         return BELIEVED
-    values = [float(scale.prior.value(jnp.asarray(z))) for z in (-1.0, 1.0)]
-    return float(min(max(0.5 * np.log(values[1] / values[0]), BELIEVED), UNKNOWN)) if min(values) > 0 else UNKNOWN
+    low, high = sizes[[1, 3], place].tolist()
+    return min(max(0.5 * float(np.log(high / low)), BELIEVED), UNKNOWN) if low > 0 else UNKNOWN
 
 
-def _run_scatter(model: Model, channel: int, noise: float) -> tuple[tuple[float, float], ...]:
-    """Return a grid over the prior of the scatter between runs, as intervals of z of length 1."""
-    scale = _scale(model, channel, SharedNoise)
-    if scale is None:
+def _run_scatter(model: Model, channel: int, noise: float, sizes: np.ndarray) -> tuple[tuple[float, float], ...]:
+    """Return a grid over the prior of the scatter between runs, as intervals of z."""
+    place = _scale(model, channel, SharedNoise)
+    if place is None:
         return ()
-    edges = np.arange(-1.0, 4.0)
-    below = np.array([0.0, *normal_survival(-edges), 1.0])
-    sizes = np.asarray(jax.vmap(scale.prior.value)(jnp.asarray(np.append(edges, 4.0) - 0.5))) / noise
-    return tuple(zip(sizes.tolist(), np.log(np.diff(below)).tolist(), strict=True))
+    between = 0.5 * (_PRIOR_Z[1:] + _PRIOR_Z[:-1])
+    share = np.diff([0.0, *(1 - normal_survival(between)), 1.0])
+    return tuple(zip((sizes[:, place] / noise).tolist(), np.log(share).tolist(), strict=True))
 
 
-def _scale(model: Model, channel: int, member: type) -> Parameter | None:
-    """Return the noise scale of a kind that a channel has; None without one."""
+@kept
+def _noise_sizes(problem: Problem, z: Float[Array, " n"]) -> Float[Array, "n H"]:
+    """Return every noise scale at places of its prior, SI."""
+    count = problem.size[1]
+    return jax.vmap(lambda one: problem.hyper_priors.values(jnp.full(count, one)))(z)
+
+
+def _scale(model: Model, channel: int, member: type) -> int | None:
+    """Return the place of the noise scale of a kind that a channel has; None without one."""
     name, members = model.campaign.channels[channel].name, {each.name: each for each in model.assembly.effects}
-    for each in model.hyper_layout.parameters:
+    for place, each in enumerate(model.hyper_layout.parameters):
         if issubclass(members[each.effect].effect_class, member) and each.label and each.label[0] == name:
-            return each
+            return place
     return None

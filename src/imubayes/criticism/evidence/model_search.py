@@ -71,7 +71,7 @@ class ModelSearch:
         start = max((empty, *starts), key=lambda each: each.log_posterior)
         large, none = self._vary_noise(self.large_effects()), self._vary_noise(start)
         if large.log_posterior < none.log_posterior + LARGE:
-            self._expand(self.best(_states_noise))
+            self._expand(self.best(states_noise))
             self._expand(self.best(lambda each: not each.hypothesis.variants))
             self._expand_at_less_noise()
         self._vary_noise(self.best(_pure))
@@ -204,7 +204,7 @@ class ModelSearch:
             if less is not None and less.log_posterior > best.log_posterior - LARGE:
                 self._add_forms(less, best.scale)
         self._add_forms(best, best.scale)
-        none, stated = self._get(Hypothesis((), best.hypothesis.noise), best), self.best(_states_noise)
+        none, stated = self._get(Hypothesis((), best.hypothesis.noise), best), self.best(states_noise)
         if none is not None:
             self._add_forms(none, best.scale)
         self._add_forms(stated, np.minimum(1.0, best.scale))
@@ -254,5 +254,6 @@ def _no_effects(each: Evaluated) -> bool:
     return _pure(each) and not each.hypothesis.variants
 
 
-def _states_noise(each: Evaluated) -> bool:
+def states_noise(each: Evaluated) -> bool:
+    """Tell whether a hypothesis is that nothing is missing."""
     return _no_effects(each) and all(noise.stated for noise in each.hypothesis.noise)
