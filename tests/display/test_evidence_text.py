@@ -62,6 +62,12 @@ def test_a_wrong_record_names_run_and_row_and_noise_its_channels() -> None:
     assert "noise not as stated 0.01 (heavy tails on az)" in said
 
 
+def test_effects_beside_a_cause_outside_the_catalogue_are_named() -> None:
+    form = FoundForm(name="function of temperature_degC", channels=("ax",), log_odds=80.0)
+    said = evidence_text(evidence({"outside": 1.0}, (slot(("accel_bias_temperature", 1.0)),), form))
+    assert "(function of temperature_degC on ax, beside accel_bias_temperature on gx)" in said
+
+
 @pytest.mark.parametrize(("value", "shown"), [(1.0, "> 0.999"), (0.0, "< 0.001"), (0.998, "0.998"), (0.5, "0.50")])
 def test_a_probability_is_never_nought_or_one(value: float, shown: str) -> None:
     assert probability(value) == shown

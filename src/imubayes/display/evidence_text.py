@@ -44,13 +44,14 @@ def _detail(found: Evidence, kind: Explanation) -> str:
     noise = listed([f"{_NOISE[each.family]} on {listed(each.channels)}" for each in found.noise])
     if kind == "noise":
         return noise
-    if kind == "effects" and found.slots:
-        return " and ".join(map(_slot, found.slots)) + (f", beside {noise}" if noise else "")
+    effects = " and ".join(map(_slot, found.slots))
+    if kind == "effects" and effects:
+        return effects + (f", beside {noise}" if noise else "")
     if kind == "effects":
         told = [each for each in found.inclusion if each.probability >= _LEAST_TOLD][:2]
         return ", ".join(f"{each.effect} {probability(each.probability)}" for each in told)
     if found.form is not None and found.form.wrong == (kind == "input") and kind in ("input", "outside"):
-        return _form(found.form)
+        return _form(found.form) + (f", beside {effects}" if effects and found.leading.kind == kind else "")
     return ""
 
 
