@@ -86,7 +86,7 @@ def drawn(seed: int, planted: dict[tuple[str, int], float] | None = None) -> np.
 
 def searched(residual: np.ndarray, forms: bool = True) -> ModelSearch:
     made = problem(residual)
-    return ModelSearch(made, free_forms(made, covariates()) if forms else ()).run()
+    return ModelSearch(made).run(free_forms(made, covariates()) if forms else ())
 
 
 def dense_log_evidence(of: EvidenceOf, hypothesis: Hypothesis) -> float:

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
 
+from imubayes.gather import in_batches
 from imubayes.inference.posterior_precision import linearise
 from imubayes.kept_programs import kept
 from imubayes.model.bind import Model
@@ -215,11 +216,8 @@ def linear_fit(model: Model, problem: Problem, z: np.ndarray, h: np.ndarray) -> 
 
 def divide(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return Σ(h)⁻¹ times columns (E, C)."""
-    count = columns.shape[1]
-    padded = np.zeros((-(-count // _AT_ONCE) * _AT_ONCE, len(columns)))
-    padded[:count] = columns.T
-    parts = np.split(padded, max(len(padded) // _AT_ONCE, 1))
-    return np.concatenate([np.asarray(_inverse(problem, jnp.asarray(h), each)[0]) for each in parts])[:count].T
+    at = jnp.asarray(h)
+    return in_batches(lambda some: _inverse(problem, at, some)[0], columns.T, _AT_ONCE).T
 
 
 @kept

@@ -118,7 +118,7 @@ def compare_with_known(projection: Projection) -> KnownNoise:
     model, rows = projection.fitted.model, _rows_of(projection)
     records, between = sample_noise(model), _between_runs(projection)
     found, estimates = list[NoiseComparison](), dict[int, _ScaleEstimate]()
-    for k, (parameter, member, place) in enumerate(_scales(model)):
+    for k, (parameter, member, place) in enumerate(noise_scales(model)):
         if not issubclass(member, EntryNoise | SharedNoise):
             continue
         base, estimate, record = rows.as_fitted(parameter, member, place, float(projection.fitted.h[k])), None, None
@@ -214,7 +214,7 @@ def known_scales(fitted: Fit, *, correlated: bool = False) -> np.ndarray:
     correlated : whether rows keep the correlation of the fit; they have none otherwise.
     """
     records, h = sample_noise(fitted.model), np.array(fitted.h, dtype=float)
-    for k, (parameter, member, place) in enumerate(_scales(fitted.model)):
+    for k, (parameter, member, place) in enumerate(noise_scales(fitted.model)):
         if member.nuisance or not issubclass(member, Noise):
             continue
         record = records.get(place) if issubclass(member, WhiteNoise) and place is not None else None
@@ -228,7 +228,7 @@ def known_scales(fitted: Fit, *, correlated: bool = False) -> np.ndarray:
 
 def scales_between_runs(model: Model) -> np.ndarray:
     """Return which noise scales are a scatter between runs, (H,) bool."""
-    return np.array([issubclass(member, SharedNoise) for _, member, _ in _scales(model)], dtype=bool)
+    return np.array([issubclass(member, SharedNoise) for _, member, _ in noise_scales(model)], dtype=bool)
 
 
 def largest_scatter(model: Model) -> np.ndarray:
@@ -237,7 +237,7 @@ def largest_scatter(model: Model) -> np.ndarray:
     Raw samples tell white noise nearly; a prior, within two of its standard deviations.
     """
     found, records = np.full(len(model.campaign.channels), thresholds.RUNS_AGREE), sample_noise(model)
-    for parameter, member, place in _scales(model):
+    for parameter, member, place in noise_scales(model):
         if issubclass(member, WhiteNoise) and place is not None and place not in records:
             found[place] = max(thresholds.RUNS_AGREE, _value(parameter, 2.0) / stated(parameter))
     return found
@@ -263,7 +263,7 @@ def _value(parameter: Parameter, z: float) -> float:
     return float(parameter.prior.value(jnp.asarray(z))) / parameter.factor
 
 
-def _scales(model: Model) -> list[tuple[Parameter, EffectClass, int | None]]:
+def noise_scales(model: Model) -> list[tuple[Parameter, EffectClass, int | None]]:
     """Return each noise scale with its class and the place of its channel; None where it has no channel."""
     places = {channel.name: place for place, channel in enumerate(model.campaign.channels)}
     members = {each.name: each.effect_class for each in model.assembly.effects}
@@ -295,7 +295,7 @@ def _against_sisters(
     found: Mapping[str, NoiseComparison], model: Model, of_scale: Mapping[int, _ScaleEstimate]
 ) -> list[NoiseComparison]:
     """Return the comparison of every scale with that of the same kind of sensor, as multiples of what is stated."""
-    scales, channels = _scales(model), model.campaign.channels
+    scales, channels = noise_scales(model), model.campaign.channels
     kinds = {k: (scales[k][0].effect, channels[place].kind) for k in of_scale if (place := scales[k][2]) is not None}
     compared = []
     for k, own in of_scale.items():

@@ -62,12 +62,13 @@ def weighs(fitted: Fit) -> bool:
 def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCovariate]) -> Evidence:
     """Return how probable each explanation of what a converged fit leaves is."""
     about, problem = _About(fitted), linear_problem(fitted, responses)
-    first = _search(about, problem, covariates)
-    large = _moved(first, about, first.large_effects(), fitted)
-    if large is not None and _is_large(first, first.large_effects()):
-        moved = _linearised(problem, large)
-        about, problem = (large, moved) if moved is not None else (about, problem)
-    best = search = (first if about.fitted is fitted else _search(about, problem, covariates)).run()
+    search = ModelSearch(problem)
+    if _is_large(search, search.large_effects):
+        large = _moved(search, about, search.large_effects, fitted)
+        moved = _linearised(problem, large) if large is not None else None
+        if large is not None and moved is not None:
+            about, search = large, ModelSearch(moved)
+    best = search = _run(search, about, covariates)
     for _ in range(_ROUNDS):
         moved = _leading_to(search, about, fitted)
         if moved is None or about.stands_for(moved):
@@ -75,14 +76,15 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
         problem = _linearised(search.of.problem, moved)
         if problem is None:
             break
-        about, search = moved, _search(moved, problem, covariates).run()
+        about, search = moved, _run(ModelSearch(problem), moved, covariates)
         best = max(best, search, key=lambda each: each.best().log_posterior)
     return evidence_of(best)
 
 
-def _search(about: _About, problem: LinearProblem, covariates: Sequence[ResidualCovariate]) -> ModelSearch:
+def _run(search: ModelSearch, about: _About, covariates: Sequence[ResidualCovariate]) -> ModelSearch:
+    problem = search.of.problem
     wrong = wrong_inputs(problem, about.fitted)
-    return ModelSearch(problem, (*free_forms(problem, covariates), *wrong.of_runs), wrong.of_rows)
+    return search.run((*free_forms(problem, covariates), *wrong.of_runs), wrong.of_rows)
 
 
 def _leading_to(search: ModelSearch, about: _About, recorded: Fit) -> _About | None:

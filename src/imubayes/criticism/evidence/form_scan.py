@@ -12,7 +12,7 @@ import numpy as np
 
 from imubayes.criticism.evidence.free_forms import ChosenForm, FormHypothesis
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf
-from imubayes.criticism.evidence.proposals import base_columns, places_of_base
+from imubayes.criticism.evidence.proposals import base_columns
 from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 
 _EXACT, _TOGETHER = 160, 256
@@ -46,8 +46,8 @@ class FormScan:
         self.of, self.at = of, at
         squares, axes = np.linalg.eigh(at.covariance)
         self._root = axes * np.sqrt(np.maximum(squares, 0.0))
-        self._places = {k: places_of_base(of, at, k) for k in of.unit_of}
-        self._bases = {k: base_columns(of, at, k)[0] / at.scale[k] for k in of.unit_of}
+        self._places = {k: of.taking_part(k, at.columns, at.hypothesis.form) for k in of.unit_of}
+        self._bases = {k: base_columns(of, at, k) / at.scale[k] for k in of.unit_of}
         self._residual = {k: b[:, -1] - b[:, :-1] @ at.mean[self._places[k]] for k, b in self._bases.items()}
         self._through = {k: b[:, :-1] @ self._root[self._places[k]] for k, b in self._bases.items()}
 

@@ -179,6 +179,23 @@ class EvidenceOf:
         place = self._place[channel][columns]
         return place >= 0, place[place >= 0]
 
+    def taking_part(self, channel: int, columns: np.ndarray, form: ChosenForm | None) -> np.ndarray:
+        """Return the places of what a channel responds to among the columns of a hypothesis, its form after them."""
+        here, _ = self.select(channel, columns)
+        found = np.flatnonzero(here)
+        if form is not None and channel in form.channels:
+            span = form.span(channel)
+            found = np.concatenate([found, len(columns) + np.arange(span.start, span.stop)])
+        return found
+
+    def unwhitened(self, channel: int, columns: np.ndarray, form: ChosenForm | None) -> np.ndarray:
+        """Return those columns in units of the noise known beforehand, (n, k)."""
+        _, place = self.select(channel, columns)
+        found = self.problem.rows[channel].columns[:, place]
+        if form is not None and channel in form.channels:
+            found = np.concatenate([found, form.form.columns[channel]], axis=1)
+        return found
+
 
 class _Evaluation:
     """The work of one evaluation."""
@@ -237,10 +254,10 @@ class _Evaluation:
             right[where] = gram.products[place, -1]
             if form is not None and k in form.channels:
                 columns = of.form_columns(self.hypothesis, form, k, weight)
-                span = _after(form.span(k), len(self.columns))
+                span = of.taking_part(k, self.columns, form)[len(where) :]
                 across = columns.T @ of.whitened(self.hypothesis, k, weight)[:, [*place, -1]]
-                whole[span, where], whole[where, span] = across[:, :-1], across[:, :-1].T
-                whole[span, span], right[span] = columns.T @ columns, across[:, -1]
+                whole[np.ix_(span, where)], whole[np.ix_(where, span)] = across[:, :-1], across[:, :-1].T
+                whole[np.ix_(span, span)], right[span] = columns.T @ columns, across[:, -1]
             self.products[k], self.across[k], self.square[k] = whole, right, float(gram.products[-1, -1])
             self.log_det += gram.log_det
 
@@ -295,15 +312,9 @@ class _Evaluation:
 
     def _squares(self, channel: int) -> np.ndarray:
         """Return the expected squared residual of each row, in units of its noise, (n,)."""
-        here, place = self.of.select(channel, self.columns)
-        where = np.flatnonzero(here)
-        rows = self.of.problem.rows[channel].columns
-        columns, form = rows[:, place], self.hypothesis.form
-        if form is not None and channel in form.channels:
-            span = _after(form.span(channel), len(self.columns))
-            where = np.concatenate([where, np.arange(span.start, span.stop)])
-            columns = np.concatenate([columns, form.form.columns[channel]], axis=1)
-        residual = rows[:, -1] - columns @ self.mean[where]
+        where = self.of.taking_part(channel, self.columns, self.hypothesis.form)
+        columns = self.of.unwhitened(channel, self.columns, self.hypothesis.form)
+        residual = self.of.problem.rows[channel].columns[:, -1] - columns @ self.mean[where]
         spread = np.sum((columns @ self.covariance[np.ix_(where, where)]) * columns, axis=1)
         return (residual**2 + spread) / self.scale[channel] ** 2
 
@@ -346,10 +357,6 @@ def _places_of(rows: ChannelRows, count: int) -> np.ndarray:
     found = np.full(count, -1)
     found[rows.live] = np.arange(len(rows.live))
     return found
-
-
-def _after(span: slice, count: int) -> slice:
-    return slice(count + span.start, count + span.stop)
 
 
 def _middle(widths: Sequence[float]) -> float:

@@ -18,7 +18,8 @@ import numpy as np
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Channel
 from imubayes.criticism.candidate_effects import Coefficient, Response, Responses
-from imubayes.criticism.known_noise import known_scales, sample_noise
+from imubayes.criticism.known_noise import known_scales, noise_scales, sample_noise
+from imubayes.gather import in_batches
 from imubayes.inference.fitted_model import Fit
 from imubayes.kept_programs import kept
 from imubayes.model.bind import Model
@@ -175,12 +176,8 @@ def _columns_at(problem: Problem, h: np.ndarray, columns: np.ndarray) -> _Whiten
     root, along = np.asarray(root), np.asarray(along)
     if series is None:
         return _Whitened(root[:, None] * columns, along, root)
-    count = columns.shape[1]
-    padded = np.zeros((len(columns), -(-count // _AT_ONCE) * _AT_ONCE))
-    padded[:, :count] = root[:, None] * columns
-    parts = np.split(padded, padded.shape[1] // _AT_ONCE, axis=1)
-    white = np.concatenate([np.asarray(_forward(series, jnp.asarray(part))) for part in parts], axis=1)
-    return _Whitened(white[:, :count], along, root)
+    white = in_batches(lambda some: _forward(series, jnp.asarray(some)), (root[:, None] * columns).T, _AT_ONCE)
+    return _Whitened(white.T, along, root)
 
 
 @kept
@@ -190,8 +187,8 @@ def _roots(problem: Problem, h: Float[Array, " H"]):
 
 
 @kept
-def _forward(series: Series | SlowSeries, columns: Float[Array, "E C"]):
-    return series.forward(columns)
+def _forward(series: Series | SlowSeries, columns: Float[Array, "C E"]):
+    return jax.vmap(series.forward)(columns)
 
 
 def _without_offsets(problem: Problem, h: Float[Array, " H"]) -> Whitener:
@@ -255,10 +252,7 @@ def _noise_sizes(problem: Problem, z: Float[Array, " n"]) -> Float[Array, "n H"]
     return jax.vmap(lambda one: problem.hyper_priors.values(jnp.full(count, one)))(z)
 
 
-def _scale(model: Model, channel: int, member: type) -> int | None:
+def _scale(model: Model, channel: int, kind: type) -> int | None:
     """Return the place of the noise scale of a kind that a channel has; None without one."""
-    name, members = model.campaign.channels[channel].name, {each.name: each for each in model.assembly.effects}
-    for place, each in enumerate(model.hyper_layout.parameters):
-        if issubclass(members[each.effect].effect_class, member) and each.label and each.label[0] == name:
-            return place
-    return None
+    scales = enumerate(noise_scales(model))
+    return next((k for k, (_, member, place) in scales if place == channel and issubclass(member, kind)), None)

@@ -5,6 +5,7 @@ swapped at the noise of the full hypothesis, since a missing effect inflates the
 """
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -31,8 +32,10 @@ _MOST_EXPANDED, _MOST_KNOWN, _PAIRED_UP_TO = 24, 3000, 2
 class ModelSearch:
     """A search, and all hypotheses that it has evaluated."""
 
-    def __init__(self, problem: LinearProblem, forms: Sequence[FormHypothesis], wrong_rows: WrongRows | None = None):
-        self.of, self.forms, self.wrong_rows = EvidenceOf(problem), forms, wrong_rows
+    def __init__(self, problem: LinearProblem):
+        self.of = EvidenceOf(problem)
+        self.forms: Sequence[FormHypothesis] = ()
+        self.wrong_rows: WrongRows | None = None
         empty = self.of.evaluate(Hypothesis((), self.of.stated))
         as_known = at_scales(self.of, empty, np.ones(len(problem.rows)))
         self.of.variants = visible(self.of.variants, conditional(self.of, as_known).own)
@@ -49,8 +52,9 @@ class ModelSearch:
         """Return the likeliest hypothesis of those that fulfil a condition."""
         return max((each for each in self.known if which(each)), key=lambda each: each.log_posterior)
 
+    @cached_property
     def large_effects(self) -> Evaluated:
-        """Return the hypothesis with every effect that stands far out, one after the other, at the noise as stated."""
+        """The hypothesis with every effect that stands far out, one after the other, at the noise as stated."""
         at = self.of.evaluate(Hypothesis((), self.of.stated))
         while True:
             singles = self._screen.singles(conditional(self.of, at))
@@ -62,14 +66,15 @@ class ModelSearch:
                 return at
             at = new
 
-    def run(self) -> "ModelSearch":
-        """Search, and return itself."""
+    def run(self, forms: Sequence[FormHypothesis] = (), wrong_rows: WrongRows | None = None) -> "ModelSearch":
+        """Search, with forms outside the catalogue and wrong inputs, and return itself."""
+        self.forms, self.wrong_rows = forms, wrong_rows
         empty = self.of.evaluate(Hypothesis((), self.of.stated))
         # Outliers distort parameters, and are seen only where all channels bound them at once.
         others = [tuple(_first(unit.choices, each) for unit in self.of.units) for each in (SCALED, TAILED)]
         starts = [one for noise in others if (one := self._get(Hypothesis((), noise))) is not None]
         start = max((empty, *starts), key=lambda each: each.log_posterior)
-        large, none = self._vary_noise(self.large_effects()), self._vary_noise(start)
+        large, none = self._vary_noise(self.large_effects), self._vary_noise(start)
         if large.log_posterior < none.log_posterior + LARGE:
             self._expand(self.best(states_noise))
             self._expand(self.best(lambda each: not each.hypothesis.variants))
@@ -78,7 +83,7 @@ class ModelSearch:
         self._grow(_pure, _MOST_EXPANDED)
         for _ in range(2):
             self._scan_forms()
-            formed = [each for each in self.known if each.hypothesis.form is not None]
+            formed = [each for each in self.known if _formed(each)]
             near = max((each.log_posterior for each in formed), default=-np.inf)
             if near < self.best().log_posterior - PROPOSED:
                 break

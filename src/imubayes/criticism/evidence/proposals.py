@@ -37,33 +37,22 @@ def at_scales(of: EvidenceOf, at: Evaluated, scale: np.ndarray) -> Evaluated:
     """Return a hypothesis with its linear algebra at other noise scales, (K,): a larger noise hides what is missing."""
     whole, right = np.diag(at.precision).astype(float), at.pull.copy()
     for k in of.unit_of:
-        base, _ = base_columns(of, at, k)
-        where = places_of_base(of, at, k)
+        base, where = base_columns(of, at, k), of.taking_part(k, at.columns, at.hypothesis.form)
         whole[np.ix_(where, where)] += base[:, :-1].T @ base[:, :-1] / scale[k] ** 2
         right[where] += base[:, :-1].T @ base[:, -1] / scale[k] ** 2
     covariance = inverse(whole)
     return replace(at, scale=scale, covariance=covariance, mean=covariance @ right)
 
 
-def places_of_base(of: EvidenceOf, at: Evaluated, channel: int) -> np.ndarray:
-    """Return the places of the columns of `base_columns` among all that take part."""
-    here, _ = of.select(channel, at.columns)
-    found, form = np.flatnonzero(here), at.hypothesis.form
-    if form is not None and channel in form.channels:
-        span = form.span(channel)
-        found = np.concatenate([found, len(at.columns) + np.arange(span.start, span.stop)])
-    return found
-
-
-def base_columns(of: EvidenceOf, at: Evaluated, channel: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return whitened columns of a channel that take part, the residual last, and all that it responds to."""
+def base_columns(of: EvidenceOf, at: Evaluated, channel: int) -> np.ndarray:
+    """Return the whitened columns of a channel that take part, the residual last, (n, k + 1)."""
     weight, form = at.weight.get(channel), at.hypothesis.form
     white = of.whitened(at.hypothesis, channel, weight)
     _, place = of.select(channel, at.columns)
     parts = [white[:, place]]
     if form is not None and channel in form.channels:
         parts.append(of.form_columns(at.hypothesis, form, channel, weight))
-    return np.concatenate([*parts, white[:, -1:]], axis=1), white
+    return np.concatenate([*parts, white[:, -1:]], axis=1)
 
 
 def conditional(of: EvidenceOf, at: Evaluated) -> Conditional:
@@ -83,7 +72,7 @@ def conditional(of: EvidenceOf, at: Evaluated) -> Conditional:
         if form is not None and k in form.channels:
             columns = of.form_columns(at.hypothesis, form, k, at.weight.get(k))
             white = of.whitened(at.hypothesis, k, at.weight.get(k))
-            span = places_of_base(of, at, k)[len(mine) :]
+            span = of.taking_part(k, at.columns, form)[len(mine) :]
             across[np.ix_(span, which)] += inverse * columns.T @ white[:, place]
     left = own - across.T @ at.covariance @ across
     np.fill_diagonal(left, np.maximum(np.diag(left), 0.0))
@@ -94,12 +83,8 @@ def residuals(of: EvidenceOf, at: Evaluated) -> dict[int, np.ndarray]:
     """Return the residual of each channel at the posterior mean, (n,), in units of the noise known beforehand."""
     found, form = {}, at.hypothesis.form
     for k in of.unit_of:
-        here, place = of.select(k, at.columns)
-        rows = of.problem.rows[k].columns
-        found[k] = rows[:, -1] - rows[:, place] @ at.mean[np.flatnonzero(here)]
-        if form is not None and k in form.channels:
-            own = places_of_base(of, at, k)[len(place) :]
-            found[k] = found[k] - form.form.columns[k] @ at.mean[own]
+        taken = of.unwhitened(k, at.columns, form) @ at.mean[of.taking_part(k, at.columns, form)]
+        found[k] = of.problem.rows[k].columns[:, -1] - taken
     return found
 
 
