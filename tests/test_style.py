@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 SOURCE = Path(__file__).parents[1] / "src" / "imubayes"
-FILE_LINES = {50: 150, 90: 300, 100: 500}
+FILE_LINES = {50: 125, 90: 300, 100: 500}
 FUNCTION_LINES = {90: 25, 100: 60}
 MOST_COMPLEX = 15
 
