@@ -11,10 +11,11 @@ from imubayes.criticism.cross_validation import (
     objection,
     observed_delta_chi2,
 )
-from imubayes.criticism.diagnosis_record import CoefficientEstimate, Diagnosis, ScreenedEffect
+from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
 from imubayes.criticism.held_out_record import CrossValidation
 from imubayes.criticism.known_noise import known_scales
 from imubayes.criticism.known_noise_fit import known_noise_point
+from imubayes.criticism.verdict import CoefficientEstimate
 from imubayes.criticism.warm_start import Extension, extend
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
@@ -110,7 +111,7 @@ def refit_with(
 def _screened(effects: Sequence[str], diagnosis: Diagnosis | None) -> list[ScreenedEffect]:
     """Return what a diagnosis says of effects."""
     lines = [diagnosis.estimate(effect) for effect in effects] if diagnosis is not None else []
-    return [line for line in lines if isinstance(line, ScreenedEffect)]
+    return [line for line in lines if line is not None]
 
 
 def _one_finding(effects: Sequence[str], diagnosis: Diagnosis | None) -> bool:

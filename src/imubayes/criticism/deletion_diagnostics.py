@@ -1,14 +1,10 @@
-"""A fit judged at the noise that was known before it: what the runs and rows say of one another, in closed form.
+"""A fit judged at the noise that was known before it: what the runs say of one another, in closed form.
 
 A fit adapts its noise scales to whatever the model lacks: a run whose recorded input is wrong becomes scatter between
-runs, a row becomes a heavy tail, and no residual is left that would tell.  Here white noise is that of the raw samples
-within rows, and a scatter between runs is no larger than its prior says.  About a point the model is linear,
-y = f + J t + e, and every question is least squares with the priors as further rows:
-
-- *deletion*: the χ² that rows G add to all others, q = vᵀ(M_GG)⁻¹v with M = Σ⁻¹ − Σ⁻¹J A⁻¹JᵀΣ⁻¹, A the precision of t
-  and v = M(y − f) in G: the square of what the others predict wrongly, in units of noise and prediction (Cook and
-  Weisberg, Residuals and Influence in Regression, 1982);
-- *score*: the drop of χ² by a further response g, (gᵀv)²/(gᵀMg), at the size gᵀv/(gᵀMg).
+runs, and no residual is left that would tell.  Here white noise is that of the raw samples within rows, and a scatter
+between runs is no larger than its prior says.  About a point the model is linear, y = f + J t + e, and what a run adds
+to the χ² of all others is the difference of two least squares with the priors as further rows (Cook and Weisberg,
+Residuals and Influence in Regression, 1982).
 """
 
 from dataclasses import dataclass, replace
@@ -26,12 +22,10 @@ from imubayes.model.bind import Model
 from imubayes.model.noise_covariance import inverse_covariance, whitener
 from imubayes.model.problem import Problem, prior_widths
 
-# Columns that are divided by the covariance at once, so that one compiled program serves all.
 _AT_ONCE = 16
-# Fewer degrees of freedom of a channel do not tell its noise.
+"""Columns that are divided by the covariance at once, so that one compiled program serves all."""
 _LEAST_FREEDOM = 5.0
-# A direction of which the parameters leave less than this share is theirs.
-_LEAST_RETAINED = 1e-6
+"""Degrees of freedom of a channel below which it does not tell its noise."""
 
 
 @dataclass(frozen=True)
@@ -44,24 +38,13 @@ class EntryPlaces:
 
 
 @dataclass(frozen=True)
-class Score:
-    """The drop of χ² by some responses, their sizes (d,) with covariance (d, d), and the directions resolved."""
-
-    drop: float
-    size: np.ndarray
-    covariance: np.ndarray
-    freedom: int
-
-
-@dataclass(frozen=True)
 class LinearFit:
     """The model linearised, at given noise.
 
     Attributes
     ----------
     jacobian, misfit : shapes (E, P) and (E,).
-    weighted, pulled, diagonal : Σ⁻¹J, Σ⁻¹ misfit and the diagonal of Σ⁻¹; entries of different runs or channels are
-        independent.
+    weighted, pulled : Σ⁻¹J and Σ⁻¹ misfit; entries of different runs or channels are independent.
     precision, centre : of the priors, (P,), the centre less the point of linearisation.
     at : run, row and channel of each entry.
     weight : shape (E,), factor on Σ⁻¹, the same in all rows of a run and channel; 0 leaves out.
@@ -71,7 +54,6 @@ class LinearFit:
     misfit: np.ndarray
     weighted: np.ndarray
     pulled: np.ndarray
-    diagonal: np.ndarray
     precision: np.ndarray
     centre: np.ndarray
     at: EntryPlaces
@@ -136,78 +118,15 @@ class LinearFit:
         others = self.weighted_by((self.at.run != run).astype(float))
         return others.weighted_by(others.weight / others.noise_ratios(others.weight > 0))
 
-    def score(self, columns: np.ndarray, divided: np.ndarray, tied: np.ndarray | None = None) -> Score:
-        """Return what responses (E, d) explain; `divided` are Σ⁻¹ times them.
-
-        Parameters
-        ----------
-        tied : precision of the prior of each size, (d,), about zero; none by default.
-        """
-        divided = self.weight[:, None] * divided
-        across = scipy.linalg.solve_triangular(
-            self.lower, self.jacobian.T @ divided, lower=True, check_finite=False
-        )  # fmt: skip
-        pull = divided.T @ (self.misfit - self.jacobian @ self.shift)
-        whole = columns.T @ divided
-        left = whole - across.T @ across + (np.diag(tied) if tied is not None else 0.0)
-        size = np.sqrt(np.maximum(np.diag(whole), np.finfo(float).tiny))
-        squares, axes = np.linalg.eigh(left / np.outer(size, size))
-        told = squares > _LEAST_RETAINED
-        inverse = (axes[:, told] / squares[told]) @ axes[:, told].T / np.outer(size, size)
-        found = inverse @ pull
-        return Score(float(pull @ found), found, inverse, int(told.sum()))
-
-    def row_deletions(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the χ² that each row adds to all others, and the number of its entries; shapes (rows,).
-
-        Parameters
-        ----------
-        rows : number of the row of each entry, shape (E,), −1 for none; the entries of a row are independent.
-        """
-        told = np.flatnonzero(rows >= 0)
-        order = told[np.argsort(rows[told], kind="stable")]
-        sizes = np.bincount(rows[told])
-        firsts = np.cumsum(sizes) - sizes
-        chi2 = np.zeros(len(sizes))
-        for size in np.unique(sizes[sizes > 0]):
-            at = np.flatnonzero(sizes == size)
-            own = order[firsts[at][:, None] + np.arange(size)]
-            half = self._half[own]
-            left = (self.diagonal[own])[:, :, None] * np.eye(size) - half @ half.swapaxes(1, 2)
-            pull = self.influence[own]
-            chi2[at] = np.sum(pull * np.linalg.solve(left, pull[:, :, None])[:, :, 0], axis=1)
-        return chi2, sizes
-
-    def row_scores(self, columns: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the drops of χ² by the part of a response, (E,), in each row alone, and the sizes; shapes (rows,).
-
-        Parameters
-        ----------
-        rows : number of the row of each entry, shape (E,), −1 for none.
-        """
-        own = np.flatnonzero(rows >= 0)
-        rows, columns, weight = rows[own], columns[own], self.weight[own]
-        count = rows.max(initial=-1) + 1
-        through = np.zeros((count, self._half.shape[1]))
-        np.add.at(through, rows, (weight * columns)[:, None] * self._half[own])
-        pull = np.bincount(rows, weight * columns * self.influence[own], count)
-        whole = np.bincount(rows, weight * columns**2 * self.diagonal[own], count)
-        left = whole - np.sum(through**2, axis=1)
-        told = left > _LEAST_RETAINED * whole
-        safe = np.where(told, left, 1.0)
-        return np.where(told, pull**2 / safe, 0.0), np.where(told, pull / safe, 0.0)
-
 
 def linear_fit(model: Model, problem: Problem, z: np.ndarray, h: np.ndarray) -> LinearFit:
     """Return a problem of a model linearised about parameters z at noise scales h."""
     about = linearise(problem, jnp.asarray(z))
     jacobian, misfit = np.asarray(about.jacobian), np.asarray(about.misfit)
     divided = divide(problem, h, np.column_stack([misfit, jacobian]))
-    _, diagonal = _inverse(problem, jnp.asarray(h), np.zeros((_AT_ONCE, len(misfit))))
     entries = model.entries
     return LinearFit(
         jacobian=jacobian, misfit=misfit, weighted=divided[:, 1:], pulled=divided[:, 0],
-        diagonal=np.asarray(diagonal)[0],
         precision=np.asarray(prior_widths(problem, jnp.asarray(h))) ** -2.0, centre=-np.asarray(z),
         at=EntryPlaces(entries.run, np.where(entries.closing, -1, entries.row), entries.channel),
         weight=np.asarray(problem.observations.weight),

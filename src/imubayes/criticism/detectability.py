@@ -1,18 +1,32 @@
-"""Detectability: what absorbs an effect that the model lacks, and how small an effect these runs could still show."""
+"""Detectability: what absorbs an effect that the model lacks, and how small an effect these runs could still show.
 
-from dataclasses import dataclass
+All of it is linear algebra on the Gram matrices of the evidence, at the noise known beforehand.
+"""
 
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from statistics import NormalDist
+
+import jax.numpy as jnp
 import numpy as np
-from scipy import special
 
-from imubayes.criticism import thresholds
-from imubayes.criticism.candidate_effects import Response, stated_size
-from imubayes.criticism.projection import Projection
-from imubayes.criticism.score_test import KNOWN_FREEDOM, LEAST_FREEDOM, ProjectedResponse
-from imubayes.tail_probabilities import normal_survival
+from imubayes.criticism.candidate_effects import stated_size
+from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants
+from imubayes.criticism.evidence.evidence_record import NAMED
+from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis, inverse
+from imubayes.inference.fitted_model import Fit
+from imubayes.json_record import Record
 
-_QUANTILES = 64
 RUN_OFFSETS = "run offsets"
+DETECTION_POWER = 0.8
+"""Probability with which an effect of the smallest detectable size would be named (convention)."""
+ABSORBER_SHARE = 0.01
+"""Share of a response below which what absorbs it is not told."""
+NEGLECTED_SHIFT = 0.5
+"""Posterior standard deviations by which a neglected uncertainty, or an effect that the runs cannot show, shifts a
+parameter, to be told (convention)."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +48,7 @@ class ParameterBias:
     parameter, unit : name and unit.
     value, in_sd : the bias, in that unit and in posterior standard deviations.
     coefficient, size, size_unit : of the coefficients of the effect the one that biases most, with its largest typical
-        size; empty in records of earlier versions.
+        size.
     """
 
     parameter: str
@@ -46,6 +60,24 @@ class ParameterBias:
     size_unit: str = ""
 
 
+class NeglectedUncertainty(Record):
+    """A standard uncertainty that the campaign states of its equipment and the model takes as exact.
+
+    Attributes
+    ----------
+    effect, parameter : what describes it, and its parameter as it would be named in the model.
+    value, unit : as stated.
+    shifts, in_sd : the parameter of the model that it would shift most, by so many of its standard deviations.
+    """
+
+    effect: str
+    parameter: str
+    value: float
+    unit: str
+    shifts: str
+    in_sd: float
+
+
 @dataclass(frozen=True)
 class Detectability:
     """How well the runs can show one effect, by the coefficient that they show best relative to its typical size.
@@ -54,7 +86,7 @@ class Detectability:
     ----------
     effect, name, unit : effect, and name and unit of the coefficient.
     retained : fraction of its squared response that the model does not absorb.
-    smallest_detectable : size detected with a power of 80 %, in its unit; infinite where none is.
+    smallest_detectable : size that would be named with a probability of 80 %, in its unit; infinite where none is.
     typical : smallest and largest magnitude met in practice.
     absorbed_by : what absorbs the rest, largest share first.
     bias : of the reported parameters where the effect is present and not modelled; None without parameters.
@@ -75,113 +107,159 @@ class Detectability:
         return self.smallest_detectable > self.typical[1]
 
 
-def detectability(projection: Projection, response: ProjectedResponse, threshold: float, looks: float) -> Detectability:
-    """Return how well the runs can show a candidate.
+class AbsorbedResponses:
+    """What the model's own parameters absorb of the response to every coefficient, at the noise known beforehand.
 
-    Parameters
+    Attributes
     ----------
-    threshold : probability of a false alarm over all looks.
-    looks : effective number of independent looks.
+    shift : shape (P, C), the parameters that fit each response best, in z per largest typical size.
+    taken : shape (P, C), share of the squared response that each parameter takes, times it.
+    raw, white, left : shape (C,), squared responses to the largest typical sizes: in all, beside offsets of runs, and
+        past all parameters.
+    sd : shape (P,), of the parameters, in z.
     """
-    coefficients = response.response.coefficients
-    length = np.linalg.norm(response.projected, axis=0)
-    raw = np.sum((projection.root[:, None] * response.response.columns) ** 2, axis=0)
-    sides = np.array([1 if coefficient.sign else 2 for coefficient in coefficients])
-    needed = noncentrality_needed(threshold / max(looks, 1.0) / sides, freedom_of(projection, response.projected))
-    with np.errstate(divide="ignore"):
-        smallest = needed * np.where(length**2 > thresholds.RETAINED_MIN * raw, 1 / length, np.inf)
-    best = int(np.argmin(smallest / [each.typical[1] for each in coefficients]))
-    coefficient, shift = coefficients[best], projection.absorb(response.whitened)
-    return Detectability(
-        effect=response.response.scan.effect,
-        name=coefficient.parameter.name,
-        unit=coefficient.parameter.shown_unit,
-        retained=float(length[best] ** 2 / raw[best]) if raw[best] > 0 else 0.0,
-        smallest_detectable=float(smallest[best]),
-        typical=coefficient.typical,
-        absorbed_by=_absorbers(projection, response.whitened[:, best], shift[:, best], float(raw[best])),
-        bias=_bias(projection, response.response, shift),
-    )
+
+    def __init__(self, of: EvidenceOf, fitted: Fit):
+        self.of, self.fitted, problem = of, fitted, of.problem
+        count = len(problem.coefficients)
+        own, across = np.diag(problem.precision).astype(float), np.zeros((problem.own, count))
+        self.raw, self.white = np.zeros(count), np.zeros(count)
+        stated, apart = (
+            Hypothesis((), of.stated),
+            Hypothesis((), tuple(replace(each, scatter=0.0) for each in of.stated)),
+        )
+        parameters, every = np.arange(problem.own), problem.own + np.arange(count)
+        for k in of.unit_of:
+            products = of.gram(stated, k).products
+            here, mine = of.select(k, parameters)
+            there, place = of.select(k, every)
+            rows, columns = np.flatnonzero(here), np.flatnonzero(there)
+            own[np.ix_(rows, rows)] += products[np.ix_(mine, mine)]
+            across[np.ix_(rows, columns)] += products[np.ix_(mine, place)]
+            self.white[columns] += np.diag(products)[place]
+            self.raw[columns] += np.diag(of.gram(apart, k).products)[place]
+        covariance = inverse(own) if len(own) else own
+        self.shift = covariance @ across
+        self.taken = self.shift * across
+        self.left = np.maximum(self.white - self.taken.sum(axis=0), 0.0)
+        self.sd = np.sqrt(np.diag(covariance))
+
+    @cached_property
+    def of_effects(self) -> tuple[Detectability, ...]:
+        """How well each effect can be detected, by its best coefficient and shape."""
+        best: dict[str, Detectability] = {}
+        for seen in self._of_responses():
+            known = best.get(seen.effect)
+            if (
+                known is None
+                or seen.smallest_detectable / seen.typical[1] < known.smallest_detectable / known.typical[1]
+            ):
+                best[seen.effect] = seen
+        return tuple(best.values())
+
+    def _of_responses(self) -> Iterator[Detectability]:
+        first, odds = 0, {each.response: each for each in reversed(effect_variants(self.of.problem))}
+        for place, response in enumerate(self.of.problem.candidates):
+            places = np.arange(first, first + len(response.coefficients))
+            first += len(places)
+            if place in odds and self.raw[places].any():
+                yield self._detectability(places, odds[place])
+
+    def _detectability(self, places: np.ndarray, variant: EffectVariant) -> Detectability:
+        problem = self.of.problem
+        told = self.left[places] > 1e-12 * self.raw[places]
+        length = np.sqrt(np.where(told, self.left[places], 0.0))
+        k = int(places[np.argmax(length)])
+        coefficient, size = problem.coefficients[k], float(problem.sizes[k])
+        best = float(length.max())
+        return Detectability(
+            effect=variant.effect,
+            name=coefficient.parameter.name,
+            unit=coefficient.parameter.shown_unit,
+            retained=float(self.left[k] / self.raw[k]) if self.raw[k] > 0 else 0.0,
+            smallest_detectable=deviations_needed(variant) * size / best if best > 0 else math.inf,
+            typical=(min(coefficient.typical[0], size), size),
+            absorbed_by=self._absorbers(k),
+            bias=self._bias(variant.effect, places),
+        )
+
+    def _absorbers(self, k: int) -> tuple[Absorber, ...]:
+        """Return the shares of a response that parameter families and offsets of runs absorb."""
+        if self.raw[k] <= 0:
+            return ()
+        shares = {RUN_OFFSETS: max(0.0, 1 - float(self.white[k] / self.raw[k]))}
+        for parameter, share in zip(self.fitted.model.layout.parameters, self.taken[:, k] / self.raw[k], strict=True):
+            family = f"{parameter.effect}.{parameter.field}"
+            shares[family] = shares.get(family, 0.0) + float(share)
+        absorbed = min(sum(shares.values()), 1.0)
+        positive = {name: share for name, share in shares.items() if share > 0}
+        whole = sum(positive.values()) or 1.0
+        found = [Absorber(name, share / whole * absorbed) for name, share in positive.items()]
+        return tuple(sorted((each for each in found if each.share >= ABSORBER_SHARE), key=lambda each: -each.share))
+
+    def _bias(self, effect: str, places: np.ndarray) -> ParameterBias | None:
+        """Return the worst bias by one of the coefficients at its largest typical size."""
+        if not len(self.sd):
+            return None
+        coefficients = [self.of.problem.coefficients[k] for k in places]
+        stated = np.array([stated_size(self.fitted.model, effect, each) is None for each in coefficients])
+        in_sd = self.shift[:, places] * stated / self.sd[:, None]
+        most, worst = divmod(int(np.argmax(np.abs(in_sd))), len(coefficients))
+        parameter, cause = self.fitted.model.layout.parameters[most], coefficients[worst].parameter
+        return ParameterBias(
+            parameter=parameter.name,
+            unit=parameter.shown_unit,
+            value=float(self.shift[most, places[worst]] * stated[worst] * self._slopes[most] / parameter.factor),
+            in_sd=float(in_sd[most, worst]),
+            coefficient=cause.name,
+            size=float(self.of.problem.sizes[places[worst]]) * float(stated[worst]),
+            size_unit=cause.shown_unit,
+        )
+
+    @cached_property
+    def _slopes(self) -> np.ndarray:
+        """The derivative of each parameter by its z, SI, (P,)."""
+        return np.asarray(self.fitted.model.problem.priors.slopes(jnp.asarray(self.fitted.z)))
+
+    @property
+    def neglected(self) -> tuple[NeglectedUncertainty, ...]:
+        """The stated uncertainties that matter beside the posterior, the worst of each effect, the largest first."""
+        worst: dict[str, NeglectedUncertainty] = {}
+        for each in self._shifts():
+            known = worst.get(each.effect)
+            if each.in_sd >= NEGLECTED_SHIFT and (known is None or each.in_sd > known.in_sd):
+                worst[each.effect] = each
+        return tuple(sorted(worst.values(), key=lambda each: -each.in_sd))
+
+    def _shifts(self) -> Iterator[NeglectedUncertainty]:
+        """Yield each stated uncertainty of a candidate with the shift of the parameter that it moves most."""
+        model, problem, first = self.fitted.model, self.of.problem, 0
+        for response in problem.candidates if len(self.sd) else ():
+            for k, coefficient in enumerate(response.coefficients, first):
+                stated = stated_size(model, response.scan.effect, coefficient)
+                if not stated:
+                    continue
+                shift = np.abs(self.shift[:, k] * stated / problem.sizes[k] / self.sd)
+                most = int(np.argmax(shift))
+                yield NeglectedUncertainty(
+                    effect=response.scan.effect, parameter=coefficient.parameter.name, value=stated,
+                    unit=coefficient.parameter.shown_unit, shifts=model.layout.names[most],
+                    in_sd=float(shift[most]),
+                )  # fmt: skip
+            first += len(response.coefficients)
+
+    def explained(self, found: Evaluated, places: Sequence[int]) -> np.ndarray:
+        """Return what the own parameters take of some coefficients at their sizes in a hypothesis, in z, (P,)."""
+        at = {int(column) - self.of.problem.own: n for n, column in enumerate(found.columns)}
+        return self.shift[:, list(places)] @ found.mean[[at[k] for k in places]]
 
 
-def freedom_of(projection: Projection, columns: np.ndarray) -> np.ndarray:
-    """Return the degrees of freedom of the noise scale that each projected column, (R, C), is judged by, (C,).
+def deviations_needed(variant: EffectVariant) -> float:
+    """Return the standard deviations at which a coefficient must truly stand for its effect to be named.
 
-    Satterthwaite's, of the strata in which its length lies: an effect that acts between few runs alone is judged by
-    their scatter, whatever the number of rows.
+    With an estimate at z the log odds are those before, and z²/2 · s²/(1 + s²) − log(1 + s²)/2 at the likeliest width s
+    of the prior, s² = z² − 1, one of so many.
     """
-    projection, turned = projection.offsets_apart
-    squares = projection.strata.sums(turned(columns) ** 2)
-    total = np.maximum(squares.sum(axis=0), np.finfo(float).tiny)
-    left = projection.freedom[:, None] - squares / total
-    judged = left > LEAST_FREEDOM
-    # The scale of the prior is known.
-    judged[-1] = False
-    share = squares / total
-    return 1 / np.maximum(np.sum(share**2 / np.where(judged, left, KNOWN_FREEDOM), axis=0), 1 / KNOWN_FREEDOM)
-
-
-def noncentrality_needed(p: np.ndarray, freedom: np.ndarray) -> np.ndarray:
-    """Return the noncentrality at which Student's t, one-sided at p, detects with the power asked for.
-
-    Parameters
-    ----------
-    p, freedom : shape (C,).
-    """
-    critical = -special.stdtrit(freedom, p)
-    # Student's t is normal over √(χ²/ν): the power is a mean over quantiles of the latter.
-    quantiles = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
-    scale = np.sqrt(2 * special.gammaincinv(freedom / 2, quantiles[:, None]) / freedom)
-    low, high = np.zeros_like(critical), critical * scale.max(axis=0) + 10
-    for _ in range(60):
-        middle = (low + high) / 2
-        enough = normal_survival(critical * scale - middle).mean(axis=0) > thresholds.DETECTION_POWER
-        low, high = np.where(enough, low, middle), np.where(enough, middle, high)
-    return high
-
-
-def _bias(projection: Projection, response: Response, shift: np.ndarray) -> ParameterBias | None:
-    """Return the worst bias by one of C coefficients that shift the parameters by so much in z per unit, (P, C).
-
-    Uncertainties that the campaign states of the equipment are told by themselves (`neglected_uncertainty`).
-    """
-    fitted, coefficients = projection.fitted, response.coefficients
-    stated = [stated_size(fitted.model, response.scan.effect, each) for each in coefficients]
-    sizes = [each.typical[1] if own is None else 0.0 for each, own in zip(coefficients, stated, strict=True)]
-    if not len(shift):
-        return None
-    in_sd = shift * sizes / projection.posterior_sd[:, None]
-    most, worst = divmod(int(np.argmax(np.abs(in_sd))), len(coefficients))
-    parameter, cause = fitted.model.layout.parameters[most], coefficients[worst].parameter
-    return ParameterBias(
-        parameter=parameter.name,
-        unit=parameter.shown_unit,
-        value=float(shift[most, worst] * sizes[worst] * projection.slopes[most] / parameter.factor),
-        in_sd=float(in_sd[most, worst]),
-        coefficient=cause.name,
-        size=sizes[worst],
-        size_unit=cause.shown_unit,
-    )
-
-
-def _absorbers(projection: Projection, whitened: np.ndarray, shift: np.ndarray, raw: float) -> tuple[Absorber, ...]:
-    """Return the shares of a response of squared length `raw` that parameter families and run offsets absorb.
-
-    Parameters
-    ----------
-    whitened, shift : the response, (R,), and the parameters that fit it best, (P,) in z.
-    """
-    if raw <= 0:
-        return ()
-    shares = {RUN_OFFSETS: max(0.0, 1 - float(whitened @ whitened) / raw)}
-    # Shares of the regression: g·(J_k c_k)/|g|² add up to what is absorbed in all.
-    each = shift * (projection.jacobian.T @ whitened) / raw
-    for parameter, share in zip(projection.fitted.model.layout.parameters, each.tolist(), strict=True):
-        family = f"{parameter.effect}.{parameter.field}"
-        shares[family] = shares.get(family, 0.0) + share
-    absorbed = min(sum(shares.values()), 1.0)
-    positive = {name: share for name, share in shares.items() if share > 0}
-    whole = sum(positive.values()) or 1.0
-    found = [Absorber(name, share / whole * absorbed) for name, share in positive.items()]
-    listed = [absorber for absorber in found if absorber.share >= thresholds.ABSORBER_SHARE]
-    return tuple(sorted(listed, key=lambda absorber: -absorber.share))
+    z = np.linspace(1.0, 20.0, 1901)
+    gain = 0.5 * (z**2 - 1) - np.log(z) - math.log(len(variant.widths)) + variant.log_odds
+    return float(z[np.argmax(gain >= math.log(NAMED / (1 - NAMED)))]) + NormalDist().inv_cdf(DETECTION_POWER)

@@ -1,71 +1,60 @@
-"""From a converged fit to its diagnosis: the search, the verdict, and everything that supports it."""
+"""From a fit to its diagnosis: how probable each explanation is, and what supports the likeliest.
+
+Everything rests on one posterior over explanations (`imubayes.criticism.evidence`): the verdict is the likeliest kind,
+groups are its effects, and the next command adds them.
+"""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from functools import cached_property
 
 import jax.numpy as jnp
+import numpy as np
 
-from imubayes.campaign_data import Kind
-from imubayes.criticism import thresholds
-from imubayes.criticism.chain_stage import FoundStage, stages_of
-from imubayes.criticism.detectability import Detectability, detectability
+from imubayes.criticism.candidate_effects import Responses, candidate_responses
+from imubayes.criticism.detectability import AbsorbedResponses, Detectability
 from imubayes.criticism.diagnosis_record import (
     AskedEffect,
-    ChainStage,
-    CoefficientEstimate,
+    CovariateLabel,
     Diagnosis,
     EffectGroup,
-    GroupMember,
-    NearestEffect,
-    NoiseFinding,
-    RankedEffect,
-    RivalExplanation,
+    ResidualFormula,
+    ScreenedEffect,
     UndetectableEffect,
     UntypicalSize,
 )
-from imubayes.criticism.disagreement_record import Disagreement
 from imubayes.criticism.discriminating_run import discriminating_run
-from imubayes.criticism.equivalent_effects import EquivalenceGroup
-from imubayes.criticism.evidence.evidence_record import Evidence
-from imubayes.criticism.evidence.explain import explain, weighs
-from imubayes.criticism.free_form_dependence import dominant_channel
+from imubayes.criticism.effect_ranking import ranking
+from imubayes.criticism.evidence.evidence_record import NAMED, Explanation
+from imubayes.criticism.evidence.explain import explain
+from imubayes.criticism.evidence.hypothesis import Hypothesis
+from imubayes.criticism.evidence.noise_structures import Family
+from imubayes.criticism.evidence.posterior_summary import Posterior, Slot, SlotMember
+from imubayes.criticism.formula_search import find_formula
 from imubayes.criticism.known_noise import compare_with_known, known_scales
-from imubayes.criticism.known_noise_fit import known_noise_point
-from imubayes.criticism.large_effects import remainder_of_leader
-from imubayes.criticism.marginal_evidence import columns_of
-from imubayes.criticism.named_by_evidence import named_by_evidence
-from imubayes.criticism.neglected_uncertainty import neglected_uncertainties
-from imubayes.criticism.noise_assumptions import judged_noise_in
-from imubayes.criticism.noise_violation import NoiseComparison, NoiseViolation
-from imubayes.criticism.projection import Projection, project
-from imubayes.criticism.residual_evidence import ResidualEvidence, following_covariate, residual_evidence
-from imubayes.criticism.residual_findings import (
-    covariate_label,
-    outlying_samples,
-    residual_structures,
-    strongest_structure,
-)
-from imubayes.criticism.score_test import Candidate
-from imubayes.criticism.search_outcome import Significant
-from imubayes.criticism.stepwise_search import SearchResult, search
-from imubayes.criticism.suggestions import suggestions, that_converges
-from imubayes.criticism.unexplained_structure import (
-    goes_with,
-    scatter_remains,
-    unexplained_structure,
-)
-from imubayes.criticism.unlisted_causes import Causes, unlisted_causes
-from imubayes.criticism.verdict import MISSING, EffectChoice, RmsChange, Verdict
+from imubayes.criticism.known_noise_fit import KnownNoisePoint, known_noise_point
+from imubayes.criticism.outliers import outliers
+from imubayes.criticism.projection import project
+from imubayes.criticism.residual_covariates import ResidualCovariate, covariates
+from imubayes.criticism.residual_evidence import ResidualEvidence, residual_evidence
+from imubayes.criticism.verdict import CoefficientEstimate, RmsChange, Suggestion, Verdict
 from imubayes.criticism.wrong_runs import disagreements
-from imubayes.effects.base import Effect, Stage
+from imubayes.effects.base import Effect
 from imubayes.errors import InputError, Issue
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import Linearised
 from imubayes.json_record import finite
 from imubayes.step_counter import Tell, silent
 
-# p-values below this are not told apart.
-_BEYOND_DOUBT = 1e-30
+_CERTAINLY = 3.0
+"""Standard deviations by which a coefficient has to exceed the typical range, to be said to (convention)."""
+_MISSING_NOISE: dict[Family, str] = {
+    "tails": "outliers", "runs": "run_scatter", "correlated": "correlated_noise", "wander": "random_walk_noise",
+    "rate": "rate_proportional_noise",
+}  # fmt: skip
+_VERDICTS: dict[Explanation, Verdict] = {
+    "nothing": "adequate", "noise": "noise_model", "effects": "missing_effect", "input": "run_disagrees",
+    "outside": "unexplained_structure",
+}  # fmt: skip
 
 
 def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = silent) -> Diagnosis:
@@ -73,7 +62,8 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
 
     Parameters
     ----------
-    fit : screened about its mode, whether or not the sampling about it converged; not screened without a mode.
+    fit : explained about its mode, whether or not the sampling about it converged; a fit that did not converge, about
+        where it stopped.
     result : its result folder, for the next command.
     effect : ask about one effect only: whether it is there, absent or undetectable.
     progress : called with a short text as the work goes on.
@@ -85,87 +75,17 @@ def judge(fit: Fit, result: str = "RESULT", effect: str = "", progress: Tell = s
     """
     if effect:
         _refuse_unknown(effect, fit)
-    if not fit.optimised:
-        message = fit.message or "The fit did not converge."
+    message = fit.message or "The fit did not converge."
+    progress("predicting with every effect of the catalogue")
+    responses = candidate_responses(fit) if np.isfinite(fit.z).all() else None
+    if responses is None or not np.isfinite(responses.misfit).all():
         return Diagnosis(verdict="not_converged", message=message, result=result)
-    found = search(fit, progress)
-    if effect:
-        return _asked(effect, found, result)
     progress("weighing the explanations")
-    evidence = explain(fit, found.responses, found.covariates) if weighs(fit) else None
-    progress("predicting each run from the others")
-    disagreeing = disagreements(fit, found.responses, [group.leader.effect for group in found.groups])
+    known = covariates(fit)
+    posterior = explain(fit, responses, known)
     progress("interpreting what was found")
-    return _diagnosis(fit, found, evidence, disagreeing, result)
-
-
-def _diagnosis(
-    fit: Fit,
-    found: SearchResult,
-    weighed: Evidence | None,
-    disagreeing: tuple[Disagreement, ...],
-    result: str,
-) -> Diagnosis:
-    found, unexplained = _with_large_effect_fitted(named_by_evidence(found, weighed))
-    unlisted = [] if unexplained else [unlisted_causes(found, group) for group in found.groups]
-    as_fitted = project(found.first.projection.fitted, found.responses.misfit, found.responses.jacobian)
-    # As fitted: what the search ends with may be whitened by noise that it only suspects.
-    contradicted = compare_with_known(as_fitted).contradicted
-    verdict = _not_adequate(_verdict(found, unexplained, unlisted, contradicted), weighed)
-    violations = _violations(found, verdict, as_fitted)
-    verdict = _overruled("noise_model" if violations else verdict, disagreeing)
-    found = _as_named(found, verdict)
-    open_question = verdict == "unexplained_structure"
-    evidence = [_evidence(found, group) for group in found.groups]
-    named = found.groups if verdict in MISSING else ()
-    grouped = zip(named, evidence[: len(named)], unlisted[: len(named)], stages_of(found, named), strict=True)
-    diagnosis = Diagnosis(
-        verdict=verdict,
-        result=result,
-        p_global=_best(found),
-        groups=tuple(_group(fit, found, *each) for each in grouped),
-        ranking=_ranking(found),
-        noise=_noise(found),
-        undetectable=_undetectable(found),
-        nearest=_nearest(found) if open_question else (),
-        structure=residual_structures(found, unexplained),
-        looks=found.look_elsewhere.looks,
-        outliers=outlying_samples(found),
-        paired=found.paired,
-        unfinished=found.unfinished,
-        rivals=_rivals(found),
-        strongest=strongest_structure(found) if open_question else None,
-        recorded_noise=found.record.of_rows,
-        contradicted=contradicted,
-        disagreeing=disagreeing,
-        explanations=weighed,
-        neglected=neglected_uncertainties(found),
-        violations=violations,
-        wandering=found.wandering,
-        scatter_remains=verdict in MISSING and scatter_remains(found),
-        more_remains=verdict in MISSING and bool(found.remaining or found.groups[1 + found.paired :]),
-        message=fit.message if not fit.sampled else "",
-    )
-    tried = suggestions(found, "noise_model" if diagnosis.noise_outweighs else verdict)
-    diagnosis = diagnosis.model_copy(update={"suggested": that_converges(found, diagnosis, tried)})
-    return diagnosis.with_evidence(evidence[0] if evidence else None, found.record)
-
-
-def _with_large_effect_fitted(found: SearchResult) -> tuple[SearchResult, Sequence[Significant]]:
-    """Return the outcome with the structure that no effect explains, after a refit where a large effect is doubted."""
-    unexplained = unexplained_structure(found)
-    # One effect is refitted: of several that explain together it would leave most.
-    alone = not (found.unfinished or found.paired)
-    doubted = alone and (unexplained or (found.groups and scatter_remains(found)))
-    left = remainder_of_leader(found) if doubted else None
-    if left is None:
-        return found, unexplained
-    if not unexplained:
-        return replace(found, record=left.record), []
-    if not left.small:
-        return found, unexplained
-    # What else the linear search found beside a large effect is its curvature, or waits until it is fitted.
-    return replace(found, groups=found.groups[:1], remaining=left.structures, record=left.record), []
+    judged = _Judged(fit, responses, known, posterior, result)
+    return judged.answer_about(effect) if effect else judged.diagnosis()
 
 
 def _refuse_unknown(effect: str, fit: Fit) -> None:
@@ -186,225 +106,204 @@ def _refuse_unknown(effect: str, fit: Fit) -> None:
         )
 
 
-def _verdict(
-    found: SearchResult,
-    unexplained: Sequence[Significant],
-    unlisted: Sequence[Causes],
-    contradicted: Sequence[NoiseComparison],
-) -> Verdict:
-    if unexplained:
-        return "unexplained_structure"
-    if found.groups:
-        doubtful = bool(unlisted[0] or found.wandering or found.rivals or found.unfinished) or scatter_remains(found)
-        alone = len(found.groups[0].members) == 1 and not doubtful
-        return "missing_effect" if alone else "equivalent_effects"
-    noisy = found.adopted or found.record.contradicted or contradicted or found.wandering
-    return "noise_model" if noisy else "adequate"
+class _Judged:
+    """A fit with the posterior over explanations of what it leaves."""
 
+    def __init__(
+        self, fit: Fit, responses: Responses, known: Sequence[ResidualCovariate], posterior: Posterior, result: str
+    ):
+        self.fit, self.responses, self.known, self.result = fit, responses, known, result
+        self.posterior, self.of = posterior, posterior.of
+        self.absorbed = AbsorbedResponses(posterior.of, fit)
+        about = Linearised(jnp.asarray(fit.z), jnp.asarray(responses.misfit), jnp.asarray(responses.jacobian))
+        self.at_known_noise = known_noise_point(fit.model, about, known_scales(fit))
 
-def _not_adequate(verdict: Verdict, weighed: Evidence | None) -> Verdict:
-    """Return the verdict where the evidence excludes that nothing is missing, and no test says what is."""
-    excluded = weighed is not None and weighed.excludes_nothing_missing
-    return "noise_model" if verdict == "adequate" and excluded else verdict
-
-
-def _overruled(verdict: Verdict, disagreeing: Sequence[Disagreement]) -> Verdict:
-    """Return the verdict beside a wrong record of a run, which passes for effects and noise: these are judged after."""
-    return "run_disagrees" if any(each.leads for each in disagreeing) else verdict
-
-
-def _as_named(found: SearchResult, verdict: Verdict) -> SearchResult:
-    """Return the outcome without what concerns effects that are named, where none is."""
-    if verdict in MISSING:
-        return found
-    return replace(found, rivals=found.rivals if found.wandering else (), paired=False, unfinished=False)
-
-
-def _violations(found: SearchResult, verdict: Verdict, as_fitted: Projection) -> tuple[NoiseViolation, ...]:
-    """Return how the noise departs from its model where no candidate explains that; outliers are told by themselves."""
-    if verdict not in ("adequate", "noise_model") or found.adopted:
-        return ()
-    told = ("heavy_tails",) if found.outlier_sd.any() else ()
-    return tuple(each for each in judged_noise_in(as_fitted).violations if each.kind not in told)
-
-
-def _asked(effect: str, found: SearchResult, result: str) -> Diagnosis:
-    """Return the answer for one effect: found, absent down to a size, or undetectable."""
-    lines = tuple(line for line in _ranking(found) if line.effect == effect)
-    known = next((each for each in _detectabilities(found) if each.effect == effect), None)
-    best = min((line.p_global for line in lines), default=1.0)
-    undetectable: tuple[UndetectableEffect, ...] = ()
-    if best < thresholds.FALSE_ALARM:
-        verdict: Verdict = "missing_effect"
-    elif known is not None and not known.undetectable:
-        verdict = "adequate"
-    else:
-        verdict = "undetectable"
-        needs = found.responses.unobservable.get(effect, ())
-        undetectable = (_hidden(known) if known is not None else _not_supplied(effect, needs),)
-    smallest = finite(known.smallest_detectable) if known is not None else None
-    return Diagnosis(
-        verdict=verdict,
-        result=result,
-        p_global=best,
-        ranking=lines,
-        undetectable=undetectable,
-        asked=AskedEffect(effect=effect, smallest_detectable=smallest, unit=known.unit if known is not None else ""),
-    )
-
-
-def _best(found: SearchResult) -> float:
-    best = min((candidate.p for candidate in found.first.candidates), default=1.0)
-    return found.against_budget(found.look_elsewhere(best))
-
-
-def _ranking(found: SearchResult) -> tuple[RankedEffect, ...]:
-    """Return every candidate by its p-value, those beyond doubt by their likelihood ratio."""
-    return tuple(
-        RankedEffect(
-            effect=candidate.effect,
-            channels=candidate.owners,
-            delta_chi2=candidate.delta_chi2,
-            evidence=2 * candidate.score.log_likelihood_gain,
-            dof=candidate.dof,
-            p=candidate.p,
-            p_global=found.against_budget(found.look_elsewhere(candidate.p)),
-            within_runs=candidate.score.within_runs,
-            shape=dict(candidate.scan.shape),
-            coefficients=_coefficients(candidate),
+    def diagnosis(self) -> Diagnosis:
+        """Return what is missing."""
+        fit, posterior = self.fit, self.posterior
+        shown = [
+            residual_evidence(posterior, self.absorbed, self.responses, slot.members[0], self.known)
+            for slot in posterior.slots
+        ]
+        noise = compare_with_known(project(fit, self.responses.misfit, self.responses.jacobian))
+        simple, every = self._suggestions()
+        diagnosis = Diagnosis(
+            verdict=self._verdict() if fit.optimised else "not_converged",
+            message=fit.message if not (fit.optimised and fit.sampled) else "",
+            result=self.result,
+            explanations=posterior.evidence,
+            groups=tuple(map(self._group, posterior.slots, shown)),
+            delta_chi2=self._delta_chi2(posterior.slots),
+            ranking=ranking(posterior),
+            formulas=tuple(self._formulas()),
+            disagreeing=disagreements(posterior, fit.model.campaign),
+            undetectable=self._undetectable(),
+            outliers=outliers(posterior),
+            suggested=simple,
+            all_that_fit=every,
+            recorded_noise=noise.of_rows,
+            contradicted=noise.contradicted,
+            neglected=self.absorbed.neglected,
         )
-        for candidate in sorted(found.first.candidates, key=lambda each: (max(each.p, _BEYOND_DOUBT), each.log_p))
-    )
+        return diagnosis.with_evidence(shown[0] if shown else None, noise)
 
-
-def _coefficients(candidate: Candidate) -> tuple[CoefficientEstimate, ...]:
-    return tuple(
-        CoefficientEstimate(
-            name=coefficient.parameter.name,
-            value=finite(value),
-            sd=finite(sd),
-            unit=coefficient.parameter.shown_unit,
+    def answer_about(self, effect: str) -> Diagnosis:
+        """Return the answer for one effect: found, absent down to a size, or undetectable."""
+        lines = tuple(line for line in ranking(self.posterior) if line.effect == effect)
+        seen = next((each for each in self.absorbed.of_effects if each.effect == effect), None)
+        undetectable: tuple[UndetectableEffect, ...] = ()
+        if self.posterior.including([effect]) >= 0.5:
+            verdict: Verdict = "missing_effect"
+        elif seen is not None and not seen.undetectable:
+            verdict = "adequate"
+        else:
+            verdict = "undetectable"
+            needs = self.responses.unobservable.get(effect, ())
+            undetectable = (_hidden(seen) if seen is not None else _not_supplied(effect, needs),)
+        asked = AskedEffect(
+            effect=effect,
+            smallest_detectable=finite(seen.smallest_detectable) if seen is not None else None,
+            unit=seen.unit if seen is not None else "",
         )
-        for coefficient, value, sd in zip(candidate.coefficients, candidate.value, candidate.sd, strict=True)
-    )
+        return Diagnosis(
+            verdict=verdict, result=self.result, explanations=self.posterior.evidence, ranking=lines,
+            undetectable=undetectable, asked=asked,
+        )  # fmt: skip
 
+    def _verdict(self) -> Verdict:
+        found = _VERDICTS[self.posterior.leading]
+        certain = self.posterior.evidence.of("effects").probability >= NAMED
+        single = all(len(slot.members) == 1 and slot.probability >= NAMED for slot in self.posterior.slots)
+        return "equivalent_effects" if found == "missing_effect" and not (certain and single) else found
 
-def _evidence(found: SearchResult, group: EquivalenceGroup) -> ResidualEvidence:
-    projection, leader = found.first.projection, group.leader
-    response = next(each for each in found.first.prepared if each.response.scan == leader.scan)
-    names = [channel.name for channel in projection.fitted.model.campaign.channels]
-    channel = dominant_channel(projection, names, leader.score)
-    covariate = following_covariate(projection, found.first.structures, leader, channel, goes_with(found, leader))
-    return residual_evidence(projection, found.responses, response, leader, channel, covariate, found.covariates)
+    # ---- effects ----
 
+    @cached_property
+    def _doubtful(self) -> Slot | None:
+        """The strongest of the slots whose effects the runs do not distinguish."""
+        return next((slot for slot in self.posterior.slots if len(slot.members) > 1), None)
 
-def _group(
-    fit: Fit,
-    found: SearchResult,
-    group: EquivalenceGroup,
-    evidence: ResidualEvidence,
-    unlisted: Causes,
-    stage: FoundStage | None,
-) -> EffectGroup:
-    leader = group.leader
-    drop, residual = _at_known_noise(fit, found, leader, evidence.channel)
-    return EffectGroup(
-        effects=group.effects,
-        channels=leader.owners,
-        delta_chi2=leader.delta_chi2,
-        delta_chi2_known=drop,
-        dof=leader.dof,
-        p_global=found.against_budget(group.p),
-        candidates=tuple(
-            GroupMember(
-                effect=member.effect,
-                channels=member.owners,
-                delta_chi2=member.delta_chi2,
-                shape=dict(member.scan.shape),
-                coefficients=_coefficients(member),
-                unexplained=unexplained,
+    def _group(self, slot: Slot, shown: ResidualEvidence) -> EffectGroup:
+        leader = slot.members[0]
+        members = tuple(map(self._screened, slot.members))
+        return EffectGroup(
+            channels=members[0].channels,
+            probability=slot.probability,
+            log_odds=slot.gain,
+            delta_chi2=members[0].delta_chi2,
+            candidates=members,
+            residual=self._rms(leader, shown.channel),
+            within=shown.within,
+            covariate=_label(shown.covariate) if shown.covariate is not None else None,
+            discriminating_run=discriminating_run(self.fit, self.posterior, slot) if slot is self._doubtful else None,
+            beyond_typical=self._beyond_typical(leader, members[0].coefficients),
+        )
+
+    def _screened(self, member: SlotMember) -> ScreenedEffect:
+        variant = self.of.variants[member.variant]
+        return ScreenedEffect(
+            effect=member.effect,
+            channels=variant.owners,
+            probability=member.share,
+            delta_chi2=self.at_known_noise.record().chi2 - self._with(member).record().chi2,
+            shape=dict(self.of.problem.candidates[variant.response].scan.shape),
+            coefficients=self.posterior.coefficients(member.variant, member.found),
+        )
+
+    def _columns(self, member: SlotMember) -> np.ndarray:
+        """Return the responses of a variant about the fit, (E, C)."""
+        variant = self.of.variants[member.variant]
+        scan = self.of.problem.candidates[variant.response].scan
+        own = [each for each in self.responses.candidates if each.scan.effect == scan.effect]
+        response = next((each for each in own if each.scan == scan), own[0])
+        names = {self.of.problem.coefficients[k].parameter.name for k in variant.places}
+        return response.columns[:, [each.parameter.name in names for each in response.coefficients]]
+
+    def _with(self, *members: SlotMember) -> KnownNoisePoint:
+        return self.at_known_noise.with_columns(np.concatenate([self._columns(each) for each in members], axis=1))
+
+    def _delta_chi2(self, slots: Sequence[Slot]) -> float | None:
+        """Return the drop of χ² by the leaders of all slots together, at the noise known beforehand."""
+        if not slots:
+            return None
+        return self.at_known_noise.record().chi2 - self._with(*(each.members[0] for each in slots)).record().chi2
+
+    def _rms(self, member: SlotMember, channel: str) -> RmsChange:
+        """Return what an effect does to the residual of a channel, at the noise known beforehand."""
+        records = self.at_known_noise.record(), self._with(member).record()
+        one, other = (next(each for each in both.channels if each.channel == channel) for both in records)
+        factor, unit = {"deg/s": (3600.0, "deg/h"), "deg": (3600.0, "arcsec")}.get(one.unit, (1e6, "ug"))
+        return RmsChange(channel=channel, before=factor * one.rms, after=factor * other.rms, unit=unit)
+
+    def _beyond_typical(
+        self, member: SlotMember, estimates: Sequence[CoefficientEstimate]
+    ) -> tuple[UntypicalSize, ...]:
+        """Return the coefficients that are certainly larger than those met in practice."""
+        places = self.of.variants[member.variant].places
+        largest = [self.of.problem.coefficients[k].typical[1] for k in places]
+        return tuple(
+            UntypicalSize(name=each.name, value=each.value, largest=most, unit=each.unit)
+            for each, most in zip(estimates, largest, strict=True)
+            if each.value is not None and abs(each.value) - _CERTAINLY * (each.sd or 0.0) > most
+        )
+
+    # ---- what to add ----
+
+    def _suggestions(self) -> tuple[Suggestion | None, Suggestion | None]:
+        """Return the simplest explanation, and with all that fits as well where that is more."""
+        if self.posterior.leading == "noise":
+            return self._missing_noise(), None
+        told = [slot for slot in self.posterior.slots if slot.probability >= 0.5]
+        if self.posterior.leading != "effects" or not told:
+            return None, None
+        simple = self._suggestion([slot.members[0] for slot in told])
+        every = self._suggestion([member for slot in told for member in slot.members])
+        return simple, every if every.effects != simple.effects else None
+
+    def _missing_noise(self) -> Suggestion | None:
+        there = {effect.name for effect in self.fit.model.assembly.effects}
+        named = [_MISSING_NOISE[each.family] for each in self.posterior.evidence.noise if each.family in _MISSING_NOISE]
+        lacking = [name for name in dict.fromkeys(named) if name not in there]
+        return Suggestion(effects=(lacking[0],), channels=None) if lacking else None
+
+    def _suggestion(self, members: Sequence[SlotMember]) -> Suggestion:
+        """Return effects to add, their channels named where they are not all on which these were screened."""
+        names = [channel.name for channel in self.fit.model.campaign.channels]
+        effects = tuple(dict.fromkeys(member.effect for member in members))
+        here = {owner for member in members for owner in self.of.variants[member.variant].owners}
+        screened = {
+            coefficient.owner
+            for response in self.responses.candidates
+            if response.scan.effect in effects
+            for coefficient in response.coefficients
+        }
+        on = tuple(name for name in names if name in here)
+        return Suggestion(effects=effects, channels=None if here == screened or not on else on)
+
+    # ---- what no effect explains, and what cannot be shown ----
+
+    def _formulas(self) -> list[ResidualFormula]:
+        """Return the formula of each channel of a form that leads; what happens in one run alone has none."""
+        top = self.posterior.top
+        chosen = top.hypothesis.form
+        if self.posterior.leading != "outside" or chosen is None or chosen.form.run is not None:
+            return []
+        beside = self.of.evaluate(Hypothesis(top.hypothesis.variants, top.hypothesis.noise), top)
+        found = [
+            find_formula(self.of, beside, top.scale, self.posterior.fitted, self.known, k) for k in chosen.channels
+        ]
+        return [
+            ResidualFormula(
+                channel=each.channel, kind=each.kind, shape=each.text, terms=each.terms, inclusion=each.inclusion,
+                near=each.near,
             )
-            for member, unexplained in zip(group.members, group.unexplained, strict=True)
-        ),
-        residual=residual,
-        within=evidence.within,
-        covariate=covariate_label(evidence.covariate) if evidence.covariate is not None else None,
-        discriminating_run=discriminating_run(fit, group),
-        unlisted=tuple(tuple(map(covariate_label, each)) for each in unlisted),
-        stage=_chain_stage(fit, leader, stage) if stage is not None else None,
-        beyond_typical=_beyond_typical(leader),
-    )
+            for each in found if each is not None
+        ]  # fmt: skip
 
-
-def _at_known_noise(fit: Fit, found: SearchResult, leader: Candidate, channel: str) -> tuple[float, RmsChange]:
-    """Return the Δχ² of a candidate at the noise known beforehand, and what it does to the residual of a channel."""
-    about = Linearised(jnp.asarray(fit.z), jnp.asarray(found.responses.misfit), jnp.asarray(found.responses.jacobian))
-    before = known_noise_point(fit.model, about, known_scales(fit))
-    after = before.with_columns(columns_of(found.first.prepared, leader))
-    then, now = before.record(), after.record()
-    one, other = (next(each for each in both.channels if each.channel == channel) for both in (then, now))
-    factor, unit = {"deg/s": (3600.0, "deg/h"), "deg": (3600.0, "arcsec")}.get(one.unit, (1e6, "ug"))
-    change = RmsChange(channel=channel, before=factor * one.rms, after=factor * other.rms, unit=unit)
-    return then.chi2 - now.chi2, change
-
-
-def _beyond_typical(leader: Candidate) -> tuple[UntypicalSize, ...]:
-    """Return the coefficients that are certainly larger than those met in practice."""
-    sizes = zip(leader.coefficients, leader.value.tolist(), leader.sd.tolist(), strict=True)
-    return tuple(
-        UntypicalSize(
-            name=coefficient.parameter.name, value=value, largest=coefficient.typical[1],
-            unit=coefficient.parameter.shown_unit,
-        )
-        for coefficient, value, sd in sizes
-        if abs(value) - thresholds.PRIOR_CONFLICT_SD * sd > coefficient.typical[1]
-    )  # fmt: skip
-
-
-def _chain_stage(fit: Fit, leader: Candidate, stage: FoundStage) -> ChainStage:
-    sensor: Kind = next(channel.kind for channel in fit.model.campaign.channels if channel.name in leader.owners)
-    named = "sensor" if stage.stage == Stage.SENSOR else "converter"
-    return ChainStage(named=named, sensor=sensor, determined=stage.determined)
-
-
-def _nearest(found: SearchResult) -> tuple[NearestEffect, ...]:
-    return tuple(
-        NearestEffect(effects=group.effects, channels=group.leader.owners, delta_chi2=group.leader.delta_chi2)
-        for group in found.groups
-    )
-
-
-def _noise(found: SearchResult) -> tuple[NoiseFinding, ...]:
-    adopted = {(noise.effect, noise.channels) for noise in found.adopted}
-    return tuple(
-        NoiseFinding(
-            effect=noise.effect,
-            channels=noise.channels,
-            value=noise.value,
-            p=noise.p,
-            delta_chi2=noise.drop,
-            adopted=(noise.effect, noise.channels) in adopted,
-        )
-        for noise in found.noise
-    )
-
-
-def _detectabilities(found: SearchResult) -> list[Detectability]:
-    """Return how well each effect can be detected, by its best coefficient and shape."""
-    best: dict[str, Detectability] = {}
-    for response in found.first.prepared:
-        seen = detectability(
-            found.first.projection, response, thresholds.FALSE_ALARM_EFFECT, found.look_elsewhere.looks
-        )
-        known = best.get(seen.effect)
-        if known is None or seen.smallest_detectable / seen.typical[1] < known.smallest_detectable / known.typical[1]:
-            best[seen.effect] = seen
-    return list(best.values())
-
-
-def _undetectable(found: SearchResult) -> tuple[UndetectableEffect, ...]:
-    hidden = [_hidden(each) for each in _detectabilities(found) if each.undetectable]
-    return (*hidden, *(_not_supplied(name, needs) for name, needs in found.responses.unobservable.items()))
+    def _undetectable(self) -> tuple[UndetectableEffect, ...]:
+        hidden = [_hidden(each) for each in self.absorbed.of_effects if each.undetectable]
+        absent = self.responses.unobservable.items()
+        return (*hidden, *(_not_supplied(name, needs) for name, needs in absent))
 
 
 def _hidden(seen: Detectability) -> UndetectableEffect:
@@ -424,11 +323,5 @@ def _not_supplied(effect: str, needs: tuple[str, ...]) -> UndetectableEffect:
     return UndetectableEffect(effect=effect, reason="not_supplied", needs=needs)
 
 
-def _rivals(found: SearchResult) -> tuple[RivalExplanation, ...]:
-    return tuple(
-        RivalExplanation(
-            effects=tuple(EffectChoice(effect=member.effect, channels=member.owners) for member in each.members),
-            log_odds=each.log_odds,
-        )
-        for each in found.rivals
-    )
+def _label(covariate: ResidualCovariate) -> CovariateLabel:
+    return CovariateLabel(name=covariate.name, unit=covariate.unit, phrase=covariate.phrase)

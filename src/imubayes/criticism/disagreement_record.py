@@ -25,7 +25,7 @@ class AgreeingInput(Record):
         1 for a factor.
     agreeing : what would agree, for each component: value, factor, or rotation vector in body axes.
     sd : its standard uncertainty, the parameters of the model estimated beside it.
-    delta_chi2 : drop of χ² with it, the model refitted, at the noise known before the fit.
+    probability : among all wrong inputs.
     """
 
     form: Literal["offset", "factor", "seat", "output_offset", "output_factor"]
@@ -34,45 +34,22 @@ class AgreeingInput(Record):
     recorded: float | None
     agreeing: tuple[float, ...]
     sd: tuple[float, ...]
-    delta_chi2: float
-
-
-class RivalOfInput(Record):
-    """Effects, acting in all runs, that explain what a wrong input explains; `log_odds` are theirs against it."""
-
-    effects: tuple[str, ...]
-    log_odds: float
-
-    @property
-    def leads(self) -> bool:
-        """Whether the effects are likelier."""
-        return self.log_odds >= 0
+    probability: float
 
 
 class Disagreement(Record):
-    """A run, or one row of it, that does not agree with all others at the noise that was known before the fit.
+    """A run, or one row of it, whose record is wrong in the likeliest explanation.
 
     Attributes
     ----------
     row : counts from 1; None for the run as a whole.
-    chi2, dof : what it adds to the χ² of all others, and its number of outputs.
-    p : chance of that, corrected for the number of looks.
-    causes : what would make it agree, the best first; those that the runs do not distinguish; empty where nothing in
-        the record of the run explains it.
-    instead : runs with a cause that explains the same, in place of this run.
-    rivals : effects of the catalogue that explain the same, the likeliest first.
+    log_odds : natural logarithm of the odds against the likeliest explanation with the record as it is.
+    causes : what would make it agree, the likeliest first; those that the runs do not distinguish.
+    instead : runs and rows with a cause that explains the same, in place of this one.
     """
 
     run: str
     row: int | None
-    chi2: float
-    dof: int
-    p: float
+    log_odds: float
     causes: tuple[AgreeingInput, ...]
     instead: tuple[str, ...] = ()
-    rivals: tuple[RivalOfInput, ...] = ()
-
-    @property
-    def leads(self) -> bool:
-        """Whether something wrong in the record of this run is likelier than any effect."""
-        return not any(each.leads for each in self.rivals)

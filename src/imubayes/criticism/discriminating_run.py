@@ -1,57 +1,62 @@
-"""The candidate run that best distinguishes the members of an equivalence group, found without a simulation.
+"""The candidate run that best distinguishes the members of an slot, found without a simulation.
 
 Were the leader the truth with the coefficients found, a refit with another member would leave |(I − P_b) w|² of χ² over
 all runs, the new one included; the run that makes the smallest of these largest distinguishes them.
 """
 
-from collections.abc import Sequence
-
+import jax.numpy as jnp
 import numpy as np
 
-from imubayes.criticism import thresholds
-from imubayes.criticism.candidate_effects import Response, candidate_responses
-from imubayes.criticism.equivalent_effects import EquivalenceGroup
-from imubayes.criticism.projection import Projection, project
-from imubayes.criticism.score_test import Candidate
+from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.criticism.evidence.posterior_summary import Posterior, Slot
+from imubayes.criticism.known_noise import known_scales
+from imubayes.criticism.known_noise_fit import whitened_rows
 from imubayes.inference.candidate_runs import RunDesign
 from imubayes.inference.experiment_design import with_planned
 from imubayes.inference.fitted_model import Fit
+from imubayes.model.problem import prior_widths
+
+_DISTINGUISHED = 16.0
+"""χ² by which a planned run has to distinguish the members of a slot: four standard deviations (convention)."""
 
 
-def discriminating_run(fitted: Fit, group: EquivalenceGroup) -> RunDesign | None:
-    """Return the run that best distinguishes the members of a group; None where no feasible run does."""
-    if len(group.members) < 2:
+def discriminating_run(fitted: Fit, posterior: Posterior, slot: Slot) -> RunDesign | None:
+    """Return the run that best distinguishes the members of a slot; None where no feasible run does."""
+    if len(slot.members) < 2:
         return None
     extended, planned = with_planned(fitted, elsewhere=True)
     if not planned:
         return None
-    entries = extended.model.entries
-    responses = candidate_responses(extended, only=group.effects)
-    projection = project(extended, responses.misfit, responses.jacobian)
-    jacobian, prior = np.split(projection.jacobian, [len(entries)])
-    members = [_whitened(projection, member, responses.candidates) for member in group.members]
+    entries, of = extended.model.entries, posterior.of
+    responses = candidate_responses(extended, only=[member.effect for member in slot.members])
+    members = []
+    for member in slot.members:
+        scan = of.problem.candidates[of.variants[member.variant].response].scan
+        sizes = {each.name: each.value or 0.0 for each in posterior.coefficients(member.variant, member.found)}
+        own = [each for each in responses.candidates if each.scan.effect == scan.effect]
+        response = next((each for each in own if each.scan == scan), own[0] if own else None)
+        if response is None:
+            return None
+        names = [each.parameter.name for each in response.coefficients]
+        members.append((response.columns[:, [k for k, name in enumerate(names) if name in sizes]],
+                        np.array([sizes[name] for name in names if name in sizes])))  # fmt: skip
+    # The runs that are planned have the noise that is known of their channels.
+    h = known_scales(extended)
+    white = whitened_rows(extended.model.problem, h, np.concatenate([responses.jacobian, *(c for c, _ in members)], 1))
+    jacobian, *columns = np.split(
+        white, np.cumsum([responses.jacobian.shape[1], *(c.shape[1] for c, _ in members)])[:-1], 1
+    )
+    prior = np.diag(1 / np.asarray(prior_widths(extended.model.problem, jnp.asarray(h))))
     recorded = len(fitted.model.campaign.runs)
     differences = [
-        _least_difference(jacobian, prior, members, (entries.run < recorded) | (entries.run == recorded + place))
+        _least_difference(
+            jacobian, prior, [(own, sizes) for own, (_, sizes) in zip(columns, members, strict=True)],
+            (entries.run < recorded) | (entries.run == recorded + place),
+        )
         for place in range(len(planned))
-    ]
+    ]  # fmt: skip
     best = int(np.argmax(differences))
-    return planned[best].design if differences[best] >= thresholds.DISTINGUISHABLE_CHI2 else None
-
-
-def _whitened(
-    projection: Projection, member: Candidate, responses: Sequence[Response]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the whitened columns of a member over the entries, and the coefficients found."""
-    response = next(each for each in responses if each.scan == member.scan)
-    places = {coefficient.parameter.name: place for place, coefficient in enumerate(response.coefficients)}
-    values = {
-        places[coefficient.parameter.name]: value
-        for coefficient, value in zip(member.coefficients, member.value, strict=True)
-        if coefficient.parameter.name in places
-    }
-    columns = projection.whitened(response.columns[:, list(values)])
-    return columns[: len(projection.fitted.model.entries)], np.array(list(values.values()))
+    return planned[best].design if differences[best] >= _DISTINGUISHED else None
 
 
 def _least_difference(

@@ -1,24 +1,30 @@
 """Formula search: the simplest formula in the covariates that explains a channel's residual.
 
-Orthogonal matching pursuit over the library of simple terms, all projected: the term with the strongest evidence is
-selected and projected out, until no further term is significant.  The inclusion frequency, how often a term is selected
-first when whole runs are resampled, says how far to trust it.
+Orthogonal matching pursuit over the library of simple terms, past what the leading explanation fits: the term with the
+strongest evidence is selected and projected out, until the odds are against a further one.  The inclusion frequency,
+how often a term is selected first when whole runs are resampled, says how far to trust it.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from imubayes.criticism import thresholds
-from imubayes.criticism.projection import Projection
+from imubayes.criticism.evidence.evidence_record import NAMED
+from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf
+from imubayes.criticism.evidence.proposals import at_scales, base_columns
 from imubayes.criticism.residual_covariates import ResidualCovariate
-from imubayes.criticism.score_test import ScoreTest, score_test
 from imubayes.criticism.term_library import Term, library
+from imubayes.inference.fitted_model import Fit
 from imubayes.json_record import Record, finite
 
-# Sorts of terms that are chosen from many: penalised against plain ones.
-_ELABORATE = ("product", "wave")
+_ELABORATE, _PENALTY = ("product", "wave"), 4.5
+"""Sorts of terms that are chosen from many, and the nats by which they are penalised against plain ones."""
+_MOST_TERMS, _NEAR, _RESAMPLES = 3, 4.0, 200
+"""Terms of a formula at most; nats within which another term is told; times that runs are resampled."""
+_LEAST_RETAINED = 1e-6
+"""Share of a term below which what the model fits explains it."""
 
 
 class FormulaTerm(Record):
@@ -31,7 +37,7 @@ class FormulaTerm(Record):
     needs : covariates that a run has to supply.
     value, sd, unit : coefficient.
     delta_chi2 : drop of χ² when the term was selected.
-    p_global : its p-value, all terms of the library counted.
+    log_odds : natural logarithm of the odds for it, all terms of the library counted.
     """
 
     shape: str
@@ -41,7 +47,7 @@ class FormulaTerm(Record):
     sd: float | None
     unit: str
     delta_chi2: float
-    p_global: float
+    log_odds: float
 
 
 @dataclass(frozen=True)
@@ -69,47 +75,70 @@ class Formula:
 
 
 @dataclass(frozen=True)
-class _Selected:
-    """A selected term: its place in the library, its score test and its corrected p-value."""
+class _Pursuit:
+    """Terms beside an explanation: V (T, T) and u (T,) past what it fits, in units of the noise."""
 
-    place: int
-    score: ScoreTest
-    p: float
+    own: np.ndarray
+    right: np.ndarray
+
+    def drops(self, whole: np.ndarray) -> np.ndarray:
+        """Return the drop of χ² by each term, of squared length `whole` at first, (T,)."""
+        left = np.diag(self.own)
+        told = left > _LEAST_RETAINED * whole
+        return np.where(told, self.right**2 / np.where(told, left, 1.0), 0.0)
+
+    def without(self, place: int) -> "_Pursuit":
+        """Return the same with a term projected out."""
+        along = self.own[:, place] / self.own[place, place]
+        return _Pursuit(self.own - np.outer(along, self.own[place]), self.right - along * self.right[place])
 
 
-def find_formula(projection: Projection, covariates: Sequence[ResidualCovariate], channel: str) -> Formula | None:
-    """Return the simplest formula for the residual of a channel; None where no term is significant."""
-    model = projection.fitted.model
-    gravity = model.campaign.site.gravity
-    index = [other.name for other in model.campaign.channels].index(channel)
-    constants = model.campaign.channels[index]
-    rows = (model.entries.channel == index) & ~model.entries.closing
-    terms = library(covariates, rows, gravity)
+def find_formula(
+    of: EvidenceOf, at: Evaluated, scale: np.ndarray, fitted: Fit, covariates: Sequence[ResidualCovariate], channel: int
+) -> Formula | None:
+    """Return the simplest formula for what a hypothesis leaves of a channel; None where no term is worth its odds.
+
+    Parameters
+    ----------
+    at : the hypothesis, without a form.
+    scale : shape (K,), noise scales with the form that explains the rest.
+    """
+    model = fitted.model
+    gravity, constants = model.campaign.site.gravity, model.campaign.channels[channel]
+    here = (model.entries.channel == channel) & ~model.entries.closing
+    terms = library(covariates, here, gravity)
     if not terms:
         return None
     factor, base = coefficient_unit(constants.kind, constants.scale_si, gravity)
-    columns = np.stack([np.where(rows, term.values, 0.0) for term in terms], axis=1) * factor
-    size = np.abs(columns).max(axis=0)
-    whitened = projection.whitened(columns / size)
-    first = _scores(projection, whitened)
-    selected = _pursue(projection, terms, whitened, first)
+    rows, at = of.problem.rows[channel], at_scales(of, at, scale)
+    columns = np.stack([term.values[rows.entry] for term in terms], axis=1) * factor
+    size = np.maximum(np.abs(columns).max(axis=0), np.finfo(float).tiny)
+    columns = columns / size * of.problem.root[rows.entry][:, None]
+    white = of.whiten(at.hypothesis, columns, channel, at.weight.get(channel)) / scale[channel]
+    taken = base_columns(of, at, channel) / scale[channel]
+    where = of.taking_part(channel, at.columns, None)
+    left = white - taken[:, :-1] @ (at.covariance[np.ix_(where, where)] @ (taken[:, :-1].T @ white))
+    residual = taken[:, -1] - taken[:, :-1] @ at.mean[where]
+    first = _Pursuit(white.T @ left, white.T @ residual)
+    selected = _pursue(first, terms, np.sum(white**2, axis=0), len(residual))
     if not selected:
         return None
-    places = [choice.place for choice in selected]
-    values, sds = _solve(projection, whitened[:, places], selected[-1].score.variance)
-    best = selected[0]
+    places = [place for place, _, _ in selected]
+    covariance = np.linalg.inv(first.own[np.ix_(places, places)])
+    values, sds = covariance @ first.right[places], np.sqrt(np.diag(covariance))
+    drops = first.drops(np.sum(white**2, axis=0))
     return Formula(
-        channel=channel,
+        channel=constants.name,
         kind=constants.kind,
         terms=tuple(
-            _formula_term(terms[choice.place], choice, value, sd, base)
-            for choice, value, sd in zip(selected, values / size[places], sds / size[places], strict=True)
+            _formula_term(terms[place], drop, odds, value, sd, base)
+            for (place, drop, odds), value, sd in zip(selected, values / size[places], sds / size[places], strict=True)
         ),
-        inclusion=_inclusion(projection, projection.project(whitened), best.place),
+        inclusion=_inclusion(of.problem.run[rows.entry], left, residual, places[0]),
         near=tuple(
             term.text
-            for place, (term, score) in enumerate(zip(terms, first, strict=True))
-            if score.delta_chi2 > best.score.delta_chi2 - thresholds.NEAR_CHI2 and place != best.place
+            for place, (term, drop) in enumerate(zip(terms, drops, strict=True))
+            if drop > drops[places[0]] - 2 * _NEAR and place != places[0]
         ),
     )
 
@@ -119,38 +148,22 @@ def coefficient_unit(kind: str, scale: float, gravity: float) -> tuple[float, st
     return (scale * np.pi / 180 / 3600, "deg/h") if kind == "gyro" else (scale * 1e-6 * gravity, "ug")
 
 
-def _scores(projection: Projection, whitened: np.ndarray) -> list[ScoreTest]:
-    """Return the score test of every whitened column, (R, terms), by itself."""
-    lengths = np.linalg.norm(whitened, axis=0)
-    return [
-        score_test(projection, column[:, None], lengths[place, None], thresholds.FORM_RETAINED_MIN)
-        for place, column in enumerate(projection.project(whitened).T)
-    ]
-
-
-def _pursue(
-    projection: Projection, terms: Sequence[Term], whitened: np.ndarray, scores: Sequence[ScoreTest]
-) -> list[_Selected]:
-    """Select terms one by one; `scores` are those before any was selected."""
-    selected: list[_Selected] = []
-    penalty = [thresholds.ELABORATE_PENALTY * (term.sort in _ELABORATE) for term in terms]
-    while len(selected) < thresholds.MAX_TERMS:
-        if selected:
-            projection = projection.without(selected[-1].score.span)
-            scores = _scores(projection, whitened)
-        worth = [
-            score.delta_chi2 - less if score.span.shape[1] else -np.inf
-            for score, less in zip(scores, penalty, strict=True)
-        ]
-        best = int(np.argmax(worth))
-        p = min(1.0, scores[best].p * len(terms))
-        if p >= thresholds.TERM_P:
+def _pursue(at: _Pursuit, terms: Sequence[Term], whole: np.ndarray, rows: int) -> list[tuple[int, float, float]]:
+    """Return the places of the terms selected, with the drop of χ² and log odds of each (Schwarz's criterion)."""
+    cost = np.array([_PENALTY * (term.sort in _ELABORATE) for term in terms]) + math.log(len(terms))
+    selected: list[tuple[int, float, float]] = []
+    while len(selected) < _MOST_TERMS:
+        drops = at.drops(whole)
+        odds = 0.5 * drops - 0.5 * math.log(rows) - cost
+        best = int(np.argmax(odds))
+        if odds[best] < math.log(NAMED / (1 - NAMED)):
             break
-        selected.append(_Selected(best, scores[best], p))
+        selected.append((best, float(drops[best]), float(odds[best])))
+        at = at.without(best)
     return selected
 
 
-def _formula_term(term: Term, choice: _Selected, value: float, sd: float, base: str) -> FormulaTerm:
+def _formula_term(term: Term, drop: float, odds: float, value: float, sd: float, base: str) -> FormulaTerm:
     return FormulaTerm(
         shape=term.text,
         expression=term.expression,
@@ -158,26 +171,19 @@ def _formula_term(term: Term, choice: _Selected, value: float, sd: float, base: 
         value=float(value),
         sd=finite(sd),
         unit=f"{base}/{term.divisor}" if term.divisor else base,
-        delta_chi2=choice.score.delta_chi2,
-        p_global=choice.p,
+        delta_chi2=drop,
+        log_odds=odds,
     )
 
 
-def _solve(projection: Projection, whitened: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return least-squares coefficients of whitened columns, and their standard deviations."""
-    inverse = np.linalg.pinv(projection.project(whitened))
-    weight = projection.strata.at_rows(variance)
-    return inverse @ projection.residual, np.sqrt(np.diag((inverse * weight) @ inverse.T))
-
-
-def _inclusion(projection: Projection, projected: np.ndarray, best: int) -> float:
+def _inclusion(run: np.ndarray, left: np.ndarray, residual: np.ndarray, best: int) -> float:
     """Return how often the same term is selected first when whole runs are resampled."""
-    model = projection.fitted.model
-    count, runs = len(model.entries), len(model.campaign.runs)
-    along, square = np.zeros((runs, projected.shape[1])), np.zeros((runs, projected.shape[1]))
-    np.add.at(along, model.entries.run, projected[:count] * projection.residual[:count, None])
-    np.add.at(square, model.entries.run, projected[:count] ** 2)
-    drawn = np.random.default_rng(0).multinomial(runs, np.full(runs, 1 / runs), size=thresholds.RESAMPLES)
+    names, place = np.unique(run, return_inverse=True)
+    along, square = np.zeros((len(names), left.shape[1])), np.zeros((len(names), left.shape[1]))
+    np.add.at(along, place, left * residual[:, None])
+    np.add.at(square, place, left**2)
+    count = len(names)
+    drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), size=_RESAMPLES)
     whole = drawn @ square
     score = np.where(whole > 1e-12, (drawn @ along) ** 2 / np.where(whole > 1e-12, whole, 1.0), 0.0)
     return float(np.mean(np.argmax(score, axis=1) == best))

@@ -110,7 +110,6 @@ class Trials(Presented):
     trials : one for each effect.
     skipped : effect → why it was not injected.
     nulls : verdicts of the simulations without any effect.
-    threshold : probability of a false alarm that the diagnosis allows.
     """
 
     campaign: str
@@ -120,7 +119,6 @@ class Trials(Presented):
     trials: tuple[Trial, ...]
     skipped: dict[str, str]
     nulls: tuple[Verdict, ...]
-    threshold: float
 
     @property
     def detected(self) -> int:
@@ -174,12 +172,10 @@ def plant_effects(
     """
     if draws < 0:
         raise InputError(Issue(f"draws = {draws}", "plant", "a number of simulations, 0 or more", "correct draws"))
-    threshold, nulls, trials, skipped = 0.0, [], [], {}
+    nulls, trials, skipped = [], [], {}
     for draw in counted(tell, "without injection", range(draws)):
         simulated = simulate(fitted.model, _seed(seed, f"null {draw}"), _truth(fitted.model, fitted.z, fitted.h))
-        found = screen(refitted(fitted, simulated.campaign))
-        threshold = found.threshold
-        nulls.append(found.verdict)
+        nulls.append(screen(refitted(fitted, simulated.campaign)).verdict)
     names = list(effects) if effects else list(_lacking(fitted))
     clear = _Clear.of(fitted)
     for name in counted(tell, "injecting effects", names):
@@ -189,7 +185,7 @@ def plant_effects(
         else:
             trials.append(trial)
     campaign, model = fitted.model.campaign.name, fitted.model.spec.name
-    return Trials(campaign, model, size, seed, tuple(trials), skipped, tuple(nulls), threshold)
+    return Trials(campaign, model, size, seed, tuple(trials), skipped, tuple(nulls))
 
 
 def refitted(fitted: Fit, campaign: Campaign) -> Fit:

@@ -24,10 +24,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from imubayes.criticism import thresholds
-from imubayes.criticism.candidate_effects import Responses
 from imubayes.criticism.noise_tests import to_entries
 from imubayes.criticism.noise_violation import NoiseComparison
-from imubayes.criticism.projection import Projection, project
+from imubayes.criticism.projection import Projection
 from imubayes.inference.fitted_model import Fit
 from imubayes.model.bind import Model
 from imubayes.model.effect_registry import EffectClass
@@ -195,12 +194,6 @@ def _rows_of(projection: Projection) -> _FittedRows:
     model = projection.fitted.model
     used = (np.asarray(model.problem.observations.weight) > 0) & ~model.entries.closing
     return _FittedRows(projection, used, *_white_noise(model.problem, projection.fitted.h))
-
-
-def contradicted_between_runs(fitted: Fit, responses: Responses) -> bool:
-    """Tell whether the fit has a scatter between runs that contradicts what is known of it."""
-    at = project(fitted, responses.misfit, responses.jacobian)
-    return any(each.between_runs for each in compare_with_known(at).contradicted)
 
 
 def known_scales(fitted: Fit, *, correlated: bool = False) -> np.ndarray:

@@ -21,6 +21,7 @@ from imubayes.campaign_data import INPUT_UNIT
 from imubayes.criticism import thresholds
 from imubayes.criticism.known_noise import known_scales
 from imubayes.criticism.model_history import ChannelRms, KnownNoiseFit
+from imubayes.gather import in_batches
 from imubayes.group_means import group_means
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_mode import fit_at
@@ -31,6 +32,9 @@ from imubayes.model.noise_covariance import noise_deviation, whiten, whitener
 from imubayes.model.problem import Problem, prior_widths
 from imubayes.model.robust_likelihood import pseudo_values
 from imubayes.units import to_si
+
+_AT_ONCE = 16
+"""Columns that are whitened at once, so that one compiled program serves all."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,11 @@ class KnownNoisePoint:
 @kept
 def _whitened(problem: Problem, h, columns):
     return whiten(problem, whitener(problem, h), columns)
+
+
+def whitened_rows(problem: Problem, h: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return columns (E, C) whitened by the noise at scales h."""
+    return in_batches(lambda some: np.asarray(_whitened(problem, h, jnp.asarray(some.T))).T, columns.T, _AT_ONCE).T
 
 
 @kept

@@ -1,4 +1,4 @@
-"""The evidence for a missing effect: the residual of a channel against the covariate that the effect depends on."""
+"""The residual that shows a missing effect: one channel against the covariate that the effect depends on."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,18 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imubayes.campaign_data import INPUT_UNIT, Kind
-from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import Responses
-from imubayes.criticism.effect_covariates import INPUTS, MEMORY
-from imubayes.criticism.free_form_dependence import Structure
-from imubayes.criticism.projection import PRIOR, Projection
+from imubayes.criticism.detectability import AbsorbedResponses
+from imubayes.criticism.effect_covariates import INPUTS, MEMORY, covariates_of
+from imubayes.criticism.evidence.posterior_summary import Posterior, SlotMember
 from imubayes.criticism.residual_covariates import ResidualCovariate, as_read
-from imubayes.criticism.score_test import Candidate, ProjectedResponse
 from imubayes.group_means import group_means
 from imubayes.units import to_si
 
-# Degree of the polynomial that stands for any function of a covariate: it follows what a term of the catalogue may be.
+COVARIATE_SHARE = 0.9
+"""Share of the squares of what an effect explains that a function of a covariate gives, to be said to follow it."""
 _DEGREE = 5
+"""Degree of the polynomial that stands for any function of a covariate: it follows what a term of the catalogue may be.
+"""
 
 
 @dataclass(frozen=True)
@@ -68,81 +69,45 @@ def of_runs(values: np.ndarray, runs: np.ndarray) -> np.ndarray:
     return group_means(values, np.unique(runs, return_inverse=True)[1])
 
 
-def following_covariate(
-    projection: Projection,
-    structures: Sequence[Structure],
-    candidate: Candidate,
-    channel: str,
-    own: frozenset[str] = frozenset(),
-) -> ResidualCovariate | None:
-    """Return the covariate whose free form follows what a candidate explains of a channel; None where none does.
-
-    Parameters
-    ----------
-    own : covariates that the effect depends on: another one that happens to go with them is not told.  Any where they
-        are not known, and of a memory, which follows the time as well.
-    """
-    known = own if MEMORY not in own else frozenset[str]()
-    names = [each.name for each in projection.fitted.model.campaign.channels]
-    of_row, strata = projection.strata.of_row, projection.strata
-    here = (of_row != PRIOR) & (strata.channel[np.maximum(of_row, 0)] == names.index(channel))
-    target = np.where(here, candidate.score.fitted, 0.0)
-    whole = float(target @ target)
-    shares = [
-        (float(np.sum((structure.score.span.T @ target) ** 2)) / whole, structure.covariates[0])
-        for structure in structures
-        if structure.channel == channel and len(structure.covariates) == 1 and whole > 0
-        if not known or structure.covariates[0].name in known
-    ]
-    share, covariate = max(shares, key=lambda pair: pair[0], default=(0.0, None))
-    return covariate if share > thresholds.COVARIATE_SHARE else None
-
-
 def residual_evidence(
-    projection: Projection,
+    posterior: Posterior,
+    absorbed: AbsorbedResponses,
     responses: Responses,
-    projected: ProjectedResponse,
-    candidate: Candidate,
-    channel: str,
-    covariate: ResidualCovariate | None,
+    member: SlotMember,
     known: Sequence[ResidualCovariate] = (),
 ) -> ResidualEvidence:
-    """Return the residuals of a channel with the part that a candidate explains.
+    """Return the residuals of the channel that shows an effect best, with the part that the effect explains.
 
     Parameters
     ----------
-    projected : the response that the candidate is made of.
-    covariate : that the explained part follows, if any.
-    known : covariates of the runs; without one that the explained part follows, the input times one of them may.
+    responses : of the fit.
+    known : covariates of the runs.
     """
-    model = projection.fitted.model
-    names = [coefficient.parameter.name for coefficient in projected.response.coefficients]
-    value = np.zeros(len(names))
-    for coefficient, found in zip(candidate.coefficients, candidate.value.tolist(), strict=True):
-        value[names.index(coefficient.parameter.name)] = found
+    fitted = absorbed.fitted
+    model, of = fitted.model, posterior.of
+    columns = _response(posterior, responses, member)
     # The other parameters would change when the effect is added: what they absorb is subtracted.
-    absorbed = projection.absorb(projected.whitened @ value)
-    explained = projected.response.columns @ value - responses.jacobian @ absorbed
-    place = [each.name for each in model.campaign.channels].index(channel)
+    parts = columns - responses.jacobian @ absorbed.explained(member.found, of.variants[member.variant].places)
+    place = _dominant_channel(posterior, parts)
     constants = model.campaign.channels[place]
     unit = INPUT_UNIT[constants.kind]
     here = np.flatnonzero((model.entries.channel == place) & ~model.entries.closing)
     factor = 1 / (constants.scale_si * to_si(unit, model.campaign.site.gravity))
-    over, place_of = None, covariate
-    if covariate is None:
-        response = (projected.response.columns @ value)[here]
-        over = input_times(response, constants.kind, [replace(each, values=each.values[here]) for each in known])
-        place_of = next((each for each in known if over is not None and each.name == over.covariate.name), None)
+    near = [replace(each, values=each.values[here]) for each in known]
+    follows = _following(member.effect, model.registry.effects[member.effect], constants.kind, columns[here], near)
+    over = None if follows is not None else input_times(columns[here], constants.kind, near)
+    shown = follows or (over.covariate if over is not None else None)
+    covariate = next((each for each in known if shown is not None and each.name == shown.name), None)
     runs = np.array([run.name for run in model.campaign.runs])[model.entries.run[here]]
-    residual, explained = factor * responses.misfit[here], factor * explained[here]
+    residual, explained = factor * responses.misfit[here], factor * parts[here]
     # What runs differ by is no residual of a model in which every run has an offset.
-    within = place in projection.strata.channel[projection.strata.between] and candidate.score.within_runs > 0.5
+    within = bool(of.problem.rows[place].run_scatter) and _lies_within(explained, runs)
     offsets = of_runs(residual - explained, runs) if within else np.zeros(len(here))
     return ResidualEvidence(
-        channel=channel,
-        effect=candidate.effect,
-        covariate=covariate,
-        at=as_read(projection.fitted, place_of)[here] if place_of is not None else np.arange(len(here), dtype=float),
+        channel=constants.name,
+        effect=member.effect,
+        covariate=covariate if follows is not None else None,
+        at=as_read(fitted, covariate)[here] if covariate is not None else np.arange(len(here), dtype=float),
         run=runs,
         residual=residual - offsets,
         explained=explained,
@@ -150,6 +115,45 @@ def residual_evidence(
         over=over,
         within=within,
     )
+
+
+def _response(posterior: Posterior, responses: Responses, member: SlotMember) -> np.ndarray:
+    """Return the response to an effect at its size, about the fit, (E,)."""
+    of, variant = posterior.of, posterior.of.variants[member.variant]
+    scan = of.problem.candidates[variant.response].scan
+    own = [each for each in responses.candidates if each.scan.effect == scan.effect]
+    response = next((each for each in own if each.scan == scan), own[0])
+    sizes = {each.name: each.value or 0.0 for each in posterior.coefficients(member.variant, member.found)}
+    values = np.array([sizes.get(each.parameter.name, 0.0) for each in response.coefficients])
+    return response.columns @ values
+
+
+def _dominant_channel(posterior: Posterior, explained: np.ndarray) -> int:
+    """Return the channel in which a response, (E,), stands out of the noise most."""
+    problem = posterior.of.problem
+    squares = [np.sum((problem.root[rows.entry] * explained[rows.entry]) ** 2) for rows in problem.rows]
+    return int(np.argmax(squares))
+
+
+def _lies_within(explained: np.ndarray, runs: np.ndarray) -> bool:
+    """Whether most of what is explained lies within runs."""
+    inside = explained - of_runs(explained, runs)
+    return float(inside @ inside) > 0.5 * float(explained @ explained)
+
+
+def _following(
+    effect: str, member: type, kind: Kind, response: np.ndarray, known: Sequence[ResidualCovariate]
+) -> ResidualCovariate | None:
+    """Return the covariate that a response follows alone: one that the effect depends on; None where none does.
+
+    Any where these are not known, and of a memory, which follows the time as well.
+    """
+    own = frozenset[str]().union(*covariates_of(member, kind))
+    free = not own or MEMORY in own
+    shares = [(_share(response, np.ones(len(response)), each.values), each) for each in known
+              if free or each.name in own]  # fmt: skip
+    share, covariate = max(shares, key=lambda pair: pair[0], default=(0.0, None))
+    return covariate if share > COVARIATE_SHARE else None
 
 
 def input_times(response: np.ndarray, kind: Kind, known: Sequence[ResidualCovariate]) -> InputTimes | None:
@@ -160,7 +164,7 @@ def input_times(response: np.ndarray, kind: Kind, known: Sequence[ResidualCovari
     recorded = [each for each in known if not each.name.startswith(("rate_", "force_"))]
     shares = [(_share(response, own.values, each.values), each) for each in recorded]
     share, covariate = max(shares, key=lambda pair: pair[0], default=(0.0, own))
-    return InputTimes(covariate, own.values) if share > thresholds.COVARIATE_SHARE else None
+    return InputTimes(covariate, own.values) if share > COVARIATE_SHARE else None
 
 
 def _share(response: np.ndarray, stimulus: np.ndarray, values: np.ndarray) -> float:

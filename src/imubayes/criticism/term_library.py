@@ -1,9 +1,7 @@
 """The library of simple terms in the covariates: what a dependence without a known cause may look like.
 
 Powers, absolute values, exponentials, harmonics of the table angle, bumps (a resonance, a jump of mode), waves (an
-interference) and products of two covariates.  Each is tested on all channels of a kind
-(`imubayes.criticism.localised_structure`), and in the formula search on one channel
-(`imubayes.criticism.formula_search`).
+interference) and products of two covariates, for the formula of one channel (`imubayes.criticism.formula_search`).
 """
 
 from collections.abc import Callable, Sequence
@@ -13,8 +11,13 @@ from itertools import combinations
 import numpy as np
 
 from imubayes.covariates import Covariate, regressors
-from imubayes.criticism import thresholds
 from imubayes.criticism.residual_covariates import ResidualCovariate
+
+_MAX_POWER, _HARMONICS, _BUMP_CENTRES, _MAX_WAVES = 5, 6, 9, 16
+"""Powers, harmonics of the table angle, centres of bumps, waves through the range (convention)."""
+_TIME_CONSTANTS_MIN = (2.0, 5.0, 10.0, 30.0, 60.0)
+_SAME_LEVEL = 0.02
+"""Share of the range of a covariate within which values are one level: the scatter about a set point (convention)."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,7 @@ def levels(values: np.ndarray) -> np.ndarray:
     ----------
     values : shape (n,), finite.
     """
-    least = thresholds.SAME_LEVEL * np.ptp(values)
+    least = _SAME_LEVEL * np.ptp(values)
     order = np.argsort(values)
     gaps = np.diff(values[order]) > least
     level = np.empty(len(values), dtype=int)
@@ -115,7 +118,7 @@ def _harmonics(base: _Base, gravity: float) -> list[Term]:
         base.term(
             f"{name} {k}{symbol}", "", f"jnp.{name}({k} * {code})", f(k * angle), "harmonic", f"{k}{symbol}", k <= 2
         )
-        for k in range(1, thresholds.HARMONICS + 1)
+        for k in range(1, _HARMONICS + 1)
         for name, f in (("sin", np.sin), ("cos", np.cos))
     ]
 
@@ -131,7 +134,7 @@ def _of_one(base: _Base, gravity: float) -> list[Term]:
             "power",
             plain=power <= 2,
         )
-        for power in range(1, thresholds.MAX_POWER + 1)
+        for power in range(1, _MAX_POWER + 1)
     ]
     if base.entry.si == "s":
         found += [
@@ -139,7 +142,7 @@ def _of_one(base: _Base, gravity: float) -> list[Term]:
                 f"exp(−{symbol}/{minutes:g} min)", "", f"jnp.exp(-{expression} / {60 * minutes})",
                 np.exp(-values / (60 * minutes)), "power",
             )
-            for minutes in thresholds.TIME_CONSTANTS_MIN
+            for minutes in _TIME_CONSTANTS_MIN
         ]  # fmt: skip
         return found + _waves(base, gravity)
     signed: tuple[tuple[str, str, str, Callable], ...] = (
@@ -169,7 +172,7 @@ def _bumps(base: _Base, gravity: float) -> list[Term]:
         return []
     unit, factor = base.entry.unit, base.entry.factor(gravity)
     found = []
-    for centre in np.linspace(low, high, thresholds.BUMP_CENTRES + 2)[1:-1].tolist():
+    for centre in np.linspace(low, high, _BUMP_CENTRES + 2)[1:-1].tolist():
         for width in ((high - low) / 16, (high - low) / 8, (high - low) / 4):
             formula = f"1/(1 + (({text} − {centre:.3g})/{width:.3g})²) with {base.entry.symbol} in {unit}"
             python = f"1 / (1 + (({code} - {centre * factor:.6g}) / {width * factor:.6g}) ** 2)"
@@ -181,7 +184,7 @@ def _bumps(base: _Base, gravity: float) -> list[Term]:
 def _waves(base: _Base, gravity: float) -> list[Term]:
     """Return waves along a covariate, from one period over its range to as many as its levels resolve."""
     finite = base.values[np.isfinite(base.values)]
-    most = min(thresholds.MAX_WAVES, len(np.unique(levels(finite))) // 3)
+    most = min(_MAX_WAVES, len(np.unique(levels(finite))) // 3)
     unit, factor = base.entry.unit, base.entry.factor(gravity)
     found = []
     for half_turns in range(2, 2 * most + 1):

@@ -20,6 +20,15 @@ MISSING: tuple[Verdict, ...] = ("missing_effect", "equivalent_effects")
 """Verdicts that name effects."""
 
 
+class CoefficientEstimate(Record):
+    """A coefficient with its standard uncertainty, in its unit; None where it is not determined."""
+
+    name: str
+    value: float | None
+    sd: float | None
+    unit: str
+
+
 class EffectChoice(Record):
     """An effect with the channels it acts on; None for all that it can act on."""
 

@@ -18,7 +18,7 @@ from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Campaign
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import fitting_channels
-from imubayes.criticism.diagnosis_record import CoefficientEstimate
+from imubayes.criticism.verdict import CoefficientEstimate
 from imubayes.effects.base import MotionEffect
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.posterior_precision import Linearised, linearise

@@ -6,22 +6,21 @@ from pathlib import Path
 from typing import Any
 
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup
-from imubayes.criticism.verdict import MISSING
 from imubayes.display.diagnosis_sentences import sentence
 from imubayes.display.diagnosis_tables import (
+    formula_sheet,
     noise_sheet,
     outlier_sheet,
     ranking_sheet,
     recorded_noise_sheet,
-    structure_sheet,
     undetectable_sheet,
 )
-from imubayes.display.evidence_text import evidence_text
+from imubayes.display.evidence_text import evidence_text, probability
+from imubayes.display.formula_source import formula_source
 from imubayes.display.labels import pretty
 from imubayes.display.report_layout import Report
-from imubayes.display.rounding import relation, significant
+from imubayes.display.rounding import significant
 from imubayes.display.run_design_words import run_design_text
-from imubayes.display.structure_words import formula_source, structure_shape
 from imubayes.display.table_layout import Sheet
 from imubayes.errors import InputError, Issue
 
@@ -43,19 +42,17 @@ def diagnosis_report(found: Diagnosis, pictures: Sequence[Path] = (), verbose: b
     if not verbose:
         return Report(told, leading_sheets(found), [*_omitted(found), *commands])
     noise = [noise_sheet(found), recorded_noise_sheet(found)]
-    sheets = [ranking_sheet(found), *noise, outlier_sheet(found), structure_sheet(found)]
+    sheets = [ranking_sheet(found), *noise, outlier_sheet(found), formula_sheet(found)]
     return Report([*told, *commands], [*sheets, undetectable_sheet(found)])
 
 
 def leading_sheets(found: Diagnosis) -> list[Sheet]:
     """Return the tables that the verdict rests on, their first rows alone."""
     sheets = {
-        "unexplained_structure": [structure_sheet(found)],
+        "unexplained_structure": [formula_sheet(found), ranking_sheet(found)],
         "noise_model": [noise_sheet(found), recorded_noise_sheet(found)],
-        "not_converged": [],
     }.get(found.verdict, [ranking_sheet(found)])
-    if found.verdict in MISSING and found.noise_outweighs:
-        sheets.append(noise_sheet(found))
+    sheets = [sheet for sheet in sheets if sheet.rows]
     each = max(_MOST_LEADING // max(len(sheets), 1), 2)
     return [_leading(sheet, each) for sheet in sheets]
 
@@ -69,8 +66,7 @@ def _leading(sheet: Sheet, most: int) -> Sheet:
 def _omitted(found: Diagnosis) -> list[str]:
     """Return what the tables that are left out hold, in one line."""
     counts = {
-        "candidate": len(found.ranking),
-        "significant structure": len(found.structure),
+        "effect": len(found.ranking),
         "outlier": len(found.outliers),
         "undetectable effect": len(found.undetectable),
     }
@@ -80,39 +76,41 @@ def _omitted(found: Diagnosis) -> list[str]:
 
 def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
     """Return a diagnosis as `imubayes diagnose --json` prints it: the record with its sentence and next command."""
-    structure = [
-        each.model_dump(mode="json") | {"shape": structure_shape(each), "python": formula_source(each)}
-        for each in found.structure
+    formulas = [each.model_dump(mode="json") | {"python": formula_source(each)} for each in found.formulas]
+    groups = [
+        group.model_dump(mode="json") | {"effects": list(group.effects), "separating_run": _run_text(group)}
+        for group in found.groups
     ]
-    groups = [group.model_dump(mode="json") | {"separating_run": _run_text(group)} for group in found.groups]
-    shown = {"sentence": sentence(found), "groups": groups, "structure": structure, "next": next_command(found)}
+    shown = {"sentence": sentence(found), "groups": groups, "formulas": formulas, "next": next_command(found)}
     return found.model_dump(mode="json") | shown
 
 
 def diagnosis_lines(found: Diagnosis) -> list[str]:
-    """Return the verdict, and the prediction for the first group."""
+    """Return the verdict, the probability of each explanation, and the prediction for what leads."""
     lines = [sentence(found)]
     if found.explanations is not None:
         lines.append(evidence_text(found.explanations))
     if found.groups:
         lines.append(_prediction(found))
         lines += _indistinguishable(found)
-        if found.wandering == "rival":
-            lines.append("Record the unit at rest again: a systematic drift repeats, wandering noise does not.")
-    elif found.verdict == "not_converged":
-        lines.append("Candidates are not ranked about a fit that did not converge.")
-    if found.message and found.verdict != "not_converged":
+    if found.verdict == "not_converged" and found.explanations is not None:
+        lines.append("The fit did not converge: the explanations are linear about where it stopped.")
+    elif found.message and found.verdict != "not_converged":
         lines.append("The sampling of this fit did not converge; what is said here is about its mode.")
     return lines
 
 
 def next_lines(found: Diagnosis, pictures: Sequence[Path] = ()) -> list[str]:
-    """Return the pictures and the next command, one line each."""
-    command = next_command(found)
+    """Return the pictures and the next commands, one line each: the simplest explanation, and all that fit."""
+    command, other = next_command(found), found.all_that_fit
     # The only command of the loop that takes minutes.
     if command.startswith("imubayes plant"):
         command += "  # minutes: would these runs have shown an effect?"
-    return [*(f"picture: {picture}" for picture in pictures), *([f"next: {command}"] if command else [])]
+    lines = [*(f"picture: {picture}" for picture in pictures), *([f"next: {command}"] if command else [])]
+    if other is not None:
+        whole = add_command(other.effects, other.channels, found.result, f"{found.result}-all")
+        lines.append(f"or, with all that fit as well: {whole}")
+    return lines
 
 
 def next_command(found: Diagnosis) -> str:
@@ -122,14 +120,12 @@ def next_command(found: Diagnosis) -> str:
         return ""
     if choice is not None:
         return add_command(choice.effects, choice.channels, result, f"{result}-{choice.effects[0]}")
-    if found.verdict == "unexplained_structure":
-        printable = any(structure.terms for structure in found.structure)
+    if found.formulas:
         adding = f"imubayes add found_shape.py --to {result} --out {result}-found_shape"
-        written = f"imubayes diagnose {result} --python > found_shape.py && {adding}"
-        return written if printable else f"imubayes compare {result}"
-    if found.verdict in ("noise_model", "run_disagrees", "not_converged") or found.wandering:
-        return f"imubayes compare {result}"
-    return f"imubayes plant --result {result}"
+        return f"imubayes diagnose {result} --python > found_shape.py && {adding}"
+    if found.verdict == "adequate":
+        return f"imubayes plant --result {result}"
+    return f"imubayes compare {result}"
 
 
 def add_command(effects: Sequence[str], channels: Sequence[str] | None, result: str, out: str) -> str:
@@ -139,21 +135,20 @@ def add_command(effects: Sequence[str], channels: Sequence[str] | None, result: 
 
 
 def effect_source(found: Diagnosis) -> str:
-    """Return the effect class written for the strongest unexplained structure.
+    """Return the effect class written for what no effect explains.
 
     Raises
     ------
     InputError
-        where no structure has a formula.
+        where that has no formula.
     """
-    source = next((formula_source(structure) for structure in found.structure if structure.terms), "")
-    if source:
-        return source
+    if found.formulas:
+        return formula_source(found.formulas[0])
     raise InputError(
         Issue(
             "there is no effect class to print",
             f"diagnosis: {found.verdict}",
-            "unexplained_structure, with a formula",
+            "a cause outside the catalogue, with a formula",
             f"do what the diagnosis says next: {next_command(found) or 'nothing'}",
         )
     )
@@ -161,24 +156,25 @@ def effect_source(found: Diagnosis) -> str:
 
 def _prediction(found: Diagnosis) -> str:
     best = found.groups[0]
-    rms, known = best.residual, best.delta_chi2_known
-    drop, noise = (best.delta_chi2, "that remains") if known is None else (known, "known beforehand")
+    rms, together = best.residual, found.delta_chi2 if found.delta_chi2 is not None else best.delta_chi2
+    them = "them" if len(found.groups) > 1 else "it"
     return (
-        f"Predicted for adding it: Δχ² {significant(drop)} at the noise {noise}; residual of {rms.channel} "
-        f"{significant(rms.before)} → {significant(rms.after)} {pretty(rms.unit)} rms; "
-        f"p {relation(best.p_global)} corrected for {found.looks:.0f} looks."
+        f"Predicted for adding {them}: Δχ² {significant(together)} at the noise known beforehand; residual of "
+        f"{rms.channel} {significant(rms.before)} → {significant(rms.after)} {pretty(rms.unit)} rms"
+        f"{' by the first' if len(found.groups) > 1 else ''}."
     )
 
 
 def _indistinguishable(found: Diagnosis) -> list[str]:
     """Return which effects the runs do not distinguish, and the run that would."""
-    group = found.groups[0]
-    if len(group.effects) < 2:
-        return []
-    suggested = found.suggested is not None and set(group.effects) <= set(found.suggested.effects)
-    together = " The posterior with all of them in the model holds each explanation." if suggested else ""
-    run = f" Discriminating run: {_run_text(group)}." if group.discriminating_run is not None else ""
-    return [f"Indistinguishable in these runs: {', '.join(group.effects)}.{together}{run}"]
+    lines = []
+    for group in found.groups:
+        if len(group.effects) < 2:
+            continue
+        run = f" Discriminating run: {_run_text(group)}." if group.discriminating_run is not None else ""
+        shares = ", ".join(f"{each.effect} {probability(each.probability)}" for each in group.candidates)
+        lines.append(f"Indistinguishable in these runs: {shares}.{run}")
+    return lines
 
 
 def _run_text(group: EffectGroup) -> str:

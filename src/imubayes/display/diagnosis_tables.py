@@ -1,54 +1,44 @@
-"""The evidence of a diagnosis in tables: candidates, noise, outliers, structure, and what cannot be detected."""
+"""The evidence of a diagnosis in tables: effects, noise, outliers, formulas, and what cannot be detected."""
 
-from collections.abc import Sequence
-
-from imubayes.criticism import thresholds
 from imubayes.criticism.detectability import ParameterBias
-from imubayes.criticism.diagnosis_record import Diagnosis, RankedEffect
+from imubayes.criticism.diagnosis_record import Diagnosis, ScreenedEffect
+from imubayes.criticism.thresholds import NOISE_AGREES
 from imubayes.display.diagnosis_sentences import why_undetectable
+from imubayes.display.evidence_text import noise_text, probability
 from imubayes.display.labels import listed, pretty
 from imubayes.display.noise_violation_text import noise_ratio
 from imubayes.display.rounding import chance_text, percent, significant, value_and_sd
-from imubayes.display.structure_words import structure_shape
 from imubayes.display.table_layout import Cell, Sheet
 
-_MOST_RANKED, _MOST_STRUCTURES, _MOST_OUTLIERS = 10, 6, 8
+_MOST_RANKED, _MOST_OUTLIERS = 10, 8
 # A bias below this share of a posterior standard deviation is not worth a word.
 _SMALL_BIAS = 0.1
 
 
 def ranking_sheet(found: Diagnosis) -> Sheet:
-    """Return the candidates in order of evidence, each with its equivalence group.
-
-    One line per effect, on the channels with the strongest evidence; all lines of an effect that was asked about.
-    """
-    ranking: Sequence[RankedEffect] = found.ranking
-    if found.asked is None:
-        best: dict[str, RankedEffect] = {}
-        for line in found.ranking:
-            best.setdefault(line.effect, line)
-        ranking = list(best.values())[:_MOST_RANKED]
+    """Return the effects by the probability that they are missing, each with the group it belongs to."""
+    ranking = found.ranking if found.asked is not None else found.ranking[:_MOST_RANKED]
     group = {
-        (member.effect, member.channels): str(place)
+        member.effect: str(place)
         for place, each in reversed(list(enumerate(found.groups, 1)))
         for member in each.candidates
     }
     rows, slim = [], []
     for line in ranking:
-        name, drop = Cell(line.effect), Cell(significant(line.evidence))
-        p = Cell(chance_text(line.p_global), "bad" if line.p_global < found.threshold else "dim")
-        mark = Cell(group.get((line.effect, line.channels), ""))
-        on, size = Cell(listed(line.channels, 3)), Cell(_coefficient(line))
-        rows.append((name, on, size, drop, Cell(str(line.dof)), p, mark))
-        slim.append((name, Cell(_coefficient(line, short=True)), drop, p, mark))
+        likely = Cell(probability(line.probability), "bad" if line.probability >= 0.5 else "dim")
+        name, drop, odds = Cell(line.effect), Cell(significant(line.delta_chi2)), Cell(significant(line.log_odds))
+        shown = found.estimate(line.effect) or line
+        mark, on, size = Cell(group.get(line.effect, "")), Cell(listed(shown.channels, 3)), Cell(_coefficient(shown))
+        rows.append((name, on, size, drop, odds, likely, mark))
+        slim.append((name, Cell(_coefficient(shown, short=True)), drop, likely, mark))
     note = _more(len(found.ranking) - len(rows)) + (
-        "2 ln Λ: likelihood ratio on dof degrees of freedom, with the noise scales estimated anew; p: "
-        "probability that the best of all candidates does so well where nothing is missing. These runs cannot "
-        "distinguish the candidates of one group."
+        "Δχ²: predicted drop if the effect is added alone, at the noise known beforehand; log odds: natural logarithm "
+        "of the odds of the effect alone against nothing missing; probability: that it is missing, of all explanations "
+        "that contain it. These runs cannot distinguish the effects of one group."
     )
-    head = ("effect", "on", "coefficient", "2 ln Λ", "dof", "p", "group")
-    title = "Candidates in order of evidence"
-    narrow = Sheet(title, ("effect", "coefficient", "2 ln Λ", "p", "group"), slim, (0, 1), "", note)
+    head = ("effect", "on", "coefficient", "Δχ²", "log odds", "probability", "group")
+    title = "Effects by the probability that they are missing"
+    narrow = Sheet(title, ("effect", "coefficient", "Δχ²", "probability", "group"), slim, (0, 1), "", note)
     return Sheet(title, head, rows, (0, 1, 2), "", note, narrow=narrow)
 
 
@@ -56,7 +46,7 @@ def _more(count: int) -> str:
     return f"{count} more in diagnosis.json. " if count > 0 else ""
 
 
-def _coefficient(line: RankedEffect, short: bool = False) -> str:
+def _coefficient(line: ScreenedEffect, short: bool = False) -> str:
     """Return the most significant coefficient, and the shape that was scanned."""
     known = [(each, each.value) for each in line.coefficients if each.value is not None]
     if not known:
@@ -100,28 +90,30 @@ def _bias(bias: ParameterBias | None) -> str:
     return f"{bias.parameter} by {size}, {significant(abs(bias.in_sd))} sd"
 
 
-def structure_sheet(found: Diagnosis) -> Sheet:
-    """Return the significant structure of the residuals, whatever its cause."""
-    rows = []
-    for each in found.structure[:_MOST_STRUCTURES]:
-        size = each.coefficient
-        height = f"{significant(size.value)} {pretty(size.unit)}" if size is not None else ""
-        form = Cell(" ".join(part for part in (structure_shape(each), height) if part))
-        rows.append((Cell(each.channel), Cell(each.covariate), Cell(each.test), Cell(chance_text(each.p), "bad"), form))
-    head = ("channel", "depends on", "test", "p", "form")
-    angle = any("φ" in structure_shape(each) for each in found.structure[:_MOST_STRUCTURES])
-    counted = " φ is counted from the zero of the table, not from that of its scale." if angle else ""
-    note = f"{_more(len(found.structure) - len(rows))}{counted}".strip()
-    return Sheet("Structure in the residuals, whatever its cause", head, rows, (0, 1, 2, 4), "", note)
+def formula_sheet(found: Diagnosis) -> Sheet:
+    """Return the simplest formula for what no effect explains, a line for each term."""
+    rows = [
+        (
+            Cell(each.channel),
+            Cell(term.shape),
+            Cell(f"{' ± '.join(value_and_sd(term.value, term.sd))} {pretty(term.unit)}"),
+            Cell(significant(term.delta_chi2)),
+            Cell(significant(term.log_odds)),
+        )
+        for each in found.formulas
+        for term in each.terms
+    ]
+    angle = any("φ" in each.shape for each in found.formulas)
+    note = "φ is counted from the zero of the table, not from that of its scale." if angle else ""
+    head = ("channel", "term", "coefficient", "Δχ²", "log odds")
+    return Sheet("Simplest formula of what no effect explains", head, rows, (0, 1, 2), "", note)
 
 
 def noise_sheet(found: Diagnosis) -> Sheet:
-    """Return the noise that the model lacks."""
-    rows = [
-        (Cell(noise.effect), Cell(listed(noise.channels, 4)), Cell(significant(noise.delta_chi2)), Cell(p))
-        for noise, p in ((noise, chance_text(noise.p)) for noise in found.noise if noise.adopted)
-    ]
-    return Sheet("Noise that the model lacks", ("noise", "on", "Δχ²", "p"), rows, (0, 1))
+    """Return the noise of the likeliest explanation where it is not as the model says."""
+    noise = found.explanations.noise if found.explanations is not None else ()
+    rows = [(Cell(noise_text([each])), Cell(significant(each.scale))) for each in noise]
+    return Sheet("Noise that is not as the model says", ("noise", "scale / known"), rows, (0,))
 
 
 def recorded_noise_sheet(found: Diagnosis) -> Sheet:
@@ -139,9 +131,9 @@ def recorded_noise_sheet(found: Diagnosis) -> Sheet:
         for each in found.disagreeing_noise
     ]
     note = (
-        "Standard deviation of one raw sample: fitted from the scatter of the rows, after the groups above, and as the "
+        "Standard deviation of one raw sample: fitted from the scatter of the rows, and as the "
         "campaign records it. A ratio above 1 is scatter from row to row that the samples do not show; p: its excess "
-        f"over {thresholds.NOISE_AGREES:.2f} by chance."
+        f"over {NOISE_AGREES:.2f} by chance."
     )
     head = ("channel", "fitted", "recorded", "from", "ratio", "p")
     return Sheet("Fitted and recorded noise disagree", head, rows, (0, 3), "", note)
@@ -157,8 +149,6 @@ def outlier_sheet(found: Diagnosis) -> Sheet:
         )
         for each in found.outliers[:_MOST_OUTLIERS]
     ]
-    note = _more(len(found.outliers) - len(rows)) + (
-        "Deletion residuals, in standard deviations of the other samples. The search excludes outliers."
-    )
+    note = _more(len(found.outliers) - len(rows)) + ("Deletion residuals, in standard deviations of the other samples.")
     head = ("run", "channel", "row", "time / s", "table angle / °", "residual / sd")
     return Sheet("Outliers", head, rows, (0, 1), "", note)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from imubayes.criticism.disagreement_record import AgreeingInput, Disagreement
 from imubayes.display.labels import listed, pretty
-from imubayes.display.rounding import relation, significant, value_and_sd
+from imubayes.display.rounding import significant, value_and_sd
 
 _MOST = 3
 
@@ -23,8 +23,7 @@ def _sentence(found: Disagreement) -> str:
     place = place_text(found)
     said = (
         f"{place[0].upper()}{place[1:]} does not agree with "
-        f"{'the other runs' if found.row is None else 'all other rows'} at the noise known before the fit "
-        f"(Δχ² {significant(found.causes[0].delta_chi2)}, p {relation(found.p)})."
+        f"{'the other runs' if found.row is None else 'all other rows'} (log odds {significant(found.log_odds)})."
     )
     best, *others = found.causes
     said += f" It would agree with {_cause(best, found)}."
@@ -32,15 +31,7 @@ def _sentence(found: Disagreement) -> str:
         said += f" Not distinguished from that: {'; '.join(_cause(each, found) for each in others[:_MOST])}."
     if found.instead:
         said += f" Or the record of {listed(list(found.instead), _MOST)} is wrong instead."
-    if found.rivals:
-        names = " and ".join(found.rivals[0].effects)
-        likely = "is as likely" if abs(found.rivals[0].log_odds) < 1 else _likelier(found.rivals[0].log_odds)
-        return f"{said} That {names} is missing, in all runs, {likely}."
     return f"{said} Correct the record, or leave the {'run' if found.row is None else 'row'} out, and fit again."
-
-
-def _likelier(log_odds: float) -> str:
-    return "is likelier" if log_odds > 0 else "is less likely, but not excluded"
 
 
 def _cause(each: AgreeingInput, found: Disagreement) -> str:

@@ -1,10 +1,11 @@
 """The evidence of a diagnosis in words: how probable each explanation is, the likeliest first."""
 
 import math
+from collections.abc import Iterable
 
-from imubayes.criticism.evidence.evidence_record import EffectSlot, Evidence, Explanation, FoundForm
+from imubayes.criticism.evidence.evidence_record import EffectSlot, Evidence, Explanation, FoundForm, FoundNoise
 from imubayes.display.labels import listed
-from imubayes.display.rounding import percent
+from imubayes.display.rounding import percent, significant
 
 _LEAST_TOLD, _MOST_NAMES, _WELL_KNOWN = 0.01, 4, 0.1
 _PRIOR_DOUBT = 2.0
@@ -27,7 +28,8 @@ def evidence_text(found: Evidence) -> str:
     told = []
     for one in shown:
         detail = _detail(found, one.kind)
-        kind = "effects missing" if one.kind == "effects" and len(found.slots) > 1 else _KINDS[one.kind]
+        several = one.kind == "effects" and found.leading.kind == "effects" and len(found.slots) > 1
+        kind = "effects missing" if several else _KINDS[one.kind]
         told.append(f"{kind} {probability(one.probability)}" + (f" ({detail})" if detail else ""))
     return f"Probability: {'; '.join(told)}.{_assumptions(found)}"
 
@@ -41,18 +43,27 @@ def probability(value: float) -> str:
 
 def _detail(found: Evidence, kind: Explanation) -> str:
     """Return what an explanation is in particular; empty where nothing is to be said."""
-    noise = listed([f"{_NOISE[each.family]} on {listed(each.channels)}" for each in found.noise])
+    leads, noise = found.leading.kind == kind, noise_text(found.noise)
     if kind == "noise":
-        return noise
-    effects = " and ".join(map(_slot, found.slots))
-    if kind == "effects" and effects:
-        return effects + (f", beside {noise}" if noise else "")
+        return noise if leads else ""
+    if kind == "effects" and leads and found.slots:
+        return "; ".join(map(_slot, found.slots)) + (f"; beside {noise}" if noise else "")
     if kind == "effects":
         told = [each for each in found.inclusion if each.probability >= _LEAST_TOLD][:2]
         return ", ".join(f"{each.effect} {probability(each.probability)}" for each in told)
     if found.form is not None and found.form.wrong == (kind == "input") and kind in ("input", "outside"):
-        return _form(found.form) + (f", beside {effects}" if effects and found.leading.kind == kind else "")
+        beside = " and ".join(map(_slot, found.slots)) if leads else ""
+        return form_text(found.form) + (f", beside {beside}" if beside else "")
     return ""
+
+
+def noise_text(noise: Iterable[FoundNoise]) -> str:
+    """Return what the noise is beyond what is stated; of another size, by which factor."""
+    return listed([
+        f"{_NOISE[each.family]} on {listed(each.channels)}"
+        + (f", {significant(each.scale, 2)} times that known" if each.family == "scale" else "")
+        for each in noise
+    ])  # fmt: skip
 
 
 def _slot(slot: EffectSlot) -> str:
@@ -63,7 +74,8 @@ def _slot(slot: EffectSlot) -> str:
     return f"{' or '.join(names)} on {listed(slot.channels)}"
 
 
-def _form(form: FoundForm) -> str:
+def form_text(form: FoundForm) -> str:
+    """Return a form outside the catalogue, or a wrong input, with its channels and place."""
     where = f" in run {form.run}" if form.run else ""
     row = f", row {form.row}" if form.row is not None else ""
     return f"{form.name} on {listed(form.channels)}{where}{row}"

@@ -4,9 +4,10 @@ from typing import Any
 
 from imubayes.criticism.injection_recovery import Trial, Trials
 from imubayes.display.diagnosis_sentences import sentence
+from imubayes.display.evidence_text import probability
 from imubayes.display.labels import listed, pretty
 from imubayes.display.report_layout import Report
-from imubayes.display.rounding import chance_text, percent, significant
+from imubayes.display.rounding import percent, significant
 from imubayes.display.table_layout import Cell, Sheet
 
 _MOOD = {"first": "", "other name": "weak", "missed": "bad"}
@@ -27,8 +28,7 @@ def injection_lines(trials: Trials) -> list[str]:
         low, high = trials.false_alarm_interval
         lines.append(
             f"Without injection: {trials.false_alarms} false alarms in {len(trials.nulls)} draws, a rate of "
-            f"{percent(trials.false_alarms / len(trials.nulls))} (95 % interval {percent(low)} to {percent(high)}; "
-            f"nominal {percent(trials.threshold)})."
+            f"{percent(trials.false_alarms / len(trials.nulls))} (95 % interval {percent(low)} to {percent(high)})."
         )
     missed = [trial.effect for trial in trials.trials if not trial.detected]
     if missed:
@@ -52,8 +52,15 @@ def injection_sheet(trials: Trials) -> Sheet:
         outcome = "first" if trial.group_first else ("other name" if trial.detected else "missed")
         first = listed(trial.effects, 2) or trial.diagnosis.verdict
         cells = (Cell(trial.effect), Cell(_injected(trial)), Cell(significant(trial.delta_chi2)))
-        rows.append((*cells, Cell(outcome, _MOOD[outcome]), Cell(first), Cell(chance_text(trial.diagnosis.p_global))))
-    head = ("effect", "injected", "Δχ²", "found", "first group", "p")
+        rows.append(
+            (
+                *cells,
+                Cell(outcome, _MOOD[outcome]),
+                Cell(first),
+                Cell(probability(trial.diagnosis.probability(trial.effect))),
+            )
+        )
+    head = ("effect", "injected", "Δχ²", "found", "first group", "probability")
     return Sheet("Injection recovery", head, rows, (0, 1, 3, 4))
 
 
@@ -83,7 +90,7 @@ def injection_json(trials: Trials) -> dict[str, Any]:
                 "detected": trial.detected,
                 "group_first": trial.group_first,
                 "first_group": list(trial.effects),
-                "p_global": trial.diagnosis.p_global,
+                "probability": trial.diagnosis.probability(trial.effect),
                 "sentence": sentence(trial.diagnosis),
             }
             for trial in trials.trials
@@ -96,6 +103,5 @@ def injection_json(trials: Trials) -> dict[str, Any]:
             "false_alarms": trials.false_alarms,
             "rate": trials.false_alarms / count if count else None,
             "interval_95": list(trials.false_alarm_interval) if count else None,
-            "allowed": trials.threshold,
         },
     }

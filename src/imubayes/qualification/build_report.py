@@ -46,7 +46,6 @@ from imubayes.qualification.report_record import (
     QualificationReport,
     ReportedConvergence,
     StatisticalScope,
-    StructureFound,
 )
 from imubayes.qualification.subject_and_provenance import omitted_values, provenance_of, subject_of
 from imubayes.results.estimates import is_constant
@@ -148,9 +147,7 @@ def adequacy_of(result: Result, diagnosis: Diagnosis | None, tree: tuple[Tree, s
     diagnosed = sum(each.verdict is not None for each in history) + (diagnosis is not None)
     return Adequacy(
         verdict=diagnosis.verdict if diagnosis is not None else None,
-        p_global=diagnosis.p_global if diagnosis is not None else None,
-        threshold=diagnosis.threshold if diagnosis is not None else None,
-        looks=diagnosis.looks if diagnosis is not None else None,
+        explanations=diagnosis.explanations if diagnosis is not None else None,
         candidates=len(diagnosis.ranking) if diagnosis is not None else 0,
         missing=tuple(effect for group in diagnosis.groups for effect in group.effects)
         if diagnosis is not None
@@ -159,9 +156,6 @@ def adequacy_of(result: Result, diagnosis: Diagnosis | None, tree: tuple[Tree, s
         if diagnosis is not None
         else (),
         most_biasing=diagnosis.most_biasing if diagnosis is not None else None,
-        structure=tuple(StructureFound(channel=s.channel, covariate=s.covariate, p=s.p) for s in diagnosis.structure)
-        if diagnosis is not None
-        else (),
         intervals_valid=summary.intervals_valid,
         noise_violations=summary.noise_violations,
         noise_suspected=summary.noise_suspected,

@@ -8,6 +8,7 @@ None.
 from typing import Literal
 
 from imubayes.criticism.detectability import ParameterBias
+from imubayes.criticism.evidence.evidence_record import Evidence
 from imubayes.criticism.model_history import ChannelRms
 from imubayes.criticism.verdict import Verdict
 from imubayes.inference.identifiability import WeakDirection
@@ -289,23 +290,14 @@ class ModelTried(Record):
     reported: bool
 
 
-class StructureFound(Record):
-    """A dependence of residuals that the diagnosis found."""
-
-    channel: str
-    covariate: str
-    p: float
-
-
 class Adequacy(Record):
     """Whether the model describes the data.
 
     Attributes
     ----------
     verdict : of the diagnosis; None where the result was never diagnosed.
-    p_global, threshold : of the best candidate, corrected for the number of looks; probability of a false alarm.
-    looks : effective number of independent candidates of one diagnosis.
-    candidates : effects and channels that were screened.
+    explanations : how probable each explanation of the data is; None where the result was never diagnosed.
+    candidates : effects that were weighed.
     missing : effects that the diagnosis names.
     undetectable : effects that these runs cannot show.
     most_biasing : what the worst of them would do to the estimates; None where that would not matter.
@@ -318,13 +310,10 @@ class Adequacy(Record):
     """
 
     verdict: Verdict | None
-    p_global: float | None
-    threshold: float | None
-    looks: float | None
+    explanations: Evidence | None
     candidates: int
     missing: tuple[str, ...]
     undetectable: tuple[str, ...]
-    structure: tuple[StructureFound, ...]
     intervals_valid: bool
     noise_violations: tuple[NoiseViolation, ...]
     noise_suspected: tuple[NoiseViolation, ...] = ()

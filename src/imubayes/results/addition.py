@@ -7,10 +7,9 @@ import polars as pl
 from pydantic import PrivateAttr
 
 from imubayes.criticism.addition import Prediction, Refit
-from imubayes.criticism.diagnosis_record import CoefficientEstimate
 from imubayes.criticism.held_out_record import CrossValidation
 from imubayes.criticism.model_history import ChannelRms
-from imubayes.criticism.verdict import EffectChoice, RmsChange
+from imubayes.criticism.verdict import CoefficientEstimate, EffectChoice, RmsChange
 from imubayes.criticism.warm_start import Extension
 from imubayes.inference.prior_conflict import PriorConflict
 from imubayes.json_record import Record, finite

@@ -30,30 +30,24 @@ class ProbableEffect(Record):
     probability: float
 
 
-class EvidenceCoefficient(Record):
-    """A coefficient of the likeliest explanation with its posterior standard deviation, in its unit."""
-
-    name: str
-    value: float
-    sd: float
-    unit: str
-
-
 class EffectSlot(Record):
-    """One missing effect of the likeliest explanation, and what may stand in its place, the rest held.
+    """One missing effect of the leading explanation, and what may stand in its place, the rest held.
 
     Attributes
     ----------
     candidates : effects with their shares, the likeliest first, until 95 % are told.
     gain : natural logarithm of the evidence for it.
-    shape : scanned parameters, such as a time constant.
+    probability : that one of them is missing.
     """
 
     candidates: tuple[ProbableEffect, ...]
-    channels: tuple[str, ...]
     gain: float
-    coefficients: tuple[EvidenceCoefficient, ...]
-    shape: dict[str, float]
+    probability: float
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels, mountings or tables of the likeliest."""
+        return self.candidates[0].channels
 
 
 class FoundForm(Record):
@@ -98,10 +92,10 @@ class Evidence(Record):
     Attributes
     ----------
     explanations : every kind of explanation.
-    slots : effects of the likeliest explanation, the strongest first.
+    slots : effects of the leading explanation, the strongest first.
     inclusion : effects by their inclusion probability.
     form : the likeliest form or wrong input; None where none is near.
-    noise : noise other than stated, in the likeliest explanation.
+    noise : noise other than stated, in the leading explanation.
     noise_known : standard deviation of the logarithm of the worst known noise scale.
     hypotheses : how many were evaluated.
     """

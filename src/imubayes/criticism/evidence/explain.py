@@ -12,12 +12,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imubayes.criticism.candidate_effects import LinearisationPoint, Responses, candidate_responses
-from imubayes.criticism.evidence.evidence_record import Evidence
 from imubayes.criticism.evidence.free_forms import free_forms
 from imubayes.criticism.evidence.hypothesis import Evaluated
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
 from imubayes.criticism.evidence.model_search import ModelSearch, states_noise
-from imubayes.criticism.evidence.posterior_summary import evidence_of
+from imubayes.criticism.evidence.posterior_summary import Posterior
 from imubayes.criticism.evidence.wrong_input_forms import wrong_inputs
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.wrong_inputs import Predictions, WrongInput, problem_of
@@ -59,7 +58,7 @@ def weighs(fitted: Fit) -> bool:
     return not any(issubclass(layer.noise, beyond) for layer in fitted.model.problem.noise)
 
 
-def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCovariate]) -> Evidence:
+def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCovariate]) -> Posterior:
     """Return how probable each explanation of what a converged fit leaves is."""
     about, problem = _About(fitted), linear_problem(fitted, responses)
     search = ModelSearch(problem)
@@ -68,7 +67,8 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
         moved = _linearised(problem, large) if large is not None else None
         if large is not None and moved is not None:
             about, search = large, ModelSearch(moved)
-    best = search = _run(search, about, covariates)
+    search = _run(search, about, covariates)
+    best = search, about
     for _ in range(_ROUNDS):
         moved = _leading_to(search, about, fitted)
         if moved is None or about.stands_for(moved):
@@ -77,8 +77,8 @@ def explain(fitted: Fit, responses: Responses, covariates: Sequence[ResidualCova
         if problem is None:
             break
         about, search = moved, _run(ModelSearch(problem), moved, covariates)
-        best = max(best, search, key=lambda each: each.best().log_posterior)
-    return evidence_of(best)
+        best = max(best, (search, about), key=lambda each: each[0].best().log_posterior)
+    return Posterior(best[0], best[1].fitted)
 
 
 def _run(search: ModelSearch, about: _About, covariates: Sequence[ResidualCovariate]) -> ModelSearch:

@@ -150,23 +150,23 @@ def _varies(values: np.ndarray) -> bool:
 def _of_covariate(
     covariate: ResidualCovariate, seen: Mapping[int, np.ndarray], places: Mapping[int, _Place]
 ) -> Iterator[FormHypothesis]:
-    name, own = covariate.name, (covariate.name,)
+    name, said, own = covariate.name, covariate.phrase, (covariate.name,)
     if covariate.periodic:
         angle = {k: np.radians(x) for k, x in seen.items()}
         basis = {k: 0.5 * _harmonics(x, range(1, 7)) for k, x in angle.items()}
         for order in range(_FIRST_HARMONIC, _HARMONICS + 1):
             shape = {k: places[k].weighted(_harmonics(x, [order])) for k, x in angle.items()}
-            yield FormHypothesis("harmonic", f"harmonic {order} of {name}", own, shape)
+            yield FormHypothesis("harmonic", f"harmonic {order} of {said}", own, shape)
     else:
         basis = {k: _gaussian_process(x, *_SMOOTH) for k, x in seen.items()}
         rough = {k: places[k].weighted(_gaussian_process(x, *_ROUGH)) for k, x in seen.items()}
-        yield FormHypothesis("function", f"rough function of {name}", own, rough)
+        yield FormHypothesis("function", f"rough function of {said}", own, rough)
         if name.startswith(("rate", "force")):
-            yield from _levels(name, seen, places)
-            yield from _thresholds(name, seen, places)
-    yield FormHypothesis("function", f"function of {name}", own, {k: places[k].weighted(b) for k, b in basis.items()})
+            yield from _levels(covariate, seen, places)
+            yield from _thresholds(covariate, seen, places)
+    yield FormHypothesis("function", f"function of {said}", own, {k: places[k].weighted(b) for k, b in basis.items()})
     gained = {k: places[k].weighted(b * places[k].rows.input[:, None]) for k, b in basis.items()}
-    yield FormHypothesis("gain", f"input × function of {name}", own, gained)
+    yield FormHypothesis("gain", f"input × function of {said}", own, gained)
 
 
 def _harmonics(angle: np.ndarray, orders: Sequence[int]) -> np.ndarray:
@@ -191,7 +191,9 @@ def _gaussian_process(values: np.ndarray, length: float, columns: int) -> np.nda
     return found
 
 
-def _levels(name: str, seen: Mapping[int, np.ndarray], places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
+def _levels(
+    covariate: ResidualCovariate, seen: Mapping[int, np.ndarray], places: Mapping[int, _Place]
+) -> Iterator[FormHypothesis]:
     """Yield an even and an odd response at one level of an input alone, as of a resonance."""
     filled = {k: np.nan_to_num(x) for k, x in seen.items()}
     top = max(float(np.abs(x).max()) for x in filled.values())
@@ -203,10 +205,13 @@ def _levels(name: str, seen: Mapping[int, np.ndarray], places: Mapping[int, _Pla
                 k: places[k].weighted(np.stack([at == one, (at == one) * np.sign(filled[k])], axis=1).astype(float))
                 for k, at in level.items()
             }
-            yield FormHypothesis("level", f"level of |{name}| = {one * top / 50:.3g}", (name,), both)
+            said = f"response at |{covariate.phrase}| = {one * top / 50:.3g} {covariate.unit} alone"
+            yield FormHypothesis("level", said, (covariate.name,), both)
 
 
-def _thresholds(name: str, seen: Mapping[int, np.ndarray], places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
+def _thresholds(
+    covariate: ResidualCovariate, seen: Mapping[int, np.ndarray], places: Mapping[int, _Place]
+) -> Iterator[FormHypothesis]:
     """Yield responses that set in, or saturate, at a share of the largest input; odd and even."""
     top = max(float(np.nanmax(np.abs(x))) for x in seen.values())
     scaled = {k: np.nan_to_num(x) / top for k, x in seen.items()}
@@ -215,11 +220,13 @@ def _thresholds(name: str, seen: Mapping[int, np.ndarray], places: Mapping[int, 
         beyond = {k: np.sign(x) * np.maximum(np.abs(x) - share, 0.0) for k, x in scaled.items()}
         for what, odd in (("saturation", saturating), ("onset", beyond)):
             shape = {k: places[k].weighted(np.stack([x, np.abs(x)], axis=1)) for k, x in odd.items()}
-            yield FormHypothesis("threshold", f"{what} of {name} at {share * top:.3g}", (name,), shape)
+            said = f"{what} of {covariate.phrase} at {share * top:.3g} {covariate.unit}"
+            yield FormHypothesis("threshold", said, (covariate.name,), shape)
 
 
 def _products(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) -> Iterator[FormHypothesis]:
     scaled: dict[str, dict[int, np.ndarray]] = {}
+    phrase = {covariate.name: covariate.phrase for covariate in known}
     for covariate in known:
         seen = {k: covariate.values[place.rows.entry] for k, place in places.items()}
         seen = {k: np.nan_to_num(x) for k, x in seen.items() if _varies(x)}
@@ -235,7 +242,7 @@ def _products(known: Sequence[ResidualCovariate], places: Mapping[int, _Place]) 
             terms = [a**p * b**q for p, q in _POWERS] + [np.sign(a) * b, a * np.sign(b)]
             shapes[k] = places[k].weighted(np.stack(terms, axis=1))
         if shapes:
-            yield FormHypothesis("product", f"function of {one} and {other}", (one, other), shapes)
+            yield FormHypothesis("product", f"function of {phrase[one]} and {phrase[other]}", (one, other), shapes)
 
 
 def _row_before(rows: ChannelRows) -> np.ndarray:

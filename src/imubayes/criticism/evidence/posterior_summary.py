@@ -5,52 +5,216 @@ evaluates more scatters about its leader than about others, and their sum would 
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from imubayes.criticism.evidence.evidence_record import (
     EffectSlot,
     Evidence,
-    EvidenceCoefficient,
     Explanation,
     FoundForm,
     FoundNoise,
     ProbableEffect,
     ProbableExplanation,
 )
-from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis
+from imubayes.criticism.evidence.hypothesis import Evaluated, Hypothesis
 from imubayes.criticism.evidence.model_search import ModelSearch
+from imubayes.criticism.verdict import CoefficientEstimate
+from imubayes.inference.fitted_model import Fit
 
-_TOLD, _SHOWN, _NEAR_FORM = 0.95, 8, 5.0
+_TOLD, _SHOWN, _NEAR = 0.95, 8, 5.0
+"""Share of a slot whose members are told; effects in the table of inclusion; nats within which a form is told."""
 _KINDS: tuple[Explanation, ...] = ("nothing", "noise", "effects", "input", "outside")
 
 
-def evidence_of(search: ModelSearch) -> Evidence:
-    """Return what a search found."""
-    of, distinct = search.of, _distinct(search.known)
-    logs = np.array([each.log_posterior for each in distinct])
-    share = np.exp(logs - np.logaddexp.reduce(logs))
-    top = distinct[int(np.argmax(logs))]
-    kinds: list[Explanation] = [kind_of(each.hypothesis) for each in distinct]
-    slots = sorted((_slot(of, distinct, top, n) for n in top.hypothesis.variants), key=lambda each: -each.gain)
-    return Evidence(
-        explanations=tuple(_explanation(kind, kinds, share, logs) for kind in _KINDS),
-        slots=tuple(slots),
-        inclusion=_inclusion(of, distinct, share),
-        form=_form(of, distinct),
-        noise=tuple(_noise(of, top)),
-        noise_known=max(of.problem.rows[k].scale_sd for k in of.unit_of),
-        hypotheses=len(search.known),
-    )
+@dataclass(frozen=True)
+class SlotMember:
+    """A variant of an effect in a slot, the likeliest hypothesis with it there, and the share of its effect."""
+
+    effect: str
+    variant: int
+    found: Evaluated
+    share: float
 
 
-def _explanation(
-    kind: Explanation, kinds: Sequence[Explanation], share: np.ndarray, logs: np.ndarray
-) -> ProbableExplanation:
-    here = np.array([each == kind for each in kinds])
-    odds = float(logs[here].max() - logs.max()) if here.any() else None
-    return ProbableExplanation(kind=kind, probability=min(float(share[here].sum()), 1.0), log_odds=odds)
+@dataclass(frozen=True)
+class Slot:
+    """One missing effect of the leading hypothesis, and what may stand in its place, the rest held.
+
+    Attributes
+    ----------
+    members : the likeliest first, until 95 % are told.
+    gain : natural logarithm of the evidence for it.
+    probability : that an effect of the slot is missing.
+    """
+
+    members: tuple[SlotMember, ...]
+    gain: float
+    probability: float
+
+
+class Posterior:
+    """The hypotheses of a search with their probabilities.
+
+    Attributes
+    ----------
+    fitted : the fit that the search is about; its record is corrected where the leader is a gross wrong input.
+    of : the evidence of hypotheses.
+    distinct, share : hypotheses that differ in more than the scatter between runs, and their probabilities, (n,).
+    """
+
+    def __init__(self, search: ModelSearch, fitted: Fit):
+        self.search, self.of, self.fitted = search, search.of, fitted
+        self.distinct = _distinct(search.known)
+        self._logs = np.array([each.log_posterior for each in self.distinct])
+        self.share = np.exp(self._logs - np.logaddexp.reduce(self._logs))
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """How probable each explanation is, as a record."""
+        return Evidence(
+            explanations=self._explanations,
+            slots=tuple(map(self._slot_record, self.slots)),
+            inclusion=self._inclusion[:_SHOWN],
+            form=self._form_record(),
+            noise=tuple(self._noise_records()),
+            noise_known=max(self.of.problem.rows[k].scale_sd for k in self.of.unit_of),
+            hypotheses=len(self.search.known),
+        )
+
+    @cached_property
+    def _explanations(self) -> tuple[ProbableExplanation, ...]:
+        kinds = [kind_of(each.hypothesis) for each in self.distinct]
+
+        def explanation(kind: Explanation) -> ProbableExplanation:
+            here = np.array([each == kind for each in kinds])
+            odds = float(self._logs[here].max() - self._logs.max()) if here.any() else None
+            return ProbableExplanation(kind=kind, probability=min(float(self.share[here].sum()), 1.0), log_odds=odds)
+
+        return tuple(map(explanation, _KINDS))
+
+    @cached_property
+    def leading(self) -> Explanation:
+        """The kind of explanation that is likeliest."""
+        return max(self._explanations, key=lambda each: each.probability).kind
+
+    @cached_property
+    def top(self) -> Evaluated:
+        """The likeliest hypothesis of the leading kind."""
+        mine = [each for each in self.distinct if kind_of(each.hypothesis) == self.leading]
+        return max(mine, key=lambda each: each.log_posterior)
+
+    @cached_property
+    def slots(self) -> tuple[Slot, ...]:
+        """The effects of the leading hypothesis, the strongest first."""
+        return tuple(sorted(map(self._slot, self.top.hypothesis.variants), key=lambda each: -each.gain))
+
+    def _slot(self, variant: int) -> Slot:
+        top = self.top
+        rest, form = set(top.hypothesis.variants) - {variant}, top.hypothesis.form
+        inside: dict[str, list[Evaluated]] = {}
+        without = -math.inf
+        for each in self.distinct:
+            own = set(each.hypothesis.variants)
+            if each.hypothesis.form is not form or not rest <= own:
+                continue
+            if own == rest:
+                without = max(without, each.log_posterior)
+            elif len(own) == len(rest) + 1:
+                inside.setdefault(self.of.variants[next(iter(own - rest))].effect, []).append(each)
+        mass = {e: float(np.logaddexp.reduce([one.log_posterior for one in every])) for e, every in inside.items()}
+        whole, members = np.logaddexp.reduce(list(mass.values())), list[SlotMember]()
+        for effect in sorted(mass, key=lambda each: -mass[each]):
+            if sum(each.share for each in members) >= _TOLD:
+                break
+            best = max(inside[effect], key=lambda each: each.log_posterior)
+            own = next(iter(set(best.hypothesis.variants) - rest))
+            members.append(SlotMember(effect, own, best, float(np.exp(mass[effect] - whole))))
+        gain = float(top.log_posterior - without) if math.isfinite(without) else 0.0
+        return Slot(tuple(members), gain, self.including([each.effect for each in members]))
+
+    def including(self, effects: Sequence[str]) -> float:
+        """Return the probability that any of some effects is missing."""
+        told = set(effects)
+        named = [told & {self.of.variants[n].effect for n in each.hypothesis.variants} for each in self.distinct]
+        return min(float(self.share[[bool(each) for each in named]].sum()), 1.0)
+
+    @cached_property
+    def _inclusion(self) -> tuple[ProbableEffect, ...]:
+        owners: dict[str, tuple[str, ...]] = {}
+        for place in np.argsort(-self.share):
+            for n in self.distinct[place].hypothesis.variants:
+                owners.setdefault(self.of.variants[n].effect, self.of.variants[n].owners)
+        found = [
+            ProbableEffect(effect=effect, channels=own, probability=self.including([effect]))
+            for effect, own in owners.items()
+        ]
+        return tuple(sorted(found, key=lambda each: -each.probability))
+
+    def coefficients(self, variant: int, found: Evaluated) -> tuple[CoefficientEstimate, ...]:
+        """Return the coefficients of a variant in a hypothesis, with their posterior standard deviations."""
+        problem = self.of.problem
+        at = {int(column) - problem.own: n for n, column in enumerate(found.columns)}
+        return tuple(
+            CoefficientEstimate(
+                name=problem.coefficients[k].parameter.name,
+                value=float(found.mean[at[k]] * problem.sizes[k]),
+                sd=float(np.sqrt(found.covariance[at[k], at[k]]) * problem.sizes[k]),
+                unit=problem.coefficients[k].parameter.shown_unit,
+            )
+            for k in self.of.variants[variant].places
+        )
+
+    @cached_property
+    def wrong_inputs(self) -> tuple[tuple[float, Evaluated], ...]:
+        """Wrong inputs near the likeliest, with their probabilities among them; empty without one."""
+        found = [each for each in self.distinct if kind_of(each.hypothesis) == "input"]
+        best = max((each.log_posterior for each in found), default=-math.inf)
+        near = sorted((each for each in found if each.log_posterior > best - _NEAR), key=lambda e: -e.log_posterior)
+        mass = np.logaddexp.reduce([each.log_posterior for each in near]) if near else 0.0
+        return tuple((float(np.exp(each.log_posterior - mass)), each) for each in near)
+
+    # ---- records ----
+
+    def _slot_record(self, slot: Slot) -> EffectSlot:
+        return EffectSlot(
+            candidates=tuple(
+                ProbableEffect(effect=m.effect, channels=self.of.variants[m.variant].owners, probability=m.share)
+                for m in slot.members
+            ),
+            gain=slot.gain,
+            probability=slot.probability,
+        )
+
+    def _form_record(self) -> FoundForm | None:
+        without = max(each.log_posterior for each in self.distinct if each.hypothesis.form is None)
+        formed = [each for each in self.distinct if each.hypothesis.form is not None]
+        best = max(formed, key=lambda each: each.log_posterior, default=None)
+        if best is None or best.log_posterior < without - _NEAR:
+            return None
+        chosen, problem = best.hypothesis.form, self.of.problem
+        assert chosen is not None
+        form = chosen.form
+        return FoundForm(
+            name=form.name,
+            channels=tuple(problem.channels[k].name for k in chosen.channels),
+            covariates=form.covariates,
+            run=problem.runs[form.run] if form.run is not None else "",
+            row=form.row + 1 if form.row is not None else None,
+            log_odds=float(best.log_posterior - without),
+            wrong=form.wrong is not None,
+        )
+
+    def _noise_records(self) -> Iterable[FoundNoise]:
+        names = [each.name for each in self.of.problem.channels]
+        for unit, noise in zip(self.of.units, self.top.hypothesis.noise, strict=True):
+            if not noise.stated:
+                scale = float(np.exp(np.mean(np.log(self.top.scale[list(unit.channels)]))))
+                channels = tuple(names[k] for k in unit.channels)
+                yield FoundNoise(channels=channels, family=noise.family, scale=scale)
 
 
 def kind_of(hypothesis: Hypothesis) -> Explanation:
@@ -70,97 +234,3 @@ def _distinct(known: Iterable[Evaluated]) -> list[Evaluated]:
         if key not in found or found[key].log_posterior < each.log_posterior:
             found[key] = each
     return list(found.values())
-
-
-def _inclusion(of: EvidenceOf, distinct: list[Evaluated], share: np.ndarray) -> tuple[ProbableEffect, ...]:
-    found: dict[str, float] = {}
-    owners: dict[str, tuple[str, ...]] = {}
-    for each, p in sorted(zip(distinct, share, strict=True), key=lambda pair: -pair[1]):
-        for effect in {of.variants[n].effect for n in each.hypothesis.variants}:
-            found[effect] = found.get(effect, 0.0) + float(p)
-        for n in each.hypothesis.variants:
-            owners.setdefault(of.variants[n].effect, of.variants[n].owners)
-    order = sorted(found, key=lambda effect: -found[effect])[:_SHOWN]
-    return tuple(ProbableEffect(effect=e, channels=owners[e], probability=found[e]) for e in order)
-
-
-def _slot(of: EvidenceOf, distinct: list[Evaluated], top: Evaluated, variant: int) -> EffectSlot:
-    """Return a member of the likeliest hypothesis with what may stand in its place."""
-    rest, form = set(top.hypothesis.variants) - {variant}, top.hypothesis.form
-    inside: dict[str, list[Evaluated]] = {}
-    without = -math.inf
-    for each in distinct:
-        own = set(each.hypothesis.variants)
-        if each.hypothesis.form is not form or not rest <= own:
-            continue
-        if own == rest:
-            without = max(without, each.log_posterior)
-        elif len(own) == len(rest) + 1:
-            inside.setdefault(of.variants[next(iter(own - rest))].effect, []).append(each)
-    mass = {e: float(np.logaddexp.reduce([one.log_posterior for one in every])) for e, every in inside.items()}
-    whole = np.logaddexp.reduce(list(mass.values()))
-    candidates, told = list[ProbableEffect](), 0.0
-    for effect in sorted(mass, key=lambda each: -mass[each]):
-        if told >= _TOLD:
-            break
-        best = max(inside[effect], key=lambda each: each.log_posterior)
-        owners = of.variants[next(iter(set(best.hypothesis.variants) - rest))].owners
-        told += float(np.exp(mass[effect] - whole))
-        candidates.append(
-            ProbableEffect(effect=effect, channels=owners, probability=float(np.exp(mass[effect] - whole)))
-        )
-    own = of.variants[variant]
-    return EffectSlot(
-        candidates=tuple(candidates),
-        channels=own.owners,
-        gain=float(top.log_posterior - without) if math.isfinite(without) else 0.0,
-        coefficients=_coefficients(of, top, own.places),
-        shape=dict(of.problem.candidates[own.response].scan.shape),
-    )
-
-
-def _coefficients(of: EvidenceOf, top: Evaluated, places: tuple[int, ...]) -> tuple[EvidenceCoefficient, ...]:
-    at = {int(column) - of.problem.own: n for n, column in enumerate(top.columns)}
-    found = []
-    for k in places:
-        coefficient, size = of.problem.coefficients[k], float(of.problem.sizes[k])
-        found.append(
-            EvidenceCoefficient(
-                name=coefficient.parameter.name,
-                value=float(top.mean[at[k]]) * size,
-                sd=float(np.sqrt(top.covariance[at[k], at[k]])) * size,
-                unit=coefficient.parameter.shown_unit,
-            )
-        )
-    return tuple(found)
-
-
-def _form(of: EvidenceOf, distinct: list[Evaluated]) -> FoundForm | None:
-    without = max(each.log_posterior for each in distinct if each.hypothesis.form is None)
-    formed = [each for each in distinct if each.hypothesis.form is not None]
-    if not formed:
-        return None
-    best = max(formed, key=lambda each: each.log_posterior)
-    if best.log_posterior < without - _NEAR_FORM:
-        return None
-    chosen, problem = best.hypothesis.form, of.problem
-    assert chosen is not None
-    form = chosen.form
-    return FoundForm(
-        name=form.name,
-        channels=tuple(problem.channels[k].name for k in chosen.channels),
-        covariates=form.covariates,
-        run=problem.runs[form.run] if form.run is not None else "",
-        row=form.row + 1 if form.row is not None else None,
-        log_odds=float(best.log_posterior - without),
-        wrong=form.wrong is not None,
-    )
-
-
-def _noise(of: EvidenceOf, top: Evaluated) -> Iterable[FoundNoise]:
-    names: Mapping[int, str] = dict(enumerate(each.name for each in of.problem.channels))
-    for unit, noise in zip(of.units, top.hypothesis.noise, strict=True):
-        if not noise.stated:
-            scale = float(np.exp(np.mean(np.log(top.scale[list(unit.channels)]))))
-            channels = tuple(names[k] for k in unit.channels)
-            yield FoundNoise(channels=channels, family=noise.family, scale=scale)

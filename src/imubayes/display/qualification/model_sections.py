@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from imubayes.criticism import thresholds
 from imubayes.display.diagnosis_sentences import bias_clause
+from imubayes.display.evidence_text import evidence_text
 from imubayes.display.labels import pretty
 from imubayes.display.noise_violation_text import violation_text
 from imubayes.display.qualification.document import Block, Heading, Items, Paragraph, ReportTable, Text
@@ -106,11 +107,6 @@ def adequacy_section(adequacy: Adequacy) -> list[Block]:
         found.append(Paragraph(_search(adequacy)))
     if adequacy.missing:
         found.append(Paragraph(f"Missing, or indistinguishable from what is: {enumerated(adequacy.missing)}.", "bad"))
-    if adequacy.structure:
-        named = enumerated(
-            [f"{each.channel} against {each.covariate} (p {chance_text(each.p)})" for each in adequacy.structure], 6
-        )
-        found.append(Paragraph(f"Residuals depend on what the model does not explain: {named}.", "bad"))
     for each in adequacy.noise_violations:
         how = chance_text(each.p) if each.p is not None else ""
         found.append(
@@ -142,13 +138,11 @@ def adequacy_section(adequacy: Adequacy) -> list[Block]:
 
 
 def _search(adequacy: Adequacy) -> str:
-    p = "" if adequacy.p_global is None else f" Its best candidate has p = {chance_text(adequacy.p_global)}"
-    p += f" after correction for {adequacy.looks:.0f} independent looks"
-    p += f"; below {adequacy.threshold:g} it would be a finding."
+    weighed = "" if adequacy.explanations is None else f" {evidence_text(adequacy.explanations)}"
     times = {0: "never", 1: "once", 2: "twice"}.get(adequacy.diagnoses, f"{adequacy.diagnoses} times")
     return (
-        f"The diagnosis screened {adequacy.candidates} candidate effects and channels.{p} A model of this unit was "
-        f"diagnosed {times}, this result included."
+        f"The diagnosis weighed {adequacy.candidates} effects that these runs can show.{weighed} A model of this unit "
+        f"was diagnosed {times}, this result included."
     )
 
 
