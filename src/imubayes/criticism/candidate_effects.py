@@ -4,7 +4,7 @@ The model and all candidates become one problem whose first parameters are the m
 candidates change nothing, so one linearisation gives the Jacobian of the fit and the response to every candidate.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import equinox as eqx
@@ -23,7 +23,6 @@ from imubayes.model.bind import Model
 from imubayes.model.bound_effects import (
     BoundEffect,
     ExactEquipmentError,
-    Move,
     NoChannelError,
     NotObservableError,
     bind_effect,
@@ -165,12 +164,6 @@ def candidate_responses(fitted: Fit, only: Sequence[str] = (), about: Linearisat
     if only:
         acting = tuple(effect for effect in acting if effect.name in only)
     return _linearised_with(fitted, acting, unobservable, about)
-
-
-def moved_responses(fitted: Fit, names: Sequence[str], move: Callable[[BoundEffect], Move]) -> Responses:
-    """Return the same for candidates that the model lacks, each at another stage of the signal path."""
-    acting, _ = _candidates(fitted)
-    return _linearised_with(fitted, tuple(replace(each, moved=move(each)) for each in acting if each.name in names), {})
 
 
 def _linearised_with(

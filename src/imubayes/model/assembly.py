@@ -19,7 +19,6 @@ from imubayes.model.signal_path import (
     Convert,
     EffectLayer,
     Layer,
-    MovedLayer,
     Project,
     Resolve,
 )
@@ -79,7 +78,7 @@ class Assembly:
             effect_class = effect.effect_class
             if not issubclass(effect_class, Effect) or not keep(effect, effect_class):
                 continue
-            if (effect.moved or effect_class).stage in stages:
+            if effect_class.stage in stages:
                 layers += self._effect_layers(effect, effect_class, chosen)
         return tuple(sorted(layers, key=lambda layer: layer.sort_key()))
 
@@ -112,12 +111,7 @@ class Assembly:
             places: dict[str, Array] = {
                 field: self._places(effect, field, grouping, names) for field in effect.declared
             }
-            move = effect.moved
-            layers.append(
-                EffectLayer(effect_class, options, places, kind)
-                if move is None
-                else MovedLayer(effect_class, options, places, kind, move.stage, move.reads)
-            )
+            layers.append(EffectLayer(effect_class, options, places, kind))
         return layers
 
     def _places(self, effect: BoundEffect, field: str, grouping: Grouping, names: list[str]) -> np.ndarray:

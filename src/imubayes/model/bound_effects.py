@@ -7,7 +7,7 @@ import numpy as np
 
 from imubayes.campaign_data import Campaign, Run
 from imubayes.covariates import COVARIATES, ambient_names, remedy
-from imubayes.effects.base import AmbientEffect, MotionEffect, Stage
+from imubayes.effects.base import AmbientEffect, MotionEffect
 from imubayes.errors import InputError, Issue, closest_first
 from imubayes.model.effect_registry import EffectClass, Registry, acts_on_channels
 from imubayes.model.grouping import Grouping
@@ -92,14 +92,6 @@ class SingleRunError(NotObservableError):
 
 
 @dataclass(frozen=True)
-class Move:
-    """An effect moved to another stage of the signal path: see `imubayes.model.signal_path.MovedLayer`."""
-
-    stage: Stage
-    reads: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True)
 class BoundEffect:
     """An effect or noise member bound to a campaign.
 
@@ -114,7 +106,6 @@ class BoundEffect:
     gated : indices of the runs in which it is switched off because they do not supply what it needs.
     parameters, hyperparameters : its scalars, in order.
     left_out : names of the channels on which it cannot be known, each having one run.
-    moved : where it acts in place of its own stage of the signal path; None at its own.
     """
 
     spec: EffectSpec
@@ -129,7 +120,6 @@ class BoundEffect:
     parameters: tuple[Parameter, ...]
     hyperparameters: tuple[Parameter, ...]
     left_out: tuple[str, ...] = ()
-    moved: Move | None = None
 
     @property
     def name(self) -> str:

@@ -9,7 +9,6 @@ place) and `AddOffset` (the nominal offset).  There is no case per kind of run a
 import math
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import ClassVar
 
@@ -87,69 +86,6 @@ class EffectLayer(Layer):
     def __call__(self, path, chosen):
         options = dict(self.options)
         return self.effect.advance(lambda values: self.effect(**values, **options), chosen, path, self.kind)
-
-
-class MovedLayer(EffectLayer):
-    """An effect of the sensor as one of its converter, or the other way round: the same change at the other stage.
-
-    A converter knows its input as a signal along the input axis, temperature and time: nothing of what acts across the
-    axis, and nothing of the motion.
-
-    Attributes
-    ----------
-    stage : where it acts here.
-    reads : covariates that stand for others here, name → the one read.
-    """
-
-    stage: Stage = eqx.field(static=True)
-    reads: tuple[tuple[str, str], ...] = eqx.field(static=True)
-
-    def sort_key(self) -> tuple[int, float]:
-        return self.stage, self.effect.order
-
-    def __call__(self, path, chosen):
-        sample = path.sample[self.kind]
-        ambient = self._read(sample.ambient)
-        here = eqx.tree_at(lambda s: s.ambient, sample, ambient)
-        signal, factor = path.signal[self.kind], sample.output_scale
-        if self.stage == Stage.CONVERTER:
-            factor = 1 / factor
-            here = _electrical(here, self.kind, signal * factor)
-        records = path.records
-        if records is not None:
-            records = eqx.tree_at(lambda r: r.ambient, records, self._read(records.ambient))
-        moved = replace(
-            path,
-            sample=path.sample | {self.kind: here},
-            signal=path.signal | {self.kind: signal * factor},
-            records=records,
-        )
-        changed = super().__call__(moved, chosen).signal[self.kind] / factor
-        return replace(path, signal=path.signal | {self.kind: changed})
-
-    def _read(self, ambient: Ambient) -> Ambient:
-        return ambient.updated(**{name: getattr(ambient, source) for name, source in self.reads})
-
-
-# What a converter knows beside its input.
-_ELECTRICAL = (
-    "time", "campaign_time", "power_on", "current", "temperature", "temperature_rate", "converter_temperature",
-    "converter_temperature_rate",
-)  # fmt: skip
-
-
-def _electrical(sample: Sample, kind: str, signal: Array) -> Sample:
-    """Return what a converter knows of samples whose signal, referred to the input, is given."""
-    silent = jax.tree.map(jnp.zeros_like, sample)
-    known = {name: getattr(sample.ambient, name) for name in _ELECTRICAL}
-    along = silent.rate.at[..., 0].set(signal)
-    return replace(
-        silent,
-        rate=along if kind == "gyro" else silent.rate,
-        force=along if kind == "accelerometer" else silent.force,
-        ambient=silent.ambient.updated(**known),
-        output_scale=sample.output_scale,
-    )
 
 
 class Broadcast(Layer):
