@@ -1,7 +1,8 @@
 """From the hypotheses of a search to the probabilities of explanations, of effects, and of what stands in their place.
 
-The scatter between runs is a nuisance: hypotheses that differ in it alone count once, by the likeliest.  A search
-evaluates more scatters about its leader than about others, and their sum would favour it.
+What the model leaves open of its noise is a nuisance, such as the scatter between runs: hypotheses that differ in it
+alone count once, by the likeliest.  A search evaluates more sizes about its leader than about others, and their sum
+would favour it.
 """
 
 import math
@@ -66,7 +67,7 @@ def _distinct(known: Iterable[Evaluated]) -> list[Evaluated]:
     found: dict[object, Evaluated] = {}
     for each in known:
         own = each.hypothesis
-        key = own.variants, own.form, tuple((noise.rows, noise.stated) for noise in own.noise)
+        key = own.variants, own.form, tuple((noise.stated or noise.rows, noise.stated) for noise in own.noise)
         if key not in found or found[key].log_posterior < each.log_posterior:
             found[key] = each
     return list(found.values())
@@ -121,14 +122,14 @@ def _slot(of: EvidenceOf, distinct: list[Evaluated], top: Evaluated, variant: in
 
 def _coefficients(of: EvidenceOf, top: Evaluated, places: tuple[int, ...]) -> tuple[EvidenceCoefficient, ...]:
     at = {int(column) - of.problem.own: n for n, column in enumerate(top.columns)}
-    found = []
+    found, covariance = [], of.solved(top).covariance
     for k in places:
         coefficient, size = of.problem.coefficients[k], float(of.problem.sizes[k])
         found.append(
             EvidenceCoefficient(
                 name=coefficient.parameter.name,
                 value=float(top.mean[at[k]]) * size,
-                sd=float(np.sqrt(top.covariance[at[k], at[k]])) * size,
+                sd=float(np.sqrt(covariance[at[k], at[k]])) * size,
                 unit=coefficient.parameter.shown_unit,
             )
         )
