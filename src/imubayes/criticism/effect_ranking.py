@@ -8,7 +8,7 @@ from imubayes.criticism.diagnosis_record import RankedEffect
 from imubayes.criticism.evidence.hypothesis import Evaluated, inverse
 from imubayes.criticism.evidence.model_search import states_noise
 from imubayes.criticism.evidence.posterior_summary import Posterior
-from imubayes.criticism.evidence.proposals import Conditional, Screen, at_scales, conditional
+from imubayes.criticism.evidence.proposals import Conditional, Screen, conditional
 from imubayes.criticism.verdict import CoefficientEstimate
 
 
@@ -16,7 +16,8 @@ def ranking(posterior: Posterior) -> tuple[RankedEffect, ...]:
     """Return one line per effect, by its inclusion probability, then by its log odds alone."""
     of = posterior.of
     nothing = posterior.search.best(states_noise)
-    alone, as_known = conditional(of, nothing), conditional(of, at_scales(of, nothing, np.ones(len(nothing.scale))))
+    alone = conditional(of, of.solved(nothing))
+    as_known = conditional(of, of.solved(nothing, np.ones(len(nothing.scale))))
     best: dict[str, RankedEffect] = {}
     for gain, n in Screen(of).singles(alone):
         if of.variants[n].effect not in best:

@@ -13,7 +13,7 @@ import numpy as np
 
 from imubayes.criticism.evidence.evidence_record import NAMED
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf
-from imubayes.criticism.evidence.proposals import at_scales, base_columns
+from imubayes.criticism.evidence.proposals import base_columns
 from imubayes.criticism.residual_covariates import ResidualCovariate
 from imubayes.criticism.term_library import Term, library
 from imubayes.inference.fitted_model import Fit
@@ -110,15 +110,15 @@ def find_formula(
     if not terms:
         return None
     factor, base = coefficient_unit(constants.kind, constants.scale_si, gravity)
-    rows, at = of.problem.rows[channel], at_scales(of, at, scale)
+    rows, solved = of.problem.rows[channel], of.solved(at, scale)
     columns = np.stack([term.values[rows.entry] for term in terms], axis=1) * factor
     size = np.maximum(np.abs(columns).max(axis=0), np.finfo(float).tiny)
     columns = columns / size * of.problem.root[rows.entry][:, None]
     white = of.whiten(at.hypothesis, columns, channel, at.weight.get(channel)) / scale[channel]
     taken = base_columns(of, at, channel) / scale[channel]
     where = of.taking_part(channel, at.columns, None)
-    left = white - taken[:, :-1] @ (at.covariance[np.ix_(where, where)] @ (taken[:, :-1].T @ white))
-    residual = taken[:, -1] - taken[:, :-1] @ at.mean[where]
+    left = white - taken[:, :-1] @ (solved.covariance[np.ix_(where, where)] @ (taken[:, :-1].T @ white))
+    residual = taken[:, -1] - taken[:, :-1] @ solved.mean[where]
     first = _Pursuit(white.T @ left, white.T @ residual)
     selected = _pursue(first, terms, np.sum(white**2, axis=0), len(residual))
     if not selected:

@@ -56,7 +56,8 @@ def _distances(posterior: Posterior, channel: int) -> np.ndarray:
     white = base_columns(of, top, channel) / top.scale[channel]
     weight = top.weight.get(channel)
     columns = white[:, :-1]
-    leverage = np.sum((columns @ top.covariance[np.ix_(where, where)]) * columns, axis=1)
+    covariance = of.solved(top).covariance[np.ix_(where, where)]
+    leverage = np.sum((columns @ covariance) * columns, axis=1)
     residual = white[:, -1] - columns @ top.mean[where]
     if weight is not None:
         residual = residual / np.sqrt(weight)

@@ -5,7 +5,7 @@ import numpy as np
 from imubayes.campaign_data import Campaign
 from imubayes.covariates import COVARIATES
 from imubayes.criticism.disagreement_record import AgreeingInput, Disagreement
-from imubayes.criticism.evidence.hypothesis import Evaluated
+from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf
 from imubayes.criticism.evidence.posterior_summary import Posterior
 from imubayes.criticism.wrong_inputs import WrongInput
 from imubayes.units import to_si
@@ -27,7 +27,7 @@ def disagreements(posterior: Posterior, campaign: Campaign) -> tuple[Disagreemen
     _, best, first = near[0]
     same = [(share, each) for share, each, wrong in near if (wrong.run, wrong.row) == (first.run, first.row)]
     causes = {(cause.form, cause.quantity): cause for share, each in reversed(same)
-              for cause in (_cause(campaign, each, share),)}  # fmt: skip
+              for cause in (_cause(posterior.of, campaign, each, share),)}  # fmt: skip
     others = dict.fromkeys(
         _place(campaign, wrong) for _, _, wrong in near if (wrong.run, wrong.row) != (first.run, first.row)
     )
@@ -55,12 +55,12 @@ def _place(campaign: Campaign, wrong: WrongInput) -> str:
     return name if wrong.row is None else f"row {wrong.row + 1} of run {name}"
 
 
-def _cause(campaign: Campaign, found: Evaluated, share: float) -> AgreeingInput:
+def _cause(of: EvidenceOf, campaign: Campaign, found: Evaluated, share: float) -> AgreeingInput:
     """Return a wrong input in the unit of the record."""
     wrong, form = _wrong(found), found.hypothesis.form
     assert form is not None
     own = len(found.columns)
-    size, sd = (form.form.unit * each[own:] for each in (found.mean, np.sqrt(np.diag(found.covariance))))
+    size, sd = (form.form.unit * each[own:] for each in (found.mean, np.sqrt(np.diag(of.solved(found).covariance))))
     run = campaign.runs[wrong.run]
     recorded: float | None = None
     if wrong.form.endswith("factor"):

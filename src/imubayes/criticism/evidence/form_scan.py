@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imubayes.criticism.evidence.free_forms import ChosenForm, FormHypothesis
-from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf
+from imubayes.criticism.evidence.hypothesis import EvidenceOf, Solved
 from imubayes.criticism.evidence.proposals import base_columns
 from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 
@@ -42,13 +42,14 @@ class _Grams:
 class FormScan:
     """Quick gains of every form beside a hypothesis without one."""
 
-    def __init__(self, of: EvidenceOf, at: Evaluated):
-        self.of, self.at = of, at
-        squares, axes = np.linalg.eigh(at.covariance)
+    def __init__(self, of: EvidenceOf, solved: Solved):
+        at = solved.at
+        self.of, self.at, self.scale = of, at, solved.scale
+        squares, axes = np.linalg.eigh(solved.covariance)
         self._root = axes * np.sqrt(np.maximum(squares, 0.0))
         self._places = {k: of.taking_part(k, at.columns, at.hypothesis.form) for k in of.unit_of}
-        self._bases = {k: base_columns(of, at, k) / at.scale[k] for k in of.unit_of}
-        self._residual = {k: b[:, -1] - b[:, :-1] @ at.mean[self._places[k]] for k, b in self._bases.items()}
+        self._bases = {k: base_columns(of, at, k) / self.scale[k] for k in of.unit_of}
+        self._residual = {k: b[:, -1] - b[:, :-1] @ solved.mean[self._places[k]] for k, b in self._bases.items()}
         self._through = {k: b[:, :-1] @ self._root[self._places[k]] for k, b in self._bases.items()}
 
     def best(self, forms: Sequence[FormHypothesis]) -> list[tuple[float, ChosenForm]]:
@@ -83,7 +84,7 @@ class FormScan:
         """Return the Gram matrices of forms of one width on a channel."""
         at, k, width = self.at, channel, columns[0].shape[1]
         joined = np.concatenate(columns, axis=1)
-        white = self.of.whiten(at.hypothesis, joined, k, at.weight.get(k)) / at.scale[k]
+        white = self.of.whiten(at.hypothesis, joined, k, at.weight.get(k)) / self.scale[k]
         apart = white.reshape(len(white), -1, width).transpose(1, 2, 0)
         across = (white.T @ self._through[k]).reshape(-1, width, self._root.shape[1])
         return _Grams(apart @ apart.swapaxes(1, 2), (white.T @ self._residual[k]).reshape(-1, width), across)
@@ -102,22 +103,27 @@ class FormScan:
 
     def rows(self, wrong: WrongRows) -> Iterator[tuple[float, ChosenForm]]:
         """Yield the best wrong row of each column and amplitude, with its gain."""
-        count = len(wrong.run)
+        count, gain = len(wrong.run), {k: self._gain(k) for k in self.of.unit_of}
         for name, columns in wrong.columns.items():
             own, right, through = np.zeros(count), np.zeros(count), np.zeros((count, self._root.shape[1]))
             for k in self.of.unit_of:
-                row, white = wrong.row[k], columns[k] / self.at.scale[k]
+                row, white = wrong.row[k], columns[k] * gain[k] / self.scale[k]
                 np.add.at(own, row, white**2)
                 np.add.at(right, row, white * self._residual[k])
                 np.add.at(through, row, white[:, None] * self._through[k])
             left = np.maximum(own - np.sum(through**2, axis=1), 0.0)
             for amplitude in wrong.amplitudes:
                 variance = amplitude**2
-                gain = 0.5 * variance * right**2 / (1 + variance * left) - 0.5 * np.log1p(variance * left)
-                best = int(np.argmax(gain))
+                gains = 0.5 * variance * right**2 / (1 + variance * left) - 0.5 * np.log1p(variance * left)
+                best = int(np.argmax(gains))
                 form = wrong.form(name, best)
                 chosen = ChosenForm(form, amplitude, tuple(form.columns))
-                yield float(gain[best]) + chosen.log_prior, chosen
+                yield float(gains[best]) + chosen.log_prior, chosen
+
+    def _gain(self, channel: int) -> np.ndarray | float:
+        """Return the change of a whitened row by itself, (n,): what it does to later rows is left to the evaluation."""
+        correlations = self.of.problem.rows[channel].correlations
+        return correlations[self.of.noise(self.at.hypothesis, channel).size].gain if correlations else 1.0
 
 
 def _likeliest(form: FormHypothesis, channels: tuple[int, ...], gains: np.ndarray) -> tuple[float, ChosenForm]:

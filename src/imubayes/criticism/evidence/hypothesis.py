@@ -13,10 +13,10 @@ from functools import cached_property
 
 import numpy as np
 import scipy.linalg
-from scipy import special
 
 from imubayes.criticism.evidence.effect_variants import EffectVariant, effect_variants
 from imubayes.criticism.evidence.free_forms import FREE_FORM, WRONG_INPUT, ChosenForm
+from imubayes.criticism.evidence.heavy_tails import tail_bound, tail_weights
 from imubayes.criticism.evidence.linear_problem import ChannelRows, LinearProblem
 from imubayes.criticism.evidence.noise_structures import (
     HeavyTails,
@@ -26,9 +26,9 @@ from imubayes.criticism.evidence.noise_structures import (
     log_prior_of_sisters,
     noise_units,
 )
-from imubayes.tail_probabilities import normal_log_survival
+from imubayes.criticism.evidence.whitened_rows import GramMatrix, WhitenedRows, offsets_of_runs
+from imubayes.criticism.evidence.width_sums import summed_over_widths
 
-_WIDTH_SWEEPS = 3
 _ROUNDS, _TAIL_ROUNDS, _SETTLED = 6, 4, 1e-3
 _LOG_SCALES = (-6.0, 12.0)
 
@@ -55,14 +55,6 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
-class GramMatrix:
-    """Inner products of the whitened columns of a channel, the residual last, and the log determinant of whitening."""
-
-    products: np.ndarray
-    log_det: float
-
-
-@dataclass(frozen=True)
 class Evaluated:
     """A hypothesis with its evidence.
 
@@ -73,7 +65,7 @@ class Evaluated:
     widths : prior width of each variant that is likeliest.
     columns : shape (n,), own parameters and coefficients that take part, as places among [J X]; the form follows.
     precision, pull : of their priors.
-    mean, covariance : posterior, in prior units: z, largest typical sizes, units of noise.
+    mean : of the posterior, in prior units: z, largest typical sizes, units of noise.
     weight : channel → (n,) weights of heavy tails.
     """
 
@@ -86,8 +78,31 @@ class Evaluated:
     precision: np.ndarray
     pull: np.ndarray
     mean: np.ndarray
-    covariance: np.ndarray
     weight: Mapping[int, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Solved:
+    """The posterior of the coefficients of a hypothesis at noise scales (K,): mean (n,) and covariance (n, n)."""
+
+    at: Evaluated
+    scale: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Products:
+    """Inner products of what a channel responds to, whitened by the whole noise but for its scale.
+
+    V (m, m) and u (m,), at places `where` (m,) of a hypothesis; the squared residual, and log det of the whitening.
+    """
+
+    where: np.ndarray
+    own: np.ndarray
+    right: np.ndarray
+    square: float
+    log_det: float
 
 
 class EvidenceOf:
@@ -99,9 +114,14 @@ class EvidenceOf:
         self.units: tuple[NoiseUnit, ...] = noise_units(problem)
         self.unit_of = {k: place for place, unit in enumerate(self.units) for k in unit.channels}
         self._place = [_places_of(rows, problem.own + len(problem.coefficients)) for rows in problem.rows]
-        self._white: dict[tuple[NoiseStructure, int], tuple[np.ndarray, np.ndarray, float]] = {}
-        self._gram: dict[tuple[NoiseStructure, float, int], GramMatrix] = {}
+        self.rows = [WhitenedRows(rows) for rows in problem.rows]
+        self._of_sisters: dict[tuple[NoiseOfUnit, ...], float] = {}
         self.known: dict[Hypothesis, Evaluated] = {}
+
+    @cached_property
+    def as_fitted(self) -> tuple[NoiseOfUnit, ...]:
+        """The same with correlations in time as fitted."""
+        return tuple(unit.as_fitted for unit in self.units)
 
     @cached_property
     def stated(self) -> tuple[NoiseOfUnit, ...]:
@@ -112,49 +132,26 @@ class EvidenceOf:
         """Return the logarithm of the prior probability."""
         found = sum(self.variants[each].log_odds for each in hypothesis.variants)
         found += sum(each.log_prior for each in hypothesis.noise)
-        found += log_prior_of_sisters(self.problem, self.units, hypothesis.noise)
+        if hypothesis.noise not in self._of_sisters:
+            told = log_prior_of_sisters(self.problem, self.units, hypothesis.noise)
+            self._of_sisters[hypothesis.noise] = told
+        found += self._of_sisters[hypothesis.noise]
         form = hypothesis.form
         return found + (form.log_prior if form is not None else math.log(1 - FREE_FORM - WRONG_INPUT))
 
     # ---- Gram matrices ----
 
-    def _structure(self, hypothesis: Hypothesis, channel: int) -> tuple[NoiseStructure, float]:
-        noise = hypothesis.noise[self.unit_of[channel]]
-        return noise.rows, noise.scatter
+    def noise(self, at: Hypothesis, channel: int) -> NoiseOfUnit:
+        """Return the noise of a channel."""
+        return at.noise[self.unit_of[channel]]
 
-    def gram(self, hypothesis: Hypothesis, channel: int, weight: np.ndarray | None = None) -> GramMatrix:
+    def gram(self, at: Hypothesis, channel: int, weight: np.ndarray | None = None) -> GramMatrix:
         """Return the Gram matrix of all columns that a channel responds to."""
-        structure, scatter = self._structure(hypothesis, channel)
-        key = structure, scatter, channel
-        if weight is None and key in self._gram:
-            return self._gram[key]
-        white, offset, log_det = self._whitened(structure, channel, weight)
-        products = white.T @ white
-        found = with_scatter(products, self.problem.rows[channel], white, offset, scatter, log_det)
-        if weight is None:
-            self._gram[key] = found
-        return found
-
-    def _whitened(
-        self, structure: NoiseStructure, channel: int, weight: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return columns with the residual, (n, L + 1), and the response to an offset, (n,), whitened."""
-        rows = self.problem.rows[channel]
-        if weight is not None:
-            root = np.sqrt(weight)
-            return rows.columns * root[:, None], rows.offset * root, 0.0
-        key = structure, channel
-        if key not in self._white:
-            both, log_det = structure.whiten(rows, np.column_stack([rows.columns, rows.offset]))
-            self._white[key] = both[:, :-1], both[:, -1], log_det
-        return self._white[key]
+        return self.rows[channel].gram(self.noise(at, channel), weight)
 
     def whiten(self, at: Hypothesis, columns: np.ndarray, channel: int, weight: np.ndarray | None) -> np.ndarray:
         """Return further columns of a channel, (n, C), whitened by the whole noise of a hypothesis."""
-        structure, scatter = self._structure(at, channel)
-        rows = self.problem.rows[channel]
-        white = columns * np.sqrt(weight)[:, None] if weight is not None else structure.whiten(rows, columns)[0]
-        return _less_offsets(white, rows, self._whitened(structure, channel, weight)[1], scatter)
+        return self.rows[channel].whiten(self.noise(at, channel), columns, weight)
 
     def form_columns(self, at: Hypothesis, form: ChosenForm, channel: int, weight: np.ndarray | None) -> np.ndarray:
         """Return the columns of a form on a channel, whitened, (n, k)."""
@@ -162,9 +159,32 @@ class EvidenceOf:
 
     def whitened(self, at: Hypothesis, channel: int, weight: np.ndarray | None = None) -> np.ndarray:
         """Return all columns of a channel, the residual last, whitened by the whole noise, (n, L + 1)."""
-        structure, scatter = self._structure(at, channel)
-        white, offset, _ = self._whitened(structure, channel, weight)
-        return _less_offsets(white, self.problem.rows[channel], offset, scatter)
+        return self.rows[channel].whitened(self.noise(at, channel), weight)
+
+    def products(self, at: Hypothesis, columns: np.ndarray, channel: int, weight: np.ndarray | None) -> Products:
+        """Return the inner products of the columns of a hypothesis on a channel, those of its form after them."""
+        form, (here, place) = at.form, self.select(channel, columns)
+        gram = self.rows[channel].gram_of(self.noise(at, channel), place, weight)
+        own, right = gram.products[:-1, :-1], gram.products[:-1, -1]
+        square, where = float(gram.products[-1, -1]), np.flatnonzero(here)
+        if form is None or channel not in form.channels:
+            return Products(where, own, right, square, gram.log_det)
+        added = self.form_columns(at, form, channel, weight)
+        across = added.T @ self.whitened(at, channel, weight)[:, [*place, -1]]
+        own = np.block([[own, across[:, :-1].T], [across[:, :-1], added.T @ added]])
+        where = self.taking_part(channel, columns, form)
+        return Products(where, own, np.append(right, across[:, -1]), square, gram.log_det)
+
+    def solved(self, at: Evaluated, scale: np.ndarray | None = None) -> Solved:
+        """Return the posterior of a hypothesis, at other noise scales (K,) if given: larger ones hide effects."""
+        scale = at.scale if scale is None else scale
+        whole, right = np.diag(at.precision).astype(float), at.pull.copy()
+        for k in self.unit_of:
+            found = self.products(at.hypothesis, at.columns, k, at.weight.get(k))
+            whole[np.ix_(found.where, found.where)] += found.own / scale[k] ** 2
+            right[found.where] += found.right / scale[k] ** 2
+        covariance = inverse(whole)
+        return Solved(at, scale, covariance @ right, covariance)
 
     # ---- one hypothesis ----
 
@@ -196,6 +216,22 @@ class EvidenceOf:
             found = np.concatenate([found, form.form.columns[channel]], axis=1)
         return found
 
+    def squares(
+        self, at: Hypothesis, channel: int, columns: np.ndarray, mean: np.ndarray, covariance: np.ndarray,
+        scale: float, weight: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
+        """Return the expected squared residual of each row less offsets of runs, in units of its noise, (n,)."""
+        form, noise, rows = at.form, self.noise(at, channel), self.rows[channel]
+        where, (_, place) = self.taking_part(channel, columns, form), self.select(channel, columns)
+        independent, offset = rows.independent(noise)
+        own = independent[:, place]
+        if form is not None and channel in form.channels:
+            own = np.concatenate([own, rows.in_time(noise, form.form.columns[channel])[0]], axis=1)
+        residual = independent[:, -1] - own @ mean[where]
+        spread = np.sum((own @ covariance[np.ix_(where, where)]) * own, axis=1) / scale**2
+        offsets = offsets_of_runs(rows.rows, residual, offset, weight, noise.scatter)
+        return ((residual - offsets.taken) / scale) ** 2 + spread + offsets.variance
+
 
 class _Evaluation:
     """The work of one evaluation."""
@@ -210,16 +246,21 @@ class _Evaluation:
         form = hypothesis.form
         self.form_columns = form.width if form is not None else 0
         self.scale = np.ones(len(problem.rows)) if start is None else start.scale.copy()
+        self.degrees = {k: each.degrees for k in self.channels if isinstance(each := self._rows_noise(k), HeavyTails)}
         self.weight: dict[int, np.ndarray] = {}
-        tails = {k: each for k in self.channels if isinstance(each := self._rows_noise(k), HeavyTails)}
-        for k in tails:
+        for k, degrees in self.degrees.items():
             known = start.weight.get(k) if start is not None else None
-            self.weight[k] = np.ones(len(problem.rows[k].entry)) if known is None else known
+            self.weight[k] = self._first_weights(k, degrees) if known is None else known
         before = _widths_before(start)
         self.widths = [before.get(each, _middle(of.variants[each].widths)) for each in hypothesis.variants]
 
     def _rows_noise(self, channel: int) -> NoiseStructure:
-        return self.hypothesis.noise[self.of.unit_of[channel]].rows
+        return self.of.noise(self.hypothesis, channel).rows
+
+    def _first_weights(self, channel: int, degrees: float) -> np.ndarray:
+        """Return the weights at the fit where its model has heavy tails; else 1, since outliers have moved the fit."""
+        rows = self.of.problem.rows[channel]
+        return tail_weights(rows.columns[:, -1] ** 2, degrees) if rows.tails else np.ones(len(rows.entry))
 
     def found(self) -> Evaluated:
         self._gather()
@@ -237,29 +278,14 @@ class _Evaluation:
         total = rest + gain
         return widths, Evaluated(
             self.hypothesis, total, total + self.of.log_prior(self.hypothesis), self.scale, tuple(widths),
-            self.columns, precision, pull, self.mean, self.covariance, dict(self.weight),
+            self.columns, precision, pull, self.mean, dict(self.weight),
         )  # fmt: skip
 
     def _gather(self) -> None:
-        """Collect the Gram matrices of the columns that take part."""
-        of, form, count = self.of, self.hypothesis.form, len(self.columns) + self.form_columns
-        self.products, self.across, self.square, self.log_det = {}, {}, {}, 0.0
-        for k in self.channels:
-            weight = self.weight.get(k)
-            gram = of.gram(self.hypothesis, k, weight)
-            here, place = of.select(k, self.columns)
-            where = np.flatnonzero(here)
-            whole, right = np.zeros((count, count)), np.zeros(count)
-            whole[np.ix_(where, where)] = gram.products[np.ix_(place, place)]
-            right[where] = gram.products[place, -1]
-            if form is not None and k in form.channels:
-                columns = of.form_columns(self.hypothesis, form, k, weight)
-                span = of.taking_part(k, self.columns, form)[len(where) :]
-                across = columns.T @ of.whitened(self.hypothesis, k, weight)[:, [*place, -1]]
-                whole[np.ix_(span, where)], whole[np.ix_(where, span)] = across[:, :-1], across[:, :-1].T
-                whole[np.ix_(span, span)], right[span] = columns.T @ columns, across[:, -1]
-            self.products[k], self.across[k], self.square[k] = whole, right, float(gram.products[-1, -1])
-            self.log_det += gram.log_det
+        """Collect the inner products of the columns that take part."""
+        of, at = self.of, self.hypothesis
+        self.products = {k: of.products(at, self.columns, k, self.weight.get(k)) for k in self.channels}
+        self.log_det = sum(each.log_det for each in self.products.values())
 
     def _priors(self) -> tuple[np.ndarray, np.ndarray]:
         problem, form = self.of.problem, self.hypothesis.form
@@ -270,9 +296,9 @@ class _Evaluation:
 
     def _system(self, precision: np.ndarray, pull: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         whole, right = np.diag(precision), pull.copy()
-        for k in self.channels:
-            whole += self.products[k] / self.scale[k] ** 2
-            right += self.across[k] / self.scale[k] ** 2
+        for k, each in self.products.items():
+            whole[np.ix_(each.where, each.where)] += each.own / self.scale[k] ** 2
+            right[each.where] += each.right / self.scale[k] ** 2
         return whole, right
 
     def _solve(self, precision: np.ndarray, pull: np.ndarray) -> None:
@@ -287,10 +313,10 @@ class _Evaluation:
             self._solve(precision, pull)
             before, self.laplace = self.scale, 0.0
             self.scale = before.copy()
-            for k in self.channels:
-                product = self.products[k]
-                rest = self.square[k] - 2 * self.mean @ self.across[k] + self.mean @ product @ self.mean
-                taken = float(np.sum(self.covariance * product)) / before[k] ** 2
+            for k, each in self.products.items():
+                mean, covariance = self.mean[each.where], self.covariance[np.ix_(each.where, each.where)]
+                rest = float(each.square - 2 * mean @ each.right + mean @ each.own @ mean)
+                taken = float(np.sum(covariance * each.own)) / before[k] ** 2
                 freedom = max(len(self.of.problem.rows[k].entry) - taken, 2.0)
                 noise = self.hypothesis.noise[self.of.unit_of[k]]
                 log_scale, term = scale_mode(max(rest, 1e-12), freedom, noise.scale_sd(self.of.problem.rows[k]))
@@ -304,30 +330,24 @@ class _Evaluation:
 
     def _reweigh(self) -> None:
         for k in self.weight:
-            structure = self._rows_noise(k)
-            assert isinstance(structure, HeavyTails)
-            squares = self._squares(k)
-            self.weight[k] = (structure.degrees + 1) / (structure.degrees + squares)
+            self.weight[k] = tail_weights(self._squares(k), self.degrees[k])
         self._gather()
 
     def _squares(self, channel: int) -> np.ndarray:
-        """Return the expected squared residual of each row, in units of its noise, (n,)."""
-        where = self.of.taking_part(channel, self.columns, self.hypothesis.form)
-        columns = self.of.unwhitened(channel, self.columns, self.hypothesis.form)
-        residual = self.of.problem.rows[channel].columns[:, -1] - columns @ self.mean[where]
-        spread = np.sum((columns @ self.covariance[np.ix_(where, where)]) * columns, axis=1)
-        return (residual**2 + spread) / self.scale[channel] ** 2
+        return self.of.squares(
+            self.hypothesis, channel, self.columns, self.mean, self.covariance, float(self.scale[channel]),
+            self.weight[channel],
+        )  # fmt: skip
 
     def _evidence(self, precision: np.ndarray, pull: np.ndarray) -> tuple[list[float], float, float]:
         """Return the likeliest widths, the gain by the coefficients of effects, and the rest of the evidence."""
         problem = self.of.problem
         found = self.log_det + self.laplace
         for k in self.channels:
-            found -= len(problem.rows[k].entry) * math.log(self.scale[k]) + 0.5 * self.square[k] / self.scale[k] ** 2
+            square = self.products[k].square / self.scale[k] ** 2
+            found -= len(problem.rows[k].entry) * math.log(self.scale[k]) + 0.5 * square
             if k in self.weight:
-                structure = self._rows_noise(k)
-                assert isinstance(structure, HeavyTails)
-                found += _tail_bound(self._squares(k), self.weight[k], structure.degrees)
+                found += tail_bound(self._squares(k), self.weight[k], self.degrees[k])
         of_effects = np.arange(problem.own, problem.own + len(self.coefficients))
         rest = np.setdiff1d(np.arange(len(self.whole)), of_effects)
         # Coefficients of unit information: what a prior alone tells stands beside what a million rows tell.
@@ -367,35 +387,6 @@ def _widths_before(start: Evaluated | None) -> dict[int, float]:
     return {} if start is None else dict(zip(start.hypothesis.variants, start.widths, strict=True))
 
 
-def _sums_of_runs(rows: ChannelRows, white: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the projections of columns on the offset of each run, (runs, C), and its squared lengths, (runs,)."""
-    starts = [start for start, _ in rows.series]
-    along = np.add.reduceat(offset[:, None] * white, starts, axis=0)
-    return along, np.add.reduceat(offset**2, starts)
-
-
-def with_scatter(
-    products: np.ndarray, rows: ChannelRows, white: np.ndarray, offset: np.ndarray, scatter: float, log_det: float
-) -> GramMatrix:
-    """Return the Gram matrix beside offsets of runs of a standard deviation (Woodbury)."""
-    if scatter == 0:
-        return GramMatrix(products, log_det)
-    along, squared = _sums_of_runs(rows, white, offset)
-    share = scatter**2 / (1 + scatter**2 * squared)
-    log_det -= 0.5 * float(np.log1p(scatter**2 * squared).sum())
-    return GramMatrix(products - along.T @ (share[:, None] * along), log_det)
-
-
-def _less_offsets(white: np.ndarray, rows: ChannelRows, offset: np.ndarray, scatter: float) -> np.ndarray:
-    """Return columns whitened by offsets of runs as well: shrunk along the offset of each."""
-    if scatter == 0:
-        return white
-    along, squared = _sums_of_runs(rows, white, offset)
-    shrink = (1 - 1 / np.sqrt(1 + scatter**2 * squared)) / np.where(squared > 0, squared, 1.0)
-    sizes = [length for _, length in rows.series]
-    return white - offset[:, None] * np.repeat(shrink[:, None] * along, sizes, axis=0)
-
-
 def scale_mode(rest: float, freedom: float, sd: float) -> tuple[float, float]:
     """Return the mode of −ν x − RSS e^(−2x)/2 − x²/2s² in x = log σ, and its prior with the Laplace term."""
     x, curvature = 0.5 * math.log(rest / freedom), 1.0
@@ -408,67 +399,3 @@ def scale_mode(rest: float, freedom: float, sd: float) -> tuple[float, float]:
             break
     x = max(min(x, _LOG_SCALES[1]), _LOG_SCALES[0])
     return x, -0.5 * (x / sd) ** 2 - math.log(sd) - 0.5 * math.log(curvature)
-
-
-def _tail_bound(squares: np.ndarray, weight: np.ndarray, degrees: float) -> float:
-    """Return what Student's t adds to the normal of weights w: a lower bound of its logarithm (variational)."""
-    t = _log_t(squares, degrees)
-    normal = -0.5 * math.log(2 * math.pi) + 0.5 * np.log(weight) - 0.5 * weight * squares
-    return float(np.sum(t - normal + 0.5 * np.log(weight)))
-
-
-def _log_t(squares: np.ndarray, degrees: float) -> np.ndarray:
-    constant = special.gammaln((degrees + 1) / 2) - special.gammaln(degrees / 2) - 0.5 * math.log(degrees * math.pi)
-    return constant - (degrees + 1) / 2 * np.log1p(squares / degrees)
-
-
-def tail_log_density(residual: np.ndarray, degrees: float) -> float:
-    """Return the logarithm of the density of residuals (n,) under Student's t of scale 1."""
-    return float(_log_t(residual**2, degrees).sum())
-
-
-def gain_of_coefficients(own: np.ndarray, right: np.ndarray, widths: np.ndarray, sign: np.ndarray) -> np.ndarray:
-    """Return the log evidence of coefficients b, exp(uᵀb − bᵀVb/2), under normal priors of given widths.
-
-    Parameters
-    ----------
-    own, right : V (k, k) or (n, k, k), and u (k,) or (n, k).
-    widths : shape (n, k).
-    sign : shape (k,) or (n, k): −1 or 1 where only one sign is allowed.
-    """
-    scaled = widths[:, :, None] * own * widths[:, None, :] + np.eye(widths.shape[1])
-    pull = widths * right
-    if widths.shape[1] == 1:
-        variance = 1 / scaled[:, 0, 0]
-        mean, diagonal = pull * variance[:, None], variance[:, None]
-        found = 0.5 * pull[:, 0] * mean[:, 0] + 0.5 * np.log(variance)
-    else:
-        mean = np.linalg.solve(scaled, pull[..., None])[..., 0]
-        found = 0.5 * np.sum(pull * mean, axis=-1) - 0.5 * np.linalg.slogdet(scaled)[1]
-        diagonal = np.diagonal(np.linalg.inv(scaled), axis1=-2, axis2=-1) if np.any(sign) else np.ones_like(mean)
-    if np.any(sign):
-        z = sign * mean / np.sqrt(np.maximum(diagonal, 1e-300))
-        found = found + np.sum(np.where(sign != 0, normal_log_survival(-z) + math.log(2), 0.0), axis=-1)
-    return found
-
-
-def summed_over_widths(
-    own: np.ndarray,
-    right: np.ndarray,
-    owner: np.ndarray,
-    grids: Sequence[tuple[float, ...]],
-    sign: np.ndarray,
-    start: Sequence[float],
-) -> tuple[list[float], float]:
-    """Return the likeliest width of each variant and the log evidence summed over all, one variant after the other."""
-    best, each = list(start), [np.zeros(1)] * len(grids)
-    for _ in range(_WIDTH_SWEEPS):
-        before = list(best)
-        for n, grid in enumerate(grids):
-            tried = np.array([[width if j == n else best[j] for j in owner] for width in grid])
-            each[n] = gain_of_coefficients(own, right, tried, sign)
-            best[n] = grid[int(np.argmax(each[n]))]
-        if best == before:
-            break
-    means = [float(np.logaddexp.reduce(one)) - math.log(len(one)) for one in each]
-    return best, sum(means) - sum(float(one.max()) for one in each[1:])

@@ -3,9 +3,10 @@
     r = J t + X b + F c + e
 
 t are the model's own parameters with their priors, b the coefficients of missing effects, c a free form, e the noise.
-Rows are divided by the noise that was known before the fit, as raw samples, priors or the campaign tell it, so that a
-scale of 1 is the noise as known.  Nothing is projected out: parameters are coefficients with priors like all others,
-and noise may change between hypotheses.  Coefficients of effects count in their largest typical sizes.
+Rows are divided by the independent noise that was known before the fit, as raw samples, priors or the campaign tell it,
+so that a scale of 1 is the noise as known; what correlates rows is a matter of the hypothesis.  Nothing is projected
+out: parameters are coefficients with priors like all others, and noise may change between hypotheses.  Coefficients of
+effects count in their largest typical sizes.
 """
 
 from dataclasses import dataclass
@@ -18,16 +19,14 @@ import numpy as np
 from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Channel
 from imubayes.criticism.candidate_effects import Coefficient, Response, Responses
+from imubayes.criticism.evidence.row_correlation import RowCorrelation, correlations_of
 from imubayes.criticism.known_noise import known_scales, noise_scales, sample_noise
-from imubayes.gather import in_batches
 from imubayes.inference.fitted_model import Fit
 from imubayes.kept_programs import kept
 from imubayes.model.bind import Model
-from imubayes.model.noise_covariance import Series, Whitener, noise_distribution, whitener_of
+from imubayes.model.noise_covariance import noise_distribution
 from imubayes.model.problem import Problem, prior_widths
-from imubayes.model.slow_series import SlowSeries
-from imubayes.model.student_t import fisher_information
-from imubayes.noise.base import SharedNoise
+from imubayes.noise.base import SharedNoise, TailNoise
 from imubayes.noise.components import WhiteNoise
 from imubayes.tail_probabilities import normal_survival
 
@@ -38,10 +37,11 @@ UNKNOWN = 0.7
 """The same of a scale that nothing tells: a factor of two either way."""
 _PRIOR_Z = np.array([-2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0])
 """Places of the prior of a noise scale, in its standard deviations, that stand for it.  Numerical."""
-_AT_ONCE = 16
-"""Columns that are whitened at once, so that one compiled program serves all."""
 _LEAST_LENGTH = 1e-6
 """Length of a response to its largest typical size, in units of noise, below which no run shows it.  Numerical."""
+
+Grid = tuple[tuple[float, float], ...]
+"""Sizes that a prior allows, with the logarithm of the probability of each."""
 
 
 @dataclass(frozen=True)
@@ -54,23 +54,26 @@ class ChannelRows:
     columns : shape (n, L + 1), those columns, the residual last.
     entry : shape (n,), entry of each row.
     series : start and length of each run.
-    offset : shape (n,), response to an offset of the outputs of one standard deviation of the noise of a row.
-    root : shape (n,), noise of the median row over that of each.
+    root : shape (n,), noise of the median row over that of each: the response to an offset of the outputs of one
+        standard deviation of its noise.
     input : shape (n,), predicted output less the nominal offset, over its largest magnitude.
     scale_sd : standard deviation of the logarithm of the noise scale, as known.
     run_scatter : standard deviations of offsets of runs that the model's prior allows, in units of the noise of a row,
         with the logarithm of the probability of each; empty of a model without them.
+    tails : degrees of freedom of heavy tails that the model's prior allows, likewise.
+    correlations : correlation in time that the model states, at each size that its prior allows.
     """
 
     live: np.ndarray
     columns: np.ndarray
     entry: np.ndarray
     series: tuple[tuple[int, int], ...]
-    offset: np.ndarray
     root: np.ndarray
     input: np.ndarray
     scale_sd: float
-    run_scatter: tuple[tuple[float, float], ...]
+    run_scatter: Grid
+    tails: Grid = ()
+    correlations: tuple[RowCorrelation, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -152,74 +155,67 @@ def linear_problem(fitted: Fit, responses: Responses) -> LinearProblem:
     candidates = [each.columns for each in responses.candidates]
     free = np.concatenate(candidates, axis=1) * typical if candidates else np.zeros((len(responses.misfit), 0))
     whole = np.concatenate([responses.jacobian, free, responses.misfit[:, None]], axis=1)
-    at = _columns_at(problem, h, whole)
+    own = _variances(problem, jnp.asarray(h))
+    root = np.asarray(problem.observations.weight) / np.sqrt(np.asarray(own))
     width = np.asarray(prior_widths(problem, jnp.asarray(fitted.h)))
-    sizes = np.asarray(_noise_sizes(problem, jnp.asarray(_PRIOR_Z)))
-    rows = tuple(_rows_of(model, place, at, responses.misfit, sizes) for place in range(len(model.campaign.channels)))
+    at = _At(model, whole, root, np.asarray(_noise_sizes(problem, jnp.asarray(_PRIOR_Z))))
+    parts = [_in_order(model, k) for k in range(len(model.campaign.channels))]
+    entries = [np.concatenate([*each, np.zeros(0, dtype=int)]).astype(int) for each in parts]
+    correlations = correlations_of(fitted, h, dict(enumerate(entries)), own)
+    rows = tuple(_rows_of(at, k, parts[k], entry, correlations.get(k, ())) for k, entry in enumerate(entries))
     return LinearProblem(
         responses.candidates, model.campaign.channels, tuple(run.name for run in model.campaign.runs),
-        model.entries.run, width**-2.0, -fitted.z * width**-2.0, at.root, rows,
+        model.entries.run, width**-2.0, -fitted.z * width**-2.0, root, rows,
     )  # fmt: skip
 
 
+@kept
+def _variances(problem: Problem, h: Float[Array, " H"]) -> Float[Array, " E"]:
+    """Return the squared scale of the independent noise of each entry."""
+    return noise_distribution(problem, h).squared_scale
+
+
 @dataclass(frozen=True)
-class _Whitened:
-    """Columns whitened by independent noise as known, the response to a common offset, and one over the noise."""
+class _At:
+    """The columns [J X misfit] of all entries in output units, one over their noise, and the prior of noise scales."""
 
+    model: Model
     columns: np.ndarray
-    offset: np.ndarray
     root: np.ndarray
+    sizes: np.ndarray
 
 
-def _columns_at(problem: Problem, h: np.ndarray, columns: np.ndarray) -> _Whitened:
-    root, along, series = _roots(problem, jnp.asarray(h))
-    root, along = np.asarray(root), np.asarray(along)
-    if series is None:
-        return _Whitened(root[:, None] * columns, along, root)
-    white = in_batches(lambda some: _forward(series, jnp.asarray(some)), (root[:, None] * columns).T, _AT_ONCE)
-    return _Whitened(white.T, along, root)
-
-
-@kept
-def _roots(problem: Problem, h: Float[Array, " H"]):
-    by = _without_offsets(problem, h)
-    return by.precision_root, by.direction, by.series
-
-
-@kept
-def _forward(series: Series | SlowSeries, columns: Float[Array, "C E"]):
-    return jax.vmap(series.forward)(columns)
-
-
-def _without_offsets(problem: Problem, h: Float[Array, " H"]) -> Whitener:
-    """Return the whitener of a problem with no offsets of runs: these are hypotheses."""
-    noise = noise_distribution(problem, h)
-    own = noise.squared_scale if noise.tail is None else noise.squared_scale / fisher_information(noise.tail)
-    return whitener_of(problem, h, own, jnp.zeros_like(noise.shared_variance))
-
-
-def _rows_of(model: Model, channel: int, at: _Whitened, misfit: np.ndarray, sizes: np.ndarray) -> ChannelRows:
+def _in_order(model: Model, channel: int) -> list[np.ndarray]:
+    """Return the entries of each run of a channel that count, in order of time."""
     entries, observations = model.entries, model.problem.observations
     used = (np.asarray(observations.weight) > 0) & ~entries.closing & (entries.channel == channel)
     padded = np.append(used, np.zeros(1, dtype=bool))
     parts = [group[padded[group]] for group in np.asarray(observations.in_time)]
-    parts = sorted((part for part in parts if len(part)), key=lambda part: int(entries.run[part[0]]))
-    entry = np.concatenate([*parts, np.zeros(0, dtype=int)]).astype(int)
+    return sorted((part for part in parts if len(part)), key=lambda part: int(entries.run[part[0]]))
+
+
+def _rows_of(
+    at: _At, channel: int, parts: list[np.ndarray], entry: np.ndarray, correlations: tuple[RowCorrelation, ...]
+) -> ChannelRows:
+    model, root = at.model, at.root[entry]
     ends = np.cumsum([0, *map(len, parts)]).tolist()
-    own = at.columns[entry]
+    misfit = at.columns[entry, -1]
+    own = root[:, None] * at.columns[entry]
     live = np.flatnonzero(np.linalg.norm(own[:, :-1], axis=0) > _LEAST_LENGTH)
-    noise = 1 / float(np.median(at.root[entry])) if len(entry) else 1.0
-    value = entries.value[entry] - misfit[entry] - model.campaign.channels[channel].offset
+    noise = 1 / float(np.median(root)) if len(entry) else 1.0
+    value = model.entries.value[entry] - misfit - model.campaign.channels[channel].offset
+    scatter = [(tau / noise, log_p) for tau, log_p in _prior_grid(at, channel, SharedNoise)]
     return ChannelRows(
         live=live,
         columns=own[:, [*live, own.shape[1] - 1]],
         entry=entry,
         series=tuple(zip(ends[:-1], np.diff(ends).tolist(), strict=True)),
-        offset=at.offset[entry] * noise,
-        root=at.root[entry] * noise,
+        root=root * noise,
         input=value / max(float(np.abs(value).max(initial=0.0)), np.finfo(float).tiny),
-        scale_sd=_scale_sd(model, channel, sizes),
-        run_scatter=_run_scatter(model, channel, noise, sizes),
+        scale_sd=_scale_sd(model, channel, at.sizes),
+        run_scatter=tuple(scatter),
+        tails=_prior_grid(at, channel, TailNoise),
+        correlations=correlations,
     )
 
 
@@ -235,14 +231,14 @@ def _scale_sd(model: Model, channel: int, sizes: np.ndarray) -> float:
     return min(max(0.5 * float(np.log(high / low)), BELIEVED), UNKNOWN) if low > 0 else UNKNOWN
 
 
-def _run_scatter(model: Model, channel: int, noise: float, sizes: np.ndarray) -> tuple[tuple[float, float], ...]:
-    """Return a grid over the prior of the scatter between runs, as intervals of z."""
-    place = _scale(model, channel, SharedNoise)
+def _prior_grid(at: _At, channel: int, kind: type) -> Grid:
+    """Return the sizes of a kind of noise that its prior allows, SI, as intervals of z; empty where it is not there."""
+    place = _scale(at.model, channel, kind)
     if place is None:
         return ()
     between = 0.5 * (_PRIOR_Z[1:] + _PRIOR_Z[:-1])
     share = np.diff([0.0, *(1 - normal_survival(between)), 1.0])
-    return tuple(zip((sizes[:, place] / noise).tolist(), np.log(share).tolist(), strict=True))
+    return tuple(zip(at.sizes[:, place].tolist(), np.log(share).tolist(), strict=True))
 
 
 @kept

@@ -16,7 +16,7 @@ from imubayes.criticism.evidence.free_forms import ChosenForm, FormHypothesis
 from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Hypothesis
 from imubayes.criticism.evidence.linear_problem import LinearProblem
 from imubayes.criticism.evidence.noise_structures import SCALED, TAILED, NoiseOfUnit, NoiseStructure
-from imubayes.criticism.evidence.proposals import Screen, at_scales, conditional, log_likelihood, residuals
+from imubayes.criticism.evidence.proposals import Screen, conditional, log_likelihood, residuals
 from imubayes.criticism.evidence.wrong_input_forms import WrongRows
 
 LARGE = 50.0
@@ -37,7 +37,7 @@ class ModelSearch:
         self.forms: Sequence[FormHypothesis] = ()
         self.wrong_rows: WrongRows | None = None
         empty = self.of.evaluate(Hypothesis((), self.of.stated))
-        as_known = at_scales(self.of, empty, np.ones(len(problem.rows)))
+        as_known = self.of.solved(empty, np.ones(len(problem.rows)))
         self.of.variants = visible(self.of.variants, conditional(self.of, as_known).own)
         self._screen = Screen(self.of)
         self._expanded: set[Hypothesis] = set()
@@ -53,11 +53,18 @@ class ModelSearch:
         return max((each for each in self.known if which(each)), key=lambda each: each.log_posterior)
 
     @cached_property
+    def _as_fitted(self) -> Evaluated:
+        """That nothing is missing, with correlations in time as stated or as fitted, whichever is likelier."""
+        empty = self.of.evaluate(Hypothesis((), self.of.stated))
+        fitted = self.of.evaluate(Hypothesis((), self.of.as_fitted), empty)
+        return max(empty, fitted, key=lambda each: each.log_posterior)
+
+    @cached_property
     def large_effects(self) -> Evaluated:
         """The hypothesis with every effect that stands far out, one after the other, at the noise as stated."""
-        at = self.of.evaluate(Hypothesis((), self.of.stated))
+        at = self._as_fitted
         while True:
-            singles = self._screen.singles(conditional(self.of, at))
+            singles = self._screen.singles(conditional(self.of, self.of.solved(at)))
             gain, variant = next(
                 ((g, n) for g, n in singles if self._allowed(at.hypothesis.including(n))), (-np.inf, -1)
             )
@@ -69,7 +76,7 @@ class ModelSearch:
     def run(self, forms: Sequence[FormHypothesis] = (), wrong_rows: WrongRows | None = None) -> "ModelSearch":
         """Search, with forms outside the catalogue and wrong inputs, and return itself."""
         self.forms, self.wrong_rows = forms, wrong_rows
-        empty = self.of.evaluate(Hypothesis((), self.of.stated))
+        empty = self._as_fitted
         # Outliers distort parameters, and are seen only where all channels bound them at once.
         others = [tuple(_first(unit.choices, each) for unit in self.of.units) for each in (SCALED, TAILED)]
         starts = [one for noise in others if (one := self._get(Hypothesis((), noise))) is not None]
@@ -117,7 +124,7 @@ class ModelSearch:
         for _ in range(2):
             before = at
             for place, unit in enumerate(self.of.units):
-                for choices in (unit.structures, unit.scatters):
+                for choices in (unit.structures, unit.scatters, unit.sizes):
                     at = self._likeliest(at, place, choices(at.hypothesis.noise[place]))
             if at is before:
                 break
@@ -160,7 +167,7 @@ class ModelSearch:
     def _expand(self, at: Evaluated) -> None:
         """Evaluate what lies about a hypothesis: an effect more, a pair more, one less, one or two in place of one."""
         self._expanded.add(at.hypothesis)
-        likelihood = conditional(self.of, at)
+        likelihood = conditional(self.of, self.of.solved(at))
         singles = [each for each in self._screen.singles(likelihood) if each[0] > -PROPOSED]
         allowed = [each for each in singles if self._allowed(at.hypothesis.including(each[1]))]
         for _, variant in allowed[:_SINGLES]:
@@ -176,7 +183,7 @@ class ModelSearch:
         less = self._get(at.hypothesis.without(variant), at)
         if less is None:
             return
-        likelihood = conditional(self.of, at_scales(self.of, less, at.scale))
+        likelihood = conditional(self.of, self.of.solved(less, at.scale))
         singles = self._screen.singles(likelihood)
         for _, other in singles[:_SWAPS]:
             self._try(less.hypothesis.including(other), at)
@@ -218,7 +225,7 @@ class ModelSearch:
         if at.hypothesis in self._scanned:
             return
         self._scanned.add(at.hypothesis)
-        scan = FormScan(self.of, at_scales(self.of, at, scale))
+        scan = FormScan(self.of, self.of.solved(at, scale))
         rows = [] if self.wrong_rows is None else sorted(scan.rows(self.wrong_rows), key=lambda each: -each[0])
         found, seen = scan.best(self.forms), set[tuple[object, ...]]()
         wrong = sorted([*rows, *(each for each in found if each[1].form.wrong is not None)], key=lambda each: -each[0])

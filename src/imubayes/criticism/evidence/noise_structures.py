@@ -8,12 +8,15 @@ variance changes Gram matrices by a term of low rank, so that they cost nothing.
 - A state beside white noise (Kalman filter): AR(1) alone or with white noise, or a random walk.
 - White noise that grows with the input, var ∝ 1 + k (input / largest)².
 - Heavy tails: Student's t as a scale mixture, whose weights are found with the fit (West, JRSS B 46, 431, 1984).
+
+Correlation in time that the model states is whitened first: any structure is one of its innovations.  Of it, of heavy
+tails and of a scatter between runs that the model has, each size that the prior allows is noise as stated.
 """
 
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -45,6 +48,11 @@ class NoiseStructure:
     family: Family
     free: bool = False
 
+    @property
+    def is_white(self) -> bool:
+        """Whether rows stay as they are."""
+        return True
+
     def whiten(self, rows: ChannelRows, columns: np.ndarray) -> tuple[np.ndarray, float]:
         """Return columns (n, C) whitened, and the log determinant of the whitening."""
         return columns, 0.0
@@ -58,6 +66,10 @@ class StateNoise(NoiseStructure):
     drive: float = 0.0
     white: float = 1.0
     start: float = 0.0
+
+    @property
+    def is_white(self) -> bool:
+        return False
 
     def whiten(self, rows: ChannelRows, columns: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the innovations of a Kalman filter over each run, all columns at once."""
@@ -106,6 +118,10 @@ class InputNoise(NoiseStructure):
 
     excess: float = 0.0
 
+    @property
+    def is_white(self) -> bool:
+        return False
+
     def whiten(self, rows: ChannelRows, columns: np.ndarray) -> tuple[np.ndarray, float]:
         """Return columns divided by the noise of each row."""
         root = 1 / np.sqrt(1 + self.excess * rows.input**2)
@@ -138,23 +154,27 @@ _SCATTERS = (0.3, 0.6, 1.2, 2.5, 5.0, 10.0)
 
 @dataclass(frozen=True)
 class NoiseOfUnit:
-    """The noise of the channels of a unit: a structure of rows, and the scatter of runs in units of the noise of a row.
+    """The noise of the channels of a unit.
 
     Attributes
     ----------
+    rows : structure of its rows.
+    scatter : standard deviation of offsets of runs, in units of the noise of a row.
     log_prior : logarithm of its prior probability.
     stated : whether it is what the model states.
+    size : place of the size of the correlation in time that the model states; 0 of a model without.
     """
 
     rows: NoiseStructure
     scatter: float
     log_prior: float
     stated: bool
+    size: int = 0
 
     @property
     def family(self) -> Family:
         """What the noise is beyond what is stated."""
-        return self.rows.family if self.rows != KNOWN or self.stated else "runs"
+        return "runs" if self.rows.family == "known" and not self.stated else self.rows.family
 
     def scale_sd(self, rows: ChannelRows) -> float:
         """Return the standard deviation of the logarithm of the scale of a channel."""
@@ -163,35 +183,51 @@ class NoiseOfUnit:
 
 @dataclass(frozen=True)
 class NoiseUnit:
-    """Channels that share a noise structure, and the noise that they may have."""
+    """Channels that share a noise structure, and the noise that they may have.
+
+    Attributes
+    ----------
+    factors : sizes of the correlation in time over that as fitted.
+    """
 
     channels: tuple[int, ...]
     kind: str
     choices: tuple[NoiseOfUnit, ...]
+    factors: tuple[float, ...] = ()
 
     @cached_property
     def stated(self) -> tuple[NoiseOfUnit, ...]:
-        """The noise that the model states; several where it leaves a scatter between runs open."""
+        """The noise that the model states; several where it leaves a size open."""
         return tuple(each for each in self.choices if each.stated)
 
     def structures(self, at: NoiseOfUnit) -> list[NoiseOfUnit]:
-        """Return all structures of rows, with the scatter between runs that is there."""
-        return [each for each in self.choices if each.scatter == at.scatter]
+        """Return all structures of rows, all else as it is."""
+        return [each for each in self.choices if (each.scatter, each.size) == (at.scatter, at.size)]
 
     def scatters(self, at: NoiseOfUnit) -> list[NoiseOfUnit]:
-        """Return all scatters between runs, with the structure of rows that is there."""
-        return [each for each in self.choices if each.rows == at.rows]
+        """Return all scatters between runs, all else as it is."""
+        return [each for each in self.choices if (each.rows, each.size) == (at.rows, at.size)]
+
+    def sizes(self, at: NoiseOfUnit) -> list[NoiseOfUnit]:
+        """Return all sizes of the correlation in time, all else as it is."""
+        return [each for each in self.choices if (each.rows, each.scatter) == (at.rows, at.scatter)]
+
+    @cached_property
+    def as_fitted(self) -> NoiseOfUnit:
+        """The likeliest noise before the data that is stated, its correlation in time as fitted."""
+        size = min(range(len(self.factors)), key=lambda k: abs(math.log(self.factors[k])), default=0)
+        return max((each for each in self.stated if each.size == size), key=lambda each: each.log_prior)
 
 
 def noise_units(problem: LinearProblem) -> tuple[NoiseUnit, ...]:
-    """Return who shares noise: each channel by itself where the model has a scatter between runs, else each kind."""
+    """Return who shares noise: each channel by itself where the model leaves a size of its noise open, else a kind."""
     channels = [k for k, rows in enumerate(problem.rows) if len(rows.entry)]
-    if any(problem.rows[k].run_scatter for k in channels):
+    if any(rows.run_scatter or rows.tails or rows.correlations for rows in problem.rows):
         groups = [(k,) for k in channels]
     else:
         kinds = dict.fromkeys(problem.kinds[k] for k in channels)
         groups = [tuple(k for k in channels if problem.kinds[k] == kind) for kind in kinds]
-    return tuple(NoiseUnit(each, problem.kinds[each[0]], _choices(problem, each)) for each in groups)
+    return tuple(_unit(problem, each) for each in groups)
 
 
 def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], noise: tuple[NoiseOfUnit, ...]) -> float:
@@ -221,27 +257,39 @@ def log_prior_of_sisters(problem: LinearProblem, units: tuple[NoiseUnit, ...], n
     return found
 
 
-def _choices(problem: LinearProblem, channels: tuple[int, ...]) -> tuple[NoiseOfUnit, ...]:
-    own = problem.rows[channels[0]]
-    allowed = [each for each in _STRUCTURES if each.family != "rate" or problem.kinds[channels[0]] == "gyro"]
-    others = [each for each in allowed if each != KNOWN]
-    # A scatter that the model has is there beside any structure of the rows, as its prior says.
+def _unit(problem: LinearProblem, channels: tuple[int, ...]) -> NoiseUnit:
+    own, kind = problem.rows[channels[0]], problem.kinds[channels[0]]
+    others = [each for each in _STRUCTURES if each != KNOWN and (each.family != "rate" or kind == "gyro")]
+    # What the model leaves open is there beside any structure of the rows, as its prior says.
     scatters = own.run_scatter or ((0.0, 0.0),)
+    sizes = tuple((k, each.log_prior) for k, each in enumerate(own.correlations)) or ((0, 0.0),)
+    opened = [(tau, k, p + q) for tau, p in scatters for k, q in sizes]
+    stated = [(HeavyTails("known", False, each), p) for each, p in own.tails] or [(KNOWN, 0.0)]
     scattered = _SCATTERS if len(own.series) > 1 and not own.run_scatter else ()
-    found = [NoiseOfUnit(KNOWN, tau, math.log(1 - OTHER_NOISE) + p, True) for tau, p in scatters]
-    return (*found, *_other_noise(others, scatters, scattered))
+    believed = math.log(1 - OTHER_NOISE)
+    as_stated = [NoiseOfUnit(one, tau, believed + q + p, True, k) for tau, k, p in opened for one, q in stated]
+    beside = [NoiseOfUnit(one, tau, q + p, False, k) for tau in scattered for _, k, p in opened for one, q in stated]
+    other = _other_noise(others, opened, beside, len(scattered))
+    return NoiseUnit(channels, kind, (*as_stated, *other), tuple(each.factor for each in own.correlations))
 
 
 def _other_noise(
     structures: Sequence[NoiseStructure],
-    scatters: Sequence[tuple[float, float]],
-    scattered: Sequence[float],
+    opened: Sequence[tuple[float, int, float]],
+    beside: Sequence[NoiseOfUnit],
+    scattered: int,
 ) -> Iterator[NoiseOfUnit]:
-    """Yield noise other than stated: other structures, and scatters between runs that the model does not have."""
+    """Yield noise other than stated: other structures, and scatters between runs that the model does not have.
+
+    Parameters
+    ----------
+    opened : scatter, size and log prior of what the model leaves open.
+    beside : stated noise with scatters that the model does not have, of which there are `scattered`.
+    """
     families = Counter(each.family for each in structures)
     each_family = math.log(OTHER_NOISE / (len(families) + bool(scattered)))
     for each in structures:
         share = each_family - math.log(families[each.family])
-        yield from (NoiseOfUnit(each, tau, share + p, False) for tau, p in scatters)
-    for tau in scattered:
-        yield NoiseOfUnit(KNOWN, tau, each_family - math.log(len(scattered)), False)
+        yield from (NoiseOfUnit(each, tau, share + p, False, k) for tau, k, p in opened)
+    for each in beside:
+        yield replace(each, log_prior=each_family - math.log(scattered) + each.log_prior)

@@ -1,7 +1,8 @@
 """From the hypotheses of a search to the probabilities of explanations, of effects, and of what stands in their place.
 
-The scatter between runs is a nuisance: hypotheses that differ in it alone count once, by the likeliest.  A search
-evaluates more scatters about its leader than about others, and their sum would favour it.
+What the model leaves open of its noise is a nuisance, such as the scatter between runs: hypotheses that differ in it
+alone count once, by the likeliest.  A search evaluates more sizes about its leader than about others, and their sum
+would favour it.
 """
 
 import math
@@ -156,13 +157,13 @@ class Posterior:
 
     def coefficients(self, variant: int, found: Evaluated) -> tuple[CoefficientEstimate, ...]:
         """Return the coefficients of a variant in a hypothesis, with their posterior standard deviations."""
-        problem = self.of.problem
+        problem, covariance = self.of.problem, self.of.solved(found).covariance
         at = {int(column) - problem.own: n for n, column in enumerate(found.columns)}
         return tuple(
             CoefficientEstimate(
                 name=problem.coefficients[k].parameter.name,
                 value=float(found.mean[at[k]] * problem.sizes[k]),
-                sd=float(np.sqrt(found.covariance[at[k], at[k]]) * problem.sizes[k]),
+                sd=float(np.sqrt(covariance[at[k], at[k]]) * problem.sizes[k]),
                 unit=problem.coefficients[k].parameter.shown_unit,
             )
             for k in self.of.variants[variant].places
@@ -230,7 +231,7 @@ def _distinct(known: Iterable[Evaluated]) -> list[Evaluated]:
     found: dict[object, Evaluated] = {}
     for each in known:
         own = each.hypothesis
-        key = own.variants, own.form, tuple((noise.rows, noise.stated) for noise in own.noise)
+        key = own.variants, own.form, tuple((noise.stated or noise.rows, noise.stated) for noise in own.noise)
         if key not in found or found[key].log_posterior < each.log_posterior:
             found[key] = each
     return list(found.values())

@@ -6,21 +6,17 @@ takes part are the same for every candidate, so that all are scored from one mat
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from imubayes.criticism.evidence.hypothesis import (
-    Evaluated,
-    EvidenceOf,
-    gain_of_coefficients,
-    inverse,
-    scale_mode,
-    tail_log_density,
-    with_scatter,
-)
+from imubayes.criticism.evidence.heavy_tails import tail_log_density, tail_weights
+from imubayes.criticism.evidence.hypothesis import Evaluated, EvidenceOf, Solved, scale_mode
+from imubayes.criticism.evidence.linear_problem import ChannelRows
 from imubayes.criticism.evidence.noise_structures import HeavyTails, NoiseOfUnit
+from imubayes.criticism.evidence.whitened_rows import WhitenedColumns, offsets_of_runs, with_scatter
+from imubayes.criticism.evidence.width_sums import gain_of_coefficients
 
 _TAIL_ROUNDS = 8
 
@@ -31,17 +27,6 @@ class Conditional:
 
     own: np.ndarray
     right: np.ndarray
-
-
-def at_scales(of: EvidenceOf, at: Evaluated, scale: np.ndarray) -> Evaluated:
-    """Return a hypothesis with its linear algebra at other noise scales, (K,): a larger noise hides what is missing."""
-    whole, right = np.diag(at.precision).astype(float), at.pull.copy()
-    for k in of.unit_of:
-        base, where = base_columns(of, at, k), of.taking_part(k, at.columns, at.hypothesis.form)
-        whole[np.ix_(where, where)] += base[:, :-1].T @ base[:, :-1] / scale[k] ** 2
-        right[where] += base[:, :-1].T @ base[:, -1] / scale[k] ** 2
-    covariance = inverse(whole)
-    return replace(at, scale=scale, covariance=covariance, mean=covariance @ right)
 
 
 def base_columns(of: EvidenceOf, at: Evaluated, channel: int) -> np.ndarray:
@@ -55,15 +40,15 @@ def base_columns(of: EvidenceOf, at: Evaluated, channel: int) -> np.ndarray:
     return np.concatenate([*parts, white[:, -1:]], axis=1)
 
 
-def conditional(of: EvidenceOf, at: Evaluated) -> Conditional:
+def conditional(of: EvidenceOf, solved: Solved) -> Conditional:
     """Return the likelihood of every coefficient beside a hypothesis."""
-    problem, count = of.problem, len(of.problem.coefficients)
+    problem, count, at = of.problem, len(of.problem.coefficients), solved.at
     own, right, across = np.zeros((count, count)), np.zeros(count), np.zeros((len(at.precision), count))
     every = problem.own + np.arange(count)
     for k in of.unit_of:
         gram = of.gram(at.hypothesis, k, at.weight.get(k))
         here, place = of.select(k, every)
-        which, inverse = np.flatnonzero(here), 1 / at.scale[k] ** 2
+        which, inverse = np.flatnonzero(here), 1 / solved.scale[k] ** 2
         own[np.ix_(which, which)] += inverse * gram.products[np.ix_(place, place)]
         right[which] += inverse * gram.products[place, -1]
         taking, mine = of.select(k, at.columns)
@@ -74,9 +59,9 @@ def conditional(of: EvidenceOf, at: Evaluated) -> Conditional:
             white = of.whitened(at.hypothesis, k, at.weight.get(k))
             span = of.taking_part(k, at.columns, form)[len(mine) :]
             across[np.ix_(span, which)] += inverse * columns.T @ white[:, place]
-    left = own - across.T @ at.covariance @ across
+    left = own - across.T @ solved.covariance @ across
     np.fill_diagonal(left, np.maximum(np.diag(left), 0.0))
-    return Conditional(left, right - across.T @ at.mean)
+    return Conditional(left, right - across.T @ solved.mean)
 
 
 def residuals(of: EvidenceOf, at: Evaluated) -> dict[int, np.ndarray]:
@@ -94,21 +79,31 @@ def log_likelihood(
     """Return the logarithm of prior and likelihood of residuals under a noise, its scale at the mode; a screen."""
     found = noise.log_prior
     for k in channels:
-        rows, own = of.problem.rows[k], residual[k]
+        white, count, sd = (
+            of.rows[k].residual_with(noise, residual[k]),
+            len(residual[k]),
+            noise.scale_sd(of.problem.rows[k]),
+        )
         if isinstance(noise.rows, HeavyTails):
-            degrees, scale = noise.rows.degrees, 1.0
-            for _ in range(_TAIL_ROUNDS):
-                weight = (degrees + 1) / (degrees + (own / scale) ** 2)
-                scale = math.sqrt(float(np.mean(weight * own**2)) + 1e-12)
-            found += tail_log_density(own / scale, degrees) - len(own) * math.log(scale)
+            found += white.log_det + _under_tails(of.rows[k].rows, white, noise.scatter, noise.rows.degrees, sd)
             continue
-        both, log_det = noise.rows.whiten(rows, np.column_stack([own, rows.offset]))
-        gram = with_scatter(both[:, :1].T @ both[:, :1], rows, both[:, :1], both[:, 1], noise.scatter, log_det)
+        gram = with_scatter(of.rows[k].rows, white, noise.scatter)
         square = max(float(gram.products[0, 0]), 1e-12)
-        log_scale, term = scale_mode(square, len(own), noise.scale_sd(rows))
-        found += gram.log_det + term - len(own) * log_scale - 0.5 * square * math.exp(-2 * log_scale)
-        found -= 0.5 * len(own) * math.log(2 * math.pi)
+        log_scale, term = scale_mode(square, count, sd)
+        found += gram.log_det + term - count * log_scale - 0.5 * square * math.exp(-2 * log_scale)
+        found -= 0.5 * count * math.log(2 * math.pi)
     return found
+
+
+def _under_tails(rows: ChannelRows, white: WhitenedColumns, scatter: float, degrees: float, sd: float) -> float:
+    """Return the log likelihood of a residual under Student's t beside offsets of runs at their means."""
+    own, rest, term, log_scale, offsets = white.columns[:, 0], white.columns[:, 0], 0.0, 0.0, 0.0
+    for _ in range(_TAIL_ROUNDS):
+        weight = tail_weights((rest / math.exp(log_scale)) ** 2, degrees)
+        runs = offsets_of_runs(rows, own, white.offset, weight, scatter)
+        rest, offsets = own - runs.taken, runs.log_density(math.exp(log_scale))
+        log_scale, term = scale_mode(max(float(weight @ rest**2), 1e-12), len(own), sd)
+    return tail_log_density(rest / math.exp(log_scale), degrees) - len(own) * log_scale + term + offsets
 
 
 class Screen:

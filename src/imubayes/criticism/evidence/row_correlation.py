@@ -1,0 +1,167 @@
+"""Correlation of rows in time as the model states it: autocorrelation and slow noise, at a few sizes.
+
+The size as fitted may have absorbed what is missing, so that smaller ones are hypotheses as well.  All members of a
+channel change together: their ratios stay as fitted, and the common size has the prior that each gives it on that line.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from imubayes.array_shapes import Array, Float
+from imubayes.criticism.known_noise import noise_scales
+from imubayes.gather import in_batches
+from imubayes.inference.fitted_model import Fit
+from imubayes.kept_programs import kept
+from imubayes.model.bind import Model
+from imubayes.model.noise_covariance import Series, whitener_of
+from imubayes.model.problem import Problem
+from imubayes.model.row_times import Timeline
+from imubayes.model.slow_series import SlowSeries
+from imubayes.noise.base import SeriesNoise, SlowNoise
+from imubayes.parameters.vector import Parameter
+from imubayes.tail_probabilities import normal_survival
+
+_FACTORS = tuple(2.0**k for k in range(1, -6, -1))
+"""Sizes over that as fitted.  Derived: at a factor √2 off, the evidence of a hundred rows falls by some nats only."""
+_AT_ONCE = 32
+"""Columns that are whitened at once, so that one compiled program serves all."""
+
+
+@dataclass(frozen=True, eq=False)
+class RowCorrelation:
+    """Correlation of the rows of a channel at one size.
+
+    Attributes
+    ----------
+    factor : size over that as fitted.
+    log_prior : logarithm of its probability.
+    log_det : log determinant of the whitening.
+    gain : shape (n,), change of a whitened row by the row itself.
+    series : the whitening, over the rows of the channel.
+    """
+
+    factor: float
+    log_prior: float
+    log_det: float
+    gain: np.ndarray
+    series: Series | SlowSeries
+
+    def whiten(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns (n, C) of rows over their independent noise, whitened."""
+        return in_batches(lambda some: _forward(self.series, jnp.asarray(some)), columns.T, _AT_ONCE).T
+
+
+Correlations = Mapping[int, tuple[RowCorrelation, ...]]
+"""Channel → sizes of its correlation; channels without one are not there."""
+
+
+def correlations_of(fitted: Fit, h: np.ndarray, entries: Mapping[int, np.ndarray], own: Array) -> Correlations:
+    """Return the correlation of the rows of every channel.
+
+    Parameters
+    ----------
+    h : shape (H,), noise scales as known; those of correlations are taken as fitted.
+    entries : channel → (n,), entries of its rows.
+    own : shape (E,), variance of the independent noise of each entry.
+    """
+    model = fitted.model
+    correlates = [issubclass(member, SeriesNoise | SlowNoise) for _, member, _ in noise_scales(model)]
+    h = np.where(correlates, fitted.h, h) if correlates else h
+    sizes = {k: each for k in entries if (each := list(_sizes(model, k, h)))}
+    found: dict[int, list[RowCorrelation]] = {k: [] for k in sizes}
+    for factor in _FACTORS if sizes else ():
+        moved, shares = h.copy(), dict[int, float]()
+        for k, members in sizes.items():
+            places = [(place, each.at(factor)) for place, each in members]
+            if all(z is not None for _, z in places):
+                moved[[place for place, _ in places]] = [z for _, z in places]
+                shares[k] = sum(each.log_share(factor) for _, each in members)
+        series = _series_at(model.problem, jnp.asarray(moved), own)
+        assert series is not None
+        for k, share in shares.items():
+            found[k].append(_of_channel(series, factor, share, entries[k]))
+    return {k: _normalised(each) for k, each in found.items()}
+
+
+@dataclass(frozen=True)
+class _Size:
+    """The size of a member as fitted, in the unit of its parameter; a correlation cannot exceed that much."""
+
+    parameter: Parameter
+    fitted: float
+    bounded: bool
+
+    def at(self, factor: float) -> float | None:
+        """Return z of a multiple; None where there is none."""
+        return None if self.bounded and factor > 1 else self.parameter.z_at(self.fitted * factor)
+
+    def log_share(self, factor: float) -> float:
+        """Return the logarithm of the prior probability about a multiple."""
+        low, high = (self.parameter.z_at(self.fitted * factor * by) for by in (math.sqrt(0.5), math.sqrt(2)))
+        above = float(normal_survival(high)) if high is not None else 0.0
+        below = float(normal_survival(low)) if low is not None else 1.0
+        return math.log(max(below - above, 1e-300))
+
+
+def _sizes(model: Model, channel: int, h: np.ndarray) -> Iterator[tuple[int, _Size]]:
+    """Yield the sizes of the members that correlate the rows of a channel, with their places in h."""
+    values = np.asarray(model.problem.hyper_priors.values(jnp.asarray(h)))
+    for k, (parameter, member, place) in enumerate(noise_scales(model)):
+        bounded = issubclass(member, SeriesNoise)
+        if place == channel and (bounded or (issubclass(member, SlowNoise) and parameter.unit == "output")):
+            yield k, _Size(parameter, float(values[k]) / parameter.factor, bounded)
+
+
+def _of_channel(series: Series | SlowSeries, factor: float, share: float, entry: np.ndarray) -> RowCorrelation:
+    """Return the correlation of the rows of one channel alone."""
+    log_variance = np.asarray(series.log_determinants())[entry]
+    place = np.full(_count(series) + 1, len(entry))
+    place[entry] = np.arange(len(entry))
+    own = _of_rows(series, entry, place) if isinstance(series, Series) else _of_lanes(series, entry, place)
+    return RowCorrelation(factor, share, -0.5 * float(log_variance.sum()), np.exp(-0.5 * log_variance), own)
+
+
+def _count(series: Series | SlowSeries) -> int:
+    return len(series.before) if isinstance(series, Series) else len(series.timeline.place)
+
+
+def _of_rows(series: Series, entry: np.ndarray, place: np.ndarray) -> Series:
+    before = place[np.asarray(series.before)[entry]]
+    return Series(jnp.asarray(before, dtype=jnp.int32), jnp.asarray(series.correlation)[entry])
+
+
+def _of_lanes(series: SlowSeries, entry: np.ndarray, place: np.ndarray) -> SlowSeries:
+    lanes = place[np.asarray(series.timeline.lanes)]
+    chosen = np.flatnonzero((lanes < len(entry)).any(axis=0))
+    lanes = lanes[:, chosen]
+    steps, columns = np.nonzero(lanes < len(entry))
+    back = np.empty(len(entry), dtype=np.int32)
+    back[lanes[steps, columns]] = steps * len(chosen) + columns
+    # What a row lasts is in the series already.
+    timeline = Timeline(cast(Any, None), jnp.asarray(lanes, dtype=jnp.int32), jnp.asarray(back))
+    fields = (series.mean, series.over_gap, series.over_row, series.gain, series.variance)
+    return SlowSeries(timeline, *(jnp.asarray(each)[:, chosen] for each in fields))
+
+
+def _normalised(found: list[RowCorrelation]) -> tuple[RowCorrelation, ...]:
+    whole = float(np.logaddexp.reduce([each.log_prior for each in found]))
+    return tuple(
+        RowCorrelation(each.factor, each.log_prior - whole, each.log_det, each.gain, each.series) for each in found
+    )
+
+
+@kept
+def _series_at(problem: Problem, h: Float[Array, " H"], own: Float[Array, " E"]) -> Series | SlowSeries | None:
+    """Return the correlation in time of all entries."""
+    return whitener_of(problem, h, own, jnp.zeros(problem.observations.members.shape[0])).series
+
+
+@kept
+def _forward(series: Series | SlowSeries, columns: Float[Array, "C E"]):
+    return jax.vmap(series.forward)(columns)
