@@ -1,6 +1,6 @@
 from .api import (
-    Addition,
     CalibratedInputs,
+    ModelChange,
     Result,
     add,
     apply,
@@ -11,6 +11,7 @@ from .api import (
     load,
     plant,
     read_result,
+    remove,
     report,
 )
 from .array_shapes import Scalar, vector3
@@ -34,7 +35,6 @@ from .units import dimension, to_si
 __version__: str
 
 __all__ = [
-    "Addition",
     "Ambient",
     "CalibratedInputs",
     "Campaign",
@@ -46,6 +46,7 @@ __all__ = [
     "Experience",
     "InputError",
     "Model",
+    "ModelChange",
     "Motion",
     "MotionEffect",
     "Noise",
@@ -84,6 +85,7 @@ __all__ = [
     "plant",
     "read_result",
     "reference_temperature",
+    "remove",
     "report",
     "rotate",
     "sample",

@@ -12,8 +12,8 @@ import pytest
 from loop_results import CAMPAIGN, LACKING, lacking_model
 from scipy import stats
 
-import imubayes.criticism.addition as addition_module
-from imubayes.api import Addition, Result, add, export, fit
+import imubayes.criticism.refit as refit_module
+from imubayes.api import ModelChange, Result, add, export, fit
 from imubayes.criticism.cross_validation import groups, objection, predict_left_out, summarise_gains, whole_fit
 from imubayes.criticism.diagnosis_record import CoefficientEstimate
 from imubayes.criticism.verdict import EffectChoice
@@ -41,12 +41,12 @@ def first(place) -> Result:
 
 
 @pytest.fixture(scope="module")
-def second(place, first) -> Addition:
+def second(place, first) -> ModelChange:
     return add(place / "first", [LACKING], place / "second")
 
 
 @pytest.fixture(scope="module")
-def third(place, second) -> Addition:
+def third(place, second) -> ModelChange:
     return add(second.result, ["accel_quadratic"], place / "third")
 
 
@@ -267,12 +267,12 @@ def test_a_bad_refit_is_not_taken(place, first, tmp_path, monkeypatch, fault):
     (result,) = copied(place, tmp_path, "first")
     select(result)
     if fault == "worse":
-        monkeypatch.setattr(addition_module, "observed_delta_chi2", lambda *_: -3.0)
+        monkeypatch.setattr(refit_module, "observed_delta_chi2", lambda *_: -3.0)
     else:
         monkeypatch.setattr(
-            addition_module,
+            refit_module,
             "objection",
-            lambda after, drop: objection(Fit(after.model, after.z, after.h, False, "No."), drop),
+            lambda after, drop, _: objection(Fit(after.model, after.z, after.h, False, "No."), drop),
         )
     found = add(result, [LACKING], tmp_path / "next")
     assert not found.taken
@@ -306,4 +306,4 @@ def test_the_history_is_a_tree_with_one_selected(place, third, tmp_path):
 def test_the_old_result_stays(place, second):
     fitted = read_result(place / "first").fit
     assert LACKING not in {one.name for one in fitted.model.spec.effects}
-    assert json.loads((place / "second" / "addition.json").read_text())["taken"]
+    assert json.loads((place / "second" / "change.json").read_text())["taken"]

@@ -13,6 +13,7 @@ import pytest
 
 from imubayes.criticism import addition, diagnose, suggestions, thresholds
 from imubayes.criticism.candidate_effects import ShapeScan
+from imubayes.criticism.changed_model import ChangedModel
 from imubayes.criticism.diagnosis_record import (
     CoefficientEstimate,
     Diagnosis,
@@ -27,7 +28,6 @@ from imubayes.criticism.residual_evidence import following_covariate
 from imubayes.criticism.score_test import Candidate, ScoreTest
 from imubayes.criticism.stepwise_search import SearchResult
 from imubayes.criticism.verdict import EffectChoice, Suggestion
-from imubayes.criticism.warm_start import Extension
 from imubayes.display import diagnosis_sentences
 
 PPM = "ppm"
@@ -72,7 +72,7 @@ def test_what_is_added_alone_is_predicted_as_the_diagnosis_did() -> None:
         effect="lag", channels=("gx",), delta_chi2=90.0, shape={}, coefficients=(told,), dof=1, p=0.0, p_global=0.0,
         within_runs=90.0,
     )  # fmt: skip
-    extension = made(Extension, delta_chi2=80.0, coefficients=(linear,))
+    extension = made(ChangedModel, delta_chi2=80.0, coefficients=(linear,))
     assert addition._predicted_coefficients(extension, screened, True) == (told,)
     # Beside others its coefficient is another one: no diagnosis has estimated that.
     assert addition._predicted_coefficients(extension, screened, False) == (linear,)

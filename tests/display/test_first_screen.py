@@ -8,17 +8,17 @@ from rich.console import Console
 
 from display.test_diagnosis_report import diagnosis
 from imubayes.campaign import Inspection, inspect_campaign
-from imubayes.criticism.addition import Prediction
 from imubayes.criticism.diagnosis_record import CoefficientEstimate, NoiseFinding
 from imubayes.criticism.held_out_record import CrossValidation
+from imubayes.criticism.refit import Prediction
 from imubayes.criticism.verdict import EffectChoice, RmsChange
-from imubayes.display.addition_report import addition_lines, addition_report, next_command
+from imubayes.display.change_report import change_lines, change_report, next_command
 from imubayes.display.check_report import check_report
 from imubayes.display.diagnosis_report import diagnosis_report
 from imubayes.display.diagnosis_sentences import sentence
 from imubayes.display.grouped_notes import grouped
 from imubayes.display.report_layout import Report, print_report
-from imubayes.results.addition import Addition, BeforeAfter, Observation, RunRmsChange
+from imubayes.results.model_change import BeforeAfter, ModelChange, Observation, RunRmsChange
 
 
 def screen(report: Report) -> list[str]:
@@ -88,7 +88,7 @@ def test_the_strongest_finding_comes_first():
 
 
 @pytest.fixture(scope="module")
-def addition() -> Addition:
+def addition() -> ModelChange:
     """An addition after which 14 of 84 residual rms have changed."""
     names = [f"run-{place}" for place in range(14)]
     runs = [
@@ -107,7 +107,7 @@ def addition() -> Addition:
         for name, value in (("gx", 9.3), ("gy", -5.2), ("gz", 12.4))
     )
     known = BeforeAfter(before=1.0, after=1.0)
-    return Addition(
+    return ModelChange(
         added=(EffectChoice(effect="gyro_scale_asymmetry", channels=("gx",)),), widened={}, taken=True, message="",
         predicted=Prediction(delta_chi2=173.0, coefficients=estimates),
         observed=Observation(delta_chi2=172.0, coefficients=estimates),
@@ -120,7 +120,7 @@ def addition() -> Addition:
 def test_several_effects_that_were_not_taken_are_followed_by_the_first_alone(addition):
     both = (EffectChoice(effect="gyro_dead_zone", channels=("gx",)), EffectChoice(effect="encoder_zero", channels=None))
     refused = addition.model_copy(update={"added": both, "taken": False, "message": "The refit did not converge."})
-    lines = addition_lines(refused)
+    lines = change_lines(refused)
     assert "The posterior with the first of them alone leaves out what the others may explain." in lines
     assert next_command(refused) == (
         "imubayes add gyro_dead_zone --to results/hidden --out results/second-alone --channels gx"
@@ -130,7 +130,7 @@ def test_several_effects_that_were_not_taken_are_followed_by_the_first_alone(add
 
 
 def test_add_shows_what_changed(addition):
-    brief, whole = (screen(addition_report(addition, verbose)) for verbose in (False, True))
+    brief, whole = (screen(change_report(addition, verbose)) for verbose in (False, True))
     assert len(brief) <= 24
     said = " ".join(line.strip() for line in brief)
     assert "Δχ² at the noise known beforehand: predicted 173, observed 172." in "".join(brief)
@@ -143,4 +143,4 @@ def test_add_shows_what_changed(addition):
 
 def test_add_says_where_nothing_changed(addition):
     same = tuple(each.model_copy(update={"after": each.before}) for each in addition.runs)
-    assert "none of 84" in " ".join(screen(addition_report(addition.model_copy(update={"runs": same}))))
+    assert "none of 84" in " ".join(screen(change_report(addition.model_copy(update={"runs": same}))))

@@ -11,11 +11,11 @@ from display.test_diagnosis_report import diagnosis, residual_table, tree
 from display.test_first_screen import addition, screen
 from imubayes.criticism.model_history import ChannelRms, KnownNoiseFit, Tree
 from imubayes.criticism.residual_evidence import ResidualEvidence, of_runs
-from imubayes.display.addition_report import addition_report
+from imubayes.display.change_report import change_report
 from imubayes.display.figures.evidence_pictures import before_after
 from imubayes.display.figures.residual_evidence import evidence_figure
 from imubayes.display.history_table import history_report
-from imubayes.results.addition import Addition, offsets_moved
+from imubayes.results.model_change import ModelChange, offsets_moved
 from imubayes.results.residual_table import Residuals
 from imubayes.results.summary import Summary
 
@@ -52,14 +52,14 @@ def test_what_an_effect_explains_is_compared_without_the_offsets_of_runs():
     assert abs(slope(plain) - 1) > 0.5
 
 
-def test_a_rise_of_the_residual_is_explained(addition: Addition):
+def test_a_rise_of_the_residual_is_explained(addition: ModelChange):
     """Offsets that a parameter took up before move into the residual, which then rises although chi-square falls."""
     first, *others = addition.channels
     risen = first.model_copy(update={"after": 1.4 * first.before})
     told = addition.model_copy(update={"channels": (risen, *others), "offsets_moved": ("gx",)})
     reason = "The residual rms of gx rises because the offsets of runs, which parameters took up before, move into it"
-    assert reason in " ".join(" ".join(screen(addition_report(told))).split())
-    assert "rises because" not in " ".join(screen(addition_report(addition)))
+    assert reason in " ".join(" ".join(screen(change_report(told))).split())
+    assert "rises because" not in " ".join(screen(change_report(addition)))
     made = tree()
     nodes = dict(made.nodes)
     nodes["/r/b"] = nodes["/r/b"].model_copy(update={"offsets_moved": ("gx",)})

@@ -31,7 +31,7 @@ def outputs(executed: nbformat.NotebookNode, begins: str) -> list:
     [
         ("import imubayes", "<Result hidden-gyro", "gyro_scale_factor.scale[gx]"),
         ("found =", "<Diagnosis missing effect: gyro_scale_asymmetry", "gyro_scale_asymmetry is missing"),
-        ("addition =", "<Addition gyro_scale_asymmetry", "gyro_scale_asymmetry.asymmetry[gx]"),
+        ("addition =", "<ModelChange + gyro_scale_asymmetry", "gyro_scale_asymmetry.asymmetry[gx]"),
     ],
 )
 def test_a_record_shows_its_html_once_and_nothing_else(executed, begins, headline, within):

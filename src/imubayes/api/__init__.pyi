@@ -8,14 +8,14 @@ from .calibrated_unit import (
     report,
 )
 from .diagnosis import diagnose
-from .extension import Addition, add, export, history
 from .fitting import Result, Settings, fit, load, read_result
 from .injection import plant
+from .model_changes import ModelChange, add, export, history, remove
 
 __all__ = [
-    "Addition",
     "CalibratedInputs",
     "CorrectedRecording",
+    "ModelChange",
     "Result",
     "Settings",
     "add",
@@ -30,5 +30,6 @@ __all__ = [
     "onboard_constants",
     "plant",
     "read_result",
+    "remove",
     "report",
 ]

@@ -2,11 +2,14 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import cyclopts
 
 from imubayes.cli.options import Flag, Json, Names, print_json, split
+
+if TYPE_CHECKING:
+    from imubayes.results.model_change import ModelChange
 
 
 def add(
@@ -27,7 +30,7 @@ def add(
     ----------
     effects
         Names of effects or noise members; `imubayes effects` lists them. A Python file, as `imubayes diagnose --python`
-        prints one, stands for the effects that it defines.
+        prints one, stands for the effects that it defines. Without any, the simplest explanation of the diagnosis.
     to
         Result folder of the model to go on from; it stays as it is.
     out
@@ -44,21 +47,24 @@ def add(
         List the residual rms of every channel and run, also where it did not change.
     """
     from imubayes.cli.session import progress, start_jax
-    from imubayes.errors import input_error
 
-    if not effects:
-        raise input_error("no effect is named", "command line", "imubayes effects lists them", "name one")
     with progress() as tell:
         start_jax("add")
         from imubayes.api import add as add_effects
-        from imubayes.display.addition_report import addition_report, next_command
-        from imubayes.display.report_layout import print_report
 
-        addition = add_effects(to, effects, out, split(channels), sample=sample, seed=seed, progress=tell)
+        change = add_effects(to, effects, out, split(channels), sample=sample, seed=seed, progress=tell)
+    return print_change(change, as_json, verbose)
+
+
+def print_change(change: "ModelChange", as_json: bool, verbose: bool) -> int:
+    """Print what a change of a model brought; return the exit status: 0 where the refit is taken, else 1."""
+    from imubayes.display.change_report import change_report, next_command
+    from imubayes.display.report_layout import print_report
+
     if as_json:
-        print_json(addition.model_dump(mode="json") | {"next": next_command(addition)})
+        print_json(change.model_dump(mode="json") | {"next": next_command(change)})
     else:
-        print_report(addition_report(addition, verbose))
-    if not addition.taken:
-        print(addition.message, file=sys.stderr)
-    return 0 if addition.taken else 1
+        print_report(change_report(change, verbose))
+    if not change.taken:
+        print(change.message, file=sys.stderr)
+    return 0 if change.taken else 1

@@ -26,6 +26,7 @@ from imubayes.cli.fit import fit
 from imubayes.cli.history import history
 from imubayes.cli.noise import noise
 from imubayes.cli.plant import plant
+from imubayes.cli.remove import remove
 from imubayes.cli.report import report
 from imubayes.cli.schema import schema
 from imubayes.cli.simulate import simulate
@@ -34,8 +35,8 @@ from imubayes.errors import InputError, Issue, closest_first
 DONE, NO, UNUSABLE, INTERRUPTED = 0, 1, 2, 130
 _COLLECTION_THRESHOLD = 2_000_000
 _COMMANDS = (
-    check, fit, compare, classical, noise, carrier, apply, export, diagnose, add, history, plant, report, effects,
-    simulate, schema,
+    check, fit, compare, classical, noise, carrier, apply, export, diagnose, add, remove, history, plant, report,
+    effects, simulate, schema,
 )  # fmt: skip
 
 app = cyclopts.App(

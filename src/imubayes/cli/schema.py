@@ -12,7 +12,7 @@ _RECORDS = {
     "specification": ("imubayes.qualification.specification", "SpecificationFile"),
     "constants": ("imubayes.qualification.onboard_record", "OnboardConstants"),
     "diagnosis": ("imubayes.criticism.diagnosis_record", "Diagnosis"),
-    "addition": ("imubayes.results.addition", "Addition"),
+    "change": ("imubayes.results.model_change", "ModelChange"),
     "history": ("imubayes.criticism.model_history", "Node"),
     "fit": ("imubayes.results.fit_file", "FitRecord"),
     "report": ("imubayes.qualification.report_record", "QualificationReport"),
@@ -30,7 +30,7 @@ def schema(kind: str) -> int:
     ----------
     kind
         campaign (campaign.toml), model, plan; report; constants (of `imubayes export`); summary, fit, diagnosis,
-        addition, or history (JSON files of a result).
+        change, or history (JSON files of a result).
     """
     if kind not in _RECORDS:
         allowed = closest_first(kind, _RECORDS)

@@ -1,4 +1,4 @@
-"""Whether an addition holds: what was found against what was expected, and how well runs are predicted unseen.
+"""Whether a change of a model holds: what was found against what was expected, and how runs are predicted unseen.
 
 A run that is left out is predicted from the others: p(y_k | y_−k) is the ratio of two Laplace marginals at the mode
 without it, one with the run and one without, so that its offset and the parameters that it alone determines are
@@ -14,9 +14,8 @@ import numpy as np
 
 from imubayes.array_shapes import Array, Float
 from imubayes.criticism import thresholds
-from imubayes.criticism.held_out_record import CrossValidation, GroupGain
+from imubayes.criticism.held_out_record import CrossValidation, GroupGain, HeldOutVerdict
 from imubayes.criticism.verdict import RmsChange
-from imubayes.criticism.warm_start import Extension
 from imubayes.inference.fitted_model import Fit
 from imubayes.inference.noise_marginal import curvature, slope
 from imubayes.inference.posterior_mode import find_mode, fit_at, mode_near
@@ -33,18 +32,22 @@ from imubayes.units import to_si
 
 _residuals = kept(residuals)
 _EXACT_FLIPS, _ROUNDING = 13, 1e-12
+_OF_A_REMOVAL: dict[str, HeldOutVerdict] = {"helps": "costs", "unclear": "unclear", "not": "spares"}
+"""What the effects that were removed did → what their removal does."""
 
 
 def summarise_gains(
-    by: Literal["run", "pose", "block"], names: Sequence[str], gains: np.ndarray, rates: Sequence[RmsChange] = ()
+    by: Literal["run", "pose", "block"],
+    names: Sequence[str],
+    gains: np.ndarray,
+    rates: Sequence[RmsChange] = (),
+    removal: bool = False,
 ) -> CrossValidation:
-    """Return the cross-validation from the gains of all groups, shape (K,)."""
+    """Return the cross-validation from the gains of all groups, shape (K,); of a removal it judges the loss."""
     count, delta = len(gains), float(gains.sum())
     se = float(np.sqrt(count) * gains.std(ddof=1)) if count > 1 else float("inf")
-    verdict = "not"
-    if delta > thresholds.GAIN_MIN:
-        clear = delta > thresholds.GAIN_STANDARD_ERRORS * se or sign_flip_chance(gains) < thresholds.GAIN_CHANCE
-        verdict = "helps" if clear else "unclear"
+    judged = _judged(-gains if removal else gains, se)
+    verdict = _OF_A_REMOVAL[judged] if removal else judged
     return CrossValidation(
         by=by,
         delta=delta,
@@ -55,6 +58,15 @@ def summarise_gains(
         each=tuple(GroupGain(name=name, delta=gain) for name, gain in zip(names, gains.tolist(), strict=True)),
         rates=tuple(rates),
     )
+
+
+def _judged(gains: np.ndarray, se: float) -> Literal["helps", "unclear", "not"]:
+    """Return whether the sum of gains, shape (K,), with its standard error, is beyond chance."""
+    delta = float(gains.sum())
+    if not delta > thresholds.GAIN_MIN:
+        return "not"
+    clear = delta > thresholds.GAIN_STANDARD_ERRORS * se or sign_flip_chance(gains) < thresholds.GAIN_CHANCE
+    return "helps" if clear else "unclear"
 
 
 def sign_flip_chance(gains: np.ndarray) -> float:
@@ -90,7 +102,9 @@ class LeftOut:
     misfit: np.ndarray
 
 
-def cross_validate(before: Fit, after: Fit, progress: Callable[[str], None] | None = None) -> CrossValidation | None:
+def cross_validate(
+    before: Fit, after: Fit, progress: Callable[[str], None] | None = None, removal: bool = False
+) -> CrossValidation | None:
     """Return how much better the second of two fits of one campaign predicts what is left out.
 
     Leave-one-run-out; of a campaign of one run leave-one-pose-out, the attitudes known, or leave-one-block-out.  None
@@ -106,7 +120,7 @@ def cross_validate(before: Fit, after: Fit, progress: Callable[[str], None] | No
         return None
     kept = [name for name, good in zip(names, finite_gains.tolist(), strict=True) if good]
     rates = _rate_errors(before.model, masks, seen) if by == "pose" else ()
-    return summarise_gains(by, kept, gains[finite_gains], rates)
+    return summarise_gains(by, kept, gains[finite_gains], rates, removal)
 
 
 def _rate_errors(model: Model, masks: Sequence[np.ndarray], seen: Sequence[Sequence[LeftOut]]) -> tuple[RmsChange, ...]:
@@ -173,26 +187,32 @@ def predict_left_out(whole: WholeFit, left_out: np.ndarray) -> LeftOut:
     return LeftOut(density, np.asarray(mode.about.misfit)[left_out])
 
 
-def observed_delta_chi2(before: Fit, extension: Extension, after: Fit) -> float:
-    """Return the drop of chi² that the refit brought.
+def observed_delta_chi2(before: Fit, after: Fit) -> float:
+    """Return the drop of chi² that the refit of a changed model brought.
 
-    At the noise scales of the old fit, and without the priors of what is new; where a noise scale is new itself, twice
-    the rise of the log likelihood with the parameters integrated out.
+    At the noise scales of the old fit, and without the priors of what one of the models lacks; where noise scales
+    differ, twice the rise of the log likelihood with the parameters integrated out.
     """
     if after.model.hyper_layout.names != before.model.hyper_layout.names:
         return 2 * (_log_likelihood(after) - _log_likelihood(before))
-    return float(np.sum(_drops(before, extension, after)))
+    return float(np.sum(_drops(before, after)))
 
 
-def _drops(before: Fit, extension: Extension, after: Fit) -> np.ndarray:
-    """Return the drop of chi² of each row, priors of old parameters last, at the noise scales of the old fit."""
+def _drops(before: Fit, after: Fit) -> np.ndarray:
+    """Return the drop of chi² of each row, priors of shared parameters last, at the noise scales of the old fit."""
     old, new = before.model, after.model
     h = jnp.asarray(_in_order(old.hyper_layout, before.h, new.hyper_layout))
     z = fit_at(new.problem, jnp.asarray(after.z), h)
     was = np.asarray(_residuals(old.problem, jnp.asarray(before.z), jnp.asarray(before.h)))
     now = np.asarray(_residuals(new.problem, z, h))
-    kept = np.concatenate([np.ones(len(now) - len(extension.new), dtype=bool), ~extension.new])
-    return was**2 - now[kept] ** 2
+    return _without_priors(was, old.layout, new.layout) ** 2 - _without_priors(now, new.layout, old.layout) ** 2
+
+
+def _without_priors(rows: np.ndarray, layout: Layout, other: Layout) -> np.ndarray:
+    """Return rows, priors of a layout last, less the priors of what another layout lacks, in the order of names."""
+    count = len(rows) - len(layout)
+    priors = dict(zip(layout.names, rows[count:].tolist(), strict=True))
+    return np.concatenate([rows[:count], [priors[name] for name in sorted(priors.keys() & set(other.names))]])
 
 
 def _in_order(old: Layout, point: np.ndarray, new: Layout) -> np.ndarray:
@@ -207,11 +227,18 @@ def _log_likelihood(fitted: Fit) -> float:
     return float(slope(problem, about, h).value) + prior
 
 
-def objection(after: Fit, delta_chi2: float) -> str:
-    """Return the sentence that says why a refit is not taken; empty where nothing speaks against it."""
+def objection(after: Fit, delta_chi2: float, may_rise: bool = False) -> str:
+    """Return the sentence that says why a refit is not taken; empty where nothing speaks against it.
+
+    Parameters
+    ----------
+    after : the refit.
+    delta_chi2 : drop of χ².
+    may_rise : whether χ² may rise, as where effects are removed.
+    """
     if not after.converged:
         return f"The refit is not taken. {after.message}"
-    if not delta_chi2 > thresholds.REFIT_LOSS:
+    if not (may_rise or delta_chi2 > thresholds.REFIT_LOSS):
         return (
             "The refit is not taken: it fits worse than the model without the addition (χ² rose by "
             f"{-delta_chi2:.1f} at the same noise scales)."

@@ -1,9 +1,12 @@
-"""What an addition does to the prediction of rows that were left out, as a record."""
+"""What a change of a model does to the prediction of rows that were left out, as a record."""
 
 from typing import Literal
 
 from imubayes.criticism.verdict import RmsChange
 from imubayes.json_record import Record
+
+HeldOutVerdict = Literal["helps", "unclear", "not", "costs", "spares"]
+"""An addition helps or does not; a removal costs prediction or spares it; either is unclear."""
 
 
 class GroupGain(Record):
@@ -14,7 +17,7 @@ class GroupGain(Record):
 
 
 class CrossValidation(Record):
-    """What an addition does to the prediction of rows that were left out.
+    """What a change of a model does to the prediction of rows that were left out.
 
     Attributes
     ----------
@@ -23,7 +26,8 @@ class CrossValidation(Record):
         groups; None for a single group.
     helped, of : number of groups that are predicted better, and of all groups.
     verdict : whether the addition ``helps`` (Δ elpd above two standard errors, or above what flips of the signs of the
-        groups reach by chance), that it is ``unclear``, or does ``not`` help.
+        groups reach by chance), that it is ``unclear``, or does ``not`` help.  A removal ``costs`` prediction where
+        adding the same would help, and ``spares`` it where it would not.
     each : Δ elpd of each group.
     rates : of poses: rms of each gyro at rest about its prediction, before and after.
     """
@@ -33,6 +37,6 @@ class CrossValidation(Record):
     se: float | None
     helped: int
     of: int
-    verdict: Literal["helps", "unclear", "not"]
+    verdict: HeldOutVerdict
     each: tuple[GroupGain, ...] = ()
     rates: tuple[RmsChange, ...] = ()

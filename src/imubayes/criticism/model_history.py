@@ -56,7 +56,7 @@ class KnownNoiseFit(Record):
 
 
 class ChiSquareDrop(Record):
-    """Δχ² of an addition at the noise scales of its parent; None where unknown."""
+    """Δχ² of a change at the noise scales of its parent, negative where χ² rises; None where unknown."""
 
     predicted: float | None = None
     observed: float | None = None
@@ -71,7 +71,7 @@ class Node(Record):
     model : name of the model.
     parent : folder of the model it was made from, relative to its own; None for the first.
     children : folders of the models made from it, relative to its own.
-    added : effects that it has more than its parent.
+    added, removed : effects that it has more and less than its parent.
     verdict : of the diagnosis that led here; None where there was none.
     chi2, dof, rms : χ², its degrees of freedom and the residual rms of each channel, at the noise known beforehand.
     offsets_moved : the channels whose residual rms rose because the offsets of runs moved into it.
@@ -88,6 +88,7 @@ class Node(Record):
     parent: str | None = None
     children: tuple[str, ...] = ()
     added: tuple[EffectChoice, ...] = ()
+    removed: tuple[EffectChoice, ...] = ()
     verdict: Verdict | None = None
     chi2: float | None
     dof: float | None
@@ -104,10 +105,11 @@ class Node(Record):
 
     @property
     def title(self) -> str:
-        """What distinguishes it from its parent: the first of the effects added, or the name of the first model."""
-        more = len(self.added) - _MOST_NAMED
-        named = [f"+ {choice.effect}" for choice in self.added[:_MOST_NAMED]]
-        return " ".join([*named, *([f"+ {more} more"] if more > 0 else [])]) or self.model
+        """What distinguishes it from its parent: the first of the effects changed, or the name of the first model."""
+        changed = [f"+ {choice.effect}" for choice in self.added]
+        changed += [f"− {choice.effect}" for choice in self.removed]
+        more, named = len(changed) - _MOST_NAMED, changed[:_MOST_NAMED]
+        return " ".join([*named, *([f"and {more} more"] if more > 0 else [])]) or self.model
 
     @property
     def chi2_per_dof(self) -> float | None:

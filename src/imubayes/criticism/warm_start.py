@@ -6,7 +6,7 @@ predicted before it is made.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Literal
 
 import jax
@@ -18,6 +18,7 @@ from imubayes.array_shapes import Array, Float
 from imubayes.campaign_data import Campaign
 from imubayes.criticism import thresholds
 from imubayes.criticism.candidate_effects import fitting_channels
+from imubayes.criticism.changed_model import ChangedModel, beyond, new_in
 from imubayes.criticism.verdict import CoefficientEstimate
 from imubayes.effects.base import MotionEffect
 from imubayes.inference.fitted_model import Fit
@@ -35,39 +36,6 @@ from imubayes.parameters.parameter_declarations import Declared
 from imubayes.parameters.priors import HalfNormal, Normal, Prior, rounded_width
 from imubayes.parameters.vector import Layout, Parameter
 from imubayes.tail_probabilities import chi2_survival, normal_survival
-
-
-@dataclass(frozen=True)
-class Extension:
-    """A model with effects added, before its fit.
-
-    Attributes
-    ----------
-    model : with the effects added, bound.
-    z, h : start of the fit, shapes (P,) and (H,).
-    null : shape (P,), the mode before, with the new parameters at their null values.
-    new : shape (P,), True for the parameters that the model before did not have.
-    delta_chi2 : predicted drop of χ² at the noise scales before; None where the gradient at the null values vanishes,
-        and where the linear prediction is a rise.
-    coefficients : predicted, with uncertainty; empty where the gradient vanishes.
-    asked : shape (K,), estimates of the new parameters from the data alone, SI, where they contradict the prior; 0
-        elsewhere.
-    widened : priors that were widened for these estimates, by ``effect.parameter``, as written in a model file.
-    residual, added : shape (E,), whitened residual and the part explained by the new effect, both projected off the
-        model before: the added-variable plot, of slope 1 where the prediction is right.
-    """
-
-    model: Model
-    z: np.ndarray
-    h: np.ndarray
-    null: np.ndarray
-    new: np.ndarray
-    delta_chi2: float | None
-    coefficients: tuple[CoefficientEstimate, ...]
-    asked: np.ndarray
-    residual: np.ndarray
-    added: np.ndarray
-    widened: Mapping[str, str] = field(default_factory=dict)
 
 
 def extended(
@@ -129,7 +97,7 @@ def extend(
     hints: Mapping[str, float] | None = None,
     estimates: Sequence[CoefficientEstimate] = (),
     files: Sequence[str] = (),
-) -> Extension:
+) -> ChangedModel:
     """Return the model of a fit with effects added, and the start of its refit.
 
     Parameters
@@ -163,18 +131,19 @@ def extend(
 
 def _extension(
     before: Fit, spec: ModelSpec, registry: Registry, shape: Mapping[str, float], hints: Mapping[str, float]
-) -> Extension:
+) -> ChangedModel:
     old, model = before.model, bind(spec, before.model.campaign, registry)
     dry_run(model.problem, model.assembly.effects, spec.files)
-    null, new = model.layout.carried(old.layout, before.z, null_point(model)), _new(old.layout, model.layout)
+    null, new = model.layout.carried(old.layout, before.z, null_point(model)), new_in(model.layout, old.layout)
     h = model.hyper_layout.carried(old.hyper_layout, before.h)
     for place in np.flatnonzero(new).tolist():
         value = _given(model.layout.parameters[place], shape)
         null[place] = null[place] if value is None else value
-    for place in np.flatnonzero(_new(old.hyper_layout, model.hyper_layout)).tolist():
+    for place in np.flatnonzero(new_in(model.hyper_layout, old.hyper_layout)).tolist():
         value = _given(model.hyper_layout.parameters[place], {**shape, **hints})
         h[place] = h[place] if value is None else value
-    return _first_step(model, null, h, new, hints, _without_new(before, model, new))
+    found = _first_step(model, null, h, new, hints, _without_new(before, model, new))
+    return replace(found, added=beyond(model.spec, old.spec))
 
 
 def _without_new(before: Fit, model: Model, new: np.ndarray) -> float | None:
@@ -190,7 +159,7 @@ def _without_new(before: Fit, model: Model, new: np.ndarray) -> float | None:
     return float(residual @ residual + np.sum((before.z / widths) ** 2))
 
 
-def _wider(extension: Extension, estimates: Mapping[str, CoefficientEstimate]) -> dict[str, dict[str, str]]:
+def _wider(extension: ChangedModel, estimates: Mapping[str, CoefficientEstimate]) -> dict[str, dict[str, str]]:
     """Return wider priors, by effect and parameter, where the estimate from the data alone contradicts the prior.
 
     The default prior covers typical sizes.  A refit held back by it would understate an effect that the data determine.
@@ -256,12 +225,6 @@ def _chosen(model: Model, new: np.ndarray) -> list[Parameter]:
     return [parameter for parameter, is_new in pairs if is_new]
 
 
-def _new(old: Layout, model: Layout) -> np.ndarray:
-    """Return which parameters of `model` the layout `old` lacks, shape (P,) bool."""
-    known = set(old.names)
-    return np.array([name not in known for name in model.names], dtype=bool)
-
-
 def whitened(
     problem: Problem, z: Float[Array, " P"], h: Float[Array, " H"]
 ) -> tuple[Float[Array, " E"], Float[Array, "E P"], Float[Array, " P"]]:
@@ -278,7 +241,7 @@ def _whitened(problem: Problem, about: Linearised, h: Float[Array, " H"]):
 
 def _first_step(
     model: Model, null: np.ndarray, h: np.ndarray, new: np.ndarray, hints: Mapping[str, float], without: float | None
-) -> Extension:
+) -> ChangedModel:
     parts = whitened(model.problem, jnp.asarray(null), jnp.asarray(h))
     residual, jacobian, widths = (np.asarray(part) for part in parts)
     entries, count = jacobian.shape[0], int(new.sum())
@@ -306,10 +269,11 @@ def _first_step(
     if tells and flat.any():
         # A scanned time constant lies near its true value and has a gradient once its coefficient is not zero.
         z, sd, drop, flat = _second_step(model, z, h, new, (sd, drop, flat), without)
-    return Extension(
-        model, z, h, null, new, drop if tells and drop > thresholds.REFIT_LOSS else None,
-        _coefficients(model.layout, z, new, sd, flat) if tells else (),
-        _contradicting(_chosen(model, new), null[new], squares, drive), left[:entries], (across @ step)[:entries],
+    return ChangedModel(
+        model, z, h, null, new, delta_chi2=drop if tells and drop > thresholds.REFIT_LOSS else None,
+        coefficients=_coefficients(model.layout, z, new, sd, flat) if tells else (),
+        asked=_contradicting(_chosen(model, new), null[new], squares, drive),
+        residual=left[:entries], explained=(across @ step)[:entries],
     )  # fmt: skip
 
 

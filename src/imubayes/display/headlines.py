@@ -4,8 +4,8 @@ from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.injection_recovery import Trials
 from imubayes.criticism.model_history import Tree
 from imubayes.display.rounding import significant
-from imubayes.results.addition import Addition
 from imubayes.results.history_tree import shown_place
+from imubayes.results.model_change import ModelChange
 from imubayes.results.result import Result
 
 
@@ -26,11 +26,11 @@ def diagnosis_headline(found: Diagnosis) -> str:
     return f"<Diagnosis {verdict}{'' if choice is None else ': ' + _on(', '.join(choice.effects), choice.channels)}>"
 
 
-def addition_headline(addition: Addition) -> str:
-    """Return what was added, whether it was taken, and Δχ²."""
-    names = ", ".join(_on(each.effect, each.channels) for each in addition.added)
-    taken = "taken" if addition.taken else "not taken"
-    return f"<Addition {names}: {taken}, Δχ² {significant(addition.observed.delta_chi2)}>"
+def change_headline(change: ModelChange) -> str:
+    """Return what was added and removed, whether it was taken, and Δχ²."""
+    names = [f"{sign} {_on(each.effect, each.channels)}" for sign, each in change.signed]
+    taken = "taken" if change.taken else "not taken"
+    return f"<ModelChange {', '.join(names)}: {taken}, Δχ² {significant(change.observed.delta_chi2)}>"
 
 
 def tree_headline(tree: Tree) -> str:

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from imubayes.criticism.model_history import Node, Tree
-from imubayes.display.addition_report import addition_lines, channel_sheet, coefficient_sheet, run_change_sheet
+from imubayes.display.change_report import change_lines
+from imubayes.display.change_tables import change_sheets
 from imubayes.display.diagnosis_report import next_command
 from imubayes.display.diagnosis_sentences import sentence
 from imubayes.display.figures.evidence_pictures import added_variable, before_after
@@ -108,18 +109,18 @@ def _errors(nodes: Sequence[Node]) -> Picture | None:
 
 
 def _section(step: HistoryStep) -> StepSection:
-    node, addition = step.node, step.addition
+    node, change = step.node, step.change
     verdict = (node.verdict or "").replace("_", " ")
-    if addition is None:
+    if change is None:
         return StepSection(node.title, verdict, ["The facts of this step are no longer in its folder."])
     # All of them are in the text; titles of pictures have room for two.
-    names = listed([choice.effect for choice in node.added], 2)
+    names = listed([choice.effect for choice in node.added or node.removed], 2)
     pictures = []
     if step.before is not None and step.after is not None:
         floors = {each.channel: each.noise for each in node.rms if each.noise is not None}
-        pictures.append(before_after(step.before, step.after, names, floors, step.group))
+        done, group = (f"adding {names}", step.group) if node.added else (f"removing {names}", None)
+        pictures.append(before_after(step.before, step.after, done, floors, group))
     if step.added_variable is not None:
         pictures.append(added_variable(step.added_variable, names, step.before))
-    sheets = [coefficient_sheet(addition), channel_sheet(addition), run_change_sheet(addition)]
     drawn = [picture for picture in pictures if picture is not None]
-    return StepSection(node.title, verdict, addition_lines(addition), drawn, sheets)
+    return StepSection(node.title, verdict, change_lines(change), drawn, change_sheets(change))

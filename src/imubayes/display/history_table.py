@@ -44,9 +44,9 @@ def history_sheet(tree: Tree) -> Sheet:
     rows = [_row(tree.nodes[place], depth, place, scales) for depth, place in ordered]
     head = ("model", "χ²/dof", "Δχ²", *_heads("residual / ", scales), "Δ elpd", "folder")
     note = (
-        "● selected, the model that is exported; ✕ not taken. χ², its drop Δχ² and the residual, rms over the channels "
-        "of one unit, are at the noise known beforehand, offsets of runs included; Δ elpd: rise of the log predictive "
-        "density in cross-validation."
+        "● selected, the model that is exported; ✕ not taken; + added, − removed. χ², its drop Δχ² and the residual, "
+        "rms over the channels of one unit, are at the noise known beforehand, offsets of runs included; Δ elpd: rise "
+        "of the log predictive density in cross-validation."
     )
     dividers = frozenset(index for index, (depth, _) in enumerate(ordered) if index and depth == 0)
     slim = [_slim_row(row, tree.nodes[place]) for row, (_, place) in zip(rows, ordered, strict=True)]
@@ -78,7 +78,7 @@ def _row(node: Node, depth: int, place: str, scales: Scales) -> tuple[Cell, ...]
     sizes = _sizes(rms_by_unit(node.rms), scales)
     mark = "●" if node.selected else ("○" if node.taken else "✕")
     title = f"{'  ' * (depth - 1)}└ {node.title}" if depth else node.title
-    useless = node.held_out is not None and node.held_out.verdict == "not"
+    useless = node.held_out is not None and node.held_out.verdict in ("not", "costs")
     return (
         Cell(f"{mark} {title}", "" if node.taken else "dim"),
         Cell(ratio_text(node.chi2_per_dof)),
@@ -99,7 +99,7 @@ def gain_text(node: Node) -> str:
     if found is None:
         return "–" if node.taken else "not taken"
     text = f"{found.delta:+.1f} ± {significant(found.se, 2)} ({found.helped}/{found.of} {found.by}s)"
-    return text + {"not": " no gain", "unclear": " unclear", "helps": ""}[found.verdict]
+    return text + {"not": " no gain", "unclear": " unclear", "spares": " no loss"}.get(found.verdict, "")
 
 
 def offsets_moved_text(channels: Sequence[str]) -> str:

@@ -5,11 +5,11 @@ from functools import partial
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.injection_recovery import Trials
 from imubayes.criticism.model_history import Tree
-from imubayes.display.addition_report import addition_report
+from imubayes.display.change_report import change_report
 from imubayes.display.diagnosis_report import diagnosis_report
 from imubayes.display.fit_report import summary_report
 from imubayes.display.headlines import (
-    addition_headline,
+    change_headline,
     diagnosis_headline,
     result_headline,
     tree_headline,
@@ -20,11 +20,11 @@ from imubayes.display.injection_report import injection_report
 from imubayes.display.report_layout import report_html, report_text
 from imubayes.display.summary_html import summary_html
 from imubayes.representation import headline_of, html_of, text_of
-from imubayes.results.addition import Addition
+from imubayes.results.model_change import ModelChange
 from imubayes.results.result import Result
 
 _REPORTS = {
-    Addition: partial(addition_report, verbose=True),
+    ModelChange: partial(change_report, verbose=True),
     Diagnosis: partial(diagnosis_report, verbose=True),
     Tree: history_report,
     Trials: injection_report,
@@ -33,7 +33,7 @@ for _record, _report in _REPORTS.items():
     text_of.register(_record, lambda record, report=_report: report_text(report(record)))
     html_of.register(_record, lambda record, report=_report: report_html(report(record)))
 
-headline_of.register(Addition, addition_headline)
+headline_of.register(ModelChange, change_headline)
 headline_of.register(Diagnosis, diagnosis_headline)
 headline_of.register(Tree, tree_headline)
 headline_of.register(Trials, trials_headline)

@@ -8,9 +8,9 @@ from imubayes.criticism.model_history import ChiSquareDrop, Node, node_id
 from imubayes.errors import InputError
 from imubayes.inference.run_fit import model_hash
 from imubayes.model.bind import Model
-from imubayes.results.addition import Addition
 from imubayes.results.fit_file import campaign_hash
 from imubayes.results.history_tree import read_node, select, write_node
+from imubayes.results.model_change import ModelChange
 from imubayes.results.result import read_result
 from imubayes.results.summary import Summary
 
@@ -33,34 +33,35 @@ def first_node(model: Model, summary: Summary, seed: int) -> Node:
     )
 
 
-def remember(parent: Path, folder: Path, addition: Addition, diagnosis: Diagnosis | None, seed: int) -> None:
-    """Write the node of an addition below that of the result it was made from, which is begun where it has none."""
-    model = addition.result.fit.model
+def remember(parent: Path, folder: Path, change: ModelChange, diagnosis: Diagnosis | None, seed: int) -> None:
+    """Write the node of a changed model below that of the result it was made from, which is begun where it has none."""
+    model = change.result.fit.model
     try:
         above = read_node(parent)
     except InputError:
         before = read_result(parent)
         above = first_node(before.fit.model, before.summary, seed)
         write_node(parent, above)
-    data, made, held_out = campaign_hash(model), model_hash(model), addition.held_out
-    known = addition.result.summary.known_noise if addition.taken else None
+    data, made, held_out = campaign_hash(model), model_hash(model), change.held_out
+    known = change.result.summary.known_noise if change.taken else None
     node = Node(
         id=node_id(data, made, seed, above.id),
         model=model.spec.name,
-        added=addition.added,
+        added=change.added,
+        removed=change.removed,
         verdict=diagnosis.verdict if diagnosis is not None else None,
         chi2=known.chi2 if known is not None else None,
         dof=known.dof if known is not None else None,
         rms=known.channels if known is not None else (),
-        offsets_moved=addition.offsets_moved,
-        delta_chi2=ChiSquareDrop(predicted=addition.predicted.delta_chi2, observed=addition.observed.delta_chi2),
+        offsets_moved=change.offsets_moved,
+        delta_chi2=ChiSquareDrop(predicted=change.predicted.delta_chi2, observed=change.observed.delta_chi2),
         held_out=held_out.model_copy(update={"each": (), "rates": ()}) if held_out is not None else None,
         data_hash=data,
         model_hash=made,
         seed=seed,
-        taken=addition.taken,
-        message=addition.message,
-        selected=addition.taken,
+        taken=change.taken,
+        message=change.message,
+        selected=change.taken,
     )
     join(parent, folder, node)
 

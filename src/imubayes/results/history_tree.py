@@ -20,7 +20,7 @@ def write_node(folder: Path, node: Node) -> None:
 def read_node(folder: Path) -> Node:
     """Return the node of a result folder; raises InputError where there is none or it is damaged."""
     file = folder / HISTORY
-    allowed = "a folder written by `imubayes fit` or `imubayes add`"
+    allowed = "a folder written by `imubayes fit`, `imubayes add` or `imubayes remove`"
     remedy = "correct the path, or run the fit again"
     return read_record(file, Node, Issue("this result has no history", str(file), allowed, remedy))
 

@@ -1,5 +1,6 @@
-"""`diagnosis.json`, `addition.json` and `added_variable.parquet` of a result folder, and the steps they document."""
+"""`diagnosis.json`, `change.json` and `added_variable.parquet` of a result folder, and the steps they document."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -9,11 +10,14 @@ import polars as pl
 from imubayes.atomic_files import write_text
 from imubayes.criticism.diagnosis_record import Diagnosis, EffectGroup
 from imubayes.criticism.model_history import Node, Tree
+from imubayes.criticism.removal_odds import removal_log_odds
+from imubayes.errors import InputError
 from imubayes.json_record import Record
-from imubayes.results.addition import Addition
+from imubayes.results.history_tree import read_tree
+from imubayes.results.model_change import ModelChange
 from imubayes.results.record_names import RESIDUALS
 
-DIAGNOSIS, ADDITION, ADDED_VARIABLE = "diagnosis.json", "addition.json", "added_variable.parquet"
+DIAGNOSIS, CHANGE, ADDED_VARIABLE = "diagnosis.json", "change.json", "added_variable.parquet"
 
 
 def write_diagnosis(folder: Path, diagnosis: Diagnosis) -> None:
@@ -26,15 +30,37 @@ def read_diagnosis(folder: Path) -> Diagnosis | None:
     return _read(folder / DIAGNOSIS, Diagnosis)
 
 
-def write_addition(folder: Path, addition: Addition, added_variable: pl.DataFrame) -> None:
-    """Keep the record of an addition and its added-variable plot in the folder of the refit."""
-    added_variable.write_parquet(folder / ADDED_VARIABLE)
-    write_text(folder / ADDITION, addition.json_text())
+def write_change(folder: Path, change: ModelChange, added_variable: pl.DataFrame | None) -> None:
+    """Keep the record of a change, and of an addition its added-variable plot, in the folder of the refit."""
+    if added_variable is not None:
+        added_variable.write_parquet(folder / ADDED_VARIABLE)
+    write_text(folder / CHANGE, change.json_text())
 
 
-def read_addition(folder: Path) -> Addition | None:
-    """Return the addition that made a result; None for a folder that holds none that can be read."""
-    return _read(folder / ADDITION, Addition)
+def read_change(folder: Path) -> ModelChange | None:
+    """Return the change that made a result; None for a folder that holds none that can be read."""
+    return _read(folder / CHANGE, ModelChange)
+
+
+def log_odds_of_removal(folder: Path, removed: Collection[str], kept: Collection[str]) -> float | None:
+    """Return the log odds of effects by the latest diagnosis on the way to a result that names them; else None.
+
+    Parameters
+    ----------
+    folder : of the result that the effects are removed from.
+    removed, kept : effects that go, and that its model keeps.
+    """
+    try:
+        tree = read_tree([folder])
+    except InputError:
+        return None
+    for place in reversed(tree.path_to(str(folder.resolve()))):
+        diagnosis = read_diagnosis(Path(place))
+        found = diagnosis.explanations if diagnosis is not None else None
+        odds = removal_log_odds(found, removed, kept) if found is not None else None
+        if odds is not None:
+            return odds
+    return None
 
 
 def _table(file: Path) -> pl.DataFrame | None:
@@ -55,14 +81,14 @@ class HistoryStep:
     Attributes
     ----------
     node : of the model after the step.
-    addition : what the step brought.
+    change : what the step brought.
     group : the effects that the diagnosis before found first.
     before, after : residuals of both fits.
     added_variable : the added-variable plot as a table.
     """
 
     node: Node
-    addition: Addition | None
+    change: ModelChange | None
     group: EffectGroup | None
     before: pl.DataFrame | None
     after: pl.DataFrame | None
@@ -77,7 +103,7 @@ def read_steps(tree: Tree, place: str) -> tuple[HistoryStep, ...]:
         steps.append(
             HistoryStep(
                 node=tree.nodes[str(after)],
-                addition=read_addition(after),
+                change=read_change(after),
                 group=diagnosis.groups[0] if diagnosis is not None and diagnosis.groups else None,
                 before=_table(before / RESIDUALS),
                 after=_table(after / RESIDUALS),

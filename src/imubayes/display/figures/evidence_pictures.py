@@ -62,7 +62,7 @@ def _saved(folder: Path, drawn: Picture, name: str) -> Path:
 def before_after(
     before: pl.DataFrame,
     after: pl.DataFrame,
-    added: str,
+    step: str,
     floors: Mapping[str, float] | None = None,
     group: EffectGroup | None = None,
 ) -> Picture | None:
@@ -71,7 +71,7 @@ def before_after(
     Parameters
     ----------
     before, after : `residuals.parquet` of two fits of one campaign.
-    added : the effect.
+    step : between the fits, such as ``adding gyro_bias_drift``.
     floors : channel → noise of one row, input units.
     group : of the diagnosis before, whose channel and covariate are shown; without it those that changed most.  Where
         its residual is about the mean of each run, so are both.
@@ -96,7 +96,7 @@ def before_after(
     else:
         followed = followed_covariate(own, before_own - after_own, named.name if named is not None else None)
     return before_after_figure(
-        followed, before_own, after_own, runs.tolist(), channel, own["input_unit"][0], added,
+        followed, before_own, after_own, runs.tolist(), channel, own["input_unit"][0], step,
         (floors or {}).get(channel), run_signs(before), within,
     )  # fmt: skip
 

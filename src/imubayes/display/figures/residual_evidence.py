@@ -85,12 +85,12 @@ def before_after_figure(
     runs: Sequence[str],
     channel: str,
     unit: str,
-    added: str,
+    step: str,
     floor: float | None = None,
     signs: RunSigns | None = None,
     within: bool = False,
 ) -> Picture:
-    """Return the residual of a channel against a covariate, before and after an addition, on one scale.
+    """Return the residual of a channel against a covariate, before and after a step, on one scale.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def before_after_figure(
     before, after : shape (n,), residuals in `unit`.
     runs : of each point.
     channel, unit : for the labels.
-    added : the effect.
+    step : between the fits, such as ``adding gyro_bias_drift``.
     floor : noise of one row in `unit`, drawn as a band; None for none.
     signs : of the runs; without them each run has its own hue.
     within : whether the residuals are about the mean of each run.
@@ -113,13 +113,13 @@ def before_after_figure(
         divided, quantity = "over its input, where that is a third of the largest or more,", "residual / input / ppm"
     before, after = before * factor, after * factor
     caption = (
-        f"Residual of {channel} {divided}{' about the mean of each run,' if within else ''} before and after adding "
-        f"{added}, on one scale; black: "
+        f"Residual of {channel} {divided}{' about the mean of each run,' if within else ''} before and after "
+        f"{step}, on one scale; black: "
         "means of neighbouring points with ±2 standard errors. A good model leaves a band without pattern about zero"
         + (", as wide as the grey band, the noise of one row (±1 sd)." if floor is not None else ".")
     )
     high = limit_of(np.concatenate([before, after]), 3 * floor * factor if floor else 1e-12)
-    figure, signs, grid = _pair_of_panels(f"{channel} before and after adding {added}", caption, names, signs)
+    figure, signs, grid = _pair_of_panels(f"{channel} before and after {step}", caption, names, signs)
     for axes, word, y in zip(grid, ("before", "after"), (before, after), strict=True):
         if floor is not None:
             axes.axhspan(-floor * factor, floor * factor, color=BAND, linewidth=0, zorder=1)

@@ -1,4 +1,4 @@
-"""The record of an addition: what was predicted and observed, cross-validation, residual rms before and after."""
+"""The record of a change of a model: predicted and observed, cross-validation, residual rms before and after."""
 
 from typing import Literal
 
@@ -6,14 +6,16 @@ import numpy as np
 import polars as pl
 from pydantic import PrivateAttr
 
-from imubayes.criticism.addition import Prediction, Refit
+from imubayes.criticism.changed_model import ChangedModel
 from imubayes.criticism.held_out_record import CrossValidation
 from imubayes.criticism.model_history import ChannelRms
+from imubayes.criticism.not_distinguished import NotDistinguished, not_distinguished
+from imubayes.criticism.refit import Prediction, Refit
 from imubayes.criticism.verdict import CoefficientEstimate, EffectChoice, RmsChange
-from imubayes.criticism.warm_start import Extension
 from imubayes.inference.prior_conflict import PriorConflict
 from imubayes.json_record import Record, finite
 from imubayes.representation import Presented
+from imubayes.results.estimate_changes import EstimateChange, estimate_changes
 from imubayes.results.output_units import in_output_units
 from imubayes.results.result import Result
 from imubayes.results.summary import Summary
@@ -23,7 +25,7 @@ _RISEN = 1.01
 
 
 class RunRmsChange(Record):
-    """Residual rms of one channel in one run before and after an addition; `n` entries."""
+    """Residual rms of one channel in one run before and after a change; `n` entries."""
 
     name: str
     channel: str
@@ -34,7 +36,7 @@ class RunRmsChange(Record):
 
 
 class BeforeAfter(Record):
-    """A number of the fit before and after an addition; None where it is unknown, or the refit is not taken."""
+    """A number of the fit before and after a change; None where it is unknown, or the refit is not taken."""
 
     before: float | None
     after: float | None
@@ -45,7 +47,8 @@ class Observation(Record):
 
     Attributes
     ----------
-    delta_chi2 : at the noise known beforehand; where noise itself was added, twice the rise of the log likelihood.
+    delta_chi2 : drop at the noise known beforehand, negative where χ² rose; where noise itself was changed, twice the
+        rise of the log likelihood.
     coefficients : the new parameters.
     """
 
@@ -53,12 +56,12 @@ class Observation(Record):
     coefficients: tuple[CoefficientEstimate, ...]
 
 
-class Addition(Presented, Record):
-    """An addition to a model with the facts before and after.
+class ModelChange(Presented, Record):
+    """Effects added to a model or removed from it, with the facts before and after.
 
     Attributes
     ----------
-    added : effects with their channels.
+    added, removed : effects with their channels.
     widened : priors widened because the estimate lies outside the typical range, by ``effect.parameter``.
     taken, message : whether the refit converged and is no worse than the fit before, and why not.
     predicted, observed : Δχ² and coefficients before and after the refit.
@@ -66,6 +69,10 @@ class Addition(Presented, Record):
     held_out : cross-validation; None where there was none.
     runs : residual rms of the fits in input units; empty where the refit is not taken.
     channels : the same at the noise known beforehand, offsets of runs included.
+    moved : estimates that both fits have, those that moved most first; empty where the refit is not taken.
+    undistinguished : of the effects added, those that the data do not distinguish.
+    log_odds : natural logarithm of the odds of the effects removed, by the diagnosis that led to adding them; None
+        where that is not at hand.
     offsets_moved : the channels whose residual rms rose although the residual within runs did not: the new effect no
         longer takes up the offsets of their runs.
     parent, folder : result folders before and after; None where there are none.
@@ -74,7 +81,8 @@ class Addition(Presented, Record):
     __repr__, __str__ = Presented.__repr__, Presented.__str__
 
     format: Literal[2] = 2
-    added: tuple[EffectChoice, ...]
+    added: tuple[EffectChoice, ...] = ()
+    removed: tuple[EffectChoice, ...] = ()
     widened: dict[str, str]
     taken: bool
     message: str
@@ -84,6 +92,9 @@ class Addition(Presented, Record):
     held_out: CrossValidation | None
     runs: tuple[RunRmsChange, ...]
     channels: tuple[RmsChange, ...]
+    moved: tuple[EstimateChange, ...] = ()
+    undistinguished: tuple[NotDistinguished, ...] = ()
+    log_odds: float | None = None
     offsets_moved: tuple[str, ...] = ()
     chi2: BeforeAfter
     dof: BeforeAfter
@@ -93,29 +104,41 @@ class Addition(Presented, Record):
     _result: Result | None = PrivateAttr(None)
 
     @property
+    def signed(self) -> tuple[tuple[Literal["+", "−"], EffectChoice], ...]:
+        """The effects added, each with a plus sign, and those removed, each with a minus sign."""
+        return (*(("+", each) for each in self.added), *(("−", each) for each in self.removed))
+
+    @property
     def result(self) -> Result:
-        """The refit; of an addition that was read from a folder, read it with `read_result`."""
+        """The refit; of a change that was read from a folder, read it with `read_result`."""
         if self._result is None:
-            raise AttributeError("the refit of an addition that was read from a folder: imubayes.read_result(folder)")
+            raise AttributeError("the refit of a change that was read from a folder: imubayes.read_result(folder)")
         return self._result
 
-    def with_result(self, result: Result) -> "Addition":
+    def with_result(self, result: Result) -> "ModelChange":
         """Return the same record with its refit."""
         copy = self.model_copy()
         copy._result = result
         return copy
 
 
-def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
-    """Return the record of an addition, from the refit and the results before and after."""
+def change_of(refit: Refit, result: Result, refitted: Result, log_odds: float | None = None) -> ModelChange:
+    """Return the record of a change, from the refit and the results before and after.
+
+    Parameters
+    ----------
+    refit : of the changed model.
+    result, refitted : before and after.
+    log_odds : of effects removed (see `ModelChange`).
+    """
     before, after = result.summary, refitted.summary
     parent, folder = (str(each.folder) if each.folder is not None else None for each in (result, refitted))
     taken = not refit.objection
     fresh = _new_parameters(refit, before)
-    added = refit.extension.model.spec.effects[len(refit.before.model.spec.effects) :]
-    addition = Addition(
-        added=tuple(EffectChoice(effect=spec.name, channels=spec.channels) for spec in added),
-        widened=dict(refit.extension.widened),
+    change = ModelChange(
+        added=refit.change.added,
+        removed=refit.change.removed,
+        widened=dict(refit.change.widened),
         taken=taken,
         message=refit.objection,
         predicted=refit.predicted,
@@ -127,6 +150,9 @@ def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
         held_out=refit.held_out,
         runs=_by_run(before, after) if taken else (),
         channels=_by_channel(before, after) if taken else (),
+        moved=estimate_changes(before, after) if taken else (),
+        undistinguished=_undistinguished(refit) if taken else (),
+        log_odds=log_odds,
         offsets_moved=offsets_moved(before, after) if taken else (),
         chi2=BeforeAfter(before=before.chi2, after=after.chi2 if taken else None),
         dof=BeforeAfter(before=before.dof, after=after.dof if taken else None),
@@ -134,12 +160,20 @@ def addition_of(refit: Refit, result: Result, refitted: Result) -> Addition:
         parent=parent,
         folder=folder,
     )
-    return addition.with_result(refitted)
+    return change.with_result(refitted)
+
+
+def _undistinguished(refit: Refit) -> tuple[NotDistinguished, ...]:
+    """Return which of the effects added the data do not distinguish."""
+    posterior = refit.fit.posterior
+    if posterior is None:
+        return ()
+    return not_distinguished(refit.fit.model, posterior, [choice.effect for choice in refit.change.added])
 
 
 def _new_parameters(refit: Refit, before: Summary) -> set[str]:
     """Return the names of the parameters, those of the noise among them, that the model before lacks."""
-    model, new = refit.extension.model, refit.extension.new.tolist()
+    model, new = refit.change.model, refit.change.new.tolist()
     known = {parameter.name for parameter in before.parameters}
     fresh = {name for name, is_new in zip(model.layout.names, new, strict=True) if is_new}
     return fresh | {name for name in model.hyper_layout.names if name not in known}
@@ -204,18 +238,18 @@ def _drop(refit: Refit, before: Summary, after: Summary) -> float | None:
     return before.known_noise.chi2 - after.known_noise.chi2
 
 
-def added_variable(extension: Extension) -> pl.DataFrame:
+def added_variable(change: ChangedModel) -> pl.DataFrame:
     """Return the added-variable plot as a table: run, channel, added, residual; entries that the effect reaches."""
-    model, entries = extension.model, extension.model.entries
+    model, entries = change.model, change.model.entries
     names = [*(channel.name for channel in model.campaign.channels), "closure_x", "closure_y", "closure_z"]
     runs = [run.name for run in model.campaign.runs]
     # Every entry changes slightly through what the old model absorbs; those are omitted.
-    reached = np.abs(extension.added) > 1e-3 * np.max(np.abs(extension.added), initial=0.0)
+    reached = np.abs(change.explained) > 1e-3 * np.max(np.abs(change.explained), initial=0.0)
     return pl.DataFrame(
         {
             "run": np.array(runs)[entries.run[reached]],
             "channel": np.array(names)[entries.channel[reached]],
-            "added": extension.added[reached],
-            "residual": extension.residual[reached],
+            "added": change.explained[reached],
+            "residual": change.residual[reached],
         }
     )

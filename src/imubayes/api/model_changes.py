@@ -1,4 +1,4 @@
-"""Add an effect to a model, and the tree of models tried."""
+"""Add effects to a model or remove them, and the tree of models tried."""
 
 import shutil
 from collections.abc import Callable, Sequence
@@ -6,10 +6,12 @@ from dataclasses import replace as with_fields
 from pathlib import Path
 
 from imubayes.atomic_files import refuse_existing
-from imubayes.criticism.addition import Refit, refit_with
+from imubayes.criticism.addition import refit_with, simplest
 from imubayes.criticism.cross_validation import objection
 from imubayes.criticism.diagnosis_record import Diagnosis
 from imubayes.criticism.model_history import Tree
+from imubayes.criticism.refit import Refit
+from imubayes.criticism.removal import refit_without
 from imubayes.display.notebook_progress import progress_of
 from imubayes.errors import input_error
 from imubayes.inference.checkpoint import steps_in
@@ -18,11 +20,11 @@ from imubayes.inference.run_fit import joint_fit
 from imubayes.model.effect_registry import names_in
 from imubayes.model.model_file import read_model
 from imubayes.qualification.report_budgets import keep_budgets
-from imubayes.results.addition import Addition, added_variable, addition_of
 from imubayes.results.folder_state import claim_new
 from imubayes.results.history_file import remember
 from imubayes.results.history_tree import read_tree
-from imubayes.results.loop_files import read_diagnosis, write_addition
+from imubayes.results.loop_files import log_odds_of_removal, read_diagnosis, write_change
+from imubayes.results.model_change import ModelChange, added_variable, change_of
 from imubayes.results.record_names import CHECKPOINT
 from imubayes.results.result import Result, read_result, result_of
 
@@ -37,7 +39,7 @@ def add(
     sample: bool = False,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
-) -> Addition:
+) -> ModelChange:
     """Add effects to the model of a result, refit from where it stood, and report what that brought.
 
     A refit is taken only where it converged and is no worse; no result is overwritten.
@@ -45,8 +47,8 @@ def add(
     Parameters
     ----------
     result : a result, or its folder.
-    effects : names of effects or noise members, or Python files that define effects (``found_shape.py``); what the
-        diagnosis proposes where there are none.
+    effects : names of effects or noise members, or Python files that define effects (``found_shape.py``); the simplest
+        explanation of the diagnosis where there are none.
     out : result folder to write; None for none.  It becomes the selected model where the refit is taken.
     channels : for the new effects; where None, those on which the diagnosis found them, or else all they can act on.
     diagnosis : of the result; its estimates are where the refit starts.  Where None, the one that the result folder
@@ -61,27 +63,98 @@ def add(
         for an effect that does not fit, a result that cannot be extended, an `out` that is taken.
     """
     before = result if isinstance(result, Result) else read_result(result)
-    parent = before.folder
-    if diagnosis is None and parent is not None:
-        diagnosis = read_diagnosis(parent)
+    if diagnosis is None and before.folder is not None:
+        diagnosis = read_diagnosis(before.folder)
     files = tuple(word for word in effects if word.endswith(".py"))
     _refuse_two_files_of_a_name((*before.fit.model.spec.files, *files))
-    words = [name for word in effects for name in (names_in(word) if word in files else (word,))]
-    effects, channels = _named(words, channels, diagnosis)
+    named, channels = _named(_words(effects), channels, diagnosis)
+
+    def refit(tell: Callable[[str], None]) -> Refit:
+        return refit_with(before.fit, named, channels, diagnosis, tell, files)
+
+    return _changed(before, refit, out, diagnosis, Settings(seed=seed) if sample else None, seed, progress)
+
+
+def remove(
+    result: Result | str | Path,
+    effects: Sequence[str],
+    out: str | Path | None = None,
+    *,
+    sample: bool = False,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> ModelChange:
+    """Take effects out of the model of a result, refit from where it stood, and report what that costs.
+
+    Parameters that stay start where they were.  A refit is taken only where it converged; no result is overwritten.
+
+    Parameters
+    ----------
+    result : a result, or its folder.
+    effects : names of effects or noise members of its model, or Python files that define some of them.
+    out : result folder to write; None for none.  It becomes the selected model where the refit is taken.
+    sample : whether to sample the posterior of a refit that is taken.
+    seed : of the sampler.
+    progress : called with a short text as the work goes on.
+
+    Raises
+    ------
+    InputError
+        for an effect that the model does not have or that others of it require, and for an `out` that is taken.
+    """
+    before = result if isinstance(result, Result) else read_result(result)
+    words, parent = _words(effects), before.folder
+    if not words:
+        raise input_error("no effect is named", "remove", "effects of the model", "name one")
+    stay = [each.name for each in before.fit.model.spec.effects if each.name not in words]
+    log_odds = log_odds_of_removal(parent, words, stay) if parent is not None else None
+    diagnosis = read_diagnosis(parent) if parent is not None else None
+
+    def refit(tell: Callable[[str], None]) -> Refit:
+        return refit_without(before.fit, words, tell)
+
+    sampling = Settings(seed=seed) if sample else None
+    return _changed(before, refit, out, diagnosis, sampling, seed, progress, log_odds)
+
+
+def _changed(
+    before: Result,
+    make: Callable[[Callable[[str], None]], Refit],
+    out: str | Path | None,
+    diagnosis: Diagnosis | None,
+    sampling: Settings | None,
+    seed: int,
+    progress: Callable[[str], None] | None,
+    log_odds: float | None = None,
+) -> ModelChange:
+    """Return a change of a model, kept in a result folder and in the history where there is one.
+
+    Parameters
+    ----------
+    make : makes the refit; it is called with what tells the progress.
+    sampling : of a refit that is taken; None for the Laplace approximation.
+    log_odds : of effects removed.
+    """
+    parent = before.folder
     folder = claim_new(Path(out), parent) if out is not None else None
     with progress_of(progress) as tell:
-        refit = refit_with(before.fit, effects, channels, diagnosis, tell, files)
-        if sample and not refit.objection:
-            refit = _sampled(refit, folder, seed, tell)
+        refit = make(tell)
+        if sampling is not None and not refit.objection:
+            refit = _sampled(refit, folder, sampling, tell)
         tell("summarising")
         after = result_of(refit.fit, folder, seed)
-    addition = addition_of(refit, before, after)
+    change = change_of(refit, before, after, log_odds)
     if folder is not None:
-        write_addition(folder, addition, added_variable(refit.extension))
+        write_change(folder, change, added_variable(refit.change) if change.added else None)
         if parent is not None:
-            remember(parent, folder, addition, diagnosis, seed)
+            remember(parent, folder, change, diagnosis, seed)
         _keep_budgets_of(after, refit)
-    return addition
+    return change
+
+
+def _words(effects: Sequence[str]) -> list[str]:
+    """Return the names of effects; a Python file stands for those that it defines."""
+    return [name for word in effects for name in (names_in(word) if word.endswith(".py") else (word,))]
 
 
 def _keep_budgets_of(after: Result, refit: Refit) -> None:
@@ -108,28 +181,29 @@ def _refuse_two_files_of_a_name(files: Sequence[str]) -> None:
 def _named(
     effects: Sequence[str], channels: Sequence[str] | None, diagnosis: Diagnosis | None
 ) -> tuple[Sequence[str], Sequence[str] | None]:
-    """Return effects and channels to add: as named, or as the diagnosis proposes.
+    """Return effects and channels to add: as named, or the simplest explanation of the diagnosis.
 
     Several effects share one list of channels, so that of the diagnosis is taken for a single effect.
     """
     if effects:
         found = diagnosis.channels_for(effects[0]) if diagnosis is not None and len(effects) == 1 else None
         return effects, channels if channels is not None else found
-    proposed = diagnosis.proposed if diagnosis is not None else None
+    proposed = simplest(diagnosis) if diagnosis is not None else None
     if proposed is None:
-        raise input_error("no effect is named", "add", "imubayes effects lists them", "name one")
+        allowed = "what a diagnosis of the result proposes, or an effect that `imubayes effects` lists"
+        raise input_error("no effect is named, and no diagnosis proposes one", "add", allowed, "name one")
     return proposed.effects, channels or proposed.channels
 
 
-def _sampled(refit: Refit, folder: Path | None, seed: int, tell: Callable[[str], None]) -> Refit:
+def _sampled(refit: Refit, folder: Path | None, sampling: Settings, tell: Callable[[str], None]) -> Refit:
     """Return the refit with its posterior sampled; where an earlier call was interrupted, its sampling is resumed."""
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
     checkpoint = folder / CHECKPOINT if folder is not None else None
     resume = checkpoint is not None and bool(steps_in(checkpoint))
     start = (refit.fit.z, refit.fit.h)
-    fit = joint_fit(refit.fit.model, Settings(seed=seed), checkpoint, resume, tell, start)
-    return with_fields(refit, fit=fit, objection=objection(fit, refit.delta_chi2))
+    fit = joint_fit(refit.fit.model, sampling, checkpoint, resume, tell, start)
+    return with_fields(refit, fit=fit, objection=objection(fit, refit.delta_chi2, bool(refit.change.removed)))
 
 
 def history(*folders: str | Path) -> Tree:
