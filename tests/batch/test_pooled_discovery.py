@@ -12,7 +12,7 @@ from imubayes.batch.unit_scores import SCORES
 from imubayes.errors import InputError
 
 EFFECTS = ("quadratic", "twin", "drift", "pair", "width")
-ROWS, UNITS = 40, 100
+ROWS, UNITS, SIZE = 40, 100, 50.0
 
 
 def design(seed: int) -> np.ndarray:
@@ -23,23 +23,24 @@ def design(seed: int) -> np.ndarray:
 
 
 def score_rows(seed: int, effect: np.ndarray, noise: float = 1.0) -> list[dict]:
-    """Return the rows of one unit whose response is `effect` (6,) in standard deviations of each coefficient."""
+    """Return the rows of one unit whose response is `effect` (6,) in standard deviations of each coefficient.
+
+    Typical sizes reach ten standard deviations.
+    """
     columns = design(1)
-    size = effect / np.linalg.norm(columns, axis=0)
-    residual = noise * np.random.default_rng(seed).normal(size=ROWS) + columns @ size
+    columns *= 10 / np.linalg.norm(columns, axis=0)
+    residual = noise * np.random.default_rng(seed).normal(size=ROWS) + columns @ effect / 10
     digest, names = f"d{seed}", ["q[ax]", "t[ax]", "d[ax]", "p1[ax]", "p2[ax]", "w[ax]"]
     own = {"quadratic": [0], "twin": [1], "drift": [2], "pair": [3, 4], "width": [5]}
-    u, v = columns.T @ residual, columns.T @ columns
-    rows = []
-    for name, places in own.items():
-        chi2 = float(u[places] @ np.linalg.solve(v[np.ix_(places, places)], u[places]))
-        rows.append({
-            "digest": digest, "unit": f"U{seed}", "effect": name, "shape": "", "scope": "accelerometer",
-            "coefficients": [names[place] for place in places], "measures": ["ug"] * len(places),
-            "signs": [int(name == "width")] * len(places), "dof": len(places), "chi2": chi2 / noise**2, "p": 0.5,
-            "factor": 1 / noise**2,
-        })  # fmt: skip
-    together = {"digest": digest, "unit": f"U{seed}", "coefficients": names, "score": u.tolist(),
+    u, v = columns.T @ residual / noise**2, columns.T @ columns / noise**2
+    rows = [
+        {"digest": digest, "unit": f"U{seed}", "effect": name, "shape": "", "scope": "accelerometer", "part": "",
+         "owners": ["ax"], "coefficients": [names[place] for place in places], "log_odds": np.log(0.2),
+         "widths": [0.01, 0.04, 0.16, 0.64, 2.5, 10.0]}
+        for name, places in own.items()
+    ]  # fmt: skip
+    together = {"digest": digest, "unit": f"U{seed}", "coefficients": names, "measures": ["ug"] * 6,
+                "sizes": [SIZE] * 6, "signs": [0, 0, 0, 0, 0, 1], "score": u.tolist(),
                 "information": packed(v)}  # fmt: skip
     return [*rows, together]
 
