@@ -63,7 +63,8 @@ def unit_gains(scores: PooledScores, candidate: EffectVariant) -> UnitGains:
     sign, spreads = scores.signs[places], np.concatenate([[0.0], widths])
     gains = [gain_of_coefficients(v, u, np.full(u.shape, width), sign) for width in widths]
     shrink = np.linalg.inv(np.eye(len(places)) + spreads[:, None, None, None] ** 2 * v)
-    return UnitGains(widths, np.stack([np.zeros(len(u)), *gains]), np.einsum("snkl,nl->snk", shrink, u), shrink @ v, sign)
+    score = np.einsum("snkl,nl->snk", shrink, u)
+    return UnitGains(widths, np.stack([np.zeros(len(u)), *gains]), score, shrink @ v, sign)
 
 
 def law_tables(gains: UnitGains, members: np.ndarray) -> dict[Law, np.ndarray]:
@@ -108,15 +109,12 @@ def _gains_of_means(gains: UnitGains, inside: np.ndarray) -> np.ndarray:
 
     Of one sign only the mean of equal sizes counts: sizes of their own are about zero, half of their normal law.
     """
-    spreads, signed = len(gains.gain), bool(np.any(gains.sign))
-    used = slice(0, 1) if signed else slice(None)
-    u = np.einsum("gn,snk->gsk", inside, gains.score[used])
-    v = np.einsum("gn,snkl->gskl", inside, gains.information[used])
-    size, q = u.shape[2], len(gains.widths)
-    widths = np.broadcast_to(np.tile(gains.widths, u.shape[0] * u.shape[1])[:, None], (u.shape[0] * u.shape[1] * q, size))
-    own, right = np.repeat(v.reshape(-1, size, size), q, axis=0), np.repeat(u.reshape(-1, size), q, axis=0)
-    found = gain_of_coefficients(own, right, widths, gains.sign).reshape(*u.shape[:2], q)
-    return np.concatenate([found, np.full((len(u), spreads - 1, q), -np.inf)], axis=1) if signed else found
+    found, signed = np.full((len(inside), len(gains.gain), len(gains.widths)), -np.inf), bool(np.any(gains.sign))
+    for spread in range(1 if signed else len(gains.gain)):
+        u, v = inside @ gains.score[spread], np.tensordot(inside, gains.information[spread], 1)
+        for q, width in enumerate(gains.widths):
+            found[:, spread, q] = gain_of_coefficients(v, u, np.full(u.shape, width), gains.sign)
+    return found
 
 
 def _log_seen(widths: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -40,7 +40,7 @@ class PooledScores:
     candidates: Mapping[CandidateKey, EffectVariant]
 
     def places_of(self, key: CandidateKey) -> np.ndarray:
-        """Return the places of all coefficients, of every shape and part, that an effect has where a candidate has it."""
+        """Return the places of all coefficients that the effect of a candidate has there, of every shape and part."""
         own = self.candidates[key]
         found = [each for each in self.candidates.values() if each.effect == own.effect]
         return np.unique([k for each in found if set(each.owners) <= set(own.owners) for k in each.places])
@@ -114,9 +114,7 @@ def pooled_scores(scores: pl.DataFrame) -> PooledScores:
         for k, unit in zip(at, units, strict=True):
             measures[k] = unit
     score, information = np.zeros((len(own), len(names))), np.zeros((len(own), len(names), len(names)))
-    for row, (at, size, u, v) in enumerate(
-        zip(own, whole["sizes"], whole["score"], whole["information"], strict=True)
-    ):
+    for row, (at, size, u, v) in enumerate(zip(own, whole["sizes"], whole["score"], whole["information"], strict=True)):
         unit = sizes[at] / np.array(size)
         score[row, at] = np.array(u) * unit
         information[row, at[:, None], at] = unpacked(v) * np.outer(unit, unit)

@@ -15,7 +15,7 @@ import polars as pl
 from imubayes.atomic_files import replacing
 from imubayes.batch.fit_unit import bound_to
 from imubayes.batch.posterior_table import MODEL_FILE, chosen_model, model_folder, read_units
-from imubayes.batch.unit_scores import SCORES, score_table, unit_scores
+from imubayes.batch.unit_scores import SCORES, unit_scores
 from imubayes.batch.unit_sources import UnitSource
 from imubayes.campaign_data import Campaign
 from imubayes.errors import InputError, Issue, input_error
@@ -28,7 +28,7 @@ _PREFIX, _CHUNK, _DIGITS = "scores-", 32, 16
 
 
 def read_unit_scores(results: str | Path, model: str | None = None) -> pl.DataFrame:
-    """Return the scores of a batch, schema `SCORES`; raises InputError where there is no such model, or they are older."""
+    """Return the scores of a batch, schema `SCORES`; raises InputError where they are of another version."""
     folder = model_folder(results, chosen_model(results, model))
     tables = {file: pl.read_parquet(file) for file in sorted(folder.glob(f"{_PREFIX}*.parquet"))}
     for file, table in tables.items():
@@ -76,7 +76,7 @@ def _scored(spec: ModelSpec, rows: Sequence[dict], issues: list[Issue]) -> Itera
         path = Path(row["file"])
         source = UnitSource(row["digest"], row["unit"], row["campaign"], row["file"], path.suffix == ".parquet")
         try:
-            yield score_table(row["unit"], row["digest"], unit_scores(refitted(spec, source.read(), row)))
+            yield unit_scores(refitted(spec, source.read(), row), row["unit"], row["digest"])
         except InputError as error:
             issues.extend(error.issues)
 

@@ -13,6 +13,7 @@ scatter more than that, it is what they say: a unit with a gross error must not 
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -20,7 +21,7 @@ import numpy as np
 import polars as pl
 
 from imubayes.batch.posterior_table import packed
-from imubayes.criticism.candidate_effects import candidate_responses
+from imubayes.criticism.candidate_effects import Response, candidate_responses
 from imubayes.criticism.evidence.effect_variants import EffectVariant
 from imubayes.criticism.evidence.hypothesis import EvidenceOf, Hypothesis, scale_mode
 from imubayes.criticism.evidence.linear_problem import LinearProblem, linear_problem
@@ -61,45 +62,29 @@ class CandidateKey:
     part: str = ""
 
 
-@dataclass(frozen=True)
-class UnitScores:
-    """All candidates of one unit.
-
-    Attributes
-    ----------
-    candidates : with places of C coefficients.
-    names, measures, signs : of the coefficients: name and shape, unit, and the only sign allowed, 0 for either.
-    sizes : shape (C,), largest typical sizes, in their units: what scores count in.
-    score, information : shapes (C,) and (C, C).
-    """
-
-    candidates: tuple[tuple[CandidateKey, EffectVariant], ...]
-    names: tuple[str, ...]
-    measures: tuple[str, ...]
-    signs: tuple[int, ...]
-    sizes: np.ndarray
-    score: np.ndarray
-    information: np.ndarray
-
-
-def unit_scores(fit: Fit) -> UnitScores:
-    """Return the scores of every candidate effect of a converged fit."""
+def unit_scores(fit: Fit, unit: str, digest: str) -> pl.DataFrame:
+    """Return the scores of every candidate effect of a converged fit, schema `SCORES`."""
     of = EvidenceOf(linear_problem(fit, candidate_responses(fit)))
     problem = of.problem
     score, information = _past_own(of, _likeliest_noise(of))
-    shapes = [_shape(each.scan.shape) for each in problem.candidates for _ in each.coefficients]
-    return UnitScores(
-        candidates=tuple(_candidates(problem, of.variants, np.diag(information) > 0)),
-        names=tuple(
-            f"{each.parameter.name}{f' at {shape}' if shape else ''}"
-            for each, shape in zip(problem.coefficients, shapes, strict=True)
-        ),
-        measures=tuple(each.parameter.shown_unit for each in problem.coefficients),
-        signs=tuple(problem.sign.tolist()),
-        sizes=problem.sizes,
-        score=score,
-        information=information,
-    )
+    shapes = [_shape(each) for each in problem.candidates for _ in each.coefficients]
+    names = [
+        f"{each.parameter.name}{f' at {shape}' if shape else ''}"
+        for each, shape in zip(problem.coefficients, shapes, strict=True)
+    ]
+    rows = [
+        {
+            **vars(key), "owners": list(each.owners), "log_odds": each.log_odds, "widths": list(each.widths),
+            "coefficients": [names[place] for place in each.places],
+        }
+        for key, each in _candidates(of, np.diag(information) > 0)
+    ]  # fmt: skip
+    together = {
+        "coefficients": names, "measures": [each.parameter.shown_unit for each in problem.coefficients],
+        "sizes": problem.sizes.tolist(), "signs": problem.sign.tolist(), "score": score.tolist(),
+        "information": packed(information),
+    }  # fmt: skip
+    return pl.DataFrame([{"digest": digest, "unit": unit, **each} for each in (*rows, together)], schema=SCORES)
 
 
 def _likeliest_noise(of: EvidenceOf) -> Hypothesis:
@@ -132,30 +117,25 @@ def _past_own(of: EvidenceOf, noise: Hypothesis) -> tuple[np.ndarray, np.ndarray
 def _whitened_rows(of: EvidenceOf, noise: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of all channels with the columns [J X r], (n, P + C + 1), and the channel of each, (n,)."""
     count = of.problem.own + len(of.problem.coefficients)
-    parts, channel = [np.zeros((0, count + 1))], [np.zeros(0, dtype=int)]
-    for k in sorted(of.unit_of):
-        live = of.problem.rows[k].live
-        white = of.whitened(noise, k)
-        whole = np.zeros((len(white), count + 1))
-        whole[:, [*live, count]] = white
-        parts.append(whole)
-        channel.append(np.full(len(white), k))
-    return np.concatenate(parts), np.concatenate(channel)
+    channels = sorted(of.unit_of)
+    columns = np.zeros((of.problem.outputs, count + 1))
+    channel = np.repeat(channels, [len(of.problem.rows[k].entry) for k in channels]).astype(int)
+    for k in channels:
+        columns[np.ix_(channel == k, [*of.problem.rows[k].live, count])] = of.whitened(noise, k)
+    return columns, channel
 
 
 def _scaled_basis(problem: LinearProblem, columns: np.ndarray, channel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return what the model's own parameters span, (n, rank), and the noise scale of each channel, (K,)."""
-    scale = np.ones(len(problem.rows))
-    basis = np.zeros((len(columns), 0))
+    scale, basis = np.ones(len(problem.rows)), np.zeros((len(columns), 0))
     for _ in range(_ROUNDS):
         basis = _span(columns[:, : problem.own] / scale[channel, None])
         misfit = columns[:, -1] / scale[channel]
-        rest = misfit - basis @ (basis.T @ misfit)
-        taken, before = np.sum(basis**2, axis=1), scale.copy()
+        rest, left = misfit - basis @ (basis.T @ misfit), 1 - np.sum(basis**2, axis=1)
+        before = scale.copy()
         for k in np.unique(channel):
-            here = channel == k
-            freedom = max(float(np.sum(here) - taken[here].sum()), _LEAST_FREEDOM)
-            square = max(float(np.sum(rest[here] ** 2)) * before[k] ** 2, 1e-12)
+            freedom = max(float(left[channel == k].sum()), _LEAST_FREEDOM)
+            square = max(float(np.sum(rest[channel == k] ** 2) * before[k] ** 2), 1e-12)
             mode, _ = scale_mode(square, freedom, problem.rows[k].scale_sd)
             scale[k] = max(math.exp(mode), math.sqrt(square / freedom))
         if np.max(np.abs(np.log(scale / before)), initial=0.0) < _SETTLED:
@@ -170,51 +150,30 @@ def _span(jacobian: np.ndarray) -> np.ndarray:
     return left[:, singular > _RANK * singular.max(initial=0.0)]
 
 
-def _shape(shape: dict[str, float]) -> str:
-    return ", ".join(f"{name}={value:g}" for name, value in shape.items())
+def _shape(response: Response) -> str:
+    return ", ".join(f"{name}={value:g}" for name, value in response.scan.shape.items())
 
 
-def _candidates(
-    problem: LinearProblem, variants: tuple[EffectVariant, ...], left: np.ndarray
-) -> Iterator[tuple[CandidateKey, EffectVariant]]:
-    """Yield the variants of which something is left, with what they are called in every unit."""
+def _candidates(of: EvidenceOf, left: np.ndarray) -> Iterator[tuple[CandidateKey, EffectVariant]]:
+    """Yield the variants of which something is left, left (C,) bool, with what they are called in every unit."""
+    problem = of.problem
     kinds = {channel.name: channel.kind for channel in problem.channels}
-    causes = [(each.response, kinds.get(each.owners[0], "")) for each in variants]
-    owners: dict[tuple[int, str], set[str]] = {}
-    fields: dict[tuple[int, str], set[str]] = {}
-    for cause, each in zip(causes, variants, strict=True):
-        owners.setdefault(cause, set()).update(each.owners)
-        fields.setdefault(cause, set()).update(_fields(problem, each))
-    for cause, each in zip(causes, variants, strict=True):
-        own = _fields(problem, each)
+    owners, fields = defaultdict[tuple[int, str], set[str]](set), defaultdict[tuple[int, str], set[str]](set)
+
+    def about(each: EffectVariant) -> tuple[tuple[int, str], set[str]]:
+        cause = each.response, kinds.get(each.owners[0], "")
+        return cause, {problem.coefficients[k].parameter.field for k in each.places}
+
+    for each in of.variants:
+        cause, own = about(each)
+        owners[cause].update(each.owners)
+        fields[cause].update(own)
+    for each in of.variants:
+        cause, own = about(each)
         places = tuple(k for k in each.places if left[k])
         if places:
             scope = each.owners[0] if len(each.owners) < len(owners[cause]) else cause[1] or "equipment"
             part = next(iter(own)) if len(own) < len(fields[cause]) else ""
-            shape = _shape(problem.candidates[each.response].scan.shape)
             owned = tuple(dict.fromkeys(problem.coefficients[k].owner for k in places))
-            yield (
-                CandidateKey(each.effect, shape, scope, part),
-                replace(each, owners=owned, places=places),
-            )
-
-
-def _fields(problem: LinearProblem, variant: EffectVariant) -> set[str]:
-    return {problem.coefficients[k].parameter.field for k in variant.places}
-
-
-def score_table(unit: str, digest: str, scores: UnitScores) -> pl.DataFrame:
-    """Return the scores of a unit as a table, schema `SCORES`."""
-    rows = [
-        {
-            "digest": digest, "unit": unit, **vars(key), "owners": list(each.owners), "log_odds": each.log_odds,
-            "coefficients": [scores.names[place] for place in each.places], "widths": list(each.widths),
-        }
-        for key, each in scores.candidates
-    ]  # fmt: skip
-    together = {
-        "digest": digest, "unit": unit, "coefficients": list(scores.names), "measures": list(scores.measures),
-        "sizes": scores.sizes.tolist(), "signs": list(scores.signs), "score": scores.score.tolist(),
-        "information": packed(scores.information),
-    }  # fmt: skip
-    return pl.DataFrame([*rows, together], schema=SCORES)
+            shape = _shape(problem.candidates[each.response])
+            yield CandidateKey(each.effect, shape, scope, part), replace(each, owners=owned, places=places)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from imubayes.batch.pooled_discovery import PooledCandidate, PooledDiscovery, PooledFinding
+from imubayes.batch.discovery_record import PooledCandidate, PooledDiscovery, PooledFinding
 from imubayes.display.archive_report import counted
 from imubayes.display.evidence_text import probability
 from imubayes.display.report_layout import Report
@@ -24,8 +24,8 @@ def discovery_report(found: PooledDiscovery, issues: Sequence[Issue] = ()) -> Re
     looked = f"{counted(found.campaigns, 'campaign')} of {counted(found.units, 'unit')}, {found.candidates} candidates"
     lines = [text for each in found.findings for text in _finding_lines(each)]
     lines.append(_nothing_line(found))
-    lines.append(f"{looked}; {counted(found.expected, 'missing effect')} expected before the data")
-    head = ("effect", "acts on", "units", "law", "probability", "log odds", "coefficient", "for", "against")
+    lines.append(f"{looked}; {found.expected:g} missing effect expected before the data")
+    head = ("effect", "acts on", "units", "law", "probability", "log odds", "coefficient", "for / against")
     beside = {(each.effect, each.equipment): each for each in reversed(found.ranking)}
     rows = [_row(each.evidence, each) for each in found.findings]
     rows += [_row(each) for each in list(beside.values())[::-1][:_MOST_CANDIDATES]]
@@ -47,9 +47,8 @@ def _finding_lines(each: PooledFinding) -> list[str]:
     chance = f"probability {probability(each.probability)}, log odds {each.evidence.log_odds:.1f}"
     lines = [f"{first.effect} is missing ({first.scope}), {law}: {chance}{_size(each)}."]
     if each.equipment is not None and each.equipment.log_bayes_outside is not None:
-        others_say = f"log evidence {each.equipment.log_bayes_outside:.1f}"
-        lines.append(f"It is in the {each.equipment.inside} campaigns{where}; of the {each.equipment.outside} others "
-                     f"{others_say}.")  # fmt: skip
+        outside = f"the log evidence of the {each.equipment.outside} others is {each.equipment.log_bayes_outside:.1f}"
+        lines.append(f"{counted(each.equipment.inside, 'campaign')}{where} show it; {outside}.")
     if others:
         told = [
             f"{one.effect}{f' ({one.equipment})' if one.equipment else ''} {probability(one.probability)}"
@@ -95,13 +94,13 @@ def _sides(each: PooledFinding) -> Sheet:
 def _row(each: PooledCandidate, found: PooledFinding | None = None) -> list[Cell]:
     name = each.effect + (f" ({each.shape})" if each.shape else "")
     scope = each.scope + (f": {each.part}" if each.part else "")
-    size, sides = "", ("", "")
+    size, sides = "", ""
     if found is not None:
         size = ", ".join(f"{concise(one.value, one.sd)} {one.unit}" for one in found.coefficients[:2])
         gains = [unit.gain for unit in found.every_unit]
-        sides = str(sum(gain > 0 for gain in gains)), str(sum(gain < 0 for gain in gains))
+        sides = f"{sum(gain > 0 for gain in gains)} / {sum(gain < 0 for gain in gains)}"
     chance = found.probability if found is not None else each.probability
     return [
         Cell(name), Cell(scope), Cell(each.equipment or str(each.units)), Cell(each.law), Cell(probability(chance)),
-        Cell(f"{each.log_odds:.1f}"), Cell(size), *map(Cell, sides),
+        Cell(f"{each.log_odds:.1f}"), Cell(size), Cell(sides),
     ]  # fmt: skip

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.patches import Patch
 
+from imubayes.batch.discovery_record import PooledDiscovery, PooledFinding
 from imubayes.batch.parameter_population import ParameterPopulation, Populations
-from imubayes.batch.pooled_discovery import PooledDiscovery, PooledFinding
 from imubayes.display.labels import pretty, shortened
 from imubayes.display.rounding import value_and_sd
 from imubayes.display.theme import (
