@@ -104,6 +104,7 @@ class _PooledSearch:
         self._members = np.array([each.members for each in self.groups])
         alone = OF_EQUIPMENT / max(len(equipment), 1)
         self._log_share = np.log([1 - OF_EQUIPMENT if equipment else 1.0, *[alone] * len(equipment)])
+        self._known: dict[tuple[PooledEvidence, ...], list[PooledEvidence]] = {}
         self.leaders: tuple[PooledEvidence, ...] = ()
 
     def held(self, leaders: Sequence[PooledEvidence]) -> PooledScores:
@@ -115,7 +116,10 @@ class _PooledSearch:
 
     def ranked(self, leaders: Sequence[PooledEvidence]) -> list[PooledEvidence]:
         """Return the evidence for every candidate beside some effects, the strongest first."""
-        return all_evidence(self.held(leaders), self._members, self._log_share, LEAST_UNITS)
+        key = tuple(leaders)
+        if key not in self._known:
+            self._known[key] = all_evidence(self.held(leaders), self._members, self._log_share, LEAST_UNITS)
+        return self._known[key]
 
     def findings(self) -> Iterator[PooledFinding]:
         """Yield the effects that are missing beyond reasonable doubt."""

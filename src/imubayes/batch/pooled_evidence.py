@@ -12,6 +12,7 @@ Widths of m, spreads and shares are summed over grids.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -123,7 +124,7 @@ def _log_seen(widths: np.ndarray, size: np.ndarray) -> np.ndarray:
     return np.where(seen, -np.log(np.maximum(seen.sum(axis=1, keepdims=True), 1)), -np.inf)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PooledEvidence:
     """Evidence for one candidate in one group of units.
 
@@ -139,10 +140,10 @@ class PooledEvidence:
     units: int
     log_law: np.ndarray
 
-    @property
+    @cached_property
     def log_odds(self) -> float:
         """Natural logarithm of the odds against nothing missing."""
-        return float(special.logsumexp(self.log_law))
+        return float(np.logaddexp.reduce(self.log_law))
 
     @property
     def shares(self) -> dict[Law, float]:

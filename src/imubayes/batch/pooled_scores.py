@@ -59,7 +59,7 @@ class PooledScores:
     def told(self, key: CandidateKey) -> np.ndarray:
         """Return which campaigns have any information of a candidate, (n,) bool."""
         places = list(self.candidates[key].places)
-        return np.einsum("nkk->nk", self.information)[:, places].sum(axis=1) > 0
+        return np.asarray(self.information[:, places, places].sum(axis=1) > 0)
 
     def without(self, places: np.ndarray, members: np.ndarray) -> "PooledScores":
         """Return the scores once coefficients, of their own size in each of some campaigns, are projected out.
@@ -69,30 +69,29 @@ class PooledScores:
         places : shape (K,).
         members : shape (n,) bool, in which campaigns.
         """
-        information, score, first = self.information[members], self.score[members], self.at_first[members]
-        cross = information[:, :, places]
-        gain = cross @ _inverses(information[:, places[:, None], places], first[:, places])
-        score = score - np.einsum("nck,nk->nc", gain, score[:, places])
-        information = information - gain @ np.swapaxes(cross, 1, 2)
-        left = np.einsum("nkk->nk", information) > _RANK * first
-        left[:, places] = False
-        whole, others = self.information.copy(), self.score.copy()
-        whole[members], others[members] = information * left[:, :, None] * left[:, None, :], score * left
-        return replace(self, score=others, information=whole)
+        found = replace(self, score=self.score.copy(), information=self.information.copy())
+        for row in np.flatnonzero(members):
+            score, information, first = found.score[row], found.information[row], self.at_first[row]
+            gain = information[:, places] @ _inverse(information[np.ix_(places, places)], first[places])
+            score -= gain @ score[places]
+            information -= gain @ information[places]
+            lost = np.diag(information) <= _RANK * first
+            lost[places] = True
+            score[lost], information[lost], information[:, lost] = 0.0, 0.0, 0.0
+        return found
 
 
-def _inverses(information: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return the pseudo-inverses of information matrices, (n, K, K), without directions that are not determined.
+def _inverse(information: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Return the pseudo-inverse of an information matrix, (K, K), without directions that are not determined.
 
     Parameters
     ----------
-    first : shape (n, K), the information of each coefficient before anything was projected out.
+    first : shape (K,), the information of each coefficient before anything was projected out.
     """
-    scale = np.where(first > 0, 1 / np.sqrt(np.where(first > 0, first, 1.0)), 0.0)
-    values, axes = np.linalg.eigh(information * scale[:, :, None] * scale[:, None, :])
-    kept = values > _RANK
-    inverse = (axes * np.where(kept, 1 / np.where(kept, values, 1.0), 0.0)[:, None, :]) @ np.swapaxes(axes, 1, 2)
-    return inverse * scale[:, :, None] * scale[:, None, :]
+    unit = np.where(first > 0, 1 / np.sqrt(np.where(first > 0, first, 1.0)), 0.0)
+    values, axes = np.linalg.eigh(information * np.outer(unit, unit))
+    axes = unit[:, None] * axes[:, values > _RANK]
+    return (axes / values[values > _RANK]) @ axes.T
 
 
 def pooled_scores(scores: pl.DataFrame) -> PooledScores:
