@@ -64,8 +64,12 @@ class CandidateKey:
 
 def unit_scores(fit: Fit, unit: str, digest: str) -> pl.DataFrame:
     """Return the scores of every candidate effect of a converged fit, schema `SCORES`."""
-    of = EvidenceOf(linear_problem(fit, candidate_responses(fit)))
-    problem = of.problem
+    return scores_of(linear_problem(fit, candidate_responses(fit)), unit, digest)
+
+
+def scores_of(problem: LinearProblem, unit: str, digest: str) -> pl.DataFrame:
+    """Return the scores of the candidates of a linearised fit."""
+    of = EvidenceOf(problem)
     score, information = _past_own(of, _likeliest_noise(of))
     shapes = [_shape(each) for each in problem.candidates for _ in each.coefficients]
     names = [
