@@ -47,8 +47,8 @@ def _finding_lines(each: PooledFinding) -> list[str]:
     chance = f"probability {probability(each.probability)}, log odds {each.evidence.log_odds:.1f}"
     lines = [f"{first.effect} is missing ({first.scope}), {law}: {chance}{_size(each)}."]
     if each.equipment is not None and each.equipment.log_bayes_outside is not None:
-        outside = f"the log evidence of the {each.equipment.outside} others is {each.equipment.log_bayes_outside:.1f}"
-        lines.append(f"{counted(each.equipment.inside, 'campaign')}{where} show it; {outside}.")
+        said = f"is {each.equipment.log_bayes_outside:.1f}"
+        lines.append(f"The log evidence of the {counted(each.equipment.outside, 'other campaign')} {said}.")
     if others:
         told = [
             f"{one.effect}{f' ({one.equipment})' if one.equipment else ''} {probability(one.probability)}"
